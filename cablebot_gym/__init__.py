@@ -1,7 +1,7 @@
 """Gymnasium environments and a payload benchmark for cable-suspended robots.
 
-Importing the package registers the ids in :data:`ENV_IDS`. The names for policies and evaluations can be imported from
-here; their modules are loaded on first use.
+Importing the package registers the ids in :data:`ENV_IDS`. The names for policies and evaluations
+can be imported from here; their modules are loaded on first use.
 """
 
 from importlib import import_module
@@ -62,7 +62,8 @@ _HOMES = {
     "observation_layout": "cablebot_gym.envs.observation",
     "record_rollout": "cablebot_gym.evaluation.rollout",
 }
-"""Module of each name that is loaded on first use: an evaluation needs SciPy, an environment does not."""
+"""Module of each name that is loaded on first use: an evaluation needs SciPy, an environment does
+not."""
 
 PUBLIC_MODULES = (
     "cablebot_gym.benchmark.cells",

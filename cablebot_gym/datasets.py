@@ -1,6 +1,8 @@
-"""Description of a Minari dataset of these environments: a datasheet, and metadata in Croissant for programs.
+"""Description of a Minari dataset of these environments: a datasheet, and metadata in Croissant for
+programs.
 
-Requires the extra ``minari``. Facts come from the dataset, and blocks and units from the environment's layout.
+Requires the extra ``minari``. Facts come from the dataset, and blocks and units from the
+environment's layout.
 """
 
 from __future__ import annotations
@@ -91,15 +93,25 @@ a version too, and an environment with another behaviour gets another id.
 """
 
 
-_REQUIRED = ("author", "author_email", "description", "algorithm_name", "code_permalink", "requirements")
+_REQUIRED = (
+    "author",
+    "author_email",
+    "description",
+    "algorithm_name",
+    "code_permalink",
+    "requirements",
+)
 """Arguments of Minari's ``create_dataset`` without which a dataset cannot be described."""
 
 
-def describe_dataset(dataset: MinariDataset, *, license: str, purpose: str, published: date) -> tuple[Path, Path]:
+def describe_dataset(
+    dataset: MinariDataset, *, license: str, purpose: str, published: date
+) -> tuple[Path, Path]:
     """Writes ``DATASHEET.md`` and ``croissant.json`` into the folder of a Minari dataset.
 
     Args:
-        dataset: a dataset of one of this package's environments, with author, e-mail, description, algorithm and code.
+        dataset: a dataset of one of this package's environments, with author, e-mail, description,
+            algorithm and code.
         license: SPDX identifier or address of the license of the data.
         purpose: why the dataset was made, in one or more sentences.
         published: date of publication.
@@ -108,19 +120,24 @@ def describe_dataset(dataset: MinariDataset, *, license: str, purpose: str, publ
         The paths of both files.
 
     Raises:
-        ValueError: if the dataset is not of this package's environments, a wrapper changed their observations, or the
-            dataset was created without author, e-mail, description, algorithm, code or requirements.
+        ValueError: if the dataset is not of this package's environments, a wrapper changed their
+            observations, or the dataset was created without author, e-mail, description, algorithm,
+            code or requirements.
     """
     env = dataset.recover_environment()
     plain = env.unwrapped
-    if not isinstance(plain, CableBotEnv) or dataset.observation_space.shape != (plain.layout.size,):
+    if not isinstance(plain, CableBotEnv) or dataset.observation_space.shape != (
+        plain.layout.size,
+    ):
         raise ValueError(
             f"dataset {dataset.id!r} does not have the observations of an environment of cablebot_gym: record it "
             "without wrappers that change observations"
         )
     data: dict[str, Any] = dict(dataset.storage.metadata)
     if missing := [name for name in _REQUIRED if not data.get(name)]:
-        raise ValueError(f"dataset {dataset.id!r} lacks {', '.join(missing)}: give them to create_dataset()")
+        raise ValueError(
+            f"dataset {dataset.id!r} lacks {', '.join(missing)}: give them to create_dataset()"
+        )
     author = ", ".join(data["author"])
     email = ", ".join(data["author_email"])
     file = Path(dataset.spec.data_path) / "main_data.hdf5"
@@ -136,7 +153,9 @@ def describe_dataset(dataset: MinariDataset, *, license: str, purpose: str, publ
         "size": file.stat().st_size / 1e6,
         "components": plain.layout.size,
         "motors": plain.task.robot.cables,
-        "normalised": ", which are normalised: (value − centre)/scale" if plain.settings.normalised_observation else "",
+        "normalised": ", which are normalised: (value − centre)/scale"
+        if plain.settings.normalised_observation
+        else "",
         "table": "\n".join(_episodes(dataset)),
         "layout": plain.layout.table(),
         "algorithm": data["algorithm_name"],
@@ -149,7 +168,11 @@ def describe_dataset(dataset: MinariDataset, *, license: str, purpose: str, publ
         "code": data["code_permalink"],
     }
     env.close()
-    texts = {"collection": _COLLECTION.format(**facts), "uses": _USES, "limitations": limitations(plain.task.robot)}
+    texts = {
+        "collection": _COLLECTION.format(**facts),
+        "uses": _USES,
+        "limitations": limitations(plain.task.robot),
+    }
     texts = {name: " ".join(text.split()) for name, text in texts.items()}
     sheet = file.parents[1] / "DATASHEET.md"
     croissant = file.parents[1] / "croissant.json"
@@ -161,18 +184,62 @@ def describe_dataset(dataset: MinariDataset, *, license: str, purpose: str, publ
 
 def _episodes(dataset: MinariDataset) -> list[str]:
     rows = []
-    for episode, kept in zip(dataset, dataset.storage.get_episode_metadata(dataset.episode_indices), strict=True):
-        ended = "termination" if episode.terminations[-1] else "truncation" if episode.truncations[-1] else "recording"
+    for episode, kept in zip(
+        dataset, dataset.storage.get_episode_metadata(dataset.episode_indices), strict=True
+    ):
+        ended = (
+            "termination"
+            if episode.terminations[-1]
+            else "truncation"
+            if episode.truncations[-1]
+            else "recording"
+        )
         options = f"`{json.dumps(kept.get('options') or {}, default=float)}`"
-        row = (episode.id, kept.get("seed"), options, len(episode), f"{episode.rewards.sum():.1f}", ended)
+        row = (
+            episode.id,
+            kept.get("seed"),
+            options,
+            len(episode),
+            f"{episode.rewards.sum():.1f}",
+            ended,
+        )
         rows.append(f"| {' | '.join(map(str, row))} |")
     return rows
 
 
 _TERMS = (
-    *("arrayShape", "citeAs", "column", "containedIn", "equivalentProperty", "extract", "field", "fileObject"),
-    *("fileProperty", "fileSet", "format", "includes", "isArray", "isLiveDataset", "jsonPath", "key", "md5"),
-    *("parentField", "path", "recordSet", "references", "regex", "repeated", "replace", "samplingRate", "separator"),
+    *(
+        "arrayShape",
+        "citeAs",
+        "column",
+        "containedIn",
+        "equivalentProperty",
+        "extract",
+        "field",
+        "fileObject",
+    ),
+    *(
+        "fileProperty",
+        "fileSet",
+        "format",
+        "includes",
+        "isArray",
+        "isLiveDataset",
+        "jsonPath",
+        "key",
+        "md5",
+    ),
+    *(
+        "parentField",
+        "path",
+        "recordSet",
+        "references",
+        "regex",
+        "repeated",
+        "replace",
+        "samplingRate",
+        "separator",
+    ),
     *("source", "subField", "transform"),
 )
 """Terms of Croissant 1.1 that its context names one by one."""
@@ -205,11 +272,18 @@ def _croissant(
     file: Path,
     published: date,
 ) -> dict[str, Any]:
-    """Croissant 1.1: the file, the arrays of an episode, and the columns of its observations by block."""
+    """Croissant 1.1: the file, the arrays of an episode, and the columns of its observations by
+    block."""
     version = f"{dataset.spec.version or 0}.0.0"
 
     def record(name: str, description: str, fields: list[dict[str, Any]]) -> dict[str, Any]:
-        return {"@type": "cr:RecordSet", "@id": name, "name": name, "description": description, "field": fields}
+        return {
+            "@type": "cr:RecordSet",
+            "@id": name,
+            "name": name,
+            "description": description,
+            "field": fields,
+        }
 
     def field(name: str, path: str, dtype: str, shape: str, description: str) -> dict[str, Any]:
         return {
@@ -228,25 +302,54 @@ def _croissant(
     size, motors = facts["components"], facts["motors"]
     arrays = [
         field(
-            "episode/observations", "episode_*/observations", observations, f"-1,{size}", "One row more than actions."
+            "episode/observations",
+            "episode_*/observations",
+            observations,
+            f"-1,{size}",
+            "One row more than actions.",
         ),
-        field("episode/actions", "episode_*/actions", actions, f"-1,{motors}", "Normalised action of each motor."),
+        field(
+            "episode/actions",
+            "episode_*/actions",
+            actions,
+            f"-1,{motors}",
+            "Normalised action of each motor.",
+        ),
         field("episode/rewards", "episode_*/rewards", "float64", "-1", "Reward of each step."),
         field(
-            "episode/terminations", "episode_*/terminations", "bool", "-1", "Whether the step ended a failed episode."
+            "episode/terminations",
+            "episode_*/terminations",
+            "bool",
+            "-1",
+            "Whether the step ended a failed episode.",
         ),
-        field("episode/truncations", "episode_*/truncations", "bool", "-1", "Whether the step ended the motion."),
+        field(
+            "episode/truncations",
+            "episode_*/truncations",
+            "bool",
+            "-1",
+            "Whether the step ended the motion.",
+        ),
     ]
     blocks = []
     for block in env.layout.blocks:
-        unit = "normalised" if env.settings.normalised_observation else block.unit.replace("–", "no unit")
+        unit = (
+            "normalised"
+            if env.settings.normalised_observation
+            else block.unit.replace("–", "no unit")
+        )
         path = f"episode_*/observations[:, {block.start}:{block.start + block.size}]"
         text = f"{block.meaning} [{unit}]"
-        blocks.append(field(f"observation/{block.name}", path, observations, f"-1,{block.size}", text))
+        blocks.append(
+            field(f"observation/{block.name}", path, observations, f"-1,{block.size}", text)
+        )
     return {
         "@context": _context(),
         "@type": "sc:Dataset",
-        "conformsTo": ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"],
+        "conformsTo": [
+            "http://mlcommons.org/croissant/1.1",
+            "http://mlcommons.org/croissant/RAI/1.0",
+        ],
         "name": dataset.id.replace("/", "-"),
         "description": f"{facts['description']}. {facts['purpose']}",
         "url": facts["code"],
@@ -272,7 +375,9 @@ def _croissant(
             }
         ],
         "recordSet": [
-            record("episode", "Arrays of each episode, with one row for each control period.", arrays),
+            record(
+                "episode", "Arrays of each episode, with one row for each control period.", arrays
+            ),
             record("observation", "Blocks of the observations of each episode.", blocks),
         ],
     }

@@ -1,12 +1,13 @@
-"""Geometry of cable robots in batched numpy: rotations, cable lengths, the structure Jacobian S and its rate.
+"""Geometry of cable robots in batched numpy: rotations, cable lengths, the structure Jacobian S and
+its rate.
 
-Arrays may have any number of leading batch axes. The pose of a point mass is ``(x, y)`` or ``(x, y, z)``, that of a
-platform in a plane ``(x, y, φ)``, and that of a platform in space ``(x, y, z, ψ, θ, φ)`` with the rotation
-``R = Rz(φ) Ry(θ) Rx(ψ)``. z points down. Lengths are in m, angles in rad. ``euler`` are the angles (ψ, θ, φ),
-shape (..., 3).
+Arrays may have any number of leading batch axes. The pose of a point mass is ``(x, y)`` or ``(x, y,
+z)``, that of a platform in a plane ``(x, y, φ)``, and that of a platform in space ``(x, y, z, ψ, θ,
+φ)`` with the rotation ``R = Rz(φ) Ry(θ) Rx(ψ)``. z points down. Lengths are in m, angles in rad.
+``euler`` are the angles (ψ, θ, φ), shape (..., 3).
 
-All functions also accept object arrays, such as arrays of CasADi symbols, so the same equations serve numbers and
-symbolic derivatives.
+All functions also accept object arrays, such as arrays of CasADi symbols, so the same equations
+serve numbers and symbolic derivatives.
 """
 
 from __future__ import annotations
@@ -33,12 +34,15 @@ def as_numbers(values: ArrayLike) -> Array:
         return array
     numbers = array.astype(float, copy=False)
     if not np.isfinite(numbers).all():
-        raise ValueError("poses, velocities and other arguments must be finite, without NaN and infinity")
+        raise ValueError(
+            "poses, velocities and other arguments must be finite, without NaN and infinity"
+        )
     return numbers
 
 
 def rotation_matrix(euler: ArrayLike) -> Array:
-    """Rotation ``R = Rz(φ) Ry(θ) Rx(ψ)`` from the platform frame to the base frame, shape (..., 3, 3)."""
+    """Rotation ``R = Rz(φ) Ry(θ) Rx(ψ)`` from the platform frame to the base frame, shape (..., 3,
+    3)."""
     (cx, cy, cz), (sx, sy, sz) = _cosines_and_sines(euler)
     return _matrix(
         [
@@ -56,7 +60,8 @@ def euler_rate_matrix(euler: ArrayLike) -> Array:
 
 
 def euler_rate_matrix_rate(euler: ArrayLike, rates: ArrayLike) -> Array:
-    """Ṗ, the time derivative of :func:`euler_rate_matrix` for Euler angle rates (..., 3), shape (..., 3, 3)."""
+    """Ṗ, the time derivative of :func:`euler_rate_matrix` for Euler angle rates (..., 3), shape
+    (..., 3, 3)."""
     (cx, cy, _), (sx, sy, _) = _cosines_and_sines(euler)
     dpsi, dtheta, _ = _components(rates)
     return _matrix(
@@ -73,13 +78,16 @@ def _components(vector: ArrayLike) -> tuple[Array, Array, Array]:
     return vector[..., 0], vector[..., 1], vector[..., 2]
 
 
-def _cosines_and_sines(euler: ArrayLike) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
+def _cosines_and_sines(
+    euler: ArrayLike,
+) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
     euler = as_numbers(euler)
     return _components(np.cos(euler)), _components(np.sin(euler))
 
 
 def _matrix(rows: list[list[Array | float]]) -> Array:
-    """3 × 3 matrices from batched entries. The last entry of the first row determines the batch shape."""
+    """3 × 3 matrices from batched entries. The last entry of the first row determines the batch
+    shape."""
     matrix = np.empty((*np.shape(rows[0][2]), 3, 3), np.asarray(rows[0][2]).dtype)
     for i, row in enumerate(rows):
         for j, entry in enumerate(row):
@@ -107,26 +115,32 @@ def cable_vectors(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Arra
     """Vectors from base anchor to platform anchor in the base frame, shape (..., m, d).
 
     Args:
-        base: base anchors A_i, shape (m, d) with d = 2 in a plane and 3 in space, or (N, m, d) with one set per pose.
+        base: base anchors A_i, shape (m, d) with d = 2 in a plane and 3 in space, or (N, m, d) with
+            one set per pose.
         platform: platform anchors b_i in the platform frame, same shape; zeros for a point mass.
-        pose: X, shape (..., n) with n = d for a point mass, 3 for a platform in a plane and 6 in space.
+        pose: X, shape (..., n) with n = d for a point mass, 3 for a platform in a plane and 6 in
+            space.
     """
     base, pose = as_numbers(base), as_numbers(pose)
     return pose[..., None, : base.shape[-1]] + turned(pose, platform) - base
 
 
-def cable_lengths(base: ArrayLike, platform: ArrayLike, pose: ArrayLike, swivel: ArrayLike | None = None) -> Array:
+def cable_lengths(
+    base: ArrayLike, platform: ArrayLike, pose: ArrayLike, swivel: ArrayLike | None = None
+) -> Array:
     """Cable lengths q_i(X) [m], shape (..., m): ``‖A_i − (p + R b_i)‖`` without swivel pulleys.
 
-    With swivel pulleys, q_i is the length on the pulley from the swivel axis on, plus the free length.
+    With swivel pulleys, q_i is the length on the pulley from the swivel axis on, plus the free
+    length.
 
     Args:
         base: base anchors, as in :func:`cable_vectors`.
         platform: platform anchors, as in :func:`cable_vectors`.
         pose: X, shape (..., n).
-        swivel: signed radii ± ρ of the swivel pulleys in space, shape (m,) [m]; None if there are none. The cable runs
-            along the vertical axis through A_i to the pulley, from below if the sign is positive and from above if it
-            is negative. The pulley turns about the axis towards the platform anchor.
+        swivel: signed radii ± ρ of the swivel pulleys in space, shape (m,) [m]; None if there are
+            none. The cable runs along the vertical axis through A_i to the pulley, from below if
+            the sign is positive and from above if it is negative. The pulley turns about the axis
+            towards the platform anchor.
     """
     vectors = cable_vectors(base, platform, pose)
     if swivel is not None:
@@ -135,21 +149,33 @@ def cable_lengths(base: ArrayLike, platform: ArrayLike, pose: ArrayLike, swivel:
     return lengths
 
 
-def structure_jacobian(base: ArrayLike, platform: ArrayLike, pose: ArrayLike, swivel: ArrayLike | None = None) -> Array:
-    """Structure Jacobian ``S = ∂q/∂X`` (Eq. 3), shape (..., m, n). Arguments as in :func:`cable_lengths`."""
+def structure_jacobian(
+    base: ArrayLike, platform: ArrayLike, pose: ArrayLike, swivel: ArrayLike | None = None
+) -> Array:
+    """Structure Jacobian ``S = ∂q/∂X`` (Eq. 3), shape (..., m, n). Arguments as in
+    :func:`cable_lengths`."""
     zero_velocity = np.zeros_like(as_numbers(pose))
     return jacobian_and_rate(base, platform, pose, zero_velocity, swivel)[0]
 
 
 def structure_jacobian_rate(
-    base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike, swivel: ArrayLike | None = None
+    base: ArrayLike,
+    platform: ArrayLike,
+    pose: ArrayLike,
+    velocity: ArrayLike,
+    swivel: ArrayLike | None = None,
 ) -> Array:
-    """Ṡ, the time derivative of S along the velocity Ẋ, shape (..., m, n). Arguments as in :func:`cable_lengths`."""
+    """Ṡ, the time derivative of S along the velocity Ẋ, shape (..., m, n). Arguments as in
+    :func:`cable_lengths`."""
     return jacobian_and_rate(base, platform, pose, velocity, swivel)[1]
 
 
 def jacobian_and_rate(
-    base: ArrayLike, platform: ArrayLike, pose: ArrayLike, velocity: ArrayLike, swivel: ArrayLike | None = None
+    base: ArrayLike,
+    platform: ArrayLike,
+    pose: ArrayLike,
+    velocity: ArrayLike,
+    swivel: ArrayLike | None = None,
 ) -> tuple[Array, Array]:
     """S and Ṡ, each (..., m, n), computed together at little more than the cost of one.
 
@@ -160,7 +186,9 @@ def jacobian_and_rate(
         velocity: Ẋ, shape (..., n).
         swivel: signed radii of the swivel pulleys, as in :func:`cable_lengths`.
     """
-    base, pose, velocity, platform = (as_numbers(array) for array in (base, pose, velocity, platform))
+    base, pose, velocity, platform = (
+        as_numbers(array) for array in (base, pose, velocity, platform)
+    )
     d, n = base.shape[-1], pose.shape[-1]
     if n == d:
         return _unit_and_rate(pose[..., None, :] + platform - base, velocity[..., None, :], swivel)
@@ -173,7 +201,9 @@ def jacobian_and_rate(
     omega = (to_omega @ rates[..., None])[..., 0]
     arms = _skew(platform)  # arms @ x = b × x
     anchor_velocity = velocity[..., None, :3] - (arms @ omega[..., None, :, None])[..., 0] @ back
-    unit, unit_rate = _unit_and_rate(pose[..., None, :3] + platform @ back - base, anchor_velocity, swivel)
+    unit, unit_rate = _unit_and_rate(
+        pose[..., None, :3] + platform @ back - base, anchor_velocity, swivel
+    )
     # d/dt (Rᵀu) = Rᵀu̇ − ω × Rᵀu, in the platform frame.
     in_frame = unit @ rotation
     in_frame_rate = unit_rate @ rotation - in_frame @ np.swapaxes(_skew(omega), -1, -2)
@@ -184,11 +214,15 @@ def jacobian_and_rate(
     return jacobian, np.concatenate([unit_rate, angular_rate], axis=-1)
 
 
-def _turning_in_plane(base: Array, platform: Array, pose: Array, velocity: Array) -> tuple[Array, Array]:
+def _turning_in_plane(
+    base: Array, platform: Array, pose: Array, velocity: Array
+) -> tuple[Array, Array]:
     """S and Ṡ of platforms in a plane: rows (u, (R b) × u)."""
     arm, rate = turned(pose, platform), velocity[..., None, 2:]
     arm_rate = rate * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
-    unit, unit_rate = _unit_and_rate(pose[..., None, :2] + arm - base, velocity[..., None, :2] + arm_rate, None)
+    unit, unit_rate = _unit_and_rate(
+        pose[..., None, :2] + arm - base, velocity[..., None, :2] + arm_rate, None
+    )
     moment = arm[..., 0] * unit[..., 1] - arm[..., 1] * unit[..., 0]
     moment_rate = arm[..., 0] * unit_rate[..., 1] - arm[..., 1] * unit_rate[..., 0]
     moment_rate = moment_rate + arm_rate[..., 0] * unit[..., 1] - arm_rate[..., 1] * unit[..., 0]
@@ -197,12 +231,13 @@ def _turning_in_plane(base: Array, platform: Array, pose: Array, velocity: Array
 
 
 class _Swivelled:
-    """Cables on swivel pulleys, from the vectors between anchors (..., m, 3) and the signed radii (m,).
+    """Cables on swivel pulleys, from the vectors between anchors (..., m, 3) and the signed radii
+    (m,).
 
-    In the plane of the pulley let c be the distance of the platform anchor from the swivel axis, h its height in the
-    direction from which the cable comes, and (ρ, 0) the centre of the pulley. With L² = (c − ρ)² + h² the free length
-    is f = √(L² − ρ²), its direction u = (f (c − ρ) − ρ h, ρ (c − ρ) + f h)/L², and the length on the pulley is
-    ρ (π + atan2(h, c − ρ) − atan2(f, ρ)).
+    In the plane of the pulley let c be the distance of the platform anchor from the swivel axis, h
+    its height in the direction from which the cable comes, and (ρ, 0) the centre of the pulley.
+    With L² = (c − ρ)² + h² the free length is f = √(L² − ρ²), its direction u = (f (c − ρ) − ρ h, ρ
+    (c − ρ) + f h)/L², and the length on the pulley is ρ (π + atan2(h, c − ρ) − atan2(f, ρ)).
     """
 
     def __init__(self, vectors: Array, swivel: Array) -> None:
@@ -232,7 +267,8 @@ class _Swivelled:
         level = self.vectors[..., :2] / self.reach[..., None]
         outward = np.sum(level * point_velocity[..., :2], axis=-1)
         sideways = level[..., 0] * point_velocity[..., 1] - level[..., 1] * point_velocity[..., 0]
-        # The free cable turns about the point where it leaves the pulley, and with the pulley about the axis.
+        # The free cable turns about the point where it leaves the pulley, and with the pulley about
+        # the axis.
         bent = (out * self.side * point_velocity[..., 2] - down * outward) / self.free
         swung = out * sideways / self.reach
         unit = np.stack([out * level[..., 0], out * level[..., 1], self.side * down], axis=-1)
@@ -247,12 +283,16 @@ class _Swivelled:
         return unit, rate
 
 
-def _unit_and_rate(vectors: Array, point_velocity: Array, swivel: ArrayLike | None) -> tuple[Array, Array]:
+def _unit_and_rate(
+    vectors: Array, point_velocity: Array, swivel: ArrayLike | None
+) -> tuple[Array, Array]:
     """Cable directions and their rates."""
     if swivel is not None:
         return _Swivelled(vectors, as_numbers(swivel)).unit_and_rate(point_velocity)
     length = np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True))
-    with np.errstate(divide="ignore", invalid="ignore"):  # the direction of a cable of zero length is NaN
+    with np.errstate(
+        divide="ignore", invalid="ignore"
+    ):  # the direction of a cable of zero length is NaN
         unit = vectors / length
         length_rate = np.sum(unit * point_velocity, axis=-1, keepdims=True)
         return unit, (point_velocity - unit * length_rate) / length

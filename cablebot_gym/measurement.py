@@ -1,4 +1,5 @@
-"""What a controller measures: pose and velocity of the platform, or the sensors of winches and platform."""
+"""What a controller measures: pose and velocity of the platform, or the sensors of winches and
+platform."""
 
 from __future__ import annotations
 
@@ -21,28 +22,37 @@ class Measurement:
     """Sensors whose readings are in the observation. Their errors are part of the uncertainty.
 
     Raises:
-        ValueError: if a value is invalid, or if sensors of ``winches`` are combined with another kind.
+        ValueError: if a value is invalid, or if sensors of ``winches`` are combined with another
+            kind.
     """
 
     kind: str = "pose"
-    """``pose``: pose and velocity of the platform. ``winches``: angles and speeds of the motors in their place."""
+    """``pose``: pose and velocity of the platform. ``winches``: angles and speeds of the motors in
+    their place."""
     encoder_resolution: float = 0.0
     """Smallest step of a measured motor angle [rad]; 0 for exact angles."""
     tensions: bool = False
     """Whether a load cell measures the tension of each cable."""
     imu: bool = False
-    """Whether an inertial unit measures orientation, angular rate and specific force of the platform."""
+    """Whether an inertial unit measures orientation, angular rate and specific force of the
+    platform."""
 
     def __post_init__(self) -> None:
         choice("measurement", self.kind, KINDS)
-        resolution = number("measurement.encoder_resolution", self.encoder_resolution, least=0, unit="rad")
+        resolution = number(
+            "measurement.encoder_resolution", self.encoder_resolution, least=0, unit="rad"
+        )
         object.__setattr__(self, "encoder_resolution", resolution)
         for name in SENSORS:
             if not isinstance(getattr(self, name), (bool, np.bool_)):
-                raise ValueError(f"measurement.{name} must be True or False, not {getattr(self, name)!r}")
+                raise ValueError(
+                    f"measurement.{name} must be True or False, not {getattr(self, name)!r}"
+                )
             object.__setattr__(self, name, bool(getattr(self, name)))
         if not self.winches and (resolution or self.tensions or self.imu):
-            raise ValueError("measurement: encoders, load cells and an IMU belong to the kind 'winches'")
+            raise ValueError(
+                "measurement: encoders, load cells and an IMU belong to the kind 'winches'"
+            )
 
     @property
     def winches(self) -> bool:
@@ -72,7 +82,9 @@ class Measurement:
             ValueError: if there is an IMU, and the robot has no platform with three angles.
         """
         if self.imu and robot.kind != "spatial":
-            raise ValueError(f"robot {robot.name!r} has no platform with three angles for an IMU: remove 'imu'")
+            raise ValueError(
+                f"robot {robot.name!r} has no platform with three angles for an IMU: remove 'imu'"
+            )
 
 
 SENSORS = ("tensions", "imu")
@@ -82,12 +94,14 @@ POSE = Measurement()
 """Pose and velocity, the default."""
 
 
-def find_measurement(measurement: str | Mapping[str, Any] | Measurement | None, robot: Robot) -> Measurement:
+def find_measurement(
+    measurement: str | Mapping[str, Any] | Measurement | None, robot: Robot
+) -> Measurement:
     """A measurement for a robot from a name, JSON-able data or a :class:`Measurement`.
 
     Args:
-        measurement: such as ``"winches"``, ``"winches+tensions+imu"`` or ``{"kind": "winches", "encoder_resolution":
-            1e-3, "tensions": True}``. None for pose and velocity.
+        measurement: such as ``"winches"``, ``"winches+tensions+imu"`` or ``{"kind": "winches",
+            "encoder_resolution": 1e-3, "tensions": True}``. None for pose and velocity.
         robot: nominal robot.
 
     Raises:

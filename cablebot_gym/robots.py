@@ -1,7 +1,9 @@
-"""Robots as data: geometry, inertia, motors and transmission. Each value of the paper's robots cites its table.
+"""Robots as data: geometry, inertia, motors and transmission. Each value of the paper's robots
+cites its table.
 
-Define a custom robot as a :class:`Robot`, or in a TOML file, see :func:`load_robot`. An error is raised if the robot is
-not physically possible. All values are in SI units and radians, motor speeds in rad/s.
+Define a custom robot as a :class:`Robot`, or in a TOML file, see :func:`load_robot`. An error is
+raised if the robot is not physically possible. All values are in SI units and radians, motor speeds
+in rad/s.
 """
 
 from __future__ import annotations
@@ -36,38 +38,44 @@ GRAVITY = 9.81
 """Gravitational acceleration along +z [m/s²], the value of the paper and of most robots here."""
 
 LARGEST_SIZE = 3000.0
-"""Largest ratio of the width of the base to a pulley radius. It is 20 for the paper's robots and 220 for CoGiRo."""
+"""Largest ratio of the width of the base to a pulley radius. It is 20 for the paper's robots and
+220 for CoGiRo."""
 
 LARGEST_PULLEY = 5.0
 """Largest radius of a pulley [m]."""
 
 LARGEST_REACH = 50.0
-"""Largest ratio of the platform anchors' distance from the centre of mass to the radius of gyration, which is near one
-for a rigid body with anchors at its surface."""
+"""Largest ratio of the platform anchors' distance from the centre of mass to the radius of
+gyration, which is near one for a rigid body with anchors at its surface."""
 
 PerMotor = float | tuple[float, ...]
 
 Cable = Literal["unilateral", "bilateral"]
-"""``unilateral`` cables can only pull. ``bilateral`` cables can push too, as in the paper's equations."""
+"""``unilateral`` cables can only pull. ``bilateral`` cables can push too, as in the paper's
+equations."""
 
 Kind = Literal["planar", "planar-platform", "point", "spatial"]
-"""Kinds of platforms: a point mass in a plane with the pose (x, y), a platform in a plane (x, y, φ), a point mass in
-space (x, y, z), and a platform in space (x, y, z, ψ, θ, φ)."""
+"""Kinds of platforms: a point mass in a plane with the pose (x, y), a platform in a plane (x, y,
+φ), a point mass in space (x, y, z), and a platform in space (x, y, z, ψ, θ, φ)."""
 
 Plane = Literal["horizontal", "vertical"]
-"""Plane in which a planar robot moves. In the vertical plane, y points down and gravity acts along +y."""
+"""Plane in which a planar robot moves. In the vertical plane, y points down and gravity acts along
++y."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motors:
-    """Torque-speed lines ``U± = ±τ_s − (τ_s/ω_n)·speed`` (Eq. 37), and the lag of the requested torque."""
+    """Torque-speed lines ``U± = ±τ_s − (τ_s/ω_n)·speed`` (Eq. 37), and the lag of the requested
+    torque."""
 
     stall_torque: PerMotor
     """Stall torque τ_s [N·m], one value for all motors or one per motor; > 0."""
     free_speed: PerMotor
-    """Free-running speed ω_n [rad/s], one value or one per motor; > 0. Multiply a value in rpm by :data:`RPM`."""
+    """Free-running speed ω_n [rad/s], one value or one per motor; > 0. Multiply a value in rpm by
+    :data:`RPM`."""
     lag: PerMotor = 0.0
-    """Time constant of the first-order lag of the requested torque [s], one value or one per motor; ≥ 0.
+    """Time constant of the first-order lag of the requested torque [s], one value or one per motor;
+    ≥ 0.
 
     The torque-speed line limits the torque after the lag. The paper has no lag.
     """
@@ -84,12 +92,14 @@ class Motors:
 class Transmission:
     """Transmission from motor to cable.
 
-    Rigid (``stiffness`` is None): ``τ = r T + J β̈ + c β̇`` (Eq. 1). Flexible, with a spring between motor and pulley
-    (Eq. 4): ``J′ β̈′ + c′ β̇′ + K (β′ − β) = τ`` and ``K (β′ − β) = r T + J β̈ + c β̇``.
+    Rigid (``stiffness`` is None): ``τ = r T + J β̈ + c β̇`` (Eq. 1). Flexible, with a spring
+    between motor and pulley (Eq. 4): ``J′ β̈′ + c′ β̇′ + K (β′ − β) = τ`` and ``K (β′ − β) = r T +
+    J β̈ + c β̇``.
 
-    Elastic cables (``axial_stiffness``) are slack until they are stretched. Then T depends on their strain, see
-    :func:`~cablebot_gym.physics.textbook.cable_springs`. Without joint springs, J includes the motor and τ acts on it:
-    ``J β̈ + c β̇ = τ − r T``. With joint springs, J is the inertia between the two springs.
+    Elastic cables (``axial_stiffness``) are slack until they are stretched. Then T depends on their
+    strain, see :func:`~cablebot_gym.physics.textbook.cable_springs`. Without joint springs, J
+    includes the motor and τ acts on it: ``J β̈ + c β̇ = τ − r T``. With joint springs, J is the
+    inertia between the two springs.
     """
 
     pulley_radius: PerMotor
@@ -101,34 +111,48 @@ class Transmission:
     coulomb_friction: PerMotor = 0.0
     """Coulomb friction τ_c on the motor's shaft [N·m], one value or one per motor; ≥ 0.
 
-    A rigid transmission has one shaft with motor and pulley. The torque is smooth at standstill, see
-    :func:`~cablebot_gym.physics.textbook.coulomb_torque`. The paper has no Coulomb friction.
+    A rigid transmission has one shaft with motor and pulley. The torque is smooth at standstill,
+    see :func:`~cablebot_gym.physics.textbook.coulomb_torque`. The paper has no Coulomb friction.
     """
     stiffness: PerMotor | None = None
-    """Stiffness K of the joint springs [N·m/rad], one value or one per motor; > 0. None for a rigid transmission."""
+    """Stiffness K of the joint springs [N·m/rad], one value or one per motor; > 0. None for a rigid
+    transmission."""
     motor_inertia: PerMotor | None = None
-    """Motor inertia J′ of a flexible robot [kg·m²], one value or one per motor; > 0. None if rigid."""
+    """Motor inertia J′ of a flexible robot [kg·m²], one value or one per motor; > 0. None if
+    rigid."""
     motor_damping: PerMotor = 0.0
-    """Viscous damping c′ at the motor of a flexible robot [N·m·s/rad], one value or one per motor; ≥ 0. 0 if rigid."""
+    """Viscous damping c′ at the motor of a flexible robot [N·m·s/rad], one value or one per motor;
+    ≥ 0. 0 if rigid."""
     axial_stiffness: PerMotor | None = None
-    """Axial stiffness EA of elastic cables [N], one value or one per cable; > 0. None if the cables do not stretch."""
+    """Axial stiffness EA of elastic cables [N], one value or one per cable; > 0. None if the cables
+    do not stretch."""
     axial_damping: PerMotor = 0.0
-    """Axial damping ηA of elastic cables [N·s], one value or one per cable; ≥ 0. 0 if the cables do not stretch."""
+    """Axial damping ηA of elastic cables [N·s], one value or one per cable; ≥ 0. 0 if the cables do
+    not stretch."""
     extra_length: PerMotor = 0.0
-    """Length of each elastic cable between its pulley and its base anchor, which stretches too [m]; ≥ 0."""
+    """Length of each elastic cable between its pulley and its base anchor, which stretches too [m];
+    ≥ 0."""
 
     def __post_init__(self) -> None:
-        _set_per_motor(self, positive=("pulley_radius", "stiffness", "motor_inertia", "axial_stiffness"))
+        _set_per_motor(
+            self, positive=("pulley_radius", "stiffness", "motor_inertia", "axial_stiffness")
+        )
         if (self.stiffness is None) != (self.motor_inertia is None):
-            raise ValueError("a flexible transmission needs stiffness and motor_inertia; a rigid one has neither")
+            raise ValueError(
+                "a flexible transmission needs stiffness and motor_inertia; a rigid one has neither"
+            )
         if self.stiffness is None and np.any(self.motor_damping):
             raise ValueError("a rigid transmission has no motor_damping; use damping")
-        if self.axial_stiffness is None and (np.any(self.axial_damping) or np.any(self.extra_length)):
+        if self.axial_stiffness is None and (
+            np.any(self.axial_damping) or np.any(self.extra_length)
+        ):
             raise ValueError(
                 "axial_damping and extra_length are for elastic cables: set axial_stiffness, or remove them"
             )
         if self.axial_stiffness is not None and np.min(self.pulley_inertia) <= 0:
-            raise ValueError("pulley_inertia must be greater than 0 with elastic cables: include the motor's inertia")
+            raise ValueError(
+                "pulley_inertia must be greater than 0 with elastic cables: include the motor's inertia"
+            )
 
     def replace(self, **changes: Any) -> Transmission:
         """A copy with the fields in ``changes`` replaced."""
@@ -157,7 +181,9 @@ def _per_motor(part: Literal["motors", "transmission"], field: str) -> cached_pr
         value = getattr(getattr(robot, part), field)
         if value is None or (field == "motor_damping" and not robot.jointed):
             other = "elastic cables" if field == "axial_stiffness" else "joint springs"
-            raise ValueError(f"{robot.name} has a transmission without {field}; choose a robot with {other}")
+            raise ValueError(
+                f"{robot.name} has a transmission without {field}; choose a robot with {other}"
+            )
         return robot.per_motor(value)
 
     return cached_property(values)
@@ -165,22 +191,27 @@ def _per_motor(part: Literal["motors", "transmission"], field: str) -> cached_pr
 
 @dataclass(frozen=True, kw_only=True)
 class Defaults:
-    """Defaults of the environments and evaluations of a robot. None and omitted keys stand for the usual defaults."""
+    """Defaults of the environments and evaluations of a robot. None and omitted keys stand for the
+    usual defaults."""
 
     trajectory: str | Mapping[str, Any] | None = None
     """Reference motion, as for :func:`~cablebot_gym.trajectories.find_trajectory`."""
     error_bounds: Mapping[str, float] | None = None
     """Bounds of the tracking error: ``position`` [m] and ``rotation`` [rad]."""
     payload_range: tuple[float, float] | None = None
-    """(low, high), the payloads that the robot is used with [kg]; ≥ 0. Scans end at ``high``. The commands that run an
-    episode with one payload use ``low`` if none is given."""
+    """(low, high), the payloads that the robot is used with [kg]; ≥ 0. Scans end at ``high``. The
+    commands that run an episode with one payload use ``low`` if none is given."""
 
     def __post_init__(self) -> None:
         mapping("error_bounds", self.error_bounds or {}, ("position", "rotation"))
         if self.payload_range is not None:
             form = "(low, high)"
-            low, high = numbers("payload_range", self.payload_range, shapes=[(2,)], form=form, least=0).tolist()
-            object.__setattr__(self, "payload_range", (low, number("payload_range", high, above=low, unit="kg")))
+            low, high = numbers(
+                "payload_range", self.payload_range, shapes=[(2,)], form=form, least=0
+            ).tolist()
+            object.__setattr__(
+                self, "payload_range", (low, number("payload_range", high, above=low, unit="kg"))
+            )
 
     def payload(self, usual: float) -> float:
         """Payload of an episode [kg]; ``usual`` without a range."""
@@ -189,19 +220,21 @@ class Defaults:
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """One cable robot with m cables. The columns of ``base_anchors`` and the presence of ``platform_anchors`` determine
-    its kind, and with it the number n of its coordinates:
+    """One cable robot with m cables. The columns of ``base_anchors`` and the presence of
+    ``platform_anchors`` determine its kind, and with it the number n of its coordinates:
 
     * 2 columns, no platform anchors: ``planar``, a point mass in a plane, n = 2.
-    * 2 columns and platform anchors: ``planar-platform``, a platform that also turns in the plane, n = 3.
+    * 2 columns and platform anchors: ``planar-platform``, a platform that also turns in the plane,
+      n = 3.
     * 3 columns, no platform anchors: ``point``, a suspended point mass, n = 3.
     * 3 columns and platform anchors: ``spatial``, a suspended platform, n = 6.
 
-    Gravity acts on all of them except in a horizontal plane. With gravity m ≥ n cables can hold the platform, without
-    it m > n.
+    Gravity acts on all of them except in a horizontal plane. With gravity m ≥ n cables can hold the
+    platform, without it m > n.
 
     Raises:
-        ValueError: if a value is not physical, two cables coincide, or no positive tensions hold ``home_pose``.
+        ValueError: if a value is not physical, two cables coincide, or no positive tensions hold
+            ``home_pose``.
     """
 
     name: str
@@ -217,40 +250,45 @@ class Robot:
     home_pose: tuple[float, ...]
     """Home pose X₀ [m, rad], shape (n,), at which all pulley angles β are zero."""
     platform_anchors: tuple[tuple[float, ...], ...] = ()
-    """Platform anchors b_i in the platform frame [m], shape (m, 2) or (m, 3); empty for a point mass."""
+    """Platform anchors b_i in the platform frame [m], shape (m, 2) or (m, 3); empty for a point
+    mass."""
     inertia: tuple[Any, ...] = ()
-    """Inertia about the centre of mass along the platform axes [kg·m²]: in space the moments (I_xx, I_yy, I_zz) or the
-    tensor with three rows, in a plane (I_zz,); empty for a point mass."""
+    """Inertia about the centre of mass along the platform axes [kg·m²]: in space the moments (I_xx,
+    I_yy, I_zz) or the tensor with three rows, in a plane (I_zz,); empty for a point mass."""
     center_of_mass: tuple[float, ...] = ()
-    """Centre of mass in the platform frame [m], shape (2,) or (3,); empty for the origin, as for a point mass. The
-    payload is there, too. The pose is that of the origin."""
+    """Centre of mass in the platform frame [m], shape (2,) or (3,); empty for the origin, as for a
+    point mass. The payload is there, too. The pose is that of the origin."""
     plane: Plane = "horizontal"
     """Plane in which a planar robot moves."""
     swivel_radius: PerMotor = 0.0
     """Radius ρ of the swivel pulleys of a robot in space [m], one value or one per cable; ≥ 0.
 
-    Each cable runs along the vertical swivel axis through its base anchor to the pulley, which turns about that axis
-    towards the platform anchor. With 0 the cables end in points. A planar robot only accepts 0.
+    Each cable runs along the vertical swivel axis through its base anchor to the pulley, which
+    turns about that axis towards the platform anchor. With 0 the cables end in points. A planar
+    robot only accepts 0.
     """
     cable_density: PerMotor = 0.0
-    """Mass of a cable per length [kg/m], one value or one per cable; ≥ 0. Only the check of the sag uses it."""
+    """Mass of a cable per length [kg/m], one value or one per cable; ≥ 0. Only the check of the sag
+    uses it."""
     gravity: float = GRAVITY
-    """Gravitational acceleration along +z, or along +y in a vertical plane [m/s²]. A robot in a horizontal plane only
-    accepts the default."""
+    """Gravitational acceleration along +z, or along +y in a vertical plane [m/s²]. A robot in a
+    horizontal plane only accepts the default."""
     minimum_tension: float = 1.0
     """Tension T_min that the task criterion requires of every cable at every physics step [N]; ≥ 0.
 
-    Below it, cables are not straight as the model assumes. At 1 N, 0.6 m of a steel cable of 1 mm (0.04 N/m) sag by
-    2 mm and lengthen by about 0.01 mm; at 0.1 N they lengthen by more than 1 mm.
+    Below it, cables are not straight as the model assumes. At 1 N, 0.6 m of a steel cable of 1 mm
+    (0.04 N/m) sag by 2 mm and lengthen by about 0.01 mm; at 0.1 N they lengthen by more than 1 mm.
     """
     workspace: tuple[tuple[float, float], ...] = ()
-    """(low, high) of each coordinate [m, rad]. Empty: the bounding box of the base anchors, and angles within ± 1 rad.
-    If the home pose is below all anchors, the box begins at the lowest one; its depth is its diagonal in plan."""
+    """(low, high) of each coordinate [m, rad]. Empty: the bounding box of the base anchors, and
+    angles within ± 1 rad. If the home pose is below all anchors, the box begins at the lowest one;
+    its depth is its diagonal in plan."""
     defaults: Defaults = dataclasses.field(default=Defaults(), compare=False, repr=False)
-    """Default motion, error bounds and payload range. Robots that differ only in these are equal."""
+    """Default motion, error bounds and payload range. Robots that differ only in these are
+    equal."""
     sources: Mapping[str, str] = dataclasses.field(default_factory=dict, compare=False, repr=False)
-    """Source of the values by name of the field, such as ``base_anchors`` or ``motors.stall_torque``. The source of an
-    assumed value starts with ``assumed``."""
+    """Source of the values by name of the field, such as ``base_anchors`` or
+    ``motors.stall_torque``. The source of an assumed value starts with ``assumed``."""
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -258,14 +296,17 @@ class Robot:
             if isinstance(value, (list, tuple, np.ndarray)):  # a robot is hashable
                 object.__setattr__(self, field.name, _as_tuples(value))
         object.__setattr__(self, "motors", record("motors", Motors, self.motors))
-        object.__setattr__(self, "transmission", record("transmission", Transmission, self.transmission))
+        object.__setattr__(
+            self, "transmission", record("transmission", Transmission, self.transmission)
+        )
         object.__setattr__(self, "defaults", record("defaults", Defaults, self.defaults))
         _check_fields(self)
         _check_units(self)
         _check_geometry(self)
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields alone: a copy makes its own read-only arrays, where NumPy would make copies that are writable."""
+        """The fields alone: a copy makes its own read-only arrays, where NumPy would make copies
+        that are writable."""
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
     @property
@@ -292,7 +333,8 @@ class Robot:
 
     @property
     def dimensions(self) -> int:
-        """Number d of coordinates of the position, the first of the pose: 2 or 3. The others are angles."""
+        """Number d of coordinates of the position, the first of the pose: 2 or 3. The others are
+        angles."""
         return 2 if self.planar else 3
 
     @property
@@ -322,7 +364,8 @@ class Robot:
 
     @cached_property
     def inertia_tensor(self) -> Array:
-        """Inertia tensor about the centre of mass, shape (3, 3) [kg·m²]; I_zz alone in a plane, 0 for a point mass."""
+        """Inertia tensor about the centre of mass, shape (3, 3) [kg·m²]; I_zz alone in a plane, 0
+        for a point mass."""
         given = np.asarray(self.inertia, float)
         if given.shape == (3, 3):
             return _frozen(given)
@@ -330,7 +373,8 @@ class Robot:
 
     @cached_property
     def moments(self) -> Array:
-        """Moments of inertia, the diagonal of the tensor, shape (3,), or (1,) in a plane, or (0,) [kg·m²]."""
+        """Moments of inertia, the diagonal of the tensor, shape (3,), or (1,) in a plane, or (0,)
+        [kg·m²]."""
         return _frozen(np.diag(self.inertia_tensor)[3 - (self.coordinates - self.dimensions) :])
 
     @cached_property
@@ -349,7 +393,9 @@ class Robot:
         if self.workspace:
             return _frozen(np.transpose(self.workspace))
         low, high = self.base.min(axis=0), self.base.max(axis=0)
-        if (not self.weightless or not self.planar) and self.home_pose[self.dimensions - 1] >= high[-1]:
+        if (not self.weightless or not self.planar) and self.home_pose[self.dimensions - 1] >= high[
+            -1
+        ]:
             depth = float(np.linalg.norm((high - low)[:-1]))
             low = np.append(low[:-1], high[-1])
             high = np.append(high[:-1], high[-1] + depth)
@@ -392,10 +438,11 @@ class Robot:
 
     @cached_property
     def swivel(self) -> Array | None:
-        """Signed radii ± ρ of the swivel pulleys, shape (m,) [m], see :func:`~cablebot_gym.kinematics.cable_lengths`;
-        None if all are zero.
+        """Signed radii ± ρ of the swivel pulleys, shape (m,) [m], see
+        :func:`~cablebot_gym.kinematics.cable_lengths`; None if all are zero.
 
-        A cable reaches a pulley that is above its platform anchor at the home pose from below, else from above.
+        A cable reaches a pulley that is above its platform anchor at the home pose from below, else
+        from above.
         """
         if not np.any(self.swivel_radius):
             return None
@@ -414,12 +461,14 @@ class Robot:
 
     @property
     def flexible(self) -> bool:
-        """Whether the motors can turn while the platform rests: with joint springs or elastic cables."""
+        """Whether the motors can turn while the platform rests: with joint springs or elastic
+        cables."""
         return self.jointed or self.elastic
 
     @property
     def springs(self) -> str:
-        """What is elastic, as text: ``rigid``, ``joint springs``, ``elastic cables``, or the last two."""
+        """What is elastic, as text: ``rigid``, ``joint springs``, ``elastic cables``, or the last
+        two."""
         springs = []
         if self.jointed:
             springs.append("joint springs")
@@ -438,11 +487,15 @@ class Robot:
 
     def with_rigid_cables(self) -> Robot:
         """A copy whose cables do not stretch."""
-        rigid = {name: Transmission.__dataclass_fields__[name].default for name in _OPTIONAL_OF_TRANSMISSION}
+        rigid = {
+            name: Transmission.__dataclass_fields__[name].default
+            for name in _OPTIONAL_OF_TRANSMISSION
+        }
         return self.replace(transmission=self.transmission.replace(**rigid))
 
     def to_dict(self) -> dict[str, Any]:
-        """The robot as JSON-able data, which :meth:`from_dict` reads, without sources and without unused options."""
+        """The robot as JSON-able data, which :meth:`from_dict` reads, without sources and without
+        unused options."""
         data = dataclasses.asdict(self)
         del data["sources"]
         for part, names in ((data, _OPTIONAL), (data["transmission"], _OPTIONAL_OF_TRANSMISSION)):
@@ -487,7 +540,9 @@ def _check_fields(robot: Robot) -> None:
     """Checks the shape and the bounds of each field."""
     given = robot.base_anchors
     m = len(given) if isinstance(given, tuple) else 0
-    numbers("base_anchors", given, shapes=[(m, 2), (m, 3)], form="one (x, y) or one (x, y, z) per cable")
+    numbers(
+        "base_anchors", given, shapes=[(m, 2), (m, 3)], form="one (x, y) or one (x, y, z) per cable"
+    )
     d, planar = robot.dimensions, robot.planar
     axes = "(x, y)" if planar else "(x, y, z)"
     numbers(
@@ -504,27 +559,45 @@ def _check_fields(robot: Robot) -> None:
         form = "(I_xx, I_yy, I_zz), or three rows of the tensor"
         numbers("inertia", robot.inertia, shapes=[(3,), (3, 3)], form=form)
     numbers("home_pose", robot.home_pose, shapes=[(n,)], form=f"{n} coordinates")
-    numbers("workspace", robot.workspace, shapes=[(0,), (n, 2)], form=f"{n} pairs (low, high), or empty")
+    numbers(
+        "workspace", robot.workspace, shapes=[(0,), (n, 2)], form=f"{n} pairs (low, high), or empty"
+    )
     form = "empty for a point mass" if point else f"{axes}, or empty"
-    numbers("center_of_mass", robot.center_of_mass, shapes=[(0,)] if point else [(0,), (d,)], form=form)
+    numbers(
+        "center_of_mass", robot.center_of_mass, shapes=[(0,)] if point else [(0,), (d,)], form=form
+    )
     number("mass", robot.mass, above=0, unit="kg")
     number("gravity", robot.gravity, least=0, unit="m/s²")
     choice("plane", robot.plane, get_args(Plane))
     if not planar and robot.plane != "horizontal":
         raise ValueError("plane is for planar robots, with base_anchors (x, y): remove it")
     if planar and robot.plane == "horizontal" and robot.gravity != GRAVITY:
-        raise ValueError('gravity does not act in a horizontal plane: remove it, or set plane = "vertical"')
+        raise ValueError(
+            'gravity does not act in a horizontal plane: remove it, or set plane = "vertical"'
+        )
     number("minimum_tension", robot.minimum_tension, least=0, unit="N")
     for name in ("swivel_radius", "cable_density"):
-        numbers(name, getattr(robot, name), shapes=[(), (m,)], form="one number or one per cable", least=0)
+        numbers(
+            name,
+            getattr(robot, name),
+            shapes=[(), (m,)],
+            form="one number or one per cable",
+            least=0,
+        )
     if planar and np.any(robot.swivel_radius):
-        raise ValueError("swivel_radius is for robots in space: remove it, and use the point where the cable leaves")
+        raise ValueError(
+            "swivel_radius is for robots in space: remove it, and use the point where the cable leaves"
+        )
     for part in (robot.motors, robot.transmission):
         for field in dataclasses.fields(part):
             if np.shape(getattr(part, field.name)) not in ((), (m,)):
-                raise ValueError(f"{field.name} must be one number or one for each of the {m} motors")
+                raise ValueError(
+                    f"{field.name} must be one number or one for each of the {m} motors"
+                )
     if not isinstance(robot.sources, Mapping):
-        raise ValueError(f"sources must be a table of texts by the name of the field, not {robot.sources!r}")
+        raise ValueError(
+            f"sources must be a table of texts by the name of the field, not {robot.sources!r}"
+        )
     fewest = n + robot.weightless
     if m < fewest:
         without = " without gravity" if robot.weightless else ""
@@ -535,13 +608,19 @@ def _check_fields(robot: Robot) -> None:
 
 
 def _check_units(robot: Robot) -> None:
-    """Checks that no length is in millimetres: the limits are far beyond every cable robot that was built."""
+    """Checks that no length is in millimetres: the limits are far beyond every cable robot that was
+    built."""
     size = float(np.max(np.ptp(robot.base, axis=0)))
     radius = float(robot.pulley_radius.min())
     remedy = "lengths are in metres: divide millimetres by 1000"
     if size > LARGEST_SIZE * radius:
-        raise ValueError(f"base_anchors are {size:g} m wide and pulley_radius is {radius:g} m; {remedy}")
-    for name, pulleys in (("pulley_radius", robot.pulley_radius), ("swivel_radius", np.asarray(robot.swivel_radius))):
+        raise ValueError(
+            f"base_anchors are {size:g} m wide and pulley_radius is {radius:g} m; {remedy}"
+        )
+    for name, pulleys in (
+        ("pulley_radius", robot.pulley_radius),
+        ("swivel_radius", np.asarray(robot.swivel_radius)),
+    ):
         if pulleys.max() > LARGEST_PULLEY:
             raise ValueError(f"{name} is {pulleys.max():g} m; {remedy}")
     if not robot.point_mass:
@@ -554,9 +633,12 @@ def _check_units(robot: Robot) -> None:
 
 
 def reach_and_gyration(robot: Robot) -> tuple[float, float]:
-    """Largest distance of a platform anchor from the centre of mass, and largest radius of gyration [m]."""
+    """Largest distance of a platform anchor from the centre of mass, and largest radius of gyration
+    [m]."""
     reach = float(np.max(np.linalg.norm(robot.platform - robot.mass_center, axis=1)))
-    return reach, math.sqrt(max(float(np.linalg.eigvalsh(robot.inertia_tensor).max()), 0.0) / robot.mass)
+    return reach, math.sqrt(
+        max(float(np.linalg.eigvalsh(robot.inertia_tensor).max()), 0.0) / robot.mass
+    )
 
 
 def _check_geometry(robot: Robot) -> None:
@@ -567,29 +649,44 @@ def _check_geometry(robot: Robot) -> None:
             raise ValueError("inertia: the tensor must be symmetric")
         moments = np.linalg.eigvalsh(tensor)
         if moments.min() <= 0:
-            raise ValueError(f"inertia {robot.inertia}: all principal moments must be greater than 0")
+            raise ValueError(
+                f"inertia {robot.inertia}: all principal moments must be greater than 0"
+            )
         if 2 * moments.max() > moments.sum() + 1e-9 * moments.max():
             raise ValueError(
                 f"inertia {robot.inertia}: no principal moment may exceed the sum of the other two; products of "
                 "inertia have the sign of the tensor, I_xy = −∫xy dm"
             )
-    if not robot.weightless and cable_vectors(robot.base, robot.platform, robot.home)[:, -1].max() < 0:
-        raise ValueError(f"all base anchors are below the platform at home_pose; {vertical_remedy(robot)}")
+    if (
+        not robot.weightless
+        and cable_vectors(robot.base, robot.platform, robot.home)[:, -1].max() < 0
+    ):
+        raise ValueError(
+            f"all base anchors are below the platform at home_pose; {vertical_remedy(robot)}"
+        )
     low, high = robot.pose_bounds
     if np.any(low >= high):
-        raise ValueError("workspace must have low < high; give one if the base anchors lie on a line along an axis")
+        raise ValueError(
+            "workspace must have low < high; give one if the base anchors lie on a line along an axis"
+        )
     if robot.kind == "spatial" and max(abs(low[4]), abs(high[4])) >= math.pi / 2:
-        raise ValueError("workspace: θ must stay within ± π/2 rad, where the Euler angles are singular")
+        raise ValueError(
+            "workspace: θ must stay within ± π/2 rad, where the Euler angles are singular"
+        )
     ends = np.concatenate([robot.base, robot.platform], axis=1)
     for i, j in combinations(range(robot.cables), 2):
         if np.allclose(ends[i], ends[j], rtol=0, atol=1e-9):
             raise ValueError(f"cables {i + 1} and {j + 1} coincide; give them different anchors")
     if np.any(robot.home < low) or np.any(robot.home > high):
-        raise ValueError(f"home_pose {robot.home_pose} lies outside the workspace {low.tolist()} to {high.tolist()}")
+        raise ValueError(
+            f"home_pose {robot.home_pose} lies outside the workspace {low.tolist()} to {high.tolist()}"
+        )
     with np.errstate(invalid="ignore"):  # inside a swivel pulley
         lengths = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)
     if not np.all(lengths >= 1e-6):
-        raise ValueError("a cable has zero length at home_pose; move the pose away from its base anchor")
+        raise ValueError(
+            "a cable has zero length at home_pose; move the pose away from its base anchor"
+        )
     jacobian = structure_jacobian(robot.base, robot.platform, robot.home, robot.swivel)
     rank = np.linalg.matrix_rank(jacobian, tol=1e-9)
     if rank < robot.coordinates:
@@ -599,7 +696,9 @@ def _check_geometry(robot: Robot) -> None:
         )
     if not _in_equilibrium(robot, jacobian):
         problem = (
-            "the cables do not surround" if robot.kind == "planar" and robot.weightless else "no positive tensions hold"
+            "the cables do not surround"
+            if robot.kind == "planar" and robot.weightless
+            else "no positive tensions hold"
         )
         remedy = "move the pose or the anchors"
         if holds_upside_down(robot):
@@ -620,7 +719,12 @@ def vertical_remedy(robot: Robot) -> str:
     )
 
 
-COORDINATE_NAMES: dict[Kind, str] = {"planar": "xy", "planar-platform": "xyφ", "point": "xyz", "spatial": "xyzψθφ"}
+COORDINATE_NAMES: dict[Kind, str] = {
+    "planar": "xy",
+    "planar-platform": "xyφ",
+    "point": "xyz",
+    "spatial": "xyzψθφ",
+}
 """Symbols of the coordinates of a pose by kind."""
 
 
@@ -631,18 +735,21 @@ def _free_direction(robot: Robot, jacobian: Array) -> str:
 
 
 def holds_upside_down(robot: Robot) -> bool:
-    """Whether positive tensions would hold the home pose if gravity acted upwards: a frame may have been turned."""
+    """Whether positive tensions would hold the home pose if gravity acted upwards: a frame may have
+    been turned."""
     jacobian = structure_jacobian(robot.base, robot.platform, robot.home, robot.swivel)
     return not robot.weightless and _in_equilibrium(robot, jacobian, upside_down=True)
 
 
 def _in_equilibrium(robot: Robot, jacobian: Array, *, upside_down: bool = False) -> bool:
-    """Whether positive tensions balance gravity at rest for this S: ``−Sᵀ T = (0, …, −m g, …, 0)``."""
+    """Whether positive tensions balance gravity at rest for this S: ``−Sᵀ T = (0, …, −m g, …,
+    0)``."""
     if robot.kind == "planar" and robot.weightless:  # no open half plane is free of cables
         angles = np.sort(np.arctan2(jacobian[:, 1], jacobian[:, 0]))
         gaps = np.diff(np.append(angles, angles[0] + 2 * math.pi))
         return bool(gaps.max() < math.pi - 1e-9)
-    # A cable from 1 m above the centre of mass has the direction of the weight, and its row of S has the lever.
+    # A cable from 1 m above the centre of mass has the direction of the weight, and its row of S
+    # has the lever.
     center = robot.mass_center[None]
     above = cable_vectors(np.zeros_like(center), center, robot.home)
     above[:, -1] -= 1.0
@@ -673,7 +780,8 @@ def _planar_paper() -> Robot:
     return Robot(
         name="planar",
         base_anchors=tuple(
-            (radius * math.cos(math.radians(angle)), radius * math.sin(math.radians(angle))) for angle in (210, 330, 90)
+            (radius * math.cos(math.radians(angle)), radius * math.sin(math.radians(angle)))
+            for angle in (210, 330, 90)
         ),
         mass=1.0,  # Tables 2 and 7
         motors=Motors(stall_torque=5.0, free_speed=1000 * RPM),  # Table 7
@@ -728,23 +836,29 @@ SPATIAL = _spatial_paper()
 """The paper's spatial robot with six cables and a triangular platform (Tables 4 and 8)."""
 
 FLEX_PLANAR = _flexible_paper(PLANAR)
-"""The planar robot with the joint springs of the spatial one; the paper has no flexible planar robot."""
+"""The planar robot with the joint springs of the spatial one; the paper has no flexible planar
+robot."""
 
 FLEX_SPATIAL = _flexible_paper(SPATIAL)
 """The paper's spatial robot with joint springs (Tables 5 and 9)."""
 
 PAPER_PAYLOAD_MAX = {"planar": 10.0, "spatial": 20.0}
-"""End of the scans for the paper's robots by kind [kg]. :func:`has_paper_capacity` tells for which robots."""
+"""End of the scans for the paper's robots by kind [kg]. :func:`has_paper_capacity` tells for which
+robots."""
 
 
 def has_paper_geometry(robot: Robot) -> bool:
-    """Whether anchors and home pose are those of the paper's robots, so that the paper's circles fit."""
+    """Whether anchors and home pose are those of the paper's robots, so that the paper's circles
+    fit."""
     return _is_paper_robot_in(robot, "base", "platform", "home")
 
 
 def has_paper_capacity(robot: Robot) -> bool:
-    """Whether anchors, mass and motors are those of the paper's robots. Springs, inertias and friction may differ."""
-    return _is_paper_robot_in(robot, "base", "platform", "home", "mass", "stall_torque", "speed_slope", "pulley_radius")
+    """Whether anchors, mass and motors are those of the paper's robots. Springs, inertias and
+    friction may differ."""
+    return _is_paper_robot_in(
+        robot, "base", "platform", "home", "mass", "stall_torque", "speed_slope", "pulley_radius"
+    )
 
 
 def _is_paper_robot_in(robot: Robot, *attributes: str) -> bool:
@@ -754,7 +868,9 @@ def _is_paper_robot_in(robot: Robot, *attributes: str) -> bool:
     )
 
 
-ROBOTS: dict[str, Robot] = {robot.name: robot for robot in (PLANAR, SPATIAL, FLEX_PLANAR, FLEX_SPATIAL)}
+ROBOTS: dict[str, Robot] = {
+    robot.name: robot for robot in (PLANAR, SPATIAL, FLEX_PLANAR, FLEX_SPATIAL)
+}
 """The paper's robots by name."""
 
 ELASTIC = "flex-"
@@ -769,7 +885,8 @@ def library() -> dict[str, Path]:
 
 
 def robot_names() -> list[str]:
-    """All names that :func:`find_robot` accepts: the paper's robots, then those of the library and their variants."""
+    """All names that :func:`find_robot` accepts: the paper's robots, then those of the library and
+    their variants."""
     return [*ROBOTS, *library(), *(ELASTIC + name for name in library())]
 
 
@@ -780,13 +897,15 @@ def _library_robot(name: str) -> Robot:
 
 
 def load_robot(path: str | Path) -> Robot:
-    """A robot from a TOML file with the fields of :class:`Robot`, and with the optional table :class:`Defaults`.
+    """A robot from a TOML file with the fields of :class:`Robot`, and with the optional table
+    :class:`Defaults`.
 
-    A ``.json`` file has the data of :meth:`Robot.to_dict`. A default motion ``file.py:name`` or ``file.csv`` is
-    relative to the folder of the file.
+    A ``.json`` file has the data of :meth:`Robot.to_dict`. A default motion ``file.py:name`` or
+    ``file.csv`` is relative to the folder of the file.
 
     Raises:
-        ValueError: if the file cannot be read or does not describe a physical robot. The message names the file.
+        ValueError: if the file cannot be read or does not describe a physical robot. The message
+            names the file.
     """
     path = Path(path)
     try:
@@ -813,10 +932,11 @@ def _with_motion_beside(defaults: Defaults, folder: Path) -> Defaults:
 
 
 def find_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
-    """A robot from a name, from a TOML or JSON file, from :meth:`Robot.to_dict` data, or from a :class:`Robot`.
+    """A robot from a name, from a TOML or JSON file, from :meth:`Robot.to_dict` data, or from a
+    :class:`Robot`.
 
-    Names are those of :func:`robot_names`. ``cogiro`` is the robot of the library with rigid cables, ``flex-cogiro``
-    the same robot with elastic cables, as its file describes it.
+    Names are those of :func:`robot_names`. ``cogiro`` is the robot of the library with rigid
+    cables, ``flex-cogiro`` the same robot with elastic cables, as its file describes it.
 
     Raises:
         ValueError: if the name is unknown or the data do not describe a physical robot.
@@ -831,6 +951,8 @@ def find_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
         return ROBOTS[str(robot)]
     if str(robot).removeprefix(ELASTIC) not in library():
         forms = "a .toml or .json file"
-        check_not_a_file("robot", robot, f"{forms}; `cablebot robot import` makes one from CASPR and WireX files")
+        check_not_a_file(
+            "robot", robot, f"{forms}; `cablebot robot import` makes one from CASPR and WireX files"
+        )
         raise unknown_name_error("robot", robot, robot_names(), f", {forms}, or pass a Robot")
     return _library_robot(str(robot))

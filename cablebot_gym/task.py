@@ -1,4 +1,5 @@
-"""The public task, which a policy may read before an episode starts, and the bounds of the tracking error."""
+"""The public task, which a policy may read before an episode starts, and the bounds of the tracking
+error."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ class ErrorBounds:
     position: float = 0.01
     """R, the bound of the distance to the reference at the same instant [m] (Tables 7–9); > 0."""
     rotation: float = 0.01
-    """Bound of the error of each of ψ, θ and φ [rad]; > 0. Not in the paper. Has no effect on a point mass."""
+    """Bound of the error of each of ψ, θ and φ [rad]; > 0. Not in the paper. Has no effect on a
+    point mass."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -36,7 +38,8 @@ class ErrorBounds:
 
     @property
     def termination_radius(self) -> float:
-        """Position error beyond which the environment may terminate an episode [m]; at least twice the bound."""
+        """Position error beyond which the environment may terminate an episode [m]; at least twice
+        the bound."""
         return max(0.1, 2 * self.position)
 
     def replace(self, **changes: float) -> ErrorBounds:
@@ -51,12 +54,13 @@ def find_error_bounds(
 
     Args:
         error_bounds: the bounds; None and omitted keys stand for the defaults.
-        robot: robot to which they apply, whose data come first. Without data, its position bound is 10 mm, at most 1 %
-            and at least 0.1 % of the width of its base. None if it is not known yet.
+        robot: robot to which they apply, whose data come first. Without data, its position bound is
+            10 mm, at most 1 % and at least 0.1 % of the width of its base. None if it is not known
+            yet.
 
     Raises:
-        ValueError: if a key is unknown, a bound is not positive, or the position bound exceeds the diagonal of the
-            robot's workspace.
+        ValueError: if a key is unknown, a bound is not positive, or the position bound exceeds the
+            diagonal of the robot's workspace.
     """
     if not isinstance(error_bounds, ErrorBounds):
         own = ErrorBounds() if robot is None else _usual_error_bounds(robot)
@@ -75,20 +79,24 @@ def find_error_bounds(
 def _usual_error_bounds(robot: Robot) -> ErrorBounds:
     """Error bounds of a robot's data.
 
-    The usual position bound is the paper's 10 mm, but at most 1 % and at least 0.1 % of the width of the base, rounded
-    to 1, 2 or 5 times a power of ten. Real robots keep about this (``docs/robots.md``).
+    The usual position bound is the paper's 10 mm, but at most 1 % and at least 0.1 % of the width
+    of the base, rounded to 1, 2 or 5 times a power of ten. Real robots keep about this
+    (``docs/robots.md``).
     """
     width = float(np.max(np.ptp(robot.base, axis=0)))
     bound = min(max(ErrorBounds().position, 0.001 * width), 0.01 * width)
     power = 10.0 ** math.floor(math.log10(bound))
-    position = min((step * power for step in (1, 2, 5, 10)), key=lambda rounded: abs(math.log(rounded / bound)))
+    position = min(
+        (step * power for step in (1, 2, 5, 10)), key=lambda rounded: abs(math.log(rounded / bound))
+    )
     usual = {"position": float(f"{position:.1g}")}
     return record("error_bounds", ErrorBounds, usual | dict(robot.defaults.error_bounds or {}))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """One episode as the controller knows it. It never contains the true payload, the true parameters or a seed."""
+    """One episode as the controller knows it. It never contains the true payload, the true
+    parameters or a seed."""
 
     robot: Robot
     """Nominal robot without payload."""
@@ -105,7 +113,8 @@ class Task:
     payload_known: bool
     """Whether the controller's model includes a payload."""
     measurement: Measurement = POSE
-    """Sensors of the observation, and the nominal resolution of the encoders; never the errors of the sensors."""
+    """Sensors of the observation, and the nominal resolution of the encoders; never the errors of
+    the sensors."""
 
     @property
     def steps(self) -> int:
@@ -126,11 +135,13 @@ class Task:
         """Checks that the motion can be followed.
 
         Raises:
-            ValueError: if the motion is shorter than half a control period, or leaves the robot's workspace by more
-                than the error bounds.
+            ValueError: if the motion is shorter than half a control period, or leaves the robot's
+                workspace by more than the error bounds.
         """
         if self.steps < 1:
-            raise ValueError(f"trajectory {self.trajectory.name!r} is shorter than a control period; make it longer")
+            raise ValueError(
+                f"trajectory {self.trajectory.name!r} is shorter than a control period; make it longer"
+            )
         check_workspace(self.robot, self.trajectory, self.error_bounds)
 
 
@@ -139,21 +150,25 @@ REST_TOLERANCE = 1e-9
 
 
 LARGEST_START_OFFSET = 0.05
-"""Largest distance of the start pose from the reference [m]: half the environments' default termination radius."""
+"""Largest distance of the start pose from the reference [m]: half the environments' default
+termination radius."""
 
 
 def at_rest(reference: Reference) -> bool:
     """Whether the velocity and the acceleration of a motion are zero at an instant."""
-    return all(np.max(np.abs(rate)) <= REST_TOLERANCE for rate in (reference.velocity, reference.acceleration))
+    return all(
+        np.max(np.abs(rate)) <= REST_TOLERANCE
+        for rate in (reference.velocity, reference.acceleration)
+    )
 
 
 def start_pose(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> Array:
     """Start pose of the episodes of a motion, for every payload, shape (n,).
 
-    It is the first pose of the motion. Under gravity, and for a motion that starts at rest, it is lower by
-    half the position bound, at most by :data:`LARGEST_START_OFFSET`: the cables of the lower platform are steeper, so
-    its motors hold more payload at rest. The paper's circle as printed accelerates from time 0 and is started on the
-    reference.
+    It is the first pose of the motion. Under gravity, and for a motion that starts at rest, it is
+    lower by half the position bound, at most by :data:`LARGEST_START_OFFSET`: the cables of the
+    lower platform are steeper, so its motors hold more payload at rest. The paper's circle as
+    printed accelerates from time 0 and is started on the reference.
     """
     start = trajectory(0.0)
     pose = np.array(start.position, float)
@@ -162,7 +177,9 @@ def start_pose(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) 
     return pose
 
 
-def check_workspace(robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds | None = None) -> None:
+def check_workspace(
+    robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds | None = None
+) -> None:
     """Checks that a motion stays within the workspace of a robot.
 
     Args:
@@ -171,14 +188,18 @@ def check_workspace(robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds
         tolerance: distance by which the motion may leave the workspace; None for zero.
 
     Raises:
-        ValueError: if the motion leaves the workspace. The message gives the time, the coordinate and remedies.
+        ValueError: if the motion leaves the workspace. The message gives the time, the coordinate
+            and remedies.
     """
     times = np.linspace(0.0, trajectory.duration, 1 + math.ceil(200 * trajectory.duration))
     poses = trajectory(times).position
     (low, high) = robot.pose_bounds
     slack = np.zeros(robot.coordinates)
     if tolerance is not None:
-        slack[: robot.dimensions], slack[robot.dimensions :] = tolerance.position, tolerance.rotation
+        slack[: robot.dimensions], slack[robot.dimensions :] = (
+            tolerance.position,
+            tolerance.rotation,
+        )
     outside = (poses < low - slack) | (poses > high + slack)
     if np.any(outside):
         sample, channel = (int(index) for index in np.argwhere(outside)[0])
@@ -191,7 +212,8 @@ def check_workspace(robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds
 
 
 def _remedy(symbol: str, values: Array, farthest: float) -> str:
-    """What to do about a coordinate outside of the workspace: convert its unit if it is far outside."""
+    """What to do about a coordinate outside of the workspace: convert its unit if it is far
+    outside."""
     if np.max(np.abs(values)) <= 20 * farthest:
         return "change the motion or the workspace"
     if symbol in "xyz":
@@ -200,7 +222,8 @@ def _remedy(symbol: str, values: Array, farthest: float) -> str:
 
 
 def payload_model_text(payload_known: bool, factor: float = 1.0) -> str:
-    """The controller's payload model as text: ``payload known``, ``payload unknown``, ``payload model × 0.9``.
+    """The controller's payload model as text: ``payload known``, ``payload unknown``, ``payload
+    model × 0.9``.
 
     Args:
         payload_known: whether the model includes a payload.
@@ -214,16 +237,20 @@ def payload_model_text(payload_known: bool, factor: float = 1.0) -> str:
 def to_jsonable(value: Any) -> Any:
     """A value, such as a trajectory, as JSON-able data.
 
-    A dataclass becomes a dict of its fields. A motion between dwells becomes that of the motion with the key ``dwell``,
-    so that :func:`~cablebot_gym.trajectories.find_trajectory` accepts a named motion's data. Any other trajectory
-    becomes a dict of its name, duration and coordinates.
+    A dataclass becomes a dict of its fields. A motion between dwells becomes that of the motion
+    with the key ``dwell``, so that :func:`~cablebot_gym.trajectories.find_trajectory` accepts a
+    named motion's data. Any other trajectory becomes a dict of its name, duration and coordinates.
     """
     if isinstance(value, BetweenDwells):
         return to_jsonable(value.motion) | {"dwell": value.dwell}
     if is_dataclass(value):
         return {field.name: to_jsonable(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Trajectory):
-        return {"name": value.name, "duration": float(value.duration), "coordinates": int(value.coordinates)}
+        return {
+            "name": value.name,
+            "duration": float(value.duration),
+            "coordinates": int(value.coordinates),
+        }
     if isinstance(value, Mapping):
         return {name: to_jsonable(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,9 +1,12 @@
-"""Reference motions with time derivatives in closed form: the paper's circles, smooth motions, chains, random loops.
+"""Reference motions with time derivatives in closed form: the paper's circles, smooth motions,
+chains, random loops.
 
-Most named motions are :class:`BetweenDwells`: the robot rests at the start pose first and at the end pose last.
+Most named motions are :class:`BetweenDwells`: the robot rests at the start pose first and at the
+end pose last.
 
-A custom motion is any object with ``name``, ``duration``, ``coordinates`` and ``__call__(times) -> Reference``, see the
-:class:`Trajectory` protocol. Positions are in m, angles in rad and times in s; z points down.
+A custom motion is any object with ``name``, ``duration``, ``coordinates`` and ``__call__(times) ->
+Reference``, see the :class:`Trajectory` protocol. Positions are in m, angles in rad and times in s;
+z points down.
 """
 
 from __future__ import annotations
@@ -31,12 +34,14 @@ from cablebot_gym.waypoints import is_waypoint_file, read_waypoints
 Array = NDArray[np.float64]
 
 COORDINATES: dict[Kind, int] = {"planar": 2, "planar-platform": 3, "point": 3, "spatial": 6}
-"""Number of coordinates by kind of robot: ``(x, y)``, ``(x, y, φ)``, ``(x, y, z)`` or ``(x, y, z, ψ, θ, φ)``."""
+"""Number of coordinates by kind of robot: ``(x, y)``, ``(x, y, φ)``, ``(x, y, z)`` or ``(x, y, z,
+ψ, θ, φ)``."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reference:
-    """The reference motion at given times. Each array has the shape of the times plus a last axis of n coordinates."""
+    """The reference motion at given times. Each array has the shape of the times plus a last axis
+    of n coordinates."""
 
     position: Array
     """Reference pose X_d, shape (..., n) [m, rad]."""
@@ -69,8 +74,8 @@ class Trajectory(Protocol):
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], a number or an array of any shape.
 
-        A time before 0 is treated as 0. A time after ``duration`` gives the last pose at rest. ``duration`` itself
-        still belongs to the motion.
+        A time before 0 is treated as 0. A time after ``duration`` gives the last pose at rest.
+        ``duration`` itself still belongs to the motion.
         """
 
 
@@ -98,11 +103,15 @@ class _Motion:
         number("duration", self.duration, above=0, unit="s")
         for field in self._POSES:
             form = "(x, y), (x, y, φ), (x, y, z) or (x, y, z, ψ, θ, φ), by the kind of robot"
-            self._set_numbers(field, shapes=[(n,) for n in sorted(set(COORDINATES.values()))], form=form)
+            self._set_numbers(
+                field, shapes=[(n,) for n in sorted(set(COORDINATES.values()))], form=form
+            )
 
     def _set_numbers(self, field: str, **form: Any) -> None:
         """Checks the numbers of a field and converts them to a tuple."""
-        object.__setattr__(self, field, tuple(numbers(field, getattr(self, field), **form).tolist()))
+        object.__setattr__(
+            self, field, tuple(numbers(field, getattr(self, field), **form).tolist())
+        )
 
     @property
     def coordinates(self) -> int:
@@ -115,7 +124,9 @@ class _Motion:
         derivatives = self._derivatives(np.clip(times, 0.0, self.duration))
         derivatives[1:, times > self.duration] = 0.0
         position, velocity, acceleration, jerk, snap = derivatives
-        return Reference(position=position, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=snap)
+        return Reference(
+            position=position, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=snap
+        )
 
     def _derivatives(self, time: Array) -> Array:
         """Position to snap for times in [0, duration], shape (5, ..., n), in a new array."""
@@ -128,12 +139,14 @@ class _Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperCircle(_Motion):
-    """The paper's circle (Tables 1 and 3). The motion accelerates over one half turn and decelerates over the other.
+    """The paper's circle (Tables 1 and 3). The motion accelerates over one half turn and
+    decelerates over the other.
 
-    With u = t / duration: ``(x, y) = radius (cos 4πu², sin 4πu²)`` for u ≤ 0.5, then
-    ``radius (cos 4π(1−u)², −sin 4π(1−u)²)``, about ``center``. The angular acceleration jumps from +8π to −8π rad per
-    duration² right after u = 0.5, where the first branch is still valid. It is not zero at either end. Only position
-    and velocity are continuous, so no robot with flexible joints can follow the circle exactly.
+    With u = t / duration: ``(x, y) = radius (cos 4πu², sin 4πu²)`` for u ≤ 0.5, then ``radius (cos
+    4π(1−u)², −sin 4π(1−u)²)``, about ``center``. The angular acceleration jumps from +8π to −8π rad
+    per duration² right after u = 0.5, where the first branch is still valid. It is not zero at
+    either end. Only position and velocity are continuous, so no robot with flexible joints can
+    follow the circle exactly.
 
     Raises:
         ValueError: if a length, time or pose is invalid.
@@ -142,7 +155,8 @@ class PaperCircle(_Motion):
     radius: float
     """Radius of the circle [m]; > 0. Table 1: 0.2165, Table 3: 0.1."""
     center: tuple[float, ...]
-    """Center pose, shape (n,); all coordinates except x and y stay constant. Table 3: (0, 0, 0.1, 0.1, 0.1, 0.1)."""
+    """Center pose, shape (n,); all coordinates except x and y stay constant. Table 3: (0, 0, 0.1,
+    0.1, 0.1, 0.1)."""
     duration: float = 1.0
     """Duration of the turn [s]; > 0. Tables 1 and 3: 1 s."""
     name: str = "paper-circle"
@@ -158,13 +172,16 @@ class PaperCircle(_Motion):
         from_rest = np.where(first, u, 1 - u)
         acceleration = np.where(first, 8 * np.pi, -8 * np.pi)
         zero = np.zeros_like(u)
-        angle = np.stack([acceleration * from_rest**2 / 2, 8 * np.pi * from_rest, acceleration, zero, zero])
+        angle = np.stack(
+            [acceleration * from_rest**2 / 2, 8 * np.pi * from_rest, acceleration, zero, zero]
+        )
         return _circle(self.center, self.radius, _scaled(angle, 1 / self.duration))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SmoothCircle(_Motion):
-    """One C⁴ turn on the paper's circle from the same start. The angle goes from 0 to 2π along :data:`BLEND`.
+    """One C⁴ turn on the paper's circle from the same start. The angle goes from 0 to 2π along
+    :data:`BLEND`.
 
     Raises:
         ValueError: if a length, time or pose is invalid.
@@ -214,7 +231,8 @@ class PointToPoint(_Motion):
     """A C⁴ motion from rest at one pose to rest at another; all coordinates follow :data:`BLEND`.
 
     Raises:
-        ValueError: if the duration or a pose is invalid, or the poses differ in their number of coordinates.
+        ValueError: if the duration or a pose is invalid, or the poses differ in their number of
+            coordinates.
     """
 
     start: tuple[float, ...]
@@ -242,7 +260,8 @@ class PointToPoint(_Motion):
 class Lemniscate(_Motion):
     """Gerono's lemniscate, traversed once from its crossing point; the motion is C⁴.
 
-    ``(x, y) = (a_x sin α, a_y sin 2α)`` about ``center``. The angle α goes from 0 to 2π along :data:`BLEND`.
+    ``(x, y) = (a_x sin α, a_y sin 2α)`` about ``center``. The angle α goes from 0 to 2π along
+    :data:`BLEND`.
 
     Raises:
         ValueError: if a length, time or pose is invalid.
@@ -259,7 +278,9 @@ class Lemniscate(_Motion):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._set_numbers("amplitude", shapes=[(2,)], form="two lengths (a_x, a_y)", above=0, unit="m")
+        self._set_numbers(
+            "amplitude", shapes=[(2,)], form="two lengths (a_x, a_y)", above=0, unit="m"
+        )
 
     def _derivatives(self, time: Array) -> Array:
         alpha = 2 * np.pi * self._blend(time)
@@ -270,20 +291,24 @@ class Lemniscate(_Motion):
 
 
 SPLINE_DEGREE = 5
-"""Degree of the spline of :class:`Waypoints`: the least one with a continuous snap, which swings the least."""
+"""Degree of the spline of :class:`Waypoints`: the least one with a continuous snap, which swings
+the least."""
 
 SPLINE_ERROR = 1e-7
-"""Largest distance of the spline from a waypoint, as a fraction of the largest coordinate or of 1."""
+"""Largest distance of the spline from a waypoint, as a fraction of the largest coordinate or of
+1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Waypoints(_Motion):
-    """A spline through waypoints, from rest at the first one to rest at the last one; the motion is C⁴.
+    """A spline through waypoints, from rest at the first one to rest at the last one; the motion is
+    C⁴.
 
     Between waypoints the spline may swing, the more the less evenly they are spaced.
 
     Raises:
-        ValueError: if there are fewer than two waypoints, a number is not finite, or the times do not increase from 0.
+        ValueError: if there are fewer than two waypoints, a number is not finite, or the times do
+            not increase from 0.
     """
 
     times: tuple[float, ...]
@@ -308,7 +333,9 @@ class Waypoints(_Motion):
         super().__post_init__()
         missed = np.max(np.abs(self._spline(times / self.duration) - poses))
         if not missed <= SPLINE_ERROR * max(1.0, float(np.max(np.abs(poses)))):
-            raise ValueError("no smooth curve was found: the waypoints are spaced too unevenly in time; leave some out")
+            raise ValueError(
+                "no smooth curve was found: the waypoints are spaced too unevenly in time; leave some out"
+            )
 
     @property
     def coordinates(self) -> int:
@@ -317,12 +344,14 @@ class Waypoints(_Motion):
 
     @cached_property
     def _spline(self) -> Any:
-        """The spline over the fraction of the duration, of which equations are better conditioned than over time."""
+        """The spline over the fraction of the duration, of which equations are better conditioned
+        than over time."""
         from scipy.interpolate import make_interp_spline  # slow to import
 
         at_rest: Any = [(order, np.zeros(self.coordinates)) for order in range(1, 5)]
         fractions = np.array(self.times) / self.duration
-        # The spline has a knot at each waypoint. Rest at both ends takes four more, two near each end.
+        # The spline has a knot at each waypoint. Rest at both ends takes four more, two near each
+        # end.
         inner = fractions[1:-1]
         if len(inner):
             thirds = np.array([1.0, 2.0]) / 3
@@ -331,12 +360,18 @@ class Waypoints(_Motion):
             inner = np.linspace(0.0, 1.0, 6)[1:-1]
         ends = np.ones(SPLINE_DEGREE + 1)
         knots = np.concatenate([0 * ends, inner, ends])
-        return make_interp_spline(fractions, self.poses, SPLINE_DEGREE, t=knots, bc_type=(at_rest, at_rest))
+        return make_interp_spline(
+            fractions, self.poses, SPLINE_DEGREE, t=knots, bc_type=(at_rest, at_rest)
+        )
 
     def _derivatives(self, time: Array) -> Array:
         fraction = time / self.duration
-        derivatives = np.stack([self._spline(fraction, nu=order) / self.duration**order for order in range(5)])
-        derivatives[1:, (time <= 0) | (time >= self.duration)] = 0.0  # exactly at rest, without rounding
+        derivatives = np.stack(
+            [self._spline(fraction, nu=order) / self.duration**order for order in range(5)]
+        )
+        derivatives[1:, (time <= 0) | (time >= self.duration)] = (
+            0.0  # exactly at rest, without rounding
+        )
         return derivatives
 
 
@@ -346,14 +381,17 @@ DWELL = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class BetweenDwells:
-    """A motion between two dwells: the robot rests at the first pose, moves, and rests at the last pose.
+    """A motion between two dwells: the robot rests at the first pose, moves, and rests at the last
+    pose.
 
-    A robot that leaves its last pose soon after the motion fails in the second dwell. A robot that no motor can hold at
-    rest fails in the first one. The dwells do not change the motion: if it starts with a jump of acceleration, as
-    :class:`PaperCircle` does, the jump occurs at time ``dwell``.
+    A robot that leaves its last pose soon after the motion fails in the second dwell. A robot that
+    no motor can hold at rest fails in the first one. The dwells do not change the motion: if it
+    starts with a jump of acceleration, as :class:`PaperCircle` does, the jump occurs at time
+    ``dwell``.
 
     Raises:
-        ValueError: if ``motion`` is not a :class:`Trajectory` or has dwells already, or if ``dwell`` is negative.
+        ValueError: if ``motion`` is not a :class:`Trajectory` or has dwells already, or if
+            ``dwell`` is negative.
     """
 
     motion: Trajectory
@@ -365,7 +403,9 @@ class BetweenDwells:
         if not isinstance(self.motion, Trajectory) or isinstance(self.motion, type):
             raise ValueError(f"motion must be a Trajectory, not {self.motion!r}")
         if isinstance(self.motion, BetweenDwells):
-            raise ValueError("motion has dwells already: change their length with dataclasses.replace(motion, dwell=…)")
+            raise ValueError(
+                "motion has dwells already: change their length with dataclasses.replace(motion, dwell=…)"
+            )
         number("dwell", self.dwell, least=0, unit="s")
 
     @property
@@ -395,23 +435,27 @@ class BetweenDwells:
 _RATES = ("velocity", "acceleration", "jerk", "snap")
 
 MEETING_TOLERANCE = 1e-9
-"""Largest distance between the end of a part of :class:`Chain` and the start of the next part [m, rad]."""
+"""Largest distance between the end of a part of :class:`Chain` and the start of the next part [m,
+rad]."""
 
 REST_TOLERANCE = 1e-6
-"""Largest rate of a part of :class:`Chain` at its ends, up to snap [m, rad, and per sᵏ]; rounding leaves less."""
+"""Largest rate of a part of :class:`Chain` at its ends, up to snap [m, rad, and per sᵏ]; rounding
+leaves less."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Chain:
-    """Motions one after the other, such as to pick, dwell and place. Each starts and ends at rest, so the chain is C⁴.
+    """Motions one after the other, such as to pick, dwell and place. Each starts and ends at rest,
+    so the chain is C⁴.
 
     Raises:
-        ValueError: if there is no motion, a part is not a :class:`Trajectory`, moves at one of its ends, or does not
-            start where the part before it ends.
+        ValueError: if there is no motion, a part is not a :class:`Trajectory`, moves at one of its
+            ends, or does not start where the part before it ends.
     """
 
     motions: tuple[Trajectory, ...]
-    """The parts in their order. A number among them is a dwell of this length [s] at the pose where the robot is."""
+    """The parts in their order. A number among them is a dwell of this length [s] at the pose where
+    the robot is."""
     name: str = "chain"
     """Name shown in tables and error messages."""
 
@@ -425,10 +469,14 @@ class Chain:
                 end = parts[-1](parts[-1].duration).position
                 length = number(f"motions: dwell {index}", part, above=0, unit="s")
                 kinds = [kind for kind, n in COORDINATES.items() if n == len(end)]
-                kind = next((kind for kind in kinds if parts[0].name.endswith(f"-{kind}")), kinds[0])
+                kind = next(
+                    (kind for kind in kinds if parts[0].name.endswith(f"-{kind}")), kinds[0]
+                )
                 part = Dwell(name=f"dwell-{kind}", pose=tuple(end.tolist()), duration=length)
             if not isinstance(part, Trajectory) or isinstance(part, type):
-                raise ValueError(f"motions: part {index} must be a Trajectory or the length of a dwell, not {part!r}")
+                raise ValueError(
+                    f"motions: part {index} must be a Trajectory or the length of a dwell, not {part!r}"
+                )
             self._check_part(index, part, parts[-1] if parts else None)
             parts.append(part)
         object.__setattr__(self, "motions", tuple(parts))
@@ -442,7 +490,9 @@ class Chain:
             for order in _RATES:
                 if (rate := float(np.max(np.abs(getattr(reference, order))))) > REST_TOLERANCE:
                     remedy = (
-                        ', or give it "dwell": 0.3' if part.name in TRAJECTORIES else ", or put it in BetweenDwells"
+                        ', or give it "dwell": 0.3'
+                        if part.name in TRAJECTORIES
+                        else ", or put it in BetweenDwells"
                     )
                     raise ValueError(
                         f"{label} {verb} with a nonzero {order} ({rate:.3g}): use a motion from rest to rest{remedy}"
@@ -450,7 +500,9 @@ class Chain:
         if before is None:
             return
         if part.coordinates != before.coordinates:
-            raise ValueError(f"{label} has {part.coordinates} coordinates and the part before it {before.coordinates}")
+            raise ValueError(
+                f"{label} has {part.coordinates} coordinates and the part before it {before.coordinates}"
+            )
         start = part(0.0).position
         end = before(before.duration).position
         if np.max(np.abs(start - end)) > MEETING_TOLERANCE:
@@ -477,8 +529,12 @@ class Chain:
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], see :class:`Trajectory`."""
         times = _checked_times(times)
-        index = np.clip(np.searchsorted(self._starts, times, side="right") - 1, 0, len(self.motions) - 1)
-        orders = {order: np.zeros((*times.shape, self.coordinates)) for order in ("position", *_RATES)}
+        index = np.clip(
+            np.searchsorted(self._starts, times, side="right") - 1, 0, len(self.motions) - 1
+        )
+        orders = {
+            order: np.zeros((*times.shape, self.coordinates)) for order in ("position", *_RATES)
+        }
         for number_of, part in enumerate(self.motions):
             chosen = index == number_of
             reference = part(times[chosen] - self._starts[number_of])
@@ -491,7 +547,8 @@ TRAINING_SEEDS = range(10_000)
 """Seeds of :class:`RandomLoop` for training and tuning."""
 
 FIRST_HELD_OUT_SEED = TRAINING_SEEDS.stop
-"""First held-out seed. No policy may be trained, tuned or selected with this seed or a larger one."""
+"""First held-out seed. No policy may be trained, tuned or selected with this seed or a larger
+one."""
 
 
 def held_out_seeds(count: int) -> range:
@@ -505,7 +562,8 @@ def held_out_seeds(count: int) -> range:
 
 @dataclass(frozen=True, kw_only=True)
 class RandomLoop(_Motion):
-    """A random closed curve, traversed once from rest to rest; the motion is C⁴. The seed determines the curve.
+    """A random closed curve, traversed once from rest to rest; the motion is C⁴. The seed
+    determines the curve.
 
     All coordinates are Fourier series of one phase φ, which goes from 0 to 2π along :data:`BLEND`:
 
@@ -514,31 +572,35 @@ class RandomLoop(_Motion):
     The components of a_k and b_k are uniform in ± 1/k². The coordinates form groups: (x, y), z and
     (ψ, θ, φ), or (x, y) and φ in a plane.
 
-    * Size: each group is scaled so that the largest norm of its series is 50 to 100 % of its ``reach``.
-    * Center: the offset of c from ``center`` uses at most the rest of ``reach``, so the curve stays within ``reach``.
-    * Duration: the shortest one, rounded up to 10 ms, for which no group exceeds a random fraction (60 to 100 %) of its
-      ``acceleration``. The speed then stays below √(2 · reach · acceleration) by Landau's inequality.
+    * Size: each group is scaled so that the largest norm of its series is 50 to 100 % of its
+      ``reach``.
+    * Center: the offset of c from ``center`` uses at most the rest of ``reach``, so the curve stays
+      within ``reach``.
+    * Duration: the shortest one, rounded up to 10 ms, for which no group exceeds a random fraction
+      (60 to 100 %) of its ``acceleration``. The speed then stays below √(2 · reach · acceleration)
+      by Landau's inequality.
 
-    The random numbers are raw bits of numpy's Philox generator. They do not change between versions of numpy, so a
-    seed always gives the same curve. Norms and accelerations are sampled; their peaks are accurate to 0.1 %.
+    The random numbers are raw bits of numpy's Philox generator. They do not change between versions
+    of numpy, so a seed always gives the same curve. Norms and accelerations are sampled; their
+    peaks are accurate to 0.1 %.
 
     Raises:
         ValueError: if the seed is not a whole number of at least 0, or another value is invalid.
     """
 
     seed: int = 0
-    """Seed of the curve; ≥ 0. :data:`TRAINING_SEEDS` are for training, seeds from :data:`FIRST_HELD_OUT_SEED` on for
-    scores only."""
+    """Seed of the curve; ≥ 0. :data:`TRAINING_SEEDS` are for training, seeds from
+    :data:`FIRST_HELD_OUT_SEED` on for scores only."""
     center: tuple[float, ...]
     """Center pose of the curve, shape (n,)."""
     reach: tuple[float, ...]
-    """Largest distance of the curve from ``center``, one norm per group; > 0: one each for (x, y) [m], z [m] and
-    (ψ, θ, φ) [rad], or for (x, y) [m] and φ [rad] in a plane."""
+    """Largest distance of the curve from ``center``, one norm per group; > 0: one each for (x, y)
+    [m], z [m] and (ψ, θ, φ) [rad], or for (x, y) [m] and φ [rad] in a plane."""
     acceleration: tuple[float, ...]
     """Bound of the norm of the acceleration [m/s², rad/s²], one per group as in ``reach``; > 0."""
     duration: float = None  # type: ignore[assignment]  # __post_init__ replaces None
-    """Duration of the motion [s]; > 0. None: computed from the seed and ``acceleration``. ``dataclasses.replace`` keeps
-    the computed value; pass ``duration=None`` to compute it again."""
+    """Duration of the motion [s]; > 0. None: computed from the seed and ``acceleration``.
+    ``dataclasses.replace`` keeps the computed value; pass ``duration=None`` to compute it again."""
     name: str = "loop"
     """Name shown in tables and error messages."""
 
@@ -549,7 +611,9 @@ class RandomLoop(_Motion):
         super().__post_init__()
         groups = len(_GROUPS[self.coordinates])
         for field in ("reach", "acceleration"):
-            self._set_numbers(field, shapes=[(groups,)], form=f"{groups} numbers, one per group", above=0)
+            self._set_numbers(
+                field, shapes=[(groups,)], form=f"{groups} numbers, one per group", above=0
+            )
         if given is None:
             object.__setattr__(self, "duration", self._shortest_duration())
 
@@ -604,13 +668,15 @@ _SAMPLES = 1001
 
 
 def _uniform(seed: int, count: int) -> Array:
-    """Numbers in [0, 1) that depend on the seed only. numpy keeps the raw bits stable, but not its distributions."""
+    """Numbers in [0, 1) that depend on the seed only. numpy keeps the raw bits stable, but not its
+    distributions."""
     bits = np.random.Philox(np.random.SeedSequence(seed)).random_raw(count)
     return (bits >> np.uint64(11)).astype(float) / 2.0**53
 
 
 def _series(waves: Array, phase: Array) -> Array:
-    """Derivatives 0 to 4 of ``Σ_k (a_k cos kφ + b_k sin kφ)`` with respect to the phase φ (...), shape (5, ..., n)."""
+    """Derivatives 0 to 4 of ``Σ_k (a_k cos kφ + b_k sin kφ)`` with respect to the phase φ (...),
+    shape (5, ..., n)."""
     sines = _sine_derivatives(phase[..., None] * _ORDERS)
     factors = [_ORDERS**order for order in range(5)]
     return np.stack(
@@ -622,13 +688,15 @@ def _series(waves: Array, phase: Array) -> Array:
 
 
 BLEND = np.polynomial.Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
-"""Blend polynomial s(u) of C⁴ motions: the polynomial of lowest degree with s(0) = 0 and s(1) = 1 whose first four
-derivatives are zero at both ends."""
+"""Blend polynomial s(u) of C⁴ motions: the polynomial of lowest degree with s(0) = 0 and s(1) = 1
+whose first four derivatives are zero at both ends."""
 
 
 def _blend_derivatives() -> Array:
     columns = [BLEND.deriv(order).coef for order in range(5)]
-    return np.stack([np.pad(column, (0, len(BLEND.coef) - len(column))) for column in columns], axis=1)
+    return np.stack(
+        [np.pad(column, (0, len(BLEND.coef) - len(column))) for column in columns], axis=1
+    )
 
 
 _BLEND_DERIVATIVES = _blend_derivatives()
@@ -666,7 +734,8 @@ def _composed(outer: Array, inner: Array) -> Array:
 
 
 def _sine_derivatives(angle: Array) -> Array:
-    """sin and its derivatives 1 to 5, shape (6, ...). Rows 0 to 4 are those of sin, rows 1 to 5 those of cos."""
+    """sin and its derivatives 1 to 5, shape (6, ...). Rows 0 to 4 are those of sin, rows 1 to 5
+    those of cos."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.stack([sine, cosine, -sine, -cosine, sine, cosine])
 
@@ -678,7 +747,8 @@ def _circle(center: tuple[float, ...], radius: float, angle: Array) -> Array:
 
 
 def _in_plane(center: tuple[float, ...], x: Array, y: Array, angle: Array) -> Array:
-    """Derivatives of ``center + (x(φ(t)), y(φ(t)), 0, …)`` from x, y, φ and their derivatives, shape (5, ..., n)."""
+    """Derivatives of ``center + (x(φ(t)), y(φ(t)), 0, …)`` from x, y, φ and their derivatives,
+    shape (5, ..., n)."""
     derivatives = np.zeros((*angle.shape, len(center)))
     derivatives[0] = center
     derivatives[..., 0] += _composed(x, angle)
@@ -687,28 +757,37 @@ def _in_plane(center: tuple[float, ...], x: Array, y: Array, angle: Array) -> Ar
 
 
 def _between_dwells(make: Callable[..., Trajectory], **fields: Any) -> Callable[..., BetweenDwells]:
-    """Factory of a motion between dwells. It accepts ``dwell`` and the fields of the motion as optional keywords."""
+    """Factory of a motion between dwells. It accepts ``dwell`` and the fields of the motion as
+    optional keywords."""
     make = partial(make, **fields)
 
     def between_dwells(*, dwell: float = DWELL, **fields: Any) -> BetweenDwells:
         return BetweenDwells(motion=make(**fields), dwell=dwell)
 
     own = inspect.signature(make)
-    extra = inspect.Parameter("dwell", inspect.Parameter.KEYWORD_ONLY, default=DWELL, annotation=float)
+    extra = inspect.Parameter(
+        "dwell", inspect.Parameter.KEYWORD_ONLY, default=DWELL, annotation=float
+    )
     between_dwells.__signature__ = own.replace(parameters=[*own.parameters.values(), extra])  # type: ignore[attr-defined]
     return between_dwells
 
 
 def _chain(kind: Kind, *motions: Any) -> Callable[..., BetweenDwells]:
-    """Factory of a chain between dwells. Named parts have no dwells of their own unless ``dwell`` is given."""
+    """Factory of a chain between dwells. Named parts have no dwells of their own unless ``dwell``
+    is given."""
 
     def part(motion: Any) -> Any:
         if isinstance(motion, Mapping):
-            motion = {"dwell": 0.0, **motion} if "dwell" in _fields_of(motion.get("name")) else motion
+            motion = (
+                {"dwell": 0.0, **motion} if "dwell" in _fields_of(motion.get("name")) else motion
+            )
         return motion if isinstance(motion, Real) else find_trajectory(motion, kind)
 
     def chain(*, motions: Any = motions, name: str = f"chain-{kind}") -> Chain:
-        return Chain(motions=tuple(map(part, motions)) if isinstance(motions, (list, tuple)) else motions, name=name)
+        return Chain(
+            motions=tuple(map(part, motions)) if isinstance(motions, (list, tuple)) else motions,
+            name=name,
+        )
 
     return _between_dwells(chain)
 
@@ -717,15 +796,27 @@ def _fields_of(name: Any) -> set[str]:
     """Fields of a named motion; empty if there is none of this name."""
     if is_waypoint_file(name):
         return {"duration", "dwell", "times", "poses"}
-    return set(inspect.signature(TRAJECTORIES[name]).parameters) - {"name"} if name in TRAJECTORIES else set()
+    return (
+        set(inspect.signature(TRAJECTORIES[name]).parameters) - {"name"}
+        if name in TRAJECTORIES
+        else set()
+    )
 
 
 def _motions_of(
-    kind: Kind, *, center: tuple[float, ...], size: float, out: tuple[float, ...], reach: tuple[float, ...], pace: float
+    kind: Kind,
+    *,
+    center: tuple[float, ...],
+    size: float,
+    out: tuple[float, ...],
+    reach: tuple[float, ...],
+    pace: float,
 ) -> dict[str, Callable[..., Trajectory]]:
-    """Named motions of a kind about a center: half width ``size`` [m] and duration about ``pace`` [s].
+    """Named motions of a kind about a center: half width ``size`` [m] and duration about ``pace``
+    [s].
 
-    Lines run from ``center − (size, size/2) − out`` to the opposite pose. Loops take about as long as other motions.
+    Lines run from ``center − (size, size/2) − out`` to the opposite pose. Loops take about as long
+    as other motions.
     """
     across = np.array(out) + np.pad([size, size / 2], (0, len(out) - 2))
     start = tuple((center - across).tolist())
@@ -737,7 +828,10 @@ def _motions_of(
         "circle": (PaperCircle, circle),
         "smooth-circle": (SmoothCircle, circle | {"duration": 2 * pace}),
         "line": (PointToPoint, line),
-        "lemniscate": (Lemniscate, {"amplitude": (size, size / 2), "center": center, "duration": 2 * pace}),
+        "lemniscate": (
+            Lemniscate,
+            {"amplitude": (size, size / 2), "center": center, "duration": 2 * pace},
+        ),
         "loop": (RandomLoop, {"center": center, "reach": reach, "acceleration": acceleration}),
     }
     made = {
@@ -750,33 +844,47 @@ def _motions_of(
 
 
 _PLANAR_CIRCLE: dict[str, Any] = {"radius": 0.2165, "center": (0.0, 0.0)}  # Table 1
-_SPATIAL_CIRCLE: dict[str, Any] = {"radius": 0.1, "center": (0.0, 0.0, 0.1, 0.1, 0.1, 0.1)}  # Table 3
+_SPATIAL_CIRCLE: dict[str, Any] = {
+    "radius": 0.1,
+    "center": (0.0, 0.0, 0.1, 0.1, 0.1, 0.1),
+}  # Table 3
 
 TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
     "circle-planar": _between_dwells(PaperCircle, name="circle-planar", **_PLANAR_CIRCLE),
     "circle-spatial": _between_dwells(PaperCircle, name="circle-spatial", **_SPATIAL_CIRCLE),
     "paper-planar": partial(PaperCircle, name="paper-planar", **_PLANAR_CIRCLE),
     "paper-spatial": partial(PaperCircle, name="paper-spatial", **_SPATIAL_CIRCLE),
-    "smooth-circle-planar": _between_dwells(SmoothCircle, name="smooth-circle-planar", **_PLANAR_CIRCLE),
-    "smooth-circle-spatial": _between_dwells(SmoothCircle, name="smooth-circle-spatial", **_SPATIAL_CIRCLE),
+    "smooth-circle-planar": _between_dwells(
+        SmoothCircle, name="smooth-circle-planar", **_PLANAR_CIRCLE
+    ),
+    "smooth-circle-spatial": _between_dwells(
+        SmoothCircle, name="smooth-circle-spatial", **_SPATIAL_CIRCLE
+    ),
     "dwell-planar": partial(Dwell, name="dwell-planar", pose=(0.0, 0.0)),
     "dwell-spatial": partial(Dwell, name="dwell-spatial", pose=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)),
-    "line-planar": _between_dwells(PointToPoint, name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.15)),
+    "line-planar": _between_dwells(
+        PointToPoint, name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.15)
+    ),
     "line-spatial": _between_dwells(
         PointToPoint,
         name="line-spatial",
         start=(-0.05, -0.05, 0.1, 0.0, 0.0, 0.0),
         end=(0.05, 0.05, 0.15, 0.05, 0.05, 0.05),
     ),
-    "lemniscate-planar": _between_dwells(Lemniscate, name="lemniscate-planar", amplitude=(0.2, 0.1), center=(0.0, 0.0)),
-    "lemniscate-spatial": _between_dwells(
-        Lemniscate, name="lemniscate-spatial", amplitude=(0.1, 0.05), center=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+    "lemniscate-planar": _between_dwells(
+        Lemniscate, name="lemniscate-planar", amplitude=(0.2, 0.1), center=(0.0, 0.0)
     ),
-    # The loops stay within the radii of the paper's circles, about the same centers. At z = 0.1 m the tensions change
-    # fast with depth and tilt, so the reach in these coordinates is small. The accelerations are below those of the
-    # circles (35 and 16 m/s²). With them the first 2000 training seeds and the first 2000 held-out seeds have an
-    # exact-tracking payload of at least 0.6 kg (planar) and 1.2 kg (spatial) on all robots of the paper, with all
-    # tensions above 5 N.
+    "lemniscate-spatial": _between_dwells(
+        Lemniscate,
+        name="lemniscate-spatial",
+        amplitude=(0.1, 0.05),
+        center=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0),
+    ),
+    # The loops stay within the radii of the paper's circles, about the same centers. At z = 0.1 m
+    # the tensions change fast with depth and tilt, so the reach in these coordinates is small. The
+    # accelerations are below those of the circles (35 and 16 m/s²). With them the first 2000
+    # training seeds and the first 2000 held-out seeds have an exact-tracking payload of at least
+    # 0.6 kg (planar) and 1.2 kg (spatial) on all robots of the paper, with all tensions above 5 N.
     "loop-planar": _between_dwells(
         RandomLoop, name="loop-planar", center=(0.0, 0.0), reach=(0.2165,), acceleration=(32.0,)
     ),
@@ -806,26 +914,41 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
         },
     ),
     # Sized for the robots of the environments, stadium-camera and ttk4900.
-    **_motions_of("point", center=(0.0, 0.0, -12.0), size=10.0, out=(0.0, 0.0, -2.0), reach=(10.0, 2.0), pace=10.0),
     **_motions_of(
-        "planar-platform", center=(0.0, 0.0, 0.0), size=0.15, out=(0.0, 0.0, 0.05), reach=(0.15, 0.05), pace=4.0
+        "point",
+        center=(0.0, 0.0, -12.0),
+        size=10.0,
+        out=(0.0, 0.0, -2.0),
+        reach=(10.0, 2.0),
+        pace=10.0,
+    ),
+    **_motions_of(
+        "planar-platform",
+        center=(0.0, 0.0, 0.0),
+        size=0.15,
+        out=(0.0, 0.0, 0.05),
+        reach=(0.15, 0.05),
+        pace=4.0,
     ),
 }
-"""Factories of the named motions. Each accepts the fields of its class as optional keywords, and ``dwell`` if the
-motion is :class:`BetweenDwells`: all except ``paper-…``, the paper's circles as printed, and ``dwell-…``."""
+"""Factories of the named motions. Each accepts the fields of its class as optional keywords, and
+``dwell`` if the motion is :class:`BetweenDwells`: all except ``paper-…``, the paper's circles as
+printed, and ``dwell-…``."""
 
 
 def trajectory_names(kind: Kind | int | None = None) -> list[str]:
     """Names in :data:`TRAJECTORIES`.
 
     Args:
-        kind: restricts the names to this kind of robot, or to robots with this number of coordinates; None for all.
+        kind: restricts the names to this kind of robot, or to robots with this number of
+            coordinates; None for all.
     """
     return [name for name in TRAJECTORIES if kind is None or _kinds_of(name) & set(_kinds(kind))]
 
 
 def _kinds_of(name: str) -> set[Kind]:
-    """Kinds of robots of a named motion: the longest kind that ends its name, else those with its coordinates."""
+    """Kinds of robots of a named motion: the longest kind that ends its name, else those with its
+    coordinates."""
     ending = [kind for kind in COORDINATES if name.endswith(f"-{kind}")]
     return {max(ending, key=len)} if ending else set(_kinds(TRAJECTORIES[name]().coordinates))
 
@@ -835,27 +958,37 @@ def _kinds(kind: Kind | int) -> list[Kind]:
     return [name for name, n in COORDINATES.items() if kind in (name, n)]
 
 
-def find_trajectory(trajectory: str | Path | Mapping[str, Any] | Trajectory, kind: Kind | int) -> Trajectory:
-    """A trajectory for a robot from a name, from a dict with a name and fields, or from a trajectory object.
+def find_trajectory(
+    trajectory: str | Path | Mapping[str, Any] | Trajectory, kind: Kind | int
+) -> Trajectory:
+    """A trajectory for a robot from a name, from a dict with a name and fields, or from a
+    trajectory object.
 
     Args:
-        trajectory: a name of :func:`trajectory_names`, JSON-able data such as ``{"name": "circle-spatial", "duration":
-            1.5, "dwell": 0.5}``, where ``duration`` is that of the motion between the dwells, an object that satisfies
-            :class:`Trajectory`, or the place of one: ``file.py:name`` or ``package.module:name``. The object there may
-            also be a function or a class that makes the trajectory without arguments. ``file.csv`` has waypoints, see
-            :class:`Waypoints`, with dwells as the named motions; its columns are ``t`` [s] and the coordinates [m,
-            rad]. Without ``t`` it needs a duration: ``{"name": "file.csv", "duration": 4.0}``.
+        trajectory: a name of :func:`trajectory_names`, JSON-able data such as ``{"name":
+            "circle-spatial", "duration": 1.5, "dwell": 0.5}``, where ``duration`` is that of the
+            motion between the dwells, an object that satisfies :class:`Trajectory`, or the place of
+            one: ``file.py:name`` or ``package.module:name``. The object there may also be a
+            function or a class that makes the trajectory without arguments. ``file.csv`` has
+            waypoints, see :class:`Waypoints`, with dwells as the named motions; its columns are
+            ``t`` [s] and the coordinates [m, rad]. Without ``t`` it needs a duration: ``{"name":
+            "file.csv", "duration": 4.0}``.
         kind: the robot's kind, or its number of coordinates n.
 
     Raises:
-        ValueError: if the name, a field or a value is invalid, or the trajectory is for another kind of robot.
+        ValueError: if the name, a field or a value is invalid, or the trajectory is for another
+            kind of robot.
     """
     kinds = _kinds(kind)
     coordinates = COORDINATES[kinds[0]]
     if isinstance(trajectory, Path):
         trajectory = str(trajectory)
     if isinstance(trajectory, str):
-        trajectory = _imported(trajectory) if ":" in trajectory or trajectory.endswith(".py") else {"name": trajectory}
+        trajectory = (
+            _imported(trajectory)
+            if ":" in trajectory or trajectory.endswith(".py")
+            else {"name": trajectory}
+        )
     if isinstance(trajectory, Mapping):
         trajectory = _named(dict(trajectory), kinds)
     elif not isinstance(trajectory, Trajectory) or isinstance(trajectory, type):
@@ -877,12 +1010,16 @@ def _named(fields: dict[str, Any], kinds: list[Kind]) -> Trajectory:
     """
     name = fields.pop("name", None)
     if is_waypoint_file(name):
-        return _between_waypoints(str(name), kinds, **mapping("trajectory", fields, sorted(_fields_of(name))))
+        return _between_waypoints(
+            str(name), kinds, **mapping("trajectory", fields, sorted(_fields_of(name)))
+        )
     if isinstance(name, str) and name in TRAJECTORIES and _kinds_of(name) & set(kinds):
         motion = TRAJECTORIES[name](**mapping("trajectory", fields, sorted(_fields_of(name))))
         if motion.coordinates == COORDINATES[kinds[0]]:
             return motion
-    check_not_a_file("trajectory", name, "file.py:name, or a .csv file; of a .json file, pass the data in Python")
+    check_not_a_file(
+        "trajectory", name, "file.py:name, or a .csv file; of a .json file, pass the data in Python"
+    )
     names = [valid for kind in kinds for valid in trajectory_names(kind)]
     raise unknown_name_error("trajectory", name, dict.fromkeys(names))
 
@@ -896,7 +1033,8 @@ def _between_waypoints(
     times: Any = None,
     poses: Any = None,
 ) -> BetweenDwells:
-    """The spline through the waypoints of a file between dwells, or through ``poses``, so that stored data suffice.
+    """The spline through the waypoints of a file between dwells, or through ``poses``, so that
+    stored data suffice.
 
     The duration scales the times of the file.
     """
@@ -908,8 +1046,14 @@ def _between_waypoints(
                 '"duration": 4}'
             )
         fractions = np.linspace(0.0, 1.0, len(poses)) if times is None else times / times[-1]
-        times = times if duration is None else fractions * number("duration", duration, above=0, unit="s")
-    return BetweenDwells(motion=Waypoints(name=Path(name).name, times=times, poses=poses), dwell=dwell)
+        times = (
+            times
+            if duration is None
+            else fractions * number("duration", duration, above=0, unit="s")
+        )
+    return BetweenDwells(
+        motion=Waypoints(name=Path(name).name, times=times, poses=poses), dwell=dwell
+    )
 
 
 @cache
@@ -917,7 +1061,8 @@ def _imported(place: str) -> Trajectory:
     """The trajectory at ``file.py:name`` or ``package.module:name``; the same object in all calls.
 
     Raises:
-        ValueError: if there is no such object, its code raises, or it neither is nor makes a trajectory.
+        ValueError: if there is no such object, its code raises, or it neither is nor makes a
+            trajectory.
     """
     try:
         found = import_object(place)
@@ -942,10 +1087,12 @@ ORDERS = ("position", *_RATES)
 
 
 def sampled(trajectory: Trajectory, times: Array, orders: tuple[str, ...] = ORDERS) -> list[Array]:
-    """The ``orders`` of a motion at times (k,) [s], each (k, n). A custom motion may return anything: it is checked.
+    """The ``orders`` of a motion at times (k,) [s], each (k, n). A custom motion may return
+    anything: it is checked.
 
     Raises:
-        ValueError: if the motion does not return a :class:`Reference`, or a shape is wrong, or a number is not finite.
+        ValueError: if the motion does not return a :class:`Reference`, or a shape is wrong, or a
+            number is not finite.
     """
     label = f"trajectory {trajectory.name!r}"
     shape = (len(times), trajectory.coordinates)
@@ -955,10 +1102,14 @@ def sampled(trajectory: Trajectory, times: Array, orders: tuple[str, ...] = ORDE
     samples = [np.asarray(getattr(motion, name)) for name in orders]
     for name, values in zip(orders, samples, strict=True):
         if values.shape != shape:
-            raise ValueError(f"{label} must return a {name} of shape {shape} for {shape[0]} times, not {values.shape}")
+            raise ValueError(
+                f"{label} must return a {name} of shape {shape} for {shape[0]} times, not {values.shape}"
+            )
         if values.dtype.kind not in "iuf":
             raise ValueError(f"{label} must return a {name} of numbers, not of {values.dtype}")
         if not np.all(np.isfinite(values)):
             time = times[np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0]]
-            raise ValueError(f"{label} must return finite numbers: its {name} at {time:g} s is not finite")
+            raise ValueError(
+                f"{label} must return finite numbers: its {name} at {time:g} s is not finite"
+            )
     return samples

@@ -1,4 +1,5 @@
-"""Waypoints of a motion that users bring as a CSV file: times in s, lengths in m, angles in rad, z down."""
+"""Waypoints of a motion that users bring as a CSV file: times in s, lengths in m, angles in rad, z
+down."""
 
 from __future__ import annotations
 
@@ -18,11 +19,13 @@ SUFFIX = ".csv"
 """Suffix of files with waypoints, in small or capital letters."""
 
 LONGEST_LENGTH = 1000.0
-"""Largest coordinate of a position [m]. The largest cable robot is 600 m wide, so a larger one was meant in mm."""
+"""Largest coordinate of a position [m]. The largest cable robot is 600 m wide, so a larger one was
+meant in mm."""
 
 _TIME = "t"
 _LETTERS = {"ψ": "psi", "θ": "theta", "φ": "phi"}
-"""Names of angles in headers, as their symbols can be hard to type. Headers may have the symbols too."""
+"""Names of angles in headers, as their symbols can be hard to type. Headers may have the symbols
+too."""
 
 
 def is_waypoint_file(name: object) -> bool:
@@ -31,14 +34,16 @@ def is_waypoint_file(name: object) -> bool:
 
 
 def read_waypoints(path: Path, kinds: Sequence[str]) -> tuple[Array | None, Array]:
-    """Times and poses of the waypoints in a CSV file, whose first line names the columns in any order.
+    """Times and poses of the waypoints in a CSV file, whose first line names the columns in any
+    order.
 
     Args:
         path: the file.
         kinds: symbols of the coordinates, such as ``xyφ``, for each kind of robot that fits.
 
     Returns:
-        Times from 0 on, shape (k,) [s], None if the file has no column ``t``; poses, shape (k, n) [m, rad].
+        Times from 0 on, shape (k,) [s], None if the file has no column ``t``; poses, shape (k, n)
+        [m, rad].
 
     Raises:
         ValueError: if the file is not such a table. The message names the line.
@@ -46,7 +51,9 @@ def read_waypoints(path: Path, kinds: Sequence[str]) -> tuple[Array | None, Arra
     try:
         lines = read_text(path).splitlines()
     except OSError as error:
-        raise ValueError(f"cannot read trajectory file {str(path)!r}: {error.strerror or error}") from error
+        raise ValueError(
+            f"cannot read trajectory file {str(path)!r}: {error.strerror or error}"
+        ) from error
     rows = {}
     for number, row in enumerate(csv.reader(lines), 1):
         if any(cell.strip() for cell in row):
@@ -61,7 +68,9 @@ def _parsed(rows: dict[int, list[str]], kinds: Sequence[str]) -> tuple[Array | N
     """Times and poses from the cells of each line by its number."""
     valid = " or ".join(_header_text(symbols) for symbols in kinds)
     if not rows:
-        raise ValueError(f"it is empty. Its first line must be {valid}, and each further line a waypoint")
+        raise ValueError(
+            f"it is empty. Its first line must be {valid}, and each further line a waypoint"
+        )
     header = rows.pop(min(rows))
     symbols = _chosen_kind(header, kinds, valid)
     if len(rows) < 2:
@@ -73,7 +82,9 @@ def _parsed(rows: dict[int, list[str]], kinds: Sequence[str]) -> tuple[Array | N
     lengths = [index for index, name in enumerate(symbols) if name in "xyz"]
     largest = np.max(np.abs(poses[:, lengths]))
     if largest > LONGEST_LENGTH:
-        raise ValueError(f"a coordinate is {largest:g} m. Lengths are in metres: divide millimetres by 1000")
+        raise ValueError(
+            f"a coordinate is {largest:g} m. Lengths are in metres: divide millimetres by 1000"
+        )
     if _TIME not in columns:
         return None, poses
     times = columns[_TIME]
@@ -98,7 +109,9 @@ def _chosen_kind(header: list[str], kinds: Sequence[str], valid: str) -> str:
         if sorted(given) in (sorted(required), sorted([_TIME, *required])):
             return symbols
     if any(";" in name for name in header):
-        raise ValueError("its columns are separated by ';'. Save it with commas between columns and points in numbers")
+        raise ValueError(
+            "its columns are separated by ';'. Save it with commas between columns and points in numbers"
+        )
     if all(_is_number(name) for name in header):
         raise ValueError(f"it has no header. Its first line must be {valid}")
     units = "t in s, lengths in m, angles in rad; without t, give a duration"
@@ -108,7 +121,9 @@ def _chosen_kind(header: list[str], kinds: Sequence[str], valid: str) -> str:
 def _numbers(line: int, row: list[str], header: list[str]) -> list[float]:
     """The finite numbers of a line."""
     if len(row) != len(header):
-        raise ValueError(f"line {line} has {len(row)} values, and the header has {len(header)} columns")
+        raise ValueError(
+            f"line {line} has {len(row)} values, and the header has {len(header)} columns"
+        )
     for name, text in zip(header, row, strict=True):
         if not _is_number(text):
             raise ValueError(f"line {line}: {name} is {text!r}, which is not a number")

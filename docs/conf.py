@@ -1,7 +1,8 @@
-"""Sphinx configuration. Build with ``sphinx-build -W --keep-going -q -b html docs FOLDER`` (extra ``docs``).
+"""Sphinx configuration. Build with ``sphinx-build -W --keep-going -q -b html docs FOLDER`` (extra
+``docs``).
 
-The extension ``generate/`` in this folder generates the pages of environments, policies and modules from the
-installed package.
+The extension ``generate/`` in this folder generates the pages of environments, policies and modules
+from the installed package.
 """
 
 from __future__ import annotations
@@ -39,15 +40,24 @@ project = "cablebot_gym"
 author = "The cablebot_gym authors"
 version = release = version_of("cablebot-gym")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "generate", "sphinx.ext.apidoc"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "generate",
+    "sphinx.ext.apidoc",
+]
 exclude_patterns = ["parts", "leaderboard", "maps", "paper-maps", "reproduction/*.html"]
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 
 # Sphinx mocks packages that are not installed, so that a missing extra removes no page.
-autodoc_mock_imports = [name for name in ("torch", "stable_baselines3", "casadi") if find_spec(name) is None]
-# Sphinx checks all references except classes of other packages, short type names, type variables and private names.
+autodoc_mock_imports = [
+    name for name in ("torch", "stable_baselines3", "casadi") if find_spec(name) is None
+]
+# Sphinx checks all references except classes of other packages, short type names, type variables
+# and private names.
 nitpicky = True
 nitpick_ignore_regex = [
     (r"py:(class|exc)", r"(?!cablebot_gym|cablebot_baselines).*"),
@@ -75,7 +85,9 @@ apidoc_modules = [
 
 autodoc_type_aliases = {"Array": "Array", "ArrayLike": "ArrayLike"}
 autodoc_member_order = "bysource"
-autodoc_default_options = {"ignore-module-all": True}  # a package does not repeat what its modules document
+autodoc_default_options = {
+    "ignore-module-all": True
+}  # a package does not repeat what its modules document
 autodoc_preserve_defaults = True
 autodoc_typehints_format = "short"
 napoleon_numpy_docstring = False

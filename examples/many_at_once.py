@@ -1,4 +1,5 @@
-"""Runs a thousand robots with different payloads in one batch, and counts those that stay within 10 mm.
+"""Runs a thousand robots with different payloads in one batch, and counts those that stay within 10
+mm.
 
 Run it: python examples/many_at_once.py
 """
@@ -19,7 +20,8 @@ if __name__ == "__main__":
     for _ in range(envs.unwrapped.tasks[0].steps):
         actions, _ = policy.predict(observations)
         observations, _, terminated, _, info = envs.step(actions)
-        # A terminated episode has failed with this payload; its environment restarts with another one.
+        # A terminated episode has failed with this payload; its environment restarts with another
+        # one.
         worst = np.maximum(worst, np.where(terminated, np.inf, info["tracking_error_peak"]))
     for low in range(8):
         inside = (payload >= low) & (payload < low + 1)

@@ -1,9 +1,9 @@
 """Records a Minari dataset of an expert with several payloads, describes it, and replays it.
 
-The replay gives the same observations. The expert is the learned policy `apg-circle`, which ships with
-the package. All files are written below FOLDER. Beside the data, `DATASHEET.md` describes the dataset
-for people and `croissant.json` for machines.
-Needs the extra minari: pip install 'cablebot-gym[minari]'.
+The replay gives the same observations. The expert is the learned policy `apg-circle`, which ships
+with the package. All files are written below FOLDER. Beside the data, `DATASHEET.md` describes the
+dataset for people and `croissant.json` for machines. Needs the extra minari: pip install
+'cablebot-gym[minari]'.
 
 Run it: python examples/minari_dataset.py [FOLDER]
 """

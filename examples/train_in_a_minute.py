@@ -1,8 +1,9 @@
-"""Trains a policy in less than a minute on one core. It carries half as much again as the paper's law.
+"""Trains a policy in less than a minute on one core. It carries half as much again as the paper's
+law.
 
-The policy is a small network that shifts the reference within the error bounds; the paper's law tracks
-it. Gradients go through the inverse dynamics, so training needs no episodes. Needs the extra sb3:
-pip install 'cablebot-gym[sb3]'.
+The policy is a small network that shifts the reference within the error bounds; the paper's law
+tracks it. Gradients go through the inverse dynamics, so training needs no episodes. Needs the extra
+sb3: pip install 'cablebot-gym[sb3]'.
 
 Run it: python examples/train_in_a_minute.py [FOLDER]
 """

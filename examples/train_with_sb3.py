@@ -1,6 +1,8 @@
-"""Trains PPO of Stable-Baselines3 with shipped settings, saves the policy, and evaluates it. Extra sb3.
+"""Trains PPO of Stable-Baselines3 with shipped settings, saves the policy, and evaluates it. Extra
+sb3.
 
-The policy shifts the reference of a control law within the error bounds, with one action each 40 ms.
+The policy shifts the reference of a control law within the error bounds, with one action each 40
+ms.
 
 Run it: python examples/train_with_sb3.py [FOLDER [TIMESTEPS]]
 """

@@ -1,4 +1,5 @@
-"""Compares your own controller with the paper's: the same law with a lower reference (steeper cables).
+"""Compares your own controller with the paper's: the same law with a lower reference (steeper
+cables).
 
 Run it: python examples/your_controller.py
 """

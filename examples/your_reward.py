@@ -10,7 +10,8 @@ from cablebot_gym.robots import PLANAR
 
 
 class Frugal(gym.Wrapper):
-    """Accuracy (1 on the reference, 0 beyond 10 mm) minus a tenth of the mean squared torque ratio."""
+    """Accuracy (1 on the reference, 0 beyond 10 mm) minus a tenth of the mean squared torque
+    ratio."""
 
     def step(self, action):
         observation, _, terminated, truncated, info = self.env.step(action)

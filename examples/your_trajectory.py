@@ -12,7 +12,8 @@ HOP = 0.2 * np.polynomial.Polynomial.fromroots([0] * 5 + [1] * 5) * -(2**10)  # 
 
 
 class Hop:
-    """Rest-to-rest polynomial with five roots at either end: smooth up to snap, at rest afterwards."""
+    """Rest-to-rest polynomial with five roots at either end: smooth up to snap, at rest
+    afterwards."""
 
     def __init__(self, duration):
         self.name = "hop"

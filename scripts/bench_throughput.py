@@ -1,8 +1,9 @@
 """Measures the throughput of the environments and of MuJoCo's RK4 with the same robots in one run.
 
-In each round, all contenders run for a short time one after the other, so that changes of the machine's speed affect
-all of them. The table shows medians over the rounds, and medians of the ratios within a round. Steps of this package's
-environments are complete: they include observation, reward, termination and info.
+In each round, all contenders run for a short time one after the other, so that changes of the
+machine's speed affect all of them. The table shows medians over the rounds, and medians of the
+ratios within a round. Steps of this package's environments are complete: they include observation,
+reward, termination and info.
 
 Example: python scripts/bench_throughput.py --rounds 7 --search
 """
@@ -51,7 +52,8 @@ SIZES = (1, 64, 1024, 8192)
 
 
 def plain(name: str) -> Robot:
-    """A robot of the library as MuJoCo can have it: rigid cables, no swivel pulleys, no Coulomb friction."""
+    """A robot of the library as MuJoCo can have it: rigid cables, no swivel pulleys, no Coulomb
+    friction."""
     robot = find_robot(name).with_rigid_cables()
     transmission = robot.transmission.replace(coulomb_friction=0.0)
     return robot.replace(name=f"plain {name}", swivel_radius=0.0, transmission=transmission)
@@ -91,7 +93,8 @@ RANDOM = f"{vector_name(RANDOM_SIZE)}, random parameters"
 
 
 def action_near_holding(robot: Robot) -> np.ndarray:
-    """Actions near equilibrium, under which the robot moves and rotates a little; a robot at rest could be faster."""
+    """Actions near equilibrium, under which the robot moves and rotates a little; a robot at rest
+    could be faster."""
     return holding_torques(robot) / robot.stall_torque * np.linspace(0.998, 1.002, robot.cables)
 
 
@@ -126,11 +129,17 @@ def env_turn(env: gym.Env[Any, Any], robot: Robot) -> Turn:
 
 
 def vector_turn(robot: Robot, count: int, *, drawn: bool = False) -> Turn:
-    """A turn of RK4 steps in our vector environment with episodes of 1 s; ``drawn``: with random parameters."""
+    """A turn of RK4 steps in our vector environment with episodes of 1 s; ``drawn``: with random
+    parameters."""
     keywords = keywords_of(robot)
     if drawn:
         tenth = {"low": -0.1, "high": 0.1}
-        names = ["platform_mass", "motor_strength", "damping", *(["stiffness"] if robot.flexible else [])]
+        names = [
+            "platform_mass",
+            "motor_strength",
+            "damping",
+            *(["stiffness"] if robot.flexible else []),
+        ]
         keywords["uncertainty"] = {"parameters": dict.fromkeys(names, tenth)}
     env = gym.make_vec(fitting_env_id(robot), num_envs=count, max_episode_steps=100, **keywords)
     actions = np.tile(action_near_holding(robot), (count, 1))
@@ -158,8 +167,8 @@ def keywords_of(robot: Robot) -> dict[str, Any]:
 def search_seconds(env_id: str, policy: str) -> dict[str, float]:
     """Wall time of 64 payloads × 256 draws of table6 × 1 s at 500 Hz, including the law [s].
 
-    It is measured with the usual error bounds and payloads up to 20 kg, of which most fail early, and with wide error
-    bounds and light payloads, of which none fails.
+    It is measured with the usual error bounds and payloads up to 20 kg, of which most fail early,
+    and with wide error bounds and light payloads, of which none fails.
     """
     seconds = {}
     for name, error_bounds, top in (
@@ -175,7 +184,13 @@ def search_seconds(env_id: str, policy: str) -> dict[str, float]:
         )
         batch.run([(0.0, 0)])  # compiles and warms up
         start = time.perf_counter()
-        batch.run([(payload, one) for payload in np.linspace(0.0, top, 64).tolist() for one in batch.seeds])
+        batch.run(
+            [
+                (payload, one)
+                for payload in np.linspace(0.0, top, 64).tolist()
+                for one in batch.seeds
+            ]
+        )
         seconds[name] = time.perf_counter() - start
     return seconds
 
@@ -189,7 +204,8 @@ def rate(turn: Turn, seconds: float) -> float:
 
 
 def warm_start_seconds(env_id: str) -> float:
-    """Wall time of a new process that imports the package, and makes, resets and steps an environment [s]."""
+    """Wall time of a new process that imports the package, and makes, resets and steps an
+    environment [s]."""
     code = f"import gymnasium, cablebot_gym; e = gymnasium.make({env_id!r}); e.reset(); e.step(e.action_space.sample())"
     start = time.perf_counter()
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
@@ -206,7 +222,9 @@ def contenders_for(robot: Robot) -> dict[str, Turn]:
     if not robot.flexible:  # the MuJoCo environment has no joint springs
         table = home_table(robot)
         contenders |= {
-            PEER_ENV: env_turn(MujocoCableBotEnv(robot, table, substeps=SUBSTEPS, clip_each_step=True), robot),
+            PEER_ENV: env_turn(
+                MujocoCableBotEnv(robot, table, substeps=SUBSTEPS, clip_each_step=True), robot
+            ),
             PEER_ENV_ONCE: env_turn(MujocoCableBotEnv(robot, table, substeps=SUBSTEPS), robot),
             OURS_ENV: env_turn(our_env(robot), robot),
         }
@@ -222,7 +240,9 @@ def measure(env_ids: list[str], rounds: int, seconds: float, *, search: bool) ->
         for turn in contenders.values():
             turn()  # compiles and warms up
         rates: dict[str, list[float]] = {name: [] for name in contenders}
-        for _ in track(range(rounds), f"{robot.name} robot", console=Console(stderr=True), transient=True):
+        for _ in track(
+            range(rounds), f"{robot.name} robot", console=Console(stderr=True), transient=True
+        ):
             for name, turn in contenders.items():
                 rates[name].append(rate(turn, seconds))
         rows = []
@@ -244,7 +264,10 @@ def measure(env_ids: list[str], rounds: int, seconds: float, *, search: bool) ->
         if search and env_id in SEARCHES:
             report[env_id]["search_seconds"] = search_seconds(env_id, SEARCHES[env_id])
     packages = ("cablebot-gym", "mujoco", "numba", "numpy", "gymnasium")
-    report["versions"] = {"python": platform.python_version(), **{name: version(name) for name in packages}}
+    report["versions"] = {
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+    }
     report["rounds"], report["seconds"] = rounds, seconds
     return report
 
@@ -259,21 +282,45 @@ def print_report(report: dict[str, Any]) -> None:
         for column in ("contender", "unit", "per second", "×", "of"):
             table.add_column(column, justify="right" if column in ("per second", "×") else "left")
         for row in entry["rows"]:
-            table.add_row(row["contender"], row["unit"], f"{row['median']:,.0f}", f"{row['ratio']:.3g}", row["to"])
+            table.add_row(
+                row["contender"],
+                row["unit"],
+                f"{row['median']:,.0f}",
+                f"{row['ratio']:.3g}",
+                row["to"],
+            )
         console.print(table)
-        console.print(f"new process to first step, with cached compilation: {entry['warm_start_seconds']:.2f} s")
+        console.print(
+            f"new process to first step, with cached compilation: {entry['warm_start_seconds']:.2f} s"
+        )
         for name, spent in entry.get("search_seconds", {}).items():
-            console.print(f"64 payloads × 256 draws × 1 s, {SEARCHES[env_id]}, {name}: {spent:.1f} s", highlight=False)
+            console.print(
+                f"64 payloads × 256 draws × 1 s, {SEARCHES[env_id]}, {name}: {spent:.1f} s",
+                highlight=False,
+            )
         console.print()
 
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--rounds", type=int, default=7, help="number of rounds (default: 7)")
-    parser.add_argument("--seconds", type=float, default=0.3, help="time of a contender in each round (default: 0.3)")
-    parser.add_argument("--ids", nargs="+", choices=ROBOTS, default=list(ROBOTS), help="robots (default: all)")
-    parser.add_argument("--search", action="store_true", help="also measure the batch of a payload search over draws")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=0.3,
+        help="time of a contender in each round (default: 0.3)",
+    )
+    parser.add_argument(
+        "--ids", nargs="+", choices=ROBOTS, default=list(ROBOTS), help="robots (default: all)"
+    )
+    parser.add_argument(
+        "--search",
+        action="store_true",
+        help="also measure the batch of a payload search over draws",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     arguments = parser.parse_args()
     if arguments.rounds < 1 or arguments.seconds <= 0:

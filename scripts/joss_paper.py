@@ -17,7 +17,13 @@ from page_blocks import readme_table
 
 from cablebot_baselines.paper.page import tally
 from cablebot_gym.benchmark.leaderboard import Results
-from cablebot_gym.benchmark.scores import Column, Leaderboard, Score, best_known_payloads, leaderboards
+from cablebot_gym.benchmark.scores import (
+    Column,
+    Leaderboard,
+    Score,
+    best_known_payloads,
+    leaderboards,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / "paper" / "paper.md"
@@ -25,8 +31,12 @@ PAPER = ROOT / "paper" / "paper.md"
 
 def paper() -> str:
     """The text of paper/paper.md."""
-    results = Results.from_json((ROOT / "docs" / "leaderboard" / "results.json").read_text(encoding="utf-8"))
-    reproduction = json.loads((ROOT / "docs" / "reproduction" / "results.json").read_text(encoding="utf-8"))
+    results = Results.from_json(
+        (ROOT / "docs" / "leaderboard" / "results.json").read_text(encoding="utf-8")
+    )
+    reproduction = json.loads(
+        (ROOT / "docs" / "reproduction" / "results.json").read_text(encoding="utf-8")
+    )
     template = (ROOT / "paper" / "template.md").read_text(encoding="utf-8")
     return Template(template).substitute(_of_leaderboard(results), **_of_reproduction(reproduction))
 
@@ -36,7 +46,9 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
         raise ValueError("docs/leaderboard has no board: run the suite ranked")
     boards = leaderboards(results.records)
     spatial = next(board for board in boards if board.env_id == "CableBot-Spatial-v0")
-    hardware = [(board, _circle(board, payload_known=False, uncertainty="hardware")) for board in boards]
+    hardware = [
+        (board, _circle(board, payload_known=False, uncertainty="hardware")) for board in boards
+    ]
     bounds = [
         known.payload / known.result["upper"]["payload"]
         for known in best_known_payloads(results.records).values()
@@ -55,11 +67,15 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
         "smallest_ratio": f"{min(bounds):.1%}",
         "fl_known": _payload(_circle(spatial), "fl"),
         "fl_unknown": _payload(_circle(spatial, payload_known=False, uncertainty="sensors"), "fl"),
-        "adaptive_unknown": _payload(_circle(spatial, payload_known=False, uncertainty="sensors"), "adaptive"),
+        "adaptive_unknown": _payload(
+            _circle(spatial, payload_known=False, uncertainty="sensors"), "adaptive"
+        ),
         "draws": draws,
         "tried": len(entries),
         "carry": sum(score.payload is not None for score in entries),
-        "trajopt": sum(score.payload is not None for score in entries if score.cell.policy == "trajopt"),
+        "trajopt": sum(
+            score.payload is not None for score in entries if score.cell.policy == "trajopt"
+        ),
         "hardware": _largest(hardware),
     }
 
@@ -69,7 +85,10 @@ def _of_reproduction(stored: dict[str, Any]) -> dict[str, str]:
     planar = rows["5.2.1.payload"]
     spatial = rows["5.2.2.payload"]
     return {
-        **{f"{kind}s": tally([row for row in rows.values() if row["kind"] == kind]) for kind in ("result", "claim")},
+        **{
+            f"{kind}s": tally([row for row in rows.values() if row["kind"] == kind])
+            for kind in ("result", "claim")
+        },
         **{"planar_printed": planar["printed"], "planar_ours": planar["ours"]},
         **{"spatial_printed": spatial["printed"], "spatial_ours": spatial["ours"]},
     }

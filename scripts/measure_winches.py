@@ -1,7 +1,9 @@
-"""Measures the payload that laws lose with the sensors of winches, for the page docs/measurement.md.
+"""Measures the payload that laws lose with the sensors of winches, for the page
+docs/measurement.md.
 
-Each case is the DLCC of a law on the circle, payload known, task criterion, by bisection. The results are kept in
-docs/measurement/results.json after every case: a second call computes the missing ones.
+Each case is the DLCC of a law on the circle, payload known, task criterion, by bisection. The
+results are kept in docs/measurement/results.json after every case: a second call computes the
+missing ones.
 
 python scripts/measure_winches.py [--env ID …]
 """
@@ -46,7 +48,8 @@ CALIBRATED, UNCALIBRATED = 0.3e-3, 2.5e-3
 """Standard deviations of the zero error of a cable length after and before calibration [m]."""
 
 START = {"start-mocap": (0.2e-3, 0.35e-3), "start": (2e-3, 2e-3)}
-"""Half widths of the error of the start pose [m, rad]: with motion capture as in ``hardware``, and a larger one."""
+"""Half widths of the error of the start pose [m, rad]: with motion capture as in ``hardware``, and
+a larger one."""
 
 NAMES = {
     "": "–",
@@ -63,11 +66,13 @@ DISTURBANCES = {
     **{name: f"start pose ± {1e3 * p:g} mm, ± {1e3 * r:g} mrad" for name, (p, r) in START.items()},
     **{name: f"robot and forces of `{name}`" for name in ("table6", "hardware")},
 }
-"""Deviations from the nominal robot and start pose, as the table names them. They concern exact sensors as well."""
+"""Deviations from the nominal robot and start pose, as the table names them. They concern exact
+sensors as well."""
 
 
 def errors(robot: Robot, case: str) -> dict[str, Any]:
-    """Uncertainty of a set of errors: encoder, servo drive, load cells of 1 % bias and 0.2 % noise, IMU MTi-300."""
+    """Uncertainty of a set of errors: encoder, servo drive, load cells of 1 % bias and 0.2 % noise,
+    IMU MTi-300."""
     degree = math.pi / 180
     scale = float(robot.stall_torque.min() / robot.pulley_radius.max())
     noise, bias = {"motor_angle": 1e-4, "motor_speed": 1e-2}, {}
@@ -78,16 +83,27 @@ def errors(robot: Robot, case: str) -> dict[str, Any]:
         noise["tension"], bias["tension"] = 2e-3 * scale, 1e-2 * scale
     if case == "imu":
         bandwidth = math.sqrt(250.0)
-        noise |= {"angular_rate": 0.01 * degree * bandwidth, "specific_force": 60e-6 * 9.81 * bandwidth}
+        noise |= {
+            "angular_rate": 0.01 * degree * bandwidth,
+            "specific_force": 60e-6 * 9.81 * bandwidth,
+        }
         bias |= {"tilt": 0.2 * degree, "yaw": 1.0 * degree}
     return {"sensors": noise, "sensor_bias": bias}
 
 
 def cases(env_id: str) -> Iterator[dict[str, str]]:
-    """Sensors, estimator, errors and disturbance of each case; the first one of a disturbance measures the pose."""
+    """Sensors, estimator, errors and disturbance of each case; the first one of a disturbance
+    measures the pose."""
 
-    def case(sensors: str, estimator: str = "", errors: str = "", disturbance: str = "") -> dict[str, str]:
-        return {"estimator": estimator, "sensors": sensors, "errors": errors, "disturbance": disturbance}
+    def case(
+        sensors: str, estimator: str = "", errors: str = "", disturbance: str = ""
+    ) -> dict[str, str]:
+        return {
+            "estimator": estimator,
+            "sensors": sensors,
+            "errors": errors,
+            "disturbance": disturbance,
+        }
 
     cells, imu = "winches+tensions", "winches+tensions+imu"
     planar = find_robot(env_robot(env_id)).planar
@@ -120,7 +136,10 @@ def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
     if case["sensors"] != "pose":
         _, *sensors = case["sensors"].split("+")
         resolution = 2 * math.pi / COUNTS if case["errors"] else 0.0
-        options["measurement"] = {"kind": "winches", "encoder_resolution": resolution} | dict.fromkeys(sensors, True)
+        options["measurement"] = {
+            "kind": "winches",
+            "encoder_resolution": resolution,
+        } | dict.fromkeys(sensors, True)
     uncertainty = errors(robot, case["errors"]) if case["errors"] else {}
     if disturbance in START:
         position, rotation = START[disturbance]
@@ -144,12 +163,23 @@ def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
 
 
 def table(data: dict[str, Any]) -> str:
-    """Markdown table of the stored results: payload of each case, and its fraction of that with the exact pose."""
-    env_ids = [env_id for env_id in PAPER_ENV_IDS if any(one["env_id"] == env_id for one in data["cases"])]
-    exact = {(o["env_id"], o["disturbance"]): o["payload"] for o in data["cases"] if o["sensors"] == "pose"}
+    """Markdown table of the stored results: payload of each case, and its fraction of that with the
+    exact pose."""
+    env_ids = [
+        env_id for env_id in PAPER_ENV_IDS if any(one["env_id"] == env_id for one in data["cases"])
+    ]
+    exact = {
+        (o["env_id"], o["disturbance"]): o["payload"]
+        for o in data["cases"]
+        if o["sensors"] == "pose"
+    }
     rows: dict[tuple[str, ...], dict[str, str]] = {}
     for one in data["cases"]:
-        key = (f"`{one['sensors']}`", f"`{one['estimator']}`" if one["estimator"] else "–", NAMES[one["errors"]])
+        key = (
+            f"`{one['sensors']}`",
+            f"`{one['estimator']}`" if one["estimator"] else "–",
+            NAMES[one["errors"]],
+        )
         own = one["payload"]
         full = exact[one["env_id"], one["disturbance"]]
         text = "fails unloaded" if own is None else f"{own:.2f} kg"
@@ -168,11 +198,22 @@ def main() -> None:
     """Computes the missing cases."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
-        "--env", nargs="*", default=list(PAPER_ENV_IDS), choices=PAPER_ENV_IDS, help="environments; all by default"
+        "--env",
+        nargs="*",
+        default=list(PAPER_ENV_IDS),
+        choices=PAPER_ENV_IDS,
+        help="environments; all by default",
     )
-    parser.add_argument("--out", type=Path, default=FOLDER / "results.json", help="file of the results")
+    parser.add_argument(
+        "--out", type=Path, default=FOLDER / "results.json", help="file of the results"
+    )
     arguments = parser.parse_args()
-    data: dict[str, Any] = {"draws": DRAWS, "resolution": RESOLUTION, "versions": versions(), "cases": []}
+    data: dict[str, Any] = {
+        "draws": DRAWS,
+        "resolution": RESOLUTION,
+        "versions": versions(),
+        "cases": [],
+    }
     if arguments.out.is_file():
         settings = {name: value for name, value in data.items() if name != "cases"}
         data = json.loads(arguments.out.read_text(encoding="utf-8"))

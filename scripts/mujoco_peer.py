@@ -34,12 +34,14 @@ TERMINATION_ERROR = 0.1
 class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
     """Tracking with a cable robot in MuJoCo's RK4; the action is one value in [-1, 1] per motor.
 
-    At a control instant the requested torque is ``τ_s a − (τ_s/ω_n) β̇``, constant for ``substeps`` RK4 steps.
-    ``clip_each_step`` clips it to U± at the motor speed at the start of each RK4 step, which needs one ``mj_step`` call
-    per step. Without it, one call makes all steps, which is faster.
+    At a control instant the requested torque is ``τ_s a − (τ_s/ω_n) β̇``, constant for ``substeps``
+    RK4 steps. ``clip_each_step`` clips it to U± at the motor speed at the start of each RK4 step,
+    which needs one ``mj_step`` call per step. Without it, one call makes all steps, which is
+    faster.
 
-    Observation: pose (n), velocity (n), time to go [s], the row of ``reference_table`` for this instant, payload [kg].
-    An episode terminates when the position error exceeds 0.1 m or is NaN, and is truncated after K steps.
+    Observation: pose (n), velocity (n), time to go [s], the row of ``reference_table`` for this
+    instant, payload [kg]. An episode terminates when the position error exceeds 0.1 m or is NaN,
+    and is truncated after K steps.
     """
 
     def __init__(
@@ -56,8 +58,8 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
 
         Args:
             robot: any robot without joint springs, elastic cables and swivel pulleys.
-            reference_table: shape (K + 1, columns), one row per control instant: reference pose, velocity and
-                acceleration (3 n columns), then any previews.
+            reference_table: shape (K + 1, columns), one row per control instant: reference pose,
+                velocity and acceleration (3 n columns), then any previews.
             substeps: RK4 steps per control period.
             timestep: duration of one RK4 step [s].
             payload: payload of the plant, also in the observation [kg].
@@ -78,7 +80,9 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
         self._stall = robot.stall_torque.copy()
         self._slope = robot.speed_slope
         self._per_radius = 1 / robot.pulley_radius
-        self._tendon_jacobian = self._data.ten_J.reshape(robot.cables, -1)  # a view; the model option makes it dense
+        self._tendon_jacobian = self._data.ten_J.reshape(
+            robot.cables, -1
+        )  # a view; the model option makes it dense
         self._to_motor = -self._per_radius
 
         self._table = np.array(reference_table, dtype=float)
@@ -89,9 +93,13 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
         self._step_count = 0
         self._speeds = np.zeros(robot.cables)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (robot.cables,), np.float64)
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (self._after_table + 1,), np.float64)
+        self.observation_space = gymnasium.spaces.Box(
+            -np.inf, np.inf, (self._after_table + 1,), np.float64
+        )
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
         """Start on the reference, at its velocity."""
         super().reset(seed=seed)
         n = self._n
@@ -102,7 +110,9 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """One control period."""
-        torques: Array = self._stall * np.minimum(np.maximum(action, -1.0), 1.0) - self._slope * self._speeds
+        torques: Array = (
+            self._stall * np.minimum(np.maximum(action, -1.0), 1.0) - self._slope * self._speeds
+        )
         if self._clip_each_step:
             torques = self._step_clipped(torques)
         else:
@@ -114,7 +124,8 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
         error = math.dist(self._qpos[: self._axes].tolist(), self._goals[self._step_count])
         info = {
             "tracking_error": error,
-            "tensions": torques * self._per_radius,  # actuator forces on the tendons, without the pulleys' inertia
+            "tensions": torques
+            * self._per_radius,  # actuator forces on the tendons, without the pulleys' inertia
             "torques": torques,
             "motor_speeds": self._speeds,
             "time": self._step_count * self._period,
@@ -136,7 +147,8 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
         return torques
 
     def _motor_speeds(self) -> Array:
-        """Motor speeds β̇ in the present state; RK4 leaves the tendons at its last stage, so they are updated first."""
+        """Motor speeds β̇ in the present state; RK4 leaves the tendons at its last stage, so they
+        are updated first."""
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_tendon(self._model, self._data)
@@ -156,7 +168,8 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
 
 
 def _paper_state(qpos: list[float], qvel: list[float]) -> tuple[float, ...]:
-    """``(X, Ẋ)`` from a free joint's position and velocity, in floats, which are faster than small arrays."""
+    """``(X, Ẋ)`` from a free joint's position and velocity, in floats, which are faster than small
+    arrays."""
     x, y, z, w, i, j, k = qpos
     dx, dy, dz, p, q, r = qvel
     along = w * w + i * i - j * j - k * k
@@ -173,7 +186,8 @@ def _paper_state(qpos: list[float], qvel: list[float]) -> tuple[float, ...]:
 
 
 def holding_torques(robot: Robot) -> Array:
-    """Motor torques in equilibrium at the home pose, shape (m,); the paper's planar robots: 0.5 N·m each."""
+    """Motor torques in equilibrium at the home pose, shape (m,); the paper's planar robots: 0.5 N·m
+    each."""
     minimum = textbook.allocated_minimum(robot, 10.0)
     return textbook.static_torque(robot, robot.mass, robot.home, minimum=minimum)
 

@@ -5,9 +5,9 @@ A block stands between two comments, so that the page is plain Markdown, on the 
     <!-- NAME: written by scripts/page_blocks.py -->
     <!-- end of NAME -->
 
-NAME is ``leaderboard`` (the best policy of each kind), ``measurement`` (payload lost by sensors and errors),
-``library`` (the real robots), ``library payloads`` (payloads of laws on them), a table of ``cablebot list``, or a
-script in ``examples/``, with its output if the name ends in ``and output``.
+NAME is ``leaderboard`` (the best policy of each kind), ``measurement`` (payload lost by sensors and
+errors), ``library`` (the real robots), ``library payloads`` (payloads of laws on them), a table of
+``cablebot list``, or a script in ``examples/``, with its output if the name ends in ``and output``.
 
 python scripts/page_blocks.py
 """
@@ -47,24 +47,33 @@ PAGES = (
 
 WITH_OUTPUT = " and output"
 
-_BLOCK = re.compile(r"(<!-- (.+?): written by scripts/page_blocks\.py -->\n)(.*?)(<!-- end of \2 -->)", re.DOTALL)
+_BLOCK = re.compile(
+    r"(<!-- (.+?): written by scripts/page_blocks\.py -->\n)(.*?)(<!-- end of \2 -->)", re.DOTALL
+)
 
 KINDS = {"classical": "control law", "learned": "learned", "optimal": "trajectory optimisation"}
 """Kinds of policies and their headings."""
 
 
 def readme_table(results: Results) -> str:
-    """Sentence and table: the best policy of each kind in each environment, by the first column of the leaderboard."""
+    """Sentence and table: the best policy of each kind in each environment, by the first column of
+    the leaderboard."""
     boards = leaderboards(results.records)
     motion = motion_title(boards[0].columns[0], boards[0].motions(boards[0].columns[0]))
-    rows = [["environment", *KINDS.values(), "best known on the circle"], ["---"] * (2 + len(KINDS))]
+    rows = [
+        ["environment", *KINDS.values(), "best known on the circle"],
+        ["---"] * (2 + len(KINDS)),
+    ]
     for board in boards:
         known = [
             f"{one.payload:.2f} kg"
             for one in best_known_payloads(results.records).values()
-            if (one.cell.env_id, str(one.cell.trajectory["name"])[:7]) == (board.env_id, "circle-") and one.payload
+            if (one.cell.env_id, str(one.cell.trajectory["name"])[:7]) == (board.env_id, "circle-")
+            and one.payload
         ]
-        rows.append([f"`{board.env_id}`", *(_best(board, kind) for kind in KINDS), *(known or ["–"])])
+        rows.append(
+            [f"`{board.env_id}`", *(_best(board, kind) for kind in KINDS), *(known or ["–"])]
+        )
     text = "The best policy of each kind: mean fraction of the best known payload (payload known, task criterion;\n"
     text += f"{motion}), and its payload on the circle.\n\n"
     return text + "".join(f"| {' | '.join(row)} |\n" for row in rows)
@@ -72,16 +81,26 @@ def readme_table(results: Results) -> str:
 
 def _best(board: Leaderboard, kind: str) -> str:
     entries = policy_entries()
-    own = [policy for policy in board.policies if entries[policy].kind == kind]  # by decreasing fraction
+    own = [
+        policy for policy in board.policies if entries[policy].kind == kind
+    ]  # by decreasing fraction
     for policy in own[:1]:
         fraction = board.fraction(policy, board.columns[0])
         if fraction is not None and fraction.mean > 0:
-            circle = [entry[0] for (name, column), entry in board.entries.items() if name == policy and _circle(column)]
+            circle = [
+                entry[0]
+                for (name, column), entry in board.entries.items()
+                if name == policy and _circle(column)
+            ]
             ties = [
-                f"`{one}`" for one in own[1:] if policy in board.ranks and board.ranks.get(one) == board.ranks[policy]
+                f"`{one}`"
+                for one in own[1:]
+                if policy in board.ranks and board.ranks.get(one) == board.ranks[policy]
             ]
             unit = " kg" if circle and circle[0].payload is not None else ""
-            text = f"`{policy}` {fraction.mean:.0%}" + (f", {circle[0].payload_text}{unit}" if circle else "")
+            text = f"`{policy}` {fraction.mean:.0%}" + (
+                f", {circle[0].payload_text}{unit}" if circle else ""
+            )
             return text + (f" (tied with {', '.join(ties)})" if ties else "")
     return "–"
 
@@ -91,7 +110,8 @@ def _circle(column: Column) -> bool:
 
 
 def library_pages() -> str:
-    """Drawing, check and sources of each robot of the library, with about half of the payload that it carries."""
+    """Drawing, check and sources of each robot of the library, with about half of the payload that
+    it carries."""
     text = ""
     for name, path in library().items():
         check, motion = shown_checks(name)
@@ -108,7 +128,8 @@ def library_pages() -> str:
 
 
 def shown_checks(name: str) -> tuple[RobotCheck, MotionCheck]:
-    """Checks of a robot of the library with elastic cables and half of its payload, rounded to two digits."""
+    """Checks of a robot of the library with elastic cables and half of its payload, rounded to two
+    digits."""
     robot = find_robot(ELASTIC + name)
     payload = float(f"{check_motion(robot).limit.largest / 2:.2g}")
     return check_model(robot, payload=payload), check_motion(robot, payload=payload)
@@ -121,26 +142,36 @@ def block(name: str) -> str:
         KeyError: if no block has this name.
     """
     if name == "leaderboard":
-        return readme_table(Results.from_json((ROOT / "docs/leaderboard/results.json").read_text(encoding="utf-8")))
+        return readme_table(
+            Results.from_json((ROOT / "docs/leaderboard/results.json").read_text(encoding="utf-8"))
+        )
     if name == "library":
         return library_pages()
     if name == "library payloads":
         stored = (ROOT / "docs/library/results.json").read_text(encoding="utf-8")
         return f"\n{library_tables(Results.from_json(stored).records)}\n"
     if name == "measurement":
-        return measure_winches.table(json.loads((measure_winches.FOLDER / "results.json").read_text(encoding="utf-8")))
+        return measure_winches.table(
+            json.loads((measure_winches.FOLDER / "results.json").read_text(encoding="utf-8"))
+        )
     if name.startswith("examples/"):
         script = ROOT / name.removesuffix(WITH_OUTPUT)
         text = f"```python\n{script.read_text(encoding='utf-8')}```\n"
         return f"{text}\n```text\n{output(script)}```\n" if name.endswith(WITH_OUTPUT) else text
     head, *rows = {key: rows for key, _, rows in tables()}[name]
-    lines = [head, ["---"] * len(head), *([f"`{first}`" if first else "", *rest] for first, *rest in rows)]
+    lines = [
+        head,
+        ["---"] * len(head),
+        *([f"`{first}`" if first else "", *rest] for first, *rest in rows),
+    ]
     return "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines) + "\n"
 
 
 def output(script: Path) -> str:
     """What a script prints."""
-    return subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True).stdout
+    return subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, check=True
+    ).stdout
 
 
 def blocks(text: str) -> dict[str, str]:
@@ -154,7 +185,9 @@ def main() -> None:
     for page in PAGES:
         path = ROOT / page
         text = path.read_text(encoding="utf-8")
-        path.write_text(_BLOCK.sub(lambda match: match[1] + block(match[2]) + match[4], text), encoding="utf-8")
+        path.write_text(
+            _BLOCK.sub(lambda match: match[1] + block(match[2]) + match[4], text), encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

@@ -15,7 +15,14 @@ from matplotlib.figure import Figure
 
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.plotting.figures import DPI, TravelledPath, draw_success, draw_torques, new_figure, path_panels
+from cablebot_gym.plotting.figures import (
+    DPI,
+    TravelledPath,
+    draw_success,
+    draw_torques,
+    new_figure,
+    path_panels,
+)
 from cablebot_gym.plotting.robots import draw_robot
 from cablebot_gym.robots import library
 from cablebot_gym.task import payload_model_text
@@ -39,7 +46,9 @@ def write(folder: Path) -> list[Path]:
         "torques": draw_torques(evaluate_dlcc(POLICY, ENV_ID, criterion="task")),
         "errors": errors(),
         "payloads": payloads(),
-        "draws": draw_success(evaluate_dlcc("fl-tuned", ENV_ID, uncertainty="table6", draws=64, payload_max=6)),
+        "draws": draw_success(
+            evaluate_dlcc("fl-tuned", ENV_ID, uncertainty="table6", draws=64, payload_max=6)
+        ),
     }
     figures |= {f"robot-{name}": draw_robot(*page_blocks.shown_checks(name)) for name in library()}
     folder.mkdir(parents=True, exist_ok=True)
@@ -78,7 +87,9 @@ def payloads() -> Figure:
 
 
 def _scan(axes: Axes, known: bool) -> None:
-    episodes = [record_rollout(POLICY, ENV_ID, payload=payload, payload_known=known) for payload in SCANNED]
+    episodes = [
+        record_rollout(POLICY, ENV_ID, payload=payload, payload_known=known) for payload in SCANNED
+    ]
     bounds = episodes[0].task.error_bounds
     curves = (
         ("action |a|", "commanded_action", 1.0, ORANGE),
@@ -86,7 +97,9 @@ def _scan(axes: Axes, known: bool) -> None:
         ("rotation error", "rotation_error_peak", bounds.rotation, GREEN),
     )
     for label, name, bound, colour in curves:
-        values = [np.inf if one.reason else np.abs(one.arrays[name]).max() / bound for one in episodes]
+        values = [
+            np.inf if one.reason else np.abs(one.arrays[name]).max() / bound for one in episodes
+        ]
         axes.plot(SCANNED, values, color=colour, linewidth=1.6, label=label)
     for level in (0, 1):
         axes.axhline(level, color="black", linewidth=1)
@@ -95,7 +108,9 @@ def _scan(axes: Axes, known: bool) -> None:
         for low, high in feasible:
             axes.plot([low, high], [height, height], color=GREY, linewidth=8, solid_capstyle="butt")
         text = f"{criterion} criterion: {feasible[0][1]:.2f} kg"
-        axes.annotate(text, (feasible[0][1], height), (6, 0), textcoords="offset points", va="center")
+        axes.annotate(
+            text, (feasible[0][1], height), (6, 0), textcoords="offset points", va="center"
+        )
     title = payload_model_text(known)
     axes.set(xlabel="payload [kg]", xlim=(0, SCANNED[-1]), ylim=(-0.6, 2.5), title=title)
 

@@ -1,4 +1,5 @@
-"""Checks that the tree is ready to be published, and makes the README's links absolute for its page on PyPI.
+"""Checks that the tree is ready to be published, and makes the README's links absolute for its page
+on PyPI.
 
 python scripts/release.py [v0.1.0] [--absolute-links]
 """
@@ -22,19 +23,30 @@ def problems(tag: str, version: str, changelog: str, urls: dict[str, str]) -> li
     """What keeps a version from being published, each with its cure; empty if nothing does."""
     found = []
     if tag != f"v{version}":
-        found.append(f"the tag is {tag!r}, the version {version!r}: set __version__ in cablebot_gym/__init__.py")
-    section = re.search(rf"^## \[{re.escape(version)}\](.*)\n((?:(?!## ).*\n?)*)", changelog, re.MULTILINE)
+        found.append(
+            f"the tag is {tag!r}, the version {version!r}: set __version__ in cablebot_gym/__init__.py"
+        )
+    section = re.search(
+        rf"^## \[{re.escape(version)}\](.*)\n((?:(?!## ).*\n?)*)", changelog, re.MULTILINE
+    )
     if section is None or not section[2].strip():
-        found.append(f"CHANGELOG.md has no section for this version: write '## [{version}] - YYYY-MM-DD' and its lines")
+        found.append(
+            f"CHANGELOG.md has no section for this version: write '## [{version}] - YYYY-MM-DD' and its lines"
+        )
     elif not re.fullmatch(r" - \d{4}-\d\d-\d\d", section[1]):
-        found.append(f"the section of CHANGELOG.md has no date: write '## [{version}] - YYYY-MM-DD'")
+        found.append(
+            f"the section of CHANGELOG.md has no date: write '## [{version}] - YYYY-MM-DD'"
+        )
     if missing := [name for name in URLS if not urls.get(name, "").startswith("https://")]:
-        found.append(f'[project.urls] in pyproject.toml lacks {", ".join(missing)}: write {missing[0]} = "https://…"')
+        found.append(
+            f'[project.urls] in pyproject.toml lacks {", ".join(missing)}: write {missing[0]} = "https://…"'
+        )
     return found
 
 
 def absolute_links(readme: str, repository: str, tag: str) -> str:
-    """The README for PyPI, which has no files beside it: relative links and pictures lead to the tag's files."""
+    """The README for PyPI, which has no files beside it: relative links and pictures lead to the
+    tag's files."""
 
     def link(found: re.Match[str]) -> str:
         return f"{found['picture']}{found['text']}({repository}/{'raw' if found['picture'] else 'blob'}/{tag}/"
@@ -45,10 +57,18 @@ def absolute_links(readme: str, repository: str, tag: str) -> str:
 def main() -> None:
     """Exits with a list of problems, if there are any."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("tag", nargs="?", default=f"v{__version__}", help="the tag that is published")
-    parser.add_argument("--absolute-links", action="store_true", help="rewrite README.md, only where it is published")
+    parser.add_argument(
+        "tag", nargs="?", default=f"v{__version__}", help="the tag that is published"
+    )
+    parser.add_argument(
+        "--absolute-links",
+        action="store_true",
+        help="rewrite README.md, only where it is published",
+    )
     arguments = parser.parse_args()
-    urls = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"].get("urls", {})
+    urls = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"].get(
+        "urls", {}
+    )
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     if found := problems(arguments.tag, __version__, changelog, urls):
         sys.exit("Not ready to be published:\n" + "\n".join(f"* {one}" for one in found))

@@ -1,7 +1,8 @@
 """Smoke test of an installed wheel: tries every environment, policy and command in a minute or two.
 
-Needs only the package. It rejects a checkout, which would hide files that are missing in the wheel. With `--extras` it
-instead trains, draws figures and runs cells of the benchmark, which needs the extras sb3 and plot.
+Needs only the package. It rejects a checkout, which would hide files that are missing in the wheel.
+With `--extras` it instead trains, draws figures and runs cells of the benchmark, which needs the
+extras sb3 and plot.
 
     python scripts/smoke.py [--extras]
 """
@@ -30,7 +31,9 @@ def reject_checkout() -> None:
     """Exits if the package is imported from the checkout."""
     imported = Path(cablebot_gym.__file__).resolve()
     if imported.is_relative_to(CHECKOUT):
-        sys.exit(f"cablebot_gym is imported from the checkout, {imported}: run this in a venv with the wheel")
+        sys.exit(
+            f"cablebot_gym is imported from the checkout, {imported}: run this in a venv with the wheel"
+        )
 
 
 def check_environment(env_id: str) -> None:
@@ -50,7 +53,8 @@ def check_environment(env_id: str) -> None:
 
 
 def check_policies() -> None:
-    """Loads every policy, and checks the DLCC of the paper's law and of a learned policy on the paper's circle."""
+    """Loads every policy, and checks the DLCC of the paper's law and of a learned policy on the
+    paper's circle."""
     policies = entry_points(group="cablebot_gym.policies")
     assert policies, "the wheel has no policies"
     for policy in policies:
@@ -74,9 +78,19 @@ def check_commands() -> None:
     assert "<canvas" in html("smoke", [], {}), "the wheel has no report page"
     names = list(command_points())
     program = Path(sys.executable).with_name("cablebot")
-    for arguments in (("--help",), ("list", "--json"), *((name, "--help") for name in names[:2]), ("unknown",)):
-        ran = subprocess.run([program, *arguments], check=False, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        assert ran.returncode == (2 if arguments == ("unknown",) else 0), (arguments, ran.stderr.decode())
+    for arguments in (
+        ("--help",),
+        ("list", "--json"),
+        *((name, "--help") for name in names[:2]),
+        ("unknown",),
+    ):
+        ran = subprocess.run(
+            [program, *arguments], check=False, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        )
+        assert ran.returncode == (2 if arguments == ("unknown",) else 0), (
+            arguments,
+            ran.stderr.decode(),
+        )
     print(f"commands: {', '.join(names)}")
 
 
@@ -110,9 +124,13 @@ def check_extras() -> None:
             "dlcc CableBot-Planar-v0 --policy run/best.zip --resolution 0.5 --out figures",
             "benchmark --suite smoke --policies fl,apg-circle --out benchmark",
         ):
-            subprocess.run([program, *arguments.split()], check=True, cwd=folder, stdout=subprocess.DEVNULL)
+            subprocess.run(
+                [program, *arguments.split()], check=True, cwd=folder, stdout=subprocess.DEVNULL
+            )
             print(f"cablebot {arguments}: ok")
-        assert list(Path(folder, "figures").rglob("*.png")) or list(Path(folder, "figures").rglob("*.svg"))
+        assert list(Path(folder, "figures").rglob("*.png")) or list(
+            Path(folder, "figures").rglob("*.svg")
+        )
 
 
 if __name__ == "__main__":
@@ -122,7 +140,10 @@ if __name__ == "__main__":
     reject_checkout()
     names = ("gymnasium", "numpy", "numba", "scipy", "typer", "rich")
     names += ("stable-baselines3", "matplotlib", "torch") if chosen.extras else ()
-    print(f"cablebot_gym {cablebot_gym.__version__} with", ", ".join(f"{name} {version(name)}" for name in names))
+    print(
+        f"cablebot_gym {cablebot_gym.__version__} with",
+        ", ".join(f"{name} {version(name)}" for name in names),
+    )
     if chosen.extras:
         check_extras()
     else:

@@ -1,10 +1,12 @@
-"""Trains and evaluates the shipped learned policies with several seeds; writes weights, cards and docs/learned.md.
+"""Trains and evaluates the shipped learned policies with several seeds; writes weights, cards and
+docs/learned.md.
 
     python scripts/train_shipped.py --policy apg-circle --id CableBot-Spatial-v0
 
-Runs are kept in folders ``NAME-KIND-SEED`` under ``--runs``, evaluations in the folder ``judged`` next to them. The
-same command resumes after an interrupt. ``--page`` updates the best known payloads of the existing cards from the
-leaderboard, and renders docs/learned.md and docs/learned.png. Needs the extras ``sb3`` and ``plot``.
+Runs are kept in folders ``NAME-KIND-SEED`` under ``--runs``, evaluations in the folder ``judged``
+next to them. The same command resumes after an interrupt. ``--page`` updates the best known
+payloads of the existing cards from the leaderboard, and renders docs/learned.md and
+docs/learned.png. Needs the extras ``sb3`` and ``plot``.
 """
 
 from __future__ import annotations
@@ -27,7 +29,14 @@ from cards.making import Evaluate, make_card, read_best_known, with_best_known, 
 from cards.page import card_markdown
 
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.runs import BEST, LAST, STATE, Interrupted, TrainingResult, read_yaml
+from cablebot_baselines.learned.runs import (
+    BEST,
+    LAST,
+    STATE,
+    Interrupted,
+    TrainingResult,
+    read_yaml,
+)
 from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, Shipped, stem
 from cablebot_gym.benchmark.cells import Cell, Record
 from cablebot_gym.benchmark.engine import local, run_cells
@@ -52,7 +61,13 @@ LARGEST = 500_000
 
 PAGE, FIGURE = "learned.md", "learned.png"
 
-_EPISODE_STATE = ("_last_obs", "_last_original_obs", "_last_episode_starts", "ep_info_buffer", "ep_success_buffer")
+_EPISODE_STATE = (
+    "_last_obs",
+    "_last_original_obs",
+    "_last_episode_starts",
+    "ep_info_buffer",
+    "ep_success_buffer",
+)
 """Attributes of a model that are useless without its environments."""
 
 _errors = notes_console()
@@ -62,11 +77,18 @@ def main() -> None:
     """Command line; errors exit with status 2, an interrupt with status 130."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--policy", help=f"{', '.join(SHIPPED)} (default: all)")
-    parser.add_argument("--id", dest="env_id", help="environment, such as CableBot-Spatial-v0 (default: all)")
     parser.add_argument(
-        "--seeds", type=int, default=LEAST_SEEDS, help="number of training seeds, from 0 on (default: %(default)s)"
+        "--id", dest="env_id", help="environment, such as CableBot-Spatial-v0 (default: all)"
     )
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of the runs (default: %(default)s)")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=LEAST_SEEDS,
+        help="number of training seeds, from 0 on (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--runs", type=Path, default=Path("runs"), help="folder of the runs (default: %(default)s)"
+    )
     parser.add_argument(
         "--draws",
         type=int,
@@ -74,7 +96,10 @@ def main() -> None:
         help="fresh draws that confirm a payload under uncertainty (default: %(default)s)",
     )
     parser.add_argument(
-        "--held-out", type=int, default=HELD_OUT, help="number of held-out motions (default: %(default)s)"
+        "--held-out",
+        type=int,
+        default=HELD_OUT,
+        help="number of held-out motions (default: %(default)s)",
     )
     parser.add_argument(
         "--searched",
@@ -83,7 +108,10 @@ def main() -> None:
         help="number of these with a search for the best known payload (default: %(default)s)",
     )
     parser.add_argument(
-        "--jobs", type=int, default=1, help="number of parallel trainings or evaluations (default: %(default)s)"
+        "--jobs",
+        type=int,
+        default=1,
+        help="number of parallel trainings or evaluations (default: %(default)s)",
     )
     parser.add_argument("--page", action="store_true", help="only render page and figure again")
     parser.add_argument(
@@ -94,7 +122,11 @@ def main() -> None:
     given = parser.parse_args()
     try:
         import_matplotlib()
-        chosen = [SHIPPED[choice("learned policy", given.policy, SHIPPED)]] if given.policy else list(SHIPPED.values())
+        chosen = (
+            [SHIPPED[choice("learned policy", given.policy, SHIPPED)]]
+            if given.policy
+            else list(SHIPPED.values())
+        )
         pairs = select_pairs(chosen, given.env_id)
         if given.search:
             search_missing(pairs, runs=given.runs, jobs=given.jobs)
@@ -126,7 +158,9 @@ def select_pairs(chosen: Sequence[Shipped], env_id: str | None) -> list[tuple[Sh
     pairs = [(one, other) for one in chosen for other in one.env_ids if env_id in (None, other)]
     if not pairs:
         available = "; ".join(f"{one.name} for {', '.join(one.env_ids)}" for one in chosen)
-        raise ValueError(f"--id {env_id}: no shipped policy for this environment. Available: {available}")
+        raise ValueError(
+            f"--id {env_id}: no shipped policy for this environment. Available: {available}"
+        )
     return pairs
 
 
@@ -150,17 +184,21 @@ def ship_all(
         runs: folder of the runs.
         draws: number of fresh draws that confirm a payload under an uncertainty.
         held_out: number of held-out motions.
-        searched: number of held-out motions with a search for the best known payload, for training on random loops.
+        searched: number of held-out motions with a search for the best known payload, for training
+            on random loops.
         jobs: number of parallel trainings or evaluations.
         weights: folder for weights and cards.
         results: results of the leaderboard, for the best known payloads.
 
     Raises:
-        ValueError: if a number is too small, or a run belongs to another policy or another configuration.
+        ValueError: if a number is too small, or a run belongs to another policy or another
+            configuration.
         RuntimeError: if an evaluation failed.
     """
     if seeds < LEAST_SEEDS:
-        raise ValueError(f"--seeds must be at least {LEAST_SEEDS} for a meaningful interval, not {seeds}")
+        raise ValueError(
+            f"--seeds must be at least {LEAST_SEEDS} for a meaningful interval, not {seeds}"
+        )
     if draws < 1 or held_out < 1 or searched < 0:
         text = "--draws and --held-out must be at least 1, --searched at least 0"
         raise ValueError(f"{text}, not {draws}, {held_out} and {searched}")
@@ -188,7 +226,9 @@ def ship_all(
         sb3 = weights / f"{name}-sb3.zip"
         model = sb3_model(best)
         if model is not None and len(model) > LARGEST:
-            _errors.print(f"{name}: its SB3 model is not shipped; {len(model)} bytes exceed the limit {LARGEST}")
+            _errors.print(
+                f"{name}: its SB3 model is not shipped; {len(model)} bytes exceed the limit {LARGEST}"
+            )
             model = None
         if model is None:
             sb3.unlink(missing_ok=True)
@@ -208,7 +248,8 @@ def search_missing(
     weights: Path = WEIGHTS,
     results: Path = RESULTS,
 ) -> None:
-    """Searches for the best known payloads that are missing in the cards; arguments as for :func:`ship_all`.
+    """Searches for the best known payloads that are missing in the cards; arguments as for
+    :func:`ship_all`.
 
     Raises:
         ValueError: if a card cannot be read.
@@ -234,7 +275,9 @@ def run_folder(runs: Path, shipped: Shipped, env_id: str, seed: int) -> Path:
 # ------------------------------------------------------------------------------------------------------------- training
 
 
-def train_missing(pairs: Sequence[tuple[Shipped, str]], *, seeds: int, runs: Path, jobs: int) -> None:
+def train_missing(
+    pairs: Sequence[tuple[Shipped, str]], *, seeds: int, runs: Path, jobs: int
+) -> None:
     """Runs the trainings that are not finished; an interrupted run is resumed from its checkpoint.
 
     Raises:
@@ -249,7 +292,9 @@ def train_missing(pairs: Sequence[tuple[Shipped, str]], *, seeds: int, runs: Pat
             else:
                 tasks[folder.name] = partial(_train, shipped.name, env_id, seed, folder, jobs > 1)
     _errors.print(f"trainings: {len(pairs) * seeds - len(tasks)} finished, {len(tasks)} to do")
-    for done, (key, text) in enumerate(run_tasks(tasks, workers=jobs, kind=_env_id, say=_errors.print), 1):
+    for done, (key, text) in enumerate(
+        run_tasks(tasks, workers=jobs, kind=_env_id, say=_errors.print), 1
+    ):
         _errors.print(f"trained {done} of {len(tasks)}: {key}: {text}")
 
 
@@ -296,9 +341,15 @@ def _train(name: str, env_id: str, seed: int, folder: Path, quiet: bool) -> str:
         with nullcontext() if quiet else progress(folder.name, "steps") as step:
             if shipped.algorithm == gradient_run.ALGORITHM:
                 return str(gradient_run.train_gradient(env_id, progress=step, say=say, **common))
-            return str(training.train(env_id, algorithm=shipped.algorithm, progress=step, say=say, **common))
+            return str(
+                training.train(
+                    env_id, algorithm=shipped.algorithm, progress=step, say=say, **common
+                )
+            )
     except ValueError as error:
-        raise ValueError(f"{error}. In {str(folder)!r}: remove this folder, or choose another --runs") from error
+        raise ValueError(
+            f"{error}. In {str(folder)!r}: remove this folder, or choose another --runs"
+        ) from error
     except Interrupted:
         if quiet:  # a worker process exits without a traceback
             sys.exit(1)
@@ -323,10 +374,11 @@ def _make_evaluate(name: str, runs: Path, jobs: int) -> Evaluate:
 
 
 def sb3_model(best: Path) -> bytes | None:
-    """The model in the checkpoint next to a run's best bundle, with the bundle's actor and without environments.
+    """The model in the checkpoint next to a run's best bundle, with the bundle's actor and without
+    environments.
 
-    The bundle is that of the best evaluation; critic and optimiser are those at the end of the run. None if the run
-    has no PPO model.
+    The bundle is that of the best evaluation; critic and optimiser are those at the end of the run.
+    None if the run has no PPO model.
     """
     if Bundle.load(best).card.get("algorithm") != "ppo":
         return None
@@ -339,7 +391,9 @@ def sb3_model(best: Path) -> bytes | None:
     layers = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
     network = Bundle.load(best).network
     with torch.no_grad():
-        for layer, weight, bias in zip([*layers, policy.action_net], network.weights, network.biases, strict=True):
+        for layer, weight, bias in zip(
+            [*layers, policy.action_net], network.weights, network.biases, strict=True
+        ):
             layer.weight.copy_(torch.as_tensor(weight))
             layer.bias.copy_(torch.as_tensor(bias))
     saved, small = io.BytesIO(), io.BytesIO()
@@ -360,7 +414,9 @@ def write_page(weights: Path, docs: Path, results: Path = RESULTS) -> None:
     """
     cards = read_cards(weights)
     if not cards:
-        raise ValueError(f"folder {weights.name} contains no card. Make one: python scripts/train_shipped.py")
+        raise ValueError(
+            f"folder {weights.name} contains no card. Make one: python scripts/train_shipped.py"
+        )
     best_known = read_best_known(results)
     for index, card in enumerate(cards):
         cards[index] = with_best_known(card, best_known)

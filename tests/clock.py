@@ -1,4 +1,5 @@
-"""Time in tests: a clock that a test sets, and the only place that waits for another process or thread.
+"""Time in tests: a clock that a test sets, and the only place that waits for another process or
+thread.
 
 Waiting ends as soon as its condition holds, so only a test that hangs sees how long the guard is.
 """
@@ -13,7 +14,8 @@ HANG = 300.0
 
 
 class Clock:
-    """Stands for the module ``time`` in a module under test: no time passes but what a test says [s]."""
+    """Stands for the module ``time`` in a module under test: no time passes but what a test says
+    [s]."""
 
     def __init__(self) -> None:
         self.now = 0.0

@@ -1,4 +1,5 @@
-"""Test processes that share compiled code: what one of them compiles, the others wait for and load."""
+"""Test processes that share compiled code: what one of them compiles, the others wait for and
+load."""
 
 from __future__ import annotations
 
@@ -12,9 +13,11 @@ from numba.core.dispatcher import Dispatcher
 
 
 def share(folder: Path) -> None:
-    """Compiles each function with a cache in one process at a time, with a file in ``folder`` as lock.
+    """Compiles each function with a cache in one process at a time, with a file in ``folder`` as
+    lock.
 
-    Otherwise each of two test processes compiles most kernels, before the other one has stored them.
+    Otherwise each of two test processes compiles most kernels, before the other one has stored
+    them.
     """
     try:
         import fcntl
@@ -30,7 +33,8 @@ def share(folder: Path) -> None:
         closed_over = [cell.cell_contents for cell in function.__closure__ or ()]
         key = f"{function.__module__}.{function.__qualname__} {closed_over} {signature}"
         path = folder / hashlib.sha256(key.encode()).hexdigest()
-        # Numba's own lock comes first, in every thread: two locks in two orders would wait for each other.
+        # Numba's own lock comes first, in every thread: two locks in two orders would wait for each
+        # other.
         with global_compiler_lock, path.open("w") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             return compile_alone(dispatcher, signature)

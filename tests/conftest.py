@@ -40,13 +40,15 @@ VARIABLES = (
 def pytest_configure() -> None:
     """The tests are the same on every machine, however they are started.
 
-    Ctrl-C interrupts, here and in the processes that tests start, even if the run was started with SIGINT ignored.
-    Shells start background jobs so: ``nohup pytest &``.
+    Ctrl-C interrupts, here and in the processes that tests start, even if the run was started with
+    SIGINT ignored. Shells start background jobs so: ``nohup pytest &``.
     """
     for name in VARIABLES:
         os.environ.pop(name, None)
     # Other programs may use the cores: no example is too slow.
-    settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.register_profile(
+        "any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
+    )
     settings.load_profile("any machine")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -61,7 +63,9 @@ def _own_cache(tmp_path_factory):
 
 
 @pytest.fixture(autouse=True, scope="session")
-def _shared_compilation(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
+def _shared_compilation(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     """Test processes do not compile the same kernel at the same time."""
     if hasattr(request.config, "workerinput"):
         from compiling import share
@@ -110,7 +114,8 @@ def interrupted_solver(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cells of a benchmark load their policies in this process: starts of processes are most of their time."""
+    """The cells of a benchmark load their policies in this process: starts of processes are most of
+    their time."""
     from inline import InlinePolicy
 
     monkeypatch.setattr("cablebot_gym.benchmark.cells.IsolatedPolicy", InlinePolicy)
@@ -124,7 +129,9 @@ def browser():
     path = next((executable for name in BROWSERS if (executable := shutil.which(name))), None)
     if path is None:
         if os.environ.get("CI"):
-            pytest.fail("no Chromium is installed, and CI has to look at the pages: apt-get install chromium")
+            pytest.fail(
+                "no Chromium is installed, and CI has to look at the pages: apt-get install chromium"
+            )
         pytest.skip("no Chromium is installed")
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])

@@ -10,7 +10,8 @@ from cablebot_gym.robots import Robot
 
 
 class InlinePolicy:
-    """Has what the cells of a benchmark use of an :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy`."""
+    """Has what the cells of a benchmark use of an
+    :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy`."""
 
     def __init__(self, spec: str, robot: Robot, *, real_time: float | None = None) -> None:
         self._policy = load_policy(spec, robot)

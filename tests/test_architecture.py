@@ -64,7 +64,8 @@ FILES = source_files()
 
 @cache
 def imports(module: str) -> tuple[tuple[str, str], ...]:
-    """Modules of both packages that a module imports anywhere in its code, with the name that it takes from each."""
+    """Modules of both packages that a module imports anywhere in its code, with the name that it
+    takes from each."""
     imported = []
     for node in ast.walk(ast.parse(FILES[module].read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -105,7 +106,9 @@ def test_package_imports_only_those_before_it(package):
 def test_only_benchmark_report_and_commands_know_isolation():
     """The evaluator takes a loaded policy, in whatever process it runs."""
     importers = {
-        name for name in FILES if any(other.startswith("cablebot_gym.isolation") for other, _ in imports(name))
+        name
+        for name in FILES
+        if any(other.startswith("cablebot_gym.isolation") for other, _ in imports(name))
     }
     rooms = {name.split(".")[1] for name in importers}
     assert rooms == {"isolation", "benchmark", "report", "cli"}
@@ -125,7 +128,8 @@ def test_baselines_import_only_public_names():
 
 
 def test_names_of_the_package_are_those_of_their_modules():
-    """Programs import them from here and pages link to the modules; a move must change both lists."""
+    """Programs import them from here and pages link to the modules; a move must change both
+    lists."""
     names = set(cablebot_gym.__all__) - {"ENV_IDS", "__version__"}
     assert len(names) == 15
     page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
@@ -144,7 +148,9 @@ print("cablebot_gym.evaluation" in sys.modules)
 cablebot_gym.evaluate_dlcc
 print("cablebot_gym.evaluation" in sys.modules)
 """
-    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    printed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
     assert printed.split() == ["False", "True"]
     assert not hasattr(cablebot_gym, "evaluate")
 
@@ -158,7 +164,8 @@ REAL_TIME = {
 
 
 def test_tests_do_not_depend_on_real_time():
-    """They set the time of tests/clock.py: a sleep or a measured time is another one on a busy machine."""
+    """They set the time of tests/clock.py: a sleep or a measured time is another one on a busy
+    machine."""
     folder = ROOT / "tests"
     for path in folder.rglob("*.py"):
         if path.relative_to(folder).as_posix() in REAL_TIME:
@@ -167,4 +174,6 @@ def test_tests_do_not_depend_on_real_time():
             modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             modules += [node.module] if isinstance(node, ast.ImportFrom) else []
             assert CLOCKS.isdisjoint(modules), f"{path}:{node.lineno}"
-            assert getattr(node, "attr", "") not in ("Timer", "wait_for_timeout"), f"{path}:{node.lineno}"
+            assert getattr(node, "attr", "") not in ("Timer", "wait_for_timeout"), (
+                f"{path}:{node.lineno}"
+            )

@@ -1,4 +1,5 @@
-"""Every cache on disk: a damaged file counts as absent, one line names it, and a good file replaces it."""
+"""Every cache on disk: a damaged file counts as absent, one line names it, and a good file replaces
+it."""
 
 from __future__ import annotations
 
@@ -73,7 +74,9 @@ def cached(read: Any, write: Any, value: Any, folder: Path, monkeypatch: pytest.
 
     def use() -> bool:
         computed: list[int] = []
-        result = library.load_or_compute("value.npz", read, lambda: computed.append(1) or value, write)
+        result = library.load_or_compute(
+            "value.npz", read, lambda: computed.append(1) or value, write
+        )
         assert result.payload == value.payload
         return bool(computed)
 
@@ -81,7 +84,9 @@ def cached(read: Any, write: Any, value: Any, folder: Path, monkeypatch: pytest.
 
 
 def benchmark_cell(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
-    record = Record(cell=CELL, source=CELL.source, versions={}, result={"payload": 1.0}, seconds=0.1)
+    record = Record(
+        cell=CELL, source=CELL.source, versions={}, result={"payload": 1.0}, seconds=0.1
+    )
 
     def use() -> bool:
         store = Store(folder.parent, say=recording_line)
@@ -117,7 +122,9 @@ def episodes_of_a_report(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
 
     def use() -> bool:
         computed.clear()
-        assert dict(recording.record_all({"key": (CELL, 1.0)}, folder, workers=1, say=print)) == {"key": [replay]}
+        assert dict(recording.record_all({"key": (CELL, 1.0)}, folder, workers=1, say=print)) == {
+            "key": [replay]
+        }
         return bool(computed)
 
     return use

@@ -1,4 +1,5 @@
-"""Statements of pages, help and docstrings: wrong ones do not return, and what can be compared with the code is."""
+"""Statements of pages, help and docstrings: wrong ones do not return, and what can be compared with
+the code is."""
 
 from __future__ import annotations
 

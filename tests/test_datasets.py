@@ -34,7 +34,9 @@ ABOUT = {"license": "MIT", "purpose": "A test.", "published": date(2026, 1, 31)}
 def recorded(env, name, **origin):
     """A Minari dataset of two episodes of five steps."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)  # Minari leaves its temporary folders to the garbage collector
+        warnings.simplefilter(
+            "ignore", ResourceWarning
+        )  # Minari leaves its temporary folders to the garbage collector
         collector = minari.DataCollector(env)
         for seed, payload in enumerate(PAYLOADS):
             collector.reset(seed=seed, options={"payload": payload})
@@ -57,7 +59,9 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def described(folder):
-    sheet, croissant = describe_dataset(recorded(gym.make("CableBot-Planar-v0"), "test/zero-v3"), **ABOUT)
+    sheet, croissant = describe_dataset(
+        recorded(gym.make("CableBot-Planar-v0"), "test/zero-v3"), **ABOUT
+    )
     return (
         sheet.read_text(encoding="utf-8"),
         json.loads(croissant.read_text(encoding="utf-8")),
@@ -72,14 +76,18 @@ def test_croissant_has_the_arrays_of_the_file(described):
     assert file["sha256"] == hashlib.sha256(content).hexdigest()
     fields = croissant["recordSet"][0]["field"]
     with h5py.File(folder / file["contentUrl"]) as data:
-        assert {field["@id"].partition("/")[2] for field in fields} == set(data["episode_0"]) - {"infos"}
+        assert {field["@id"].partition("/")[2] for field in fields} == set(data["episode_0"]) - {
+            "infos"
+        }
         for field in fields:
             array = data[field["source"]["extract"]["column"].replace("*", "1")]
             assert field["arrayShape"].split(",") == [
                 "-1",
                 *map(str, array.shape[1:]),
             ]
-            assert field["dataType"] == {"bool": "sc:Boolean"}.get(array.dtype.name, f"cr:{array.dtype.name.title()}")
+            assert field["dataType"] == {"bool": "sc:Boolean"}.get(
+                array.dtype.name, f"cr:{array.dtype.name.title()}"
+            )
             assert field["source"]["fileObject"]["@id"] == file["@id"]
 
 
@@ -96,7 +104,9 @@ def test_croissant_has_the_blocks_of_the_layout(described):
 def test_datasheet_has_episodes_and_layout(described):
     sheet, croissant, _ = described
     rows = [line.split(" | ")[:4] for line in sheet.splitlines() if '{"payload"' in line]
-    assert rows == [[f"| {n}", str(n), f'`{{"payload": {payload}}}`', "5"] for n, payload in enumerate(PAYLOADS)]
+    assert rows == [
+        [f"| {n}", str(n), f'`{{"payload": {payload}}}`', "5"] for n, payload in enumerate(PAYLOADS)
+    ]
     assert observation_layout(PLANAR).table() in sheet
     assert croissant["rai:dataCollection"] in sheet
     assert (croissant["version"], croissant["datePublished"]) == (

@@ -1,4 +1,5 @@
-"""Results that pages state in words: uncertainty.md, robot.md, and the paper's claim about its robust law."""
+"""Results that pages state in words: uncertainty.md, robot.md, and the paper's claim about its
+robust law."""
 
 from __future__ import annotations
 
@@ -30,7 +31,9 @@ def parts_of(uncertainty):
     nothing = Uncertainty()
     names = list(uncertainty.parameters)
     for field in fields(uncertainty):
-        if field.name != "parameters" and getattr(uncertainty, field.name) != getattr(nothing, field.name):
+        if field.name != "parameters" and getattr(uncertainty, field.name) != getattr(
+            nothing, field.name
+        ):
             names.append(field.name)
     return names
 
@@ -60,7 +63,9 @@ def test_one_part_decides_table_6_and_none_decides_hardware(env_id, name, payloa
         if (cell.env_id, cell.policy, cell.uncertainty, cell.payload_known) == conditions:
             payloads.append(record.result["payload"])
     (payload,) = payloads
-    lost = evaluate_dlcc(law, env_id, payload_known=payload_known, resolution=0.01).payload - payload
+    lost = (
+        evaluate_dlcc(law, env_id, payload_known=payload_known, resolution=0.01).payload - payload
+    )
     uncertainty = find_uncertainty(name, find_robot(env_robot(env_id)))
     parts = parts_of(uncertainty)
     returned = 2 / 3

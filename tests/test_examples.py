@@ -134,7 +134,9 @@ def run(command: list[str], folder: Path) -> str:
     return ran.stdout
 
 
-@pytest.mark.parametrize("check", [*FAST, *(pytest.param(check, marks=pytest.mark.slow) for check in SLOW)])
+@pytest.mark.parametrize(
+    "check", [*FAST, *(pytest.param(check, marks=pytest.mark.slow) for check in SLOW)]
+)
 def test_example_prints_its_result(check, tmp_path):
     path = EXAMPLES / f"{check.__name__}.py"
     check(run([sys.executable, str(path), str(tmp_path / "out")], tmp_path), tmp_path)
@@ -142,12 +144,15 @@ def test_example_prints_its_result(check, tmp_path):
 
 
 def test_every_example_is_checked():
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == {check.__name__ for check in FAST + SLOW}
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == {
+        check.__name__ for check in FAST + SLOW
+    }
 
 
 @pytest.mark.slow
 def test_notebook_prints_its_stored_output(tmp_path):
-    """Its code runs as one script: tests need no Jupyter. `jupyter nbconvert --execute --inplace` stores outputs."""
+    """Its code runs as one script: tests need no Jupyter. `jupyter nbconvert --execute --inplace`
+    stores outputs."""
     cells = json.loads((EXAMPLES / "tour.ipynb").read_text(encoding="utf-8"))["cells"]
     scripts = []
     stored = ""

@@ -1,4 +1,5 @@
-"""Public numeric functions refuse NaN and infinity: a NaN bound once gave tensions of NaN with the status HELD."""
+"""Public numeric functions refuse NaN and infinity: a NaN bound once gave tensions of NaN with the
+status HELD."""
 
 from __future__ import annotations
 
@@ -130,7 +131,9 @@ OTHER = {
 }
 FUNCTIONS = {
     **{function.__name__: (function, {}) for function in PLAIN},
-    **{f"textbook.{function.__name__}": (partial(function, SPATIAL), {}) for function in OF_SPATIAL},
+    **{
+        f"textbook.{function.__name__}": (partial(function, SPATIAL), {}) for function in OF_SPATIAL
+    },
     **OTHER,
 }
 VALID = {("lower", -math.inf), ("upper", math.inf), ("times", -math.inf), ("times", math.inf)}

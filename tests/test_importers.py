@@ -1,4 +1,5 @@
-"""Robots from files of CASPR and WireX, against a computation in the frame of the files, where z points up."""
+"""Robots from files of CASPR and WireX, against a computation in the frame of the files, where z
+points up."""
 
 from __future__ import annotations
 
@@ -12,7 +13,9 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import least_norm
 from cablebot_gym.robots import load_robot
 
-BASE = [(sx * 2.0, sy * 1.5, z) for z in (2.0, 0.1) for sx, sy in ((-1, 1), (1, 1), (1, -1), (-1, -1))]
+BASE = [
+    (sx * 2.0, sy * 1.5, z) for z in (2.0, 0.1) for sx, sy in ((-1, 1), (1, 1), (1, -1), (-1, -1))
+]
 BODY = [(0.2 * x, 0.3 * y, 0.25 - z / 4) for (x, y, z) in BASE]
 CENTER = (0.02, -0.01, 0.03)
 Z_DOWN = np.diag([1.0, -1.0, -1.0])
@@ -25,7 +28,10 @@ def bodies(
     count=1,
 ):
     names = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
-    inertia = "".join(f"<{name}>{value}</{name}>" for name, value in zip(names, (1, 2, 2.5, 0.1, 0.2, 0), strict=True))
+    inertia = "".join(
+        f"<{name}>{value}</{name}>"
+        for name, value in zip(names, (1, 2, 2.5, 0.1, 0.2, 0), strict=True)
+    )
     link = f"""<link_rigid num="1" name="x"><joint type="{joint}" q_initial="{start}"/>
       <physical><mass>5</mass><com_location>{" ".join(map(str, CENTER))}</com_location>
       <inertia ref="{ref}">{inertia}</inertia></physical><parent><num>0</num><location>0 0 0.1</location></parent>
@@ -108,7 +114,9 @@ def test_values_of_a_caspr_file_reach_the_robot(write, tmp_path):
     assert (robot.mass, robot.minimum_tension) == (5.0, 2.0)
     assumed = {name for name, text in imported.sources.items() if text.startswith("assumed")}
     motors = {"motors.stall_torque", "motors.free_speed"}
-    assert assumed == motors | {f"transmission.{name}" for name in ("pulley_radius", "pulley_inertia", "damping")}
+    assert assumed == motors | {
+        f"transmission.{name}" for name in ("pulley_radius", "pulley_inertia", "damping")
+    }
     (tmp_path / "toy.toml").write_text(imported.to_toml(), encoding="utf-8")
     again = load_robot(tmp_path / "toy.toml")
     assert (again, again.sources) == (robot, robot.sources)

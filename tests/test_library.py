@@ -1,4 +1,5 @@
-"""The library of real robots: complete files, cited values, and motions that the robots can follow."""
+"""The library of real robots: complete files, cited values, and motions that the robots can
+follow."""
 
 from __future__ import annotations
 
@@ -55,7 +56,8 @@ def test_names_are_the_robot_with_rigid_and_with_elastic_cables(
 
 @every_robot
 def test_motors_hold_the_default_motion(name: str) -> None:
-    """With the least payload of its range, at least the minimum tension, and torques within the torque-speed lines."""
+    """With the least payload of its range, at least the minimum tension, and torques within the
+    torque-speed lines."""
     robot = find_robot(name)
     motion = find_trajectory(robot.defaults.trajectory or "", robot.kind)
     check_workspace(robot, motion)
@@ -69,7 +71,9 @@ def held(robot: Robot, reference) -> np.ndarray:
     mass = robot.mass + robot.defaults.payload(0.0)
     load = textbook.load(robot, np.full(len(pose), mass), pose, velocity, acceleration)
     speed = textbook.pulley_speed(robot, pose, velocity)
-    moving = robot.pulley_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
+    moving = robot.pulley_inertia * textbook.pulley_acceleration(
+        robot, pose, velocity, acceleration
+    )
     moving = moving + robot.damping * speed + textbook.coulomb_torque(robot, speed)
     low, high = (np.array(textbook.torque_limits(robot, speed)) - moving) / robot.pulley_radius
     structure = textbook.jacobian(robot, pose)

@@ -15,7 +15,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def test_extras_all_and_test_contain_all_extras_but_docs():
     """Only a build of the documentation needs the extra docs."""
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "optional-dependencies"
+    ]
     names = ",".join(name for name in extras if name not in ("all", "test", "docs"))
     for extra in ("all", "test"):
         [line] = [line for line in extras[extra] if line.startswith("cablebot-gym[")]
@@ -41,7 +43,9 @@ def test_oldest_tested_versions_are_the_lower_bounds():
     assert bounds == tested
 
 
-CHANGES = "# Changelog\n\n## [0.2.0] - 2026-01-31\n\n- A change.\n\n## [0.1.0] - unreleased\n\n- First.\n"
+CHANGES = (
+    "# Changelog\n\n## [0.2.0] - 2026-01-31\n\n- A change.\n\n## [0.1.0] - unreleased\n\n- First.\n"
+)
 ADDRESSES = dict.fromkeys(release.URLS, "https://example.org")
 
 
@@ -62,7 +66,9 @@ def test_release_requires_tag_changelog_and_addresses(tag, version, urls, proble
 
 
 def test_readme_on_pypi_links_to_the_files_of_the_tag():
-    readme = "![A robot](docs/readme.gif) [terms](docs/glossary.md#slack), [site](https://example.org)"
+    readme = (
+        "![A robot](docs/readme.gif) [terms](docs/glossary.md#slack), [site](https://example.org)"
+    )
     assert release.absolute_links(readme, "https://example.org/repo", "v0.1.0") == (
         "![A robot](https://example.org/repo/raw/v0.1.0/docs/readme.gif)"
         " [terms](https://example.org/repo/blob/v0.1.0/docs/glossary.md#slack), [site](https://example.org)"

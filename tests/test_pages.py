@@ -1,4 +1,5 @@
-"""The hand-written pages: their generated blocks are up to date, and a forge shows them as text, tables and links."""
+"""The hand-written pages: their generated blocks are up to date, and a forge shows them as text,
+tables and links."""
 
 from __future__ import annotations
 
@@ -59,8 +60,14 @@ def test_block_is_that_of_code_and_results(page, name):
 
 def test_laws_behind_the_homed_filter_keep_their_payload():
     """As the page says."""
-    least = float(re.search(r"every law keeps at least (\d+) %", " ".join(read("docs/measurement.md").split()))[1])
-    cases = json.loads((page_blocks.measure_winches.FOLDER / "results.json").read_text(encoding="utf-8"))["cases"]
+    least = float(
+        re.search(
+            r"every law keeps at least (\d+) %", " ".join(read("docs/measurement.md").split())
+        )[1]
+    )
+    cases = json.loads(
+        (page_blocks.measure_winches.FOLDER / "results.json").read_text(encoding="utf-8")
+    )["cases"]
     exact = {}
     homed = {}
     for case in cases:
@@ -78,7 +85,9 @@ def test_laws_behind_the_homed_filter_keep_their_payload():
 def test_code_of_the_home_page_is_that_of_the_example():
     for name, text in page_blocks.blocks(read("docs/index.md")).items():
         if name.endswith(page_blocks.WITH_OUTPUT):
-            assert text.startswith(page_blocks.block(name.removesuffix(page_blocks.WITH_OUTPUT))), AGAIN
+            assert text.startswith(page_blocks.block(name.removesuffix(page_blocks.WITH_OUTPUT))), (
+                AGAIN
+            )
 
 
 @pytest.mark.parametrize("page", MET_FIRST)

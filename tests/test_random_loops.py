@@ -1,4 +1,5 @@
-"""Random loops: curves from seeds, smooth, at rest at the ends, within their bounds and feasible."""
+"""Random loops: curves from seeds, smooth, at rest at the ends, within their bounds and
+feasible."""
 
 from __future__ import annotations
 
@@ -73,7 +74,9 @@ GOLDEN = [
 
 
 @pytest.mark.parametrize(("name", "seed", "duration", "pose"), GOLDEN)
-def test_seed_gives_the_recorded_curve(name: str, seed: int, duration: float, pose: list[float]) -> None:
+def test_seed_gives_the_recorded_curve(
+    name: str, seed: int, duration: float, pose: list[float]
+) -> None:
     motion = loop(name, seed)
     assert motion.duration == duration
     assert_allclose(motion(0.4 * duration).position, pose, rtol=0, atol=1e-13)
@@ -105,12 +108,16 @@ def test_curve_is_closed_smooth_and_within_its_bounds(name: str, seed: int) -> N
     values = stacked(motion, times)
     scale = np.abs(values).max(axis=(1, 2))
     assert_allclose(values[0, 0], values[0, -1], rtol=0, atol=1e-12)
-    assert np.all(np.abs(values[1:, [0, -1]]).max(axis=(1, 2)) <= 1e-9 * scale[1:])  # at rest up to snap
+    assert np.all(
+        np.abs(values[1:, [0, -1]]).max(axis=(1, 2)) <= 1e-9 * scale[1:]
+    )  # at rest up to snap
     away = norms(motion, path.position - np.array(motion.center)).max(axis=0)
     assert np.all((away <= 1.001 * reach) & (away >= 0.25 * reach))
     assert np.all(np.ptp(path.position, axis=0) > 0)
     assert 0.58 <= (norms(motion, path.acceleration).max(axis=0) / limit).max() <= 1.001
-    assert np.all(norms(motion, path.velocity).max(axis=0) <= np.sqrt(2.002 * reach * limit))  # Landau
+    assert np.all(
+        norms(motion, path.velocity).max(axis=0) <= np.sqrt(2.002 * reach * limit)
+    )  # Landau
     assert motion.duration == round(motion.duration, 2)
     between = find_trajectory(json.loads(json.dumps(to_jsonable(motion))), motion.coordinates)
     assert between == BetweenDwells(motion=motion)

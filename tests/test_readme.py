@@ -16,8 +16,12 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 @pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_python_of_the_readme_runs(index, tmp_path):
-    code = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[index].replace("400_000", "1_000")  # seconds
-    ran = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    code = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[index].replace(
+        "400_000", "1_000"
+    )  # seconds
+    ran = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert ran.returncode == 0
     assert ran.stderr == ""
     assert re.search(r"payload known: \d\.\d+ kg", ran.stdout)
@@ -25,7 +29,11 @@ def test_python_of_the_readme_runs(index, tmp_path):
 
 def test_training_of_the_readme_is_that_of_the_example():
     """A test of the examples runs it in full: it carries at least 1.9 kg."""
-    example = (ROOT / "examples" / "train_with_sb3.py").read_text(encoding="utf-8").replace(" verbose=1,", "")
+    example = (
+        (ROOT / "examples" / "train_with_sb3.py")
+        .read_text(encoding="utf-8")
+        .replace(" verbose=1,", "")
+    )
     steps = re.search(r"model\.learn\((\S+)\)", README)[1]
     assert f"else {steps}\n" in example
     for line in re.findall(r"^(?:envs|model) = .*$", README, re.MULTILINE):

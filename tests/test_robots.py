@@ -1,4 +1,5 @@
-"""The robots as data: the paper's values verbatim, and errors for robots that are not physically possible."""
+"""The robots as data: the paper's values verbatim, and errors for robots that are not physically
+possible."""
 
 from __future__ import annotations
 
@@ -48,7 +49,9 @@ ELASTIC = FLEX_SPATIAL.replace(
 
 def test_planar_robot_has_the_values_of_tables_2_and_7():
     assert PLANAR.mass == 1  # m, Table 2; m_n, Table 7
-    assert PLANAR.transmission == Transmission(pulley_radius=0.05, pulley_inertia=0.0008, damping=0)  # r, J; no c given
+    assert PLANAR.transmission == Transmission(
+        pulley_radius=0.05, pulley_inertia=0.0008, damping=0
+    )  # r, J; no c given
     assert PLANAR.motors.stall_torque == 5  # τ_s [N·m]
     assert (PLANAR.cables, PLANAR.coordinates, PLANAR.planar) == (3, 2, True)
     root = math.sqrt(3)  # A1 lower left, A2 lower right, A3 top; side 1 m
@@ -60,7 +63,9 @@ def test_planar_robot_has_the_values_of_tables_2_and_7():
 def test_spatial_robot_has_the_values_of_tables_4_and_8():
     assert SPATIAL.mass == 10  # m_n, Table 8; the 11 of Table 4 have 1 kg of load
     assert SPATIAL.inertia == (0.58, 0.58, 1.16)
-    assert SPATIAL.transmission == Transmission(pulley_radius=0.05, pulley_inertia=0.0008, damping=0.01)
+    assert SPATIAL.transmission == Transmission(
+        pulley_radius=0.05, pulley_inertia=0.0008, damping=0.01
+    )
     assert SPATIAL.motors.stall_torque == 10
     assert (SPATIAL.cables, SPATIAL.coordinates, SPATIAL.planar) == (6, 6, False)
     assert SPATIAL.gravity == 9.81
@@ -78,7 +83,11 @@ def test_spatial_robot_has_the_values_of_tables_4_and_8():
 def test_free_speed_is_1000_rpm_and_ends_the_torque():
     """k₂ = τ_s/ω_n (Eq. 37)."""
     for robot, stall in ((PLANAR, 5.0), (SPATIAL, 10.0)):
-        assert robot.motors.free_speed == pytest.approx(1000 * 2 * math.pi / 60, rel=1e-15) == 1000 * RPM
+        assert (
+            robot.motors.free_speed
+            == pytest.approx(1000 * 2 * math.pi / 60, rel=1e-15)
+            == 1000 * RPM
+        )
         assert_allclose(robot.speed_slope, stall / 104.71975511965978, rtol=1e-15)
 
 
@@ -121,7 +130,9 @@ def test_robots_are_found_by_name():
     for name in ROBOTS:
         assert find_robot(name).name == name
     assert find_robot(UNEQUAL) is UNEQUAL
-    with pytest.raises(ValueError, match=r"choose one of planar, .*, a .toml or .json file, or pass a Robot"):
+    with pytest.raises(
+        ValueError, match=r"choose one of planar, .*, a .toml or .json file, or pass a Robot"
+    ):
         find_robot("cubical")
 
 
@@ -131,7 +142,9 @@ THREE = PLANAR.base_anchors
 SIX = SPATIAL.base_anchors
 PLATFORM = SPATIAL.platform_anchors
 WIDE = ((-1.0, 1.0), (-1.0, 1.0))
-UPRIGHT = -np.array(PLATFORM)[[2, 3, 0, 1, 4, 5]]  # the triangles of base and platform point in one direction
+UPRIGHT = -np.array(PLATFORM)[
+    [2, 3, 0, 1, 4, 5]
+]  # the triangles of base and platform point in one direction
 UPSIDE_DOWN = [(x, y, 2 * CAMERA.home[2] - z) for x, y, z in CAMERA.base]
 """Anchors as in a frame with z up."""
 ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
@@ -278,7 +291,8 @@ point = st.tuples(*[st.floats(-1, 1).map(lambda value: round(value, 3))] * 2)
 @settings(max_examples=60, derandomize=True)
 @given(st.lists(point, min_size=3, max_size=5), point)
 def test_planar_home_is_accepted_exactly_if_tensions_exist(anchors, home):
-    """The largest t of tensions without a resultant, whose sum is 1 and which are all at least t, is positive."""
+    """The largest t of tensions without a resultant, whose sum is 1 and which are all at least t,
+    is positive."""
     ends = np.array([*anchors, home])
     distances = np.linalg.norm(ends[:, None] - ends, axis=-1)[np.triu_indices(len(ends), 1)]
     assume(distances.min() > 0.01)
@@ -286,7 +300,9 @@ def test_planar_home_is_accepted_exactly_if_tensions_exist(anchors, home):
     cables = len(anchors)
     balance = np.r_[np.c_[jacobian.T, [0.0, 0.0]], [[1.0] * cables + [0.0]]]
     at_least = np.c_[-np.eye(cables), np.ones(cables)]
-    best = linprog(-np.eye(cables + 1)[-1], at_least, np.zeros(cables), balance, [0, 0, 1], (None, None))
+    best = linprog(
+        -np.eye(cables + 1)[-1], at_least, np.zeros(cables), balance, [0, 0, 1], (None, None)
+    )
     largest = -best.fun if best.status == 0 else -1.0
     assume(abs(largest) > 1e-5)  # not on an edge, where rounding decides
     changes = {
@@ -297,7 +313,9 @@ def test_planar_home_is_accepted_exactly_if_tensions_exist(anchors, home):
     if largest > 0 and np.linalg.matrix_rank(jacobian, tol=1e-6) == 2:
         assert_array_equal(PLANAR.replace(**changes).home, home)
     else:
-        with pytest.raises(ValueError, match=r"do not surround home_pose|the cables act in 1 of 2 directions"):
+        with pytest.raises(
+            ValueError, match=r"do not surround home_pose|the cables act in 1 of 2 directions"
+        ):
             PLANAR.replace(**changes)
 
 
@@ -335,7 +353,11 @@ def arrays_of(robot):
             "motor_damping",
             "axial_stiffness",
         )
-        if not name.startswith("_") and not absent and isinstance(getattr(robot, name, None), np.ndarray):
+        if (
+            not name.startswith("_")
+            and not absent
+            and isinstance(getattr(robot, name, None), np.ndarray)
+        ):
             arrays[name] = getattr(robot, name)
     return arrays
 
@@ -411,7 +433,9 @@ def test_defaults_of_a_robot_file_reach_environments_and_scores(robot_file):
     assert task.error_bounds.rotation == 0.01, "the bound that the file leaves out is the usual one"
     result = evaluate_dlcc("fl", PLANAR_ID, robot=robot_file, resolution=1.0)
     assert (result.payload_max, result.error_bounds["position"]) == (3.0, 0.005)
-    assert find_error_bounds({"rotation": 0.02}, task.robot) == ErrorBounds(position=0.005, rotation=0.02)
+    assert find_error_bounds({"rotation": 0.02}, task.robot) == ErrorBounds(
+        position=0.005, rotation=0.02
+    )
 
 
 def test_robot_survives_dict_and_pickle_with_its_defaults(robot_file):

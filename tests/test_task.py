@@ -64,7 +64,8 @@ def test_motion_may_leave_the_workspace_by_the_error_bounds(coordinate, side):
 
 
 def held_at_rest(robot: Robot, pose: np.ndarray) -> float:
-    """Largest payload that the motors hold at rest [kg]; a spatial robot's torques are proportional to the mass."""
+    """Largest payload that the motors hold at rest [kg]; a spatial robot's torques are proportional
+    to the mass."""
     per_mass = textbook.static_torque(robot, 1.0, pose)
     return float(np.min(robot.stall_torque / per_mass)) - robot.mass
 
@@ -113,5 +114,7 @@ def test_motors_hold_at_least_a_kilogram_more_at_the_start_pose(robot):
     ]
     for motion in motions:
         task = make_task(robot, motion)
-        gained = held_at_rest(robot, task.start_pose) - held_at_rest(robot, task.trajectory(0.0).position)
+        gained = held_at_rest(robot, task.start_pose) - held_at_rest(
+            robot, task.trajectory(0.0).position
+        )
         assert 1.0 <= gained <= 1.3

@@ -1,4 +1,5 @@
-"""The reference motions against the paper's tables, symbolic differentiation, and the rules of the protocol."""
+"""The reference motions against the paper's tables, symbolic differentiation, and the rules of the
+protocol."""
 
 from __future__ import annotations
 
@@ -53,7 +54,9 @@ def without_dwells(name: str, **fields: Any) -> Trajectory:
     ("robot", "radius", "rest"),
     [("planar", 0.2165, []), ("spatial", 0.1, [0.1] * 4)],
 )
-def test_paper_circle_is_that_of_tables_1_and_3(robot: str, radius: float, rest: list[float]) -> None:
+def test_paper_circle_is_that_of_tables_1_and_3(
+    robot: str, radius: float, rest: list[float]
+) -> None:
     t = np.linspace(0, 1, 501)
     speeding_up = 4 * np.pi * t**2
     slowing_down = 4 * np.pi * (1 - t) ** 2
@@ -70,7 +73,8 @@ def test_paper_circle_is_that_of_tables_1_and_3(robot: str, radius: float, rest:
 
 
 def test_first_branch_of_the_paper_circle_holds_at_half_time() -> None:
-    """The tangential acceleration at (−R, 0) is along −y while speeding up, along +y while slowing down."""
+    """The tangential acceleration at (−R, 0) is along −y while speeding up, along +y while slowing
+    down."""
     motion = PaperCircle(radius=0.3, center=(0.0, 0.0), duration=1.7)
     middle = motion(0.85)
     after = motion(0.85 * (1 + 1e-15))
@@ -159,7 +163,9 @@ def test_derivatives_are_the_symbolic_ones(case: str, order: int) -> None:
     case=st.sampled_from(sorted(MOTIONS)),
     fraction=st.floats(-0.5, 1.5),
 )
-def test_motion_between_dwells_is_shifted_and_rests_at_its_ends(dwell: float, case: str, fraction: float) -> None:
+def test_motion_between_dwells_is_shifted_and_rests_at_its_ends(
+    dwell: float, case: str, fraction: float
+) -> None:
     motion = MOTIONS[case][0]
     between = BetweenDwells(motion=motion, dwell=dwell)
     assert between.duration == pytest.approx(motion.duration + 2 * dwell, rel=1e-15)
@@ -229,14 +235,18 @@ def broken():
 """
 
 
-def test_motion_of_a_file_is_an_object_class_or_function(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_motion_of_a_file_is_an_object_class_or_function(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sys, "path", [*sys.path])
     path = tmp_path / "own_motion_of_a_test.py"
     path.write_text(FILE, encoding="utf-8")
     for name in ("ready", "Shift", "shift"):
         motion = find_trajectory(f"{path}:{name}", 2)
         assert motion(99.0).position.tolist() == [0.1, 0.0]
-        assert find_trajectory(f"{path}:{name}", 2) is motion, "one object, so that environments share one table"
+        assert find_trajectory(f"{path}:{name}", 2) is motion, (
+            "one object, so that environments share one table"
+        )
     lost = r"raised RuntimeError: lost \(own_motion_of_a_test\.py, line 10\)"
     for name, message in (
         ("number", "gives 3, which is no Trajectory"),
@@ -268,7 +278,8 @@ def test_smooth_motions_have_no_jump_up_to_snap_at_either_end(
 
 @every_name
 def test_motion_rests_outside_its_duration(name: str) -> None:
-    """The last instant still belongs to the motion: the paper's circle brakes at t = 1 s, with −8π rad/s² at (R, 0)."""
+    """The last instant still belongs to the motion: the paper's circle brakes at t = 1 s, with −8π
+    rad/s² at (R, 0)."""
     motion = TRAJECTORIES[name]()
     after = motion([np.nextafter(motion.duration, np.inf), motion.duration + 7.0, np.inf])
     assert_array_equal(after.position, [motion(motion.duration).position] * 3)

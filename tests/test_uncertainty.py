@@ -1,4 +1,5 @@
-"""Uncertainty as data: the distributions, the drawn robots, impossible uncertainties, and the forms of the data."""
+"""Uncertainty as data: the distributions, the drawn robots, impossible uncertainties, and the forms
+of the data."""
 
 from __future__ import annotations
 
@@ -76,7 +77,9 @@ def test_deviations_stay_within_the_bounds_and_rise(low, width, law):
 
 
 def test_uniform_distribution_is_uniform():
-    deviation = ParameterDistribution(low=-0.1, high=0.3).deviation(np.random.default_rng(1).random(20_000))
+    deviation = ParameterDistribution(low=-0.1, high=0.3).deviation(
+        np.random.default_rng(1).random(20_000)
+    )
     assert stats.kstest(deviation, stats.uniform(-0.1, 0.4).cdf).pvalue > 0.01
 
 
@@ -85,8 +88,11 @@ def test_uniform_distribution_is_uniform():
     [(-0.3, 0.2, 0.05, 0.1), (0.1, 0.15, 0.0, 0.05), (0.37, 0.4, 0.0, 0.05)],
 )
 def test_normal_distribution_is_truncated(low, high, mean, std):
-    """Clipping would pile draws up on the bounds; a std after the truncation would be another law."""
-    distribution = ParameterDistribution(low=low, high=high, distribution="normal", mean=mean, std=std)
+    """Clipping would pile draws up on the bounds; a std after the truncation would be another
+    law."""
+    distribution = ParameterDistribution(
+        low=low, high=high, distribution="normal", mean=mean, std=std
+    )
     deviation = distribution.deviation(np.random.default_rng(2).random(20_000))
     law = stats.truncnorm((low - mean) / std, (high - mean) / std, loc=mean, scale=std)
     assert stats.kstest(deviation, law.cdf).pvalue > 0.01
@@ -94,7 +100,9 @@ def test_normal_distribution_is_truncated(low, high, mean, std):
 
 
 def test_wide_normal_bounds_give_finite_draws():
-    distribution = ParameterDistribution(low=-100.0, high=100.0, distribution="normal", mean=0.0, std=0.1)
+    distribution = ParameterDistribution(
+        low=-100.0, high=100.0, distribution="normal", mean=0.0, std=0.1
+    )
     deviation = distribution.deviation(np.array([0.0, 1e-300, 0.5, 1 - 2.0**-53]))
     assert np.all(np.isfinite(deviation))
     assert deviation[2] == 0.0
@@ -139,7 +147,9 @@ def test_impossible_distribution_raises(fields, message):
 def test_each_draws_one_number_for_each(name):
     """Not the moments: of the paper's flat platform, none can be drawn alone."""
     distribution = ParameterDistribution(low=0.0, high=1e-3, relative=False)
-    deviation = values_of(drawn(ELASTIC, {name: distribution}), name) - values_of(drawn(ELASTIC, {}), name)
+    deviation = values_of(drawn(ELASTIC, {name: distribution}), name) - values_of(
+        drawn(ELASTIC, {}), name
+    )
     assert -1e-15 <= deviation.min() < deviation.max() <= 1e-3 + 1e-15
     assert len(np.unique(deviation.round(12))) > 0.99 * deviation.size
     correlation = np.atleast_2d(np.corrcoef(deviation.T))
@@ -152,7 +162,11 @@ def test_parameter_changes_its_own_value_and_no_other(name):
     distribution = ParameterDistribution(low=1e-3, high=2e-3, relative=False, each=False)
     nominal = drawn(ELASTIC, {}, payload=2.0)
     changed = drawn(ELASTIC, {name: distribution}, payload=2.0)
-    different = {key for key in PARAMETERS if not np.array_equal(values_of(nominal, key), values_of(changed, key))}
+    different = {
+        key
+        for key in PARAMETERS
+        if not np.array_equal(values_of(nominal, key), values_of(changed, key))
+    }
     assert different == {name}
     deviation = values_of(changed, name) - values_of(nominal, name)
     assert_allclose(deviation, deviation[:, :1] + 0 * deviation, atol=1e-14)
@@ -183,7 +197,9 @@ def test_two_parameters_do_not_read_the_same_number(robot):
     draws = drawn(robot, parameters, 400)
     columns = [values_of(draws, name) for name in parameters if name != "platform_inertia"]
     if not robot.planar:
-        columns.append(values_of(draws, "platform_inertia")[:, :1])  # one deviation for all three moments
+        columns.append(
+            values_of(draws, "platform_inertia")[:, :1]
+        )  # one deviation for all three moments
     numbers = np.concatenate(columns, axis=1)
     assert np.abs(np.corrcoef(numbers.T) - np.eye(numbers.shape[1])).max() < 0.3
 
@@ -279,7 +295,10 @@ IMPOSSIBLE_PARAMETERS: list[tuple[Any, str, Any, str]] = [
     ),
 ]
 IMPOSSIBLE: list[tuple[Any, Any, str]] = [
-    *((robot, {"parameters": {name: value}}, message) for robot, name, value, message in IMPOSSIBLE_PARAMETERS),
+    *(
+        (robot, {"parameters": {name: value}}, message)
+        for robot, name, value, message in IMPOSSIBLE_PARAMETERS
+    ),
     (
         PLANAR,
         {"delay": LONGEST_DELAY + 1},
@@ -355,7 +374,9 @@ def test_impossible_uncertainty_raises(robot, data, message):
     ],
 )
 def test_just_possible_distribution_is_accepted(robot, name, distribution):
-    uncertainty = find_uncertainty({"parameters": {name: distribution}, "delay": LONGEST_DELAY}, robot)
+    uncertainty = find_uncertainty(
+        {"parameters": {name: distribution}, "delay": LONGEST_DELAY}, robot
+    )
     assert uncertainty.parameters[name] == ParameterDistribution(**distribution)
     assert uncertainty.delay == LONGEST_DELAY
 
@@ -395,7 +416,9 @@ def test_table_6_is_that_of_the_paper(robot):
     )
     assert (table.sensors, table.delay, table.random) == (None, 0, True)
     with_load = dict(table.parameters) | {"payload": tenth_of_all}
-    assert find_uncertainty("table6-load", robot) == dataclasses.replace(table, parameters=with_load)
+    assert find_uncertainty("table6-load", robot) == dataclasses.replace(
+        table, parameters=with_load
+    )
     sensors = find_uncertainty("sensors", robot).sensors
     for name in ("table6+sensors", "sensors+table6+none"):
         assert find_uncertainty(name, robot) == dataclasses.replace(table, sensors=sensors)
@@ -403,10 +426,15 @@ def test_table_6_is_that_of_the_paper(robot):
 
 @paper_robots
 def test_hardware_varies_every_part_and_the_manual_says_why(robot):
-    """Lag and friction too, which are zero in the nominal robot: a relative deviation would change nothing."""
+    """Lag and friction too, which are zero in the nominal robot: a relative deviation would change
+    nothing."""
     hardware = find_uncertainty("hardware", robot)
-    missing = {name for name in PARAMETERS if PARAMETERS[name].belongs_to(robot)} - set(hardware.parameters)
-    assert missing == ({"damping"} if robot.flexible else set())  # the friction of its motors varies
+    missing = {name for name in PARAMETERS if PARAMETERS[name].belongs_to(robot)} - set(
+        hardware.parameters
+    )
+    assert missing == (
+        {"damping"} if robot.flexible else set()
+    )  # the friction of its motors varies
     draws = drawn(robot, hardware.parameters, 50, payload=2.0)
     for name in hardware.parameters:
         assert np.all(np.ptp(values_of(draws, name), axis=0) > 0), name
@@ -425,7 +453,9 @@ def test_hardware_varies_every_part_and_the_manual_says_why(robot):
     } <= {*sourced}
 
 
-NORMAL = ParameterDistribution(low=0.0, high=0.1, distribution="normal", mean=0.02, std=0.03, relative=False)
+NORMAL = ParameterDistribution(
+    low=0.0, high=0.1, distribution="normal", mean=0.02, std=0.03, relative=False
+)
 EVERYTHING = {
     "parameters": {name: tenth_of(name) for name in PARAMETERS} | {"damping": NORMAL},
     "wrench": ExternalWrench(

@@ -72,7 +72,9 @@ def test_coordinates_alone_take_a_duration(write_file, kind, text, pose):
     motion = find_trajectory({"name": name, "duration": 4, "dwell": 0}, kind)
     assert motion.duration == 4
     assert_allclose(motion(4.0).position, pose)
-    with pytest.raises(ValueError, match=r"has no column t\. Add it, or give a duration: \{\"name\""):
+    with pytest.raises(
+        ValueError, match=r"has no column t\. Add it, or give a duration: \{\"name\""
+    ):
         find_trajectory(name, kind)
 
 
@@ -110,7 +112,9 @@ def test_wrong_file_is_refused_with_its_line(write_file, text, message):
 
 
 def test_missing_file_and_invalid_waypoints_raise(tmp_path):
-    with pytest.raises(ValueError, match=r"cannot read trajectory file '.*none\.csv': No such file"):
+    with pytest.raises(
+        ValueError, match=r"cannot read trajectory file '.*none\.csv': No such file"
+    ):
         find_trajectory(tmp_path / "none.csv", "planar")
     with pytest.raises(ValueError, match="times must be at least two numbers that increase from 0"):
         Waypoints(times=(0.0, 1.0, 1.0), poses=((0, 0),) * 3)
@@ -121,9 +125,10 @@ def test_missing_file_and_invalid_waypoints_raise(tmp_path):
 def test_motion_of_a_robot_file_is_beside_it(write_file, tmp_path):
     write_file()
     text = 'name = "r"\nbase_anchors = [[-1, -1], [1, -1], [0, 1]]\nmass = 1\nhome_pose = [0, 0]\n'
-    text += (
-        "[motors]\nstall_torque = 5\nfree_speed = 100\n[transmission]\npulley_radius = 0.05\npulley_inertia = 1e-3\n"
+    text += "[motors]\nstall_torque = 5\nfree_speed = 100\n"
+    text += "[transmission]\npulley_radius = 0.05\npulley_inertia = 1e-3\n"
+    (tmp_path / "r.TOML").write_text(
+        text + '[defaults]\ntrajectory = {name = "way.csv", duration = 2}\n', "utf-8"
     )
-    (tmp_path / "r.TOML").write_text(text + '[defaults]\ntrajectory = {name = "way.csv", duration = 2}\n', "utf-8")
     robot = load_robot(tmp_path / "r.TOML")
     assert find_trajectory(robot.defaults.trajectory, robot.kind).motion.duration == 2

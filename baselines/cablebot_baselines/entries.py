@@ -12,7 +12,9 @@ from cablebot_gym.robots import Robot
 
 DATA: dict[str, dict[str, Any]] = {
     name: data | {"name": name, "env_ids": tuple(data["env_ids"])}
-    for name, data in tomllib.loads((files("cablebot_baselines") / "policies.toml").read_text(encoding="utf-8")).items()
+    for name, data in tomllib.loads(
+        (files("cablebot_baselines") / "policies.toml").read_text(encoding="utf-8")
+    ).items()
 }
 """Fields of the entries by the name of the policy."""
 

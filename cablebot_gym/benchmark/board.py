@@ -1,4 +1,5 @@
-"""Seeds of a run, and boards: hidden motions that are committed together with the policies before they are drawn."""
+"""Seeds of a run, and boards: hidden motions that are committed together with the policies before
+they are drawn."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from cablebot_gym.utils.code_hash import file_digest
 from cablebot_gym.utils.files import atomic_write_text, read_text
 
 RUN, BOARD, SECRET = "run.json", "board.json", "secret.json"
-"""Names of the files in the results folder: evaluation seed, public commitment, and secret of the hidden motions."""
+"""Names of the files in the results folder: evaluation seed, public commitment, and secret of the
+hidden motions."""
 
 _BITS = 128
 _SEED_BITS = 53
@@ -26,7 +28,8 @@ _SEED_BITS = 53
 
 
 def run_seed(out: Path, seed: int | None = None) -> int:
-    """Evaluation seed of the runs in a results folder: 128 bits from the operating system, drawn once and stored.
+    """Evaluation seed of the runs in a results folder: 128 bits from the operating system, drawn
+    once and stored.
 
     Args:
         out: results folder.
@@ -58,7 +61,8 @@ class Board:
     commitment: str
     """SHA-256 of all other fields; published before the motions are drawn."""
     secret: str | None = None
-    """128 random bits that determine the hidden motions, in hexadecimal; None before they are published."""
+    """128 random bits that determine the hidden motions, in hexadecimal; None before they are
+    published."""
     salt: str | None = None
     """128 further random bits of the commitment, in hexadecimal; None before they are published."""
 
@@ -82,7 +86,8 @@ class Board:
         """Checks that policies are those of the commitment, with the present bytes of their files.
 
         Raises:
-            ValueError: if a policy is missing in the commitment, or if its code or weights have changed.
+            ValueError: if a policy is missing in the commitment, or if its code or weights have
+                changed.
         """
         changed = [name for name in names if self.policies.get(name) != policy_digest(name)]
         if changed:
@@ -92,21 +97,28 @@ class Board:
             )
 
     def seeds(self, env_id: str, count: int) -> list[int]:
-        """Seeds of the hidden motions of an environment: all of them are held out, and none repeats.
+        """Seeds of the hidden motions of an environment: all of them are held out, and none
+        repeats.
 
         Raises:
             ValueError: see :meth:`check`; if the board has another number of motions.
         """
         self.check()
         if count != self.motions:
-            raise ValueError(f"board {self.version!r} was committed with {self.motions} motions, not {count}")
+            raise ValueError(
+                f"board {self.version!r} was committed with {self.motions} motions, not {count}"
+            )
         words = (f"{self.secret}:{self.salt}:{env_id}:{index}" for index in range(count))
         digests = (int.from_bytes(hashlib.sha256(word.encode()).digest()) for word in words)
-        return [FIRST_HELD_OUT_SEED + digest % (2**_SEED_BITS - FIRST_HELD_OUT_SEED) for digest in digests]
+        return [
+            FIRST_HELD_OUT_SEED + digest % (2**_SEED_BITS - FIRST_HELD_OUT_SEED)
+            for digest in digests
+        ]
 
 
 def commit(out: Path, version: str, policies: Mapping[str, Sequence[str]], motions: int) -> Board:
-    """Draws the secret of a new board, writes it and the public commitment to a folder, and returns the board.
+    """Draws the secret of a new board, writes it and the public commitment to a folder, and returns
+    the board.
 
     Args:
         out: results folder.
@@ -123,16 +135,29 @@ def commit(out: Path, version: str, policies: Mapping[str, Sequence[str]], motio
         if (out / name).exists():
             raise ValueError(f"{str(out)!r} has a board; choose another folder")
     entries = {env_id: list(names) for env_id, names in policies.items()}
-    digests = {name: policy_digest(name) for name in sorted({name for names in entries.values() for name in names})}
+    digests = {
+        name: policy_digest(name)
+        for name in sorted({name for names in entries.values() for name in names})
+    }
     secret, salt = (f"{secrets.randbits(_BITS):032x}" for _ in range(2))
     board = Board(
-        version=version, policies=digests, entries=entries, motions=motions, commitment="", secret=secret, salt=salt
+        version=version,
+        policies=digests,
+        entries=entries,
+        motions=motions,
+        commitment="",
+        secret=secret,
+        salt=salt,
     )
     board = replace(board, commitment=board.digest())
     out.mkdir(parents=True, exist_ok=True)
     (out / SECRET).touch(mode=0o600)
-    (out / SECRET).write_text(json.dumps({"secret": secret, "salt": salt}, indent=1) + "\n", encoding="utf-8")
-    public = {name: value for name, value in asdict(board).items() if name not in ("secret", "salt")}
+    (out / SECRET).write_text(
+        json.dumps({"secret": secret, "salt": salt}, indent=1) + "\n", encoding="utf-8"
+    )
+    public = {
+        name: value for name, value in asdict(board).items() if name not in ("secret", "salt")
+    }
     atomic_write_text(out / BOARD, json.dumps(public, indent=1) + "\n")
     return board
 
@@ -144,24 +169,35 @@ def read_board(out: Path) -> Board:
         ValueError: if there is none, or if it does not match its commitment.
     """
     if not (out / BOARD).exists():
-        raise ValueError(f"{str(out)!r} has no board: commit one first, with the option --commit VERSION")
+        raise ValueError(
+            f"{str(out)!r} has no board: commit one first, with the option --commit VERSION"
+        )
     try:
         board = Board(**_read(out / BOARD), **_read(out / SECRET))
     except TypeError as error:
-        raise ValueError(f"the board in {str(out)!r} is damaged or of another version ({error})") from error
+        raise ValueError(
+            f"the board in {str(out)!r} is damaged or of another version ({error})"
+        ) from error
     board.check()
     return board
 
 
 def policy_digest(policy: str) -> str:
-    """SHA-256 of the bytes of all modules and data files of a policy, and of the modules of this package they import.
+    """SHA-256 of the bytes of all modules and data files of a policy, and of the modules of this
+    package they import.
 
     Raises:
         ValueError: if the policy is a module outside a package, whose data files are unknown.
     """
     modules, data = policy_source(policy)
-    if not policy.endswith(".zip") and not is_entry(policy) and not any(in_package(module) for module in modules):
-        raise ValueError(f"the data files of policy {policy!r} are unknown: put its module into a package")
+    if (
+        not policy.endswith(".zip")
+        and not is_entry(policy)
+        and not any(in_package(module) for module in modules)
+    ):
+        raise ValueError(
+            f"the data files of policy {policy!r} are unknown: put its module into a package"
+        )
     return file_digest(*modules, data=data)
 
 

@@ -1,4 +1,5 @@
-"""Cells of the benchmark. A cell is one number: the DLCC of a policy under given conditions or a best known payload."""
+"""Cells of the benchmark. A cell is one number: the DLCC of a policy under given conditions or a
+best known payload."""
 
 from __future__ import annotations
 
@@ -39,7 +40,8 @@ class Conditions:
     env_id: str
     """Environment id."""
     trajectory: Mapping[str, Any]
-    """Reference motion, ``{"name": …}`` and its fields; see :func:`~cablebot_gym.trajectories.find_trajectory`."""
+    """Reference motion, ``{"name": …}`` and its fields; see
+    :func:`~cablebot_gym.trajectories.find_trajectory`."""
     error_bounds: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_ERROR_BOUNDS))
     """Error bounds: ``position`` [m] and ``rotation`` [rad]."""
     control_frequency: float = 500.0
@@ -57,7 +59,11 @@ class Conditions:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data, the input of :func:`cell_from_dict`."""
-        fields = {name: value for name, value in asdict(self).items() if (name, value) != ("robot_name", None)}
+        fields = {
+            name: value
+            for name, value in asdict(self).items()
+            if (name, value) != ("robot_name", None)
+        }
         return {"kind": self.kind, **fields}
 
     @property
@@ -71,10 +77,15 @@ class Conditions:
         """Nominal robot with the changes of the cell.
 
         Raises:
-            ValueError: if a change is invalid, such as a stiffness of a robot without joint springs.
+            ValueError: if a change is invalid, such as a stiffness of a robot without joint
+                springs.
         """
         robot = find_robot(self.robot_name or env_robot(self.env_id))
-        return Robot.from_dict(merged(robot.to_dict(), self.robot_changes)) if self.robot_changes else robot
+        return (
+            Robot.from_dict(merged(robot.to_dict(), self.robot_changes))
+            if self.robot_changes
+            else robot
+        )
 
     def env_options(self) -> dict[str, Any]:
         """JSON-able keyword arguments of the environment."""
@@ -109,7 +120,8 @@ class PolicyCell(Conditions):
     uncertainty: str | None = None
     """Name of an uncertainty; None for none."""
     draws: int = 1
-    """Number of fresh draws that confirm the payload; 1 without uncertainty, except in real time."""
+    """Number of fresh draws that confirm the payload; 1 without uncertainty, except in real
+    time."""
     probability: float = 0.95
     """Required success rate over the draws."""
     seed: int = 0
@@ -134,7 +146,8 @@ class PolicyCell(Conditions):
 
     @property
     def payload_model(self) -> str:
-        """Payload model in words: ``payload known``, ``payload unknown`` or ``payload model × 0.9``."""
+        """Payload model in words: ``payload known``, ``payload unknown`` or ``payload model ×
+        0.9``."""
         return payload_model_text(self.payload_known, self.model_payload_factor)
 
     def env_options(self) -> dict[str, Any]:
@@ -143,16 +156,21 @@ class PolicyCell(Conditions):
         return super().env_options() | {name: getattr(self, name) for name in names}
 
     def options(self) -> dict[str, Any]:
-        """JSON-able keyword arguments of :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc`."""
+        """JSON-able keyword arguments of
+        :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc`."""
         names = ("criterion", "payload_max", "resolution", "probability", "seed")
-        draws = self.draws if self.draws > 1 else None  # a stochastic policy has draws without uncertainty
+        draws = (
+            self.draws if self.draws > 1 else None
+        )  # a stochastic policy has draws without uncertainty
         return self.env_options() | {name: getattr(self, name) for name in names} | {"draws": draws}
 
     def compute(self) -> dict[str, Any]:
-        """The payload, its limiting violation, and the details of the search. The policy runs in a process of its own.
+        """The payload, its limiting violation, and the details of the search. The policy runs in a
+        process of its own.
 
-        The paper criterion applies to policies that declare ``unsaturated_actions``; for others the result says
-        ``applicable: False``. ``declared`` marks policies that this project does not hold to their declaration.
+        The paper criterion applies to policies that declare ``unsaturated_actions``; for others the
+        result says ``applicable: False``. ``declared`` marks policies that this project does not
+        hold to their declaration.
         """
         with self._isolated() as policy:
             if self.criterion == "paper" and not policy.unsaturated_actions:
@@ -184,7 +202,8 @@ class PolicyCell(Conditions):
             seed: seed of the draws.
 
         Raises:
-            PolicyError: if the policy carries the payload less often alone than with other episodes.
+            PolicyError: if the policy carries the payload less often alone than with other
+                episodes.
         """
         judged: dict[str, Any] = {
             "criterion": self.criterion,
@@ -194,7 +213,9 @@ class PolicyCell(Conditions):
         keywords = {name: value for name, value in self.env_options().items() if name not in judged}
         with self._isolated() as policy:
             batch = Batch(policy, self.env_id, draws=draws, seed=seed, keywords=keywords, **judged)
-            carried = sum(verdict.carried for verdict in batch.run([(payload, one) for one in batch.seeds]))
+            carried = sum(
+                verdict.carried for verdict in batch.run([(payload, one) for one in batch.seeds])
+            )
             batch.check_alone(payload, carried)
         return carried / draws
 
@@ -223,10 +244,11 @@ class TimingCell(Conditions):
         return _policy_hash(self.policy, self.robot_files)
 
     def compute(self) -> dict[str, Any]:
-        """The result of :func:`cablebot_gym.evaluation.timing.time_actions`, and the processor of this machine.
+        """The result of :func:`cablebot_gym.evaluation.timing.time_actions`, and the processor of
+        this machine.
 
-        A policy of this project runs in this process. ``exchange`` marks others, whose times include the exchange with
-        the process of the policy.
+        A policy of this project runs in this process. ``exchange`` marks others, whose times
+        include the exchange with the process of the policy.
         """
         own = PolicySpec.parse(self.policy).own
         with nullcontext(self.policy) if own else IsolatedPolicy(self.policy, self.robot) as policy:
@@ -251,15 +273,20 @@ class BestKnownCell(Conditions):
         return source_hash("cablebot_gym.bounds.best_known", data=self.robot_files)
 
     def compute(self) -> dict[str, Any]:
-        """The result of :func:`cablebot_gym.bounds.best_known.find_best_known` as JSON-able data."""
+        """The result of :func:`cablebot_gym.bounds.best_known.find_best_known` as JSON-able
+        data."""
         from cablebot_gym.bounds.best_known import find_best_known
 
-        return dict(find_best_known(self.env_id, **self.env_options() | {"robot": self.robot}).to_dict())
+        return dict(
+            find_best_known(self.env_id, **self.env_options() | {"robot": self.robot}).to_dict()
+        )
 
 
 Cell = PolicyCell | BestKnownCell | TimingCell
 
-_KINDS: Mapping[str, type[Cell]] = {one.kind: one for one in (PolicyCell, BestKnownCell, TimingCell)}
+_KINDS: Mapping[str, type[Cell]] = {
+    one.kind: one for one in (PolicyCell, BestKnownCell, TimingCell)
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -277,7 +304,8 @@ class Record:
     seconds: float
     """Wall time of the computation [s]."""
     final: bool = True
-    """Whether a retry gives the same result. False if a package, a file or memory was missing or a process died."""
+    """Whether a retry gives the same result. False if a package, a file or memory was missing or a
+    process died."""
 
     @property
     def error(self) -> str | None:
@@ -286,7 +314,8 @@ class Record:
 
 
 def compute(cell: Cell) -> Record:
-    """Computes a cell. An exception becomes the error of the record; it does not stop the benchmark."""
+    """Computes a cell. An exception becomes the error of the record; it does not stop the
+    benchmark."""
     start, final = time.perf_counter(), True
     try:
         result = json.loads(canonical(cell.compute()))
@@ -304,9 +333,15 @@ def compute(cell: Cell) -> Record:
 
 
 def failed_record(cell: Cell, reason: str) -> Record:
-    """A record that is not final, with ``reason`` as its error: the next run computes the cell again."""
+    """A record that is not final, with ``reason`` as its error: the next run computes the cell
+    again."""
     return Record(
-        cell=cell, source=cell.source, versions=versions(), result={"error": reason}, seconds=0.0, final=False
+        cell=cell,
+        source=cell.source,
+        versions=versions(),
+        result={"error": reason},
+        seconds=0.0,
+        final=False,
     )
 
 
@@ -322,21 +357,31 @@ def cell_from_dict(data: Mapping[str, Any]) -> Cell:
 def processor() -> str:
     """Model of the processor, without the name of the machine."""
     with suppress(OSError):
-        found = re.search(r"^model name\s*: (.+)$", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.MULTILINE)
+        found = re.search(
+            r"^model name\s*: (.+)$",
+            Path("/proc/cpuinfo").read_text(encoding="utf-8"),
+            re.MULTILINE,
+        )
         if found:
             return found[1].strip()
     return platform.processor() or platform.machine()
 
 
 def _policy_hash(policy: str, robot_files: tuple[Path, ...]) -> str:
-    """Hash of the code that evaluates a policy, this package's and the policy's, and of the files of the robot."""
+    """Hash of the code that evaluates a policy, this package's and the policy's, and of the files
+    of the robot."""
     modules, data = policy_source(policy)
-    judge = ("cablebot_gym.evaluation.evaluator", "cablebot_gym.evaluation.timing", "cablebot_gym.isolation.isolated")
+    judge = (
+        "cablebot_gym.evaluation.evaluator",
+        "cablebot_gym.evaluation.timing",
+        "cablebot_gym.isolation.isolated",
+    )
     return source_hash(*judge, *modules, data=(*data, *robot_files))
 
 
 def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy of nested data with changed values; a nested mapping changes the values that it names."""
+    """A copy of nested data with changed values; a nested mapping changes the values that it
+    names."""
     return {**data} | {
         name: merged(data.get(name) or {}, value) if isinstance(value, Mapping) else value
         for name, value in changes.items()
@@ -345,10 +390,16 @@ def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
 
 def canonical(data: Any) -> str:
     """JSON text that is identical for equal data."""
-    return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return json.dumps(
+        data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    )
 
 
 def _one_line(error: Exception) -> str:
     """The message of an exception in one line, with the type where the message alone is unclear."""
     text = " ".join(str(error).split())
-    return text if isinstance(error, (ValueError, ImportError, RuntimeError)) else f"{type(error).__name__}: {text}"
+    return (
+        text
+        if isinstance(error, (ValueError, ImportError, RuntimeError))
+        else f"{type(error).__name__}: {text}"
+    )

@@ -1,4 +1,5 @@
-"""Runs jobs on local processes or on a Ray cluster: cells of the benchmark, and computations of the reproduction."""
+"""Runs jobs on local processes or on a Ray cluster: cells of the benchmark, and computations of the
+reproduction."""
 
 from __future__ import annotations
 
@@ -9,7 +10,14 @@ from itertools import chain
 from operator import attrgetter
 from typing import Any
 
-from cablebot_gym.benchmark.cells import Cell, PolicyCell, Record, TimingCell, compute, failed_record
+from cablebot_gym.benchmark.cells import (
+    Cell,
+    PolicyCell,
+    Record,
+    TimingCell,
+    compute,
+    failed_record,
+)
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils import workers as processes
 
@@ -36,24 +44,35 @@ class Job:
         return self.compute()
 
 
-Backend = Callable[[Mapping[str, Job], MessageCallback, tuple[type[Exception], ...]], Iterator[tuple[str, Any]]]
-"""Executes jobs: yields keys and results in order of completion. Called with the jobs by key, a function for messages,
-and the types of exceptions that are results; others are raised."""
+Backend = Callable[
+    [Mapping[str, Job], MessageCallback, tuple[type[Exception], ...]], Iterator[tuple[str, Any]]
+]
+"""Executes jobs: yields keys and results in order of completion. Called with the jobs by key, a
+function for messages, and the types of exceptions that are results; others are raised."""
 
 
 def local(workers: int) -> Backend:
     """A backend of ``workers`` processes on this machine."""
 
-    def run(jobs: Mapping[str, Job], say: MessageCallback, returned: tuple[type[Exception], ...]) -> Iterator[Any]:
-        return processes.run(jobs, workers=workers, kind=attrgetter("kind"), say=say, returned=returned)
+    def run(
+        jobs: Mapping[str, Job], say: MessageCallback, returned: tuple[type[Exception], ...]
+    ) -> Iterator[Any]:
+        return processes.run(
+            jobs, workers=workers, kind=attrgetter("kind"), say=say, returned=returned
+        )
 
     return run
 
 
 def run_jobs(
-    jobs: Iterable[Job], backend: Backend, *, say: MessageCallback, returned: tuple[type[Exception], ...] = ()
+    jobs: Iterable[Job],
+    backend: Backend,
+    *,
+    say: MessageCallback,
+    returned: tuple[type[Exception], ...] = (),
 ) -> Iterator[tuple[str, Any]]:
-    """Yields the key and the result of each job in order of completion. Jobs with the same key run once.
+    """Yields the key and the result of each job in order of completion. Jobs with the same key run
+    once.
 
     Args:
         jobs: jobs in the order of their start.
@@ -65,21 +84,34 @@ def run_jobs(
 
 
 def run_cells(
-    cells: Mapping[str, Cell], store: Store, backend: Backend, progress: Progress, say: MessageCallback
+    cells: Mapping[str, Cell],
+    store: Store,
+    backend: Backend,
+    progress: Progress,
+    say: MessageCallback,
 ) -> list[Record]:
-    """The records of all cells, in the order of ``cells``. Cells found in the store are not computed again.
+    """The records of all cells, in the order of ``cells``. Cells found in the store are not
+    computed again.
 
-    Cells with the longest computations start first, to balance the workers. Computing times are measured last, one
-    after the other in this process.
+    Cells with the longest computations start first, to balance the workers. Computing times are
+    measured last, one after the other in this process.
     """
     done = {key: record for key, cell in cells.items() if (record := store.find(cell)) is not None}
-    pending = sorted((cell for key, cell in cells.items() if key not in done), key=_cost, reverse=True)
-    jobs = [Job(key=cell.key, compute=partial(compute, cell), kind=(type(cell), cell.env_id)) for cell in pending]
+    pending = sorted(
+        (cell for key, cell in cells.items() if key not in done), key=_cost, reverse=True
+    )
+    jobs = [
+        Job(key=cell.key, compute=partial(compute, cell), kind=(type(cell), cell.env_id))
+        for cell in pending
+    ]
     timings = [job for job in jobs if isinstance(cells[job.key], TimingCell)]
     others = [job for job in jobs if job not in timings]
     progress(len(done), len(cells))
     died = (processes.WorkerDied,)
-    results = (run_jobs(some, by, say=say, returned=died) for some, by in ((others, backend), (timings, local(1))))
+    results = (
+        run_jobs(some, by, say=say, returned=died)
+        for some, by in ((others, backend), (timings, local(1)))
+    )
     for key, record in chain.from_iterable(results):
         if isinstance(record, processes.WorkerDied):
             record = failed_record(cells[key], str(record))

@@ -15,7 +15,14 @@ from cablebot_gym.benchmark import tables
 from cablebot_gym.benchmark.board import Board
 from cablebot_gym.benchmark.cells import PolicyCell, Record, canonical, cell_from_dict
 from cablebot_gym.benchmark.maps import varied_fields
-from cablebot_gym.benchmark.scores import CONFIDENCE, BestKnown, best_known_payloads, leaderboards, payload_maps, scores
+from cablebot_gym.benchmark.scores import (
+    CONFIDENCE,
+    BestKnown,
+    best_known_payloads,
+    leaderboards,
+    payload_maps,
+    scores,
+)
 from cablebot_gym.benchmark.suites import find_suite
 from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.utils.console import results_console
@@ -70,7 +77,8 @@ class Results:
     """Policies that are entries of others."""
 
     def check_board(self) -> None:
-        """Checks the commitment of the board, and that every policy has all its motions and no others.
+        """Checks the commitment of the board, and that every policy has all its motions and no
+        others.
 
         Raises:
             ValueError: if they are not.
@@ -79,15 +87,21 @@ class Results:
             raise ValueError("the results have no board with hidden motions")
         self.board.check()
         cells = [record.cell for record in self.records if isinstance(record.cell, PolicyCell)]
-        committed = {(env_id, policy) for env_id, names in self.board.entries.items() for policy in names}
+        committed = {
+            (env_id, policy) for env_id, names in self.board.entries.items() for policy in names
+        }
         if absent := committed ^ {(cell.env_id, cell.policy) for cell in cells}:
             differ = ", ".join(f"{policy} on {env_id}" for env_id, policy in sorted(absent))
             raise ValueError(f"board {self.board.version!r} and its results differ in {differ}")
         for env_id, policy in committed:
-            own = [cell.trajectory for cell in cells if (cell.env_id, cell.policy) == (env_id, policy)]
+            own = [
+                cell.trajectory for cell in cells if (cell.env_id, cell.policy) == (env_id, policy)
+            ]
             seeds = {motion["seed"] for motion in own if "seed" in motion}
             if seeds != set(self.board.seeds(env_id, self.board.motions)):
-                raise ValueError(f"the motions of {policy} on {env_id} are not those of board {self.board.version!r}")
+                raise ValueError(
+                    f"the motions of {policy} on {env_id} are not those of board {self.board.version!r}"
+                )
 
     def to_json(self) -> str:
         """The results as JSON, one cell per line. Equal results give identical bytes."""
@@ -108,10 +122,18 @@ class Results:
                 entry |= {"best_known": score.best_known, "score": score.score}
             lines.append(json.dumps(entry, ensure_ascii=False, allow_nan=False))
         board = None if self.board is None else asdict(self.board)
-        head: dict[str, Any] = {"suite": self.suite, "command": self.command, "board": board, "versions": versions}
+        head: dict[str, Any] = {
+            "suite": self.suite,
+            "command": self.command,
+            "board": board,
+            "versions": versions,
+        }
         if self.entries:
             head["entries"] = [asdict(entry) for entry in self.entries]
-        fields = [f" {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}" for name, value in head.items()]
+        fields = [
+            f" {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}"
+            for name, value in head.items()
+        ]
         fields.append(' "cells": [\n  ' + ",\n  ".join(lines) + "\n ]")
         return "{\n" + ",\n".join(fields) + "\n}\n"
 
@@ -133,17 +155,26 @@ class Results:
         ]
         board = None if data["board"] is None else Board(**data["board"])
         entries = [EntryNote(**entry) for entry in data.get("entries", ())]
-        return cls(suite=data["suite"], command=data["command"], records=records, board=board, entries=entries)
+        return cls(
+            suite=data["suite"],
+            command=data["command"],
+            records=records,
+            board=board,
+            entries=entries,
+        )
 
 
 def markdown(results: Results) -> str:
-    """The leaderboard page: a table for each environment, payload maps, best known payloads and notes."""
+    """The leaderboard page: a table for each environment, payload maps, best known payloads and
+    notes."""
     records = results.records
     cells = [score.cell for score in scores(records)]
     default = next((cell for cell in cells if not varied_fields(cell)), cells[0])
     boards = leaderboards(records)
     text = _INTRODUCTION
-    absent = [f"`{env_id}`" for env_id in ENV_IDS if env_id not in {board.env_id for board in boards}]
+    absent = [
+        f"`{env_id}`" for env_id in ENV_IDS if env_id not in {board.env_id for board in boards}
+    ]
     if results.board is not None and absent:
         text += f"\nNo board yet: {', '.join(absent)}.\n"
     unverified = {entry.policy for entry in results.entries if not entry.verified}
@@ -151,7 +182,10 @@ def markdown(results: Results) -> str:
         head, *rows = tables.leaderboard_rows(leaderboard)
         at = head.index("policy")
         marks = [", unverified" if row[at] in unverified else "" for row in rows]
-        rows = [[*row[:at], f"`{row[at]}`{mark}", *row[at + 1 :]] for row, mark in zip(rows, marks, strict=True)]
+        rows = [
+            [*row[:at], f"`{row[at]}`{mark}", *row[at + 1 :]]
+            for row, mark in zip(rows, marks, strict=True)
+        ]
         text += f"\n## {leaderboard.env_id}\n\n{_table([head, *rows])}"
     if library := library_tables(records):
         text += f"\n## Real robots\n\nEach robot has its own motion, error bounds and payload range.\n\n{library}"
@@ -159,8 +193,9 @@ def markdown(results: Results) -> str:
         text += f"\n## All environments\n\n{_table(rows)}"
     for payload_map in payload_maps(records):
         note = tables.map_note(payload_map)
-        text += f"\n## {tables.map_title(payload_map)}\n\n{_table(tables.map_rows(payload_map))}" + (
-            f"\n{note}\n" if note else ""
+        text += (
+            f"\n## {tables.map_title(payload_map)}\n\n{_table(tables.map_rows(payload_map))}"
+            + (f"\n{note}\n" if note else "")
         )
     if results.entries:
         text += f"\n## Entries\n\n{_entries_table(results.entries)}"
@@ -173,12 +208,15 @@ def markdown(results: Results) -> str:
     if notes:
         text += "\n## Notes\n\n" + "".join(f"* {note}\n" for note in notes)
     used = "; ".join(
-        ", ".join(f"{name} {value}" for name, value in versions.items()) for versions in _versions(records)
+        ", ".join(f"{name} {value}" for name, value in versions.items())
+        for versions in _versions(records)
     )
     if results.board is not None:
         text += _board_text(results.board)
     position, rotation = (1e3 * default.error_bounds[name] for name in ("position", "rotation"))
-    template = (files("cablebot_gym.benchmark") / "leaderboard_definitions.md").read_text(encoding="utf-8")
+    template = (files("cablebot_gym.benchmark") / "leaderboard_definitions.md").read_text(
+        encoding="utf-8"
+    )
     text += "\n" + template.format(
         position=position, rotation=rotation, probability=default.probability, confidence=CONFIDENCE
     )
@@ -210,11 +248,15 @@ def _versions(records: Sequence[Record]) -> list[Mapping[str, str]]:
 
 
 def _best_known_table(references: Sequence[BestKnown]) -> str:
-    rows = [["environment", "motion", "payload [kg]", "total mass [kg]", "upper bound [kg]", "note"]]
+    rows = [
+        ["environment", "motion", "payload [kg]", "total mass [kg]", "upper bound [kg]", "note"]
+    ]
     for best in references:
         payloads = (best.result.get("payload"), best.result.get("total_mass"))
         upper = (best.result.get("upper") or {}).get("payload")
-        note = best.result.get("error") or ("" if best.payload is not None else "not verified by the replay")
+        note = best.result.get("error") or (
+            "" if best.payload is not None else "not verified by the replay"
+        )
         numbers = ["–" if value is None else f"{value:.3f}" for value in (*payloads, upper)]
         rows.append([best.cell.env_id, tables.task_title(best.cell), *numbers, note])
     return _table(rows)
@@ -222,7 +264,18 @@ def _best_known_table(references: Sequence[BestKnown]) -> str:
 
 def _entries_table(entries: Sequence[EntryNote]) -> str:
     names = ("authors", "licence", "compute", "data", "seeds", "status")
-    rows = [["policy", "package", "authors", "licence", "training compute", "training data", "seeds", "status"]]
+    rows = [
+        [
+            "policy",
+            "package",
+            "authors",
+            "licence",
+            "training compute",
+            "training data",
+            "seeds",
+            "status",
+        ]
+    ]
     for entry in entries:
         texts = [" ".join(_escaped(getattr(entry, name)).split()) for name in names]
         rows.append([f"`{entry.policy}`", _escaped(entry.package or "–"), *texts])

@@ -1,4 +1,5 @@
-"""Payload maps: the DLCC as a function of one parameter of the task, all others at their defaults."""
+"""Payload maps: the DLCC as a function of one parameter of the task, all others at their
+defaults."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ _LABELS: dict[str, tuple[str, float]] = {
     "robot_changes.transmission.damping": ("pulley friction c [N·m·s/rad]", 1.0),
     "resolution": ("payload resolution [g]", 1e3),
 }
-"""Fields of a cell that suites vary, with their labels and their factors from SI to the unit of the label."""
+"""Fields of a cell that suites vary, with their labels and their factors from SI to the unit of the
+label."""
 
 _CONSTANT = {"trajectory.center.2", "resolution"}
 """Fields that are varied between maps but constant in a map."""
@@ -51,11 +53,13 @@ class Axis:
         return _LABELS[self.fields[0]][1]
 
     def value(self, cell: Cell) -> Any:
-        """Value of the parameter in a cell, SI; None if the robot or the motion does not have it."""
+        """Value of the parameter in a cell, SI; None if the robot or the motion does not have
+        it."""
         return _values(cell)[self.fields[0]]
 
     def with_value(self, cell: AnyCell, value: float) -> AnyCell:
-        """The cell with the parameter set to ``value``, SI; the unchanged cell if ``value`` is the default."""
+        """The cell with the parameter set to ``value``, SI; the unchanged cell if ``value`` is the
+        default."""
         default = _default_values(cell)
         for name in self.fields:
             if value != default[name]:
@@ -72,10 +76,15 @@ class Axis:
         return not set(self.fields).isdisjoint(varied_fields(cell))
 
     def constants(self, cell: Cell) -> tuple[str, ...] | None:
-        """Other varied parameters, constant in a map, with their values; None if no map of this axis has the cell."""
+        """Other varied parameters, constant in a map, with their values; None if no map of this
+        axis has the cell."""
         others = [name for name in varied_fields(cell) if name not in self.fields]
         equal = len({_values(cell)[name] for name in self.fields}) == 1
-        return tuple(_text(cell, name) for name in others) if equal and set(others) <= _CONSTANT else None
+        return (
+            tuple(_text(cell, name) for name in others)
+            if equal and set(others) <= _CONSTANT
+            else None
+        )
 
 
 AXES: Mapping[str, Axis] = MappingProxyType(
@@ -95,7 +104,8 @@ AXES: Mapping[str, Axis] = MappingProxyType(
 
 
 def varied_fields(cell: Cell) -> tuple[str, ...]:
-    """Fields whose value in a cell is not the default: none for most cells, at least one for a cell of a map."""
+    """Fields whose value in a cell is not the default: none for most cells, at least one for a cell
+    of a map."""
     values, default = _values(cell), _default_values(cell)
     return tuple(name for name in _LABELS if values[name] != default[name])
 
@@ -117,8 +127,8 @@ def _values(cell: Cell) -> dict[str, Any]:
 
 
 def _default_values(cell: Cell) -> dict[str, Any]:
-    """Values of all fields in a cell of the same motion with defaults otherwise. No field of a cell with a robot of its
-    own is varied: its motion and error bounds are those of the robot."""
+    """Values of all fields in a cell of the same motion with defaults otherwise. No field of a cell
+    with a robot of its own is varied: its motion and error bounds are those of the robot."""
     if cell.robot_name is not None:
         return _values(cell)
     motion = {name: value for name, value in cell.trajectory.items() if name in ("name", "seed")}
@@ -129,7 +139,9 @@ def _default_values(cell: Cell) -> dict[str, Any]:
 def _values_of(env_id: str, conditions: str) -> dict[str, Any]:
     """Value of each field; None if the robot, the motion or the cell does not have it."""
     given = json.loads(conditions)
-    cell = BestKnownCell(env_id=env_id, **{name: value for name, value in given.items() if name != "resolution"})
+    cell = BestKnownCell(
+        env_id=env_id, **{name: value for name, value in given.items() if name != "resolution"}
+    )
     robot = cell.robot
     data: dict[str, Any] = {
         "error_bounds": dict(cell.error_bounds),
@@ -143,6 +155,10 @@ def _values_of(env_id: str, conditions: str) -> dict[str, Any]:
 def _found(data: Any, path: list[str]) -> Any:
     """The value at a path in nested data; None if there is none."""
     for step in path:
-        named = {str(index): item for index, item in enumerate(data)} if isinstance(data, list) else data or {}
+        named = (
+            {str(index): item for index, item in enumerate(data)}
+            if isinstance(data, list)
+            else data or {}
+        )
         data = named.get(step)
     return data

@@ -18,9 +18,10 @@ from cablebot_gym.utils.imports import split_name
 def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     """Modules and data files of a policy, given its name as on the command line.
 
-    For an entry of others, these are its files, none of which is looked for as a module here. For a policy file, these
-    are the modules of all installed loaders, the file itself and the statistics beside it. Of a module outside a
-    package, the data files are those next to it with a suffix or a name that its source contains, such as ``.npz``.
+    For an entry of others, these are its files, none of which is looked for as a module here. For a
+    policy file, these are the modules of all installed loaders, the file itself and the statistics
+    beside it. Of a module outside a package, the data files are those next to it with a suffix or a
+    name that its source contains, such as ``.npz``.
     """
     spec = PolicySpec.parse(policy)
     if spec.estimators:
@@ -46,7 +47,8 @@ def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
 
 
 def in_package(module: str) -> bool:
-    """Whether a module has the folder of its file for itself and for other modules of its package."""
+    """Whether a module has the folder of its file for itself and for other modules of its
+    package."""
     path = module_file(module)
     return path is not None and ("." in module or path.name == "__init__.py")
 
@@ -55,7 +57,11 @@ def in_package(module: str) -> bool:
 def _data_files(module: Path, package: bool) -> tuple[Path, ...]:
     """Files in the folder of a module, such as weights, except for its Python files."""
     paths = (path for path in module.parent.glob("**/*" if package else "*") if path.is_file())
-    found = [path for path in paths if "__pycache__" not in path.parts and path.suffix not in {".py", ".pyc"}]
+    found = [
+        path
+        for path in paths
+        if "__pycache__" not in path.parts and path.suffix not in {".py", ".pyc"}
+    ]
     if not package:  # the folder has other files too, and some of them change during a run
         text = module.read_text(encoding="utf-8", errors="replace")
         found = [path for path in found if (path.suffix or path.name) in text]

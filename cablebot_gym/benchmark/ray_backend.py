@@ -22,21 +22,24 @@ _MEMORY = 100 * 2**20
 def on_ray(address: str) -> Backend:
     """A backend on a Ray cluster.
 
-    Each node needs the same versions of this package and of the policies' packages. A result computed by different
-    code is rejected.
+    Each node needs the same versions of this package and of the policies' packages. A result
+    computed by different code is rejected.
 
     Args:
-        address: ``auto`` for the running cluster, ``local`` for a new one on this machine, else ``host:port``
-            or ``ray://host:port``.
+        address: ``auto`` for the running cluster, ``local`` for a new one on this machine, else
+            ``host:port`` or ``ray://host:port``.
 
     Raises:
         ImportError: if Ray is missing. The message names the command that installs it.
-        ValueError: if no server answers at the address. The backend raises it if the server is no Ray cluster.
+        ValueError: if no server answers at the address. The backend raises it if the server is no
+            Ray cluster.
     """
     _import_ray()
     _check_address(address)
 
-    def run(jobs: Mapping[str, Job], say: MessageCallback, returned: tuple[type[Exception], ...]) -> Iterator[Any]:
+    def run(
+        jobs: Mapping[str, Job], say: MessageCallback, returned: tuple[type[Exception], ...]
+    ) -> Iterator[Any]:
         ray = _import_ray()
         if not jobs:
             return
@@ -68,7 +71,8 @@ def on_ray(address: str) -> Backend:
 
 
 def _computed(pickled: bytes, path: list[str]) -> Any:
-    """Runs on a worker. Adds the caller's module path, as far as its folders exist on the worker's machine."""
+    """Runs on a worker. Adds the caller's module path, as far as its folders exist on the worker's
+    machine."""
     sys.path += [entry for entry in path if entry not in sys.path and os.path.isdir(entry or ".")]
     return pickle.loads(pickled)()
 
@@ -76,16 +80,27 @@ def _computed(pickled: bytes, path: list[str]) -> Any:
 def _reason(error: Any) -> str:
     """One line of Ray's error: the exception on the worker, or the fate of the worker."""
     cause = getattr(error, "cause", None)
-    return str(error).strip().partition("\n")[0] if cause is None else f"{type(cause).__name__}: {cause}"
+    return (
+        str(error).strip().partition("\n")[0]
+        if cause is None
+        else f"{type(cause).__name__}: {cause}"
+    )
 
 
 def _connect(ray: Any, address: str) -> None:
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     new = {"num_cpus": cores(), "object_store_memory": _MEMORY, "include_dashboard": False}
     try:
-        ray.init(address=address, log_to_driver=False, logging_level="ERROR", **(new if address == "local" else {}))
+        ray.init(
+            address=address,
+            log_to_driver=False,
+            logging_level="ERROR",
+            **(new if address == "local" else {}),
+        )
     except (ConnectionError, ValueError, RuntimeError, TimeoutError) as error:
-        raise ValueError(f"no Ray cluster at {address!r}: {' '.join(str(error).split())}") from error
+        raise ValueError(
+            f"no Ray cluster at {address!r}: {' '.join(str(error).split())}"
+        ) from error
 
 
 def _check_address(address: str) -> None:

@@ -1,4 +1,5 @@
-"""Scores: the DLCC of a policy as a fraction of the best known payload for the same robot, motion and error bounds."""
+"""Scores: the DLCC of a policy as a fraction of the best known payload for the same robot, motion
+and error bounds."""
 
 from __future__ import annotations
 
@@ -34,13 +35,15 @@ class BestKnown:
 
     @property
     def payload(self) -> float | None:
-        """Reference of the scores [kg]; None if the search found no payload that its replay verifies."""
+        """Reference of the scores [kg]; None if the search found no payload that its replay
+        verifies."""
         return self.result["payload"] if self.result.get("verified") else None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """The DLCC of a policy under one set of conditions, and its fraction of the best known payload."""
+    """The DLCC of a policy under one set of conditions, and its fraction of the best known
+    payload."""
 
     cell: PolicyCell
     """The cell."""
@@ -49,8 +52,9 @@ class Score:
     best_known: float | None
     """Best known payload [kg]; None if there is none."""
     score: float | None
-    """Fraction of the best known payload; 0 if the policy fails unloaded or raised an error. None for the paper
-    criterion, under an uncertainty, without a best known payload, and if the computation can be repeated."""
+    """Fraction of the best known payload; 0 if the policy fails unloaded or raised an error. None
+    for the paper criterion, under an uncertainty, without a best known payload, and if the
+    computation can be repeated."""
 
     @property
     def error(self) -> str | None:
@@ -59,13 +63,14 @@ class Score:
 
     @property
     def payload(self) -> float | None:
-        """DLCC [kg], a 95/95 lower tolerance bound under an uncertainty; None if the policy fails unloaded, raised an
-        error, or if the criterion is not applicable."""
+        """DLCC [kg], a 95/95 lower tolerance bound under an uncertainty; None if the policy fails
+        unloaded, raised an error, or if the criterion is not applicable."""
         return self.result.get("payload")
 
     @property
     def payload_text(self) -> str:
-        """The payload as text. ``≥`` marks a lower bound: the scan ended while the payload was still feasible."""
+        """The payload as text. ``≥`` marks a lower bound: the scan ended while the payload was
+        still feasible."""
         if self.payload is None:
             return "fails unloaded"
         at_least = "≥ " if self.result.get("scan_ended") else ""
@@ -87,11 +92,16 @@ def best_known_payloads(records: Sequence[Record]) -> dict[str, BestKnown]:
 def scores(records: Sequence[Record]) -> list[Score]:
     """The scores of all policy cells, in the order of the records."""
     references = best_known_payloads(records)
-    return [_score(record, record.cell, references) for record in records if isinstance(record.cell, PolicyCell)]
+    return [
+        _score(record, record.cell, references)
+        for record in records
+        if isinstance(record.cell, PolicyCell)
+    ]
 
 
 def motion_key(cell: PolicyCell | BestKnownCell) -> str:
-    """Key of the best known payload of a cell: environment, motion, error bounds, control frequency and robot."""
+    """Key of the best known payload of a cell: environment, motion, error bounds, control frequency
+    and robot."""
     robot = (cell.env_id, cell.robot_name, cell.robot_changes)
     return canonical([*robot, cell.trajectory, cell.error_bounds, cell.control_frequency])
 
@@ -118,7 +128,9 @@ class Column:
     @classmethod
     def of(cls, cell: PolicyCell) -> Column:
         """The column of a cell."""
-        own = {field.name: getattr(cell, field.name) for field in fields(cls) if field.name != "motion"}
+        own = {
+            field.name: getattr(cell, field.name) for field in fields(cls) if field.name != "motion"
+        }
         return cls(motion=str(cell.trajectory["name"]), **own)
 
 
@@ -133,11 +145,13 @@ class Leaderboard:
     policies: tuple[str, ...]
     """Policies by decreasing mean fraction in the first column."""
     ranks: Mapping[str, int]
-    """Ranks by policy in the first column, from 1; empty if it has less than :data:`RANKED_MOTIONS` motions, including
-    those that do not count. The rank is 1 plus the number of policies that are better with :data:`CONFIDENCE`, by the
-    paired bootstrap of the difference of the mean fractions. Policies of equal rank are a tie."""
+    """Ranks by policy in the first column, from 1; empty if it has less than :data:`RANKED_MOTIONS`
+    motions, including those that do not count. The rank is 1 plus the number of policies that are
+    better with :data:`CONFIDENCE`, by the paired bootstrap of the difference of the mean fractions.
+    Policies of equal rank are a tie."""
     entries: Mapping[tuple[str, Column], tuple[Score, ...]]
-    """Scores by policy and column, one score per motion. Motions without best known payload are left out."""
+    """Scores by policy and column, one score per motion. Motions without best known payload are
+    left out."""
     timings: Mapping[str, Mapping[str, Any]]
     """Results of :class:`~cablebot_gym.benchmark.cells.TimingCell` by policy."""
 
@@ -166,43 +180,59 @@ class Fraction:
 
 
 def fraction(strata: Sequence[Array]) -> Fraction:
-    """Mean fraction and its percentile interval by a bootstrap over the motions, stratified by environment.
+    """Mean fraction and its percentile interval by a bootstrap over the motions, stratified by
+    environment.
 
     Args:
         strata: fractions of the motions of each environment.
     """
-    means = np.mean([_resampled(values[None], seed)[0] for seed, values in enumerate(strata)], axis=0)
+    means = np.mean(
+        [_resampled(values[None], seed)[0] for seed, values in enumerate(strata)], axis=0
+    )
     low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     mean = float(np.mean([values.mean() for values in strata]))
-    return Fraction(mean=mean, low=float(low), high=float(high), worst=float(min(values.min() for values in strata)))
+    return Fraction(
+        mean=mean,
+        low=float(low),
+        high=float(high),
+        worst=float(min(values.min() for values in strata)),
+    )
 
 
 def overall(boards: Sequence[Leaderboard]) -> dict[str, tuple[tuple[str, ...], Fraction]]:
-    """Environments and fraction in the first columns of all policies that several ranked environments have."""
+    """Environments and fraction in the first columns of all policies that several ranked
+    environments have."""
     strata: dict[str, dict[str, Array]] = {}
     for board in boards:
         for policy in board.ranks:
             values = _values(board.entries[policy, board.columns[0]])
             if values is not None:
                 strata.setdefault(policy, {})[board.env_id] = values
-    return {name: (tuple(own), fraction(list(own.values()))) for name, own in strata.items() if len(own) > 1}
+    return {
+        name: (tuple(own), fraction(list(own.values())))
+        for name, own in strata.items()
+        if len(own) > 1
+    }
 
 
 def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
-    """The tables in the order of the records. Cells with varied parameters, which belong to maps, and cells of other
-    robots than those of the environments are omitted."""
+    """The tables in the order of the records. Cells with varied parameters, which belong to maps,
+    and cells of other robots than those of the environments are omitted."""
     groups: dict[str, list[Score]] = {}
     for score in scores(records):
         if score.cell.robot_name is None and not varied_fields(score.cell):
             groups.setdefault(score.cell.env_id, []).append(score)
     timed = [(record.cell, record.result) for record in records if record.error is None]
-    timings = {(cell.env_id, cell.policy): result for cell, result in timed if isinstance(cell, TimingCell)}
+    timings = {
+        (cell.env_id, cell.policy): result for cell, result in timed if isinstance(cell, TimingCell)
+    }
     return [_leaderboard(env_id, group, timings) for env_id, group in groups.items()]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PayloadMap:
-    """DLCC of policies on one motion of one environment with known payload, as a function of one task parameter."""
+    """DLCC of policies on one motion of one environment with known payload, as a function of one
+    task parameter."""
 
     env_id: str
     """Environment id."""
@@ -221,12 +251,16 @@ class PayloadMap:
 
 
 def payload_maps(records: Sequence[Record]) -> list[PayloadMap]:
-    """The maps of the records: one for each environment, axis and set of constants with at least one varied cell."""
+    """The maps of the records: one for each environment, axis and set of constants with at least
+    one varied cell."""
     conditions = (payload_model_text(True), None, "task")
     groups: dict[str, dict[tuple[Axis, str, tuple[str, ...]], list[Score]]] = {}
     for score in scores(records):
         cell = score.cell
-        if cell.robot_name is None and (cell.payload_model, cell.uncertainty, cell.criterion) == conditions:
+        if (
+            cell.robot_name is None
+            and (cell.payload_model, cell.uncertainty, cell.criterion) == conditions
+        ):
             maps = groups.setdefault(cell.env_id, {})
             for axis in AXES.values():
                 if (constants := axis.constants(cell)) is not None:
@@ -236,7 +270,9 @@ def payload_maps(records: Sequence[Record]) -> list[PayloadMap]:
     return [
         _map(env_id, motion, axis, constants, group, references)
         for env_id, maps in groups.items()
-        for (axis, motion, constants), group in sorted(maps.items(), key=lambda item: order.index(item[0][0]))
+        for (axis, motion, constants), group in sorted(
+            maps.items(), key=lambda item: order.index(item[0][0])
+        )
         if any(axis.varies(score.cell) for score in group)
     ]
 
@@ -254,7 +290,9 @@ def _map(
     for score in group:
         by_value[axis.value(score.cell)][score.cell.policy] = score
     values = tuple(sorted(by_value))
-    best = [references.get(motion_key(next(iter(by_value[value].values())).cell)) for value in values]
+    best = [
+        references.get(motion_key(next(iter(by_value[value].values())).cell)) for value in values
+    ]
     varied = {score.cell.policy for score in group if axis.varies(score.cell)}
     names = [name for name in dict.fromkeys(score.cell.policy for score in group) if name in varied]
     return PayloadMap(
@@ -280,13 +318,20 @@ def _leaderboard(
         # Motions are compared in pairs, and therefore in the same order.
         entry = tuple(sorted(entry, key=lambda score: canonical(dict(score.cell.trajectory))))
         motions[column] = max(motions.get(column, 0), len(entry))
-        # A motion without best known payload counts for no policy, unless no motion of the column has one.
-        entries[policy, column] = tuple(score for score in entry if score.best_known is not None) or entry
+        # A motion without best known payload counts for no policy, unless no motion of the column
+        # has one.
+        entries[policy, column] = (
+            tuple(score for score in entry if score.best_known is not None) or entry
+        )
     columns = sorted(motions, key=lambda column: (column.uncertainty is not None, -motions[column]))
     first = {policy: _values(entries.get((policy, columns[0]), ())) for policy, _ in entries}
-    means = {policy: -1.0 if values is None else float(values.mean()) for policy, values in first.items()}
+    means = {
+        policy: -1.0 if values is None else float(values.mean()) for policy, values in first.items()
+    }
     most = max((len(own) for own in first.values() if own is not None), default=0)
-    complete = {policy: own for policy, own in first.items() if own is not None and len(own) == most}
+    complete = {
+        policy: own for policy, own in first.items() if own is not None and len(own) == most
+    }
     return Leaderboard(
         env_id=env_id,
         columns=tuple(columns),
@@ -307,7 +352,8 @@ def _ranks(fractions: Mapping[str, Array]) -> dict[str, int]:
 
 
 def _resampled(values: Array, seed: int = 0) -> Array:
-    """Means of bootstrap resamples of the columns of values (p, n), shape (p, RESAMPLES); rows share the columns."""
+    """Means of bootstrap resamples of the columns of values (p, n), shape (p, RESAMPLES); rows
+    share the columns."""
     count = values.shape[1]
     chosen = np.random.default_rng(seed).integers(count, size=(RESAMPLES, count))
     weights = np.stack([(chosen == index).sum(axis=1) for index in range(count)]) / count
@@ -324,7 +370,11 @@ def _score(record: Record, cell: PolicyCell, references: Mapping[str, BestKnown]
     best = references.get(motion_key(cell))
     reference = None if best is None else best.payload
     payload = record.result.get("payload")
-    scored = cell.criterion == "task" and cell.uncertainty is None and (record.error is None or record.final)
+    scored = (
+        cell.criterion == "task"
+        and cell.uncertainty is None
+        and (record.error is None or record.final)
+    )
     return Score(
         cell=cell,
         result=record.result,

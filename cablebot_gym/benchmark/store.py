@@ -18,13 +18,14 @@ FOLDER = "cells"
 class Store:
     """Records in a folder.
 
-    A file name consists of a readable stem, a hash of the cell and the hash of the code that computed it. Results of
-    different code versions therefore coexist.
+    A file name consists of a readable stem, a hash of the cell and the hash of the code that
+    computed it. Results of different code versions therefore coexist.
 
     Args:
         out: folder of the benchmark's results. The files are in its subfolder ``cells``.
         say: called with one sentence for each unusable file.
-        any_source: whether to accept results of different code for cells without a result of the current code.
+        any_source: whether to accept results of different code for cells without a result of the
+            current code.
     """
 
     def __init__(self, out: Path, *, say: Callable[[str], None], any_source: bool = False) -> None:
@@ -37,12 +38,22 @@ class Store:
     def find(self, cell: Cell) -> Record | None:
         """The record of a cell; None if it is missing, broken or computed by different code."""
         own = self._path(cell, cell.source)
-        if own.exists() and (record := self._read(own, cell)) is not None and record.source == cell.source:
+        if (
+            own.exists()
+            and (record := self._read(own, cell)) is not None
+            and record.source == cell.source
+        ):
             return record
         others = set(self._folder.glob(self._path(cell, "*").name)) - {own}
         self.foreign += bool(others)
-        newest = sorted(others, key=lambda path: path.stat().st_mtime, reverse=True) if self._any_source else []
-        return next((record for path in newest if (record := self._read(path, cell)) is not None), None)
+        newest = (
+            sorted(others, key=lambda path: path.stat().st_mtime, reverse=True)
+            if self._any_source
+            else []
+        )
+        return next(
+            (record for path in newest if (record := self._read(path, cell)) is not None), None
+        )
 
     def add(self, record: Record) -> None:
         """Writes a record if it is final."""
@@ -55,14 +66,20 @@ class Store:
             "result": dict(record.result),
             "seconds": round(record.seconds, 3),
         }
-        text = json.dumps(data | {"checksum": _hash(data)}, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        text = (
+            json.dumps(
+                data | {"checksum": _hash(data)}, indent=1, ensure_ascii=False, allow_nan=False
+            )
+            + "\n"
+        )
         atomic_write_text(self._path(record.cell, record.source), text)
 
     def _path(self, cell: Cell, source: str) -> Path:
         return self._folder / f"{cell.stem}-{_hash(cell.to_dict())[:12]}-{source}.json"
 
     def _read(self, path: Path, cell: Cell) -> Record | None:
-        """The record in a file; None, with a message, if the file is not as it was written for the cell."""
+        """The record in a file; None, with a message, if the file is not as it was written for the
+        cell."""
         try:
             data = json.loads(read_text(path))
             checksum = data.pop("checksum")

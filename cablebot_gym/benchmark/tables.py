@@ -16,7 +16,8 @@ from cablebot_gym.task import payload_model_text
 
 
 def heading(column: scores.Column) -> str:
-    """Conditions of a column: payload model, uncertainty, number of draws and, if it is not ``task``, the criterion."""
+    """Conditions of a column: payload model, uncertainty, number of draws and, if it is not
+    ``task``, the criterion."""
     words = [payload_model_text(column.payload_known, column.model_payload_factor)]
     if column.uncertainty:
         words.append(column.uncertainty)
@@ -38,11 +39,15 @@ def motion_title(column: scores.Column, motions: int) -> str:
 
 def column_titles(leaderboard: scores.Leaderboard) -> list[str]:
     """Titles of the columns of a table: motion and conditions."""
-    return [f"{motion_title(column, leaderboard.motions(column))}: {heading(column)}" for column in leaderboard.columns]
+    return [
+        f"{motion_title(column, leaderboard.motions(column))}: {heading(column)}"
+        for column in leaderboard.columns
+    ]
 
 
 def entry_text(leaderboard: scores.Leaderboard, policy: str, column: scores.Column) -> str:
-    """Table entry of a policy in a column: payload [kg] and fraction, or the mean fraction of several motions."""
+    """Table entry of a policy in a column: payload [kg] and fraction, or the mean fraction of
+    several motions."""
     entry = leaderboard.entries.get((policy, column), ())
     errors = sum(score.error is not None for score in entry)
     if not entry or errors == len(entry):
@@ -61,7 +66,8 @@ def entry_text(leaderboard: scores.Leaderboard, policy: str, column: scores.Colu
 
 
 def timing_text(timing: Mapping[str, Any] | None) -> str:
-    """Computing time: median and 99th percentile of an action [ms], the fraction of late actions, and the start [s]."""
+    """Computing time: median and 99th percentile of an action [ms], the fraction of late actions,
+    and the start [s]."""
     if timing is None:
         return "–"
     times = f"{1e3 * timing['median']:.2g}, {1e3 * timing['p99']:.2g}, {timing['missed']:.0%}, {timing['start']:.2g}"
@@ -69,7 +75,8 @@ def timing_text(timing: Mapping[str, Any] | None) -> str:
 
 
 def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
-    """Head and rows of a table: one row per policy, with its rank if there are ranks, and its computing time."""
+    """Head and rows of a table: one row per policy, with its rank if there are ranks, and its
+    computing time."""
     ranks, timings = leaderboard.ranks, leaderboard.timings
     head = [*(["rank"] if ranks else []), "policy", *column_titles(leaderboard)]
     rows = [[*head, *(["median, p99 [ms], late, start [s]"] if timings else [])]]
@@ -81,7 +88,8 @@ def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
 
 
 def overall_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
-    """Head and rows of the table of the policies that several ranked environments have; no rows without any."""
+    """Head and rows of the table of the policies that several ranked environments have; no rows
+    without any."""
     found = scores.overall(boards).items()
     rows = [
         [policy, str(len(env_ids)), f"{one.mean:.1%} [{one.low:.1%}, {one.high:.1%}]"]
@@ -98,31 +106,47 @@ def map_title(payload_map: scores.PayloadMap) -> str:
 
 
 def map_rows(payload_map: scores.PayloadMap) -> list[list[str]]:
-    """The table of a map: a row of parameter values, a row of best known payloads, if any, and one row per policy."""
+    """The table of a map: a row of parameter values, a row of best known payloads, if any, and one
+    row per policy."""
     rows = [["", *(f"{value * payload_map.axis.scale:g}" for value in payload_map.values)]]
     if any(best is not None for best in payload_map.best_known):
         known = ("–" if best is None else f"{best:.2f}" for best in payload_map.best_known)
         rows.append(["best known payload", *known])
-    return rows + [[policy, *map(_map_entry, entries)] for policy, entries in payload_map.policies.items()]
+    return rows + [
+        [policy, *map(_map_entry, entries)] for policy, entries in payload_map.policies.items()
+    ]
 
 
 def map_note(payload_map: scores.PayloadMap) -> str:
     """One sentence on the cases with saturated motors; empty if the results do not contain them."""
-    found = [score for entries in payload_map.policies.values() for score in entries if score is not None]
-    saturated = [
-        score.result["saturated"] for score in found if score.payload is not None and "saturated" in score.result
+    found = [
+        score for entries in payload_map.policies.values() for score in entries if score is not None
     ]
-    return f"A motor saturates in {sum(saturated)} of {len(saturated)} feasible cases." if saturated else ""
+    saturated = [
+        score.result["saturated"]
+        for score in found
+        if score.payload is not None and "saturated" in score.result
+    ]
+    return (
+        f"A motor saturates in {sum(saturated)} of {len(saturated)} feasible cases."
+        if saturated
+        else ""
+    )
 
 
 def _map_entry(score: scores.Score | None) -> str:
-    """Payload and fraction; without a best known payload, the payload with more digits and its limiting violation."""
+    """Payload and fraction; without a best known payload, the payload with more digits and its
+    limiting violation."""
     if score is None:
         return "–"
     if score.error is None and score.score is not None:
         return f"{score.payload_text}, {score.score:.0%}"
     violation = score.result.get("violation") or {}
-    limit = [f"{violation['kind']} {violation['time']:.2f} s"] if violation.get("time") is not None else []
+    limit = (
+        [f"{violation['kind']} {violation['time']:.2f} s"]
+        if violation.get("time") is not None
+        else []
+    )
     return ", ".join([_payload(score), *limit])
 
 
@@ -140,12 +164,15 @@ def _digits(payload: float) -> str:
 
 def task_title(cell: Cell) -> str:
     """The motion of a cell and the parameters that are not at their defaults."""
-    motion = " ".join(str(cell.trajectory[name]) for name in ("name", "seed") if name in cell.trajectory)
+    motion = " ".join(
+        str(cell.trajectory[name]) for name in ("name", "seed") if name in cell.trajectory
+    )
     return ", ".join([*filter(None, [cell.robot_name]), motion, *varied_texts(cell)])
 
 
 def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:
-    """Head and rows of the tables of robots with their own motions: rigid robots, then those with elastic cables."""
+    """Head and rows of the tables of robots with their own motions: rigid robots, then those with
+    elastic cables."""
     groups: dict[tuple[bool, str], list[scores.Score]] = {}
     for score in scores.scores(records):
         if score.cell.robot_name is not None:
@@ -156,10 +183,20 @@ def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:
         best = max(group, key=lambda score: score.payload or 0.0)
         exact = [] if flexible else [_digits(check_motion(robot).limit.largest)]
         head = ["robot", "platform", "cables", *([] if flexible else ["exact tracking [kg]"])]
-        head += [*(f"{score.cell.policy} [kg]" for score in group), "limiting violation of the best"]
+        head += [
+            *(f"{score.cell.policy} [kg]" for score in group),
+            "limiting violation of the best",
+        ]
         violation = best.result.get("violation")
         limit = "–" if violation is None else str(Violation(**violation))
-        row = [f"`{name}`", KIND_TEXTS[robot.kind], str(robot.cables), *exact, *map(_payload, group), limit]
+        row = [
+            f"`{name}`",
+            KIND_TEXTS[robot.kind],
+            str(robot.cables),
+            *exact,
+            *map(_payload, group),
+            limit,
+        ]
         tables.setdefault(flexible, [head]).append(row)
     return [rows for _, rows in sorted(tables.items())]
 
@@ -176,7 +213,11 @@ def best_known_text(best: scores.BestKnown) -> str:
 def failures(records: Sequence[Record]) -> list[str]:
     """One sentence per distinct error of a policy."""
     failed = [(one.cell, one.error) for one in records if one.error is not None]
-    lines = [f"{cell.policy} failed on {cell.env_id}: {error}" for cell, error in failed if hasattr(cell, "policy")]
+    lines = [
+        f"{cell.policy} failed on {cell.env_id}: {error}"
+        for cell, error in failed
+        if hasattr(cell, "policy")
+    ]
     return list(dict.fromkeys(lines))
 
 

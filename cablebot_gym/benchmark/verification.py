@@ -12,8 +12,9 @@ from cablebot_gym.benchmark.cells import PolicyCell, Record
 from cablebot_gym.benchmark.engine import Backend, Job, MessageCallback, run_jobs
 
 KEPT = 0.9
-"""Least fraction of the cells whose success rate is at least the promised probability. A 95/95 tolerance bound misses
-the probability in one cell of 20, and the measured rate scatters about the true one."""
+"""Least fraction of the cells whose success rate is at least the promised probability. A 95/95
+tolerance bound misses the probability in one cell of 20, and the measured rate scatters about the
+true one."""
 
 SLACK = 0.02
 """Largest shortfall of the success rate of any cell."""
@@ -37,15 +38,27 @@ class Confirmation:
 
     def __str__(self) -> str:
         cell = self.cell
-        conditions = (
-            f"{cell.env_id}, {cell.trajectory['name']}, {cell.policy}, {cell.payload_model}, {cell.uncertainty}"
+        conditions = ", ".join(
+            [
+                cell.env_id,
+                str(cell.trajectory["name"]),
+                cell.policy,
+                cell.payload_model,
+                str(cell.uncertainty),
+            ]
         )
         promise = f"{self.payload:.3f} kg in at least {cell.probability:.0%} of all draws"
         return f"{conditions}: promised {promise}, carried in {self.success_rate:.1%}"
 
 
 def confirm(
-    records: Sequence[Record], backend: Backend, *, cells: int, draws: int, seed: int, say: MessageCallback
+    records: Sequence[Record],
+    backend: Backend,
+    *,
+    cells: int,
+    draws: int,
+    seed: int,
+    say: MessageCallback,
 ) -> Iterator[Confirmation]:
     """Tries payloads of randomly chosen uncertain cells in fresh draws, which the cells share.
 
@@ -63,10 +76,14 @@ def confirm(
     promises = {
         record.cell.key: (record.cell, float(record.result["payload"]))
         for record in records
-        if isinstance(record.cell, PolicyCell) and record.result.get("assured") and record.result.get("payload")
+        if isinstance(record.cell, PolicyCell)
+        and record.result.get("assured")
+        and record.result.get("payload")
     }
     if not promises:
-        raise ValueError("the results have no payload under uncertainty; choose a suite with uncertain columns")
+        raise ValueError(
+            "the results have no payload under uncertainty; choose a suite with uncertain columns"
+        )
     chosen = random.Random(seed).sample(sorted(promises), min(cells, len(promises)))
     jobs = []
     for key in chosen:

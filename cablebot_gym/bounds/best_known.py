@@ -1,8 +1,9 @@
-"""Best known payload: the largest known payload for which a motion and its inputs stay within all limits.
+"""Best known payload: the largest known payload for which a motion and its inputs stay within all
+limits.
 
-It is a lower bound of the largest feasible payload. A local solver computes it. Replays of the inputs in the
-environment verify it, with the physics step and with a tenth of it. Only a certificate gives an upper bound. Needs the
-extra ``optimal``.
+It is a lower bound of the largest feasible payload. A local solver computes it. Replays of the
+inputs in the environment verify it, with the physics step and with a tenth of it. Only a
+certificate gives an upper bound. Needs the extra ``optimal``.
 """
 
 from __future__ import annotations
@@ -47,15 +48,16 @@ MAX_INTERVALS = 120
 """Number of intervals in the first mesh: per second of motion, minimum and maximum."""
 
 _SMALL = 0.1
-"""Payload, as a fraction of the platform mass, below which the refinement stops at an absolute change."""
+"""Payload, as a fraction of the platform mass, below which the refinement stops at an absolute
+change."""
 
 MAX_MESH_FACTOR = 16
 """Largest ratio of the number of intervals to that of the first mesh."""
 
 _SMALLEST_FRACTION = 5e-4
 _SMALLEST = Margins(action=1e-4, tension=0.05)
-"""Smallest margins: fraction of the error bounds, and margins of action and tension. They cover errors of solver and
-sampling."""
+"""Smallest margins: fraction of the error bounds, and margins of action and tension. They cover
+errors of solver and sampling."""
 
 _MARGIN_OF = {"position": "position", "rotation": "rotation", "slack": "tension"}
 """Margin that a violation in a replay doubles; the other kinds double that of the action."""
@@ -64,23 +66,26 @@ _TRIALS = 15
 """Largest number of margins that are tried on a mesh."""
 
 _MOST_LOST = 0.01
-"""Largest accepted difference between the payloads of the program and of the replays [kg]. Above it, a mesh of half the
-width is tried, because springs oscillate between the collocation points."""
+"""Largest accepted difference between the payloads of the program and of the replays [kg]. Above
+it, a mesh of half the width is tried, because springs oscillate between the collocation points."""
 
 REPLAY_FACTORS = (1, 10)
 """Physics steps of the replays: the environment's step is divided by these factors."""
 
 _GAINS = {"rigid": (2500.0, 100.0), "flexible": (100.0, 10.0)}
-"""Gains (K_P, K_D) of the controller that computes the inputs of a motion [1/s², 1/s]. The replay has no feedback."""
+"""Gains (K_P, K_D) of the controller that computes the inputs of a motion [1/s², 1/s]. The replay
+has no feedback."""
 
 _MOTOR_FREQUENCY = 200.0
 """Frequency of the motor loop of flexible robots in that controller [rad/s]."""
 
 _FIRST_MESHES = 3
-"""Number of coarse meshes that may fail. In a narrow tube about a jumping reference, coarse meshes are infeasible."""
+"""Number of coarse meshes that may fail. In a narrow tube about a jumping reference, coarse meshes
+are infeasible."""
 
 _STRONGER, _WIDER = 1e3, 0.05
-"""Relaxations that identify the limiting constraint: factor of the motor strength, and error bound [m, rad]."""
+"""Relaxations that identify the limiting constraint: factor of the motor strength, and error bound
+[m, rad]."""
 
 Progress = Callable[[str], None]
 """Callback with a description of the next step."""
@@ -109,7 +114,8 @@ class Replay:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BestKnownPayload:
-    """Largest known payload for which a motion and its inputs stay within all limits: a lower bound."""
+    """Largest known payload for which a motion and its inputs stay within all limits: a lower
+    bound."""
 
     env_id: str
     """Id of the environment."""
@@ -118,7 +124,8 @@ class BestKnownPayload:
     total_mass: float
     """Mass of platform and payload [kg]."""
     verified: bool
-    """Whether all replays of the inputs carry the payload in the environment under the task criterion."""
+    """Whether all replays of the inputs carry the payload in the environment under the task
+    criterion."""
     replays: tuple[Replay, ...]
     """Replays with the environment's physics step and with a tenth of it."""
     error_bounds: dict[str, float | None]
@@ -130,7 +137,8 @@ class BestKnownPayload:
     margins: dict[str, float]
     """Margins of the replayed motion with respect to the limits."""
     upper: dict[str, Any] | None
-    """Proved upper bound, see :class:`~cablebot_gym.bounds.certificate.Certificate`; None where none is known."""
+    """Proved upper bound, see :class:`~cablebot_gym.bounds.certificate.Certificate`; None where
+    none is known."""
     environment: dict[str, Any]
     """Robot, trajectory and control frequency, as JSON-able data."""
     versions: dict[str, str]
@@ -179,15 +187,16 @@ def find_best_known(
 ) -> BestKnownPayload:
     """Computes the best known payload under the task criterion.
 
-    A nonlinear program with splines and collocation (:mod:`cablebot_gym.planning`) is solved from several starts. The
-    mesh is halved until the relative change of the payload is below :data:`MESH_TOLERANCE`. The final motion keeps
-    margins to the limits. A controller with feedback computes its inputs once. The margins are the smallest ones with
-    which open-loop replays of these inputs carry the payload in the environment, with its physics step and with a tenth
-    of it.
+    A nonlinear program with splines and collocation (:mod:`cablebot_gym.planning`) is solved from
+    several starts. The mesh is halved until the relative change of the payload is below
+    :data:`MESH_TOLERANCE`. The final motion keeps margins to the limits. A controller with feedback
+    computes its inputs once. The margins are the smallest ones with which open-loop replays of
+    these inputs carry the payload in the environment, with its physics step and with a tenth of it.
 
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
-        robot: robot of the environment's kind, as for ``find_robot``; None for the robot of the environment.
+        robot: robot of the environment's kind, as for ``find_robot``; None for the robot of the
+            environment.
         trajectory: name, name with fields, or object; None for the default of the environment.
         error_bounds: bounds of the tracking errors; None for those of the robot.
         control_frequency: actions per second [Hz].
@@ -196,8 +205,8 @@ def find_best_known(
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
-        ValueError: if an argument is invalid, or if no motion within the limits is found. The message names the
-            limiting constraint.
+        ValueError: if an argument is invalid, or if no motion within the limits is found. The
+            message names the limiting constraint.
     """
     import_casadi()
     case = _case(env_id, robot, trajectory, error_bounds, control_frequency)
@@ -209,7 +218,8 @@ def find_best_known(
 
 
 def cached_best_known(env_id: str, **options: Any) -> BestKnownPayload | None:
-    """Cached result of :func:`find_best_known` for the same arguments; None if the disk cache has none.
+    """Cached result of :func:`find_best_known` for the same arguments; None if the disk cache has
+    none.
 
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
@@ -232,8 +242,12 @@ def _case(
 ) -> _Case:
     check_robot(env_id, robot)
     robot = find_robot(env_robot(env_id) if robot is None else robot)
-    motion = find_trajectory(default_trajectory(robot) if trajectory is None else trajectory, robot.kind)
-    frequency = number("control_frequency", control_frequency, above=0.5 / motion.duration, unit="Hz")
+    motion = find_trajectory(
+        default_trajectory(robot) if trajectory is None else trajectory, robot.kind
+    )
+    frequency = number(
+        "control_frequency", control_frequency, above=0.5 / motion.duration, unit="Hz"
+    )
     return _Case(env_id, robot, motion, find_error_bounds(error_bounds, robot), frequency)
 
 
@@ -254,7 +268,11 @@ class _Case:
     @property
     def file(self) -> str:
         """Name of the cache file."""
-        data = {"env_id": self.env_id, "error_bounds": self.error_bounds, "control_frequency": self.control_frequency}
+        data = {
+            "env_id": self.env_id,
+            "error_bounds": self.error_bounds,
+            "control_frequency": self.control_frequency,
+        }
         return f"best-{fingerprint('cablebot_gym.bounds.best_known', self.robot, self.trajectory, **data)}.npz"
 
     def solve(self, report: Progress) -> BestKnownPayload:
@@ -300,7 +318,8 @@ class _Case:
     # --- program ---
 
     def _refine(self, report: Progress) -> tuple[list[tuple[int, PlannedMotion]], MotionProgram]:
-        """Number of intervals and motion of every mesh, and the program of the last mesh after its solution."""
+        """Number of intervals and motion of every mesh, and the program of the last mesh after its
+        solution."""
         intervals = math.ceil(INTERVALS_PER_SECOND * self.trajectory.duration)
         best = None
         intervals = min(max(MIN_INTERVALS, intervals), MAX_INTERVALS)
@@ -311,7 +330,11 @@ class _Case:
             if best is not None:
                 break
             intervals *= 2
-        if best is None or best.payload < 0 or best.payload > (1 - 1e-3) * HEAVIEST * self.robot.mass:
+        if (
+            best is None
+            or best.payload < 0
+            or best.payload > (1 - 1e-3) * HEAVIEST * self.robot.mass
+        ):
             raise ValueError(self._infeasibility(intervals, best))
         meshes = [(intervals, best)]
         finest = MAX_MESH_FACTOR * intervals
@@ -333,13 +356,16 @@ class _Case:
         return meshes, program
 
     def _first(self, program: MotionProgram) -> PlannedMotion | None:
-        """Best motion from several starts: the reference, a lowered one, and a wave about it; None if all fail."""
+        """Best motion from several starts: the reference, a lowered one, and a wave about it; None
+        if all fail."""
         n, motions = self.robot.coordinates, []
         sag = np.zeros(n)
         sag[min(2, n - 1)] = 0.7
         wave = np.random.default_rng(0).uniform(-0.5, 0.5, (4, n))
         phases = np.linspace(0.0, math.pi, program.control_points)[:, None]
-        waves = np.sum([amplitude * np.sin((k + 1) * phases) for k, amplitude in enumerate(wave)], axis=0) / len(wave)
+        waves = np.sum(
+            [amplitude * np.sin((k + 1) * phases) for k, amplitude in enumerate(wave)], axis=0
+        ) / len(wave)
         for shift in (np.zeros(n), sag, waves):
             try:
                 motions.append(program.solve(shift=shift))
@@ -349,7 +375,9 @@ class _Case:
 
     def _program(self, intervals: int) -> MotionProgram:
         period = 1 / self.control_frequency
-        return MotionProgram(self.robot, self.trajectory, self.error_bounds, intervals=intervals, period=period)
+        return MotionProgram(
+            self.robot, self.trajectory, self.error_bounds, intervals=intervals, period=period
+        )
 
     def _infeasibility(self, intervals: int, best: PlannedMotion | None) -> str:
         """Error message for a problem without a solution."""
@@ -368,22 +396,32 @@ class _Case:
         motors, bounds = self.robot.motors, self.error_bounds
         free_speed = tuple(_STRONGER * self.robot.per_motor(motors.free_speed))
         stall_torque = tuple(_STRONGER * self.robot.stall_torque)
-        stronger = self.robot.replace(motors=motors.replace(stall_torque=stall_torque, free_speed=free_speed))
-        wider = ErrorBounds(position=max(_WIDER, bounds.position), rotation=max(_WIDER, bounds.rotation))
+        stronger = self.robot.replace(
+            motors=motors.replace(stall_torque=stall_torque, free_speed=free_speed)
+        )
+        wider = ErrorBounds(
+            position=max(_WIDER, bounds.position), rotation=max(_WIDER, bounds.rotation)
+        )
         for cause, robot, tube in (
             ("the motors' torque-speed lines", stronger, bounds),
             ("the error bounds", self.robot, wider),
             ("the error bounds together with the motors' torque-speed lines", stronger, wider),
         ):
             with suppress(Infeasible):
-                if MotionProgram(robot, self.trajectory, tube, intervals=intervals).solve().payload >= 0:
+                if (
+                    MotionProgram(robot, self.trajectory, tube, intervals=intervals).solve().payload
+                    >= 0
+                ):
                     return cause
         return "the cables, which can only pull, but the motion needs pushing forces"
 
     # --- replay ---
 
-    def _verify(self, program: MotionProgram, start: PlannedMotion, report: Progress) -> _Verified | None:
-        """The motion with the smallest margins whose inputs pass all replays; None if there is none.
+    def _verify(
+        self, program: MotionProgram, start: PlannedMotion, report: Progress
+    ) -> _Verified | None:
+        """The motion with the smallest margins whose inputs pass all replays; None if there is
+        none.
 
         A replay that violates a limit doubles the margin to this limit.
         """
@@ -392,7 +430,10 @@ class _Case:
         rotation = _SMALLEST_FRACTION * bounds.rotation
         margins = replace(_SMALLEST, position=position, rotation=rotation)
         for _ in range(_TRIALS):
-            report("replaying inputs with margins of " + ", ".join(f"{k} {v:.3g}" for k, v in vars(margins).items()))
+            report(
+                "replaying inputs with margins of "
+                + ", ".join(f"{k} {v:.3g}" for k, v in vars(margins).items())
+            )
             try:
                 motion = _solve(program, start, margins)
             except (Infeasible, ValueError):  # larger margins are infeasible as well
@@ -405,10 +446,15 @@ class _Case:
             margins = replace(margins, **{name: 2 * getattr(margins, name)})
         return None
 
-    def _replays(self, actions: Array, payload: float) -> tuple[tuple[Replay, ...], Violation | None]:
+    def _replays(
+        self, actions: Array, payload: float
+    ) -> tuple[tuple[Replay, ...], Violation | None]:
         """Replays of actions up to the first one with a violation, and this violation."""
         settings = make_settings(
-            robot=self.robot, count=1, trajectory=self.trajectory, control_frequency=self.control_frequency
+            robot=self.robot,
+            count=1,
+            trajectory=self.trajectory,
+            control_frequency=self.control_frequency,
         )
         replays: list[Replay] = []
         for factor in REPLAY_FACTORS:
@@ -442,14 +488,18 @@ class _Case:
 
     def _actions(self, motion: PlannedMotion) -> Array:
         """Actions of a controller that tracks a motion, (steps, m)."""
-        follower = Follower(robot=self.robot, gains=_GAINS[self.robot.joints], motor_frequency=_MOTOR_FREQUENCY)
+        follower = Follower(
+            robot=self.robot, gains=_GAINS[self.robot.joints], motor_frequency=_MOTOR_FREQUENCY
+        )
         layout = observation_layout(self.robot)
         period = 1 / self.control_frequency
         steps = itertools.count()
 
         def track(observation: Array) -> Array:
             state = State.of(layout.split(observation), np.asarray(next(steps) * period))
-            return np.clip(follower.action(motion, state, np.asarray(motion.payload), period), -1.0, 1.0)
+            return np.clip(
+                follower.action(motion, state, np.asarray(motion.payload), period), -1.0, 1.0
+            )
 
         actions = self._record(track, motion.payload).arrays["commanded_action"]
         return np.concatenate([actions, np.repeat(actions[-1:], self.steps - len(actions), axis=0)])
@@ -465,7 +515,9 @@ class _Verified:
     replays: tuple[Replay, ...]
 
 
-def _solve(program: MotionProgram, start: PlannedMotion, margins: Margins | None = None) -> PlannedMotion:
+def _solve(
+    program: MotionProgram, start: PlannedMotion, margins: Margins | None = None
+) -> PlannedMotion:
     """The motion of a program, from its last solution if there is one.
 
     Raises:
@@ -482,7 +534,11 @@ def _solve(program: MotionProgram, start: PlannedMotion, margins: Margins | None
 
 def _bytes(result: BestKnownPayload) -> bytes:
     buffer = BytesIO()
-    arrays = {"result": np.array(result.to_json()), "actions": result.actions, **result.motion.to_arrays()}
+    arrays = {
+        "result": np.array(result.to_json()),
+        "actions": result.actions,
+        **result.motion.to_arrays(),
+    }
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
     return buffer.getvalue()
 
@@ -492,4 +548,6 @@ def _read(data: bytes) -> BestKnownPayload:
         result = json.loads(str(file["result"]))
         result["meshes"] = tuple((count, payload) for count, payload in result["meshes"])
         result["replays"] = tuple(Replay(**replay) for replay in result["replays"])
-        return BestKnownPayload(**result, motion=PlannedMotion.from_arrays(file), actions=file["actions"])
+        return BestKnownPayload(
+            **result, motion=PlannedMotion.from_arrays(file), actions=file["actions"]
+        )

@@ -1,13 +1,15 @@
-"""Certificate of an upper payload bound for planar robots: a proof that no motion and no inputs carry more.
+"""Certificate of an upper payload bound for planar robots: a proof that no motion and no inputs
+carry more.
 
-**Statement.** A rigid planar robot starts at the pose and velocity of the reference. Consider all motions that stay
-within R of the reference ``p_d`` at every time, with all tensions T ≥ T₀, the robot's minimum tension, and motors below
-their torque-speed lines. No such motion has a total mass above ``total_mass``. The statement makes no assumption about
-the speed or acceleration of the motion.
+**Statement.** A rigid planar robot starts at the pose and velocity of the reference. Consider all
+motions that stay within R of the reference ``p_d`` at every time, with all tensions T ≥ T₀, the
+robot's minimum tension, and motors below their torque-speed lines. No such motion has a total mass
+above ``total_mass``. The statement makes no assumption about the speed or acceleration of the
+motion.
 
-**Proof.** Let M be the total mass, ``q_i`` the lengths of the cables and ``d_i`` their directions from the platform to
-the anchors. Let F_i = T_i − T₀ and ``D = Σ d_i``. Equations 1 and 37 give ``M p̈ = Σ F_i d_i + T₀ D`` and, as
-``β̇ = −q̇/r``,
+**Proof.** Let M be the total mass, ``q_i`` the lengths of the cables and ``d_i`` their directions
+from the platform to the anchors. Let F_i = T_i − T₀ and ``D = Σ d_i``. Equations 1 and 37 give ``M
+p̈ = Σ F_i d_i + T₀ D`` and, as ``β̇ = −q̇/r``,
 
     0 ≤ F_i ≤ s_i + k_i q̇_i + μ_i q̈_i,  s = (τ_s + τ_c)/r − T₀,  k = (τ_s/ω_n + c)/r²,  μ = J/r²,                (1)
 
@@ -17,33 +19,35 @@ Choose *any* functions of time, w(t) in the plane and φ_i(t) ≥ 0, with
 
     φ_i(t) ≥ w(t)·d_i(p)  for every p within R of p_d(t).                                                          (2)
 
-As F_i ≥ 0, every motion satisfies ``M ∫ w·p̈ − T₀ ∫ w·D = ∫ Σ F_i w·d_i ≤ ∫ Σ F_i φ_i ≤ ∫ Σ φ_i (s_i + k_i q̇_i +
-μ_i q̈_i)``. Let w, φ and their rates vanish at the end. Let them also vanish at their start, unless that is t = 0, where
-pose and velocity are known. Integration by parts until only positions remain gives, with ``b_i = μ_i φ̈_i − k_i φ̇_i``,
+As F_i ≥ 0, every motion satisfies ``M ∫ w·p̈ − T₀ ∫ w·D = ∫ Σ F_i w·d_i ≤ ∫ Σ F_i φ_i ≤ ∫ Σ φ_i
+(s_i + k_i q̇_i + μ_i q̈_i)``. Let w, φ and their rates vanish at the end. Let them also vanish at
+their start, unless that is t = 0, where pose and velocity are known. Integration by parts until
+only positions remain gives, with ``b_i = μ_i φ̈_i − k_i φ̇_i``,
 
     M (ẇ(0)·p(0) − w(0)·ṗ(0) + ∫ ẅ·p) − Σ (∫ s_i φ_i + μ_i (φ̇_i(0) q_i(0) − φ_i(0) q̇_i(0)) − k_i φ_i(0) q_i(0)
       + ∫ b_i q_i) − T₀ ∫ w·D(p) ≤ 0.                                                                              (3)
 
-Positions are known up to the tube. With ``p = p_d + e``, |e| ≤ R and u_i = −d_i(p_d), geometry gives
-``0 ≤ q_i(p) − q_i(p_d) − u_i·e ≤ q_i − √(q_i² − R²) =: κ_i`` and ``|D(p) − D(p_d)| ≤ R Σ 1/(q_i − R)``. Hence the left
-side of (3) is at least
+Positions are known up to the tube. With ``p = p_d + e``, |e| ≤ R and u_i = −d_i(p_d), geometry
+gives ``0 ≤ q_i(p) − q_i(p_d) − u_i·e ≤ q_i − √(q_i² − R²) =: κ_i`` and ``|D(p) − D(p_d)| ≤ R Σ
+1/(q_i − R)``. Hence the left side of (3) is at least
 
     h(M) = [the same at p_d, without T₀ ∫ w·D] − ∫ (R |M ẅ − Σ b_i u_i| + Σ max(b_i, 0) κ_i) dt + min(g, 0)        (4)
 
-with ``g = −T₀ ∫ (w·D(p_d) + |w| R Σ 1/(q_i − R)) dt``. If h(M) > 0, no motion carries M. No motion carries a larger
-mass c M either: w/c and φ satisfy (2) as well, and with them only g changes in (4), to g/c. The certificate is the zero
-of the concave function h.
+with ``g = −T₀ ∫ (w·D(p_d) + |w| R Σ 1/(q_i − R)) dt``. If h(M) > 0, no motion carries M. No motion
+carries a larger mass c M either: w/c and φ satisfy (2) as well, and with them only g changes in
+(4), to g/c. The certificate is the zero of the concave function h.
 
-**Quadrature.** w and φ are quadratic splines, C¹. Between instants η apart, p_d is replaced by its chord, and R by
-``R + max|p̈_d| η²/8``. The remaining functions have a known curvature along straight lines. A function differs from its
-chord by at most η²/8 times its largest second derivative. With speed V of the chord and a cable no shorter than ρ, a
-direction turns at a rate of at most V/ρ, its second derivative is at most √(4/3) V²/ρ², and q̈ is in [0, V²/ρ].
-:func:`proved_mass` applies each estimate conservatively and neglects only rounding. Condition (2) has a closed form:
-over a disc of radius R at distance q, a direction turns by up to arcsin(R/q).
+**Quadrature.** w and φ are quadratic splines, C¹. Between instants η apart, p_d is replaced by its
+chord, and R by ``R + max|p̈_d| η²/8``. The remaining functions have a known curvature along
+straight lines. A function differs from its chord by at most η²/8 times its largest second
+derivative. With speed V of the chord and a cable no shorter than ρ, a direction turns at a rate of
+at most V/ρ, its second derivative is at most √(4/3) V²/ρ², and q̈ is in [0, V²/ρ].
+:func:`proved_mass` applies each estimate conservatively and neglects only rounding. Condition (2)
+has a closed form: over a disc of radius R at distance q, a direction turns by up to arcsin(R/q).
 
-**Choice of w and φ.** For given M, the maximum of h subject to ∫ w·p̈_d = 1 is a second-order cone program. It is solved
-as a linear program in which polygons replace circles. The accuracy of its solution does not affect the proof. M is
-lowered until h vanishes.
+**Choice of w and φ.** For given M, the maximum of h subject to ∫ w·p̈_d = 1 is a second-order cone
+program. It is solved as a linear program in which polygons replace circles. The accuracy of its
+solution does not affect the proof. M is lowered until h vanishes.
 """
 
 from __future__ import annotations
@@ -69,10 +73,12 @@ REFINEMENT = 8
 """Number of chords of the reference in each interval between knots."""
 
 ACCELERATION_FACTOR = 1.1
-"""Assumed largest ratio of the acceleration of the reference between samples to the largest sampled one."""
+"""Assumed largest ratio of the acceleration of the reference between samples to the largest sampled
+one."""
 
 _COARSE, _FINE = 80, 160
-"""Number of intervals between knots: on the full motion, and on the support of the first multiplier."""
+"""Number of intervals between knots: on the full motion, and on the support of the first
+multiplier."""
 _DIRECTIONS = 24
 """Number of corners of the polygon that approximates a circle in the linear program."""
 _ENOUGH = 1e-3
@@ -84,7 +90,8 @@ _ROUNDING = 1e-12
 _HEAVIEST = 1e12
 """Largest mass in the search [kg]."""
 _TURN = math.sqrt(4 / 3)
-"""Largest |d²u/dt²| of a direction u to a point during straight motion [V²/ρ²]: maximum of sin·√(sin² + 4 cos²)."""
+"""Largest |d²u/dt²| of a direction u to a point during straight motion [V²/ρ²]: maximum of
+sin·√(sin² + 4 cos²)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,8 +108,9 @@ class Multiplier:
     """Coefficients of φ, (N + 2, m)."""
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
-        """``(w, ẇ, ẅ)`` of shape (3, …, 2) and ``(φ, φ̇, φ̈)`` of shape (3, …, m) at times of shape (…). At knots ẅ and
-        φ̈ are the limits from the right. All values are zero outside the knots."""
+        """``(w, ẇ, ẅ)`` of shape (3, …, 2) and ``(φ, φ̇, φ̈)`` of shape (3, …, m) at times of shape
+        (…). At knots ẅ and φ̈ are the limits from the right. All values are zero outside the
+        knots."""
         intervals = len(self.force) - 2
         width = (self.end - self.start) / intervals
         position = (np.asarray(times, float) - self.start) / width
@@ -110,7 +118,11 @@ class Multiplier:
         inside = ((position >= 0) & (position <= intervals))[..., None]
         at = np.stack(_spline(position - interval, width))  # (3, 3, …): derivative, coefficient
         first, second = (
-            np.where(inside, np.einsum("dc...,c...i->d...i", at, np.stack([c[interval + j] for j in range(3)])), 0.0)
+            np.where(
+                inside,
+                np.einsum("dc...,c...i->d...i", at, np.stack([c[interval + j] for j in range(3)])),
+                0.0,
+            )
             for c in (self.force, self.tension)
         )
         return first, second
@@ -131,8 +143,8 @@ class Certificate:
     method: str
     """Method of the proof, as text."""
     multiplier: Multiplier | None
-    """Multiplier of the proof: ``proved_mass(robot, trajectory, error_bounds, multiplier)`` returns ``total_mass``.
-    None without proof, or if the proof needs none."""
+    """Multiplier of the proof: ``proved_mass(robot, trajectory, error_bounds, multiplier)`` returns
+    ``total_mass``. None without proof, or if the proof needs none."""
 
     @property
     def payload(self) -> float:
@@ -144,7 +156,9 @@ class Certificate:
         return {
             "total_mass": self.total_mass if math.isfinite(self.total_mass) else None,
             "payload": self.payload if math.isfinite(self.payload) else None,
-            "error_bounds": {"position": self.error_bounds.position},  # the rotation bound has no effect
+            "error_bounds": {
+                "position": self.error_bounds.position
+            },  # the rotation bound has no effect
             "conditions": self.conditions,
             "method": self.method,
         }
@@ -165,10 +179,12 @@ HOLD_METHOD = "hold: static torques at the start pose"
 def upper_bound(
     robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds | dict[str, float] | None = None
 ) -> Certificate:
-    """Computes an upper bound of the mass: that of :func:`planar_certificate` for a planar rigid robot.
+    """Computes an upper bound of the mass: that of :func:`planar_certificate` for a planar rigid
+    robot.
 
-    For the other robots, it is the mass that the motors hold at rest at the start pose, in closed form. It is ``inf``
-    if the motion does not start at rest, or if the static torques do not depend on the mass (planar).
+    For the other robots, it is the mass that the motors hold at rest at the start pose, in closed
+    form. It is ``inf`` if the motion does not start at rest, or if the static torques do not depend
+    on the mass (planar).
 
     Args:
         robot: any robot.
@@ -176,7 +192,8 @@ def upper_bound(
         error_bounds: bounds of the tracking error; None for the default.
 
     Raises:
-        ValueError: if an argument is invalid, or if the tube of a planar rigid robot reaches an anchor.
+        ValueError: if an argument is invalid, or if the tube of a planar rigid robot reaches an
+            anchor.
     """
     if robot.kind == "planar" and robot.weightless and not robot.flexible:
         return planar_certificate(robot, trajectory, error_bounds)
@@ -193,7 +210,11 @@ def upper_bound(
 
 
 def planar_certificate(
-    robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds | dict[str, float] | None = None, *, passes: int = 3
+    robot: Robot,
+    trajectory: Trajectory,
+    error_bounds: ErrorBounds | dict[str, float] | None = None,
+    *,
+    passes: int = 3,
 ) -> Certificate:
     """Computes a mass that no motion and no inputs of a planar robot exceed within the limits.
 
@@ -203,14 +224,17 @@ def planar_certificate(
         robot: a planar robot with a rigid transmission.
         trajectory: reference motion of a planar robot.
         error_bounds: bound R of the position error; None for the default.
-        passes: number of refinements of the knots, a few seconds each; ≥ 1. One pass gives a valid, looser bound.
+        passes: number of refinements of the knots, a few seconds each; ≥ 1. One pass gives a valid,
+            looser bound.
 
     Raises:
-        ValueError: if an argument is invalid, if the tube reaches an anchor, or if no certificate is known for this
-            kind of robot.
+        ValueError: if an argument is invalid, if the tube reaches an anchor, or if no certificate
+            is known for this kind of robot.
     """
     trajectory, error_bounds = _checked(robot, trajectory, error_bounds)
-    multipliers = list(_multipliers(robot, trajectory, error_bounds, whole("passes", passes, least=1)))
+    multipliers = list(
+        _multipliers(robot, trajectory, error_bounds, whole("passes", passes, least=1))
+    )
     best = multipliers[-1] if multipliers else None
     return Certificate(
         total_mass=math.inf if best is None else proved_mass(robot, trajectory, error_bounds, best),
@@ -223,9 +247,13 @@ def planar_certificate(
 
 
 def proved_mass(
-    robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds | dict[str, float] | None, multiplier: Multiplier
+    robot: Robot,
+    trajectory: Trajectory,
+    error_bounds: ErrorBounds | dict[str, float] | None,
+    multiplier: Multiplier,
 ) -> float:
-    """Total mass above which a multiplier excludes every motion [kg]; ``inf`` if it excludes no mass.
+    """Total mass above which a multiplier excludes every motion [kg]; ``inf`` if it excludes no
+    mass.
 
     Args:
         robot: a planar robot with a rigid transmission.
@@ -234,12 +262,17 @@ def proved_mass(
         multiplier: any multiplier. The function checks condition (2) and the zeros at the ends.
 
     Raises:
-        ValueError: as in :func:`planar_certificate`, or if a knot of the multiplier is outside the motion.
+        ValueError: as in :func:`planar_certificate`, or if a knot of the multiplier is outside the
+            motion.
     """
     trajectory, error_bounds = _checked(robot, trajectory, error_bounds)
     if not 0 <= multiplier.start < multiplier.end <= trajectory.duration:
-        raise ValueError(f"the knots of the multiplier must lie within the motion, 0 to {trajectory.duration:g} s")
-    tube = _Tube(robot, trajectory, error_bounds, multiplier.start, multiplier.end, len(multiplier.force) - 2)
+        raise ValueError(
+            f"the knots of the multiplier must lie within the motion, 0 to {trajectory.duration:g} s"
+        )
+    tube = _Tube(
+        robot, trajectory, error_bounds, multiplier.start, multiplier.end, len(multiplier.force) - 2
+    )
     return _zero(tube, multiplier.force, multiplier.tension)
 
 
@@ -247,12 +280,15 @@ def _checked(
     robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds | dict[str, float] | None
 ) -> tuple[Trajectory, ErrorBounds]:
     if robot.kind != "planar" or not robot.weightless or robot.flexible:
-        raise ValueError(f"a certificate is only available for planar rigid robots, not for {robot.name!r}")
+        raise ValueError(
+            f"a certificate is only available for planar rigid robots, not for {robot.name!r}"
+        )
     return find_trajectory(trajectory, robot.kind), find_error_bounds(error_bounds, robot)
 
 
 def _spline(s: Array, width: float) -> tuple[tuple[Array, ...], ...]:
-    """Value, first and second derivative of the three quadratic B-splines at fractions s of an interval."""
+    """Value, first and second derivative of the three quadratic B-splines at fractions s of an
+    interval."""
     one = np.ones_like(s)
     return (
         ((1 - s) ** 2 / 2, 0.5 + s - s**2, s**2 / 2),
@@ -264,12 +300,18 @@ def _spline(s: Array, width: float) -> tuple[tuple[Array, ...], ...]:
 class _Tube:
     """Chords of the reference between ``start`` and ``end``, with the quantities of (3) and (4).
 
-    Arrays over chords have shape (chords, …) with chords = REFINEMENT · intervals. Arrays over their ends have shape
-    (chords + 1, …).
+    Arrays over chords have shape (chords, …) with chords = REFINEMENT · intervals. Arrays over
+    their ends have shape (chords + 1, …).
     """
 
     def __init__(
-        self, robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds, start: float, end: float, intervals: int
+        self,
+        robot: Robot,
+        trajectory: Trajectory,
+        error_bounds: ErrorBounds,
+        start: float,
+        end: float,
+        intervals: int,
     ) -> None:
         self.robot = robot
         self.start = start
@@ -279,14 +321,22 @@ class _Tube:
         self.chord = self.width / REFINEMENT
         self.known_start = start == 0  # pose and velocity are known at t = 0
         chords = intervals * REFINEMENT
-        twice = trajectory(np.minimum(start + np.arange(2 * chords + 1) * (self.chord / 2), trajectory.duration))
-        self.acceleration = ACCELERATION_FACTOR * float(np.linalg.norm(twice.acceleration, axis=-1).max())
+        twice = trajectory(
+            np.minimum(start + np.arange(2 * chords + 1) * (self.chord / 2), trajectory.duration)
+        )
+        self.acceleration = ACCELERATION_FACTOR * float(
+            np.linalg.norm(twice.acceleration, axis=-1).max()
+        )
         self.radius = error_bounds.position + self.acceleration * self.chord**2 / 8
         self.position = twice.position[::2]
         self.first_velocity = twice.velocity[0]
-        self.speed = np.linalg.norm(np.diff(self.position, axis=0), axis=-1, keepdims=True) / self.chord
+        self.speed = (
+            np.linalg.norm(np.diff(self.position, axis=0), axis=-1, keepdims=True) / self.chord
+        )
 
-        self.pull = (robot.stall_torque + robot.coulomb_friction) / robot.pulley_radius - robot.minimum_tension
+        self.pull = (
+            robot.stall_torque + robot.coulomb_friction
+        ) / robot.pulley_radius - robot.minimum_tension
         self.slope = (robot.speed_slope + robot.damping) / robot.pulley_radius**2
         self.inertia = robot.pulley_inertia / robot.pulley_radius**2
         self.away = textbook.jacobian(robot, self.position)  # u
@@ -307,7 +357,9 @@ class _Tube:
         self.fanning = self.radius * np.sum(1 / nearest, axis=-1)  # |D(p) − D(p_d)|
 
         fractions = np.arange(REFINEMENT + 1) / REFINEMENT
-        self.splines: Array = np.array(_spline(fractions, self.width))  # (derivative, coefficient, point in interval)
+        self.splines: Array = np.array(
+            _spline(fractions, self.width)
+        )  # (derivative, coefficient, point in interval)
         self.free_force = np.ones(intervals + 2, bool)
         self.free_tension = np.ones(intervals + 2, bool)
         self.free_tension[-2:] = self.free_force[-4:] = False
@@ -316,7 +368,8 @@ class _Tube:
         self._functionals()
 
     def chords(self, coefficients: Array) -> tuple[Array, Array, Array]:
-        """Value and rate at both ends of each chord, shape (chords, 2, …), and second derivative, shape (chords, …)."""
+        """Value and rate at both ends of each chord, shape (chords, 2, …), and second derivative,
+        shape (chords, …)."""
         local = np.stack([coefficients[j : j + self.intervals] for j in range(3)])
         value, rate, second = (np.einsum("cs,ck...->ks...", table, local) for table in self.splines)
 
@@ -327,10 +380,11 @@ class _Tube:
         return ends(value), ends(rate), second[:, :-1].reshape(-1, *second.shape[2:])
 
     def _functionals(self) -> None:
-        """Computes the left side of (3) as linear functions of the coefficients. Every q_i is linear along each chord.
+        """Computes the left side of (3) as linear functions of the coefficients. Every q_i is
+        linear along each chord.
 
-        The result is ``force`` (N + 2, 2), without its factor M, and ``tension`` (N + 2, m). ``rest`` (N + 2, 2) is
-        ∫ w·D by the trapezoidal rule.
+        The result is ``force`` (N + 2, 2), without its factor M, and ``tension`` (N + 2, m).
+        ``rest`` (N + 2, 2) is ∫ w·D by the trapezoidal rule.
         """
         n, eta = self.intervals, self.chord
         self.force = np.zeros((n + 2, 2))
@@ -357,12 +411,17 @@ class _Tube:
         if self.known_start:
             value, rate = self.splines[0, :, 0], self.splines[1, :, 0]
             length_rate = self.away[0] @ self.first_velocity
-            self.force[:3] += np.outer(rate, self.position[0]) - np.outer(value, self.first_velocity)
-            self.tension[:3] -= self.inertia * (np.outer(rate, self.length[0]) - np.outer(value, length_rate))
+            self.force[:3] += np.outer(rate, self.position[0]) - np.outer(
+                value, self.first_velocity
+            )
+            self.tension[:3] -= self.inertia * (
+                np.outer(rate, self.length[0]) - np.outer(value, length_rate)
+            )
             self.tension[:3] += self.slope * np.outer(value, self.length[0])
 
     def deficits(self, force: Array, tension: Array) -> Array:
-        """Upper bound of the violation of (2) on each chord, shape (chords, m); ≤ 0 where (2) holds."""
+        """Upper bound of the violation of (2) on each chord, shape (chords, m); ≤ 0 where (2)
+        holds."""
         largest, fastest, w_second = self._sizes(force)
         phi, _, phi_second = self.chords(tension)
         bend = w_second[:, None] + 2 * fastest[:, None] * self.turning_in_tube
@@ -380,9 +439,15 @@ class _Tube:
     def _least_forces(self, force: Array) -> float:
         """Lower bound of min(g, 0) in (4)."""
         largest, fastest, second = self._sizes(force)
-        bend = second * self.robot.cables + 2 * fastest * self.turning.sum(axis=1) + largest * self.bending.sum(axis=1)
+        bend = (
+            second * self.robot.cables
+            + 2 * fastest * self.turning.sum(axis=1)
+            + largest * self.bending.sum(axis=1)
+        )
         away = np.sum(bend * self.chord**2 / 8 + largest * self.fanning)
-        return min(-self.robot.minimum_tension * float(np.sum(self.rest * force) + self.chord * away), 0.0)
+        return min(
+            -self.robot.minimum_tension * float(np.sum(self.rest * force) + self.chord * away), 0.0
+        )
 
     def _support(self, force: Array) -> Array:
         """Maximum of w·d_i over the disc at both ends of each chord, shape (chords, 2, m)."""
@@ -402,7 +467,9 @@ class _Tube:
         away = np.stack([self.away[:-1], self.away[1:]], axis=1)
         psi = mass * w_second[:, None] - np.einsum("kei,keij->kej", b, away)
         largest = np.abs(b).max(axis=1)
-        bend = np.sum(2 * self.slope * np.abs(second) * self.turning + largest * self.bending, axis=-1)
+        bend = np.sum(
+            2 * self.slope * np.abs(second) * self.turning + largest * self.bending, axis=-1
+        )
         tube = self.radius * (_norm(psi).mean(axis=1) + bend * self.chord**2 / 8)
         bulge = np.sum(np.maximum(b.max(axis=1), 0.0) * self.bulge, axis=-1)
         sag = np.sum(np.maximum(-b.min(axis=1), 0.0) * self.sagging, axis=-1) * self.chord**2 / 8
@@ -423,17 +490,23 @@ def _zero(tube: _Tube, force: Array, tension: Array) -> float:
     if tube.surplus(0.0, force, tension) > 0:
         return 0.0
     high = 1.0
-    while tube.surplus(2 * high, force, tension) > tube.surplus(high, force, tension) and high < _HEAVIEST:
+    while (
+        tube.surplus(2 * high, force, tension) > tube.surplus(high, force, tension)
+        and high < _HEAVIEST
+    ):
         high *= 2
     # h is concave, so its maximum is at most one doubling away.
-    top = minimize_scalar(lambda mass: -tube.surplus(mass, force, tension), bounds=(high / 2, 2 * high)).x
+    top = minimize_scalar(
+        lambda mass: -tube.surplus(mass, force, tension), bounds=(high / 2, 2 * high)
+    ).x
     if tube.surplus(top, force, tension) <= 0:
         return math.inf
     return float(brentq(tube.surplus, 0.0, top, args=(force, tension), rtol=1e-12))
 
 
 def _lifted(tube: _Tube, force: Array, tension: Array) -> Array:
-    """Raises the coefficients of φ, approximately as little as possible, until (2) holds everywhere."""
+    """Raises the coefficients of φ, approximately as little as possible, until (2) holds
+    everywhere."""
     for _ in range(50):
         deficit = tube.deficits(force, tension).reshape(tube.intervals, REFINEMENT, -1).max(axis=1)
         if np.all(deficit <= 0):
@@ -446,8 +519,11 @@ def _lifted(tube: _Tube, force: Array, tension: Array) -> Array:
     return tension
 
 
-def _multipliers(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds, passes: int) -> Iterator[Multiplier]:
-    """Multipliers with decreasing bounds: first on the full motion, then on fine knots over the support of w."""
+def _multipliers(
+    robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds, passes: int
+) -> Iterator[Multiplier]:
+    """Multipliers with decreasing bounds: first on the full motion, then on fine knots over the
+    support of w."""
     start = 0.0
     end = float(trajectory.duration)
     intervals = _COARSE
@@ -461,18 +537,22 @@ def _multipliers(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds
         if mass > before * (1 - _ENOUGH):
             return
         weight = _norm(multiplier.force)
-        used = np.flatnonzero(weight > 1e-3 * weight.max())  # coefficient j acts on intervals j - 2 to j
+        used = np.flatnonzero(
+            weight > 1e-3 * weight.max()
+        )  # coefficient j acts on intervals j - 2 to j
         start = max(0.0, start + float(used[0] - 8) * tube.width)
         end = min(end, multiplier.start + float(used[-1] + 6) * tube.width)
         intervals = _FINE
 
 
 def _best(tube: _Tube, mass: float) -> tuple[float, Multiplier | None]:
-    """The least bound of a multiplier on the knots of the tube, and the multiplier; None if not below ``mass``."""
+    """The least bound of a multiplier on the knots of the tube, and the multiplier; None if not
+    below ``mass``."""
     if tube.acceleration == 0:  # a reference at rest excludes no mass
         return mass, None
     program, multiplier = _LinearProgram(tube), None
-    # The optimal multiplier of a trial mass also proves a bound, which is usually close to the best one.
+    # The optimal multiplier of a trial mass also proves a bound, which is usually close to the best
+    # one.
     trial = mass if math.isfinite(mass) else float(np.sum(tube.pull)) / tube.acceleration
     for _ in range(_TRIALS):
         solution = program.solve(trial)
@@ -494,9 +574,11 @@ def _best(tube: _Tube, mass: float) -> tuple[float, Multiplier | None]:
 
 
 class _LinearProgram:
-    """Linear program of a tube. Its variables are the coefficients of w and φ, and |ψ| at the middle of each interval.
+    """Linear program of a tube. Its variables are the coefficients of w and φ, and |ψ| at the
+    middle of each interval.
 
-    ψ = ẅ − Σ b_i u_i / M is scaled by the squared width of an interval, so that it has the magnitude of w.
+    ψ = ẅ − Σ b_i u_i / M is scaled by the squared width of an interval, so that it has the
+    magnitude of w.
     """
 
     def __init__(self, tube: _Tube) -> None:
@@ -514,8 +596,13 @@ class _LinearProgram:
             left = np.stack([-towards[..., 1], towards[..., 0]], axis=-1)
             cosine = np.cos(arc)[..., None]
             sine = np.sin(arc)[..., None]
-            # The hull of an arc of directions lies in the hull of its ends and the intersection of its tangents.
-            for corner in (towards * cosine + left * sine, towards * cosine - left * sine, towards / cosine):
+            # The hull of an arc of directions lies in the hull of its ends and the intersection of
+            # its tangents.
+            for corner in (
+                towards * cosine + left * sine,
+                towards * cosine - left * sine,
+                towards / cosine,
+            ):
                 for i in range(m):
                     rows.append(
                         [sparse.diags_array(corner[:, i, axis]) @ value for axis in range(2)]
@@ -528,10 +615,13 @@ class _LinearProgram:
         """Matrix from coefficients to a derivative at one point of each interval, (N, N + 2)."""
         n = self.tube.intervals
         local = self.tube.splines[derivative, :, point]
-        return sparse.diags_array([np.full(n, x) for x in local], offsets=[0, 1, 2], shape=(n, n + 2), format="csr")
+        return sparse.diags_array(
+            [np.full(n, x) for x in local], offsets=[0, 1, 2], shape=(n, n + 2), format="csr"
+        )
 
     def solve(self, mass: float) -> tuple[Array, Array] | None:
-        """Coefficients of w and φ that approximately maximise h(M); None if the program is infeasible."""
+        """Coefficients of w and φ that approximately maximise h(M); None if the program is
+        infeasible."""
         tube = self.tube
         n = self.tube.intervals
         m = self.tube.robot.cables
@@ -541,11 +631,14 @@ class _LinearProgram:
             along = self.away @ direction
             known = [component * self.second for component in direction]
             pulled = [
-                sparse.diags_array(-along[:, i] / mass) @ (tube.inertia[i] * self.second - tube.slope[i] * self.rate)
+                sparse.diags_array(-along[:, i] / mass)
+                @ (tube.inertia[i] * self.second - tube.slope[i] * self.rate)
                 for i in range(m)
             ]
             rows.append([*known, *pulled, -sparse.eye_array(n)])
-        inequalities: Any = sparse.vstack([sparse.block_array(rows, format="csr"), self.cone], format="csr")
+        inequalities: Any = sparse.vstack(
+            [sparse.block_array(rows, format="csr"), self.cone], format="csr"
+        )
         gain = np.concatenate(
             [
                 (tube.force - tube.robot.minimum_tension / mass * tube.rest).T.ravel(),

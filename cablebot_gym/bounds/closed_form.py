@@ -1,11 +1,13 @@
 """Largest payload with which a rigid robot can track a motion exactly, in closed form.
 
-On the reference, lengths and speeds of the cables do not depend on the payload, and the required torques are piecewise
-affine in it. Therefore no simulation and no search is necessary. Each limit is violated on intervals of payloads whose
-ends are ratios. The result is an end of one of the remaining intervals.
+On the reference, lengths and speeds of the cables do not depend on the payload, and the required
+torques are piecewise affine in it. Therefore no simulation and no search is necessary. Each limit
+is violated on intervals of payloads whose ends are ratios. The result is an end of one of the
+remaining intervals.
 
-The episode starts on the reference, as with the environment option ``initial_error=0``. By default a spatial robot
-whose motion starts at rest starts lower (:func:`~cablebot_gym.task.start_pose`), which exact tracking excludes.
+The episode starts on the reference, as with the environment option ``initial_error=0``. By default
+a spatial robot whose motion starts at rest starts lower (:func:`~cablebot_gym.task.start_pose`),
+which exact tracking excludes.
 """
 
 from __future__ import annotations
@@ -30,23 +32,29 @@ Kind = Literal["torque", "tension"]
 Line = Literal["upper", "lower"]
 
 GRID = 2000.0
-"""Default number of instants per second that approximate all times [Hz]. The error at smooth extrema is quadratic in
-their distance."""
+"""Default number of instants per second that approximate all times [Hz]. The error at smooth
+extrema is quadratic in their distance."""
 
-_LIMITS: tuple[tuple[Kind, Line], ...] = (("torque", "upper"), ("torque", "lower"), ("tension", "lower"))
+_LIMITS: tuple[tuple[Kind, Line], ...] = (
+    ("torque", "upper"),
+    ("torque", "lower"),
+    ("tension", "lower"),
+)
 """Limits along the last axis of :func:`_margins`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExactPayload:
-    """Interval of payloads for which exact tracking satisfies every limit, and the limit at its upper end."""
+    """Interval of payloads for which exact tracking satisfies every limit, and the limit at its
+    upper end."""
 
     payload: float
-    """Largest payload [kg]. A negative value means that the platform alone is too heavy by this mass. ``inf``: no limit
-    is active. ``-inf``: the motion is infeasible for every mass, and the next fields name one violated limit."""
+    """Largest payload [kg]. A negative value means that the platform alone is too heavy by this
+    mass. ``inf``: no limit is active. ``-inf``: the motion is infeasible for every mass, and the
+    next fields name one violated limit."""
     lowest: float
-    """Least payload of the same interval [kg]: minus the platform mass if every lighter mass is feasible, positive if
-    the platform needs ballast, ``inf`` if ``payload`` is ``-inf``."""
+    """Least payload of the same interval [kg]: minus the platform mass if every lighter mass is
+    feasible, positive if the platform needs ballast, ``inf`` if ``payload`` is ``-inf``."""
     platform_mass: float
     """Mass of the platform [kg]."""
     motor: int | None
@@ -56,7 +64,8 @@ class ExactPayload:
     kind: Kind | None
     """Kind of the limit: torque of the motor or tension of the cable; None without a limit."""
     line: Line | None
-    """Side of the limit: U⁺ or U⁻ of the torque, always "lower" for the tension; None without a limit."""
+    """Side of the limit: U⁺ or U⁻ of the torque, always "lower" for the tension; None without a
+    limit."""
 
     @property
     def total_mass(self) -> float:
@@ -73,37 +82,44 @@ def exact_payload(
     line_speed: ArrayLike = 1.0,
     grid: float = GRID,
 ) -> ExactPayload:
-    """Computes the largest payload with which ``robot`` tracks ``trajectory`` exactly within its limits.
+    """Computes the largest payload with which ``robot`` tracks ``trajectory`` exactly within its
+    limits.
 
-    The limits are ``U⁻ ≤ τ ≤ U⁺`` with ``U± = ±τ_s − (τ_s/ω_n) β̇`` and ``T ≥ minimum_tension``. The infimum covers
-    all times from 0 up to, but excluding, ``duration``. It uses a fine grid with both sides of each instant, so that
-    both accelerations count where the circles of the paper jump. With ``frequency`` it covers only the control instants
-    of a simulated episode, which contain one side of a jump and a point close to the other side.
+    The limits are ``U⁻ ≤ τ ≤ U⁺`` with ``U± = ±τ_s − (τ_s/ω_n) β̇`` and ``T ≥ minimum_tension``.
+    The infimum covers all times from 0 up to, but excluding, ``duration``. It uses a fine grid with
+    both sides of each instant, so that both accelerations count where the circles of the paper
+    jump. With ``frequency`` it covers only the control instants of a simulated episode, which
+    contain one side of a jump and a point close to the other side.
 
-    With as many cables as coordinates the feasible payloads form one interval, because the tensions are affine in the
-    mass. So they do with more cables, for which the limits are those of the best tensions at each instant, see
-    :func:`~cablebot_gym.physics.distribution.largest_scale`. A planar point mass uses the least tensions, which have
-    kinks, so there can be several intervals. The result is the interval that contains zero payload, or the one nearest
-    to it.
+    With as many cables as coordinates the feasible payloads form one interval, because the tensions
+    are affine in the mass. So they do with more cables, for which the limits are those of the best
+    tensions at each instant, see :func:`~cablebot_gym.physics.distribution.largest_scale`. A planar
+    point mass uses the least tensions, which have kinks, so there can be several intervals. The
+    result is the interval that contains zero payload, or the one nearest to it.
 
     Args:
         robot: robot with a rigid transmission.
         trajectory: reference motion with as many coordinates as the robot.
-        minimum_tension: minimum tension of every cable [N]; ≥ 0. ``robot.minimum_tension`` for the task criterion, 0
-            for the paper's. Planar point masses use the least tensions that satisfy it.
+        minimum_tension: minimum tension of every cable [N]; ≥ 0. ``robot.minimum_tension`` for the
+            task criterion, 0 for the paper's. Planar point masses use the least tensions that
+            satisfy it.
         frequency: control instants per second [Hz]; None for all times.
-        line_speed: speed in the torque-speed lines as a multiple of β̇, one value or one per motor; 0 for limits
-            independent of the speed.
-        grid: instants per second that approximate all times, without ``frequency`` [Hz]; 100 suffices for a map.
+        line_speed: speed in the torque-speed lines as a multiple of β̇, one value or one per motor;
+            0 for limits independent of the speed.
+        grid: instants per second that approximate all times, without ``frequency`` [Hz]; 100
+            suffices for a map.
 
     Raises:
-        ValueError: if an argument is invalid, or if no tensions produce the accelerations of the motion.
+        ValueError: if an argument is invalid, or if no tensions produce the accelerations of the
+            motion.
     """
     minimum_tension = number("minimum_tension", minimum_tension, least=0, unit="N")
     line_speed = numbers("line_speed", line_speed)
     grid = number("grid", grid, above=0, unit="Hz")
     times, reference = (
-        _all_times(robot, trajectory, grid) if frequency is None else control_instants(robot, trajectory, frequency)
+        _all_times(robot, trajectory, grid)
+        if frequency is None
+        else control_instants(robot, trajectory, frequency)
     )
     if robot.cables > robot.coordinates and robot.kind != "planar":
         return _redundant(robot, times, reference, minimum_tension, line_speed)
@@ -113,19 +129,28 @@ def exact_payload(
 
     gaps = _gaps(starts, ends)
     if not gaps:
-        first = np.lexsort((starts, -ends))[0]  # the limit that is violated from the least mass upwards
+        first = np.lexsort((starts, -ends))[
+            0
+        ]  # the limit that is violated from the least mass upwards
         return _result(robot, -np.inf, np.inf, times, indices[first])
     low, high = min(gaps, key=lambda gap: max(gap[0] - robot.mass, robot.mass - gap[1], 0.0))
-    # Several limits can end the interval together, up to rounding; ``indices`` lists the earliest first.
+    # Several limits can end the interval together, up to rounding; ``indices`` lists the earliest
+    # first.
     ending = indices[(starts >= high) & (starts <= high + 1e-9 * (1 + high)) & np.isfinite(starts)]
-    return _result(robot, high - robot.mass, low - robot.mass, times, ending[0] if len(ending) else None)
+    return _result(
+        robot, high - robot.mass, low - robot.mass, times, ending[0] if len(ending) else None
+    )
 
 
-def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> tuple[Array, Reference]:
-    """Control instants of an episode [s], shape (K,), at a control frequency [Hz], and the reference at these times.
+def control_instants(
+    robot: Robot, trajectory: Trajectory, frequency: float
+) -> tuple[Array, Reference]:
+    """Control instants of an episode [s], shape (K,), at a control frequency [Hz], and the
+    reference at these times.
 
     Raises:
-        ValueError: if the trajectory is for another kind of robot, or if there is no control instant.
+        ValueError: if the trajectory is for another kind of robot, or if there is no control
+            instant.
     """
     trajectory = find_trajectory(trajectory, robot.kind)
     frequency = number("frequency", frequency, above=0.5 / trajectory.duration, unit="Hz")
@@ -134,7 +159,8 @@ def control_instants(robot: Robot, trajectory: Trajectory, frequency: float) -> 
 
 
 def _all_times(robot: Robot, trajectory: Trajectory, grid: float) -> tuple[Array, Reference]:
-    """Grid that approximates all times, with both sides of each instant. It contains half time, where circles jump."""
+    """Grid that approximates all times, with both sides of each instant. It contains half time,
+    where circles jump."""
     trajectory = find_trajectory(trajectory, robot.kind)
     grid = number("grid", grid, above=0, unit="Hz")
     count = 2 * max(1, round(grid / 4), round(grid * trajectory.duration / 2))
@@ -156,17 +182,22 @@ def _repeated(reference: Reference, count: int) -> tuple[Array, Array, Array]:
 def _nodes(robot: Robot, reference: Reference, minimum: float) -> Array:
     """Total masses between which every tension is affine, ascending from 0, shape (K, nodes) [kg].
 
-    The last node only defines the slope beyond the previous one. The force ``w(M) = −Sᵀ(T − minimum)`` is affine in the
-    mass M. The least tensions of a planar robot have a kink where it is parallel to a cable, because a different pair
-    of cables becomes active.
+    The last node only defines the slope beyond the previous one. The force ``w(M) = −Sᵀ(T −
+    minimum)`` is affine in the mass M. The least tensions of a planar robot have a kink where it is
+    parallel to a cable, because a different pair of cables becomes active.
     """
     kinks = np.zeros((len(reference.position), 0))
     if _pairs(robot):
         structure = textbook.jacobian(robot, reference.position)
         masses = np.broadcast_to([0.0, robot.mass], (len(structure), 2))
-        tensions = textbook.required_tensions(robot, masses, *_repeated(reference, 2), minimum=minimum)
+        tensions = textbook.required_tensions(
+            robot, masses, *_repeated(reference, 2), minimum=minimum
+        )
         force = -np.einsum("kci,kbc->kbi", structure, tensions - minimum)
-        across = force[..., None, 0] * structure[:, None, :, 1] - force[..., None, 1] * structure[:, None, :, 0]
+        across = (
+            force[..., None, 0] * structure[:, None, :, 1]
+            - force[..., None, 1] * structure[:, None, :, 0]
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
             kinks = robot.mass * across[:, 0] / (across[:, 0] - across[:, 1])
         kinks = np.sort(np.where(np.isfinite(kinks), np.maximum(kinks, 0.0), 0.0), axis=1)
@@ -174,17 +205,23 @@ def _nodes(robot: Robot, reference: Reference, minimum: float) -> Array:
     return np.concatenate([kinks, 2 * kinks[:, -1:] + robot.mass], axis=1)
 
 
-def _margins(robot: Robot, reference: Reference, masses: Array, minimum: float, line_speed: Array) -> Array:
-    """Margin of each limit for each mass, shape (K, nodes, m, limits); negative if the limit is violated."""
+def _margins(
+    robot: Robot, reference: Reference, masses: Array, minimum: float, line_speed: Array
+) -> Array:
+    """Margin of each limit for each mass, shape (K, nodes, m, limits); negative if the limit is
+    violated."""
     motion = _repeated(reference, masses.shape[1])
     if _pairs(robot):  # raises an error if no tensions produce the motion
         required = textbook.inverse_dynamics(robot, masses, *motion, minimum=minimum)
     else:
         required = inverse_dynamics(robot, masses, *motion)
     if not np.all(np.isfinite(required.torques)):
-        raise ValueError(f"robot {robot.name!r} is singular on the motion: choose another trajectory")
+        raise ValueError(
+            f"robot {robot.name!r} is singular on the motion: choose another trajectory"
+        )
     lower, upper = textbook.torque_limits(robot, line_speed * required.speeds)
-    # The least tensions of a planar robot satisfy the minimum by construction; rounding must not violate it.
+    # The least tensions of a planar robot satisfy the minimum by construction; rounding must not
+    # violate it.
     surplus = np.zeros_like(required.tensions) if _pairs(robot) else required.tensions - minimum
     return np.stack([upper - required.torques, required.torques - lower, surplus], axis=-1)
 
@@ -195,7 +232,12 @@ def _pairs(robot: Robot) -> bool:
 
 
 def _redundant(
-    robot: Robot, times: Array, reference: Reference, minimum: float, line_speed: Array, heaviest: float = 1e6
+    robot: Robot,
+    times: Array,
+    reference: Reference,
+    minimum: float,
+    line_speed: Array,
+    heaviest: float = 1e6,
 ) -> ExactPayload:
     """Result with redundant cables."""
     pose = reference.position
@@ -204,14 +246,26 @@ def _redundant(
     lower, highest = tension_bounds(robot, reference, minimum, line_speed=line_speed)
     empty, unit = (textbook.load(robot, mass, pose, velocity, acceleration) for mass in (0.0, 1.0))
     if np.any(np.isnan(lower)):
-        raise ValueError(f"a cable of robot {robot.name!r} has no length on the motion: choose another trajectory")
-    found = largest_scale(textbook.jacobian(robot, pose), empty, unit - empty, lower, highest, heaviest)
+        raise ValueError(
+            f"a cable of robot {robot.name!r} has no length on the motion: choose another trajectory"
+        )
+    found = largest_scale(
+        textbook.jacobian(robot, pose), empty, unit - empty, lower, highest, heaviest
+    )
     if np.any(found.status == SINGULAR):
-        raise ValueError(f"robot {robot.name!r} is singular on the motion: choose another trajectory")
+        raise ValueError(
+            f"robot {robot.name!r} is singular on the motion: choose another trajectory"
+        )
     held = found.status == HELD
-    low, high = (float(max(found.least)), float(min(found.largest))) if np.all(held) else (math.inf, -math.inf)
+    low, high = (
+        (float(max(found.least)), float(min(found.largest)))
+        if np.all(held)
+        else (math.inf, -math.inf)
+    )
     at = int(np.argmin(found.largest)) if np.all(held) else int(np.argmin(held))
-    payload, lowest_payload = (high - robot.mass, low - robot.mass) if low <= high else (-math.inf, math.inf)
+    payload, lowest_payload = (
+        (high - robot.mass, low - robot.mass) if low <= high else (-math.inf, math.inf)
+    )
     if high == heaviest:
         return _result(robot, math.inf, lowest_payload, times, None)
     share = found.coefficients[at]
@@ -221,15 +275,19 @@ def _redundant(
 
 
 def _violated(masses: Array, margins: Array) -> tuple[Array, Array, Array]:
-    """Intervals of total masses with a violated limit: lower ends, upper ends (count,), and indices (k, motor, limit).
+    """Intervals of total masses with a violated limit: lower ends, upper ends (count,), and indices
+    (k, motor, limit).
 
-    There is one interval per limit and piece between two nodes. A margin is affine there and beyond the last node.
+    There is one interval per limit and piece between two nodes. A margin is affine there and beyond
+    the last node.
     """
     start = masses[:, :-1, None, None]
     end = masses[:, 1:, None, None]
     first, last = margins[:, :-1], margins[:, 1:].copy()
     with np.errstate(divide="ignore", invalid="ignore"):
-        change = np.where(np.abs(last - first) > 1e-12 * (np.abs(last) + np.abs(first)), last - first, 0.0)
+        change = np.where(
+            np.abs(last - first) > 1e-12 * (np.abs(last) + np.abs(first)), last - first, 0.0
+        )
         zero = start - first * (end - start) / change
     last[:, -1] = np.where(change[:, -1] == 0, first[:, -1], np.copysign(np.inf, change[:, -1]))
     end = np.concatenate([end[:, :-1], np.full_like(end[:, -1:], np.inf)], axis=1)
@@ -248,7 +306,9 @@ def _gaps(starts: Array, ends: Array) -> list[tuple[float, float]]:
     return [(float(low), float(high)) for low, high in zip(lows, highs, strict=True) if low < high]
 
 
-def _result(robot: Robot, payload: float, lowest: float, times: Array, index: Array | None) -> ExactPayload:
+def _result(
+    robot: Robot, payload: float, lowest: float, times: Array, index: Array | None
+) -> ExactPayload:
     if index is None:
         motor, time, kind, line = None, None, None, None
     else:
@@ -256,5 +316,11 @@ def _result(robot: Robot, payload: float, lowest: float, times: Array, index: Ar
         time = round(float(times[index[0]]), 7)
         kind, line = _LIMITS[index[2]]
     return ExactPayload(
-        payload=payload, lowest=lowest, platform_mass=robot.mass, motor=motor, time=time, kind=kind, line=line
+        payload=payload,
+        lowest=lowest,
+        platform_mass=robot.mass,
+        motor=motor,
+        time=time,
+        kind=kind,
+        line=line,
     )

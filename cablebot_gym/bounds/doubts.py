@@ -1,4 +1,5 @@
-"""Questions about values of a robot that are possible but unusual, with the unit that was probably meant."""
+"""Questions about values of a robot that are possible but unusual, with the unit that was probably
+meant."""
 
 from __future__ import annotations
 
@@ -10,7 +11,14 @@ import numpy as np
 
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import GRAVITY, RPM, Robot, holds_upside_down, reach_and_gyration, vertical_remedy
+from cablebot_gym.robots import (
+    GRAVITY,
+    RPM,
+    Robot,
+    holds_upside_down,
+    reach_and_gyration,
+    vertical_remedy,
+)
 from cablebot_gym.task import find_error_bounds
 
 
@@ -25,8 +33,15 @@ class _Quantity:
 
 
 def doubtful_values(robot: Robot) -> Iterator[str]:
-    """Questions about the robot. The ranges include every robot of the library with a wide margin."""
-    for quantity in (*_motors(robot), *_lengths(robot), *_platform(robot), *_springs(robot), *_defaults(robot)):
+    """Questions about the robot. The ranges include every robot of the library with a wide
+    margin."""
+    for quantity in (
+        *_motors(robot),
+        *_lengths(robot),
+        *_platform(robot),
+        *_springs(robot),
+        *_defaults(robot),
+    ):
         if not quantity.low <= quantity.value <= quantity.high:
             yield quantity.question
     low, high = robot.pose_bounds
@@ -171,16 +186,23 @@ def _springs(robot: Robot) -> Iterator[_Quantity]:
         )
     if not robot.elastic:
         return
-    length = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel) + robot.extra_length
+    length = (
+        cable_lengths(robot.base, robot.platform, robot.home, robot.swivel) + robot.extra_length
+    )
     tension = np.maximum(torque / robot.pulley_radius, robot.minimum_tension)
     unit = "is transmission.axial_stiffness EA in N? Multiply a stiffness in N/m by the length"
     strain = float(np.max(tension / robot.axial_stiffness))
     stretch = 1e3 * float(np.max(length * tension / robot.axial_stiffness))
     yield _Quantity(
-        strain, 1e-7, 0.003, f"the platform alone stretches a cable by {stretch:.3g} mm, or {strain:.2g} of it: {unit}"
+        strain,
+        1e-7,
+        0.003,
+        f"the platform alone stretches a cable by {stretch:.3g} mm, or {strain:.2g} of it: {unit}",
     )
     strain = float(np.max(robot.stall_torque / robot.pulley_radius / robot.axial_stiffness))
-    yield _Quantity(strain, 0.0, 0.025, f"the stall torque stretches a cable by {strain:.1%}: {unit}")
+    yield _Quantity(
+        strain, 0.0, 0.025, f"the stall torque stretches a cable by {strain:.1%}: {unit}"
+    )
     extra = float(robot.extra_length.max())
     text = f"transmission.extra_length is {extra:.3g} m of a robot of {_size(robot):.3g} m: is it in m?"
     yield _Quantity(extra, 0.0, 10 * _size(robot), text)

@@ -1,4 +1,5 @@
-"""Checks of a robot before anything is simulated: payload along its motion, workspace, modes, sag, and doubtful values.
+"""Checks of a robot before anything is simulated: payload along its motion, workspace, modes, sag,
+and doubtful values.
 
 The checks are static or follow the reference exactly; no controller is involved.
 """
@@ -53,7 +54,8 @@ class PayloadLimit:
     largest: float
     """Largest payload [kg]; minus infinite if some instant allows none."""
     time: float
-    """Time of the instant that limits the largest payload, or excludes the payload that was asked for [s]."""
+    """Time of the instant that limits the largest payload, or excludes the payload that was asked
+    for [s]."""
     pose: tuple[float, ...]
     """Pose at this instant [m, rad]."""
     reason: str
@@ -61,7 +63,10 @@ class PayloadLimit:
 
     def to_dict(self) -> dict[str, Any]:
         """The limit as JSON-able data; None for an infinite number."""
-        return {name: None if value in (math.inf, -math.inf) else value for name, value in vars(self).items()}
+        return {
+            name: None if value in (math.inf, -math.inf) else value
+            for name, value in vars(self).items()
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +108,8 @@ class RobotCheck:
     home: PayloadLimit
     """Payloads that cables and motors hold at rest at the home pose."""
     workspace: float
-    """Fraction of the workspace, at the home orientation, where cables and motors hold the payload at rest."""
+    """Fraction of the workspace, at the home orientation, where cables and motors hold the payload
+    at rest."""
     modes: tuple[Mode, ...]
     """Softest and stiffest mode with locked and with free motors; empty for a rigid robot."""
     substeps: int | None
@@ -201,24 +207,31 @@ def check_model(robot: Robot, *, payload: float | None = None) -> RobotCheck:
     )
 
 
-def check_motion(robot: Robot, *, payload: float | None = None, trajectory: Any = None) -> MotionCheck:
+def check_motion(
+    robot: Robot, *, payload: float | None = None, trajectory: Any = None
+) -> MotionCheck:
     """Checks whether a robot can follow a motion.
 
     Args:
         robot: the robot.
         payload: payload [kg]; None for the least one of the robot's payload range, else 0.
-        trajectory: motion, as for :func:`~cablebot_gym.trajectories.find_trajectory`; None for the robot's default.
+        trajectory: motion, as for :func:`~cablebot_gym.trajectories.find_trajectory`; None for the
+            robot's default.
 
     Raises:
         ValueError: if the payload or the motion is invalid, or the motion leaves the workspace.
     """
-    motion = find_trajectory(default_trajectory(robot) if trajectory is None else trajectory, robot.kind)
+    motion = find_trajectory(
+        default_trajectory(robot) if trajectory is None else trajectory, robot.kind
+    )
     payload = _payload_of(robot, payload)
     bounds = find_error_bounds(None, robot)
     check_workspace(robot, motion, bounds)
     times = np.linspace(0, motion.duration, SAMPLES)
     reference = motion(times)
-    cables, settled, tension = _sag(robot, reference, payload) if np.any(robot.cable_density) else ((), None, None)
+    cables, settled, tension = (
+        _sag(robot, reference, payload) if np.any(robot.cable_density) else ((), None, None)
+    )
     return MotionCheck(
         trajectory=motion,
         error_bounds=bounds,
@@ -233,7 +246,9 @@ def check_motion(robot: Robot, *, payload: float | None = None, trajectory: Any 
 
 
 def _payload_of(robot: Robot, payload: float | None) -> float:
-    return number("payload", robot.defaults.payload(0.0) if payload is None else payload, least=0, unit="kg")
+    return number(
+        "payload", robot.defaults.payload(0.0) if payload is None else payload, least=0, unit="kg"
+    )
 
 
 # --- loads and limits ---------------------------------------------------------------------------------------------
@@ -243,7 +258,8 @@ _ROUNDING = 1e-8  # least payloads below this fraction of the platform's mass ar
 
 
 def payload_limit(robot: Robot, times: Array, reference: Reference, payload: float) -> PayloadLimit:
-    """Interval of the payloads with which cables and motors can follow a reference, and what limits it.
+    """Interval of the payloads with which cables and motors can follow a reference, and what limits
+    it.
 
     Args:
         robot: the robot; joint springs and stretch of the cables are left out.
@@ -275,9 +291,13 @@ def payload_limit(robot: Robot, times: Array, reference: Reference, payload: flo
 
 
 def limiting_cables(robot: Robot, coefficients: Array) -> str:
-    """Cables with an active limit as text, from the coefficients of :mod:`cablebot_gym.physics.distribution`."""
+    """Cables with an active limit as text, from the coefficients of
+    :mod:`cablebot_gym.physics.distribution`."""
     parts = []
-    for sign, text in ((1, "at the torque limit"), (-1, f"at the minimum tension of {robot.minimum_tension:g} N")):
+    for sign, text in (
+        (1, "at the torque limit"),
+        (-1, f"at the minimum tension of {robot.minimum_tension:g} N"),
+    ):
         numbers = [str(index + 1) for index in np.flatnonzero(sign * coefficients > 1e-6)]
         if numbers:
             parts.append(f"cable{'s' if len(numbers) > 1 else ''} {', '.join(numbers)} {text}")
@@ -328,7 +348,8 @@ def modes(robot: Robot) -> list[Mode]:
 def _sag(
     robot: Robot, reference: Reference, payload: float
 ) -> tuple[tuple[CableSag, ...], tuple[float, ...] | None, float | None]:
-    """Sag of each cable, and change of pose and tensions at home; nothing if the motion or the pose is not held."""
+    """Sag of each cable, and change of pose and tensions at home; nothing if the motion or the pose
+    is not held."""
     lower, upper = tension_bounds(robot, reference, robot.minimum_tension)
     structure = textbook.jacobian(robot, reference.position)
     found = least_norm(structure, required_load(robot, reference, payload), lower, upper)
@@ -350,7 +371,9 @@ def _sag(
     mass = robot.mass + payload
     rest = np.zeros(robot.coordinates)
     home = least_norm(
-        textbook.jacobian(robot, robot.home), textbook.bias(robot, mass, robot.home, rest), robot.minimum_tension
+        textbook.jacobian(robot, robot.home),
+        textbook.bias(robot, mass, robot.home, rest),
+        robot.minimum_tension,
     )
     if home.status != HELD:
         return cables, None, None
@@ -371,12 +394,16 @@ def _close_cables(robot: Robot, times: Array, reference: Reference) -> Iterator[
     d = robot.dimensions
     ends = poses[:, None, :d] + turned(poses, robot.platform)
     for i, j in combinations(range(robot.cables), 2):
-        if np.allclose(robot.base[i], robot.base[j]) or np.allclose(robot.platform[i], robot.platform[j]):
+        if np.allclose(robot.base[i], robot.base[j]) or np.allclose(
+            robot.platform[i], robot.platform[j]
+        ):
             continue
         distance = segment_distance(robot.base[i], ends[:, i], robot.base[j], ends[:, j])
         index = int(np.argmin(distance))
         if distance[index] < CLOSE:
-            place = "at home_pose" if index == 0 else f"at t = {times[index - 1]:.2f} s of the motion"
+            place = (
+                "at home_pose" if index == 0 else f"at t = {times[index - 1]:.2f} s of the motion"
+            )
             yield (
                 f"cables {i + 1} and {j + 1} come within {1e3 * distance[index]:.0f} mm {place}: do they touch? If so, "
                 "move an anchor or change the motion"
@@ -394,7 +421,9 @@ def segment_distance(start: Array, end: Array, other_start: Array, other_end: Ar
     f = np.sum(second * between, axis=-1)
     denominator = a * e - b * b
     parallel = denominator <= 1e-12 * a * e
-    s = np.where(parallel, 0.0, np.clip((b * f - c * e) / np.where(parallel, 1.0, denominator), 0, 1))
+    s = np.where(
+        parallel, 0.0, np.clip((b * f - c * e) / np.where(parallel, 1.0, denominator), 0, 1)
+    )
     t = np.clip((b * s + f) / e, 0, 1)
     s = np.clip((b * t - c) / a, 0, 1)
     gap = between + s[..., None] * first - t[..., None] * second

@@ -1,7 +1,8 @@
-"""``cablebot``: the table of its commands, and the conversion of errors to a message and an exit status.
+"""``cablebot``: the table of its commands, and the conversion of errors to a message and an exit
+status.
 
-Exit status: 0 success, 1 failure, 2 invalid input, 130 interrupted. Results go to standard output, everything else to
-standard error.
+Exit status: 0 success, 1 failure, 2 invalid input, 130 interrupted. Results go to standard output,
+everything else to standard error.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from cablebot_gym.utils.streams import output_problem, protect_streams
 from cablebot_gym.utils.user_code import sentence_of_user_code
 
 COMMAND_GROUP = "cablebot_gym.commands"
-"""Entry point group of commands. A package adds a command by an entry point that names a function with typer's
-annotations."""
+"""Entry point group of commands. A package adds a command by an entry point that names a function
+with typer's annotations."""
 
 COMMANDS = {
     "Evaluate policies": {
@@ -61,8 +62,12 @@ INTERRUPTED = 130
 class _GroupedCommands(TyperGroup):
     """Lists the commands by group, with the full first sentence of each help text."""
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:  # types of click, which typer may vendor
-        added = [name for name in self.commands if not any(name in names for names in COMMANDS.values())]
+    def format_commands(
+        self, ctx: Any, formatter: Any
+    ) -> None:  # types of click, which typer may vendor
+        added = [
+            name for name in self.commands if not any(name in names for names in COMMANDS.values())
+        ]
         for title, names in {**COMMANDS, ADDED: added}.items():
             rows = [(name, self.commands[name].get_short_help_str(limit=1000)) for name in names]
             if rows:
@@ -94,7 +99,9 @@ app = typer.Typer(
 
 
 @app.callback(invoke_without_command=True)
-def _version(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+def _version(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
     if version:
         from cablebot_gym import __version__
 
@@ -102,14 +109,20 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Print the 
 
 
 BUILT_IN = {
-    name: EntryPoint(name, value, COMMAND_GROUP) for group in COMMANDS.values() for name, value in group.items()
+    name: EntryPoint(name, value, COMMAND_GROUP)
+    for group in COMMANDS.values()
+    for name, value in group.items()
 }
 """Built-in commands by name."""
 
 
 def command_points() -> dict[str, EntryPoint]:
     """All commands by name: first the built-in commands, then those that installed packages add."""
-    return BUILT_IN | {point.name: point for point in entry_points(group=COMMAND_GROUP) if point.name not in BUILT_IN}
+    return BUILT_IN | {
+        point.name: point
+        for point in entry_points(group=COMMAND_GROUP)
+        if point.name not in BUILT_IN
+    }
 
 
 def add_commands(points: Mapping[str, EntryPoint]) -> None:
@@ -134,14 +147,20 @@ def main() -> None:
 def _run() -> None:
     from cablebot_gym.policies import PolicyError
 
-    atexit.register(gc.freeze)  # the last collection of the process would take 0.2 s and free nothing that matters
-    sys.path.append("")  # package.module:factory of the working directory; last, so that no file there hides a package
+    atexit.register(
+        gc.freeze
+    )  # the last collection of the process would take 0.2 s and free nothing that matters
+    sys.path.append(
+        ""
+    )  # package.module:factory of the working directory; last, so that no file there hides a package
     try:
         if len(sys.argv) < 2:
             sys.argv.append("--help")
         typed = sys.argv[1]
         add_commands({typed: BUILT_IN[typed]} if typed in BUILT_IN else command_points())
-        status = app(standalone_mode=False)  # a number if the parser ended the command, for example after Ctrl-C
+        status = app(
+            standalone_mode=False
+        )  # a number if the parser ended the command, for example after Ctrl-C
         if status == INTERRUPTED:
             raise KeyboardInterrupt
         sys.exit(status if isinstance(status, int) else 0)
@@ -150,11 +169,18 @@ def _run() -> None:
     except (ValueError, ImportError) as error:
         _fail(sentence_of_user_code(error) or _with_option_names(str(error)), 2)
     except OSError as error:
-        _fail(str(error) if error.filename is None else f"cannot write {error.filename!r}: {error.strerror}", 1)
+        _fail(
+            str(error)
+            if error.filename is None
+            else f"cannot write {error.filename!r}: {error.strerror}",
+            1,
+        )
     except PolicyError as error:
         _fail(str(error), 1)
     except Exception as error:
-        format_message = getattr(error, "format_message", None)  # an error of the option parser has this method
+        format_message = getattr(
+            error, "format_message", None
+        )  # an error of the option parser has this method
         if format_message is None:
             if sentence := sentence_of_user_code(error):
                 _fail(sentence, 1)
@@ -171,13 +197,18 @@ def _run() -> None:
 
 def _example(name: str) -> str:
     """The first example in the docstring of a command; empty if there is no such command."""
-    texts = [item.callback.__doc__ or "" for item in app.registered_commands if item.name == name and item.callback]
+    texts = [
+        item.callback.__doc__ or ""
+        for item in app.registered_commands
+        if item.name == name and item.callback
+    ]
     match = re.search(r"^ *(?:Example: )?(cablebot .+)$", "\n".join(texts), re.MULTILINE)
     return match[1] if match else ""
 
 
 def _with_option_names(message: str) -> str:
-    """Replaces the Python keyword at the start of an error message by the option that the user typed."""
+    """Replaces the Python keyword at the start of an error message by the option that the user
+    typed."""
     keyword = re.match(r"(?:error_bounds: )?([a-z][a-z0-9_]*)(?= must )", message)
     typed = {argument.partition("=")[0] for argument in sys.argv}
     if keyword is not None:

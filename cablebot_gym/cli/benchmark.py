@@ -39,12 +39,16 @@ def benchmark(
         ),
     ] = None,
     ids: Annotated[
-        str | None, typer.Option(help="Environment ids, separated by commas. The default is those of the suite.")
+        str | None,
+        typer.Option(
+            help="Environment ids, separated by commas. The default is those of the suite."
+        ),
     ] = None,
     entries: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER", help="Folder of entries of others, which run in a sandbox, as further policies."
+            metavar="FOLDER",
+            help="Folder of entries of others, which run in a sandbox, as further policies.",
         ),
     ] = None,
     no_sandbox: NoSandbox = False,
@@ -52,21 +56,30 @@ def benchmark(
     ray: Annotated[
         str | None,
         typer.Option(
-            metavar="ADDRESS", help="Run on a Ray cluster: its address, auto, or local. Requires the extra ray."
+            metavar="ADDRESS",
+            help="Run on a Ray cluster: its address, auto, or local. Requires the extra ray.",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Results folder, for the tables and all finished cells.")] = Path(
-        "benchmark"
-    ),
+    out: Annotated[
+        Path, typer.Option(help="Results folder, for the tables and all finished cells.")
+    ] = Path("benchmark"),
     page: Annotated[
-        Path | None, typer.Option(help=f"File of the leaderboard. The default is {MARKDOWN} in the results folder.")
+        Path | None,
+        typer.Option(
+            help=f"File of the leaderboard. The default is {MARKDOWN} in the results folder."
+        ),
     ] = None,
     any_source: Annotated[
-        bool, typer.Option("--any-source", help="Reuse finished cells that were computed with different code.")
+        bool,
+        typer.Option(
+            "--any-source", help="Reuse finished cells that were computed with different code."
+        ),
     ] = False,
     seed: Annotated[
         int | None,
-        typer.Option(help="Evaluation seed, to repeat a run. The default is drawn once and stored in the folder."),
+        typer.Option(
+            help="Evaluation seed, to repeat a run. The default is drawn once and stored in the folder."
+        ),
     ] = None,
     real_time: Annotated[
         bool,
@@ -79,29 +92,36 @@ def benchmark(
     commit: Annotated[
         str | None,
         typer.Option(
-            metavar="VERSION", help="Draw the secret of a new board, write its commitment to the folder and stop."
+            metavar="VERSION",
+            help="Draw the secret of a new board, write its commitment to the folder and stop.",
         ),
     ] = None,
     verify: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Confirm uncertain payloads of stored results with fresh draws and stop."),
+        typer.Option(
+            metavar="FOLDER",
+            help="Confirm uncertain payloads of stored results with fresh draws and stop.",
+        ),
     ] = None,
     cells: Annotated[int, typer.Option(help="Number of cells that --verify confirms.")] = 20,
     draws: Annotated[int, typer.Option(help="Number of fresh draws of --verify.")] = 1024,
     as_json: Annotated[bool, typer.Option("--json", help=f"Print the content of {JSON}.")] = False,
 ) -> None:
-    """Score policies by their payload over the best known payload, on held-out motions and the paper's circle.
+    """Score policies by their payload over the best known payload, on held-out motions and the
+    paper's circle.
 
-    Every policy runs in a process of its own. Each finished cell is stored as a file in the results folder. The same
-    command resumes an interrupted benchmark. It computes only cells that are missing, damaged or computed with
-    different code: that of this package, or of the package or folder of the policy. The exit status is 1 if a payload
-    could not be computed, or if --verify finds a broken promise.
+    Every policy runs in a process of its own. Each finished cell is stored as a file in the results
+    folder. The same command resumes an interrupted benchmark. It computes only cells that are
+    missing, damaged or computed with different code: that of this package, or of the package or
+    folder of the policy. The exit status is 1 if a payload could not be computed, or if --verify
+    finds a broken promise.
 
     Examples:
 
     cablebot benchmark --suite smoke --out results
 
-    cablebot benchmark --suite standard --policies fl,mypackage.mine:make_policy --workers 8 --out results
+    cablebot benchmark --suite standard --policies fl,mypackage.mine:make_policy --workers 8 --out
+    results
 
     cablebot benchmark --suite library --out robots
 
@@ -140,22 +160,36 @@ def benchmark(
     check_writable_dir(out / FOLDER)
     if commit is not None:
         made = boards.commit(out, commit, found, chosen.hidden)
-        print(f"board {made.version}: commitment {made.commitment}. Publish {out / boards.BOARD} before the run, and")
+        print(
+            f"board {made.version}: commitment {made.commitment}. Publish {out / boards.BOARD} before the run, and"
+        )
         print(f"keep {out / boards.SECRET} secret until its results are published.")
         return
     board = boards.read_board(out) if chosen.hidden else None
     if board is not None:
         board.check_policies(names)
         if any_source or seed is not None:
-            raise ValueError("a board accepts neither --seed nor --any-source: its results are not chosen")
+            raise ValueError(
+                "a board accepts neither --seed nor --any-source: its results are not chosen"
+            )
     files = (out / JSON, page or out / MARKDOWN)
     for path in files:
         check_writable_file(path)
-    todo = suite_cells(chosen, found, seed=boards.run_seed(out, seed), board=board, real_time=real_time)
-    options = {"suite": suite, "policies": policies, "entries": entries, "no_sandbox": no_sandbox, "ids": ids}
+    todo = suite_cells(
+        chosen, found, seed=boards.run_seed(out, seed), board=board, real_time=real_time
+    )
+    options = {
+        "suite": suite,
+        "policies": policies,
+        "entries": entries,
+        "no_sandbox": no_sandbox,
+        "ids": ids,
+    }
     options |= {"out": out, "page": page, "real_time": real_time}
     command = command_line("benchmark", **options)
-    resume = command_line("benchmark", **options, workers=workers, ray=ray, any_source=any_source, seed=seed)
+    resume = command_line(
+        "benchmark", **options, workers=workers, ray=ray, any_source=any_source, seed=seed
+    )
     say = notes_console().print
     store = Store(out, say=say, any_source=any_source)
     records = computed(todo, store, out, backend, resume)
@@ -167,7 +201,11 @@ def benchmark(
     for path, content in zip(files, contents, strict=True):
         atomic_write_text(path, content)
     if store.foreign:
-        use = "they are reused" if any_source else "they are computed again (--any-source reuses them)"
+        use = (
+            "they are reused"
+            if any_source
+            else "they are computed again (--any-source reuses them)"
+        )
         say(f"{store.foreign} cells exist only with results of different code: {use}")
     say("wrote " + ", ".join(map(str, files)))
     if as_json:
@@ -178,7 +216,9 @@ def benchmark(
         raise typer.Exit(1)
 
 
-def computed(cells: Mapping[str, Cell], store: Store, out: Path, backend: Backend, command: str) -> Sequence[Record]:
+def computed(
+    cells: Mapping[str, Cell], store: Store, out: Path, backend: Backend, command: str
+) -> Sequence[Record]:
     """Computes cells with progress. After an interrupt it says with which command to resume.
 
     Args:
@@ -220,11 +260,15 @@ def read_results(folder: Path) -> Results:
     try:
         text = read_text(path)
     except OSError as error:
-        raise ValueError(f"cannot read {str(path)!r} ({error.strerror or error}). {advice}") from error
+        raise ValueError(
+            f"cannot read {str(path)!r} ({error.strerror or error}). {advice}"
+        ) from error
     try:
         results = Results.from_json(text)
     except (json.JSONDecodeError, KeyError, TypeError, IndexError, ValueError) as error:
-        raise ValueError(f"{str(path)!r} does not hold benchmark results ({error!r}). {advice}") from error
+        raise ValueError(
+            f"{str(path)!r} does not hold benchmark results ({error!r}). {advice}"
+        ) from error
     if not results.records:
         raise ValueError(f"{str(path)!r} holds no cells. {advice}")
     return results
@@ -240,16 +284,22 @@ def _verify(folder: Path, backend: Backend, cells: int, draws: int, seed: int | 
     whole("draws", draws, least=1)
     if results.board is not None:
         results.check_board()
-        print(f"board {results.board.version}: the secret matches the commitment and determines the motions")
+        print(
+            f"board {results.board.version}: the secret matches the commitment and determines the motions"
+        )
     seed = secrets.randbits(128) if seed is None else seed
     confirmations = []
     with progress("confirming", "cells") as step:
-        for one in confirm(results.records, backend, cells=cells, draws=draws, seed=seed, say=notes_console().print):
+        for one in confirm(
+            results.records, backend, cells=cells, draws=draws, seed=seed, say=notes_console().print
+        ):
             confirmations.append(one)
             print(one)
             step(len(confirmations), cells)
     kept = sum(one.kept for one in confirmations)
-    print(f"{kept} of {len(confirmations)} payloads keep their promise in {draws} fresh draws (--seed {seed})")
+    print(
+        f"{kept} of {len(confirmations)} payloads keep their promise in {draws} fresh draws (--seed {seed})"
+    )
     if sentence := broken(confirmations):
         notes_console().print(sentence)
         raise typer.Exit(1)
@@ -262,7 +312,9 @@ def _backend(workers: int | None, ray: str | None) -> Backend:
     if ray is None:
         return local(check_workers(workers))
     if workers is not None:
-        raise ValueError("--workers and --ray exclude each other: a Ray cluster has its own workers")
+        raise ValueError(
+            "--workers and --ray exclude each other: a Ray cluster has its own workers"
+        )
     from cablebot_gym.benchmark.ray_backend import on_ray
 
     return on_ray(ray)

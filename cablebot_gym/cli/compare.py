@@ -12,10 +12,16 @@ from cablebot_gym.cli import options
 from cablebot_gym.utils.console import notes_console, print_table, results_console
 
 if TYPE_CHECKING:
-    from cablebot_gym.evaluation.comparison import Comparison, Estimate, PayloadComparison, PolicyMetrics
+    from cablebot_gym.evaluation.comparison import (
+        Comparison,
+        Estimate,
+        PayloadComparison,
+        PolicyMetrics,
+    )
 
 _NARROW = 150
-"""Width of the terminal below which the table is transposed: one column for each policy [columns]."""
+"""Width of the terminal below which the table is transposed: one column for each policy
+[columns]."""
 
 _COLUMNS = (
     ("mean_error", "error, mean [mm]", 1e3),
@@ -47,21 +53,32 @@ def compare(
     payload: options.Payload = None,
     payloads: Annotated[
         str | None,
-        typer.Option(help="Several payloads instead of --payload: FIRST:LAST:STEP, such as 0:9:0.5, or 0,1,2 [kg]."),
+        typer.Option(
+            help="Several payloads instead of --payload: FIRST:LAST:STEP, such as 0:9:0.5, or 0,1,2 [kg]."
+        ),
     ] = None,
     draws: options.Draws = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for comparison.json and comparison.png.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for comparison.json and comparison.png.")
+    ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Compare the errors, torques and margins of several policies over the same draws, with one or more payloads.
+    """Compare the errors, torques and margins of several policies over the same draws, with one or
+    more payloads.
 
     Examples:
 
-    cablebot compare CableBot-Spatial-v0 --policies fl,robust --uncertainty table6 --payload 1 --out results
+    cablebot compare CableBot-Spatial-v0 --policies fl,robust --uncertainty table6 --payload 1 --out
+    results
 
-    cablebot compare CableBot-Spatial-v0 --policies fl,robust,adaptive --payloads 0:9:0.5 --out results
+    cablebot compare CableBot-Spatial-v0 --policies fl,robust,adaptive --payloads 0:9:0.5 --out
+    results
     """
-    from cablebot_gym.evaluation.comparison import PayloadComparison, compare_over_payloads, compare_policies
+    from cablebot_gym.evaluation.comparison import (
+        PayloadComparison,
+        compare_over_payloads,
+        compare_policies,
+    )
     from cablebot_gym.utils.files import atomic_write_text
 
     options.check_figure_folder(out, "comparison.json", "comparison.png")
@@ -83,7 +100,9 @@ def compare(
         from cablebot_gym.plotting.comparison import save_comparison
 
         atomic_write_text(out / "comparison.json", comparison.to_json() + "\n")
-        notes_console().print(f"wrote {out / 'comparison.json'}, {save_comparison(comparison, out)}")
+        notes_console().print(
+            f"wrote {out / 'comparison.json'}, {save_comparison(comparison, out)}"
+        )
     if as_json:
         print(comparison.to_json())
     elif isinstance(comparison, PayloadComparison):
@@ -96,17 +115,27 @@ def payload_grid(text: str) -> list[float]:
     """Payloads from ``--payloads`` [kg].
 
     Raises:
-        ValueError: if the text is neither FIRST:LAST:STEP nor a list of numbers, or has more than 1000 payloads.
+        ValueError: if the text is neither FIRST:LAST:STEP nor a list of numbers, or has more than
+            1000 payloads.
     """
     try:
         parts = [float(part) for part in text.replace(":", ",").split(",")]
     except ValueError:
         parts = []
-    if ":" in text and len(parts) == 3 and parts[2] > 0 and 0 <= (parts[1] - parts[0]) / parts[2] < 1000:
+    if (
+        ":" in text
+        and len(parts) == 3
+        and parts[2] > 0
+        and 0 <= (parts[1] - parts[0]) / parts[2] < 1000
+    ):
         first, last, step = parts
-        return [round(first + index * step, 9) for index in range(int((last - first) / step + 1e-6) + 1)]
+        return [
+            round(first + index * step, 9) for index in range(int((last - first) / step + 1e-6) + 1)
+        ]
     if not parts or ":" in text:
-        raise ValueError(f"--payloads must be FIRST:LAST:STEP, such as 0:9:0.5, or a list such as 0,1,2, not {text!r}")
+        raise ValueError(
+            f"--payloads must be FIRST:LAST:STEP, such as 0:9:0.5, or a list such as 0,1,2, not {text!r}"
+        )
     return parts
 
 
@@ -124,10 +153,15 @@ def print_payload_comparison(comparison: PayloadComparison) -> None:
 
 
 def print_comparison(comparison: Comparison) -> None:
-    """Prints a table of policies over the same draws, and the relative changes against the first policy."""
+    """Prints a table of policies over the same draws, and the relative changes against the first
+    policy."""
     from cablebot_gym.evaluation.comparison import REDUCTION_QUANTITIES
 
-    columns = [column for column in _COLUMNS if column[0] != "max_rotation" or not comparison.task.robot.point_mass]
+    columns = [
+        column
+        for column in _COLUMNS
+        if column[0] != "max_rotation" or not comparison.task.robot.point_mass
+    ]
     rows = [["policy", "success rate", *(heading for _, heading, _ in columns)]]
     rows += [_cells(metrics, columns) for metrics in comparison.metrics]
     if results_console().width < _NARROW:
@@ -136,7 +170,8 @@ def print_comparison(comparison: Comparison) -> None:
     first = comparison.metrics[0].policy
     for index, one in enumerate(comparison.metrics[1:], 1):
         changes = [
-            f"{name.replace('_', ' ')} {_change(comparison.reduction(index, name))}" for name in REDUCTION_QUANTITIES
+            f"{name.replace('_', ' ')} {_change(comparison.reduction(index, name))}"
+            for name in REDUCTION_QUANTITIES
         ]
         print(f"{one.policy} against {first}: {', '.join(changes)}")
     _print_notes(comparison.metrics)
@@ -152,9 +187,13 @@ def _title(comparison: Comparison, payload: str = "") -> str:
 
 
 def _cells(metrics: PolicyMetrics, columns: Sequence[tuple[str, str, float]]) -> list[str]:
-    """Name, success rate and quantities of a policy, with confidence intervals if there are several draws."""
+    """Name, success rate and quantities of a policy, with confidence intervals if there are several
+    draws."""
     success, several = metrics.success, len(metrics.carried) > 1
-    cells = [metrics.policy, f"{success.mean:.0%}" + (f" [{success.low:.0%}, {success.high:.0%}]" if several else "")]
+    cells = [
+        metrics.policy,
+        f"{success.mean:.0%}" + (f" [{success.low:.0%}, {success.high:.0%}]" if several else ""),
+    ]
     for name, _, scale in columns:
         estimate = metrics.estimate(name)
         interval_text = f" ± {scale * (estimate.high - estimate.mean):.2g}" if several else ""

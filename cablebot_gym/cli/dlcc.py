@@ -52,7 +52,9 @@ def dlcc(
     ] = None,
     resolution: Annotated[
         float | None,
-        typer.Option(help="Resolution of the payload [kg]. The default is 0.001 for one draw and 0.01 for several."),
+        typer.Option(
+            help="Resolution of the payload [kg]. The default is 0.001 for one draw and 0.01 for several."
+        ),
     ] = None,
     search: Annotated[
         SearchChoice,
@@ -66,7 +68,10 @@ def dlcc(
         float, typer.Option(help="Required success probability of the payload over the draws.")
     ] = 0.95,
     confidence: Annotated[
-        float, typer.Option(help="Confidence of the payload over the draws, which is a lower tolerance bound.")
+        float,
+        typer.Option(
+            help="Confidence of the payload over the draws, which is a lower tolerance bound."
+        ),
     ] = 0.95,
     isolate: options.Isolate = False,
     sandbox: options.Sandbox = False,
@@ -76,8 +81,8 @@ def dlcc(
 ) -> None:
     """Find the largest payload that a policy carries along a trajectory (DLCC).
 
-    Prints the payload, the limiting violation beyond it, and the margins at that payload. --policy may name several
-    policies, separated by commas. Their files are then in one folder each.
+    Prints the payload, the limiting violation beyond it, and the margins at that payload. --policy
+    may name several policies, separated by commas. Their files are then in one folder each.
 
     Examples:
 
@@ -98,7 +103,9 @@ def dlcc(
     wrappers = episode["wrappers"]
     robot = options.robot_of(env_id, episode)
     policies = [
-        options.loaded_policy(name, robot, isolate=isolate, deadline=deadline, sandbox=sandbox, wrappers=wrappers)
+        options.loaded_policy(
+            name, robot, isolate=isolate, deadline=deadline, sandbox=sandbox, wrappers=wrappers
+        )
         for name in names
     ]
     options.note_unsupported(names, env_id)
@@ -118,14 +125,18 @@ def dlcc(
         if criterion is CriterionChoice.both and not loaded.declarations.unsaturated_actions:
             chosen, inapplicable = ["task"], ["paper"]
         results = [
-            evaluate_dlcc(loaded, env_id, criterion=one, progress=True, **settings, **evaluated) for one in chosen
+            evaluate_dlcc(loaded, env_id, criterion=one, progress=True, **settings, **evaluated)
+            for one in chosen
         ]
         data = [result.to_dict() for result in results]
         if (folder := folders[loaded.name]) is not None:
             from cablebot_gym.plotting.figures import save_figures
 
             atomic_write_text(folder / "result.json", _json(data) + "\n")
-            written = [folder / "result.json", *(path for result in results for path in save_figures(result, folder))]
+            written = [
+                folder / "result.json",
+                *(path for result in results for path in save_figures(result, folder)),
+            ]
             notes_console().print("wrote " + ", ".join(map(str, written)))
         found += data
         if as_json:
@@ -185,13 +196,28 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
             violation = f"{failures} of {result.draws} draws; {violation}"
         if result.payload is None:
             intervals = ", ".join(f"{low:.2f}–{high:.2f} kg" for low, high in result.feasible)
-            rest = [f"fails unloaded{draws}", "–", violation, f"feasible: {intervals}" if intervals else "–"]
+            rest = [
+                f"fails unloaded{draws}",
+                "–",
+                violation,
+                f"feasible: {intervals}" if intervals else "–",
+            ]
         else:
             total = f"{result.total_mass:.3f} kg"
             rest = [f"{result.payload:.3f} kg{draws}", total, violation, _margins_text(result)]
-        rows.append([f"{result.criterion} (declared)" if result.declared else result.criterion, *rest])
+        rows.append(
+            [f"{result.criterion} (declared)" if result.declared else result.criterion, *rest]
+        )
     for criterion in inapplicable:
-        rows.append([criterion, "n/a", "–", "not applicable: the policy does not declare unsaturated_actions", "–"])
+        rows.append(
+            [
+                criterion,
+                "n/a",
+                "–",
+                "not applicable: the policy does not declare unsaturated_actions",
+                "–",
+            ]
+        )
     print_table(", ".join(words), rows, right=False)
     for note in _notes(results):
         print(note)
@@ -202,17 +228,29 @@ def _notes(results: list[DLCCResult]) -> list[str]:
 
     first = results[0]
     bounds = f"error bounds: position {1e3 * (first.error_bounds['position'] or 0.0):g} mm"
-    rotations = [result.error_bounds["rotation"] for result in results if result.error_bounds["rotation"] is not None]
+    rotations = [
+        result.error_bounds["rotation"]
+        for result in results
+        if result.error_bounds["rotation"] is not None
+    ]
     notes = [f"{bounds}, rotation {1e3 * rotations[0]:g} mrad (task only)" if rotations else bounds]
     if (resolution := max(result.resolution for result in results)) > 0:
         size = float(f"{resolution * 1e3:.2g}")
         checked = "without" if first.discretisation is None else "with"
-        notes.append(f"resolution {size:g} g, {checked} the discretisation error of the physics steps")
+        notes.append(
+            f"resolution {size:g} g, {checked} the discretisation error of the physics steps"
+        )
     if not first.ranked:
         notes.append("unranked: a bisection tries few payloads and can miss a failure between them")
     if first.assured is not None:
-        notes += [f"payload: {first.assurance}"] if any(result.payload is not None for result in results) else []
-        notes += [_unloaded(result) for result in results if result.payload is None and result.draws > 1]
+        notes += (
+            [f"payload: {first.assurance}"]
+            if any(result.payload is not None for result in results)
+            else []
+        )
+        notes += [
+            _unloaded(result) for result in results if result.payload is None and result.draws > 1
+        ]
     if first.assured is False:
         fewest = fewest_draws(first.probability or 0.95, first.confidence or 0.95)
         notes.append(f"a lower tolerance bound needs at least {fewest} draws")
@@ -226,7 +264,9 @@ def _notes(results: list[DLCCResult]) -> list[str]:
 def _unloaded(result: DLCCResult) -> str:
     from cablebot_gym.evaluation.statistics import required_successes
 
-    needed, _ = required_successes(result.draws, result.probability or 0.95, result.confidence or 0.95)
+    needed, _ = required_successes(
+        result.draws, result.probability or 0.95, result.confidence or 0.95
+    )
     failed = sum(result.failures.values())
     return f"{result.criterion}: fails unloaded in {failed} of {result.draws} draws; {needed} have to succeed"
 

@@ -1,4 +1,5 @@
-"""``cablebot doctor``: checks of the installed packages, the folders, the policies and the simulated physics."""
+"""``cablebot doctor``: checks of the installed packages, the folders, the policies and the
+simulated physics."""
 
 from __future__ import annotations
 
@@ -24,7 +25,12 @@ from cablebot_gym.physics.code_cache import REMEDY, code_folders, is_damaged, is
 from cablebot_gym.physics.forward import forward_kinematics
 from cablebot_gym.physics.inlining import FEW_ITEMS
 from cablebot_gym.physics.inverse import inverse_dynamics
-from cablebot_gym.physics.textbook import allocated_minimum, holding_torque, normalised_action, static_torque
+from cablebot_gym.physics.textbook import (
+    allocated_minimum,
+    holding_torque,
+    normalised_action,
+    static_torque,
+)
 from cablebot_gym.policies import ENTRY_POINT_GROUP, FILE_ENTRY_POINT_GROUP, PolicyEntry
 from cablebot_gym.robots import find_robot
 from cablebot_gym.task import Task
@@ -54,13 +60,15 @@ class Finding:
     name: str
     """Subject of the check."""
     ok: bool | None
-    """Whether the check passed; None if it does not apply, for example because an extra is not installed."""
+    """Whether the check passed; None if it does not apply, for example because an extra is not
+    installed."""
     text: str
     """Description of the result."""
 
 
 def examine() -> Iterator[Finding]:
-    """Runs all checks, one after the other. A check that raises is a fault, and the others follow."""
+    """Runs all checks, one after the other. A check that raises is a fault, and the others
+    follow."""
     checks: dict[str, Callable[[], Iterable[Finding]]] = {
         "python": _python,
         "packages": _packages,
@@ -79,7 +87,11 @@ def examine() -> Iterator[Finding]:
 
 
 def _python() -> Iterator[Finding]:
-    yield Finding(name="python", ok=True, text=f"{platform.python_version()} on {platform.platform(terse=True)}")
+    yield Finding(
+        name="python",
+        ok=True,
+        text=f"{platform.python_version()} on {platform.platform(terse=True)}",
+    )
 
 
 def _packages() -> Iterator[Finding]:
@@ -88,13 +100,17 @@ def _packages() -> Iterator[Finding]:
     required: dict[str, list[str]] = {}
     for line in requires(PACKAGE) or []:
         mark = re.search(r"extra == ['\"]([\w-]+)['\"]", line)
-        required.setdefault(mark[1] if mark else "", []).append(re.split(r"[^\w.-]", line, maxsplit=1)[0])
+        required.setdefault(mark[1] if mark else "", []).append(
+            re.split(r"[^\w.-]", line, maxsplit=1)[0]
+        )
     for extra, names in required.items():
         if extra in NO_EXTRAS:
             continue
         versions = {name: _version(name) for name in names}
         missing = [name for name, number in versions.items() if number is None]
-        text = ", ".join(f"{name} {number}" for name, number in versions.items() if number is not None)
+        text = ", ".join(
+            f"{name} {number}" for name, number in versions.items() if number is not None
+        )
         if missing:
             command = f"pip install '{PACKAGE}[{extra}]'" if extra else f"pip install {PACKAGE}"
             text = f"{', '.join(missing)} not installed. To install: {command}"
@@ -110,7 +126,8 @@ def _version(name: str) -> str | None:
 
 
 def _compiled_code() -> Iterator[Finding]:
-    """One finding for the folder to which compiled code is written, and one for damaged files in all folders."""
+    """One finding for the folder to which compiled code is written, and one for damaged files in
+    all folders."""
     folders = code_folders()
     files = [path for folder in folders for path in sorted(folder.glob("*.nbc"))]
     count = f"{len(files)} compiled files" if files else "no compiled files yet"
@@ -136,7 +153,9 @@ def _plans() -> Iterator[Finding]:
 def _hidden_packages() -> Iterator[Finding]:
     """One finding for each package of entry points that another folder with the same name hides."""
     groups = (COMMAND_GROUP, ENTRY_POINT_GROUP, FILE_ENTRY_POINT_GROUP)
-    for package in sorted({point.module.partition(".")[0] for group in groups for point in entry_points(group=group)}):
+    for package in sorted(
+        {point.module.partition(".")[0] for group in groups for point in entry_points(group=group)}
+    ):
         candidates = dict.fromkeys(Path(entry, package).resolve() for entry in sys.path)
         folders = [folder for folder in candidates if (folder / "__init__.py").is_file()]
         if len(folders) > 1:
@@ -145,7 +164,8 @@ def _hidden_packages() -> Iterator[Finding]:
 
 
 def _policies() -> Iterator[Finding]:
-    """One finding for each policy that fails to load for one of its environments, and one for all other policies."""
+    """One finding for each policy that fails to load for one of its environments, and one for all
+    other policies."""
     names: list[str] = []
     for point in entry_points(group=ENTRY_POINT_GROUP):
         try:
@@ -153,12 +173,18 @@ def _policies() -> Iterator[Finding]:
             for env_id in entry.env_ids:
                 entry.factory(find_robot(env_robot(env_id)))
         except Exception as error:
-            extra_missing = isinstance(error, ImportError) and f"pip install '{PACKAGE}[" in str(error)
+            extra_missing = isinstance(error, ImportError) and f"pip install '{PACKAGE}[" in str(
+                error
+            )
             text = f"{type(error).__name__}: {error}"
-            yield Finding(name=f"policy {point.name}", ok=None if extra_missing else False, text=text)
+            yield Finding(
+                name=f"policy {point.name}", ok=None if extra_missing else False, text=text
+            )
         else:
             names.append(point.name)
-    yield Finding(name="policies", ok=bool(names), text=f"{len(names)} load: {', '.join(sorted(names))}")
+    yield Finding(
+        name="policies", ok=bool(names), text=f"{len(names)} load: {', '.join(sorted(names))}"
+    )
 
 
 def _run_test(name: str, test: Callable[[], str]) -> Finding:
@@ -195,7 +221,8 @@ def _use_all(env_id: str) -> str:
 
 
 def _statics_test(env_id: str) -> str:
-    """Applies the static torques of the textbook equations to the compiled plant, which must then stay at rest.
+    """Applies the static torques of the textbook equations to the compiled plant, which must then
+    stay at rest.
 
     Raises:
         ArithmeticError: if the platform moves.
@@ -207,7 +234,9 @@ def _statics_test(env_id: str) -> str:
         task: Task = env.unwrapped.task  # type: ignore[attr-defined]
         robot, pose = task.robot, task.trajectory(0.0).position
         minimum = allocated_minimum(robot)
-        torque = holding_torque(robot, static_torque(robot, robot.mass + PAYLOAD, pose, minimum=minimum))
+        torque = holding_torque(
+            robot, static_torque(robot, robot.mass + PAYLOAD, pose, minimum=minimum)
+        )
         action = normalised_action(robot, torque, np.zeros(robot.cables))
         for _ in range(STEPS):
             _, _, _, _, info = env.step(action)

@@ -12,16 +12,21 @@ def import_file(path: Path, out: Path | None, cable_set: str | None) -> None:
     """Imports a robot, prints where each value comes from, and writes the robot as a TOML file.
 
     Raises:
-        ValueError: if the robot cannot be imported, or ``out`` is missing, exists or has another suffix.
+        ValueError: if the robot cannot be imported, or ``out`` is missing, exists or has another
+            suffix.
     """
     from cablebot_gym.importers import import_robot
     from cablebot_gym.robots import KIND_TEXTS
     from cablebot_gym.utils.files import atomic_write_text, check_writable_file
 
     if out is None or out.suffix.lower() != ".toml":
-        raise ValueError(f"give a file for the robot that ends in .toml: --out {path.stem.lower()}.toml")
+        raise ValueError(
+            f"give a file for the robot that ends in .toml: --out {path.stem.lower()}.toml"
+        )
     if out.exists():
-        raise ValueError(f"{str(out)!r} exists and may have been edited: delete it, or choose another --out")
+        raise ValueError(
+            f"{str(out)!r} exists and may have been edited: delete it, or choose another --out"
+        )
     check_writable_file(out)
     imported = import_robot(path, cable_set=cable_set)
     robot = imported.robot
@@ -33,4 +38,6 @@ def import_file(path: Path, out: Path | None, cable_set: str | None) -> None:
     for note in imported.notes:
         print(f"note       {note}")
     atomic_write_text(out, imported.to_toml())
-    notes_console().print(f"wrote {out}. Change what is assumed there, then run: cablebot robot check {out}")
+    notes_console().print(
+        f"wrote {out}. Change what is assumed there, then run: cablebot robot check {out}"
+    )

@@ -24,8 +24,8 @@ _UNITS: dict[str, dict[str, str]] = tomllib.loads(
 def list_(as_json: Json = False) -> None:
     """List environments, robots, trajectories, uncertainties and installed policies.
 
-    The tables of trajectories and uncertainties show the fields and default values of `--trajectory` and
-    `--uncertainty` as JSON.
+    The tables of trajectories and uncertainties show the fields and default values of
+    `--trajectory` and `--uncertainty` as JSON.
 
     Example: cablebot list --json
     """
@@ -35,7 +35,15 @@ def list_(as_json: Json = False) -> None:
     from rich import box
 
     for _, title, rows in tables():
-        print_table(title, rows, right=False, width=_WIDTH, box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+        print_table(
+            title,
+            rows,
+            right=False,
+            width=_WIDTH,
+            box=box.SIMPLE_HEAD,
+            show_edge=False,
+            pad_edge=False,
+        )
         print()
 
 
@@ -51,13 +59,18 @@ def _data() -> dict[str, Any]:
         "env_ids": list(ENV_IDS),
         "robots": [_robot_entry(name) for name in robot_names()],
         "trajectories": trajectory_names(),
-        "trajectory_fields": {name: _trajectory_fields(make()) for name, make in TRAJECTORIES.items()},
+        "trajectory_fields": {
+            name: _trajectory_fields(make()) for name, make in TRAJECTORIES.items()
+        },
         "uncertainties": list(UNCERTAINTIES),
         "uncertainty_fields": {name: _uncertainty_fields(name) for name in UNCERTAINTIES},
         "uncertain_parameters": list(PARAMETERS),
-        "uncertain_parameter_units": {name: parameter.unit for name, parameter in PARAMETERS.items()},
+        "uncertain_parameter_units": {
+            name: parameter.unit for name, parameter in PARAMETERS.items()
+        },
         "policies": [
-            {"name": item.name, "kind": item.kind, "env_ids": list(item.env_ids)} for item in policy_entries().values()
+            {"name": item.name, "kind": item.kind, "env_ids": list(item.env_ids)}
+            for item in policy_entries().values()
         ],
     }
 
@@ -95,9 +108,15 @@ def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
     for field in sorted(fields(trajectory), key=lambda field: field.name != "duration"):
         if field.name != "name":
             unit = _UNITS["trajectory"].get(field.name, "")
-            unit = unit.partition(",")[0] if getattr(trajectory, "name", "").endswith(("-planar", "-point")) else unit
+            unit = (
+                unit.partition(",")[0]
+                if getattr(trajectory, "name", "").endswith(("-planar", "-point"))
+                else unit
+            )
             # A field whose default is None gets its value from the other fields.
-            default = None if field.default is None else to_jsonable(getattr(trajectory, field.name))
+            default = (
+                None if field.default is None else to_jsonable(getattr(trajectory, field.name))
+            )
             found[field.name] = {"default": default, "unit": unit}
     return found
 
@@ -124,18 +143,28 @@ def _uncertainty_fields(name: str) -> list[dict[str, Any]]:
 
 
 def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
-    """Value and unit of each field that an uncertainty sets, by its path in JSON. A parameter omits default values."""
+    """Value and unit of each field that an uncertainty sets, by its path in JSON. A parameter omits
+    default values."""
     from cablebot_gym.uncertainty import PARAMETERS
 
     found: dict[str, tuple[Any, str]] = {}
     for name, distribution in uncertainty.parameters.items():
-        values = {field.name: (getattr(distribution, field.name), field.default) for field in fields(distribution)}
+        values = {
+            field.name: (getattr(distribution, field.name), field.default)
+            for field in fields(distribution)
+        }
         changed = {field: value for field, (value, default) in values.items() if value != default}
-        found[f"parameters.{name}"] = (changed, "" if distribution.relative else PARAMETERS[name].unit)
+        found[f"parameters.{name}"] = (
+            changed,
+            "" if distribution.relative else PARAMETERS[name].unit,
+        )
     for group in ("wrench", "sensors", "sensor_bias"):
         part = getattr(uncertainty, group)
         for field in () if part is None else fields(part):
-            found[f"{group}.{field.name}"] = (getattr(part, field.name), _UNITS["uncertainty"].get(field.name, ""))
+            found[f"{group}.{field.name}"] = (
+                getattr(part, field.name),
+                _UNITS["uncertainty"].get(field.name, ""),
+            )
     if uncertainty.delay:
         found["delay"] = (uncertainty.delay, _UNITS["uncertainty"]["delay"])
     return found
@@ -147,7 +176,13 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
     from cablebot_gym.policies import policy_entries
     from cablebot_gym.robots import find_robot, robot_names
     from cablebot_gym.trajectories import TRAJECTORIES
-    from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES, ExternalWrench, ParameterDistribution, SensorNoise
+    from cablebot_gym.uncertainty import (
+        PARAMETERS,
+        UNCERTAINTIES,
+        ExternalWrench,
+        ParameterDistribution,
+        SensorNoise,
+    )
 
     rows = [["id", "robot", "cables", "coordinates", "transmission"]]
     for env_id in ENV_IDS:
@@ -157,8 +192,14 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
 
     rows = [["name", "kind", "cables", "transmission", "values with a source"]]
     for entry in map(_robot_entry, robot_names()):
-        values = "the paper" if not entry["sources"] else f"{entry['documented']} of {len(entry['sources'])}"
-        rows.append([entry["name"], entry["kind"], str(entry["cables"]), entry["transmission"], values])
+        values = (
+            "the paper"
+            if not entry["sources"]
+            else f"{entry['documented']} of {len(entry['sources'])}"
+        )
+        rows.append(
+            [entry["name"], entry["kind"], str(entry["cables"]), entry["transmission"], values]
+        )
     yield "robots", "Robots", rows
 
     rows = [["name", "field", "default", "unit"]]
@@ -176,8 +217,18 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
     for name in UNCERTAINTIES:
         entries = _uncertainty_fields(name)
         for entry in entries:
-            only = "" if len(entry["env_ids"]) == len(ENV_IDS) else f" ({_short_ids(entry['env_ids'])} only)"
-            rows.append([name, entry["field"], f"{_json_text(entry['value'])} {entry['unit']}".strip() + only])
+            only = (
+                ""
+                if len(entry["env_ids"]) == len(ENV_IDS)
+                else f" ({_short_ids(entry['env_ids'])} only)"
+            )
+            rows.append(
+                [
+                    name,
+                    entry["field"],
+                    f"{_json_text(entry['value'])} {entry['unit']}".strip() + only,
+                ]
+            )
         if not entries:
             rows.append([name, "–", "no uncertainty"])
     yield "uncertainties", "Uncertainties", _without_repeats(rows)
@@ -216,7 +267,10 @@ _PARAMETER_OWNERS = {
 def _without_repeats(rows: list[list[str]]) -> list[list[str]]:
     """The rows with an empty first cell where it repeats the cell above."""
     above = [["", ""], *rows[:-1]]
-    return [["" if row[0] == before[0] else row[0], *row[1:]] for row, before in zip(rows, above, strict=True)]
+    return [
+        ["" if row[0] == before[0] else row[0], *row[1:]]
+        for row, before in zip(rows, above, strict=True)
+    ]
 
 
 def _json_text(value: Any) -> str:

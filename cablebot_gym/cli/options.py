@@ -22,7 +22,10 @@ if TYPE_CHECKING:
     from cablebot_gym.trajectories import Trajectory
 
 EnvId = Annotated[
-    str, typer.Argument(metavar="ID", help="Environment id, such as CableBot-Spatial-v0. `cablebot list` shows all.")
+    str,
+    typer.Argument(
+        metavar="ID", help="Environment id, such as CableBot-Spatial-v0. `cablebot list` shows all."
+    ),
 ]
 FittingEnvId = Annotated[
     str,
@@ -42,7 +45,10 @@ PolicyName = Annotated[str, _POLICY]
 PolicyNameOrNone = Annotated[str | None, _POLICY]
 Payload = Annotated[
     float | None,
-    typer.Option("--payload", help="Payload [kg]. The default is the least one of the robot's payload range, else 0."),
+    typer.Option(
+        "--payload",
+        help="Payload [kg]. The default is the least one of the robot's payload range, else 0.",
+    ),
 ]
 Draws = Annotated[
     int | None,
@@ -53,27 +59,38 @@ Draws = Annotated[
     ),
 ]
 Workers = Annotated[
-    int | None, typer.Option("--workers", help="Number of worker processes. The default is one per core.")
+    int | None,
+    typer.Option("--workers", help="Number of worker processes. The default is one per core."),
 ]
 Isolate = Annotated[
     bool,
-    typer.Option("--isolate", help="Run the policy in a process of its own, which gets only observations and tasks."),
+    typer.Option(
+        "--isolate",
+        help="Run the policy in a process of its own, which gets only observations and tasks.",
+    ),
 ]
 Sandbox = Annotated[
     bool,
     typer.Option(
-        "--sandbox", help="Run the isolated policy in a sandbox without network, other processes, and most files."
+        "--sandbox",
+        help="Run the isolated policy in a sandbox without network, other processes, and most files.",
     ),
 ]
-NoSandbox = Annotated[bool, typer.Option("--no-sandbox", help="Run entries without a sandbox. They stay unverified.")]
+NoSandbox = Annotated[
+    bool, typer.Option("--no-sandbox", help="Run entries without a sandbox. They stay unverified.")
+]
 Deadline = Annotated[
-    float | None, typer.Option("--deadline", help="Deadline of a call of the isolated policy [s]. The default is 60.")
+    float | None,
+    typer.Option(
+        "--deadline", help="Deadline of a call of the isolated policy [s]. The default is 60."
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON.")]
 
 
 def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
-    """The value of an option: JSON or the content of a .json file as data, and any other text unchanged.
+    """The value of an option: JSON or the content of a .json file as data, and any other text
+    unchanged.
 
     Raises:
         ValueError: if the file cannot be read, or the JSON is invalid.
@@ -83,7 +100,9 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
         try:
             text = read_text(Path(text))
         except OSError as error:
-            raise ValueError(f"{option}: cannot read {text!r} ({error.strerror or error})") from error
+            raise ValueError(
+                f"{option}: cannot read {text!r} ({error.strerror or error})"
+            ) from error
         except ValueError as error:
             raise ValueError(f"{option}: {error}") from error
         if not text.lstrip().startswith("{"):
@@ -120,7 +139,10 @@ _EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
     "payload_known": (
         bool,
         True,
-        typer.Option("--payload-known/--payload-unknown", help="Whether the policy's model includes the payload."),
+        typer.Option(
+            "--payload-known/--payload-unknown",
+            help="Whether the policy's model includes the payload.",
+        ),
     ),
     "model_payload_factor": (
         float,
@@ -204,8 +226,8 @@ LEAST_BOUND = 0.1
 def episode_options(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Decorator that adds the options of an episode to a command.
 
-    The command has a parameter ``episode``: the values as keywords of the environment, its seed, and ``wrappers`` of
-    the policy.
+    The command has a parameter ``episode``: the values as keywords of the environment, its seed,
+    and ``wrappers`` of the policy.
 
     Args:
         names: names of the options; all if empty.
@@ -245,7 +267,9 @@ def episode_options(*names: str) -> Callable[[Callable[..., None]], Callable[...
                 continue
             for name in chosen:
                 kind, default, option = _EPISODE_OPTIONS[name]
-                added = inspect.Parameter(name, own.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
+                added = inspect.Parameter(
+                    name, own.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
+                )
                 parameters.append(added)
         run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         return run
@@ -258,11 +282,15 @@ def _env_id_of(robot: str | None) -> str:
     from cablebot_gym.envs import ENV_IDS, fitting_env_id
 
     if robot is None:
-        raise ValueError(f"give an environment id, one of {', '.join(ENV_IDS)}, or a robot with --robot")
+        raise ValueError(
+            f"give an environment id, one of {', '.join(ENV_IDS)}, or a robot with --robot"
+        )
     return fitting_env_id(robot)
 
 
-def command_again(command: str, *arguments: object, episode: Mapping[str, Any], **options: Any) -> str:
+def command_again(
+    command: str, *arguments: object, episode: Mapping[str, Any], **options: Any
+) -> str:
     """The command line of a command with the options of an episode that differ from their defaults.
 
     Args:
@@ -273,7 +301,8 @@ def command_again(command: str, *arguments: object, episode: Mapping[str, Any], 
     """
     episode = dict(episode)
     others: dict[str, Any] = {
-        f"{name}_bound": f"{1000 * value:.12g}" for name, value in episode.pop("error_bounds", {}).items()
+        f"{name}_bound": f"{1000 * value:.12g}"
+        for name, value in episode.pop("error_bounds", {}).items()
     }
     others["payload_unknown"] = not episode.pop("payload_known", True)
     others["wrapper"] = episode.pop("wrappers", [])
@@ -288,7 +317,8 @@ def command_again(command: str, *arguments: object, episode: Mapping[str, Any], 
 def robot_of(env_id: str, episode: Mapping[str, Any]) -> Robot:
     """The robot in ``--robot``, or that of the environment. Checks the motion too.
 
-    An isolated policy gets the present search path of modules, so the file of a motion has to be imported before.
+    An isolated policy gets the present search path of modules, so the file of a motion has to be
+    imported before.
 
     Raises:
         ValueError: if the id is unknown, the robot does not fit, or there is no such motion.
@@ -300,12 +330,15 @@ def robot_of(env_id: str, episode: Mapping[str, Any]) -> Robot:
 
     check_robot(env_id, episode.get("robot"))
     robot = find_robot(episode.get("robot") or env_robot(env_id))
-    note_waypoints(robot, find_trajectory(episode.get("trajectory") or default_trajectory(robot), robot.kind))
+    note_waypoints(
+        robot, find_trajectory(episode.get("trajectory") or default_trajectory(robot), robot.kind)
+    )
     return robot
 
 
 def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
-    """Prints the largest speeds and accelerations of a motion through waypoints, which its file does not show."""
+    """Prints the largest speeds and accelerations of a motion through waypoints, which its file
+    does not show."""
     import numpy as np
 
     from cablebot_gym.trajectories import BetweenDwells, Waypoints
@@ -315,14 +348,16 @@ def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
     motion, d = trajectory.motion, robot.dimensions
     reference = motion(np.linspace(0.0, motion.duration, 20 * len(motion.times) + 1))
     texts = []
-    for name, rates, unit in (("speed", reference.velocity, "/s"), ("acceleration", reference.acceleration, "/s²")):
+    for name, rates, unit in (
+        ("speed", reference.velocity, "/s"),
+        ("acceleration", reference.acceleration, "/s²"),
+    ):
         peaks = [f"{np.linalg.norm(rates[:, :d], axis=1).max():.3g} m{unit}"]
         if robot.coordinates > d:
             peaks.append(f"{np.abs(rates[:, d:]).max():.3g} rad{unit}")
         texts.append(f"largest {name} {' and '.join(peaks)}")
-    span = (
-        f"{counted(len(motion.times), 'waypoint')} in {motion.duration:.4g} s between dwells of {trajectory.dwell:g} s"
-    )
+    span = f"{counted(len(motion.times), 'waypoint')} in {motion.duration:.4g} s"
+    span += f" between dwells of {trajectory.dwell:g} s"
     notes_console().print(f"{motion.name}: {span}; {', '.join(texts)}")
 
 
@@ -338,7 +373,8 @@ def loaded_policy(
     """The policy with a name, made for a robot, in a process of its own with ``isolate``.
 
     Raises:
-        ValueError: if the policy cannot be loaded, or if there is a deadline or a sandbox without ``isolate``.
+        ValueError: if the policy cannot be loaded, or if there is a deadline or a sandbox without
+            ``isolate``.
     """
     from cablebot_gym.isolation import IsolatedPolicy
     from cablebot_gym.policies import load
@@ -347,25 +383,34 @@ def loaded_policy(
         limits = {} if deadline is None else {"deadline": deadline}
         return IsolatedPolicy(name, robot, sandbox=sandbox, wrappers=wrappers, **limits).loaded
     if sandbox:
-        raise ValueError("--sandbox needs --isolate: only the process of an isolated policy can have one")
+        raise ValueError(
+            "--sandbox needs --isolate: only the process of an isolated policy can have one"
+        )
     if deadline is not None:
-        raise ValueError("--deadline needs --isolate: only the process of an isolated policy can be ended")
+        raise ValueError(
+            "--deadline needs --isolate: only the process of an isolated policy can be ended"
+        )
     return load(name, robot, wrappers=wrappers)
 
 
 def loaded_policies(names: list[str], robot: Robot, wrappers: Sequence[str]) -> list[LoadedPolicy]:
-    """The policies with these names, made for a robot. The wrappers apply to those that are not installed.
+    """The policies with these names, made for a robot. The wrappers apply to those that are not
+    installed.
 
     Raises:
-        ValueError: if a policy cannot be loaded, or if there are wrappers and only installed policies.
+        ValueError: if a policy cannot be loaded, or if there are wrappers and only installed
+            policies.
     """
     from cablebot_gym.policies import PolicySpec
 
     installed = [PolicySpec.parse(name).installed for name in names]
     if wrappers and all(installed):
-        raise ValueError(f"--wrapper and --normalize do not apply to installed policies, such as {names[0]}")
+        raise ValueError(
+            f"--wrapper and --normalize do not apply to installed policies, such as {names[0]}"
+        )
     return [
-        loaded_policy(name, robot, wrappers=() if own else wrappers) for name, own in zip(names, installed, strict=True)
+        loaded_policy(name, robot, wrappers=() if own else wrappers)
+        for name, own in zip(names, installed, strict=True)
     ]
 
 
@@ -382,7 +427,9 @@ def choose_sandbox(no_sandbox: bool) -> None:
     try:
         sandbox.check_sandbox()
     except ValueError as error:
-        raise ValueError(f"{error}. --no-sandbox runs entries without one, and trusts them") from None
+        raise ValueError(
+            f"{error}. --no-sandbox runs entries without one, and trusts them"
+        ) from None
 
 
 def split_names(text: str | None) -> list[str]:
@@ -396,17 +443,21 @@ def counted(count: int, noun: str) -> str:
 
 
 def note_unsupported(names: list[str], env_id: str) -> None:
-    """Prints a note for each policy that does not list the environment as supported. Such a policy still runs."""
+    """Prints a note for each policy that does not list the environment as supported. Such a policy
+    still runs."""
     from cablebot_gym.isolation.installed import public_entry
 
     for name in names:
         entry = public_entry(name)
         if entry is not None and env_id not in entry.env_ids:
-            notes_console().print(f"note: {name} is designed for {', '.join(entry.env_ids)}, not for {env_id}")
+            notes_console().print(
+                f"note: {name} is designed for {', '.join(entry.env_ids)}, not for {env_id}"
+            )
 
 
 def check_figure_folder(out: Path | None, *names: str) -> None:
-    """Checks before a long computation that matplotlib is installed and that the files can be written.
+    """Checks before a long computation that matplotlib is installed and that the files can be
+    written.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.

@@ -21,11 +21,13 @@ def picture(
     policies: Policies = None,
     payload: Payload = None,
     time: Annotated[
-        float | None, typer.Option(help="Time of the picture [s]. The default is the end, with the whole path.")
+        float | None,
+        typer.Option(help="Time of the picture [s]. The default is the end, with the whole path."),
     ] = None,
     size: Size = None,
 ) -> None:
-    """Write a picture of an episode, with one or more policies side by side; without a policy, of the start pose.
+    """Write a picture of an episode, with one or more policies side by side; without a policy, of
+    the start pose.
 
     Needs neither a display nor OpenGL. Requires the extra: pip install 'cablebot-gym[render]'.
 
@@ -33,16 +35,21 @@ def picture(
 
     cablebot picture CableBot-Spatial-v0 start.png
 
-    cablebot picture CableBot-Spatial-v0 both.png --policies fl,trajopt --payload 6 --time 1.1 --size 480x360
+    cablebot picture CableBot-Spatial-v0 both.png --policies fl,trajopt --payload 6 --time 1.1
+    --size 480x360
     """
     from cablebot_gym.video.recording import check_picture, note, write_picture
 
     frame_size = picture_size(size)
     check_picture(out, time)
     start = policy is None and policies is None
-    episodes = record_episodes(env_id, policy, policies, payload=payload, start=start, episode=episode)
+    episodes = record_episodes(
+        env_id, policy, policies, payload=payload, start=start, episode=episode
+    )
     write_picture(out, episodes, time=0.0 if start and time is None else time, size=frame_size)
     if not start:
         for title, rollout in episodes:
-            print(f"{title}, {rollout.payload:g} kg, task criterion: {note(rollout, len(rollout) - 1)}")
+            print(
+                f"{title}, {rollout.payload:g} kg, task criterion: {note(rollout, len(rollout) - 1)}"
+            )
     notes_console().print(f"wrote {out}")

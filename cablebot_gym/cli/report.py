@@ -18,19 +18,28 @@ if TYPE_CHECKING:
 def report(
     results: Annotated[
         list[Path],
-        typer.Argument(metavar="RESULTS…", help="Folders that `cablebot benchmark` wrote, or their results.json."),
+        typer.Argument(
+            metavar="RESULTS…",
+            help="Folders that `cablebot benchmark` wrote, or their results.json.",
+        ),
     ],
-    out: Annotated[Path, typer.Option(help="File of the page, ending in .html.")] = Path("report.html"),
+    out: Annotated[Path, typer.Option(help="File of the page, ending in .html.")] = Path(
+        "report.html"
+    ),
     title: Annotated[str, typer.Option(help="Title of the page.")] = "Payloads of cable robots",
     episodes: Annotated[
-        bool, typer.Option("--episodes/--no-episodes", help="Whether to record and show one episode of every cell.")
+        bool,
+        typer.Option(
+            "--episodes/--no-episodes", help="Whether to record and show one episode of every cell."
+        ),
     ] = True,
     workers: Workers = None,
 ) -> None:
     """Write benchmark results as one HTML page with leaderboard, maps and an episode of every cell.
 
-    The page works offline. Recording an episode takes a second or two, and longer for policies that plan. Recordings
-    are stored in the folder `episodes` beside the results. The same command resumes an interrupted recording.
+    The page works offline. Recording an episode takes a second or two, and longer for policies that
+    plan. Recordings are stored in the folder `episodes` beside the results. The same command
+    resumes an interrupted recording.
 
     Examples:
 

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cablebot_gym.cli.importing import import_file
-from cablebot_gym.cli.options import Json, Payload, command_again, counted, episode_options, note_waypoints
+from cablebot_gym.cli.options import (
+    Json,
+    Payload,
+    command_again,
+    counted,
+    episode_options,
+    note_waypoints,
+)
 from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.console import notes_console
 from cablebot_gym.utils.user_code import sentence_of_user_code
@@ -36,15 +43,20 @@ def robot(
     payload: Payload = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="File to write: the drawing of a check (.svg, .png, .pdf), or the imported robot (.toml)."),
+        typer.Option(
+            help="File to write: the drawing of a check (.svg, .png, .pdf), or the imported robot (.toml)."
+        ),
     ] = None,
-    cable_set: Annotated[str | None, typer.Option(help="Cable set of a CASPR file. The default is its own.")] = None,
+    cable_set: Annotated[
+        str | None, typer.Option(help="Cable set of a CASPR file. The default is its own.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Check a robot and its motion, or import a robot from a file of CASPR or WireX.
 
-    The check prints payloads, workspace, modes, physics step, sag, and doubtful values. Nothing is simulated. The exit
-    status is 1 if the robot or the motion is refused, or if no controller can be expected to carry the payload.
+    The check prints payloads, workspace, modes, physics step, sag, and doubtful values. Nothing is
+    simulated. The exit status is 1 if the robot or the motion is refused, or if no controller can
+    be expected to carry the payload.
 
     Examples:
 
@@ -58,7 +70,9 @@ def robot(
 
     if choice("task", task, ["check", "import"]) == "import":
         if payload is not None or episode["trajectory"] is not None or as_json:
-            raise ValueError("--payload, --trajectory and --json are for `cablebot robot check`: remove them")
+            raise ValueError(
+                "--payload, --trajectory and --json are for `cablebot robot check`: remove them"
+            )
         return import_file(Path(name), out, cable_set)
     if cable_set is not None:
         raise ValueError("--cable-set is for `cablebot robot import`: remove it")
@@ -124,18 +138,31 @@ def report(check: RobotCheck) -> list[str]:
     from cablebot_gym.robots import KIND_TEXTS
 
     robot, home = check.robot, check.home
-    lines = [f"robot      {robot.name}: {KIND_TEXTS[robot.kind]}, {counted(robot.cables, 'cable')}, {robot.springs}"]
+    lines = [
+        f"robot      {robot.name}: {KIND_TEXTS[robot.kind]}, {counted(robot.cables, 'cable')}, {robot.springs}"
+    ]
     lines += [f"mass       {_mass(robot)}", f"anchors    {_anchors(robot)}"]
     force = float((robot.stall_torque / robot.pulley_radius).min())
     speed = float((robot.stall_torque / robot.speed_slope * robot.pulley_radius).min())
-    lines.append(f"motors     {force:.4g} N at standstill and {speed:.3g} m/s without load, at the weakest cable")
+    lines.append(
+        f"motors     {force:.4g} N at standstill and {speed:.3g} m/s without load, at the weakest cable"
+    )
     if home.largest < home.least:
         lines += ["home       no payload can be held at rest:", f"           {home.reason}"]
     else:
-        lines += [f"home       holds {_interval(home, robot)} at rest:", f"           {home.reason}"]
-    lines.append(f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation")
+        lines += [
+            f"home       holds {_interval(home, robot)} at rest:",
+            f"           {home.reason}",
+        ]
+    lines.append(
+        f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation"
+    )
     for locked, text in ((True, "motors locked"), (False, "motors free")):
-        frequencies = [f"{mode.frequency:.3g} Hz ({mode.direction})" for mode in check.modes if mode.locked == locked]
+        frequencies = [
+            f"{mode.frequency:.3g} Hz ({mode.direction})"
+            for mode in check.modes
+            if mode.locked == locked
+        ]
         if frequencies:
             lines.append(f"modes      {text}: softest {frequencies[0]}, stiffest {frequencies[1]}")
     if not check.modes:
@@ -144,12 +171,17 @@ def report(check: RobotCheck) -> list[str]:
         lines.append("step       the springs are too stiff for the default physics step")
     else:
         step = f"{1e3 / FREQUENCY / check.substeps:.3g} ms"
-        lines.append(f"step       {counted(check.substeps, 'physics step')} of {step} in a control period")
-    return lines + ([f"question   {question}" for question in check.questions] or ["questions  none"])
+        lines.append(
+            f"step       {counted(check.substeps, 'physics step')} of {step} in a control period"
+        )
+    return lines + (
+        [f"question   {question}" for question in check.questions] or ["questions  none"]
+    )
 
 
 def motion_report(check: RobotCheck, motion: MotionCheck, evaluation: str) -> list[str]:
-    """Lines of the check of the motion in words. ``evaluation`` is the command that evaluates a controller on it."""
+    """Lines of the check of the motion in words. ``evaluation`` is the command that evaluates a
+    controller on it."""
     robot, limit = check.robot, motion.limit
     place = f"at t = {limit.time:.2f} s, pose ({', '.join(f'{round(value, 6) + 0.0:.4g}' for value in limit.pose)})"
     name = f"motion     {motion.trajectory.name}, {motion.trajectory.duration:g} s"
@@ -164,12 +196,20 @@ def motion_report(check: RobotCheck, motion: MotionCheck, evaluation: str) -> li
         bounds = f"{1e3 * motion.error_bounds.position:g} mm"
         if not robot.point_mass:
             bounds += f" and {1e3 * motion.error_bounds.rotation:g} mrad"
-        lines.append(f"           {motion.payload:g} kg is beyond exact tracking; controllers may carry it within the")
+        lines.append(
+            f"           {motion.payload:g} kg is beyond exact tracking; controllers may carry it within the"
+        )
         lines.append(f"           error bounds of {bounds}. This command tells for one of them:")
         lines.append(f"           {evaluation}")
     elif not motion.possible:
-        lines.append(f"           {motion.payload:g} kg cannot be carried: {_why_impossible(motion)}")
-    return [*lines, *_sag_lines(check, motion), *(f"question   {question}" for question in motion.questions)]
+        lines.append(
+            f"           {motion.payload:g} kg cannot be carried: {_why_impossible(motion)}"
+        )
+    return [
+        *lines,
+        *_sag_lines(check, motion),
+        *(f"question   {question}" for question in motion.questions),
+    ]
 
 
 def _why_impossible(motion: MotionCheck) -> str:
@@ -218,14 +258,22 @@ def _anchors(robot: Robot) -> str:
 def _sag_lines(check: RobotCheck, motion: MotionCheck) -> list[str]:
     """Lines of the sag at the least tensions of the motion, and of its effect at home."""
     if not motion.cables:
-        why = "the motion is not held" if any(_densities(check)) else "the cables have no mass; set cable_density"
+        why = (
+            "the motion is not held"
+            if any(_densities(check))
+            else "the cables have no mass; set cable_density"
+        )
         return [f"sag        not checked: {why}"]
     lines = []
     for number, cable in enumerate(motion.cables, 1):
-        factor = "" if cable.stiffness_factor is None else f", stiffness × {cable.stiffness_factor:.2f}"
+        factor = (
+            "" if cable.stiffness_factor is None else f", stiffness × {cable.stiffness_factor:.2f}"
+        )
         text = f"sag {1e3 * cable.sag:.4g} mm, {1e3 * cable.extra_length:.3g} mm longer{factor}"
         start = "sag        " if number == 1 else " " * 11
-        lines.append(f"{start}cable {number}, {cable.length:.3g} m, at {cable.tension:.4g} N or more: {text}")
+        lines.append(
+            f"{start}cable {number}, {cable.length:.3g} m, at {cable.tension:.4g} N or more: {text}"
+        )
     if motion.settled is None or motion.settled_tension is None:
         return [*lines, "           the sag lets the platform fall too far for a linear estimate"]
     d = check.robot.dimensions

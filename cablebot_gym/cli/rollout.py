@@ -21,10 +21,10 @@ def rollout(
 ) -> None:
     """Run one episode of a policy and record every control step in a file.
 
-    The file has one row for each control step, in SI units and radians. Each row holds the pose, velocity, reference
-    and errors at `time`, the end of the step, and the commanded action, torques [N·m], tensions [N] and motor speeds
-    [rad/s] at `action_time`, the start of the step. Flexible robots add the motor angles at `time`, and joint springs
-    their deflections.
+    The file has one row for each control step, in SI units and radians. Each row holds the pose,
+    velocity, reference and errors at `time`, the end of the step, and the commanded action, torques
+    [N·m], tensions [N] and motor speeds [rad/s] at `action_time`, the start of the step. Flexible
+    robots add the motor angles at `time`, and joint springs their deflections.
 
     Example: cablebot rollout CableBot-Planar-v0 --policy fl --payload 1.5 --out run.csv
     """
@@ -34,9 +34,13 @@ def rollout(
     check_suffix(out)
     check_writable_file(out)
     payload = robot_of(env_id, episode).defaults.payload(0.0) if payload is None else payload
-    record = record_rollout(policy, env_id, payload=payload, criterion=criterion, progress=True, **episode)
+    record = record_rollout(
+        policy, env_id, payload=payload, criterion=criterion, progress=True, **episode
+    )
     record.save(out)
     verdict = record.verdict
     outcome = "carried" if verdict.carried else f"not carried: {verdict.violation}"
     ended = f" (ended early: {record.reason})" if record.reason else ""
-    print(f"{env_id}, {policy}, {payload:g} kg, {criterion} criterion: {outcome}{ended}; recorded in {out}")
+    print(
+        f"{env_id}, {policy}, {payload:g} kg, {criterion} criterion: {outcome}{ended}; recorded in {out}"
+    )

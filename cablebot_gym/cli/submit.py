@@ -27,26 +27,35 @@ def submit(
         ),
     ],
     ids: Annotated[str, typer.Option("--id", help="Environment ids, separated by commas.")],
-    out: Annotated[Path, typer.Option(help="Folder of the entry; its name is the name in the table.")],
+    out: Annotated[
+        Path, typer.Option(help="Folder of the entry; its name is the name in the table.")
+    ],
     authors: Annotated[str, typer.Option(help="Authors.")],
     licence: Annotated[str, typer.Option(help="Licence of code and weights, such as MIT.")],
-    compute: Annotated[str, typer.Option(help="Compute for training and tuning, such as '3 h on 8 cores', or none.")],
+    compute: Annotated[
+        str,
+        typer.Option(help="Compute for training and tuning, such as '3 h on 8 cores', or none."),
+    ],
     data: Annotated[str, typer.Option(help="Data and motions for training and tuning, or none.")],
     seeds: Annotated[str, typer.Option(help="Seeds of the training, or none.")],
     suite: Annotated[
-        str, typer.Option(help="Suite of the local result: smoke (planar robot only), standard, or full.")
+        str,
+        typer.Option(
+            help="Suite of the local result: smoke (planar robot only), standard, or full."
+        ),
     ] = "standard",
     workers: Workers = None,
 ) -> None:
     """Make an entry for the leaderboard: a folder with policy, card and local result.
 
-    The folder has the files of the policy with their SHA-256, or the name and version of its package. The entry is
-    unverified until `cablebot verify` has rerun it. An interrupted command resumes. The exit status is 1 if the policy
-    fails.
+    The folder has the files of the policy with their SHA-256, or the name and version of its
+    package. The entry is unverified until `cablebot verify` has rerun it. An interrupted command
+    resumes. The exit status is 1 if the policy fails.
 
     Example:
 
-    cablebot submit p:make --id CableBot-Planar-v0 --out p --authors A --licence MIT --compute 1h --data none --seeds 0
+    cablebot submit p:make --id CableBot-Planar-v0 --out p --authors A --licence MIT --compute 1h
+    --data none --seeds 0
     """
     from cablebot_gym.benchmark import entries
     from cablebot_gym.benchmark.board import run_seed
@@ -68,7 +77,13 @@ def submit(
     if problem := sandbox.sandbox_problem():
         say(f"note: your policy runs without a sandbox ({problem}); the verification has one")
         sandbox.opt_out()
-    texts = {"authors": authors, "licence": licence, "compute": compute, "data": data, "seeds": seeds}
+    texts = {
+        "authors": authors,
+        "licence": licence,
+        "compute": compute,
+        "data": data,
+        "seeds": seeds,
+    }
     entry = entries.make_entry(out, policy, env_ids, texts)
     find_policies([str(out)], env_ids)
     work = out / WORK
@@ -76,11 +91,17 @@ def submit(
     command = shlex.join(["cablebot", *sys.argv[1:]])
     records = computed(cells, Store(work, say=say), work, backend, command)
     notes = [replace(entries.note(out, "unverified"), policy=entry.name)]
-    results = Results(suite=suite, command=command, records=entries.renamed(records, entry.name), entries=notes)
+    results = Results(
+        suite=suite, command=command, records=entries.renamed(records, entry.name), entries=notes
+    )
     atomic_write_text(out / entries.CLAIMS, results.to_json())
     print_page(markdown(results))
     shutil.rmtree(work)
-    say(f"wrote {counted(len(entry.files), 'file')} of the policy, {CARD} and {entries.CLAIMS} to {out}")
-    say("The entry is unverified. To submit it, open a pull request that adds this folder to entries/.")
+    say(
+        f"wrote {counted(len(entry.files), 'file')} of the policy, {CARD} and {entries.CLAIMS} to {out}"
+    )
+    say(
+        "The entry is unverified. To submit it, open a pull request that adds this folder to entries/."
+    )
     if failures(records):
         raise typer.Exit(1)

@@ -16,16 +16,20 @@ from cablebot_gym.utils.console import notes_console
 def verify(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the entry.")],
     out: Annotated[
-        Path, typer.Option(help="Folder for the finished cells of an unfinished verification, outside the entry.")
+        Path,
+        typer.Option(
+            help="Folder for the finished cells of an unfinished verification, outside the entry."
+        ),
     ] = Path("verification"),
     no_sandbox: NoSandbox = False,
     workers: Workers = None,
 ) -> None:
     """Rerun an entry in a sandbox, and compare it with its local result.
 
-    The policy runs without network, other processes, and files other than its own. Its noise and draws are fresh: they
-    follow from a seed that is drawn when the verification starts. The outcome is written to verification.json in the
-    folder of the entry. The exit status is 1 if files differ from the card, or if a claimed payload is not carried.
+    The policy runs without network, other processes, and files other than its own. Its noise and
+    draws are fresh: they follow from a seed that is drawn when the verification starts. The outcome
+    is written to verification.json in the folder of the entry. The exit status is 1 if files differ
+    from the card, or if a claimed payload is not carried.
 
     Example: cablebot verify entries/my-law
     """
@@ -43,7 +47,9 @@ def verify(
         raise ValueError(f"{str(folder)!r} is no folder: give the folder of an entry")
     work = out / folder.absolute().name
     if work.absolute().is_relative_to(folder.absolute()):
-        raise ValueError(f"{str(out)!r} is in the entry, which could have prepared it; choose another --out")
+        raise ValueError(
+            f"{str(out)!r} is in the entry, which could have prepared it; choose another --out"
+        )
     check_writable_dir(work)
     seed, records, reasons = 0, [], []
     try:
@@ -58,11 +64,19 @@ def verify(
         records = [*computed(cells, Store(work, say=notes_console().print), work, backend, command)]
         reasons = entries.refuted(claims, records)
     found = entries.verification(folder, seed, records, reasons)
-    atomic_write_text(folder / entries.VERIFICATION, json.dumps(found, indent=1, ensure_ascii=False) + "\n")
+    atomic_write_text(
+        folder / entries.VERIFICATION, json.dumps(found, indent=1, ensure_ascii=False) + "\n"
+    )
     shutil.rmtree(work / FOLDER, ignore_errors=True)  # the next verification draws another seed
     (work / RUN).unlink(missing_ok=True)
     if reasons:
         notes_console().print(f"cablebot: refused: {reasons[0]}", style="red")
         raise typer.Exit(1)
-    protection = f"in {found['sandbox']}, without network" if found["sandbox"] else "with network and all files"
-    print(f"{folder}: {found['outcome']}; {counted(len(records), 'payload')} rerun {protection}, seed {seed}")
+    protection = (
+        f"in {found['sandbox']}, without network"
+        if found["sandbox"]
+        else "with network and all files"
+    )
+    print(
+        f"{folder}: {found['outcome']}; {counted(len(records), 'payload')} rerun {protection}, seed {seed}"
+    )

@@ -25,11 +25,14 @@ if TYPE_CHECKING:
 
 Speed = Annotated[float, typer.Option("--speed", help="Playback speed; 1 is real time.")]
 Size = Annotated[
-    str | None, typer.Option("--size", help="Size of the picture of each policy, such as 1280x960 [pixels].")
+    str | None,
+    typer.Option("--size", help="Size of the picture of each policy, such as 1280x960 [pixels]."),
 ]
 Policies = Annotated[
     str | None,
-    typer.Option("--policies", help="Several policies side by side, separated by commas. Replaces --policy."),
+    typer.Option(
+        "--policies", help="Several policies side by side, separated by commas. Replaces --policy."
+    ),
 ]
 
 
@@ -117,7 +120,9 @@ def record_episodes(
     wrappers = keywords.pop("wrappers")
     if start:
         import_pygame()
-        return [(place, record_rollout(lambda observation: np.zeros(robot.cables), env_id, **keywords))]
+        return [
+            (place, record_rollout(lambda observation: np.zeros(robot.cables), env_id, **keywords))
+        ]
     names = split_names(policies or policy)
     if (policy is None) == (policies is None) or not names:
         raise ValueError(
@@ -127,5 +132,7 @@ def record_episodes(
     loaded = loaded_policies(names, robot, wrappers)
     episodes = []
     for each in loaded:
-        episodes.append((f"{each.name} on {place}", record_rollout(each, env_id, progress=True, **keywords)))
+        episodes.append(
+            (f"{each.name} on {place}", record_rollout(each, env_id, progress=True, **keywords))
+        )
     return episodes

@@ -46,7 +46,8 @@ RIGID_ENV_IDS = tuple(env_id for env_id in ENV_IDS if env_id not in FLEXIBLE_ENV
 """Ids of the environments whose robots are rigid."""
 
 TERMINATION_REASONS = ("", "tracking_error", "slack", "workspace", "non_finite", "violation")
-"""Name of each code in ``info["termination_reason"]``. Code 0, the empty string, means "not terminated"."""
+"""Name of each code in ``info["termination_reason"]``. Code 0, the empty string, means "not
+terminated"."""
 
 
 def register_envs() -> None:
@@ -76,7 +77,8 @@ def env_robot(env_id: str) -> str:
 
 
 def described(env_id: str, robot_name: str) -> str:
-    """Title text of an environment: its id, followed by ``robot_name`` if this is not the default robot of the id."""
+    """Title text of an environment: its id, followed by ``robot_name`` if this is not the default
+    robot of the id."""
     return env_id if ENV_ROBOTS.get(env_id) == robot_name else f"{env_id} with robot {robot_name!r}"
 
 
@@ -86,7 +88,10 @@ def fitting_env_id(robot: Any) -> str:
     Raises:
         ValueError: if the robot is invalid, or there is no id for its kind.
     """
-    from cablebot_gym.robots import KIND_TEXTS, find_robot  # imported here: importing cablebot_gym must stay fast
+    from cablebot_gym.robots import (
+        KIND_TEXTS,
+        find_robot,
+    )  # imported here: importing cablebot_gym must stay fast
 
     given = find_robot(robot)
     for env_id, kind in ENV_KINDS.items():
@@ -104,8 +109,8 @@ def check_robot(env_id: str, robot: Any) -> None:
     Kinds are those of :attr:`~cablebot_gym.robots.Robot.kind`, rigid or flexible.
 
     Raises:
-        ValueError: if the id is unknown or the robot does not fit. The message lists the valid ids, or gives the id
-            that fits the robot.
+        ValueError: if the id is unknown or the robot does not fit. The message lists the valid ids,
+            or gives the id that fits the robot.
     """
     env_robot(env_id)
     if robot is not None and (fitting := fitting_env_id(robot)) != env_id:
@@ -115,8 +120,8 @@ def check_robot(env_id: str, robot: Any) -> None:
 
 
 class SpecChecked:
-    """Part of both environments. ``gym.make`` sets ``spec``, which checks that the robot is of the kind of the id, and
-    warns if its motors cannot hold the start."""
+    """Part of both environments. ``gym.make`` sets ``spec``, which checks that the robot is of the
+    kind of the id, and warns if its motors cannot hold the start."""
 
     settings: Any
     _spec: EnvSpec | None = None
@@ -126,7 +131,8 @@ class SpecChecked:
         """Specification from which Gymnasium made the environment; None if it was made directly.
 
         Raises:
-            ValueError: when it is set, if the robot does not fit; the message gives the id that fits it.
+            ValueError: when it is set, if the robot does not fit; the message gives the id that
+                fits it.
         """
         return self._spec
 

@@ -16,10 +16,16 @@ EnvIndices = NDArray[np.int64]
 
 
 class Disturbances:
-    """Disturbances of N environments, from the uncertainties of their episodes. Allocates memory at first use."""
+    """Disturbances of N environments, from the uncertainties of their episodes. Allocates memory at
+    first use."""
 
     def __init__(
-        self, robot: Robot, measurement: Measurement, count: int, control_frequency: float, streams: Streams
+        self,
+        robot: Robot,
+        measurement: Measurement,
+        count: int,
+        control_frequency: float,
+        streams: Streams,
     ) -> None:
         self._robot = robot
         self._measurement = measurement
@@ -32,11 +38,13 @@ class Disturbances:
         self._noise_std = self._bias = np.zeros((count, 0))
         self._noise: NormalRows | None = None
         self.noise = np.zeros((count, 0))
-        """Present noise and bias on the measured blocks of the observation, (N, components); (N, 0) without any."""
+        """Present noise and bias on the measured blocks of the observation, (N, components); (N, 0)
+        without any."""
         self._delay = np.zeros(count, np.int64)
         self._pending = np.zeros((count, 0, robot.cables))
         self.quiet = True
-        """Whether no environment has had a disturbance so far. If so, only :meth:`reset` needs to be called."""
+        """Whether no environment has had a disturbance so far. If so, only :meth:`reset` needs to
+        be called."""
 
     def reset(self, env_indices: EnvIndices, uncertainty: Uncertainty, holding: Array) -> None:
         """Starts episodes in ``env_indices``.
@@ -70,10 +78,14 @@ class Disturbances:
             return
         mean, std = uncertainty.wrench.statistics(self._robot)
         if self._wrench is None:
-            self._wrench_mean, self._wrench_std, self._factor = (np.zeros((self._count, mean.size)) for _ in range(3))
+            self._wrench_mean, self._wrench_std, self._factor = (
+                np.zeros((self._count, mean.size)) for _ in range(3)
+            )
             self._wrench = NormalRows(self._streams, Purpose.WRENCH, self._count, mean.size)
         self._wrench.restart(env_indices)
-        periods = min(uncertainty.wrench.correlation_time * self._frequency, 2.0**62)  # the largest int64 is 2^63 − 1
+        periods = min(
+            uncertainty.wrench.correlation_time * self._frequency, 2.0**62
+        )  # the largest int64 is 2^63 − 1
         self._wrench_interval[env_indices] = max(1, round(periods))
         self._wrench_mean[env_indices], self._wrench_std[env_indices] = mean, std
         low, high = uncertainty.wrench.factor
@@ -86,16 +98,23 @@ class Disturbances:
             self._noise_std[env_indices] = self._bias[env_indices] = 0.0
             return
         given = (uncertainty.sensors, uncertainty.sensor_bias)
-        noise, bias = ((one or SensorNoise()).deviations(self._robot, self._measurement) for one in given)
+        noise, bias = (
+            (one or SensorNoise()).deviations(self._robot, self._measurement) for one in given
+        )
         if self._noise is None:
-            self._noise_std, self._bias, self.noise = (np.zeros((self._count, noise.size)) for _ in range(3))
+            self._noise_std, self._bias, self.noise = (
+                np.zeros((self._count, noise.size)) for _ in range(3)
+            )
             self._noise = NormalRows(self._streams, Purpose.SENSORS, self._count, noise.size)
         self._noise.restart(env_indices)
         self._noise_std[env_indices] = noise
-        self._bias[env_indices] = bias * self._streams.normal(env_indices, Purpose.SENSOR_BIAS, bias.size)
+        self._bias[env_indices] = bias * self._streams.normal(
+            env_indices, Purpose.SENSOR_BIAS, bias.size
+        )
 
     def delayed(self, action: Array) -> Array:
-        """The actions (N, m) that arrive now; ``action`` is sent now, (N, m), or (m,) for one environment."""
+        """The actions (N, m) that arrive now; ``action`` is sent now, (N, m), or (m,) for one
+        environment."""
         late = self._delay > 0
         if not late.any():
             return action
@@ -119,7 +138,8 @@ class Disturbances:
             plant.set_wrench(due, wrench[:, :d], wrench[:, d:])
 
     def measure(self, env_indices: EnvIndices, step: NDArray[np.int64]) -> None:
-        """Draws :attr:`noise` of the environments ``env_indices`` at their control steps ``step``, (k,)."""
+        """Draws :attr:`noise` of the environments ``env_indices`` at their control steps ``step``,
+        (k,)."""
         if self._noise is not None:
             white = self._noise_std[env_indices] * self._noise.at(env_indices, step)
             self.noise[env_indices] = self._bias[env_indices] + white

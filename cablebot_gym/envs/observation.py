@@ -19,10 +19,12 @@ PREVIEWS = (0.02, 0.05, 0.1, 0.2)
 """Preview times: how far ahead the observation shows the reference [s]."""
 
 LAST_ACTIONS = 3
-"""Number of past actions in the observation. An action that arrives up to so many periods late is still in it."""
+"""Number of past actions in the observation. An action that arrives up to so many periods late is
+still in it."""
 
 SLACK_SCALE = 0.1
-"""Scale of the block ``slack_time``: the default time after which a slack cable terminates the episode [s]."""
+"""Scale of the block ``slack_time``: the default time after which a slack cable terminates the
+episode [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +50,8 @@ class Block:
     centre: tuple[float, ...]
     """Value at which the normalised observation is zero, (size,); not used with ``relative_to``."""
     relative_to: str = ""
-    """Name of the block that the normalised observation subtracts, of the same size; empty for ``centre``."""
+    """Name of the block that the normalised observation subtracts, of the same size; empty for
+    ``centre``."""
 
     @property
     def slice(self) -> slice:
@@ -58,7 +61,8 @@ class Block:
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationLayout:
-    """Named blocks of the observation of one robot. Methods accept one observation (size,) or a batch (N, size)."""
+    """Named blocks of the observation of one robot. Methods accept one observation (size,) or a
+    batch (N, size)."""
 
     robot_name: str
     """Name of the robot in error messages."""
@@ -75,7 +79,8 @@ class ObservationLayout:
         return {block.name: block.slice for block in self.blocks}
 
     def split(self, observation: ArrayLike) -> dict[str, Array]:
-        """The blocks by name, each (..., size of the block); views if the observation is an array of floats.
+        """The blocks by name, each (..., size of the block); views if the observation is an array
+        of floats.
 
         Raises:
             ValueError: if the observation is not that of this robot.
@@ -84,9 +89,11 @@ class ObservationLayout:
         return {block.name: array[..., block.slice] for block in self.blocks}
 
     def normalise(self, observation: ArrayLike) -> Array:
-        """The observation in units of order one, as the environments return it with ``normalised_observation``.
+        """The observation in units of order one, as the environments return it with
+        ``normalised_observation``.
 
-        Each component is (value − centre)/scale of its block. The pose and the velocity become tracking errors.
+        Each component is (value − centre)/scale of its block. The pose and the velocity become
+        tracking errors.
 
         Raises:
             ValueError: if the observation is not that of this robot.
@@ -99,8 +106,11 @@ class ObservationLayout:
 
     @cached_property
     def centre(self) -> Array:
-        """Centres of the normalised observation, (size,); 0 for blocks that are relative to another block."""
-        return _constant(np.concatenate([np.zeros(b.size) if b.relative_to else b.centre for b in self.blocks]))
+        """Centres of the normalised observation, (size,); 0 for blocks that are relative to another
+        block."""
+        return _constant(
+            np.concatenate([np.zeros(b.size) if b.relative_to else b.centre for b in self.blocks])
+        )
 
     @cached_property
     def per_scale(self) -> Array:
@@ -109,9 +119,12 @@ class ObservationLayout:
 
     @cached_property
     def _relative(self) -> list[tuple[slice, slice]]:
-        """Blocks that the normalised observation gives relative to another block, and that block."""
+        """Blocks that the normalised observation gives relative to another block, and that
+        block."""
         slices = self.slices()
-        return [(block.slice, slices[block.relative_to]) for block in self.blocks if block.relative_to]
+        return [
+            (block.slice, slices[block.relative_to]) for block in self.blocks if block.relative_to
+        ]
 
     def _checked(self, observation: ArrayLike) -> Array:
         array = np.asarray(observation, float)
@@ -123,7 +136,8 @@ class ObservationLayout:
         return array
 
     def space(self, *, normalised: bool = False, dtype: str = "float64") -> Box:
-        """The bounded observation space. Components saturate at the bounds; useful motions do not reach them.
+        """The bounded observation space. Components saturate at the bounds; useful motions do not
+        reach them.
 
         Args:
             normalised: whether the space is that of the normalised observation.
@@ -142,9 +156,16 @@ class ObservationLayout:
 
     def table(self) -> str:
         """Markdown table of the blocks."""
-        lines = ["| components | name | unit | low | high | scale | meaning |", "|---|---|---|---|---|---|---|"]
+        lines = [
+            "| components | name | unit | low | high | scale | meaning |",
+            "|---|---|---|---|---|---|---|",
+        ]
         for block in self.blocks:
-            components = str(block.start) if block.size == 1 else f"{block.start}–{block.start + block.size - 1}"
+            components = (
+                str(block.start)
+                if block.size == 1
+                else f"{block.start}–{block.start + block.size - 1}"
+            )
             low, high, scale = (
                 ", ".join(dict.fromkeys(f"{value:.3g}" for value in values))
                 for values in (block.low, block.high, block.scale)
@@ -168,16 +189,19 @@ def preview_name(ahead: float) -> str:
 def observation_layout(robot: Robot, measurement: Measurement = POSE) -> ObservationLayout:
     """Layout for a robot and a measurement, whose blocks come first.
 
-    The bounds of poses are the workspace, enlarged by a factor of 1.5 about its centre. That of the payload is 1000 kg,
-    or the mass whose weight is the pull of all motors together at stall, if that is more. The scales follow from the
-    robot alone. Its length L is half of the largest width of the workspace, its angle half of the largest range of an
-    angle, its speed v = r ω_n that of a cable at a motor's free speed, and its time L/v.
+    The bounds of poses are the workspace, enlarged by a factor of 1.5 about its centre. That of the
+    payload is 1000 kg, or the mass whose weight is the pull of all motors together at stall, if
+    that is more. The scales follow from the robot alone. Its length L is half of the largest width
+    of the workspace, its angle half of the largest range of an angle, its speed v = r ω_n that of a
+    cable at a motor's free speed, and its time L/v.
 
-    * poses: L and the angle from the centre of the workspace; their k-th derivatives: divided by the k-th power of L/v;
+    * poses: L and the angle from the centre of the workspace; their k-th derivatives: divided by
+      the k-th power of L/v;
     * previews: the scale of the velocity times the preview time, at most that of the pose;
     * errors of pose and velocity: the default error bounds, and these over L/v;
     * motor angles L/r and motor speeds ω_n; tensions τ_s/r;
-    * orientation, angular rate and specific force: the angle, its derivative, and the gravitational acceleration;
+    * orientation, angular rate and specific force: the angle, its derivative, and the gravitational
+      acceleration;
     * payload: the mass that the stall torque of a motor accelerates at v²/L by its cable;
     * time to go: 1 s; slack time: :data:`SLACK_SCALE`; actions: 1.
     """
@@ -221,7 +245,8 @@ class _Sizes:
 
 
 _DERIVATIVE_BOUNDS = ((20.0, 100.0), (1e3, 1e4), (1e5, 1e6), (1e7, 1e8))
-"""Bounds of the first four derivatives: of positions in m and of angles in rad, per power of a second."""
+"""Bounds of the first four derivatives: of positions in m and of angles in rad, per power of a
+second."""
 
 
 def _sizes(robot: Robot) -> _Sizes:
@@ -277,11 +302,26 @@ def _readings(robot: Robot, sizes: _Sizes) -> dict[str, Block]:
     force = "mean acceleration minus gravity over the last action period, same frame"
     blocks = (
         _block("pose", n, bounds[0], error, units[0], pose, relative_to="reference_pose"),
-        _block("velocity", n, bounds[1], error / sizes.time, units[1], velocity, relative_to="reference_velocity"),
+        _block(
+            "velocity",
+            n,
+            bounds[1],
+            error / sizes.time,
+            units[1],
+            velocity,
+            relative_to="reference_velocity",
+        ),
         _block("motor_angle", m, motor, sizes.scales[0][0] / sizes.radius, "rad", motor_angle),
         _block("motor_speed", m, motor, sizes.free_speed, "rad/s", motor_speed),
         _block("tensions", m, (-1e6, 1e6), sizes.pull, "N", tensions),
-        _block("orientation", n - axes, (-10.0, 10.0), angle, "rad", "roll ψ, pitch θ and yaw φ of the IMU"),
+        _block(
+            "orientation",
+            n - axes,
+            (-10.0, 10.0),
+            angle,
+            "rad",
+            "roll ψ, pitch θ and yaw φ of the IMU",
+        ),
         _block("angular_rate", n - axes, (-100.0, 100.0), rate, "rad/s", angular_rate),
         _block("specific_force", axes, (-1e3, 1e3), GRAVITY, "m/s²", force),
     )
@@ -308,7 +348,16 @@ def _references(*, to_snap: bool) -> tuple[tuple[str, str], ...]:
 def _reference_blocks(robot: Robot, sizes: _Sizes) -> list[Block]:
     """Blocks that :func:`observed_reference` fills, in the same order."""
     n = robot.coordinates
-    blocks = [_block("time_to_go", 1, (0.0, 1e3), 1.0, "s", "time until the reference motion ends; 0 afterwards")]
+    blocks = [
+        _block(
+            "time_to_go",
+            1,
+            (0.0, 1e3),
+            1.0,
+            "s",
+            "time until the reference motion ends; 0 afterwards",
+        )
+    ]
     for order, (name, meaning) in enumerate(_references(to_snap=robot.flexible)):
         centre = sizes.centre if order == 0 else 0.0
         bounds = sizes.bounds[order]
@@ -319,7 +368,11 @@ def _reference_blocks(robot: Robot, sizes: _Sizes) -> list[Block]:
     for ahead in PREVIEWS:
         scale = np.minimum(sizes.scales[1] * ahead, sizes.scales[0])
         meaning = f"X_d in {ahead:g} s minus X_d now"
-        blocks.append(_block(preview_name(ahead), n, (-ahead_bound, ahead_bound), scale, sizes.units[0], meaning))
+        blocks.append(
+            _block(
+                preview_name(ahead), n, (-ahead_bound, ahead_bound), scale, sizes.units[0], meaning
+            )
+        )
     return blocks
 
 
@@ -352,7 +405,8 @@ def _block(
 ) -> Block:
     """A block that has no place yet. A single bound, scale or centre is that of each component."""
     low, high, scales, centres = (
-        tuple(np.broadcast_to(np.asarray(value, float), (size,)).tolist()) for value in (*bounds, scale, centre)
+        tuple(np.broadcast_to(np.asarray(value, float), (size,)).tolist())
+        for value in (*bounds, scale, centre)
     )
     return Block(
         name=name,
@@ -382,5 +436,8 @@ def observed_reference(trajectory: Trajectory, times: Array, *, to_snap: bool) -
     return {
         "time_to_go": np.maximum(trajectory.duration - times, 0.0)[:, None],
         **dict(zip(names, values, strict=False)),
-        **{preview_name(ahead): trajectory(times + ahead).position - now.position for ahead in PREVIEWS},
+        **{
+            preview_name(ahead): trajectory(times + ahead).position - now.position
+            for ahead in PREVIEWS
+        },
     }

@@ -1,4 +1,5 @@
-"""Compiled second half of an environment step: observation, reward, termination and info from the plant's record.
+"""Compiled second half of an environment step: observation, reward, termination and info from the
+plant's record.
 
 This module reads the record of :mod:`cablebot_gym.physics.kernel` and integrates nothing.
 """
@@ -19,7 +20,8 @@ from cablebot_gym.physics.inlining import entry_point, inline
 _TRACKING_ERROR, _SLACK, _WORKSPACE, _NON_FINITE, _VIOLATION = range(1, len(TERMINATION_REASONS))
 
 REWARD_TERMS = ("inside", "position", "rotation", "saturation", "violation")
-"""Names of the reward terms, in the order of the weights; defined in the manual of the single environment."""
+"""Names of the reward terms, in the order of the weights; defined in the manual of the single
+environment."""
 
 INFO_SCALARS = (
     "time",
@@ -35,16 +37,30 @@ INFO_SCALARS = (
 )
 """Names of the columns of the scalars of info."""
 
-INFO_CABLES = ("tensions", "torques", "motor_speeds", "commanded_action", "torque_margin", "least_tensions", "slack")
+INFO_CABLES = (
+    "tensions",
+    "torques",
+    "motor_speeds",
+    "commanded_action",
+    "torque_margin",
+    "least_tensions",
+    "slack",
+)
 """Names of the quantities of info with one value per cable."""
 
-_TIME, _ACTION_TIME, _PAYLOAD = (INFO_SCALARS.index(name) for name in ("time", "action_time", "payload"))
+_TIME, _ACTION_TIME, _PAYLOAD = (
+    INFO_SCALARS.index(name) for name in ("time", "action_time", "payload")
+)
 _POSITION = INFO_SCALARS.index("tracking_error")
 _ROTATION = INFO_SCALARS.index("rotation_error")
 _POSITION_PEAK = INFO_SCALARS.index("tracking_error_peak")
 _ROTATION_PEAK = INFO_SCALARS.index("rotation_error_peak")
-_FIRST_TERM, _VIOLATED, _COST = (INFO_SCALARS.index(name) for name in ("reward_inside", "violated", "cost"))
-_TENSION, _TORQUE, _SPEED, _COMMANDED, _MARGIN, _LEAST_TENSION, _SLACK_CABLE = range(len(INFO_CABLES))
+_FIRST_TERM, _VIOLATED, _COST = (
+    INFO_SCALARS.index(name) for name in ("reward_inside", "violated", "cost")
+)
+_TENSION, _TORQUE, _SPEED, _COMMANDED, _MARGIN, _LEAST_TENSION, _SLACK_CABLE = range(
+    len(INFO_CABLES)
+)
 _TRUE = 0.5  # true is 1 in the columns of ``violated`` and ``slack``, false is 0
 
 # Columns of the episode settings.
@@ -52,7 +68,8 @@ PAYLOAD, MODEL_PAYLOAD, KNOWN, POSITION_BOUND, ROTATION_BOUND, STARTS_AT_REST = 
 EPISODE_SETTINGS = 6
 
 LARGEST = 1e6
-"""Largest magnitude in ``info``: larger and non-finite values become ±1e6. Actions must be smaller."""
+"""Largest magnitude in ``info``: larger and non-finite values become ±1e6. Actions must be
+smaller."""
 
 
 class Constants(NamedTuple):
@@ -68,7 +85,8 @@ class Constants(NamedTuple):
     bounds: Array
     """Lower and upper bounds of the observation, (2, size)."""
     encoder_resolution: float
-    """Smallest step of the motor angles [rad], the first block of the readings; 0 for exact angles."""
+    """Smallest step of the motor angles [rad], the first block of the readings; 0 for exact
+    angles."""
     normalised: bool
     """Whether the observation is normalised."""
     centre: Array
@@ -80,7 +98,8 @@ class Constants(NamedTuple):
     period: float
     """Control period [s]."""
     minimum_tension: float
-    """Least valid tension at a physics step [N]; −∞ for bilateral cables, which only have to pull."""
+    """Least valid tension at a physics step [N]; −∞ for bilateral cables, which only have to
+    pull."""
     termination_radius: float
     slack_time: float
     terminate_on_violation: bool
@@ -106,8 +125,8 @@ class Episodes(NamedTuple):
     stall: Array
     """True stall torques [N·m], (N, m)."""
     readings: Array
-    """Exact readings of the sensors of winches and platform, (N, components); (N, 0) if pose and velocity are
-    measured."""
+    """Exact readings of the sensors of winches and platform, (N, components); (N, 0) if pose and
+    velocity are measured."""
     noise: Array
     """Noise of the measured blocks, (N, components); (N, 0) without noise."""
     sent: Array
@@ -148,12 +167,15 @@ def _saturated(value, low, high):
 
 @entry_point
 def outcome(fresh, env_indices, constants, episodes, outputs):
-    """Fills the outputs of the environments ``env_indices``. Errors, reward and termination use the true state.
+    """Fills the outputs of the environments ``env_indices``. Errors, reward and termination use the
+    true state.
 
     Args:
-        fresh: whether the environments have just been reset: then there is no reward and no termination.
+        fresh: whether the environments have just been reset: then there is no reward and no
+            termination.
         env_indices: environments, (k,).
-        constants: :class:`Constants`, as a plain tuple, whose type numba finds several times faster.
+        constants: :class:`Constants`, as a plain tuple, whose type numba finds several times
+            faster.
         episodes: :class:`Episodes`, as a plain tuple.
         outputs: :class:`Outputs`, as a plain tuple.
     """
@@ -193,9 +215,13 @@ def _judge(fresh, env_index, batch, now, out):
         coordinates,
         observation,
     )
-    finite, inside = _check_state(record, at, lanes, batch.workspace, batch.flexible, stall.shape[0])
+    finite, inside = _check_state(
+        record, at, lanes, batch.workspace, batch.flexible, stall.shape[0]
+    )
     _measure_errors(finite, reference, record, at, lanes, batch.dimensions, coordinates, info)
-    slack_cables, excess, taut, held = _report_cables(fresh, record, at, lanes, stall, batch.minimum_tension, cables)
+    slack_cables, excess, taut, held = _report_cables(
+        fresh, record, at, lanes, stall, batch.minimum_tension, cables
+    )
     reason = 0
     if fresh:
         now.slack_for[env_index] = 0.0
@@ -226,7 +252,14 @@ def _judge(fresh, env_index, batch, now, out):
     observation[slack_column] = min(now.slack_for[env_index], batch.bounds[1, slack_column])
     encoders = stall.shape[0] if batch.encoder_resolution > 0.0 else 0
     model_end = first_reference + reference.shape[0] + 2
-    _spoil(now.noise[env_index], encoders, batch.encoder_resolution, model_end, batch.bounds, observation)
+    _spoil(
+        now.noise[env_index],
+        encoders,
+        batch.encoder_resolution,
+        model_end,
+        batch.bounds,
+        observation,
+    )
     if batch.normalised:
         relative = coordinates if readings.shape[0] == 0 else 0
         _normalise(first_reference, relative, batch.centre, batch.per_scale, observation)
@@ -238,9 +271,12 @@ def _judge(fresh, env_index, batch, now, out):
 
 
 @inline
-def _observe(fresh, record, at, lanes, flexible, readings, reference, settings, sent, n, observation):
-    """Exact blocks: pose and velocity, motors of flexible robots, or readings of winches; the tabulated reference, the
-    payload of the model, and the last actions. Returns the first column of the reference."""
+def _observe(
+    fresh, record, at, lanes, flexible, readings, reference, settings, sent, n, observation
+):
+    """Exact blocks: pose and velocity, motors of flexible robots, or readings of winches; the
+    tabulated reference, the payload of the model, and the last actions. Returns the first column of
+    the reference."""
     m, measured = sent.shape[0], readings.shape[0]
     first_reference = 2 * n
     if measured > 0:
@@ -258,7 +294,9 @@ def _observe(fresh, record, at, lanes, flexible, readings, reference, settings, 
                 observation[2 * n + i] = record[kernel.MOTOR_ANGLE * lanes + at_cable]
                 observation[2 * n + m + i] = record[kernel.MOTOR_SPEED * lanes + at_cable]
     after_reference = first_reference + reference.shape[0]
-    block = observation[first_reference:after_reference]  # without a sum in its index, the loop vectorises
+    block = observation[
+        first_reference:after_reference
+    ]  # without a sum in its index, the loop vectorises
     for j in range(reference.shape[0]):
         block[j] = reference[j]
     observation[after_reference] = settings[MODEL_PAYLOAD]
@@ -282,7 +320,9 @@ def _check_state(record, at, lanes, workspace, flexible, cables):
     finite, inside = True, True
     for j in range(workspace.shape[1]):
         coordinate = record[(kernel.POSE + j) * lanes + at]
-        finite &= math.isfinite(coordinate) and math.isfinite(record[(kernel.VELOCITY + j) * lanes + at])
+        finite &= math.isfinite(coordinate) and math.isfinite(
+            record[(kernel.VELOCITY + j) * lanes + at]
+        )
         inside &= (coordinate >= workspace[0, j]) & (coordinate <= workspace[1, j])
     if flexible:
         for i in range(cables):
@@ -294,7 +334,8 @@ def _check_state(record, at, lanes, workspace, flexible, cables):
 
 @inline
 def _measure_errors(finite, reference, record, at, lanes, dimensions, coordinates, info):
-    """Errors at this instant and their peaks. Column 0 of the reference is the time to go; the pose follows."""
+    """Errors at this instant and their peaks. Column 0 of the reference is the time to go; the pose
+    follows."""
     square, rotation = 0.0, 0.0
     for j in range(coordinates):
         difference = record[(kernel.POSE + j) * lanes + at] - reference[1 + j]
@@ -316,8 +357,8 @@ def _measure_errors(finite, reference, record, at, lanes, dimensions, coordinate
 
 @inline
 def _report_cables(fresh, record, at, lanes, stall, minimum_tension, cables):
-    """Fills the quantities of the cables. Returns the number of slack cables, the sum of the excess of the actions, and
-    whether all cables have the minimum tension and all motors their torque."""
+    """Fills the quantities of the cables. Returns the number of slack cables, the sum of the excess
+    of the actions, and whether all cables have the minimum tension and all motors their torque."""
     slack_cables, excess, taut, held = 0.0, 0.0, True, True
     for i in range(stall.shape[0]):
         at_cable = (kernel.FIRST_CABLE_RECORD + kernel.CABLE_RECORDS * i) * lanes + at
@@ -354,7 +395,8 @@ def _terminate(finite, inside, near, slack):
 
 @inline
 def _spoil(noise, encoders, resolution, count, bounds, observation):
-    """Adds noise, rounds the first ``encoders`` components, and saturates the first ``count`` ones at their bounds."""
+    """Adds noise, rounds the first ``encoders`` components, and saturates the first ``count`` ones
+    at their bounds."""
     for j in range(noise.shape[0]):
         observation[j] += noise[j]
     for j in range(encoders):
@@ -365,8 +407,11 @@ def _spoil(noise, encoders, resolution, count, bounds, observation):
 
 @inline
 def _normalise(first_reference, relative, centre, per_scale, observation):
-    """Subtracts the reference from ``relative`` components of pose and velocity, and scales all components."""
-    for j in range(relative):  # the time to go precedes the reference pose, and the reference velocity follows it
+    """Subtracts the reference from ``relative`` components of pose and velocity, and scales all
+    components."""
+    for j in range(
+        relative
+    ):  # the time to go precedes the reference pose, and the reference velocity follows it
         observation[j] -= observation[first_reference + 1 + j]
         observation[relative + j] -= observation[first_reference + 1 + relative + j]
     for j in range(observation.shape[0]):  # the scale of actions is 1
@@ -404,7 +449,9 @@ def info_dict(scalars: Array, cables: Array) -> dict[str, Any]:
         cables: quantities with one value per cable, (quantities, m) or (quantities, N, m).
     """
     single = scalars.ndim == 1
-    columns = scalars.tolist() if single else scalars.T.copy()  # tolist() converts all scalars at once
+    columns = (
+        scalars.tolist() if single else scalars.T.copy()
+    )  # tolist() converts all scalars at once
     named: dict[str, Any] = dict(zip(INFO_SCALARS, columns, strict=True))
     named.update(zip(INFO_CABLES, cables.copy(), strict=True))
     named["violated"] = named["violated"] > _TRUE

@@ -1,4 +1,5 @@
-"""Default motion of a robot without one: a lemniscate about its home pose, sized by its workspace and its motors."""
+"""Default motion of a robot without one: a lemniscate about its home pose, sized by its workspace
+and its motors."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference, find_trajectory
 
 FRACTIONS = (0.5, 0.25, 0.12, 0.06, 0.03)
-"""Tried widths of the lemniscate, as fractions of the distance from the home pose to the border of the workspace."""
+"""Tried widths of the lemniscate, as fractions of the distance from the home pose to the border of
+the workspace."""
 
 DURATIONS = tuple(np.geomspace(1.0, 60.0, 24).tolist())
 """Tried durations of the lemniscate [s]."""
@@ -24,12 +26,13 @@ _SAMPLES = 101
 
 
 def own_motion(robot: Robot) -> dict[str, Any]:
-    """Data of the default motion of a robot that has none, for :func:`~cablebot_gym.trajectories.find_trajectory`.
+    """Data of the default motion of a robot that has none, for
+    :func:`~cablebot_gym.trajectories.find_trajectory`.
 
-    It is the widest lemniscate of :data:`FRACTIONS` on which the motors hold half of the payload that they hold at the
-    home pose, in the shortest of :data:`DURATIONS` in which they move half of that, at most the mass of the platform.
-    The lemniscate is smooth up to the fourth derivative, as robots with springs need it. If there is none, the robot
-    dwells at its home pose.
+    It is the widest lemniscate of :data:`FRACTIONS` on which the motors hold half of the payload
+    that they hold at the home pose, in the shortest of :data:`DURATIONS` in which they move half of
+    that, at most the mass of the platform. The lemniscate is smooth up to the fourth derivative, as
+    robots with springs need it. If there is none, the robot dwells at its home pose.
     """
     return dict(_own_motion(robot))
 
@@ -53,7 +56,8 @@ def _own_motion(robot: Robot) -> dict[str, Any]:
 
 
 def _lemniscates(robot: Robot) -> Iterator[dict[str, Any]]:
-    """Lemniscates about the home pose, the widest one first; none if the home pose is at the border of x or y."""
+    """Lemniscates about the home pose, the widest one first; none if the home pose is at the border
+    of x or y."""
     low, high = robot.pose_bounds
     clearance = np.minimum(high - robot.home, robot.home - low)[:2]
     if clearance.min() <= 0:
@@ -61,7 +65,11 @@ def _lemniscates(robot: Robot) -> Iterator[dict[str, Any]]:
     for fraction in FRACTIONS:
         width, height = fraction * clearance * (1.0, 0.5)
         amplitude = [float(f"{width:.2g}"), float(f"{height:.2g}")]
-        yield {"name": f"lemniscate-{robot.kind}", "amplitude": amplitude, "center": list(robot.home_pose)}
+        yield {
+            "name": f"lemniscate-{robot.kind}",
+            "amplitude": amplitude,
+            "center": list(robot.home_pose),
+        }
 
 
 def _reference(motion: dict[str, Any], robot: Robot) -> Reference:
@@ -70,7 +78,8 @@ def _reference(motion: dict[str, Any], robot: Robot) -> Reference:
 
 
 def _payload_range(robot: Robot, reference: Reference) -> tuple[float, float]:
-    """Least and largest payload with which cables and motors follow a reference [kg]; (inf, −inf) if there is none."""
+    """Least and largest payload with which cables and motors follow a reference [kg]; (inf, −inf)
+    if there is none."""
     payloads = feasible_payloads(robot, reference)
     if np.any(payloads.status != HELD):
         return np.inf, -np.inf

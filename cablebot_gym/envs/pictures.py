@@ -37,7 +37,9 @@ def check_render_mode(mode: str | None, modes: list[str]) -> str | None:
     """
     if mode is None:
         return None
-    from cablebot_gym.rendering.painter import import_pygame  # here, because most environments have no pictures
+    from cablebot_gym.rendering.painter import (
+        import_pygame,
+    )  # here, because most environments have no pictures
 
     import_pygame()
     return choice("render_mode", mode, modes, ", or None")
@@ -53,13 +55,16 @@ class Pictures:
 
     def __init__(self, simulation: Simulation, title: str) -> None:
         self._simulation, self._title = simulation, title
-        self._trails: list[deque[Array]] = [deque(maxlen=LONGEST_TRAIL) for _ in range(simulation.count)]
+        self._trails: list[deque[Array]] = [
+            deque(maxlen=LONGEST_TRAIL) for _ in range(simulation.count)
+        ]
         self._painters: dict[int, Painter] = {}
         self._window: Window | None = None
         self._last_shown = -math.inf
 
     def __getstate__(self) -> dict[str, Any]:
-        """State for copies and pickles: without painters, which are made again on demand, and without the window."""
+        """State for copies and pickles: without painters, which are made again on demand, and
+        without the window."""
         return {**self.__dict__, "_painters": {}, "_window": None}
 
     def on_reset(self, env_indices: Iterable[int]) -> None:
@@ -80,9 +85,11 @@ class Pictures:
         return self._painter(env_index).array(*self._content(env_index))
 
     def show(self) -> None:
-        """Shows the first environment in a window, every 1/:data:`RATE` s of episode time and no faster than real time.
+        """Shows the first environment in a window, every 1/:data:`RATE` s of episode time and no
+        faster than real time.
 
-        Without a display the pictures are painted but not shown, see :class:`~cablebot_gym.rendering.window.Window`.
+        Without a display the pictures are painted but not shown, see
+        :class:`~cablebot_gym.rendering.window.Window`.
         """
         moment, trail, note = self._content(0)
         if moment.time < self._last_shown + 1 / RATE - 1e-9:
@@ -112,6 +119,12 @@ class Pictures:
         simulation = self._simulation
         robot = self._simulation.settings.robot
         info = info_dict(simulation.info[env_index], simulation.cables[:, env_index])
-        moment = Moment.from_info(robot, simulation.stall_torque[env_index], simulation.pose[env_index], info)
+        moment = Moment.from_info(
+            robot, simulation.stall_torque[env_index], simulation.pose[env_index], info
+        )
         reason = TERMINATION_REASONS[int(simulation.reason[env_index])]
-        return moment, self._trails[env_index], f"terminated: {reason.replace('_', ' ')}" if reason else ""
+        return (
+            moment,
+            self._trails[env_index],
+            f"terminated: {reason.replace('_', ' ')}" if reason else "",
+        )

@@ -19,23 +19,25 @@ MOST_STEPS = 1_000_000
 """Largest number of control steps of a motion; longer tables would take gigabytes."""
 
 CHANGE_ERROR = 0.05
-"""Tolerance of the check of derivatives: largest difference between the integral of a derivative over a physics step
-and the change of the lower order, as a fraction of the largest change."""
+"""Tolerance of the check of derivatives: largest difference between the integral of a derivative
+over a physics step and the change of the lower order, as a fraction of the largest change."""
 
 REST_TOLERANCE = 1e-9
 """Largest motion after the end of a trajectory: velocity [m/s, rad/s] and displacement [m, rad]."""
 
 FAILED_STEPS = 0.1
-"""Fraction of the steps that must fail the check before a warning is given: a jump fails in single steps only."""
+"""Fraction of the steps that must fail the check before a warning is given: a jump fails in single
+steps only."""
 
 
 class ReferenceTables:
-    """Tables of the motions that the environments of a batch follow at present, one table per motion.
+    """Tables of the motions that the environments of a batch follow at present, one table per
+    motion.
 
-    ``physics`` (trajectories, rows, n): poses at every physics step, ``substeps`` per control period. ``control``
-    (trajectories, rows, columns): reference blocks of the observation at every control instant, with jerk and snap if
-    ``to_snap``. ``physics_ends`` and ``control_ends`` are the indices of the last rows: the final pose at rest, which
-    is held from then on.
+    ``physics`` (trajectories, rows, n): poses at every physics step, ``substeps`` per control
+    period. ``control`` (trajectories, rows, columns): reference blocks of the observation at every
+    control instant, with jerk and snap if ``to_snap``. ``physics_ends`` and ``control_ends`` are
+    the indices of the last rows: the final pose at rest, which is held from then on.
     """
 
     def __init__(self, control_frequency: float, substeps: int, *, to_snap: bool) -> None:
@@ -51,21 +53,25 @@ class ReferenceTables:
         """Tabulates a motion for the next :meth:`follow`, if it has no table yet.
 
         Raises:
-            ValueError: if the motion is too long, has too many steps, or returns values that are not finite or not of
-                the right shape. The tables are unchanged then.
+            ValueError: if the motion is too long, has too many steps, or returns values that are
+                not finite or not of the right shape. The tables are unchanged then.
         """
         if not any(table[0] is trajectory for table in self._tables):
             self._tables = [*self._tables, (trajectory, *self._tabulate(trajectory))]
 
     def follow(
-        self, env_indices: NDArray[np.int64], trajectory: Trajectory, trajectory_index: NDArray[np.int64]
+        self,
+        env_indices: NDArray[np.int64],
+        trajectory: Trajectory,
+        trajectory_index: NDArray[np.int64],
     ) -> None:
         """Makes the environments ``env_indices`` follow a prepared motion.
 
         Args:
             env_indices: environments, (k,).
             trajectory: the motion, after :meth:`prepare`.
-            trajectory_index: index of each environment's table, (width,); updated here, with the fill at its end.
+            trajectory_index: index of each environment's table, (width,); updated here, with the
+                fill at its end.
         """
         if all(self._followed.get(env_index) is trajectory for env_index in env_indices.tolist()):
             return
@@ -83,20 +89,31 @@ class ReferenceTables:
         label = f"trajectory {trajectory.name!r}"
         duration = trajectory.duration
         if not 0 < duration <= LONGEST_MOTION:
-            raise ValueError(f"{label} lasts {duration} s: its duration must be > 0 and at most {LONGEST_MOTION:g} s")
+            raise ValueError(
+                f"{label} lasts {duration} s: its duration must be > 0 and at most {LONGEST_MOTION:g} s"
+            )
         steps = int(np.ceil(duration * self._frequency - 1e-9)) + 1
         if steps > MOST_STEPS:
-            raise ValueError(f"{label} has {steps:,} control steps, more than {MOST_STEPS:,}: lower control_frequency")
+            raise ValueError(
+                f"{label} has {steps:,} control steps, more than {MOST_STEPS:,}: lower control_frequency"
+            )
         times = np.arange(steps + 1) / self._frequency
         physics_times = np.arange(steps * self._substeps + 1) / (self._frequency * self._substeps)
         orders = _evaluate(trajectory, physics_times, ORDERS if self._to_snap else ORDERS[:3])
         blocks = observed_reference(trajectory, times, to_snap=self._to_snap)
         control = np.concatenate(list(blocks.values()), axis=1)
         if not np.all(np.isfinite(control)):
-            raise ValueError(f"{label} is not finite after its duration: return its final pose at rest there")
-        after = [blocks["reference_velocity"][-1], *(blocks[preview_name(ahead)][-1] for ahead in PREVIEWS)]
+            raise ValueError(
+                f"{label} is not finite after its duration: return its final pose at rest there"
+            )
+        after = [
+            blocks["reference_velocity"][-1],
+            *(blocks[preview_name(ahead)][-1] for ahead in PREVIEWS),
+        ]
         if np.max(np.abs(after)) > REST_TOLERANCE:
-            _warn(f"{label} still moves after its duration of {duration:g} s: return its final pose at rest there")
+            _warn(
+                f"{label} still moves after its duration of {duration:g} s: return its final pose at rest there"
+            )
         return np.ascontiguousarray(orders[0]), control
 
 
@@ -119,7 +136,9 @@ def _evaluate(trajectory: Trajectory, times: Array, orders: tuple[str, ...]) -> 
         integral = np.diff(times)[:, None] * (values[1:] + values[:-1]) / 2
         largest = np.max(np.maximum(np.abs(change), np.abs(integral)), axis=0)
         rounding = 1e-12 * (1 + np.max(np.abs(before), axis=0))
-        failed = np.flatnonzero(np.any(np.abs(change - integral) > CHANGE_ERROR * largest + rounding, axis=1))
+        failed = np.flatnonzero(
+            np.any(np.abs(change - integral) > CHANGE_ERROR * largest + rounding, axis=1)
+        )
         if len(failed) > max(FAILED_STEPS * len(change), 5):
             _warn(
                 f"the {name} of {label} is not the time derivative of its {below}, first at {times[failed[0]]:.3g} s. "
@@ -129,8 +148,12 @@ def _evaluate(trajectory: Trajectory, times: Array, orders: tuple[str, ...]) -> 
 
 
 def _stacked(tables: list[Array]) -> tuple[Array, Array]:
-    """Tables of different lengths as one array, padded with their last rows, and the index of each last row."""
+    """Tables of different lengths as one array, padded with their last rows, and the index of each
+    last row."""
     ends = np.array([len(table) - 1 for table in tables], np.int64)
     return np.stack(
-        [np.pad(table, ((0, ends.max() - end), (0, 0)), "edge") for table, end in zip(tables, ends, strict=True)]
+        [
+            np.pad(table, ((0, ends.max() - end), (0, 0)), "edge")
+            for table, end in zip(tables, ends, strict=True)
+        ]
     ), ends

@@ -1,4 +1,5 @@
-"""Exact readings of the sensors of winches and platform. Noise, bias and resolution are added in the outcome."""
+"""Exact readings of the sensors of winches and platform. Noise, bias and resolution are added in
+the outcome."""
 
 from __future__ import annotations
 
@@ -31,7 +32,8 @@ class Sensors:
         self._period = period
         sizes = measurement.sizes(robot) if measurement.winches else {}
         self.readings = np.zeros((count, sum(sizes.values())))
-        """Readings in the order of the observation, (N, components); (N, 0) if pose and velocity are measured."""
+        """Readings in the order of the observation, (N, components); (N, 0) if pose and velocity
+        are measured."""
         self._velocity = np.zeros((count, robot.dimensions))  # of the last control instant
 
     def read(
@@ -57,11 +59,20 @@ class Sensors:
             values = [plant.motor_angle[env_indices], plant.motor_speed[env_indices]]
         else:
             base = truth["base_anchors"][env_indices]
-            platform = truth["platform_anchors"][env_indices] if "platform_anchors" in truth else robot.platform
-            home = kinematics.cable_lengths(base, platform, np.broadcast_to(robot.home, pose.shape), robot.swivel)
+            platform = (
+                truth["platform_anchors"][env_indices]
+                if "platform_anchors" in truth
+                else robot.platform
+            )
+            home = kinematics.cable_lengths(
+                base, platform, np.broadcast_to(robot.home, pose.shape), robot.swivel
+            )
             structure = kinematics.structure_jacobian(base, platform, pose, robot.swivel)
             length_rates = (structure @ velocity[..., None])[..., 0]
-            changes = home - kinematics.cable_lengths(base, platform, pose, robot.swivel), -length_rates
+            changes = (
+                home - kinematics.cable_lengths(base, platform, pose, robot.swivel),
+                -length_rates,
+            )
             values = [change / robot.pulley_radius for change in changes]
         if self._measurement.tensions:
             # After a reset the record has no tensions, but the torques at rest.
@@ -89,4 +100,8 @@ def inertial(robot: Robot, pose: Array, velocity: Array, acceleration: Array) ->
     euler = pose[..., -3:]
     rate = (kinematics.euler_rate_matrix(euler) @ velocity[..., -3:, None])[..., 0]
     free = acceleration - robot.gravity_vector
-    return [euler, rate, (np.swapaxes(kinematics.rotation_matrix(euler), -1, -2) @ free[..., None])[..., 0]]
+    return [
+        euler,
+        rate,
+        (np.swapaxes(kinematics.rotation_matrix(euler), -1, -2) @ free[..., None])[..., 0],
+    ]

@@ -28,28 +28,37 @@ from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 from cablebot_gym.utils.checks import choice, mapping, number, numbers, whole
 
 LONGEST_PHYSICS_STEP = 1e-3
-"""Largest default physics step [s]. On the paper's robots, RK4's error over 0.5 s is below 1e-9 at this step. Accuracy
-allows longer steps, but checks of slack and errors every 2 ms find later violations."""
+"""Largest default physics step [s]. On the paper's robots, RK4's error over 0.5 s is below 1e-9 at
+this step. Accuracy allows longer steps, but checks of slack and errors every 2 ms find later
+violations."""
 
 FREQUENCY = 500.0
 """Default number of actions per second [Hz]."""
 
 MODE_LOSS = {"planar": 1e-6, "spatial": 1e-5}
-"""Bound of the fraction of its energy that a flexible robot's fastest mode loses per second to RK4 with the default
-physics step. RK4 dissipates φ⁶/72 per step h, with φ = ω h. A planar robot can oscillate in this mode alone. A spatial
-robot without torque falls, and loses less than 1e-6 of its kinetic energy. A robot that is held at rest can lose the
-whole fraction."""
+"""Bound of the fraction of its energy that a flexible robot's fastest mode loses per second to RK4
+with the default physics step. RK4 dissipates φ⁶/72 per step h, with φ = ω h. A planar robot can
+oscillate in this mode alone. A spatial robot without torque falls, and loses less than 1e-6 of its
+kinetic energy. A robot that is held at rest can lose the whole fraction."""
 
 MOST_SUBSTEPS = 1000
-"""Largest default number of physics steps per control period. A need for more indicates an error in the stiffness."""
+"""Largest default number of physics steps per control period. A need for more indicates an error in
+the stiffness."""
 
 STABLE_PHASE = 2.6
-"""Largest product of the physics step and the fastest rate of a robot at its home pose. RK4 is stable up to 2√2 for an
-undamped oscillation and up to 2.78 for a decay by friction or along the torque-speed line. Elsewhere in the workspace
-the springs oscillate up to 6 % faster."""
+"""Largest product of the physics step and the fastest rate of a robot at its home pose. RK4 is
+stable up to 2√2 for an undamped oscillation and up to 2.78 for a decay by friction or along the
+torque-speed line. Elsewhere in the workspace the springs oscillate up to 6 % faster."""
 
-DEFAULT_WEIGHTS = {"inside": 1.0, "position": 0.05, "rotation": 0.05, "saturation": 0.02, "violation": 0.1}
-"""Default weights of the reward terms. They order success before failure; the single environment's manual proves it."""
+DEFAULT_WEIGHTS = {
+    "inside": 1.0,
+    "position": 0.05,
+    "rotation": 0.05,
+    "saturation": 0.02,
+    "violation": 0.1,
+}
+"""Default weights of the reward terms. They order success before failure; the single environment's
+manual proves it."""
 
 OBSERVATION_DTYPES = ("float64", "float32")
 """Number types of the observation. The simulation and the evaluation use float64."""
@@ -65,9 +74,11 @@ class Settings:
     robot: Robot
     """Nominal robot. The true robot is equal to it, except for ``uncertainty``."""
     payload: float | Array
-    """Nominal payload [kg], scalar or (N,); ≥ 0. The true payload is equal to it, except for ``uncertainty``."""
+    """Nominal payload [kg], scalar or (N,); ≥ 0. The true payload is equal to it, except for
+    ``uncertainty``."""
     payload_range: tuple[float, float] | None
-    """(low, high) of a uniform nominal payload, drawn in each episode [kg]; None for ``payload``."""
+    """(low, high) of a uniform nominal payload, drawn in each episode [kg]; None for
+    ``payload``."""
     payload_known: bool | Array
     """Whether the payload is known to the controller, scalar or (N,)."""
     model_payload_factor: float | Array
@@ -78,9 +89,11 @@ class Settings:
     trajectory: Trajectory
     """Default reference motion."""
     initial_error: Array | None
-    """Start pose minus reference pose, (n,) or (N, n) [m, rad]; None for :func:`cablebot_gym.task.start_pose`."""
+    """Start pose minus reference pose, (n,) or (N, n) [m, rad]; None for
+    :func:`cablebot_gym.task.start_pose`."""
     initial_error_range: Array | None
-    """Half widths of a uniform start error, (n,) [m, rad], drawn in each episode and added to the start pose."""
+    """Half widths of a uniform start error, (n,) [m, rad], drawn in each episode and added to the
+    start pose."""
     uncertainty: tuple[Uncertainty, ...]
     """Uncertainty of the plant, as a tuple of one for all environments, or of N."""
     error_bounds: ErrorBounds
@@ -88,7 +101,8 @@ class Settings:
     measurement: Measurement
     """Sensors whose readings are in the observation."""
     cable: Cable
-    """``unilateral``: cables only pull; ``bilateral``: cables also push, as in the paper's equations."""
+    """``unilateral``: cables only pull; ``bilateral``: cables also push, as in the paper's
+    equations."""
     control_frequency: float
     """Actions per second [Hz]."""
     substeps: int
@@ -102,7 +116,8 @@ class Settings:
     weights: Array
     """Weights of the reward terms, in the order of ``REWARD_TERMS``."""
     normalised_observation: bool
-    """Whether the observation is that of :meth:`~cablebot_gym.envs.observation.ObservationLayout.normalise`."""
+    """Whether the observation is that of
+    :meth:`~cablebot_gym.envs.observation.ObservationLayout.normalise`."""
     observation_dtype: str
     """Number type of the observation and its space: ``float64`` or ``float32``."""
 
@@ -112,10 +127,13 @@ class Settings:
         return layout.space(normalised=self.normalised_observation, dtype=self.observation_dtype)
 
     def note_unheld_start(self) -> None:
-        """Warns, once, if the motors cannot hold even the least payload at the start of a motion from rest."""
+        """Warns, once, if the motors cannot hold even the least payload at the start of a motion
+        from rest."""
         if not at_rest(self.trajectory(0.0)):
             return
-        payload = float(np.min(self.payload if self.payload_range is None else self.payload_range[0]))
+        payload = float(
+            np.min(self.payload if self.payload_range is None else self.payload_range[0])
+        )
         pose = start_pose(self.robot, self.trajectory, self.error_bounds)
         _note_unheld_pose(self.robot, payload, self.trajectory.name, tuple(pose.tolist()))
 
@@ -131,8 +149,8 @@ class Settings:
 
 
 def default_trajectory(robot: Robot) -> str | Mapping[str, Any]:
-    """Default reference motion of a robot: that of its data, the circle of a robot with the paper's geometry, or
-    :func:`~cablebot_gym.envs.own_motion.own_motion`."""
+    """Default reference motion of a robot: that of its data, the circle of a robot with the paper's
+    geometry, or :func:`~cablebot_gym.envs.own_motion.own_motion`."""
     if robot.defaults.trajectory is not None:
         return robot.defaults.trajectory
     if has_paper_geometry(robot):
@@ -164,12 +182,14 @@ def make_settings(
     normalised_observation: bool = False,
     observation_dtype: str = "float64",
 ) -> Settings:
-    """Checked settings of ``count`` environments from their keywords, which :class:`Settings` describes.
+    """Checked settings of ``count`` environments from their keywords, which :class:`Settings`
+    describes.
 
     Values are objects or JSON-able data. None stands for the default: no payload, the motion of
-    :func:`default_trajectory`, the start pose of :func:`cablebot_gym.task.start_pose`, no uncertainty, pose and
-    velocity as the measurement, the default error bounds and their termination radius, :data:`DEFAULT_WEIGHTS`, and
-    :func:`fewest_substeps`. ``uncertainty`` can be a list with one item per environment.
+    :func:`default_trajectory`, the start pose of :func:`cablebot_gym.task.start_pose`, no
+    uncertainty, pose and velocity as the measurement, the default error bounds and their
+    termination radius, :data:`DEFAULT_WEIGHTS`, and :func:`fewest_substeps`. ``uncertainty`` can be
+    a list with one item per environment.
 
     Raises:
         ValueError: if a value is invalid; the message names the keyword.
@@ -192,14 +212,24 @@ def make_settings(
     check_stability(robot, episode["uncertainty"], frequency, substeps)
     if payload_range is not None:
         if payload is not None:
-            raise ValueError("payload and payload_range exclude each other: payload_range draws a payload per episode")
-        ends = numbers("payload_range", payload_range, shapes=[(2,)], form="(low, high)", least=0, unit="kg")
+            raise ValueError(
+                "payload and payload_range exclude each other: payload_range draws a payload per episode"
+            )
+        ends = numbers(
+            "payload_range", payload_range, shapes=[(2,)], form="(low, high)", least=0, unit="kg"
+        )
         low, high = ends.tolist()
         payload_range = low, number("payload_range", high, least=low, unit="kg")
-    radius = episode["error_bounds"].termination_radius if termination_radius is None else termination_radius
+    radius = (
+        episode["error_bounds"].termination_radius
+        if termination_radius is None
+        else termination_radius
+    )
     if initial_error_range is not None:
         shapes = [(robot.coordinates,)]
-        initial_error_range = numbers("initial_error_range", initial_error_range, shapes=shapes, least=0)
+        initial_error_range = numbers(
+            "initial_error_range", initial_error_range, shapes=shapes, least=0
+        )
     weights = DEFAULT_WEIGHTS | mapping("reward_weights", reward_weights or {}, REWARD_TERMS)
     return Settings(
         robot=robot,
@@ -214,7 +244,9 @@ def make_settings(
         terminate_on_violation=_boolean("terminate_on_violation", terminate_on_violation),
         normalised_observation=_boolean("normalised_observation", normalised_observation),
         observation_dtype=choice("observation_dtype", observation_dtype, OBSERVATION_DTYPES),
-        weights=np.array([number(f"reward weight {name!r}", weights[name]) for name in REWARD_TERMS]),
+        weights=np.array(
+            [number(f"reward weight {name!r}", weights[name]) for name in REWARD_TERMS]
+        ),
         **episode,
     )
 
@@ -234,10 +266,12 @@ def _note_unheld_pose(robot: Robot, payload: float, motion: str, pose: tuple[flo
 
 
 def fewest_substeps(
-    robot: Robot, uncertainties: tuple[Uncertainty, ...] = (Uncertainty(),), control_frequency: float = FREQUENCY
+    robot: Robot,
+    uncertainties: tuple[Uncertainty, ...] = (Uncertainty(),),
+    control_frequency: float = FREQUENCY,
 ) -> int:
-    """Default number of physics steps per control period: the fewest that satisfy :data:`LONGEST_PHYSICS_STEP`,
-    :data:`MODE_LOSS` and :data:`STABLE_PHASE`.
+    """Default number of physics steps per control period: the fewest that satisfy
+    :data:`LONGEST_PHYSICS_STEP`, :data:`MODE_LOSS` and :data:`STABLE_PHASE`.
 
     Raises:
         ValueError: if there would be more than :data:`MOST_SUBSTEPS`.
@@ -246,7 +280,9 @@ def fewest_substeps(
     longest = min(LONGEST_PHYSICS_STEP, STABLE_PHASE / fastest)
     if robot.flexible:
         frequency = highest_frequency(robot)
-        phase = (72 * MODE_LOSS["planar" if robot.kind == "planar" else "spatial"] / frequency) ** 0.2
+        phase = (
+            72 * MODE_LOSS["planar" if robot.kind == "planar" else "spatial"] / frequency
+        ) ** 0.2
         longest = min(longest, phase / frequency)
     needed = 1 / (control_frequency * longest)
     if needed > MOST_SUBSTEPS:
@@ -266,7 +302,8 @@ def _fastest_rate(robot: Robot, uncertainty: Uncertainty) -> float:
 def check_stability(
     robot: Robot, uncertainties: tuple[Uncertainty, ...], control_frequency: float, substeps: int
 ) -> None:
-    """Checks that the physics step is short enough for springs and friction at the limits of the uncertainties.
+    """Checks that the physics step is short enough for springs and friction at the limits of the
+    uncertainties.
 
     Raises:
         ValueError: if it is too long; the message gives the number of substeps that is sufficient.
@@ -289,14 +326,19 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
         count: number of environments, N.
 
     Raises:
-        ValueError: if a name is unknown or a value is invalid. The message lists the known names, or the valid values.
+        ValueError: if a name is unknown or a value is invalid. The message lists the known names,
+            or the valid values.
     """
     n = robot.coordinates
     each = "one number, or one per environment"
     checks: dict[str, Callable[[str, Any], Any]] = {
-        "payload": lambda name, value: numbers(name, value, shapes=[(), (count,)], form=each, least=0, unit="kg"),
+        "payload": lambda name, value: numbers(
+            name, value, shapes=[(), (count,)], form=each, least=0, unit="kg"
+        ),
         "payload_known": lambda name, value: _booleans(name, value, count),
-        "model_payload_factor": lambda name, value: numbers(name, value, shapes=[(), (count,)], form=each, least=0),
+        "model_payload_factor": lambda name, value: numbers(
+            name, value, shapes=[(), (count,)], form=each, least=0
+        ),
         "trajectory": lambda _, value: find_trajectory(value, robot.kind),
         "initial_error": lambda name, value: _initial_error(name, value, n, count),
         "uncertainty": lambda _, value: _uncertainties(value, robot, count),
@@ -304,7 +346,11 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
         "noise_seed": lambda name, value: _seeds(name, value, count),
     }
     given = mapping("options", {} if options is None else options, [*checks, *FOREIGN_OPTIONS])
-    checked = {name: checks[name](name, value) for name, value in given.items() if name not in FOREIGN_OPTIONS}
+    checked = {
+        name: checks[name](name, value)
+        for name, value in given.items()
+        if name not in FOREIGN_OPTIONS
+    }
     if "trajectory" in checked:
         bounds = checked.get("error_bounds") or find_error_bounds(None, robot)
         check_workspace(robot, checked["trajectory"], bounds)
@@ -318,18 +364,23 @@ def _boolean(name: str, value: Any) -> bool:
 
 
 def _seeds(name: str, value: Any, count: int) -> list[int]:
-    """Seeds of all environments; one integer is the seed of the first one and counts up, as in Gymnasium."""
+    """Seeds of all environments; one integer is the seed of the first one and counts up, as in
+    Gymnasium."""
     if not isinstance(value, (list, tuple, np.ndarray)):
         return [whole(name, value) + index for index in range(count)]
     if len(value) != count:
-        raise ValueError(f"{name} must be one integer, or {count}, one per environment, not {len(value)}")
+        raise ValueError(
+            f"{name} must be one integer, or {count}, one per environment, not {len(value)}"
+        )
     return [whole(name, seed) for seed in value]
 
 
 def _booleans(name: str, value: Any, count: int) -> NDArray[np.bool_]:
     known = np.array(value)
     if known.dtype != np.bool_ or known.shape not in ((), (count,)):
-        raise ValueError(f"{name} must be True or False, or one of these per environment, not {value!r}")
+        raise ValueError(
+            f"{name} must be True or False, or one of these per environment, not {value!r}"
+        )
     return known
 
 
@@ -338,11 +389,18 @@ def _initial_error(name: str, value: Any, n: int, count: int) -> Array | None:
         return None
     if isinstance(value, Real) and value == 0:
         return np.zeros(n)
-    return numbers(name, value, shapes=[(n,), (count, n)], form=f"None, 0 or {n} coordinates, or {n} per environment")
+    return numbers(
+        name,
+        value,
+        shapes=[(n,), (count, n)],
+        form=f"None, 0 or {n} coordinates, or {n} per environment",
+    )
 
 
 def _uncertainties(value: Any, robot: Robot, count: int) -> tuple[Uncertainty, ...]:
     values = list(value) if isinstance(value, (list, tuple)) else [value]
     if len(values) not in (1, count):
-        raise ValueError(f"uncertainty must be one, or a list of {count}, one per environment, not of {len(values)}")
+        raise ValueError(
+            f"uncertainty must be one, or a list of {count}, one per environment, not of {len(values)}"
+        )
     return tuple(find_uncertainty(item, robot) for item in values)

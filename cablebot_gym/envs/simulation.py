@@ -1,4 +1,5 @@
-"""Batch of episodes, which both environment classes wrap: plant, references, random draws and step results."""
+"""Batch of episodes, which both environment classes wrap: plant, references, random draws and step
+results."""
 
 from __future__ import annotations
 
@@ -33,9 +34,10 @@ from cablebot_gym.utils.threads import call_all
 class Simulation:
     """N environments, each with its own episode. The single environment is a batch of one.
 
-    :meth:`reset` and :meth:`step` write their results to ``observation`` (N, size), ``reward`` (N,), ``reason`` (N,),
-    an index of :data:`~cablebot_gym.envs.TERMINATION_REASONS`, ``complete`` (N,), whether the motion is complete,
-    ``info`` (N, columns), the scalars of info, and ``cables`` (quantities, N, m). The next call overwrites them.
+    :meth:`reset` and :meth:`step` write their results to ``observation`` (N, size), ``reward``
+    (N,), ``reason`` (N,), an index of :data:`~cablebot_gym.envs.TERMINATION_REASONS`, ``complete``
+    (N,), whether the motion is complete, ``info`` (N, columns), the scalars of info, and ``cables``
+    (quantities, N, m). The next call overwrites them.
 
     Args:
         robot: robot, as the environments take it.
@@ -48,7 +50,9 @@ class Simulation:
         ValueError: if a value is invalid.
     """
 
-    def __init__(self, robot: Any, batch: tuple[int, ...], keywords: Mapping[str, Any], threads: int = 1) -> None:
+    def __init__(
+        self, robot: Any, batch: tuple[int, ...], keywords: Mapping[str, Any], threads: int = 1
+    ) -> None:
         known = [name for name in inspect.signature(make_settings).parameters if name != "count"]
         for name in keywords:
             if name not in known:
@@ -61,7 +65,9 @@ class Simulation:
         self.layout = observation_layout(robot, settings.measurement)
         self._plant = Plant(robot, count, cable=settings.cable, parts=threads)
         self._parameters = pack_parameters(robot)
-        self._tables = ReferenceTables(settings.control_frequency, settings.substeps, to_snap=robot.flexible)
+        self._tables = ReferenceTables(
+            settings.control_frequency, settings.substeps, to_snap=robot.flexible
+        )
         self._stall = np.tile(robot.stall_torque, (count, 1))
         self._episode_settings = np.zeros((count, outcome.EPISODE_SETTINGS))
         self._sent = np.zeros((count, robot.cables))
@@ -70,7 +76,9 @@ class Simulation:
         self._all_indices = np.arange(count)
         self.streams = Streams(count)
         """Random streams of all draws."""
-        self._disturbances = Disturbances(robot, settings.measurement, count, settings.control_frequency, self.streams)
+        self._disturbances = Disturbances(
+            robot, settings.measurement, count, settings.control_frequency, self.streams
+        )
         self._sensors = Sensors(robot, settings.measurement, count, settings.period)
         self.motion_steps = np.ones(count, np.int64)
         """Number of control steps of each environment's motion, (N,)."""
@@ -89,7 +97,9 @@ class Simulation:
             flexible=robot.flexible,
             dimensions=robot.dimensions,
             lanes=self._plant.lanes,
-            workspace=np.array(robot.pose_bounds, order="C"),  # numba compiles once per memory order
+            workspace=np.array(
+                robot.pose_bounds, order="C"
+            ),  # numba compiles once per memory order
             bounds=np.array([space.low, space.high]),
             encoder_resolution=settings.measurement.encoder_resolution,
             normalised=settings.normalised_observation,
@@ -141,14 +151,19 @@ class Simulation:
             cables=self.cables,
         )
         self._advance = plant.advance_calls(
-            tables.physics, tables.physics_ends, substeps=self.settings.substeps, step=self.settings.physics_step
+            tables.physics,
+            tables.physics_ends,
+            substeps=self.settings.substeps,
+            step=self.settings.physics_step,
         )
         self._records = tuple(self._constants), tuple(episodes), tuple(outputs)
         self._judge_step = tuple(
-            partial(outcome.outcome, False, self._all_indices[part], *self._records) for part in plant.parts
+            partial(outcome.outcome, False, self._all_indices[part], *self._records)
+            for part in plant.parts
         )
         self._whole_step = tuple(
-            partial(_both, advance, judge) for advance, judge in zip(self._advance, self._judge_step, strict=True)
+            partial(_both, advance, judge)
+            for advance, judge in zip(self._advance, self._judge_step, strict=True)
         )
 
     @property
@@ -204,7 +219,8 @@ class Simulation:
             seeds: seed of each of these environments, or None to continue its streams.
 
         Raises:
-            ValueError: if an option is unknown or invalid. The environments and their streams are unchanged then.
+            ValueError: if an option is unknown or invalid. The environments and their streams are
+                unchanged then.
         """
         before = self.streams.state()
         try:
@@ -214,7 +230,9 @@ class Simulation:
             self.streams.restore(before)
             raise
 
-    def _start_episodes(self, env_indices: NDArray[np.int64], options: Mapping[str, Any] | None) -> None:
+    def _start_episodes(
+        self, env_indices: NDArray[np.int64], options: Mapping[str, Any] | None
+    ) -> None:
         settings, robot = self.settings, self.settings.robot
         given = check_options(options, robot, self.count)
         trajectory = given.get("trajectory", settings.trajectory)
@@ -225,33 +243,47 @@ class Simulation:
         self._tables.prepare(trajectory)
 
         if "noise_seed" in given:
-            self.streams.noise_seeds[env_indices] = np.array(given["noise_seed"], object)[env_indices]
+            self.streams.noise_seeds[env_indices] = np.array(given["noise_seed"], object)[
+                env_indices
+            ]
         self.streams.start_episode(env_indices)
         payload = self._values_of(env_indices, given.get("payload", settings.payload))
         if settings.payload_range is not None and "payload" not in given:
             low, high = settings.payload_range
-            payload = low + (high - low) * self.streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
+            payload = (
+                low + (high - low) * self.streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
+            )
         known = self._values_of(env_indices, given.get("payload_known", settings.payload_known))
-        factor = self._values_of(env_indices, given.get("model_payload_factor", settings.model_payload_factor))
+        factor = self._values_of(
+            env_indices, given.get("model_payload_factor", settings.model_payload_factor)
+        )
         start = trajectory(0.0)
         error = given.get("initial_error", settings.initial_error)
-        first = start_pose(robot, trajectory, error_bounds) if error is None else start.position + error
+        first = (
+            start_pose(robot, trajectory, error_bounds) if error is None else start.position + error
+        )
         pose = np.broadcast_to(first, (self.count, robot.coordinates))[env_indices]
         if settings.initial_error_range is not None and "initial_error" not in given:
             uniform = self.streams.uniform(env_indices, Purpose.START, robot.coordinates)
             pose = pose + settings.initial_error_range * (2 * uniform - 1)
         velocity = np.broadcast_to(start.velocity, pose.shape)
         starts = [
-            self._prepared_start(env_indices[rows], uncertainty, payload[rows], pose[rows], velocity[rows])
+            self._prepared_start(
+                env_indices[rows], uncertainty, payload[rows], pose[rows], velocity[rows]
+            )
             for uncertainty, rows in self._by_uncertainty(env_indices, uncertainties)
         ]
 
         bounds = np.array([error_bounds.position, error_bounds.rotation])
         self._episode_settings[env_indices, outcome.MODEL_PAYLOAD] = payload * known * factor
         self._episode_settings[env_indices, outcome.KNOWN] = known
-        self._episode_settings[env_indices, outcome.POSITION_BOUND : outcome.ROTATION_BOUND + 1] = bounds
+        self._episode_settings[env_indices, outcome.POSITION_BOUND : outcome.ROTATION_BOUND + 1] = (
+            bounds
+        )
         self._episode_settings[env_indices, outcome.STARTS_AT_REST] = at_rest(start)
-        self.motion_steps[env_indices] = max(1, round(trajectory.duration * settings.control_frequency))
+        self.motion_steps[env_indices] = max(
+            1, round(trajectory.duration * settings.control_frequency)
+        )
         for env_index in env_indices:
             self._trajectories[env_index], self._error_bounds[env_index] = trajectory, error_bounds
         for apply in starts:
@@ -262,7 +294,8 @@ class Simulation:
         outcome.outcome(True, env_indices, *self._records)
 
     def _values_of(self, env_indices: NDArray[np.int64], value: Any) -> Any:
-        """Values for ``env_indices`` of a value that is given once for all environments or once per environment."""
+        """Values for ``env_indices`` of a value that is given once for all environments or once per
+        environment."""
         return np.broadcast_to(value, (self.count,))[env_indices]
 
     def _by_uncertainty(
@@ -273,12 +306,23 @@ class Simulation:
             yield uncertainties[0], np.arange(len(env_indices))
             return
         for uncertainty in dict.fromkeys(uncertainties[env_index] for env_index in env_indices):
-            yield uncertainty, np.flatnonzero([uncertainties[env_index] == uncertainty for env_index in env_indices])
+            yield (
+                uncertainty,
+                np.flatnonzero(
+                    [uncertainties[env_index] == uncertainty for env_index in env_indices]
+                ),
+            )
 
     def _prepared_start(
-        self, env_indices: NDArray[np.int64], uncertainty: Uncertainty, payload: Array, pose: Array, velocity: Array
+        self,
+        env_indices: NDArray[np.int64],
+        uncertainty: Uncertainty,
+        payload: Array,
+        pose: Array,
+        velocity: Array,
     ) -> Callable[[], None]:
-        """Draws the true robots of k episodes. The returned function writes their initial conditions to the plant.
+        """Draws the true robots of k episodes. The returned function writes their initial
+        conditions to the plant.
 
         Raises:
             ValueError: if no cable tensions hold a robot at rest at its start pose.
@@ -286,17 +330,25 @@ class Simulation:
         robot: RobotArrays = self.settings.robot
         parameters = self._parameters
         if uncertainty.parameters:
-            uniform = self.streams.uniform(env_indices, Purpose.PARAMETERS, draw_size(self.settings.robot))
+            uniform = self.streams.uniform(
+                env_indices, Purpose.PARAMETERS, draw_size(self.settings.robot)
+            )
             robot = true = uncertainty.draw(self.settings.robot, payload, uniform)
             parameters, payload = pack_parameters(true), true.payload
         rows = np.array(np.broadcast_to(parameters, (len(env_indices), parameters.shape[-1])))
         rows[:, kernel.MASS] += payload
         moved = any(PARAMETERS[name].position for name in uncertainty.parameters)
         try:
-            torque = equilibrium_torques(self.settings.robot, robot, robot.mass + payload, pose, moved=moved)
+            torque = equilibrium_torques(
+                self.settings.robot, robot, robot.mass + payload, pose, moved=moved
+            )
         except np.linalg.LinAlgError as error:
-            raise ValueError("no tensions hold the robot at rest at its start pose: choose another one") from error
-        motors = motor_start(robot, np.broadcast_to(torque, (len(env_indices), robot.cables)), pose, velocity)
+            raise ValueError(
+                "no tensions hold the robot at rest at its start pose: choose another one"
+            ) from error
+        motors = motor_start(
+            robot, np.broadcast_to(torque, (len(env_indices), robot.cables)), pose, velocity
+        )
 
         def apply() -> None:
             self._stall[env_indices] = robot.stall_torque
@@ -314,21 +366,29 @@ class Simulation:
 
         return apply
 
-    def _store_truth(self, env_indices: NDArray[np.int64], robot: RobotArrays, payload: Array) -> None:
+    def _store_truth(
+        self, env_indices: NDArray[np.int64], robot: RobotArrays, payload: Array
+    ) -> None:
         """Stores the true parameters that the robot has in :attr:`truth`."""
         for name, parameter in PARAMETERS.items():
             if not parameter.belongs_to(self.settings.robot):
                 continue
-            nominal = getattr(self.settings.robot, parameter.attribute) if name != "payload" else 0.0
+            nominal = (
+                getattr(self.settings.robot, parameter.attribute) if name != "payload" else 0.0
+            )
             if name not in self.truth:
                 self.truth[name] = np.zeros((self.count, *np.shape(nominal)))
-            self.truth[name][env_indices] = payload if name == "payload" else getattr(robot, parameter.attribute)
+            self.truth[name][env_indices] = (
+                payload if name == "payload" else getattr(robot, parameter.attribute)
+            )
 
     def step(self, actions: ArrayLike) -> None:
-        """Advances all environments by one control period under actions (N, m), or (m,) of the single environment.
+        """Advances all environments by one control period under actions (N, m), or (m,) of the
+        single environment.
 
         Raises:
-            ValueError: if the shape differs, or a component is not finite or not within ± ``LARGEST``.
+            ValueError: if the shape differs, or a component is not finite or not within ±
+                ``LARGEST``.
         """
         plant = self._plant
         checked = _check_actions(actions, self._action_shape)
@@ -338,7 +398,9 @@ class Simulation:
             self._disturbances.update_wrench(plant)
         plant.set_action(checked)
         if self._disturbances.quiet and not self.settings.measurement.winches:
-            call_all(self._whole_step)  # nothing to measure between both halves: threads wait for each other once
+            call_all(
+                self._whole_step
+            )  # nothing to measure between both halves: threads wait for each other once
             return
         call_all(self._advance)
         self._measure(self._all_indices, fresh=False)
@@ -360,11 +422,15 @@ def _both(first: Callable[[], None], second: Callable[[], None]) -> None:
 def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
     checked = np.asarray(actions, dtype=np.float64)
     if checked.shape != shape:
-        raise ValueError(f"an action must have shape {shape}, one component for each motor, not {checked.shape}")
+        raise ValueError(
+            f"an action must have shape {shape}, one component for each motor, not {checked.shape}"
+        )
     largest = outcome.LARGEST
     # A Python loop is faster than NumPy for a few numbers.
     components = checked.tolist() if checked.ndim == 1 else [np.max(np.abs(checked))]
     for component in components:
         if not -largest < component < largest:
-            raise ValueError(f"an action must be finite, each component within ± {largest:g}, not {component}")
+            raise ValueError(
+                f"an action must be finite, each component within ± {largest:g}, not {component}"
+            )
     return checked

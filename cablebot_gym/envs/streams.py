@@ -1,7 +1,7 @@
 """Seeded random numbers: one independent stream for each seed, purpose, episode and block.
 
-Philox is a counter-based generator, and each stream is a section of its counter. Streams therefore do not overlap, do
-not depend on how much of another stream was read, and need not be stored.
+Philox is a counter-based generator, and each stream is a section of its counter. Streams therefore
+do not overlap, do not depend on how much of another stream was read, and need not be stored.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ BLOCK = 32
 
 
 class Purpose(IntEnum):
-    """Purpose of a stream. Give a new purpose a new number, so that the other streams do not change."""
+    """Purpose of a stream. Give a new purpose a new number, so that the other streams do not
+    change."""
 
     PAYLOAD = 0
     START = 1
@@ -32,11 +33,13 @@ class Purpose(IntEnum):
 
 
 NOISE = (Purpose.WRENCH, Purpose.SENSORS)
-"""Purposes with numbers for every control step, from the noise seed. All others are drawn once per episode."""
+"""Purposes with numbers for every control step, from the noise seed. All others are drawn once per
+episode."""
 
 
 class Streams:
-    """Random streams of N environments. Environments with equal seeds and episode number read the same numbers."""
+    """Random streams of N environments. Environments with equal seeds and episode number read the
+    same numbers."""
 
     def __init__(self, count: int) -> None:
         self.seeds: NDArray[np.object_] = np.zeros(count, object)
@@ -44,13 +47,15 @@ class Streams:
         self.noise_seeds: NDArray[np.object_] = np.zeros(count, object)
         """Seed of the :data:`NOISE` of each environment, (N,)."""
         self.episodes = np.full(count, -1, np.int64)
-        """Number of each environment's present episode since it was seeded, from 0; −1 before the first. Shape (N,)."""
+        """Number of each environment's present episode since it was seeded, from 0; −1 before the
+        first. Shape (N,)."""
         self._philox = np.random.Philox(0)
         self._state = self._philox.state
         self._generator = np.random.Generator(self._philox)
 
     def seed(self, env_indices: NDArray[np.int64], seeds: Sequence[int | None]) -> None:
-        """Seeds the environments ``env_indices``, one seed each, or None; the next episode after a seed is number 0.
+        """Seeds the environments ``env_indices``, one seed each, or None; the next episode after a
+        seed is number 0.
 
         A seed is the noise seed, too, until another one is set.
         """
@@ -67,22 +72,35 @@ class Streams:
         """Copies of seeds, noise seeds and episode numbers, for :meth:`restore`."""
         return self.seeds.copy(), self.noise_seeds.copy(), self.episodes.copy()
 
-    def restore(self, state: tuple[NDArray[np.object_], NDArray[np.object_], NDArray[np.int64]]) -> None:
+    def restore(
+        self, state: tuple[NDArray[np.object_], NDArray[np.object_], NDArray[np.int64]]
+    ) -> None:
         """Restores seeds, noise seeds and episode numbers from :meth:`state`."""
         self.seeds, self.noise_seeds, self.episodes = state
 
     def uniform(self, env_indices: NDArray[np.int64], purpose: Purpose, size: int) -> Array:
-        """Uniform numbers in [0, 1) for the present episodes of ``env_indices``, (len(env_indices), size)."""
-        return self._draw(env_indices, purpose, np.zeros(len(env_indices), np.int64), (size,), normal=False)
+        """Uniform numbers in [0, 1) for the present episodes of ``env_indices``, (len(env_indices),
+        size)."""
+        return self._draw(
+            env_indices, purpose, np.zeros(len(env_indices), np.int64), (size,), normal=False
+        )
 
     def normal(self, env_indices: NDArray[np.int64], purpose: Purpose, size: int) -> Array:
-        """Standard normal numbers for the present episodes of ``env_indices``, (len(env_indices), size)."""
-        return self._draw(env_indices, purpose, np.zeros(len(env_indices), np.int64), (size,), normal=True)
+        """Standard normal numbers for the present episodes of ``env_indices``, (len(env_indices),
+        size)."""
+        return self._draw(
+            env_indices, purpose, np.zeros(len(env_indices), np.int64), (size,), normal=True
+        )
 
     def normal_block(
-        self, env_indices: NDArray[np.int64], purpose: Purpose, blocks: NDArray[np.int64], width: int
+        self,
+        env_indices: NDArray[np.int64],
+        purpose: Purpose,
+        blocks: NDArray[np.int64],
+        width: int,
     ) -> Array:
-        """Standard normal numbers, one block for each environment, (len(env_indices), BLOCK, width)."""
+        """Standard normal numbers, one block for each environment, (len(env_indices), BLOCK,
+        width)."""
         return self._draw(env_indices, purpose, blocks, (BLOCK, width), normal=True)
 
     def _draw(
@@ -130,16 +148,20 @@ class NormalRows:
         self._blocks = np.full(count, -1, np.int64)
 
     def restart(self, env_indices: NDArray[np.int64]) -> None:
-        """Discards the numbers drawn ahead; call it when the environments ``env_indices`` start an episode."""
+        """Discards the numbers drawn ahead; call it when the environments ``env_indices`` start an
+        episode."""
         self._blocks[env_indices] = -1
 
     def at(self, env_indices: NDArray[np.int64], interval: NDArray[np.int64]) -> Array:
-        """Numbers of ``env_indices`` in their intervals, counted from 0 in each episode, (len(env_indices), width)."""
+        """Numbers of ``env_indices`` in their intervals, counted from 0 in each episode,
+        (len(env_indices), width)."""
         blocks = interval // BLOCK
         if (stale := np.flatnonzero(self._blocks[env_indices] != blocks)).size:
             renewed = env_indices[stale]
             width = self._values.shape[-1]
-            self._values[renewed] = self._streams.normal_block(renewed, self._purpose, blocks[stale], width)
+            self._values[renewed] = self._streams.normal_block(
+                renewed, self._purpose, blocks[stale], width
+            )
             self._blocks[renewed] = blocks[stale]
         rows: Array = self._values[env_indices, interval % BLOCK]
         return rows

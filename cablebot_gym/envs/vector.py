@@ -27,7 +27,8 @@ VectorStep = tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str,
 
 
 class SingleView:
-    """One environment of a vector environment: the attributes of the single environment, and those of ``set_attr``."""
+    """One environment of a vector environment: the attributes of the single environment, and those
+    of ``set_attr``."""
 
     def __init__(self, vector: CableBotVectorEnv, env_index: int) -> None:
         self._vector, self._env_index = vector, env_index
@@ -96,29 +97,31 @@ class SingleView:
 class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
     """N environments :class:`~cablebot_gym.envs.single.CableBotEnv` in one batch.
 
-    Make it with ``gym.make_vec(id, num_envs=N)``. Each environment returns the same numbers as the single environment,
-    bit for bit. The keywords and options are those of the single environment. ``payload``, ``payload_known``,
-    ``model_payload_factor``, ``initial_error`` and ``uncertainty`` are given once for all environments, or once per
-    environment with a leading axis N.
+    Make it with ``gym.make_vec(id, num_envs=N)``. Each environment returns the same numbers as the
+    single environment, bit for bit. The keywords and options are those of the single environment.
+    ``payload``, ``payload_known``, ``model_payload_factor``, ``initial_error`` and ``uncertainty``
+    are given once for all environments, or once per environment with a leading axis N.
 
     Args:
         robot: as for the single environment.
         num_envs: number of environments, N.
-        max_episode_steps: number of control steps after which an episode is truncated, if its motion is longer; None
-            for the whole motion.
-        autoreset_mode: an :class:`AutoresetMode` or its value. An autoreset uses the constructor keywords: reset
-            options apply to one episode only.
+        max_episode_steps: number of control steps after which an episode is truncated, if its
+            motion is longer; None for the whole motion.
+        autoreset_mode: an :class:`AutoresetMode` or its value. An autoreset uses the constructor
+            keywords: reset options apply to one episode only.
         render_mode: None or ``rgb_array``.
-        threads: number of threads that share a step, in tiles of 32 environments. It does not change the results, and
-            pays from about a thousand environments on.
+        threads: number of threads that share a step, in tiles of 32 environments. It does not
+            change the results, and pays from about a thousand environments on.
         keywords: further keywords of the single environment.
 
-    An environment is truncated by the step that completes its motion. With autoreset disabled it may be stepped on
-    without effect on the others: its reference stays at the final pose, and it is truncated at every further step.
+    An environment is truncated by the step that completes its motion. With autoreset disabled it
+    may be stepped on without effect on the others: its reference stays at the final pose, and it is
+    truncated at every further step.
 
-    ``info`` contains arrays with a leading axis N, valid for every environment. With same-step autoreset, ``final_obs``
-    and ``final_info`` contain the last observation and info of the environments that are marked in ``_final_obs``. The
-    reset option ``reset_mask`` (N booleans) restarts the marked environments and leaves the others unchanged.
+    ``info`` contains arrays with a leading axis N, valid for every environment. With same-step
+    autoreset, ``final_obs`` and ``final_info`` contain the last observation and info of the
+    environments that are marked in ``_final_obs``. The reset option ``reset_mask`` (N booleans)
+    restarts the marked environments and leaves the others unchanged.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -143,11 +146,15 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         if max_episode_steps is not None:
             max_episode_steps = whole("max_episode_steps", max_episode_steps, least=1)
         if not isinstance(autoreset_mode, AutoresetMode):
-            autoreset_mode = AutoresetMode(choice("autoreset_mode", autoreset_mode, [m.value for m in AutoresetMode]))
+            autoreset_mode = AutoresetMode(
+                choice("autoreset_mode", autoreset_mode, [m.value for m in AutoresetMode])
+            )
         self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
         self.autoreset_mode = autoreset_mode
         """Autoreset mode, an attribute of Gymnasium's own vector environments too."""
-        self._simulation = Simulation(robot, (self.num_envs,), keywords, threads=whole("threads", threads, least=1))
+        self._simulation = Simulation(
+            robot, (self.num_envs,), keywords, threads=whole("threads", threads, least=1)
+        )
         self.settings = self._simulation.settings
         """Checked constructor keywords."""
         self.layout = self._simulation.layout
@@ -159,7 +166,9 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         self._max_steps = np.inf if max_episode_steps is None else max_episode_steps
         self._done = np.zeros(self.num_envs, np.bool_)
         self._started = False
-        self._pictures = None if render_mode is None else Pictures(self._simulation, self.settings.robot.name)
+        self._pictures = (
+            None if render_mode is None else Pictures(self._simulation, self.settings.robot.name)
+        )
         self._singles = tuple(SingleView(self, env_index) for env_index in range(self.num_envs))
 
     @property
@@ -169,7 +178,8 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
 
     @property
     def truth(self) -> dict[str, Array]:
-        """True parameters of the present episodes, keys of :data:`cablebot_gym.uncertainty.PARAMETERS`, each (N, …)."""
+        """True parameters of the present episodes, keys of
+        :data:`cablebot_gym.uncertainty.PARAMETERS`, each (N, …)."""
         return {name: values.copy() for name, values in self._simulation.truth.items()}
 
     @property
@@ -191,9 +201,10 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         """Starts episodes in all environments, or in those of ``options["reset_mask"]``.
 
         Args:
-            seed: an integer, which seeds environment i with ``seed + i``, or a sequence of N seeds, or None.
-            options: as for the single environment, and ``reset_mask``, N booleans. They apply to the episodes that
-                start now.
+            seed: an integer, which seeds environment i with ``seed + i``, or a sequence of N seeds,
+                or None.
+            options: as for the single environment, and ``reset_mask``, N booleans. They apply to
+                the episodes that start now.
 
         Raises:
             ValueError: if an option or a seed is invalid; the environments are unchanged then.
@@ -203,7 +214,9 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         seeds = self._seeds(seed)
         if not self._started:
             drawn = np.random.SeedSequence().generate_state(self.num_envs, np.uint64).tolist()
-            seeds = [new if given is None else given for given, new in zip(seeds, drawn, strict=True)]
+            seeds = [
+                new if given is None else given for given, new in zip(seeds, drawn, strict=True)
+            ]
         self._reset(env_indices, options, [seeds[env_index] for env_index in env_indices.tolist()])
         self._started = True
         self._done[env_indices] = False
@@ -225,7 +238,9 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
             return np.arange(self.num_envs)
         mask = np.asarray(mask)
         if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
-            raise ValueError(f"reset_mask must be {self.num_envs} booleans with at least one True, not {mask!r}")
+            raise ValueError(
+                f"reset_mask must be {self.num_envs} booleans with at least one True, not {mask!r}"
+            )
         if not self._started:
             raise ResetNeeded("the first reset has to start all environments: omit reset_mask")
         return np.flatnonzero(mask)
@@ -273,7 +288,8 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         return self._observation(), reward, terminated, truncated, self._info() | final
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A picture of each environment, as in the single environment, if the render mode is ``rgb_array``; else None.
+        """A picture of each environment, as in the single environment, if the render mode is
+        ``rgb_array``; else None.
 
         Raises:
             ResetNeeded: before the first reset.
@@ -283,7 +299,8 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         return self.call("render")
 
     def picture(self, env_index: int) -> NDArray[np.uint8] | None:
-        """Picture of one environment, shape (480, 640, 3), if the render mode is ``rgb_array``; else None.
+        """Picture of one environment, shape (480, 640, 3), if the render mode is ``rgb_array``;
+        else None.
 
         Raises:
             ResetNeeded: before the first reset.
@@ -295,11 +312,12 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         return self._pictures.array(env_index)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Results of a method of each environment, or values of an attribute, as in Gymnasium's vector environments.
+        """Results of a method of each environment, or values of an attribute, as in Gymnasium's
+        vector environments.
 
         Args:
-            name: name of a public method or attribute of the single environment, or one that :meth:`set_attr` has set.
-                ``reset`` and ``step`` are calls of this environment only.
+            name: name of a public method or attribute of the single environment, or one that
+                :meth:`set_attr` has set. ``reset`` and ``step`` are calls of this environment only.
             args: arguments of the method.
             kwargs: keywords of the method.
 
@@ -331,19 +349,27 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         if not isinstance(values, (list, tuple)):
             values = [values] * self.num_envs
         if len(values) != self.num_envs:
-            raise ValueError(f"{name} needs {self.num_envs} values, one per environment, not {len(values)}")
+            raise ValueError(
+                f"{name} needs {self.num_envs} values, one per environment, not {len(values)}"
+            )
         for single, value in zip(self._singles, values, strict=True):
             setattr(single, name, value)
 
     def _final(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
-        """Last observation and info of the episodes that have ended, in the form of Gymnasium's vector environments."""
+        """Last observation and info of the episodes that have ended, in the form of Gymnasium's
+        vector environments."""
         observations = np.full(self.num_envs, None, dtype=object)
         last = self._observation()
         for env_index in np.flatnonzero(mask):
             observations[env_index] = last[env_index]
         info = self._info()
         info |= {f"_{name}": mask.copy() for name in info}
-        return {"final_obs": observations, "_final_obs": mask.copy(), "final_info": info, "_final_info": mask.copy()}
+        return {
+            "final_obs": observations,
+            "_final_obs": mask.copy(),
+            "final_info": info,
+            "_final_info": mask.copy(),
+        }
 
     def _observation(self) -> Array:
         return self._simulation.observation.astype(self.settings.observation_dtype)

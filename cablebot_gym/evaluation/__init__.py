@@ -3,7 +3,12 @@
 The DLCC is the largest payload that a policy carries within the limits.
 """
 
-from cablebot_gym.evaluation.comparison import Comparison, PayloadComparison, compare_over_payloads, compare_policies
+from cablebot_gym.evaluation.comparison import (
+    Comparison,
+    PayloadComparison,
+    compare_over_payloads,
+    compare_policies,
+)
 from cablebot_gym.evaluation.constraints import CRITERIA, DLCCMonitor, Verdict, Violation
 from cablebot_gym.evaluation.evaluator import evaluate_dlcc
 from cablebot_gym.evaluation.result import DLCCResult

@@ -31,17 +31,19 @@ from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.workers import cores
 
 BATCH = 1024
-"""Number of episodes that one batch should have: this many fit into the caches of a core. A batch of heavy payloads
-ends as soon as all of them have failed."""
+"""Number of episodes that one batch should have: this many fit into the caches of a core. A batch
+of heavy payloads ends as soon as all of them have failed."""
 
 THREADED = 512
 """Number of episodes from which on several threads make a batch faster."""
 
 DEFAULT_DRAWS = 512
-"""Default number of draws at each payload under a random uncertainty, and of repeats of a stochastic policy."""
+"""Default number of draws at each payload under a random uncertainty, and of repeats of a
+stochastic policy."""
 
 ALONE = 12
-"""Largest number of fresh draws that try a payload alone in their batch. Each costs the start of an isolated policy."""
+"""Largest number of fresh draws that try a payload alone in their batch. Each costs the start of an
+isolated policy."""
 
 RISK = 1e-4
 """Risk of :func:`~cablebot_gym.evaluation.statistics.plausible_successes` of these draws."""
@@ -56,8 +58,8 @@ Row = tuple[float, int]
 """Nominal payload [kg] and seed of an episode."""
 
 Progress = Callable[[int, int], None]
-"""Callback after every control step: number of finished steps, expected number of steps. Functions that take one accept
-True for a bar, or lines in a log, on standard error."""
+"""Callback after every control step: number of finished steps, expected number of steps. Functions
+that take one accept True for a bar, or lines in a log, on standard error."""
 
 
 class Observer(Protocol):
@@ -66,11 +68,13 @@ class Observer(Protocol):
     def start(self, env: CableBotVectorEnv, observation: Array, info: dict[str, Any]) -> None:
         """Called after the reset, with arrays (N, …)."""
 
-    def step(self, observation: Array, reward: Array, info: dict[str, Any], running: NDArray[np.bool_]) -> None:
+    def step(
+        self, observation: Array, reward: Array, info: dict[str, Any], running: NDArray[np.bool_]
+    ) -> None:
         """Called after every control step, with arrays (N, …).
 
-        ``running`` marks the episodes that this step belongs to: an episode ends when the environment terminates it
-        and, unless the full motion is run, at its first violation.
+        ``running`` marks the episodes that this step belongs to: an episode ends when the
+        environment terminates it and, unless the full motion is run, at its first violation.
         """
 
 
@@ -93,21 +97,29 @@ class Trial:
     @property
     def failures(self) -> dict[str, int]:
         """Number of failed draws by kind of violation, the most frequent kind first."""
-        kinds = Counter(verdict.violation.kind for verdict in self.verdicts if verdict.violation is not None)
+        kinds = Counter(
+            verdict.violation.kind for verdict in self.verdicts if verdict.violation is not None
+        )
         return {str(kind): count for kind, count in kinds.most_common()}
 
     @property
     def violation(self) -> Violation | None:
-        """The earliest violation of the most frequent kind; None if the payload was carried in every draw."""
+        """The earliest violation of the most frequent kind; None if the payload was carried in
+        every draw."""
         draw = self.violation_draw
         return None if draw is None else self.verdicts[draw].violation
 
     @property
     def violation_draw(self) -> int | None:
-        """Index of the draw in which :attr:`violation` occurred, from 0; None without a violation."""
+        """Index of the draw in which :attr:`violation` occurred, from 0; None without a
+        violation."""
         kind = next(iter(self.failures), None)
         violations = [verdict.violation for verdict in self.verdicts]
-        times = [(one.time, draw) for draw, one in enumerate(violations) if one is not None and one.kind == kind]
+        times = [
+            (one.time, draw)
+            for draw, one in enumerate(violations)
+            if one is not None and one.kind == kind
+        ]
         return min(times)[1] if times else None
 
 
@@ -133,14 +145,18 @@ class StepCount:
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that determine the results, for result files."""
     packages = ("cablebot-gym", "gymnasium", "numpy", "numba")
-    return {"python": platform.python_version(), **{package: version(package) for package in packages}}
+    return {
+        "python": platform.python_version(),
+        **{package: version(package) for package in packages},
+    }
 
 
 def noise_seed(seed: int, payload: float) -> int:
     """Seed of the sensor noise and the wrench in an episode of an evaluation.
 
-    Payloads share the parameters of a draw and have independent noise. The reset option ``noise_seed`` with this value,
-    or ``cablebot rollout`` with the same seed and payload, repeats the episode.
+    Payloads share the parameters of a draw and have independent noise. The reset option
+    ``noise_seed`` with this value, or ``cablebot rollout`` with the same seed and payload, repeats
+    the episode.
 
     Args:
         seed: seed of the draw.
@@ -169,8 +185,8 @@ class Batch:
     The judge's task is read once, before the policy is loaded; the policy receives copies.
 
     Args:
-        policy: a loaded policy, an object with ``predict``, a callable ``observation -> action``, a class that makes
-            one of them, or a name as on the command line.
+        policy: a loaded policy, an object with ``predict``, a callable ``observation -> action``, a
+            class that makes one of them, or a name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         name: name of the policy; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first, see
@@ -180,12 +196,13 @@ class Batch:
         uncertainty: model errors and disturbances that the policy does not know.
         draws: number of episodes at each payload; None for the default.
         seed: seed that alone determines the draws.
-        keywords: keywords of the environment without ``normalised_observation`` and ``observation_dtype``. A
-            Stable-Baselines3 model that reads normalised observations gets them.
+        keywords: keywords of the environment without ``normalised_observation`` and
+            ``observation_dtype``. A Stable-Baselines3 model that reads normalised observations gets
+            them.
 
     Raises:
-        ValueError: if an argument is invalid, or if the ``paper`` criterion is used for a policy that does not declare
-            ``unsaturated_actions``.
+        ValueError: if an argument is invalid, or if the ``paper`` criterion is used for a policy
+            that does not declare ``unsaturated_actions``.
     """
 
     def __init__(
@@ -203,12 +220,22 @@ class Batch:
         keywords: dict[str, Any] | None = None,
     ) -> None:
         keywords = deepcopy(keywords or {})
-        for key in {"payload", "payload_range", "num_envs", "max_episode_steps", "autoreset_mode"} & keywords.keys():
+        for key in {
+            "payload",
+            "payload_range",
+            "num_envs",
+            "max_episode_steps",
+            "autoreset_mode",
+        } & keywords.keys():
             raise ValueError(f"{key} is set by the evaluation: remove it from the keywords")
         if keywords.get("normalised_observation"):
-            raise ValueError("policies are evaluated with observations in SI units: remove normalised_observation")
+            raise ValueError(
+                "policies are evaluated with observations in SI units: remove normalised_observation"
+            )
         if keywords.get("observation_dtype", "float64") != "float64":
-            raise ValueError("policies are evaluated with observations in float64: remove observation_dtype")
+            raise ValueError(
+                "policies are evaluated with observations in float64: remove observation_dtype"
+            )
         self.criterion = find_criterion(criterion)
         self.seed = whole("seed", seed)
         """Seed of the evaluation."""
@@ -228,28 +255,41 @@ class Batch:
         self.task: Task = deepcopy(env.tasks[0])
         """Task of the first episode. The judge reads its bounds, length and robot."""
         self.task.check_motion()
-        self.policy: LoadedPolicy = load(policy, deepcopy(self._robot), name=name, wrappers=wrappers)
+        self.policy: LoadedPolicy = load(
+            policy, deepcopy(self._robot), name=name, wrappers=wrappers
+        )
         """The policy."""
         declared = self.policy.declarations
         kind = self.settings.measurement.kind
         if declared.measurement != kind:
             remedy = "use measurement='winches'"
             if kind != POSE.kind:
-                estimators = sorted(point.name for point in entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP))
-                behind = f"name an estimator, such as {estimators[0]}+{self.policy.name}, or " if estimators else ""
+                estimators = sorted(
+                    point.name for point in entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP)
+                )
+                behind = (
+                    f"name an estimator, such as {estimators[0]}+{self.policy.name}, or "
+                    if estimators
+                    else ""
+                )
                 remedy = f"{behind}declare measurement = 'winches'"
             raise ValueError(
                 f"policy {self.policy.name!r} reads measurement {declared.measurement!r}, not {kind!r}: {remedy}"
             )
         random = self._uncertainty.random or declared.stochastic
-        self.draws = (DEFAULT_DRAWS if random else 1) if draws is None else whole("draws", draws, least=1)
+        self.draws = (
+            (DEFAULT_DRAWS if random else 1) if draws is None else whole("draws", draws, least=1)
+        )
         """Number of episodes at each payload."""
         self.random = random or keywords.get("initial_error_range") is not None
         """Whether two episodes with the same payload can differ."""
         if self.draws > 1 and not self.random:
-            raise ValueError(f"all {draws} draws would be equal: choose a random uncertainty or draws=1")
+            raise ValueError(
+                f"all {draws} draws would be equal: choose a random uncertainty or draws=1"
+            )
         self.seeds = draw_seeds(self.seed, self.draws)
-        """Seed of each draw. An environment that is reset with this seed has the parameters of the draw."""
+        """Seed of each draw. An environment that is reset with this seed has the parameters of the
+        draw."""
         if self.criterion == "paper" and not declared.unsaturated_actions:
             raise ValueError(
                 f"the paper criterion does not apply to policy {self.policy.name!r}, because it does not declare "
@@ -273,12 +313,14 @@ class Batch:
 
     @property
     def fallbacks(self) -> float | None:
-        """Mean number of the policy's fallbacks per episode of the last batch; None if it does not count them."""
+        """Mean number of the policy's fallbacks per episode of the last batch; None if it does not
+        count them."""
         count = self.policy.fallbacks
         return None if count is None else count / self._last_rows
 
     def description(self) -> dict[str, Any]:
-        """Fields that results of evaluations and comparisons share. ``environment`` is JSON-able data."""
+        """Fields that results of evaluations and comparisons share. ``environment`` is JSON-able
+        data."""
         separate = ("robot", "trajectory", "payload_known", "model_payload_factor")
         environment = {
             "robot": self.task.robot.to_dict(),
@@ -286,7 +328,11 @@ class Batch:
             "control_frequency": self.task.control_frequency,
             "substeps": self.settings.substeps,
             "cable": self.task.cable,
-            **{name: to_jsonable(value) for name, value in self.keywords.items() if name not in separate},
+            **{
+                name: to_jsonable(value)
+                for name, value in self.keywords.items()
+                if name not in separate
+            },
             "uncertainty": to_jsonable(self._uncertainty),
         }
         return {
@@ -328,7 +374,9 @@ class Batch:
         verdicts: dict[int, Verdict] = {}
         if order is None:
             order = np.arange(len(rows)) if observer is not None else secret_order(len(rows))
-        for indices in [order] if observer is not None else np.array_split(order, -(-len(rows) // (2 * BATCH))):
+        for indices in (
+            [order] if observer is not None else np.array_split(order, -(-len(rows) // (2 * BATCH)))
+        ):
             chosen = [rows[index] for index in indices.tolist()]
             payloads = np.array([payload for payload, _ in chosen])
             seeds = [seed for _, seed in chosen]
@@ -336,18 +384,27 @@ class Batch:
             env = self._make(len(chosen), **changes)
             self._last_rows = len(chosen)
             noise = [noise_seed(seed, payload) for payload, seed in chosen]
-            observation, info = env.reset(seed=seeds, options={"payload": payloads, "noise_seed": noise})
+            observation, info = env.reset(
+                seed=seeds, options={"payload": payloads, "noise_seed": noise}
+            )
             judge = Judge(self.criterion, self.task.robot.cables, len(chosen))
             judge.reset(info, self.task)
             if observer is not None:
                 observer.start(env, observation, info)
-            others: dict[str, Any] = {"observer": observer, "count": count, "full_motion": full_motion}
+            others: dict[str, Any] = {
+                "observer": observer,
+                "count": count,
+                "full_motion": full_motion,
+            }
             run_episodes(env, self.policy, observation, judge, **others)
-            verdicts |= {index: judge.verdict(place) for place, index in enumerate(indices.tolist())}
+            verdicts |= {
+                index: judge.verdict(place) for place, index in enumerate(indices.tolist())
+            }
         return [verdicts[index] for index in range(len(rows))]
 
     def check_alone(self, payload: float, carried: int, count: StepCount | None = None) -> None:
-        """Tries a payload in fresh draws with secret seeds, one batch each, until enough of them carry it.
+        """Tries a payload in fresh draws with secret seeds, one batch each, until enough of them
+        carry it.
 
         A policy that averages noise over the rows of a batch carries more there than alone.
 
@@ -366,21 +423,22 @@ class Batch:
                 return
             alone += self.run([(payload, seed)], count=count)[0].carried
         if alone < needed:
-            text = (
-                f"{payload:.3f} kg is carried in {alone} of {ALONE} draws alone, in {carried} of {self.draws} together"
-            )
+            text = f"{payload:.3f} kg is carried in {alone} of {ALONE} draws alone"
+            text += f", in {carried} of {self.draws} together"
             raise PolicyError(f"policy {self.policy.name!r} {DEPENDENT.format(text)}")
 
 
 def _threads(rows: int) -> int:
-    """Threads that share a step of a batch: one in worker processes, which share the cores already."""
+    """Threads that share a step of a batch: one in worker processes, which share the cores
+    already."""
     if rows < THREADED or parent_process() is not None:
         return 1
     return cores()
 
 
 def secret_order(count: int) -> NDArray[np.int64]:
-    """A random permutation from the entropy of the operating system, so that a row does not tell its payload."""
+    """A random permutation from the entropy of the operating system, so that a row does not tell
+    its payload."""
     return np.random.default_rng().permutation(count)
 
 
@@ -400,13 +458,15 @@ def run_episodes(
         env: the environment.
         policy: the policy, which is reset first.
         observation: observations of the reset, (N, size).
-        judge: checks the steps; it has been reset and has the number of control steps of each motion.
+        judge: checks the steps; it has been reset and has the number of control steps of each
+            motion.
         observer: receives the steps.
         count: counts the finished or skipped control steps.
         full_motion: whether to simulate an episode to the end of the motion after a violation.
 
     Raises:
-        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
+        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
+            finite actions.
     """
     policy.reset(lambda: deepcopy(env.tasks))
     state, start = None, np.ones(env.num_envs, np.bool_)
@@ -427,7 +487,9 @@ def run_episodes(
             time=step / env.settings.control_frequency,
             ignored=over,
         )
-        observation, reward, start, _, info = env.step(action)  # the environment restarts terminated episodes
+        observation, reward, start, _, info = env.step(
+            action
+        )  # the environment restarts terminated episodes
         judge.observe(info, start)
         if observer is not None:
             observer.step(observation, reward, info, ~over)

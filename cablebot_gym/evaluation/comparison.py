@@ -1,4 +1,5 @@
-"""Comparison of policies over the same draws, with one or more payloads: tracking errors, torques and tensions."""
+"""Comparison of policies over the same draws, with one or more payloads: tracking errors, torques
+and tensions."""
 
 from __future__ import annotations
 
@@ -53,8 +54,9 @@ class Estimate:
 class PolicyMetrics:
     """Metrics of one policy. Arrays have one entry for each draw.
 
-    After an early termination, the position error counts as constant for the rest of the motion: at its last value, or
-    at the termination radius if that is larger. The other quantities count until the termination.
+    After an early termination, the position error counts as constant for the rest of the motion: at
+    its last value, or at the termination radius if that is larger. The other quantities count until
+    the termination.
     """
 
     policy: str
@@ -72,7 +74,8 @@ class PolicyMetrics:
     peak_torque: Array
     """Largest |τ| at any control instant [N·m]."""
     torque_margin: Array
-    """1 − max |a|: least remaining fraction of the torque-speed line; negative if a policy requests more torque."""
+    """1 − max |a|: least remaining fraction of the torque-speed line; negative if a policy requests
+    more torque."""
     least_tension: Array
     """Least tension of any cable at a physics step [N]."""
     carried: NDArray[np.bool_]
@@ -80,12 +83,15 @@ class PolicyMetrics:
     ended: NDArray[np.bool_]
     """Whether the environment terminated the episode early."""
     error: Array = field(repr=False)
-    """Position error at the end of each control step, (steps, draws) [m]; NaN after an early termination."""
+    """Position error at the end of each control step, (steps, draws) [m]; NaN after an early
+    termination."""
     rotation: Array = field(repr=False)
-    """Rotation error at the end of each control step, (steps, draws) [rad]; NaN after an early termination."""
+    """Rotation error at the end of each control step, (steps, draws) [rad]; NaN after an early
+    termination."""
 
     def estimate(self, quantity: str) -> Estimate:
-        """Mean of a quantity over the draws with the confidence interval of Student's t-distribution."""
+        """Mean of a quantity over the draws with the confidence interval of Student's
+        t-distribution."""
         from scipy.special import stdtrit  # slow to import
 
         values: Array = getattr(self, quantity)
@@ -97,15 +103,22 @@ class PolicyMetrics:
 
     @property
     def success(self) -> Estimate:
-        """Fraction of the draws that carry the payload, with the confidence interval of Clopper and Pearson."""
+        """Fraction of the draws that carry the payload, with the confidence interval of Clopper and
+        Pearson."""
         fraction = float(self.carried.mean())
         draws = len(self.carried)
-        low, high = (fraction, fraction) if draws == 1 else interval(int(self.carried.sum()), draws, CONFIDENCE)
+        low, high = (
+            (fraction, fraction)
+            if draws == 1
+            else interval(int(self.carried.sum()), draws, CONFIDENCE)
+        )
         return Estimate(mean=fraction, low=low, high=high)
 
 
 QUANTITIES = tuple(
-    item.name for item in fields(PolicyMetrics) if item.name not in ("policy", "carried", "ended", "error", "rotation")
+    item.name
+    for item in fields(PolicyMetrics)
+    if item.name not in ("policy", "carried", "ended", "error", "rotation")
 )
 """Quantities of :class:`PolicyMetrics` that have an estimate."""
 
@@ -144,8 +157,8 @@ class Comparison:
     def reduction(self, index: int, quantity: str) -> Estimate:
         """Relative reduction of a quantity by policy ``index`` with respect to the first policy.
 
-        The reduction is 1 − (mean of policy ``index``)/(mean of the first policy) over paired draws. The interval is a
-        seeded percentile bootstrap over the draws.
+        The reduction is 1 − (mean of policy ``index``)/(mean of the first policy) over paired
+        draws. The interval is a seeded percentile bootstrap over the draws.
         """
         base = getattr(self.metrics[0], quantity)
         other = getattr(self.metrics[index], quantity)
@@ -158,17 +171,31 @@ class Comparison:
         return Estimate(mean=fraction, low=float(low), high=float(high))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able data: estimates, reductions and the values of each draw, without the time series."""
+        """JSON-able data: estimates, reductions and the values of each draw, without the time
+        series."""
         policies = []
         for index, metrics in enumerate(self.metrics):
             estimates = {name: vars(metrics.estimate(name)) for name in QUANTITIES}
-            reductions = {name: vars(self.reduction(index, name)) for name in REDUCTION_QUANTITIES} if index else {}
-            values = {name: getattr(metrics, name).tolist() for name in (*QUANTITIES, "carried", "ended")}
+            reductions = (
+                {name: vars(self.reduction(index, name)) for name in REDUCTION_QUANTITIES}
+                if index
+                else {}
+            )
+            values = {
+                name: getattr(metrics, name).tolist() for name in (*QUANTITIES, "carried", "ended")
+            }
             policies.append(
-                {"policy": metrics.policy, "estimates": estimates, "reductions": reductions, "per_draw": values}
+                {
+                    "policy": metrics.policy,
+                    "estimates": estimates,
+                    "reductions": reductions,
+                    "per_draw": values,
+                }
             )
         replaced = {"draw_seeds": list(self.draw_seeds), "error_bounds": vars(self.error_bounds)}
-        head = {item.name: getattr(self, item.name) for item in fields(self) if item.repr} | replaced
+        head = {
+            item.name: getattr(self, item.name) for item in fields(self) if item.repr
+        } | replaced
         return head | {"confidence": CONFIDENCE, "policies": policies}
 
     def to_json(self) -> str:
@@ -191,7 +218,8 @@ class Comparison:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PayloadComparison:
-    """Comparisons of the same policies with increasing payloads. ``print(comparison)`` shows a summary."""
+    """Comparisons of the same policies with increasing payloads. ``print(comparison)`` shows a
+    summary."""
 
     comparisons: tuple[Comparison, ...]
     """One comparison for each payload."""
@@ -208,7 +236,10 @@ class PayloadComparison:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data: the payloads and the comparison with each of them."""
-        return {"payloads": self.payloads.tolist(), "comparisons": [one.to_dict() for one in self.comparisons]}
+        return {
+            "payloads": self.payloads.tolist(),
+            "comparisons": [one.to_dict() for one in self.comparisons],
+        }
 
     def to_json(self) -> str:
         """The comparison as JSON, indented."""
@@ -235,23 +266,27 @@ def compare_policies(
     """Runs all policies with one payload over the same draws.
 
     Args:
-        policies: names, objects with ``predict``, or callables. Reductions are relative to the first policy.
+        policies: names, objects with ``predict``, or callables. Reductions are relative to the
+            first policy.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         payload: nominal payload [kg].
         error_bounds: bounds of the tracking errors; None for those of the robot.
         uncertainty: model errors and disturbances that the policies do not know, see
             :func:`cablebot_gym.uncertainty.find_uncertainty`.
-        draws: number of episodes of each policy; None for the default number under a random uncertainty, else 1.
+        draws: number of episodes of each policy; None for the default number under a random
+            uncertainty, else 1.
         seed: seed that determines the draws.
         names: names of the policies in the result; None for their own names.
         wrappers: wrappers of the training of each policy, the innermost first, see
             :data:`cablebot_gym.policies.wrappers.Wrapper`; None for no wrappers.
         progress: callback after every control step; True shows it on standard error.
-        keywords: keywords of the environment: ``trajectory``, ``payload_known``, ``control_frequency``, ``robot``, …
+        keywords: keywords of the environment: ``trajectory``, ``payload_known``,
+            ``control_frequency``, ``robot``, …
 
     Raises:
         ValueError: if an argument is invalid, or if two policies have the same name.
-        cablebot_gym.policies.protocol.PolicyError: if a policy raises or returns anything but finite actions.
+        cablebot_gym.policies.protocol.PolicyError: if a policy raises or returns anything but
+            finite actions.
     """
     if isinstance(policies, str):
         raise ValueError(f"policies must be a list, such as [{policies!r}], not one name")
@@ -259,10 +294,14 @@ def compare_policies(
     if not labels:
         raise ValueError("there is no policy to compare: give at least one policy")
     if len(set(labels)) < len(labels) or len(labels) != len(policies):
-        raise ValueError(f"every policy needs its own name, but the names are {', '.join(labels)}: give distinct names")
+        raise ValueError(
+            f"every policy needs its own name, but the names are {', '.join(labels)}: give distinct names"
+        )
     worn = [()] * len(labels) if wrappers is None else list(wrappers)
     if len(worn) != len(labels):
-        raise ValueError(f"wrappers must have one list for each of the {len(labels)} policies, not {len(worn)}")
+        raise ValueError(
+            f"wrappers must have one list for each of the {len(labels)} policies, not {len(worn)}"
+        )
     payload = number("payload", payload, least=0, unit="kg")
     metrics = []
     shared = {
@@ -280,8 +319,15 @@ def compare_policies(
             recorder = Recorder(range(batch.draws), _RECORDED)
             rows = [(payload, one) for one in batch.seeds]
             verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
-            metrics.append(_metrics(label, recorder.rollouts(verdicts), batch.keywords["termination_radius"]))
-    return Comparison(payload=payload, error_bounds=batch.error_bounds, metrics=tuple(metrics), **batch.description())
+            metrics.append(
+                _metrics(label, recorder.rollouts(verdicts), batch.keywords["termination_radius"])
+            )
+    return Comparison(
+        payload=payload,
+        error_bounds=batch.error_bounds,
+        metrics=tuple(metrics),
+        **batch.description(),
+    )
 
 
 def compare_over_payloads(
@@ -303,11 +349,14 @@ def compare_over_payloads(
 
     Raises:
         ValueError: if an argument is invalid.
-        cablebot_gym.policies.protocol.PolicyError: if a policy raises or returns anything but finite actions.
+        cablebot_gym.policies.protocol.PolicyError: if a policy raises or returns anything but
+            finite actions.
     """
     grid = numbers("payloads", payloads, least=0, unit="kg")
     if grid.ndim != 1 or not len(grid) or np.any(np.diff(grid) <= 0):
-        raise ValueError(f"payloads must be increasing numbers, such as [0, 1, 2], not {payloads!r}")
+        raise ValueError(
+            f"payloads must be increasing numbers, such as [0, 1, 2], not {payloads!r}"
+        )
     found: list[Comparison] = []
     with chosen_progress(progress, "comparing") as step:
 
@@ -316,12 +365,15 @@ def compare_over_payloads(
                 step(done + len(found) * expected, len(grid) * expected)
 
         for payload in grid.tolist():
-            found.append(compare_policies(policies, env_id, payload=payload, progress=count, **keywords))
+            found.append(
+                compare_policies(policies, env_id, payload=payload, progress=count, **keywords)
+            )
     return PayloadComparison(comparisons=tuple(found))
 
 
 def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float) -> PolicyMetrics:
-    """Metrics of one policy from its draws. The errors at the start of the episodes come from the verdicts.
+    """Metrics of one policy from its draws. The errors at the start of the episodes come from the
+    verdicts.
 
     Args:
         policy: name of the policy.
@@ -334,11 +386,15 @@ def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float
 
     error, rotation = (_series(rollouts, name) for name in ("tracking_error", "rotation_error"))
     ended = np.array([rollout.reason != "" for rollout in rollouts])
-    final = np.maximum([rollout.arrays["tracking_error"][-1] for rollout in rollouts], termination_radius)
+    final = np.maximum(
+        [rollout.arrays["tracking_error"][-1] for rollout in rollouts], termination_radius
+    )
     rest = np.full((rollouts[0].task.steps - len(error), len(rollouts)), np.nan)
     filled = np.concatenate([error, rest])
     filled = np.where(np.isnan(filled), final, filled)
-    peak = np.maximum(largest("tracking_error_peak"), [rollout.verdict.position_peak for rollout in rollouts])
+    peak = np.maximum(
+        largest("tracking_error_peak"), [rollout.verdict.position_peak for rollout in rollouts]
+    )
     return PolicyMetrics(
         policy=policy,
         mean_error=filled.mean(axis=0),
@@ -347,7 +403,9 @@ def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float
         max_rotation=np.maximum(
             largest("rotation_error_peak"), [rollout.verdict.rotation_peak for rollout in rollouts]
         ),
-        rms_torque=np.array([math.sqrt(np.mean(rollout.arrays["torques"] ** 2)) for rollout in rollouts]),
+        rms_torque=np.array(
+            [math.sqrt(np.mean(rollout.arrays["torques"] ** 2)) for rollout in rollouts]
+        ),
         peak_torque=largest("torques"),
         torque_margin=1 - largest("commanded_action"),
         least_tension=np.array([rollout.arrays["least_tensions"].min() for rollout in rollouts]),

@@ -1,4 +1,5 @@
-"""Checks the limits of episodes and records the first violations. Reads ``info``, which holds the true state."""
+"""Checks the limits of episodes and records the first violations. Reads ``info``, which holds the
+true state."""
 
 from __future__ import annotations
 
@@ -42,26 +43,32 @@ class Violation:
     """The first violated limit of an episode. ``str(violation)`` is a sentence."""
 
     kind: ViolationKind
-    """Kind of limit. ``torque``: |a| > 1, or the motor cannot hold the robot at rest at the start. ``position``,
-    ``rotation``: a tracking error exceeds its bound. ``slack``: a tension falls below its bound, or a cable is slack
-    (paper criterion). ``terminated``: the environment terminated the episode."""
+    """Kind of limit. ``torque``: |a| > 1, or the motor cannot hold the robot at rest at the start.
+    ``position``, ``rotation``: a tracking error exceeds its bound. ``slack``: a tension falls below
+    its bound, or a cable is slack (paper criterion). ``terminated``: the environment terminated the
+    episode."""
     index: int | None
     """Number of the motor or cable from 1, as in the paper; None for the other kinds."""
     time: float | None
-    """Time of the violation [s]: the control instant for torque, else the end of the control period."""
+    """Time of the violation [s]: the control instant for torque, else the end of the control
+    period."""
     excess: float | None
-    """Excess: torque beyond U± [N·m], error beyond its bound [m or rad], or missing tension [N]; None for the other
-    kinds."""
+    """Excess: torque beyond U± [N·m], error beyond its bound [m or rad], or missing tension [N];
+    None for the other kinds."""
     reason: str = ""
-    """Name of the environment's ``termination_reason`` if ``kind`` is ``terminated``; ``start`` if a motor cannot hold
-    the robot at the start; else empty."""
+    """Name of the environment's ``termination_reason`` if ``kind`` is ``terminated``; ``start`` if
+    a motor cannot hold the robot at the start; else empty."""
     bound: float | None = None
     """Bound of the error [m or rad] or of the tension [N]; None for the other kinds."""
 
     def __str__(self) -> str:
         unit = {"position": "mm", "rotation": "mrad"}.get(self.kind)
         bound = "" if self.bound is None else f" of {1e3 * self.bound:g} {unit}"
-        slack = "is slack" if self.bound is None else f"falls below its tension bound of {self.bound:g} N"
+        slack = (
+            "is slack"
+            if self.bound is None
+            else f"falls below its tension bound of {self.bound:g} N"
+        )
         torque = "cannot hold the robot at rest" if self.reason else "reaches its torque limit"
         texts = {
             "torque": f"motor {self.index} {torque}",
@@ -86,7 +93,8 @@ class Verdict:
     payload: float
     """True payload [kg]."""
     peak_action: tuple[float, ...]
-    """Largest |a| of each motor. This extreme and the following ones end with the step of the violation."""
+    """Largest |a| of each motor. This extreme and the following ones end with the step of the
+    violation."""
     position_peak: float
     """Largest position error at any physics step [m]."""
     rotation_peak: float
@@ -98,13 +106,14 @@ class Verdict:
 class Judge:
     """Checks N episodes step by step. Keeps the first violations and the extremes, no time series.
 
-    The checks of a step are, in this order: torque (paper criterion), tension, position error, rotation error (task
-    criterion), termination. They stop at the first violation and at the end of the motion.
+    The checks of a step are, in this order: torque (paper criterion), tension, position error,
+    rotation error (task criterion), termination. They stop at the first violation and at the end of
+    the motion.
 
     Args:
-        criterion: ``task``: position, rotation, tension ≥ T_min of unilateral cables, termination, and motors that can
-            hold the robot at the start of a motion that starts at rest; ``paper``: |a| ≤ 1, position, slack and
-            termination.
+        criterion: ``task``: position, rotation, tension ≥ T_min of unilateral cables, termination,
+            and motors that can hold the robot at the start of a motion that starts at rest;
+            ``paper``: |a| ≤ 1, position, slack and termination.
         cables: number of cables m.
         count: number of episodes N.
     """
@@ -133,7 +142,9 @@ class Judge:
         """Mask of the episodes whose full motion was observed, (N,)."""
         return self._step >= self.steps
 
-    def reset(self, info: Mapping[str, Array], task: Task, mask: NDArray[np.bool_] | None = None) -> None:
+    def reset(
+        self, info: Mapping[str, Array], task: Task, mask: NDArray[np.bool_] | None = None
+    ) -> None:
         """Starts episodes. Bounds, length and robot of the task are read here only.
 
         Args:
@@ -145,7 +156,9 @@ class Judge:
         by_task = self.criterion == "task"
         self._position_bound[mask] = task.error_bounds.position
         self._rotation_bound[mask] = task.error_bounds.rotation if by_task else np.inf
-        self._tension_bound[mask] = task.robot.minimum_tension if by_task and task.cable == "unilateral" else -np.inf
+        self._tension_bound[mask] = (
+            task.robot.minimum_tension if by_task and task.cable == "unilateral" else -np.inf
+        )
         self._step[mask], self.steps[mask] = 0, task.steps
         self.payload[mask] = info["payload"][mask]
         self._position_peak[mask], self._rotation_peak[mask] = 0.0, 0.0
@@ -154,7 +167,14 @@ class Judge:
         if by_task and task.starts_at_rest:
             margin = info["torque_margin"]
             motor, least = margin.argmin(axis=1), margin.min(axis=1)
-            self._fail("torque", mask & (least < 0), info["time"], index=motor + 1, excess=-least, reason="start")
+            self._fail(
+                "torque",
+                mask & (least < 0),
+                info["time"],
+                index=motor + 1,
+                excess=-least,
+                reason="start",
+            )
         self._check_errors(info, mask)
 
     def observe(self, info: Mapping[str, Array], terminated: NDArray[np.bool_]) -> None:
@@ -171,16 +191,27 @@ class Judge:
         np.maximum(self._peak_action, action, out=self._peak_action, where=running[:, None])
         tension = info["least_tensions"].min(axis=1)
         np.minimum(self._least_tension, tension, out=self._least_tension, where=running)
-        if self.criterion == "paper" and (saturated := running & (action.max(axis=1) > 1 + _ROUNDING)).any():
+        if (
+            self.criterion == "paper"
+            and (saturated := running & (action.max(axis=1) > 1 + _ROUNDING)).any()
+        ):
             motor = action.argmax(axis=1)
             excess = -np.take_along_axis(info["torque_margin"], motor[:, None], 1)[:, 0]
             self._fail("torque", saturated, info["action_time"], index=motor + 1, excess=excess)
         if (low := running & (tension < self._tension_bound)).any():
             cable = info["least_tensions"].argmin(axis=1)
             missing = self._tension_bound - tension
-            self._fail("slack", low, time, index=cable + 1, excess=missing, bound=self._tension_bound)
+            self._fail(
+                "slack", low, time, index=cable + 1, excess=missing, bound=self._tension_bound
+            )
         if (slack := running & info["slack"].any(axis=1)).any():
-            self._fail("slack", slack, time, index=info["slack"].argmax(axis=1) + 1, bound=self._tension_bound)
+            self._fail(
+                "slack",
+                slack,
+                time,
+                index=info["slack"].argmax(axis=1) + 1,
+                bound=self._tension_bound,
+            )
         self._check_errors(info, running)
         if (ended := running & terminated).any():
             self._fail("terminated", ended, time, reason=_REASONS[info["termination_reason"]])
@@ -195,8 +226,11 @@ class Judge:
             if (beyond := running & (error > bound)).any():
                 self._fail(kind, beyond, info["time"], excess=error - bound, bound=bound)
 
-    def _fail(self, kind: ViolationKind, mask: NDArray[np.bool_], time: Array, **values: ArrayLike) -> None:
-        """Records a violation with further values, (N,) or scalar, of the episodes in ``mask`` that have none."""
+    def _fail(
+        self, kind: ViolationKind, mask: NDArray[np.bool_], time: Array, **values: ArrayLike
+    ) -> None:
+        """Records a violation with further values, (N,) or scalar, of the episodes in ``mask`` that
+        have none."""
         fresh = mask & ~self.failed
         self.failed |= fresh
         columns = {name: np.broadcast_to(column, fresh.shape) for name, column in values.items()}
@@ -228,8 +262,8 @@ class Judge:
 class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
     """Wrapper that checks every episode of a single environment of this package.
 
-    ``monitor.verdict`` is the :class:`Verdict` up to the current step. ``info["dlcc_carried"]`` is True when the motion
-    is finished without a violation.
+    ``monitor.verdict`` is the :class:`Verdict` up to the current step. ``info["dlcc_carried"]`` is
+    True when the motion is finished without a violation.
 
     Args:
         env: a single environment made by ``gym.make``.
@@ -264,11 +298,15 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
             raise gym.error.ResetNeeded("call reset() before verdict: no episode has started")
         return self._judge.verdict(0)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
         """Starts an episode and checks its initial state."""
         observation, info = self.env.reset(seed=seed, options=options)
         task = self.env.get_wrapper_attr("task")
-        self._judge.reset(_batched(info), replace(task, error_bounds=self._error_bounds or task.error_bounds))
+        self._judge.reset(
+            _batched(info), replace(task, error_bounds=self._error_bounds or task.error_bounds)
+        )
         self._started = True
         return observation, info | {"dlcc_carried": False}
 
@@ -276,7 +314,13 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
         """Steps the environment and checks the limits until the end of the motion."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._judge.observe(_batched(info), np.array([terminated]))
-        return observation, reward, terminated, truncated, info | {"dlcc_carried": bool(self._judge.carried[0])}
+        return (
+            observation,
+            reward,
+            terminated,
+            truncated,
+            info | {"dlcc_carried": bool(self._judge.carried[0])},
+        )
 
 
 def _batched(info: Mapping[str, Any]) -> dict[str, Array]:

@@ -29,7 +29,8 @@ SUFFIXES = (".npz", ".csv")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollout:
-    """A recorded episode. It has a moment at the start and one after every control step; ``len`` is their number."""
+    """A recorded episode. It has a moment at the start and one after every control step; ``len`` is
+    their number."""
 
     task: Task
     """Public task of the episode."""
@@ -40,27 +41,35 @@ class Rollout:
     start: Mapping[str, Array]
     """State after the reset, by name."""
     arrays: Mapping[str, Array]
-    """Arrays by name, with the control steps as first axis, in SI units and radians. Pose, velocity, reference and
-    errors are those at ``time``, the end of the step. ``pose`` and ``velocity`` are measured, ``true_pose`` is exact.
-    Flexible robots have the measured ``motor_angle``, too, and with joint springs and cables that do not stretch the
-    ``spring_deflection``, the motor angle minus the pulley angle.
-    Commanded action, torques, tensions and motor speeds are those at ``action_time``, the start of the step."""
+    """Arrays by name, with the control steps as first axis, in SI units and radians. Pose,
+    velocity, reference and errors are those at ``time``, the end of the step. ``pose`` and
+    ``velocity`` are measured, ``true_pose`` is exact. Flexible robots have the measured
+    ``motor_angle``, too, and with joint springs and cables that do not stretch the
+    ``spring_deflection``, the motor angle minus the pulley angle. Commanded action, torques,
+    tensions and motor speeds are those at ``action_time``, the start of the step."""
     verdict: Verdict
     """Verdict under the criterion."""
     reason: str
-    """Reason of an early termination by the environment, one of :data:`~cablebot_gym.envs.TERMINATION_REASONS`."""
+    """Reason of an early termination by the environment, one of
+    :data:`~cablebot_gym.envs.TERMINATION_REASONS`."""
 
     def __len__(self) -> int:
         return 1 + len(self.arrays["time"])
 
     def moment(self, index: int) -> Moment:
-        """Moment 0 is the start; moment k is the end of control step k; moment −1 is the last one."""
+        """Moment 0 is the start; moment k is the end of control step k; moment −1 is the last
+        one."""
         index = range(len(self))[index]
-        state = {name: values[index - 1] for name, values in self.arrays.items()} if index else self.start
+        state = (
+            {name: values[index - 1] for name, values in self.arrays.items()}
+            if index
+            else self.start
+        )
         return Moment.from_info(self.task.robot, self.stall_torque, state["true_pose"], state)
 
     def save(self, path: Path) -> None:
-        """Writes ``.npz`` (the arrays by name) or ``.csv`` (one column per number, vectors as name_1, name_2, …).
+        """Writes ``.npz`` (the arrays by name) or ``.csv`` (one column per number, vectors as
+        name_1, name_2, …).
 
         Raises:
             ValueError: if the path has another suffix.
@@ -75,7 +84,11 @@ class Rollout:
         names, columns = [], []
         for name, array in self.arrays.items():
             flat = array.reshape(len(array), -1).astype(float)
-            names += [name] if array.ndim == 1 else [f"{name}_{index + 1}" for index in range(flat.shape[1])]
+            names += (
+                [name]
+                if array.ndim == 1
+                else [f"{name}_{index + 1}" for index in range(flat.shape[1])]
+            )
             columns.append(flat)
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
@@ -105,10 +118,14 @@ class Recorder:
         self._stall_torque = self._truth["motor_strength"]
         self._record(observation, np.zeros(len(observation)), info)
 
-    def step(self, observation: Array, reward: Array, info: dict[str, Any], running: NDArray[np.bool_]) -> None:
+    def step(
+        self, observation: Array, reward: Array, info: dict[str, Any], running: NDArray[np.bool_]
+    ) -> None:
         """Records a step of the episodes that are running."""
         self._running.append(running[self._indices])
-        self._reason = np.where(self._running[-1], info["termination_reason"][self._indices], self._reason)
+        self._reason = np.where(
+            self._running[-1], info["termination_reason"][self._indices], self._reason
+        )
         self._record(observation, reward, info)
 
     def _record(self, observation: Array, reward: Array, info: dict[str, Any]) -> None:
@@ -117,16 +134,31 @@ class Recorder:
         robot = self._env.settings.robot
         motion = {"reference_pose": observation[:, slices["reference_pose"]]}
         if measurement.winches:  # "tensions" are the true ones of the info
-            motion |= {f"measured_{name}": observation[:, slices[name]] for name in measurement.sizes(robot)}
+            motion |= {
+                f"measured_{name}": observation[:, slices[name]]
+                for name in measurement.sizes(robot)
+            }
         else:
             motion = {name: observation[:, slices[name]] for name in ("pose", "velocity")} | motion
             if robot.flexible:
                 motion["motor_angle"] = observation[:, slices["motor_angle"]]
-        if robot.jointed and not robot.elastic:  # the length of an elastic cable does not tell the pulley angle
-            motion["spring_deflection"] = observation[:, slices["motor_angle"]] - self._pulley_angle()
-        state = {"time": info["time"], **motion, **info, "reward": reward, "true_pose": self._env.pose}
+        if (
+            robot.jointed and not robot.elastic
+        ):  # the length of an elastic cable does not tell the pulley angle
+            motion["spring_deflection"] = (
+                observation[:, slices["motor_angle"]] - self._pulley_angle()
+            )
+        state = {
+            "time": info["time"],
+            **motion,
+            **info,
+            "reward": reward,
+            "true_pose": self._env.pose,
+        }
         names = state.keys() if self._names is None else self._names
-        self._states.append({name: values[self._indices] for name, values in state.items() if name in names})
+        self._states.append(
+            {name: values[self._indices] for name, values in state.items() if name in names}
+        )
 
     def _pulley_angle(self) -> Array:
         """Pulley angles of the true robots, (N, m) [rad]."""
@@ -145,7 +177,9 @@ class Recorder:
             verdicts: verdicts of all rows.
         """
         running = np.array(self._running).reshape(-1, len(self._indices))
-        series = {name: np.array([state[name] for state in self._states]) for name in self._states[0]}
+        series = {
+            name: np.array([state[name] for state in self._states]) for name in self._states[0]
+        }
         rollouts = []
         for row, index in enumerate(self._indices):
             steps = slice(1, 1 + np.count_nonzero(running[:, row]))
@@ -186,12 +220,14 @@ def record_rollout(
         name: name of the policy in messages; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first, see
             :data:`cablebot_gym.policies.wrappers.Wrapper`.
-        progress: callback after the reset and after every control step; True shows it on standard error.
+        progress: callback after the reset and after every control step; True shows it on standard
+            error.
         keywords: keywords of the environment.
 
     Raises:
         ValueError: if an argument is invalid.
-        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
+        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
+            finite actions.
     """
     settings = {key: keywords.pop(key, None) for key in ("error_bounds", "uncertainty")}
     payload = number("payload", payload, least=0, unit="kg")
@@ -210,7 +246,9 @@ def record_rollout(
     with chosen_progress(progress, f"{batch.policy.name} on {env_id}", "steps") as step:
         count = StepCount(step, batch.task.steps)
         count.add(0)
-        verdicts = batch.run([(payload, batch.seed)], observer=recorder, count=count, full_motion=True)
+        verdicts = batch.run(
+            [(payload, batch.seed)], observer=recorder, count=count, full_motion=True
+        )
     return recorder.rollouts(verdicts)[0]
 
 
@@ -221,4 +259,6 @@ def check_suffix(path: Path) -> None:
         ValueError: if the suffix is unknown. The message lists the valid ones.
     """
     if path.suffix not in SUFFIXES:
-        raise ValueError(f"cannot record to {str(path)!r}: the file name must end in {' or '.join(SUFFIXES)}")
+        raise ValueError(
+            f"cannot record to {str(path)!r}: the file name must end in {' or '.join(SUFFIXES)}"
+        )

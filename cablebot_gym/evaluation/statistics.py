@@ -11,12 +11,17 @@ from cablebot_gym.kinematics import Array
 
 
 def lower_bound(successes: ArrayLike, draws: int, confidence: float) -> Array:
-    """One-sided lower confidence bound of the success probability (Clopper and Pearson), shape of ``successes``."""
+    """One-sided lower confidence bound of the success probability (Clopper and Pearson), shape of
+    ``successes``."""
     from scipy.special import betaincinv  # slow to import
 
     successes = np.asarray(successes)
     # The quantile is undefined without a success, and the bound is 0.
-    return np.where(successes > 0, betaincinv(np.maximum(successes, 1), draws - successes + 1, 1 - confidence), 0.0)
+    return np.where(
+        successes > 0,
+        betaincinv(np.maximum(successes, 1), draws - successes + 1, 1 - confidence),
+        0.0,
+    )
 
 
 def interval(successes: int, draws: int, confidence: float) -> tuple[float, float]:
@@ -27,15 +32,17 @@ def interval(successes: int, draws: int, confidence: float) -> tuple[float, floa
 
 
 def fewest_draws(probability: float, confidence: float) -> int:
-    """Least number of draws that, if all succeed, give a lower bound of at least ``probability``."""
+    """Least number of draws that, if all succeed, give a lower bound of at least
+    ``probability``."""
     return math.ceil(math.log(1 - confidence) / math.log(probability) - 1e-9)
 
 
 def plausible_successes(successes: int, draws: int, repeats: int, risk: float) -> int:
-    """Least plausible number of successes in ``repeats`` further draws after ``successes`` of ``draws``.
+    """Least plausible number of successes in ``repeats`` further draws after ``successes`` of
+    ``draws``.
 
-    The success probability is below its lower confidence bound with the probability ``risk``. If it is not, fewer
-    successes have at most the probability ``risk``.
+    The success probability is below its lower confidence bound with the probability ``risk``. If it
+    is not, fewer successes have at most the probability ``risk``.
     """
     from scipy.special import bdtr  # slow to import
 
@@ -46,8 +53,8 @@ def plausible_successes(successes: int, draws: int, repeats: int, risk: float) -
 def required_successes(draws: int, probability: float, confidence: float) -> tuple[int, bool]:
     """Number of draws that have to carry a payload, and whether they assure it.
 
-    With enough draws, the number whose lower confidence bound is at least ``probability``. Otherwise the fraction
-    ``probability`` of the draws, rounded up, which assures nothing.
+    With enough draws, the number whose lower confidence bound is at least ``probability``.
+    Otherwise the fraction ``probability`` of the draws, rounded up, which assures nothing.
     """
     carried = np.arange(1, draws + 1)
     enough = carried[lower_bound(carried, draws, confidence) >= probability]

@@ -15,7 +15,8 @@ from cablebot_gym.utils.checks import number
 
 @dataclass(frozen=True, kw_only=True)
 class ActionTimes:
-    """Wall time of the actions of one episode, one observation at a time. It depends on the machine."""
+    """Wall time of the actions of one episode, one observation at a time. It depends on the
+    machine."""
 
     median: float
     """Median time of an action [s]."""
@@ -24,13 +25,16 @@ class ActionTimes:
     missed: float
     """Fraction of the actions that take longer than the control period."""
     start: float
-    """Time of the reset and of the first :data:`~cablebot_gym.policies.adapters.WARM_UP` actions together, in which
-    policies plan or compile code [s]. The other values are those of the later actions."""
+    """Time of the reset and of the first :data:`~cablebot_gym.policies.adapters.WARM_UP` actions
+    together, in which policies plan or compile code [s]. The other values are those of the later
+    actions."""
     period: float
     """Control period [s]."""
 
 
-def time_actions(policy: Any, env_id: str, *, payload: float = 0.0, seed: int = 0, **keywords: Any) -> ActionTimes:
+def time_actions(
+    policy: Any, env_id: str, *, payload: float = 0.0, seed: int = 0, **keywords: Any
+) -> ActionTimes:
     """Measures the time of each action in one episode over the full motion, also after a violation.
 
     Args:
@@ -41,9 +45,10 @@ def time_actions(policy: Any, env_id: str, *, payload: float = 0.0, seed: int = 
         keywords: keywords of the environment.
 
     Raises:
-        ValueError: if an argument is invalid, or if the environment terminates the episode within the first
-            :data:`~cablebot_gym.policies.adapters.WARM_UP` actions.
-        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but finite actions.
+        ValueError: if an argument is invalid, or if the environment terminates the episode within
+            the first :data:`~cablebot_gym.policies.adapters.WARM_UP` actions.
+        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
+            finite actions.
     """
     settings = {key: keywords.pop(key, None) for key in ("error_bounds", "uncertainty")}
     batch = Batch(policy, env_id, draws=1, seed=seed, keywords=keywords, **settings)
@@ -53,7 +58,11 @@ def time_actions(policy: Any, env_id: str, *, payload: float = 0.0, seed: int = 
     times = np.array(timed.times[WARM_UP:])
     period = 1 / batch.task.control_frequency
     if not times.size:
-        raise ValueError(f"the episode ends after {len(timed.times)} actions: choose a payload that the policy carries")
+        raise ValueError(
+            f"the episode ends after {len(timed.times)} actions: choose a payload that the policy carries"
+        )
     median, p99 = np.quantile(times, [0.5, 0.99]).tolist()
     start = timed.reset_time + sum(timed.times[:WARM_UP])
-    return ActionTimes(median=median, p99=p99, missed=float((times > period).mean()), start=start, period=period)
+    return ActionTimes(
+        median=median, p99=p99, missed=float((times > period).mean()), start=start, period=period
+    )

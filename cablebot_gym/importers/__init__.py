@@ -1,7 +1,7 @@
 """Robots from files of other programs: CASPR (bodies and cables as XML) and WireX (``.wcrfx``).
 
-z points up in these files, and down in this package. A file has no complete winches, so parts are assumed. The sources
-of an imported robot say where each value comes from.
+z points up in these files, and down in this package. A file has no complete winches, so parts are
+assumed. The sources of an imported robot say where each value comes from.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ def import_robot(path: str | Path, *, cable_set: str | None = None) -> ImportedR
     """A robot from a file of CASPR or WireX.
 
     Args:
-        path: ``NAME_bodies.xml`` or ``NAME_cables.xml`` of CASPR, with the other one beside it, or a ``.wcrfx`` file.
+        path: ``NAME_bodies.xml`` or ``NAME_cables.xml`` of CASPR, with the other one beside it, or
+            a ``.wcrfx`` file.
         cable_set: cable set of the CASPR file; None for its default.
 
     Raises:
@@ -31,6 +32,8 @@ def import_robot(path: str | Path, *, cable_set: str | None = None) -> ImportedR
             return completed(wirex.read(root, path, cable_set))
         if root.tag in caspr.ROOTS:
             return completed(caspr.read(path, cable_set))
-        raise ValueError(f"its root is <{root.tag}>. CASPR has <bodies_system> and <cables>, WireX has <models>")
+        raise ValueError(
+            f"its root is <{root.tag}>. CASPR has <bodies_system> and <cables>, WireX has <models>"
+        )
     except ValueError as error:
         raise ValueError(f"cannot import {str(path)!r}: {error}") from error

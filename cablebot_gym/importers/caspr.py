@@ -18,7 +18,8 @@ ROOTS = ("bodies_system", "cables")
 """Root elements of the two files."""
 
 SMALLEST_FORCE = 0.01
-"""Least tension above which ``force_min`` is a property of the robot, and not a number close to zero [N]."""
+"""Least tension above which ``force_min`` is a property of the robot, and not a number close to
+zero [N]."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,8 @@ class _Joint:
     axes: tuple[int, ...]
     """Axes of the source along which the body moves."""
     turn: float | None = None
-    """Sign of the source's angle in this package's plane; None if the body does not turn in a plane."""
+    """Sign of the source's angle in this package's plane; None if the body does not turn in a
+    plane."""
     spatial: bool = False
     """Whether the body turns in space."""
     moment: int = 2
@@ -36,7 +38,8 @@ class _Joint:
 
     @property
     def frame(self) -> Array:
-        """Matrix from the source's axes, z up, to this package's, where the vertical axis points down."""
+        """Matrix from the source's axes, z up, to this package's, where the vertical axis points
+        down."""
         matrix = np.eye(3)[list(self.axes)]
         if self.axes == (0, 1, 2):
             matrix[1:] *= -1.0  # half a turn about x keeps the frame right-handed
@@ -54,7 +57,9 @@ JOINTS = {
     "SPATIAL_EULER_XYZ": _Joint((0, 1, 2), spatial=True),
     "T_XYZ": _Joint((0, 1, 2)),
     "PLANAR_XY": _Joint((0, 1), turn=1.0),
-    "PLANAR_XZ": _Joint((0, 2), turn=1.0, moment=1),  # the source turns from z to x, which is from −y to x here
+    "PLANAR_XZ": _Joint(
+        (0, 2), turn=1.0, moment=1
+    ),  # the source turns from z to x, which is from −y to x here
     "PLANAR_YZ": _Joint((1, 2), turn=-1.0, moment=0),
     "P_XY": _Joint((0, 1)),
     "P_XZ": _Joint((0, 2)),
@@ -66,21 +71,34 @@ def read(path: Path, cable_set: str | None) -> Source:
     """The robot of two files, of which ``path`` is one.
 
     Raises:
-        ValueError: if a file is missing, or the robot has several bodies, another joint or cables over several points.
+        ValueError: if a file is missing, or the robot has several bodies, another joint or cables
+            over several points.
     """
     bodies, cables = (read_xml(file) for file in _both(path))
     links = list(bodies.iter("link_rigid"))
     if len(links) != 1:
-        raise ValueError(f"it has {len(links)} bodies. Only robots with one rigid body are imported")
+        raise ValueError(
+            f"it has {len(links)} bodies. Only robots with one rigid body are imported"
+        )
     element = _child(links[0], "joint")
     joint = JOINTS.get(element.get("type", ""))
     if joint is None:
-        raise ValueError(f"its joint is {element.get('type')}. Only {', '.join(JOINTS)} are imported")
+        raise ValueError(
+            f"its joint is {element.get('type')}. Only {', '.join(JOINTS)} are imported"
+        )
     name = path.stem.rpartition("_")[0]
     source = _body(name, links[0], element, joint)
     chosen = _cable_set(cables, cable_set)
-    _add_cables(source, chosen, joint, f"CASPR, {name}_cables.xml, set {chosen.get('id')}", _center(links[0]))
-    source.notes.append("q_min and q_max are not read: without `workspace`, it is the box of the base anchors")
+    _add_cables(
+        source,
+        chosen,
+        joint,
+        f"CASPR, {name}_cables.xml, set {chosen.get('id')}",
+        _center(links[0]),
+    )
+    source.notes.append(
+        "q_min and q_max are not read: without `workspace`, it is the box of the base anchors"
+    )
     return source
 
 
@@ -88,8 +106,13 @@ def _both(path: Path) -> tuple[Path, Path]:
     """The files of the bodies and of the cables."""
     name, _, part = path.stem.rpartition("_")
     if part not in ("bodies", "cables"):
-        raise ValueError("its name must end in _bodies.xml or _cables.xml, with the other file beside it")
-    files = path.with_name(f"{name}_bodies{path.suffix}"), path.with_name(f"{name}_cables{path.suffix}")
+        raise ValueError(
+            "its name must end in _bodies.xml or _cables.xml, with the other file beside it"
+        )
+    files = (
+        path.with_name(f"{name}_bodies{path.suffix}"),
+        path.with_name(f"{name}_cables{path.suffix}"),
+    )
     for file in files:
         if not file.is_file():
             raise ValueError(f"{file.name} is missing beside it")
@@ -110,7 +133,9 @@ def _numbers(text: str | None, count: int, what: str) -> Array:
     except ValueError:
         values = []
     if len(values) != count or not all(map(math.isfinite, values)):
-        raise ValueError(f"{what} must be {count} finite number{'s' if count > 1 else ''}, not {text!r}")
+        raise ValueError(
+            f"{what} must be {count} finite number{'s' if count > 1 else ''}, not {text!r}"
+        )
     return np.array(values)
 
 
@@ -134,8 +159,14 @@ def _body(name: str, link: Element, joint: Element, kind: _Joint) -> Source:
     frame = kind.frame
     turns = kind.spatial or kind.turn is not None
     given = _numbers(joint.get("q_initial"), 6 if kind.spatial else len(frame) + turns, "q_initial")
-    offset = _vector(_child(link, "parent"), "location") if link.find("parent") is not None else np.zeros(3)
-    home = np.concatenate([_signs(frame) * given[: len(frame)] + frame @ offset, given[len(frame) :]])
+    offset = (
+        _vector(_child(link, "parent"), "location")
+        if link.find("parent") is not None
+        else np.zeros(3)
+    )
+    home = np.concatenate(
+        [_signs(frame) * given[: len(frame)] + frame @ offset, given[len(frame) :]]
+    )
     if kind.spatial:
         home[3:] = _euler_angles(frame @ _rotation_of_source(given[3:]) @ frame.T)
     elif kind.turn is not None:
@@ -153,8 +184,14 @@ def _body(name: str, link: Element, joint: Element, kind: _Joint) -> Source:
     if turns:
         center, tensor = _center(link), _inertia(physical)
         source.center_of_mass, source.sources["center_of_mass"] = frame @ center, label
-        source.inertia = frame @ tensor @ frame.T if kind.spatial else tensor[kind.moment, kind.moment].reshape(1)
-        source.sources["inertia"] = f"{label}; the entries are those of the tensor, as CASPR uses them"
+        source.inertia = (
+            frame @ tensor @ frame.T
+            if kind.spatial
+            else tensor[kind.moment, kind.moment].reshape(1)
+        )
+        source.sources["inertia"] = (
+            f"{label}; the entries are those of the tensor, as CASPR uses them"
+        )
         if kind.spatial and not np.any(source.inertia - np.diag(np.diag(source.inertia))):
             source.inertia = np.diag(source.inertia)
     return source
@@ -168,7 +205,9 @@ def _signs(frame: Array) -> Array:
 def _inertia(physical: Element) -> Array:
     """Inertia tensor about the centre of mass, along the source's axes [kg·m²]."""
     element = _child(physical, "inertia")
-    xx, yy, zz, xy, xz, yz = (_value(element, name) for name in ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz"))
+    xx, yy, zz, xy, xz, yz = (
+        _value(element, name) for name in ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+    )
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     reference = element.get("ref", "")
     if reference == "joint":
@@ -212,7 +251,9 @@ def _add_cables(source: Source, cables: Element, joint: _Joint, label: str, cent
         if "passive" in cable.tag:
             raise ValueError(f"{name!r} is a passive spring. Only cables with a motor are imported")
         base, anchor, radius = _ends(cable, name, center)
-        if np.any(np.abs(base - anchor)[[axis for axis in range(3) if axis not in joint.axes]] > 1e-9):
+        if np.any(
+            np.abs(base - anchor)[[axis for axis in range(3) if axis not in joint.axes]] > 1e-9
+        ):
             raise ValueError(f"{name!r} leaves the plane in which the body moves")
         bases.append(frame @ base)
         anchors.append(frame @ anchor)
@@ -220,10 +261,16 @@ def _add_cables(source: Source, cables: Element, joint: _Joint, label: str, cent
         properties = _child(cable, "properties")
         forces.append([_value(properties, "force_min"), _value(properties, "force_max")])
         if cable.tag != "cable_ideal" and not any("springs" in note for note in source.notes):
-            source.notes.append(f"the springs of the cables ({cable.tag}) are left out: see transmission")
+            source.notes.append(
+                f"the springs of the cables ({cable.tag}) are left out: see transmission"
+            )
     if not forces:
         raise ValueError(f"cable set {cables.get('id')!r} has no cables")
-    change = f"; {FRAME}" if joint.axes == (0, 1, 2) else "; the second axis points down" * joint.vertical
+    change = (
+        f"; {FRAME}"
+        if joint.axes == (0, 1, 2)
+        else "; the second axis points down" * joint.vertical
+    )
     least, largest = np.array(forces).T
     if source.platform is None:  # a body that does not turn: the anchors shift the base
         source.base = np.array(bases) - np.array(anchors)
@@ -235,13 +282,19 @@ def _add_cables(source: Source, cables: Element, joint: _Joint, label: str, cent
     if any(radii):
         source.swivel_radius, source.sources["swivel_radius"] = tuple(radii), label
     if least.max() > SMALLEST_FORCE:
-        source.least_tension, source.sources["minimum_tension"] = float(least.max()), f"{label}: force_min"
+        source.least_tension, source.sources["minimum_tension"] = (
+            float(least.max()),
+            f"{label}: force_min",
+        )
     source.largest_tensions = largest
-    source.sources["motors.stall_torque"] = f"assumed: the torque of force_max at the assumed drum ({label})"
+    source.sources["motors.stall_torque"] = (
+        f"assumed: the torque of force_max at the assumed drum ({label})"
+    )
 
 
 def _ends(cable: Element, name: str, center: Array) -> tuple[Array, Array, float]:
-    """Ends of a cable at base and body in the source's frame, and the radius of its swivel pulley [m]."""
+    """Ends of a cable at base and body in the source's frame, and the radius of its swivel pulley
+    [m]."""
     points: dict[int, Array] = {}
     radius = 0.0
     attachments = list(_child(cable, "attachments"))
@@ -249,12 +302,19 @@ def _ends(cable: Element, name: str, center: Array) -> tuple[Array, Array, float
         if attachment.tag == "base_rotating_pulley":
             entry = _vector(attachment, "cable_entry_vector")
             if not (entry[0] == entry[1] == 0 and entry[2] > 0):
-                raise ValueError(f"{name!r} does not reach its pulley from below: choose another --cable-set")
-            points[0], radius = _vector(attachment, "fixed_location"), _value(attachment, "pulley_radius")
+                raise ValueError(
+                    f"{name!r} does not reach its pulley from below: choose another --cable-set"
+                )
+            points[0], radius = (
+                _vector(attachment, "fixed_location"),
+                _value(attachment, "pulley_radius"),
+            )
         elif attachment.tag == "attachment":
             points[int(_value(attachment, "link"))] = _vector(attachment, "location")
         else:
-            raise ValueError(f"{name!r} has <{attachment.tag}>, which has no model: choose another --cable-set")
+            raise ValueError(
+                f"{name!r} has <{attachment.tag}>, which has no model: choose another --cable-set"
+            )
     if len(attachments) != 2 or sorted(points) != [0, 1]:
         raise ValueError(f"{name!r} does not run from the base straight to the body")
     anchor = points[1] + center if cable.get("attachment_reference") == "com" else points[1]

@@ -1,4 +1,5 @@
-"""What a file of another program says about a robot, and the robot that follows with assumptions for the rest."""
+"""What a file of another program says about a robot, and the robot that follows with assumptions
+for the rest."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from cablebot_gym.robots import GRAVITY, Motors, Plane, Robot, Transmission
 from cablebot_gym.utils.files import read_text
 
 SIZE_OVER_DRUM = 100.0
-"""Assumed ratio of the width of the base to the drum radius, between 20 of a small robot and 220 of a large one."""
+"""Assumed ratio of the width of the base to the drum radius, between 20 of a small robot and 220 of
+a large one."""
 
 DRUM_RADII = (0.01, 0.5)
 """Least and largest assumed drum radius [m]."""
@@ -47,7 +49,8 @@ class Source:
     mass: float
     """Platform mass [kg]."""
     inertia: Array | None = None
-    """Tensor about the centre of mass, shape (3, 3), or (1,) in a plane [kg·m²]; None for a point mass."""
+    """Tensor about the centre of mass, shape (3, 3), or (1,) in a plane [kg·m²]; None for a point
+    mass."""
     center_of_mass: Array | None = None
     """Centre of mass, shape (d,) [m]; None for the origin."""
     home: Array | None = None
@@ -79,7 +82,8 @@ class ImportedRobot:
     """A robot from a file of another program."""
 
     robot: Robot
-    """The robot. Its ``sources`` say where each value comes from; those of assumed values start with ``assumed``."""
+    """The robot. Its ``sources`` say where each value comes from; those of assumed values start
+    with ``assumed``."""
     notes: tuple[str, ...]
     """What else the file has, and why it is left out."""
 
@@ -88,12 +92,19 @@ class ImportedRobot:
         data = self.robot.to_dict()
         parts = {name: data.pop(name) for name in ("motors", "transmission")}
         lines = ["# SI units and radians; z points down. Check it with `cablebot robot check`."]
-        lines += list(_toml_lines({name: value for name, value in data.items() if value not in (None, ())}))
+        lines += list(
+            _toml_lines({name: value for name, value in data.items() if value not in (None, ())})
+        )
         for name, part in parts.items():
             lines += ["", f"[{name}]"]
-            lines += list(_toml_lines({key: value for key, value in part.items() if value not in (None, 0.0)}))
+            lines += list(
+                _toml_lines({key: value for key, value in part.items() if value not in (None, 0.0)})
+            )
         lines += ["", "[sources]"]
-        lines += [f"{json.dumps(name)} = {json.dumps(text, ensure_ascii=False)}" for name, text in self.sources.items()]
+        lines += [
+            f"{json.dumps(name)} = {json.dumps(text, ensure_ascii=False)}"
+            for name, text in self.sources.items()
+        ]
         return "\n".join(lines) + "\n"
 
     @property
@@ -120,7 +131,8 @@ def _toml_value(value: Any) -> str:
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """The root of an XML file. Its document type is not read, and entities are refused: they can grow without limit.
+    """The root of an XML file. Its document type is not read, and entities are refused: they can
+    grow without limit.
 
     Raises:
         ValueError: if the file cannot be read, or is not such XML.
@@ -164,7 +176,9 @@ def completed(source: Source) -> ImportedRobot:
     tensions = source.largest_tensions
     if tensions is None:
         tensions = np.full(m, FORCE_RESERVE * source.mass * GRAVITY)
-        sources["motors.stall_torque"] = f"assumed: tension of {FORCE_RESERVE:g} × the platform's weight at the drum"
+        sources["motors.stall_torque"] = (
+            f"assumed: tension of {FORCE_RESERVE:g} × the platform's weight at the drum"
+        )
     speed = source.cable_speed
     if speed is None:
         speed = CABLE_SPEED
@@ -178,7 +192,8 @@ def completed(source: Source) -> ImportedRobot:
     sources["transmission.damping"] = "assumed: no friction"
     torques = tuple(_rounded(tensions * radius))
     fields["motors"] = Motors(
-        stall_torque=torques[0] if len(set(torques)) == 1 else torques, free_speed=_rounded(speed / radius)
+        stall_torque=torques[0] if len(set(torques)) == 1 else torques,
+        free_speed=_rounded(speed / radius),
     )
     fields["transmission"] = Transmission(pulley_radius=radius, pulley_inertia=_rounded(inertia))
     notes = list(source.notes)
@@ -197,12 +212,17 @@ def _drum_radius(source: Source, sources: dict[str, str]) -> float:
     if source.drum_radius is not None:
         return source.drum_radius
     width = float(np.max(np.ptp(source.base, axis=0)))
-    sources["transmission.pulley_radius"] = f"assumed: 1/{SIZE_OVER_DRUM:g} of the width of the base"
+    sources["transmission.pulley_radius"] = (
+        f"assumed: 1/{SIZE_OVER_DRUM:g} of the width of the base"
+    )
     return float(_rounded(np.clip(width / SIZE_OVER_DRUM, *DRUM_RADII)))
 
 
-def _at_home(source: Source, fields: dict[str, Any], sources: dict[str, str], notes: list[str]) -> Robot:
-    """The robot at the home pose of the source, or at the first pose of a search that positive tensions hold."""
+def _at_home(
+    source: Source, fields: dict[str, Any], sources: dict[str, str], notes: list[str]
+) -> Robot:
+    """The robot at the home pose of the source, or at the first pose of a search that positive
+    tensions hold."""
     refusal = None
     for pose in _home_poses(source):
         try:
@@ -220,7 +240,8 @@ def _at_home(source: Source, fields: dict[str, Any], sources: dict[str, str], no
 
 
 def _home_poses(source: Source) -> Iterator[Array]:
-    """The pose of the source, then poses on a vertical line through the middle of the base anchors."""
+    """The pose of the source, then poses on a vertical line through the middle of the base
+    anchors."""
     if source.home is not None:
         yield source.home
     low, high = source.base.min(axis=0), source.base.max(axis=0)

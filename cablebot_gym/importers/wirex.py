@@ -34,7 +34,8 @@ def read(root: Element, path: Path, cable_set: str | None) -> Source:
     """The robot of a file.
 
     Raises:
-        ValueError: if an element is missing, or the platform does not move in all six or all three directions.
+        ValueError: if an element is missing, or the platform does not move in all six or all three
+            directions.
     """
     if cable_set is not None:
         raise ValueError("a .wcrfx file has no cable sets: remove --cable-set")
@@ -61,7 +62,9 @@ def read(root: Element, path: Path, cable_set: str | None) -> Source:
     radii = sorted({_number(_child(chain, "base"), "radius", 0.0) for chain in chains})
     if any(radii):
         text = ", ".join(f"{radius:g} m" for radius in radii)
-        source.notes.append(f"swivel pulleys of {text} are left out, as WireX does by default: see swivel_radius")
+        source.notes.append(
+            f"swivel pulleys of {text} are left out, as WireX does by default: see swivel_radius"
+        )
     _add_winch(source, root, label)
     _add_cable(source, root, label)
     return source
@@ -92,7 +95,11 @@ def _vector(element: Element) -> Array:
 
 def _doubt(element: Element, name: str) -> str:
     """Remark for a value that many files share."""
-    return "; WireX's default, probably not measured" if _number(element, name) == DEFAULTS[name] else ""
+    return (
+        "; WireX's default, probably not measured"
+        if _number(element, name) == DEFAULTS[name]
+        else ""
+    )
 
 
 def _add_inertia(source: Source, body: Element, label: str) -> None:
@@ -100,7 +107,9 @@ def _add_inertia(source: Source, body: Element, label: str) -> None:
     center = body.find("centerofgravity")
     point = None if center is None else _vector(center)
     if point is None or np.allclose(point, _UP_TO_DOWN * DEFAULT_CENTER):
-        source.sources["center_of_mass"] = "assumed: the origin of the platform frame; the file has WireX's default"
+        source.sources["center_of_mass"] = (
+            "assumed: the origin of the platform frame; the file has WireX's default"
+        )
     else:
         source.center_of_mass, source.sources["center_of_mass"] = point, f"{label}; {FRAME}"
     tensor = body.find("inertiatensor")
@@ -115,8 +124,12 @@ def _add_inertia(source: Source, body: Element, label: str) -> None:
     anchors = source.platform
     assert anchors is not None
     sides = np.maximum(np.ptp(anchors, axis=0), np.ptp(anchors) / 10) ** 2
-    source.inertia = np.diag([float(f"{source.mass * (sides.sum() - side) / 12:.4g}") for side in sides])
-    source.sources["inertia"] = "assumed: a homogeneous box around the platform anchors; the file has only Ixx"
+    source.inertia = np.diag(
+        [float(f"{source.mass * (sides.sum() - side) / 12:.4g}") for side in sides]
+    )
+    source.sources["inertia"] = (
+        "assumed: a homogeneous box around the platform anchors; the file has only Ixx"
+    )
 
 
 def _add_winch(source: Source, root: Element, label: str) -> None:
@@ -131,10 +144,14 @@ def _add_winch(source: Source, root: Element, label: str) -> None:
         source.sources["transmission.pulley_radius"] = label + _doubt(drum, "r_drum")
     if cable is not None and _number(cable, "f_max", 0.0) > 0:
         source.largest_tensions = np.full(len(source.base), _number(cable, "f_max"))
-        source.sources["motors.stall_torque"] = f"{label}: f_max at the drum{_doubt(cable, 'f_max')}"
+        source.sources["motors.stall_torque"] = (
+            f"{label}: f_max at the drum{_doubt(cable, 'f_max')}"
+        )
     if cable is not None and _number(cable, "max_velocity", 0.0) > 0:
         source.cable_speed = _number(cable, "max_velocity")
-        source.sources["motors.free_speed"] = f"{label}: max_velocity of the cable{_doubt(cable, 'max_velocity')}"
+        source.sources["motors.free_speed"] = (
+            f"{label}: max_velocity of the cable{_doubt(cable, 'max_velocity')}"
+        )
     if motor is not None and _number(motor, "inertia", 0.0) > 0:
         source.winch_inertia = _number(motor, "inertia") * _number(motor, "gear_ratio", 1.0) ** 2
         text = f"{label}: inertia of the motor × gear_ratio²{_doubt(motor, 'inertia')}"
@@ -153,4 +170,6 @@ def _add_cable(source: Source, root: Element, label: str) -> None:
     stiffness = _number(cable, "elasticity", 0.0) * math.pi * _number(cable, "radius", 0.0) ** 2
     if stiffness > 0:
         text = f"elasticity and radius give EA = {stiffness:.4g} N"
-        source.notes.append(f"the cables do not stretch here; {text}, for transmission.axial_stiffness")
+        source.notes.append(
+            f"the cables do not stretch here; {text}, for transmission.axial_stiffness"
+        )

@@ -8,7 +8,8 @@ DEADLINE = 60.0
 """Default deadline of a call of a policy [s]."""
 
 START_UP = 10
-"""Deadline of loading, reset and first call together, in deadlines of a call: plans and compiled code are made then."""
+"""Deadline of loading, reset and first call together, in deadlines of a call: plans and compiled
+code are made then."""
 
 TOTAL = 240
 """Deadline of all calls together, in deadlines of a call."""
@@ -50,6 +51,8 @@ class Deadlines:
         if self._started_up:
             limits.append((self._deadline, self._deadline, "a call"))
         else:
-            limits.append((start_up - self._process, start_up, "loading, reset() and the first call"))
+            limits.append(
+                (start_up - self._process, start_up, "loading, reset() and the first call")
+            )
         seconds, limit, calls = min(limits)
         return max(seconds, 0.0), f"{limit:g} s, the deadline of {calls}"

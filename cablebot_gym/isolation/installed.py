@@ -17,7 +17,8 @@ from cablebot_gym.policies.spec import PolicySpec, policy_names
 
 
 def public_entries() -> dict[str, PolicyEntry]:
-    """All installed policies by name, sorted, see :func:`public_entry`. A policy without entry is skipped."""
+    """All installed policies by name, sorted, see :func:`public_entry`. A policy without entry is
+    skipped."""
     entries = {name: public_entry(name) for name in policy_names()}
     return {name: entry for name, entry in entries.items() if entry is not None}
 
@@ -26,9 +27,9 @@ def public_entries() -> dict[str, PolicyEntry]:
 def public_entry(name: str) -> PolicyEntry | None:
     """The entry of an installed policy, without code of other packages; None if there is none.
 
-    The package of another project is imported in a process of its own, which sends the environment ids, the data files
-    and whether the policy is slow. The factory of such an entry makes an :class:`IsolatedPolicy`. A policy whose
-    package cannot be imported is skipped with a warning.
+    The package of another project is imported in a process of its own, which sends the environment
+    ids, the data files and whether the policy is slow. The factory of such an entry makes an
+    :class:`IsolatedPolicy`. A policy whose package cannot be imported is skipped with a warning.
     """
     spec = PolicySpec.parse(name)
     if spec.estimators:

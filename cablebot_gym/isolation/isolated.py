@@ -1,4 +1,5 @@
-"""Policies in processes of their own. They get observations and public tasks, and return actions."""
+"""Policies in processes of their own. They get observations and public tasks, and return
+actions."""
 
 from __future__ import annotations
 
@@ -30,34 +31,38 @@ from cablebot_gym.task import Task
 class IsolatedPolicy:
     """A policy in a process of its own, with a fresh process for each batch of episodes.
 
-    The process gets the nominal robot, observations and public tasks, some environment variables, and a folder of its
-    own for temporary files. It knows neither the environment nor the evaluation. Its working directory is that of
-    this process, so that files given by relative paths are found.
+    The process gets the nominal robot, observations and public tasks, some environment variables,
+    and a folder of its own for temporary files. It knows neither the environment nor the
+    evaluation. Its working directory is that of this process, so that files given by relative paths
+    are found.
 
-    Every misbehaviour of the policy is a :class:`~cablebot_gym.policies.protocol.PolicyError`: an exception, an end of
-    its process, no answer before the deadline, invalid actions or invalid data. The process is then ended, and on Linux
-    all processes that have inherited its memory limit, so all that it has started unless it changes that limit. Other
-    processes and files of the same user are protected from the policy only in a sandbox.
+    Every misbehaviour of the policy is a :class:`~cablebot_gym.policies.protocol.PolicyError`: an
+    exception, an end of its process, no answer before the deadline, invalid actions or invalid
+    data. The process is then ended, and on Linux all processes that have inherited its memory
+    limit, so all that it has started unless it changes that limit. Other processes and files of the
+    same user are protected from the policy only in a sandbox.
 
     Args:
         name: name of the policy, as on the command line.
         robot: nominal robot.
-        deadline: largest wall-clock time of a call [s]; > 0. Loading, reset and first call for a batch together may
-            take :data:`~cablebot_gym.isolation.deadlines.START_UP` times as long, and all calls for all batches
-            :data:`~cablebot_gym.isolation.deadlines.TOTAL` times.
-        real_time: control period after which an action is replaced by the last one of its episode [s]; None for no
-            limit. The process of the policy measures the time, so it has to be honest. See
-            :class:`~cablebot_gym.policies.adapters.RealTime`.
+        deadline: largest wall-clock time of a call [s]; > 0. Loading, reset and first call for a
+            batch together may take :data:`~cablebot_gym.isolation.deadlines.START_UP` times as
+            long, and all calls for all batches :data:`~cablebot_gym.isolation.deadlines.TOTAL`
+            times.
+        real_time: control period after which an action is replaced by the last one of its episode
+            [s]; None for no limit. The process of the policy measures the time, so it has to be
+            honest. See :class:`~cablebot_gym.policies.adapters.RealTime`.
         wrappers: names of the wrappers of the training, the innermost first, see
             :data:`~cablebot_gym.policies.wrappers.Wrapper`. They run in the process of the policy.
-        sandbox: whether the process runs in a sandbox without network, other processes, and most files, see
-            :func:`~cablebot_gym.isolation.sandbox.sandboxed`. Entries of others always do, unless
-            :func:`~cablebot_gym.isolation.sandbox.opt_out` was called.
+        sandbox: whether the process runs in a sandbox without network, other processes, and most
+            files, see :func:`~cablebot_gym.isolation.sandbox.sandboxed`. Entries of others always
+            do, unless :func:`~cablebot_gym.isolation.sandbox.opt_out` was called.
 
     Raises:
-        ValueError: if the name is unknown or the policy cannot be loaded, if a wrapper is given by an object, or if
-            there is no sandbox.
-        PolicyError: if the process of the policy ends or does not answer while the policy is loaded.
+        ValueError: if the name is unknown or the policy cannot be loaded, if a wrapper is given by
+            an object, or if there is no sandbox.
+        PolicyError: if the process of the policy ends or does not answer while the policy is
+            loaded.
     """
 
     def __init__(
@@ -92,7 +97,8 @@ class IsolatedPolicy:
         self.stochastic = declared.stochastic
         self.measurement = plain(declared.measurement)
         self.wrappers = _texts(described.get("wrappers"))
-        """Names of the wrappers, the innermost first, with those that were found beside the policy."""
+        """Names of the wrappers, the innermost first, with those that were found beside the
+        policy."""
         self._notes = _texts(described.get("notes"))
         for note in self._notes:
             say(note)
@@ -112,10 +118,12 @@ class IsolatedPolicy:
         )
 
     def reset(self, tasks: Sequence[Task]) -> None:
-        """Starts a fresh process and passes the tasks, one for each observation of the batch, to its policy.
+        """Starts a fresh process and passes the tasks, one for each observation of the batch, to
+        its policy.
 
         Raises:
-            ValueError: if the tasks cannot be pickled, for example because a motion is defined inside a function.
+            ValueError: if the tasks cannot be pickled, for example because a motion is defined
+                inside a function.
             PolicyError: if the policy fails.
         """
         try:
@@ -128,9 +136,14 @@ class IsolatedPolicy:
         self._ask(RESET, request)
 
     def predict(
-        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[Array, Any]:
-        """Actions of the policy for a batch (N, size) or one observation (size,); the state is the number of calls.
+        """Actions of the policy for a batch (N, size) or one observation (size,); the state is the
+        number of calls.
 
         The state of the policy stays in its process. ``state=None`` starts with no state.
 
@@ -138,7 +151,9 @@ class IsolatedPolicy:
             PolicyError: if the policy fails.
         """
         rows = np.atleast_2d(observation)
-        starts = np.zeros(len(rows), np.bool_) if episode_start is None else np.atleast_1d(episode_start)
+        starts = (
+            np.zeros(len(rows), np.bool_) if episode_start is None else np.atleast_1d(episode_start)
+        )
         if self._process is None:
             self._start()
         self._fresh = False
@@ -154,7 +169,8 @@ class IsolatedPolicy:
         return (actions if np.ndim(observation) > 1 else actions[0]), (state or 0) + 1
 
     def close(self) -> None:
-        """Ends the process of the policy and all processes that it has started. The next call starts a new one."""
+        """Ends the process of the policy and all processes that it has started. The next call
+        starts a new one."""
         if self._process is not None:
             self._process.end()
             self._process = None
@@ -166,7 +182,8 @@ class IsolatedPolicy:
         self.close()
 
     def _start(self) -> dict[str, Any]:
-        """Starts a process in place of the present one, loads the policy and returns its description."""
+        """Starts a process in place of the present one, loads the policy and returns its
+        description."""
         self.close()
         self._process = PolicyProcess(self._sandboxed_names)
         self._deadlines.start_process()
@@ -177,7 +194,8 @@ class IsolatedPolicy:
         return described
 
     def _ask(self, kind: int, request: bytes, largest: int = 0) -> bytes:
-        """Body of the answer to a request, see :meth:`~cablebot_gym.isolation.process.PolicyProcess.exchange`."""
+        """Body of the answer to a request, see
+        :meth:`~cablebot_gym.isolation.process.PolicyProcess.exchange`."""
         assert self._process is not None
         seconds, limit = self._deadlines.remaining()
         started = time.monotonic()
@@ -194,7 +212,11 @@ class IsolatedPolicy:
         if reply_kind == ANSWER:
             return body
         content = parse_json(body)
-        if reply_kind not in (FAILURE, INVALID) or not isinstance(content, dict) or "error" not in content:
+        if (
+            reply_kind not in (FAILURE, INVALID)
+            or not isinstance(content, dict)
+            or "error" not in content
+        ):
             raise self._failed("its process sent invalid data")
         cause, index = plain(content["error"]), content.get("index")
         if reply_kind == INVALID:

@@ -30,30 +30,62 @@ _LINE = 1200
 """Number of characters of a text of the policy that messages repeat."""
 
 _SWEEPS = 20
-"""Largest number of searches for processes that a policy has started: they may start others meanwhile."""
+"""Largest number of searches for processes that a policy has started: they may start others
+meanwhile."""
 
 _ENVIRONMENT = {
-    *("PATH", "HOME", "USER", "LANG", "LANGUAGE", "TZ", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "VIRTUAL_ENV"),
-    *("CONDA_PREFIX", "XDG_CACHE_HOME", "CABLEBOT_CACHE", "SYSTEMROOT", "WINDIR", "COMSPEC", "PATHEXT"),
+    *(
+        "PATH",
+        "HOME",
+        "USER",
+        "LANG",
+        "LANGUAGE",
+        "TZ",
+        "LD_LIBRARY_PATH",
+        "DYLD_LIBRARY_PATH",
+        "VIRTUAL_ENV",
+    ),
+    *(
+        "CONDA_PREFIX",
+        "XDG_CACHE_HOME",
+        "CABLEBOT_CACHE",
+        "SYSTEMROOT",
+        "WINDIR",
+        "COMSPEC",
+        "PATHEXT",
+    ),
     *("USERPROFILE", "APPDATA", "LOCALAPPDATA", "PROGRAMDATA", "NUMBER_OF_PROCESSORS"),
 }
 _ENVIRONMENT_PREFIXES = (
-    *("LC_", "PYTHON", "COVERAGE_", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_", "KMP_", "VECLIB_", "NUMEXPR_"),
+    *(
+        "LC_",
+        "PYTHON",
+        "COVERAGE_",
+        "NUMBA_",
+        "OMP_",
+        "OPENBLAS_",
+        "MKL_",
+        "KMP_",
+        "VECLIB_",
+        "NUMEXPR_",
+    ),
     *("TORCH", "PYTORCH_", "CUDA_", "NVIDIA_", "HIP_", "ROCR_"),
 )
-"""Environment variables of this process that the policy gets, by name and by the beginning of their name."""
+"""Environment variables of this process that the policy gets, by name and by the beginning of their
+name."""
 
 
 class EndedError(Exception):
-    """The process of a policy has ended, or what it sent is invalid. The message is the cause as a clause."""
+    """The process of a policy has ended, or what it sent is invalid. The message is the cause as a
+    clause."""
 
 
 class PolicyProcess:
     """A process, the thread that talks to it, and the thread that drains its standard error.
 
     Args:
-        sandboxed_names: names of the policy and of its wrappers for which the process is put into a sandbox; None for
-            no sandbox.
+        sandboxed_names: names of the policy and of its wrappers for which the process is put into a
+            sandbox; None for no sandbox.
     """
 
     def __init__(self, sandboxed_names: Sequence[str] | None = None) -> None:
@@ -63,7 +95,12 @@ class PolicyProcess:
         for name, value in os.environ.items():
             if name.upper() in _ENVIRONMENT or name.startswith(_ENVIRONMENT_PREFIXES):
                 environment.setdefault(name, value)
-        command = [sys.executable, "-P", "-c", "from cablebot_gym.isolation.server import main; main()"]
+        command = [
+            sys.executable,
+            "-P",
+            "-c",
+            "from cablebot_gym.isolation.server import main; main()",
+        ]
         self._sandboxed = sandboxed_names is not None
         if sandboxed_names is not None:
             command = sandboxed(command, sandboxed_names, Path(folder))
@@ -74,16 +111,22 @@ class PolicyProcess:
         self._requests: queue.SimpleQueue[_Request | None] = queue.SimpleQueue()
         self._replies: queue.SimpleQueue[tuple[int, bytes] | None] = queue.SimpleQueue()
         self._stderr = bytearray()
-        self._drainer = threading.Thread(target=_drain, args=(self._popen.stderr, self._stderr), daemon=True)
-        talker = threading.Thread(target=_talk, args=(self._popen, self._requests, self._replies), daemon=True)
+        self._drainer = threading.Thread(
+            target=_drain, args=(self._popen.stderr, self._stderr), daemon=True
+        )
+        talker = threading.Thread(
+            target=_talk, args=(self._popen, self._requests, self._replies), daemon=True
+        )
         threads = [talker, self._drainer]
         for thread in threads:
             thread.start()
         self.end = weakref.finalize(self, _end, self._popen, folder, self._requests, threads)
-        """Ends the process; also called when the object is collected and when the interpreter exits."""
+        """Ends the process; also called when the object is collected and when the interpreter
+        exits."""
 
     def exchange(self, kind: int, body: bytes, largest: int, seconds: float) -> tuple[int, bytes]:
-        """Kind and body of the reply to a request. The body has at most ``largest`` or :data:`TEXT` bytes.
+        """Kind and body of the reply to a request. The body has at most ``largest`` or :data:`TEXT`
+        bytes.
 
         Raises:
             queue.Empty: if there is no reply within ``seconds``.
@@ -119,7 +162,8 @@ def _talk(
     requests: queue.SimpleQueue[_Request | None],
     replies: queue.SimpleQueue[tuple[int, bytes] | None],
 ) -> None:
-    """Thread that sends requests and puts each reply, or None after an error. The policy can block it without end."""
+    """Thread that sends requests and puts each reply, or None after an error. The policy can block
+    it without end."""
     assert popen.stdin is not None
     assert popen.stdout is not None
     for kind, body, largest in iter(requests.get, None):
@@ -144,7 +188,8 @@ def _end(
     requests: queue.SimpleQueue[_Request | None],
     threads: list[threading.Thread],
 ) -> None:
-    """Ends a process, its process group and, on Linux, every other process that has inherited its limit of memory."""
+    """Ends a process, its process group and, on Linux, every other process that has inherited its
+    limit of memory."""
     requests.put(None)
     with suppress(OSError):
         popen.kill()
@@ -170,7 +215,8 @@ def _end(
 
 
 def _processes_of(number: int) -> list[int]:
-    """Numbers of the processes that have the limit of memory of the policy's process with a number (Linux).
+    """Numbers of the processes that have the limit of memory of the policy's process with a number
+    (Linux).
 
     A process group would miss those in a session of their own.
     """

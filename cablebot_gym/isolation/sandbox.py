@@ -1,4 +1,5 @@
-"""The sandbox of policies of others, made by bubblewrap: an isolated policy without network, files and processes."""
+"""The sandbox of policies of others, made by bubblewrap: an isolated policy without network, files
+and processes."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ from cablebot_gym.policies.sb3 import statistics_beside
 from cablebot_gym.robots import Robot
 
 _NAMESPACES = ("--unshare-all", "--die-with-parent", "--cap-drop", "ALL")
-"""New namespaces for users, processes, network and others. The sandbox ends with the process that started it."""
+"""New namespaces for users, processes, network and others. The sandbox ends with the process that
+started it."""
 
 _SYSTEM = (
     *("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/nix", "/gnu"),
@@ -36,7 +38,9 @@ def sandbox_problem() -> str:
     if program is None:
         return "bubblewrap is not installed (`apt-get install bubblewrap`; Linux only)"
     bound = ("--ro-bind", "/", "/", "--proc", "/proc", "--dev", "/dev")
-    tried = subprocess.run([program, *_NAMESPACES, *bound, "true"], capture_output=True, text=True, errors="replace")
+    tried = subprocess.run(
+        [program, *_NAMESPACES, *bound, "true"], capture_output=True, text=True, errors="replace"
+    )
     return f"bubblewrap is not permitted here ({tried.stderr.strip()})" if tried.returncode else ""
 
 
@@ -44,7 +48,9 @@ def sandbox_name() -> str | None:
     """Name and version of the sandbox in which entries run; None if they run without one."""
     if opted_out():
         return None
-    return subprocess.run(["bwrap", "--version"], capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(
+        ["bwrap", "--version"], capture_output=True, text=True, check=True
+    ).stdout.strip()
 
 
 def check_sandbox() -> None:
@@ -58,12 +64,15 @@ def check_sandbox() -> None:
 
 
 def prepare_sandbox(robot: Robot) -> None:
-    """Checks the sandbox, and compiles here the equations of a robot that the processes of its policies call.
+    """Checks the sandbox, and compiles here the equations of a robot that the processes of its
+    policies call.
 
     Raises:
         ValueError: if there is no sandbox.
     """
-    from cablebot_gym.physics.inverse import inverse_dynamics  # numba takes a second, which other commands save
+    from cablebot_gym.physics.inverse import (
+        inverse_dynamics,
+    )  # numba takes a second, which other commands save
 
     check_sandbox()
     pose = np.zeros(robot.coordinates)
@@ -83,8 +92,9 @@ def opted_out() -> bool:
 def sandboxed(command: list[str], names: Sequence[str], folder: Path) -> list[str]:
     """A command line that runs a command in the sandbox.
 
-    The command has no network, sees no other process, and writes to no folder but ``folder`` and an empty home. It
-    reads the operating system, Python, installed packages, compiled code, and the files of the policy.
+    The command has no network, sees no other process, and writes to no folder but ``folder`` and an
+    empty home. It reads the operating system, Python, installed packages, compiled code, and the
+    files of the policy.
 
     Args:
         command: the command.
@@ -99,14 +109,26 @@ def sandboxed(command: list[str], names: Sequence[str], folder: Path) -> list[st
     check_sandbox()
     home, working = Path.home(), Path.cwd()
     (folder / "home").mkdir()
-    prefixes = {Path(prefix).absolute() for prefix in (sys.prefix, sys.exec_prefix, sys.base_prefix)}
+    prefixes = {
+        Path(prefix).absolute() for prefix in (sys.prefix, sys.exec_prefix, sys.base_prefix)
+    }
     # The working directory may be below /usr, as in containers.
     empty = {working: ("--tmpfs", str(working)), home: ("--bind", str(folder / "home"), str(home))}
-    options = ["bwrap", *_NAMESPACES, "--proc", "/proc", "--dev", "/dev", *_readable(map(Path, _SYSTEM))]
+    options = [
+        "bwrap",
+        *_NAMESPACES,
+        "--proc",
+        "/proc",
+        "--dev",
+        "/dev",
+        *_readable(map(Path, _SYSTEM)),
+    ]
     for path in sorted(empty):  # a folder before those in it
         if not any(Path(system).is_relative_to(path) for system in _SYSTEM):
             options += empty[path]
-    options += _readable(path for path in sorted(prefixes) if not any(map(path.is_relative_to, _SYSTEM)))
+    options += _readable(
+        path for path in sorted(prefixes) if not any(map(path.is_relative_to, _SYSTEM))
+    )
     options += _readable(_sources(names, working, prefixes))
     options += _readable(code_folders())
     options += ["--bind", str(folder), str(folder), "--chdir", str(working)]
@@ -123,7 +145,8 @@ def _readable(paths: Iterable[Path]) -> list[str]:
 
 
 def _sources(names: Sequence[str], working: Path, prefixes: set[Path]) -> Iterator[Path]:
-    """Files and folders outside Python's own that the policy can read: those of modules, and its own."""
+    """Files and folders outside Python's own that the policy can read: those of modules, and its
+    own."""
     folders = []
     for name in names:
         path = Path(os.path.abspath(name))
@@ -142,9 +165,15 @@ def _sources(names: Sequence[str], working: Path, prefixes: set[Path]) -> Iterat
         if not of_others and not any(map(folder.is_relative_to, prefixes)):
             folders.append(folder)
     for folder in folders:
-        if not folder.is_dir() or any(folder.glob("*.dist-info")):  # a .zip of modules; a folder of pip
+        if not folder.is_dir() or any(
+            folder.glob("*.dist-info")
+        ):  # a .zip of modules; a folder of pip
             yield folder
             continue
-        for path in sorted(folder.iterdir()):  # other subfolders may have results, and hidden files passwords
-            if not path.name.startswith(".") and (path.is_file() or (path / "__init__.py").is_file()):
+        for path in sorted(
+            folder.iterdir()
+        ):  # other subfolders may have results, and hidden files passwords
+            if not path.name.startswith(".") and (
+                path.is_file() or (path / "__init__.py").is_file()
+            ):
                 yield path

@@ -1,7 +1,7 @@
 """The process of an isolated policy, which :mod:`cablebot_gym.isolation.process` starts.
 
-Requests and replies are frames: :data:`HEADER` and a body. The judge pickles its requests. Replies are numbers or JSON,
-because the judge must never unpickle what a policy can have written.
+Requests and replies are frames: :data:`HEADER` and a body. The judge pickles its requests. Replies
+are numbers or JSON, because the judge must never unpickle what a policy can have written.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ HEADER = struct.Struct("<BQ")
 LOAD, RESET, PREDICT, DESCRIBE = range(4)
 """Kinds of requests."""
 ANSWER, FAILURE, INVALID = range(3)
-"""Kinds of replies: a result; JSON of an error of the policy; JSON of a policy that cannot be loaded."""
+"""Kinds of replies: a result; JSON of an error of the policy; JSON of a policy that cannot be
+loaded."""
 FOLDER = "cablebot-policy-"
 """Beginning of the name of the folder for temporary files."""
 
@@ -80,9 +81,15 @@ class _Server:
     """A policy and its state."""
 
     def load(
-        self, name: str, robot: Any, path: list[str], real_time: float | None = None, wrappers: tuple[str, ...] = ()
+        self,
+        name: str,
+        robot: Any,
+        path: list[str],
+        real_time: float | None = None,
+        wrappers: tuple[str, ...] = (),
     ) -> bytes:
-        """Loads the policy, for real time if there is a control period, and returns its declarations as JSON."""
+        """Loads the policy, for real time if there is a control period, and returns its
+        declarations as JSON."""
         sys.path[:] = path
         target = PolicySpec.parse(name).target
         name = name.removesuffix(target) + entry_spec(target)
@@ -91,7 +98,9 @@ class _Server:
         self._cables = robot.cables
         self._state = None
         if real_time is not None:
-            self._policy = PolicyFactory(lambda: RealTime(load(name, robot, wrappers=wrappers).policy, real_time))
+            self._policy = PolicyFactory(
+                lambda: RealTime(load(name, robot, wrappers=wrappers).policy, real_time)
+            )
         described = declarations(self._policy)._asdict() | {
             "notes": loaded.notes,
             "wrappers": loaded.wrappers,
@@ -106,7 +115,8 @@ class _Server:
         return b""
 
     def predict(self, observation: Any, start: Any, fresh: bool) -> bytes:
-        """Actions as float64, followed by the number of fallbacks, which is NaN if the policy does not count them."""
+        """Actions as float64, followed by the number of fallbacks, which is NaN if the policy does
+        not count them."""
         state = None if fresh else self._state
         actions, self._state = predicted(self._policy, observation, state, start, self._cables)
         fallbacks = math.nan
@@ -119,9 +129,13 @@ class _Server:
         sys.path[:] = path
         entry = PolicySpec.parse(name).entry()
         if entry is None:
-            raise ValueError(f"its package cannot be imported, or its entry has another name than {name!r}")
+            raise ValueError(
+                f"its package cannot be imported, or its entry has another name than {name!r}"
+            )
         files = None if entry.files is None else [os.path.abspath(file) for file in entry.files]
-        return json.dumps({"env_ids": list(entry.env_ids), "slow": entry.slow, "files": files}).encode()
+        return json.dumps(
+            {"env_ids": list(entry.env_ids), "slow": entry.slow, "files": files}
+        ).encode()
 
 
 def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
@@ -147,20 +161,26 @@ def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
                 text, index = error.cause, error.index
             elif kind == LOAD and isinstance(error, (ValueError, ImportError)):
                 failure, text = INVALID, str(error)
-            send_frame(replies, failure, json.dumps({"error": text[:4000], "index": index}).encode())
+            send_frame(
+                replies, failure, json.dumps({"error": text[:4000], "index": index}).encode()
+            )
         else:
             send_frame(replies, ANSWER, body)
 
 
 def main() -> None:
-    """Keeps the two pipes for itself and serves them. Output of the policy goes to the null device."""
+    """Keeps the two pipes for itself and serves them. Output of the policy goes to the null
+    device."""
     requests = os.fdopen(os.dup(0), "rb")
     replies = os.fdopen(os.dup(1), "wb")
     null = os.open(os.devnull, os.O_RDWR)
     os.dup2(null, 0)
     os.dup2(null, 1)
     _limit_resources()
-    parent, folder = os.getppid(), tempfile.gettempdir()  # the policy may change the environment variables
+    parent, folder = (
+        os.getppid(),
+        tempfile.gettempdir(),
+    )  # the policy may change the environment variables
     threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
     with suppress(OSError):  # the parent process is gone, or the policy has closed the pipes
         serve(requests, replies)
@@ -169,7 +189,8 @@ def main() -> None:
 
 
 def _limit_resources() -> None:
-    """Limits the memory, so that a policy that allocates without end fails before other processes do."""
+    """Limits the memory, so that a policy that allocates without end fails before other processes
+    do."""
     if not sys.platform.startswith("linux"):
         return
     import resource
@@ -185,8 +206,8 @@ def _limit_resources() -> None:
 def memory_limit(number: int) -> int:
     """Limit of the memory of the policy's process with a number [bytes] (Linux).
 
-    It differs between processes. A process inherits it, whatever its environment and session, so it tells which
-    processes a policy has started.
+    It differs between processes. A process inherits it, whatever its environment and session, so it
+    tells which processes a policy has started.
     """
     import resource
 
@@ -198,7 +219,8 @@ def memory_limit(number: int) -> int:
 
 
 def _end_with(parent: int, folder: str) -> None:
-    """Ends the process and its children when the parent process has ended, and removes the temporary files."""
+    """Ends the process and its children when the parent process has ended, and removes the
+    temporary files."""
     while os.getppid() == parent:
         time.sleep(_WATCH_PERIOD)
     _remove(folder)

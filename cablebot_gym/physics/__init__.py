@@ -1,1 +1,2 @@
-"""Dynamics: the textbook form (``textbook``), the compiled form (``kernel``, ``inverse``) and a batch (``plant``)."""
+"""Dynamics: the textbook form (``textbook``), the compiled form (``kernel``, ``inverse``) and a
+batch (``plant``)."""

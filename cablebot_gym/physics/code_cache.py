@@ -1,9 +1,9 @@
 """Compiled code on disk: one checked file for each function, form, signature and processor.
 
-Numba's own cache stops every command where no folder is writable or a file is damaged, and it misses changes of helpers
-in other files. Here a damaged file counts as absent, folders that are only readable are read, and the name of a file
-is a hash of the source files that the code depends on. Paths and file times have no effect, so copies of an
-installation share compiled code.
+Numba's own cache stops every command where no folder is writable or a file is damaged, and it
+misses changes of helpers in other files. Here a damaged file counts as absent, folders that are
+only readable are read, and the name of a file is a hash of the source files that the code depends
+on. Paths and file times have no effect, so copies of an installation share compiled code.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ class CodeCache(_Cache):
 
     @property
     def cache_path(self) -> str:
-        """Folder to which compiled code is written, or the last one that is read if none is writable."""
+        """Folder to which compiled code is written, or the last one that is read if none is
+        writable."""
         return str(code_folders()[-1])
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -80,12 +81,19 @@ class CodeCache(_Cache):
         content = dumps(data._reduce())
         path = code_folders()[-1] / self._file_name(sig, data.codegen)
         try:
-            atomic_write(path, lambda temporary: temporary.write_bytes(hashlib.sha256(content).digest() + content))
+            atomic_write(
+                path,
+                lambda temporary: temporary.write_bytes(hashlib.sha256(content).digest() + content),
+            )
         except OSError as error:
-            _say_once(f"cannot store compiled code in {path.parent} ({error.strerror or error}): {REMEDY}")
+            _say_once(
+                f"cannot store compiled code in {path.parent} ({error.strerror or error}): {REMEDY}"
+            )
             return
         if is_temporary(path.parent):
-            _say_once(f"compiled code is stored in {path.parent}, because no cache folder is writable: {REMEDY}")
+            _say_once(
+                f"compiled code is stored in {path.parent}, because no cache folder is writable: {REMEDY}"
+            )
 
     def enable(self) -> None:
         """Reads stored code from now on."""
@@ -113,7 +121,8 @@ def code_folders() -> list[Path]:
 
 @cache
 def _folders(named: str, user_cache: Path) -> tuple[Path, ...]:
-    """The candidates up to the first writable one. The last candidate is a folder for temporary files."""
+    """The candidates up to the first writable one. The last candidate is a folder for temporary
+    files."""
     candidates = [Path(named, PACKAGE)] if named else []
     candidates += [Path(__file__).parents[1] / "__pycache__", user_cache / "compiled"]
     for number, folder in enumerate(candidates, 1):
@@ -134,7 +143,8 @@ def _temporary_folder() -> Path | None:
 
 
 def _make_private(folder: Path) -> bool:
-    """Makes a folder of this user. Returns whether nobody else can write to it, and so run code as this user."""
+    """Makes a folder of this user. Returns whether nobody else can write to it, and so run code as
+    this user."""
     try:
         with suppress(FileExistsError):
             folder.mkdir(mode=0o700)
@@ -143,11 +153,14 @@ def _make_private(folder: Path) -> bool:
         return False
     if not hasattr(os, "getuid"):  # Windows: folders for temporary files belong to one user
         return True
-    return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
+    return (
+        stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
+    )
 
 
 def is_temporary(folder: Path) -> bool:
-    """Whether compiled code is in a folder for temporary files, because no other folder is writable."""
+    """Whether compiled code is in a folder for temporary files, because no other folder is
+    writable."""
     return folder == _temporary_folder()
 
 
@@ -178,7 +191,8 @@ def _say_once(message: str) -> None:
 
 
 def _identity(value: Any, seen: set[Any]) -> Iterator[str]:
-    """What compiled code depends on: source files of functions that can call each other, and constants they use.
+    """What compiled code depends on: source files of functions that can call each other, and
+    constants they use.
 
     Args:
         value: function, or an object that a function closes over or reads from its module.
@@ -202,7 +216,11 @@ def _identity(value: Any, seen: set[Any]) -> Iterator[str]:
     elif value is None or isinstance(value, bool | int | float | str):
         yield repr(value)
     else:  # a module, a record, or an intrinsic
-        name = value.__name__ if isinstance(value, ModuleType) else str(getattr(value, "__module__", ""))
+        name = (
+            value.__name__
+            if isinstance(value, ModuleType)
+            else str(getattr(value, "__module__", ""))
+        )
         if name.partition(".")[0] == PACKAGE:
             yield _file_hash(str(sys.modules[name].__file__))
 

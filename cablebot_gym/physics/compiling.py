@@ -1,4 +1,5 @@
-"""Loading of numba, compilation for the cache on disk, and one message for each robot that is compiled."""
+"""Loading of numba, compilation for the cache on disk, and one message for each robot that is
+compiled."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from cablebot_gym.utils.console import PREPARATION
 
 @contextmanager
 def collection_paused() -> Iterator[None]:
-    """Pauses garbage collection while numba makes half a million objects that stay until the process ends."""
+    """Pauses garbage collection while numba makes half a million objects that stay until the
+    process ends."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -37,8 +39,8 @@ _LOGGER = logging.getLogger("cablebot_gym")
 def load_numba() -> None:
     """Loads the parts of numba that its first call would load, in half of the time.
 
-    Numba imports ``scipy.linalg`` only to find out whether SciPy is installed, on which this package depends. A
-    function that uses BLAS still imports it when it is compiled.
+    Numba imports ``scipy.linalg`` only to find out whether SciPy is installed, on which this
+    package depends. A function that uses BLAS still imports it when it is compiled.
     """
     from numba.np import linalg
 
@@ -56,7 +58,8 @@ def njit(function: Any = None, *, cache: bool = False, robot: str = "", **option
 
     Args:
         function: function to compile; None for a decorator.
-        cache: whether compiled code is stored on disk, see :class:`~cablebot_gym.physics.code_cache.CodeCache`.
+        cache: whether compiled code is stored on disk, see
+            :class:`~cablebot_gym.physics.code_cache.CodeCache`.
         robot: the robot for which code is compiled, in words; empty for functions of all robots.
         options: options of :func:`numba.njit`.
     """
@@ -71,14 +74,16 @@ def njit(function: Any = None, *, cache: bool = False, robot: str = "", **option
 
 
 class _Announcements:
-    """Logs one line for each robot before its first function is compiled, at the level that Python shows by default."""
+    """Logs one line for each robot before its first function is compiled, at the level that Python
+    shows by default."""
 
     def __init__(self) -> None:
         self._announced: set[str] = set()
         self._latest = "functions of all robots"
 
     def announcer(self, robot: str | None) -> Callable[[], None]:
-        """Function to call before the compilation of code for a robot; None for the robot that was named last."""
+        """Function to call before the compilation of code for a robot; None for the robot that was
+        named last."""
         if robot is not None:
             self._latest = robot
         return lambda: self._announce(robot or self._latest)

@@ -1,6 +1,7 @@
 """Cable tensions that hold a load within bounds, for any number of cables, batched and compiled.
 
-m cables hold the load w on n ≤ m coordinates if ``−Sᵀ T = w``. The r = m − n redundant cables leave a choice::
+m cables hold the load w on n ≤ m coordinates if ``−Sᵀ T = w``. The r = m − n redundant cables leave
+a choice::
 
     least_norm             the tensions nearest to reference tensions
     least_largest_action   the tensions whose largest motor action is the least
@@ -12,8 +13,8 @@ For example, the least tensions of eight cables on six coordinates, each at leas
     found = least_norm(structure, load, 100.0, 5000.0)
     found.tensions, found.status == HELD, found.missing
 
-All arrays broadcast: structure (..., m, n), load (..., n), values of cables (..., m) or one number. Bounds may be
-infinite. With ``m == n`` the tensions are the unique solution.
+All arrays broadcast: structure (..., m, n), load (..., n), values of cables (..., m) or one number.
+Bounds may be infinite. With ``m == n`` the tensions are the unique solution.
 
 The compiled solutions are in ``tension_problems``.
 """
@@ -28,7 +29,12 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import nearest_point
-from cablebot_gym.physics.tension_problems import solve_feasible, solve_interval, solve_least_largest, solve_least_norm
+from cablebot_gym.physics.tension_problems import (
+    solve_feasible,
+    solve_interval,
+    solve_least_largest,
+    solve_least_norm,
+)
 from cablebot_gym.utils.checks import all_finite
 
 HELD = nearest_point.HELD
@@ -49,16 +55,17 @@ class Distribution:
     status: Array
     """:data:`HELD`, :data:`INFEASIBLE` or :data:`SINGULAR`, shape (...)."""
     missing: Array
-    """Part of the load that the tensions do not hold, ``w + Sᵀ T``, shape (..., n) [N, N·m]; zero if held."""
+    """Part of the load that the tensions do not hold, ``w + Sᵀ T``, shape (..., n) [N, N·m]; zero
+    if held."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Feasibility:
     """Whether tensions within the bounds hold a load, with a proof if none do.
 
-    With y the ``direction`` and g the ``coefficients``, all tensions that hold the load satisfy ``g·T = y·w``. The
-    largest ``g·T`` within the bounds is less by ``excess``. At most r + 1 cables have a coefficient. With ``m == n`` it
-    is one: the cable needs ``y·w`` but has ``y·w − excess``.
+    With y the ``direction`` and g the ``coefficients``, all tensions that hold the load satisfy
+    ``g·T = y·w``. The largest ``g·T`` within the bounds is less by ``excess``. At most r + 1 cables
+    have a coefficient. With ``m == n`` it is one: the cable needs ``y·w`` but has ``y·w − excess``.
     """
 
     status: Array
@@ -72,13 +79,14 @@ class Feasibility:
     direction: Array
     """Direction y of the load, shape (..., n): [1, 1/m] so that ``y·w`` is a tension; 0 if held."""
     coefficients: Array
-    """g = −S y, largest magnitude 1, shape (..., m); 0 if held. A positive one: the upper bound of this cable limits;
-    a negative one: its lower bound."""
+    """g = −S y, largest magnitude 1, shape (..., m); 0 if held. A positive one: the upper bound of
+    this cable limits; a negative one: its lower bound."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScaleInterval:
-    """Interval of the scales s for which tensions within the bounds hold a load; one interval, by convexity."""
+    """Interval of the scales s for which tensions within the bounds hold a load; one interval, by
+    convexity."""
 
     least: Array
     """Lower end, shape (...); NaN if the interval is empty or S is singular."""
@@ -87,8 +95,8 @@ class ScaleInterval:
     status: Array
     """:data:`HELD`, :data:`INFEASIBLE` (the interval is empty) or :data:`SINGULAR`, shape (...)."""
     coefficients: Array
-    """Cables that limit s at the upper end, as in :class:`Feasibility`, shape (..., m). All are 0 if only the
-    end of the search does. If the interval is empty: cables that exclude every s."""
+    """Cables that limit s at the upper end, as in :class:`Feasibility`, shape (..., m). All are 0
+    if only the end of the search does. If the interval is empty: cables that exclude every s."""
 
 
 def least_norm(
@@ -100,26 +108,30 @@ def least_norm(
     *,
     weights: ArrayLike = 1.0,
 ) -> Distribution:
-    """Tensions T that minimise ``Σ (T_i − reference_i)²`` with ``−Sᵀ T = w`` and ``lower ≤ T ≤ upper``.
+    """Tensions T that minimise ``Σ (T_i − reference_i)²`` with ``−Sᵀ T = w`` and ``lower ≤ T ≤
+    upper``.
 
-    If none hold the load, the tensions within the bounds leave the least wrench error ``Σ (weights_j missing_j)²``,
-    plus a small multiple of the objective above. It makes them unique and changes the wrench by about 1e-6 of the
-    tensions. A lower bound above the upper bound takes precedence.
+    If none hold the load, the tensions within the bounds leave the least wrench error ``Σ
+    (weights_j missing_j)²``, plus a small multiple of the objective above. It makes them unique and
+    changes the wrench by about 1e-6 of the tensions. A lower bound above the upper bound takes
+    precedence.
 
-    T is continuous in S, w and the bounds where S has full rank and some tensions strictly within the bounds hold w: it
-    is the projection on a polyhedron that changes continuously there. It is also continuous among infeasible loads, as
-    the solution of a strictly convex problem, but fast where the set of cables between their bounds changes. Where a
-    load becomes infeasible, T changes by about 1e-6 of its size, and more only if the cables between their bounds are
-    nearly dependent.
+    T is continuous in S, w and the bounds where S has full rank and some tensions strictly within
+    the bounds hold w: it is the projection on a polyhedron that changes continuously there. It is
+    also continuous among infeasible loads, as the solution of a strictly convex problem, but fast
+    where the set of cables between their bounds changes. Where a load becomes infeasible, T changes
+    by about 1e-6 of its size, and more only if the cables between their bounds are nearly
+    dependent.
 
     Args:
         structure: S, shape (..., m, n), m ≥ n.
         load: w, shape (..., n) [N, N·m].
         lower: lower bounds, shape (..., m) [N].
         upper: upper bounds, shape (..., m) [N].
-        reference: reference tensions, shape (..., m) [N]; None: the lower bounds where finite, else 0.
-        weights: weights of the coordinates if the load is infeasible, shape (..., n); > 0. For moments, one over a
-            length [1/m].
+        reference: reference tensions, shape (..., m) [N]; None: the lower bounds where finite, else
+            0.
+        weights: weights of the coordinates if the load is infeasible, shape (..., n); > 0. For
+            moments, one over a length [1/m].
 
     Raises:
         ValueError: if the shapes do not match, or a number is not finite. A bound may be infinite.
@@ -132,7 +144,9 @@ def least_norm(
     start = _finite(low) if reference is None else _values(reference, shape, low.shape[1])
     tensions = np.empty_like(low)
     status = np.empty(len(low), np.int64)
-    solve_least_norm(matrices, loads, low, high, start, _values(weights, shape, loads.shape[1]), tensions, status)
+    solve_least_norm(
+        matrices, loads, low, high, start, _values(weights, shape, loads.shape[1]), tensions, status
+    )
     return _distribution(shape, matrices, loads, tensions, status)
 
 
@@ -147,21 +161,25 @@ def least_largest_action(
     smoothing: float = SMOOTHING,
     weights: ArrayLike = 1.0,
 ) -> Distribution:
-    """Tensions T with the least largest action ``max |a_i|``, ``a_i = slope_i T_i + offset_i``, that hold the load.
+    """Tensions T with the least largest action ``max |a_i|``, ``a_i = slope_i T_i + offset_i``,
+    that hold the load.
 
-    The exact minimum jumps: along a smooth motion a change of the cables with the largest action moves the solution at
-    once from one end of an edge to the other, and a rule that chooses among several solutions, such as lexicographic
-    order, cannot prevent it. For example, ``T₁ + δ T₂ = 1`` with a = T and T ≥ −1 has the only solution T₂ ≈ 1 for
-    small δ > 0, and T₂ ≈ −1 for δ < 0. So T minimises ``t² + ε Σ a_i²`` with ``|a_i| ≤ t`` and ε = ``smoothing``. This
-    problem is strictly convex. Therefore T is unique, and it is Lipschitz continuous in S, w, the bounds, slope and
-    offset where S has full rank and some tensions strictly within the bounds hold w. It crosses the edge while the
-    relevant multiplier is of the order of ε.
+    The exact minimum jumps: along a smooth motion a change of the cables with the largest action
+    moves the solution at once from one end of an edge to the other, and a rule that chooses among
+    several solutions, such as lexicographic order, cannot prevent it. For example, ``T₁ + δ T₂ =
+    1`` with a = T and T ≥ −1 has the only solution T₂ ≈ 1 for small δ > 0, and T₂ ≈ −1 for δ < 0.
+    So T minimises ``t² + ε Σ a_i²`` with ``|a_i| ≤ t`` and ε = ``smoothing``. This problem is
+    strictly convex. Therefore T is unique, and it is Lipschitz continuous in S, w, the bounds,
+    slope and offset where S has full rank and some tensions strictly within the bounds hold w. It
+    crosses the edge while the relevant multiplier is of the order of ε.
 
-    With t* the exact least largest action, ``t ≤ t* √((1 + ε m)/(1 + ε))``, i.e. at most 3.4 % more for eight cables
-    and the default: T* has ``t*² + ε Σ a_i² ≤ t*² (1 + ε m)``, and T has at least ``t² (1 + ε)``. Away from these
-    changes the largest action is exact. A smaller ε is closer to t* and faster at a change.
+    With t* the exact least largest action, ``t ≤ t* √((1 + ε m)/(1 + ε))``, i.e. at most 3.4 % more
+    for eight cables and the default: T* has ``t*² + ε Σ a_i² ≤ t*² (1 + ε m)``, and T has at least
+    ``t² (1 + ε)``. Away from these changes the largest action is exact. A smaller ε is closer to t*
+    and faster at a change.
 
-    If no tensions hold the load, the result is as in :func:`least_norm`, with the tensions at zero action as reference.
+    If no tensions hold the load, the result is as in :func:`least_norm`, with the tensions at zero
+    action as reference.
 
     Args:
         structure: S, shape (..., m, n), m ≥ n.
@@ -174,8 +192,8 @@ def least_largest_action(
         weights: as in :func:`least_norm`.
 
     Raises:
-        ValueError: if the shapes do not match, a number is not finite, or ``smoothing`` is too small. A bound may be
-            infinite.
+        ValueError: if the shapes do not match, a number is not finite, or ``smoothing`` is too
+            small. A bound may be infinite.
     """
     if not 1e-9 <= smoothing < math.inf:
         raise ValueError(f"smoothing is {smoothing}; it must be finite and at least 1e-9")
@@ -198,22 +216,30 @@ def unchecked_least_largest_action(
     smoothing: float = SMOOTHING,
     weights: ArrayLike = 1.0,
 ) -> Distribution:
-    """As :func:`least_largest_action`, for laws, whose numbers are finite: the checks would take a tenth of the time.
+    """As :func:`least_largest_action`, for laws, whose numbers are finite: the checks would take a
+    tenth of the time.
 
     If S is not finite, as in a pose where a cable has no length, the status is :data:`SINGULAR`.
     """
-    shape, matrices, loads, (low, high, slopes, offsets) = _arrays(structure, load, lower, upper, slope, offset)
+    shape, matrices, loads, (low, high, slopes, offsets) = _arrays(
+        structure, load, lower, upper, slope, offset
+    )
     tensions = np.empty_like(low)
     status = np.empty(len(low), np.int64)
     per = _values(weights, shape, loads.shape[1])
-    solve_least_largest(matrices, loads, low, high, slopes, offsets, float(smoothing), per, tensions, status)
+    solve_least_largest(
+        matrices, loads, low, high, slopes, offsets, float(smoothing), per, tensions, status
+    )
     return _distribution(shape, matrices, loads, tensions, status)
 
 
-def feasible(structure: ArrayLike, load: ArrayLike, lower: ArrayLike, upper: ArrayLike = np.inf) -> Feasibility:
+def feasible(
+    structure: ArrayLike, load: ArrayLike, lower: ArrayLike, upper: ArrayLike = np.inf
+) -> Feasibility:
     """Whether some tensions within the bounds hold the load, exactly, and a proof if none do.
 
-    Bounds may be exceeded by 1e-10 of the largest tension. The arguments are as in :func:`least_norm`.
+    Bounds may be exceeded by 1e-10 of the largest tension. The arguments are as in
+    :func:`least_norm`.
 
     Raises:
         ValueError: if the shapes do not match, or a number is not finite. A bound may be infinite.
@@ -224,7 +250,9 @@ def feasible(structure: ArrayLike, load: ArrayLike, lower: ArrayLike, upper: Arr
     status, excess = np.zeros(items, np.int64), np.zeros(items)
     direction = np.zeros((items, n))
     coefficients = np.zeros((items, m))
-    solve_feasible(matrices, loads, low, high, _finite(low), status, excess, direction, coefficients)
+    solve_feasible(
+        matrices, loads, low, high, _finite(low), status, excess, direction, coefficients
+    )
     return Feasibility(
         status=status.reshape(shape),
         excess=excess.reshape(shape),
@@ -245,10 +273,11 @@ def largest_scale(
     unit_lower: ArrayLike = 0.0,
     unit_upper: ArrayLike = 0.0,
 ) -> ScaleInterval:
-    """Interval of s in [least, largest] for which tensions within the bounds hold ``w₀ + s w₁``, exactly.
+    """Interval of s in [least, largest] for which tensions within the bounds hold ``w₀ + s w₁``,
+    exactly.
 
-    The bounds may depend on s: ``lower + s unit_lower ≤ T ≤ upper + s unit_upper``. With w₁ the load of 1 kg, s is the
-    payload or the mass.
+    The bounds may depend on s: ``lower + s unit_lower ≤ T ≤ upper + s unit_upper``. With w₁ the
+    load of 1 kg, s is the payload or the mass.
 
     Args:
         structure: S, shape (..., m, n), m ≥ n.
@@ -262,13 +291,19 @@ def largest_scale(
         unit_upper: change of the upper bounds per s, shape (..., m); finite.
 
     Raises:
-        ValueError: if the shapes do not match, a number is not finite, or the search is unbounded or empty. A bound may
-            be infinite.
+        ValueError: if the shapes do not match, a number is not finite, or the search is unbounded
+            or empty. A bound may be infinite.
     """
-    for name, values in (("unit_load", unit_load), ("unit_lower", unit_lower), ("unit_upper", unit_upper)):
+    for name, values in (
+        ("unit_load", unit_load),
+        ("unit_lower", unit_lower),
+        ("unit_upper", unit_upper),
+    ):
         all_finite(name, values)
     _check_problem(structure, load, lower, upper)
-    ends = np.stack(np.broadcast_arrays(np.asarray(least, float), np.asarray(largest, float)), axis=-1)
+    ends = np.stack(
+        np.broadcast_arrays(np.asarray(least, float), np.asarray(largest, float)), axis=-1
+    )
     if not (np.all(np.isfinite(ends)) and np.all(ends[..., 0] <= ends[..., 1])):
         raise ValueError("the search needs finite ends with least <= largest")
     batch = np.shape(unit_load)[:-1], ends.shape[:-1]
@@ -281,7 +316,9 @@ def largest_scale(
     coefficients = np.zeros((items, m))
     units = _values(unit_load, shape, n)
     search = _values(ends, shape, 2)
-    solve_interval(matrices, loads, units, low, high, unit_low, unit_high, search, found, status, coefficients)
+    solve_interval(
+        matrices, loads, units, low, high, unit_low, unit_high, search, found, status, coefficients
+    )
     return ScaleInterval(
         least=found[:, 0].reshape(shape),
         largest=found[:, 1].reshape(shape),
@@ -302,17 +339,25 @@ def _values(values: ArrayLike, shape: tuple[int, ...], last: int) -> Array:
     return array.reshape(-1, last)
 
 
-def _check_problem(structure: ArrayLike, load: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> None:
+def _check_problem(
+    structure: ArrayLike, load: ArrayLike, lower: ArrayLike, upper: ArrayLike
+) -> None:
     """Checks that S and w are finite, and that no bound is NaN or excludes every tension."""
     all_finite("structure (NaN for a cable without length)", structure)
     all_finite("load", load)
-    # A lower bound of +inf or an upper bound of −inf excludes every tension; comparisons with NaN are false.
+    # A lower bound of +inf or an upper bound of −inf excludes every tension; comparisons with NaN
+    # are false.
     if not np.all(np.less(lower, np.inf)) or not np.all(np.greater(upper, -np.inf)):
-        raise ValueError("bounds of tensions must be numbers, with lower below inf and upper above -inf")
+        raise ValueError(
+            "bounds of tensions must be numbers, with lower below inf and upper above -inf"
+        )
 
 
 def _arrays(
-    structure: ArrayLike, load: ArrayLike, *cables: ArrayLike, batch: tuple[tuple[int, ...], ...] = ()
+    structure: ArrayLike,
+    load: ArrayLike,
+    *cables: ArrayLike,
+    batch: tuple[tuple[int, ...], ...] = (),
 ) -> tuple[tuple[int, ...], Array, Array, list[Array]]:
     """Leading shape, then the arrays with one leading axis: S, w and the values of cables."""
     matrices = np.asarray(structure, float)
@@ -322,7 +367,9 @@ def _arrays(
         raise ValueError(
             f"structure {matrices.shape} and load {vectors.shape} do not match: use (..., m, n) and (..., n), m >= n"
         )
-    shape = np.broadcast_shapes(matrices.shape[:-2], vectors.shape[:-1], *(np.shape(c)[:-1] for c in cables), *batch)
+    shape = np.broadcast_shapes(
+        matrices.shape[:-2], vectors.shape[:-1], *(np.shape(c)[:-1] for c in cables), *batch
+    )
     matrices = _values(matrices, (*shape, m), n).reshape(-1, m, n)
     return shape, matrices, _values(vectors, shape, n), [_values(c, shape, m) for c in cables]
 

@@ -1,4 +1,5 @@
-"""Forward kinematics by the compiled kernel: poses from the lengths of all cables, by Gauss-Newton from a guess."""
+"""Forward kinematics by the compiled kernel: poses from the lengths of all cables, by Gauss-Newton
+from a guess."""
 
 from __future__ import annotations
 
@@ -19,8 +20,8 @@ ITERATIONS = 50
 """Largest number of poses that the iteration tries."""
 
 TOLERANCE = 1e-12
-"""Size of a step after which the iteration ends: sum over the coordinates [m, rad]; with cables above 1 m, times the
-length of the longest one at the home pose."""
+"""Size of a step after which the iteration ends: sum over the coordinates [m, rad]; with cables
+above 1 m, times the length of the longest one at the home pose."""
 
 _DAMPING = 1e-12  # of the normal equations, so that a singular pose gives a finite step; per cable
 
@@ -32,15 +33,16 @@ class ForwardKinematics:
     pose: Array
     """Poses X, (..., n)."""
     residual: Array
-    """Root mean square of the length errors at the pose [m], (...). Zero if there are as many cables as coordinates;
-    with more cables it shows wrong lengths."""
+    """Root mean square of the length errors at the pose [m], (...). Zero if there are as many
+    cables as coordinates; with more cables it shows wrong lengths."""
     converged: NDArray[np.bool_]
     """Whether the last step was below :data:`TOLERANCE`, (...)."""
 
 
 @lru_cache(maxsize=64)
 def _prepared(robot: Robot) -> tuple[kernel.Form, Array, float]:
-    """Form and parameters for ``kernel.Compiled.locate``, and the tolerance. Springs need no code of their own."""
+    """Form and parameters for ``kernel.Compiled.locate``, and the tolerance. Springs need no code
+    of their own."""
     load_numba()
     form = form_of(robot)._replace(jointed=False, elastic=False)
     rows = pack_parameters(robot)
@@ -61,8 +63,8 @@ def forward_kinematics(
 ) -> ForwardKinematics:
     """The poses whose cable lengths are nearest to the given ones, near a guess.
 
-    Six cables admit several poses. The iteration converges to that of the guess, for example the last pose of a moving
-    platform. A step that increases the length errors is halved.
+    Six cables admit several poses. The iteration converges to that of the guess, for example the
+    last pose of a moving platform. A step that increases the length errors is halved.
 
     Args:
         robot: nominal robot.
@@ -94,4 +96,6 @@ def forward_kinematics(
     wanted = np.ascontiguousarray(lengths).reshape(-1, m)
     locate = kernel.compiled(form, lanes).locate
     locate(parameters, iterations, tolerance, *memory, wanted, found, squares, ended)
-    return ForwardKinematics(pose=pose, residual=np.sqrt(squares / m).reshape(shape), converged=ended.reshape(shape))
+    return ForwardKinematics(
+        pose=pose, residual=np.sqrt(squares / m).reshape(shape), converged=ended.reshape(shape)
+    )

@@ -1,9 +1,10 @@
 """Decorators of compiled functions, which keep the time of the first call short.
 
-Numba optimises each function, translates it into machine code and wraps it for Python, also a helper that is only
-inlined into others. It compiles a helper again for each literal argument, and it compiles branches on the kind of robot
-that are never taken. Functions of :func:`inline` and :func:`helper` are translated into LLVM's language once for each
-type of their arguments. LLVM optimises them as parts of the entry points only.
+Numba optimises each function, translates it into machine code and wraps it for Python, also a
+helper that is only inlined into others. It compiles a helper again for each literal argument, and
+it compiles branches on the kind of robot that are never taken. Functions of :func:`inline` and
+:func:`helper` are translated into LLVM's language once for each type of their arguments. LLVM
+optimises them as parts of the entry points only.
 """
 
 from __future__ import annotations
@@ -53,10 +54,11 @@ def _lower_constant(context: Any, builder: Any, constant_type: _ConstantType, va
 
 
 def compile_time_constant(named_tuple: type) -> type:
-    """Class decorator: attributes of its instances are constants to functions of :func:`inline` and :func:`helper`.
+    """Class decorator: attributes of its instances are constants to functions of :func:`inline` and
+    :func:`helper`.
 
-    An entry point closes over the instance and passes it on whole. Branches on its attributes that are not taken are
-    not compiled.
+    An entry point closes over the instance and passes it on whole. Branches on its attributes that
+    are not taken are not compiled.
     """
 
     @typeof_impl.register(named_tuple)
@@ -68,7 +70,8 @@ def compile_time_constant(named_tuple: type) -> type:
 
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _ReadConstants(FunctionPass):
-    """Replaces attributes of compile-time constants by their values, before numba removes branches."""
+    """Replaces attributes of compile-time constants by their values, before numba removes
+    branches."""
 
     _name = "read_constants"
 
@@ -87,7 +90,11 @@ class _ReadConstants(FunctionPass):
                 constants[assignment.target.name] = state.args[value.index].value
         for assignment in assignments:
             value = assignment.value
-            if isinstance(value, ir.Expr) and value.op == "getattr" and value.value.name in constants:
+            if (
+                isinstance(value, ir.Expr)
+                and value.op == "getattr"
+                and value.value.name in constants
+            ):
                 attribute = getattr(constants[value.value.name], value.attr)
                 assignment.value = ir.Const(attribute, assignment.loc)
         if constants:
@@ -95,7 +102,9 @@ class _ReadConstants(FunctionPass):
         return bool(constants)
 
 
-_NOT_CALLABLE = ctypes.cast(ctypes.pythonapi.PyObject_Call, ctypes.c_void_p).value or 0  # it calls a record of numba's
+_NOT_CALLABLE = (
+    ctypes.cast(ctypes.pythonapi.PyObject_Call, ctypes.c_void_p).value or 0
+)  # it calls a record of numba's
 
 
 class _NoEnvironment:
@@ -106,7 +115,8 @@ class _NoEnvironment:
 
 
 class _HelperLibrary(JITCodeLibrary):
-    """LLVM code of a helper, which numba's function passes have simplified: without machine code."""
+    """LLVM code of a helper, which numba's function passes have simplified: without machine
+    code."""
 
     @property
     def codegen(self) -> _NoEnvironment:
@@ -114,11 +124,13 @@ class _HelperLibrary(JITCodeLibrary):
         return _NoEnvironment()
 
     def finalize(self) -> None:
-        """Ends the library as it is. The helpers that it calls are linked by the entry point only."""
+        """Ends the library as it is. The helpers that it calls are linked by the entry point
+        only."""
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        """Address of a C function that raises TypeError: a helper has no machine code that Python could call."""
+        """Address of a C function that raises TypeError: a helper has no machine code that Python
+        could call."""
         return _NOT_CALLABLE
 
     def _get_module_for_linking(self) -> Any:
@@ -143,14 +155,18 @@ class _HelperLibrary(JITCodeLibrary):
     def _own_module(self) -> Any:
         for function in self._final_module.functions:
             if not function.is_declaration and function.linkage == Linkage.external:
-                function.linkage = "linkonce_odr"  # several entry points in one process have the same helpers
+                function.linkage = (
+                    "linkonce_odr"  # several entry points in one process have the same helpers
+                )
         return self._final_module
 
 
 class _BorrowingLibrary(_HelperLibrary):
-    """Code of a function that only reads and writes arrays of its caller, and therefore counts no references.
+    """Code of a function that only reads and writes arrays of its caller, and therefore counts no
+    references.
 
-    LLVM would have to prove that each pair of counts is superfluous, and does not find all pairs in a large function.
+    LLVM would have to prove that each pair of counts is superfluous, and does not find all pairs in
+    a large function.
     """
 
     def add_ir_module(self, ir_module: Any) -> None:
@@ -163,7 +179,9 @@ class _BorrowingLibrary(_HelperLibrary):
         for function in ir_module.functions:
             for block in function.blocks:
                 block.instructions[:] = [
-                    instruction for instruction in block.instructions if not _counts_references(instruction)
+                    instruction
+                    for instruction in block.instructions
+                    if not _counts_references(instruction)
                 ]
         super().add_ir_module(ir_module)
 
@@ -180,7 +198,9 @@ class _BorrowingLibrary(_HelperLibrary):
     def _check_allocations(self, functions: Iterable[Any]) -> None:
         for function in functions:
             if function.name.startswith("NRT_") and function.name not in _COUNTS:
-                raise TypeError(f"{self.name} allocates arrays: decorate it with helper, not with inline")
+                raise TypeError(
+                    f"{self.name} allocates arrays: decorate it with helper, not with inline"
+                )
 
 
 _COUNTS = ("NRT_incref", "NRT_decref")
@@ -215,8 +235,11 @@ def _helper(function: Callable[..., Any], *, forceinline: bool) -> Any:
     )(function)
     fold = dispatcher._compiler.fold_argument_types
 
-    def fold_without_literals(args: tuple[Any, ...], keywords: dict[str, Any]) -> tuple[Any, tuple[Any, ...]]:
-        """The types of the arguments. A literal would be a type of its own: a second compilation of the same code."""
+    def fold_without_literals(
+        args: tuple[Any, ...], keywords: dict[str, Any]
+    ) -> tuple[Any, tuple[Any, ...]]:
+        """The types of the arguments. A literal would be a type of its own: a second compilation of
+        the same code."""
         signature, argument_types = fold(args, keywords)
         return signature, tuple(types.unliteral(argument_type) for argument_type in argument_types)
 
@@ -225,8 +248,8 @@ def _helper(function: Callable[..., Any], *, forceinline: bool) -> Any:
 
 
 inline = partial(_helper, forceinline=True)
-"""Decorator of functions that are inlined into all compiled functions that call them. They use arrays of their callers
-only: they neither make nor return any. Python cannot call them."""
+"""Decorator of functions that are inlined into all compiled functions that call them. They use
+arrays of their callers only: they neither make nor return any. Python cannot call them."""
 
 helper = partial(_helper, forceinline=False)
 """Decorator of functions that only compiled functions call, and that LLVM inlines where it pays."""
@@ -236,13 +259,15 @@ entry_point = partial(njit, cache=True, nogil=True, error_model="numpy", no_cfun
 
 
 FEW_ITEMS = 20
-"""Number of items that Python computes before a function of :func:`compiled_when_frequent` is compiled."""
+"""Number of items that Python computes before a function of :func:`compiled_when_frequent` is
+compiled."""
 
 
 class compiled_when_frequent:
     """Decorator of an entry point for a batch of items: the axis 0 of its first argument.
 
-    Python computes the first items, to the same bits. A program that needs only a few does not wait for the compiler.
+    Python computes the first items, to the same bits. A program that needs only a few does not wait
+    for the compiler.
     """
 
     def __init__(self, function: Callable[..., None]) -> None:
@@ -266,7 +291,8 @@ class compiled_when_frequent:
 
 
 def _interpreted(dispatcher: Any, copies: dict[Any, Any]) -> Any:
-    """Copy of a Python function that calls the Python functions of compiled functions, directly or not."""
+    """Copy of a Python function that calls the Python functions of compiled functions, directly or
+    not."""
     function = dispatcher.py_func
     if function not in copies:
         scope = dict(function.__globals__)

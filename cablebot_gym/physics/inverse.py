@@ -1,4 +1,5 @@
-"""Inverse dynamics by the compiled kernel: fast enough for control laws, with the same results as the textbook."""
+"""Inverse dynamics by the compiled kernel: fast enough for control laws, with the same results as
+the textbook."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ from cablebot_gym.utils.checks import all_finite, number
 
 @lru_cache(maxsize=64)
 def _prepared(robot: Robot) -> tuple[kernel.Form, Array]:
-    """Form and parameters; a law uses the same robot in every control step. The kernel does not change them."""
+    """Form and parameters; a law uses the same robot in every control step. The kernel does not
+    change them."""
     return form_of(robot), pack_parameters(robot)
 
 
@@ -30,10 +32,12 @@ def inverse_dynamics(
     *,
     minimum: float = 0.0,
 ) -> InverseDynamics:
-    """Inverse dynamics as in :func:`cablebot_gym.physics.textbook.inverse_dynamics` with ``strict=False``.
+    """Inverse dynamics as in :func:`cablebot_gym.physics.textbook.inverse_dynamics` with
+    ``strict=False``.
 
-    The results are equal up to rounding. The relative difference of spatial tensions is about 1e-15 times the condition
-    number of S, if that is below 1e6. In a singular pose the tensions are arbitrary or NaN (the textbook raises).
+    The results are equal up to rounding. The relative difference of spatial tensions is about 1e-15
+    times the condition number of S, if that is below 1e6. In a singular pose the tensions are
+    arbitrary or NaN (the textbook raises).
 
     Args:
         robot: any robot.
@@ -49,7 +53,9 @@ def inverse_dynamics(
     number("minimum", minimum)
     shape = np.broadcast_shapes(np.shape(pose), np.shape(velocity), np.shape(acceleration))
     if shape[-1:] != (robot.coordinates,):
-        raise ValueError(f"poses of {robot.name} need {robot.coordinates} coordinates; the arrays have shape {shape}")
+        raise ValueError(
+            f"poses of {robot.name} need {robot.coordinates} coordinates; the arrays have shape {shape}"
+        )
     motion, masses = np.empty((3, *shape)), np.empty(shape[:-1])
     motion[0], motion[1], motion[2], masses[...] = pose, velocity, acceleration, mass
     all_finite("pose, velocity and acceleration", motion)
@@ -66,13 +72,20 @@ def inverse_dynamics(
         load = np.empty((count, robot.coordinates))
         speeds, pulley_accelerations = moving = np.empty((2, count, robot.cables))
         compiled.demanded(packed, *memory, *given, structure, load, moving)
-        tensions = textbook.least_action_tensions(robot, structure, load, speeds, pulley_accelerations, minimum)
+        tensions = textbook.least_action_tensions(
+            robot, structure, load, speeds, pulley_accelerations, minimum
+        )
         torques = textbook.motor_torques(robot, tensions, speeds, pulley_accelerations)
         tensions, torques, speeds, pulley_accelerations = (
-            values.reshape(*shape[:-1], robot.cables) for values in (tensions, torques, speeds, pulley_accelerations)
+            values.reshape(*shape[:-1], robot.cables)
+            for values in (tensions, torques, speeds, pulley_accelerations)
         )
     else:
         results = np.empty((4, *shape[:-1], robot.cables))
-        compiled.required(packed, float(minimum), *memory, *given, results.reshape(4, -1, robot.cables))
+        compiled.required(
+            packed, float(minimum), *memory, *given, results.reshape(4, -1, robot.cables)
+        )
         tensions, torques, speeds, pulley_accelerations = results
-    return InverseDynamics(tensions=tensions, torques=torques, speeds=speeds, pulley_accelerations=pulley_accelerations)
+    return InverseDynamics(
+        tensions=tensions, torques=torques, speeds=speeds, pulley_accelerations=pulley_accelerations
+    )

@@ -1,7 +1,8 @@
-"""The point of a polyhedron ``C x ≥ d`` that is nearest to a given point, and the factorisation of a structure matrix.
+"""The point of a polyhedron ``C x ≥ d`` that is nearest to a given point, and the factorisation of
+a structure matrix.
 
-The dual active-set method of Goldfarb and Idnani finds the point after finitely many steps, or a combination of
-constraints that excludes every point.
+The dual active-set method of Goldfarb and Idnani finds the point after finitely many steps, or a
+combination of constraints that excludes every point.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ def copy_negated(source, target):
 
 @helper
 def _orthogonalise(normal, basis, count, components, rest):
-    """Splits a normal into components along ``count`` basis vectors and the rest; two passes for full precision."""
+    """Splits a normal into components along ``count`` basis vectors and the rest; two passes for
+    full precision."""
     copy_vector(normal, rest)
     components[:count] = 0.0
     for _ in range(2):
@@ -55,7 +57,8 @@ def _orthogonalise(normal, basis, count, components, rest):
 
 @helper
 def _append(basis, triangle, count, components, rest, square):
-    """Extends the factorisation of the active normals, normals = basisᵀ · triangle, by one normal."""
+    """Extends the factorisation of the active normals, normals = basisᵀ · triangle, by one
+    normal."""
     length = math.sqrt(square)
     for l in range(len(rest)):
         basis[count, l] = rest[l] / length
@@ -66,13 +69,16 @@ def _append(basis, triangle, count, components, rest, square):
 
 @helper
 def project(problem, tolerance):
-    """Moves x to the nearest point of ``normals x ≥ limits``; returns its status and the number of active constraints.
+    """Moves x to the nearest point of ``normals x ≥ limits``; returns its status and the number of
+    active constraints.
 
-    Afterwards ``x_new − x = Σ multipliers · normals`` over the active constraints. If no point exists, the positive
-    multipliers of the active constraints and the next one satisfy ``Σ multipliers · normals = 0`` and
-    ``Σ multipliers · limits > 0``.
+    Afterwards ``x_new − x = Σ multipliers · normals`` over the active constraints. If no point
+    exists, the positive multipliers of the active constraints and the next one satisfy ``Σ
+    multipliers · normals = 0`` and ``Σ multipliers · limits > 0``.
     """
-    normals, limits, x, active, multipliers, basis, triangle, used, components, rest, change = problem
+    normals, limits, x, active, multipliers, basis, triangle, used, components, rest, change = (
+        problem
+    )
     constraints, size = normals.shape
     if not math.isfinite(tolerance):
         return SINGULAR, 0
@@ -169,8 +175,9 @@ def new_factors(cables, coordinates):
 def factorise(factors):
     """Householder QR with column pivoting of the first array, in place; returns its rank.
 
-    The rows of the second array are the columns of Q: those from n on are the null space. A column counts as dependent
-    relative to its own length, so that the units of the coordinates have no effect.
+    The rows of the second array are the columns of Q: those from n on are the null space. A column
+    counts as dependent relative to its own length, so that the units of the coordinates have no
+    effect.
     """
     matrix, q, order, scale, work = factors
     rows, n = matrix.shape
@@ -248,7 +255,8 @@ def solve_coordinates(factors, coefficients, direction):
 
 @helper
 def set_bounds(problem, factors, u, per_unit, low, high):
-    """Constraints ``low ≤ (u + N λ)·per_unit ≤ high``: row i is the lower bound of cable i, row m + i the upper."""
+    """Constraints ``low ≤ (u + N λ)·per_unit ≤ high``: row i is the lower bound of cable i, row m +
+    i the upper."""
     normals, limits = problem[0], problem[1]
     matrix, q = factors[0], factors[1]
     m, n = len(low), matrix.shape[1]

@@ -1,4 +1,5 @@
-"""A batch of robots in the memory of the compiled kernel. Its interface uses ordinary arrays, batch axis first."""
+"""A batch of robots in the memory of the compiled kernel. Its interface uses ordinary arrays, batch
+axis first."""
 
 from __future__ import annotations
 
@@ -30,12 +31,14 @@ def form_of(robot: RobotArrays) -> kernel.Form:
         jointed=robot.jointed,
         elastic=robot.elastic,
         swivel=robot.swivel is not None,
-        lopsided=robot.kind == "planar-platform" or bool(np.any(robot.mass_center) or np.any(products)),
+        lopsided=robot.kind == "planar-platform"
+        or bool(np.any(robot.mass_center) or np.any(products)),
     )
 
 
 def pack_parameters(robot: RobotArrays) -> Array:
-    """Kernel parameters without payload: shape (parameter rows,) for one robot, (N, parameter rows) for N robots."""
+    """Kernel parameters without payload: shape (parameter rows,) for one robot, (N, parameter rows)
+    for N robots."""
     batch = robot.base.shape[:-2]
     form = form_of(robot)
     rows = np.zeros((*batch, kernel.parameter_rows(form)))
@@ -57,7 +60,9 @@ def pack_parameters(robot: RobotArrays) -> Array:
         cables[..., kernel.STIFFNESS] = robot.stiffness
         cables[..., kernel.PER_MOTOR_INERTIA] = 1 / robot.motor_inertia
         cables[..., kernel.MOTOR_DAMPING] = robot.motor_damping
-        cables[..., kernel.HOME_LENGTH] = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)
+        cables[..., kernel.HOME_LENGTH] = cable_lengths(
+            robot.base, robot.platform, robot.home, robot.swivel
+        )
     cables[..., kernel.STALL] = robot.stall_torque
     cables[..., kernel.SLOPE] = robot.speed_slope
     cables[..., kernel.LAG] = robot.motor_lag
@@ -75,13 +80,18 @@ def pack_parameters(robot: RobotArrays) -> Array:
             stretch[..., kernel.AXIAL_DAMPING] = robot.axial_damping
             stretch[..., kernel.FULL_LENGTH] = home + robot.extra_length
             stretch[..., kernel.EXTRA_LENGTH] = robot.extra_length
-        rows[..., kernel.stretch_parameter(robot.cables, form.lopsided) :] = stretch.reshape(*batch, -1)
-    rows[..., kernel.FIRST_CABLE_PARAMETER : kernel.body_parameter(robot.cables)] = cables.reshape(*batch, -1)
+        rows[..., kernel.stretch_parameter(robot.cables, form.lopsided) :] = stretch.reshape(
+            *batch, -1
+        )
+    rows[..., kernel.FIRST_CABLE_PARAMETER : kernel.body_parameter(robot.cables)] = cables.reshape(
+        *batch, -1
+    )
     return rows
 
 
 def kernel_memory(*shape: int) -> Array:
-    """Array of zeros that starts at a cache line; loads across two lines make the kernel 20 % slower."""
+    """Array of zeros that starts at a cache line; loads across two lines make the kernel 20 %
+    slower."""
     count, line = math.prod(shape), 64
     memory = np.zeros(count + line // 8)
     first = -memory.ctypes.data % line // 8
@@ -96,10 +106,11 @@ def _parts_of(tiles: int, parts: int) -> tuple[slice, ...]:
 
 
 class Plant:
-    """N robots of one kind, each with its own parameters, which the compiled kernel advances together.
+    """N robots of one kind, each with its own parameters, which the compiled kernel advances
+    together.
 
-    A batch of one robot runs the same source code, compiled for one lane. The unused lanes of the last tile repeat
-    robot N − 1.
+    A batch of one robot runs the same source code, compiled for one lane. The unused lanes of the
+    last tile repeat robot N − 1.
 
     Args:
         robot: nominal robot.
@@ -108,7 +119,9 @@ class Plant:
         parts: number of parts of the batch that can be advanced in parallel; at most one per tile.
     """
 
-    def __init__(self, robot: Robot, count: int, *, cable: Cable = "unilateral", parts: int = 1) -> None:
+    def __init__(
+        self, robot: Robot, count: int, *, cable: Cable = "unilateral", parts: int = 1
+    ) -> None:
         load_numba()
         self.robot, self.count = robot, count
         self.unilateral = cable == "unilateral"
@@ -117,7 +130,10 @@ class Plant:
         self.width = tiles * self.lanes
         """Number of lanes in memory: N plus the padding of the last tile."""
         self._tiles = _parts_of(tiles, parts)
-        self.parts = tuple(slice(tile.start * self.lanes, min(tile.stop * self.lanes, count)) for tile in self._tiles)
+        self.parts = tuple(
+            slice(tile.start * self.lanes, min(tile.stop * self.lanes, count))
+            for tile in self._tiles
+        )
         """Robots of each part of the batch."""
         self._form = form = form_of(robot)
         self._parameters = kernel_memory(tiles, kernel.parameter_rows(form) * self.lanes)
@@ -127,9 +143,13 @@ class Plant:
         """Index of the reference trajectory of each lane, shape (width,)."""
         self.step_index = np.zeros(self.width, np.int64)
         """Control steps since the reset of each lane, shape (width,)."""
-        self._lags = self._rubs = False  # whether some robot has had a lag or Coulomb friction so far
+        self._lags = self._rubs = (
+            False  # whether some robot has had a lag or Coulomb friction so far
+        )
         self._bind()
-        self.set_parameters(np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows)))
+        self.set_parameters(
+            np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows))
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         """The attributes without those of :meth:`_bind`."""
@@ -146,14 +166,18 @@ class Plant:
         self._bind()
 
     def _bind(self) -> None:
-        """Makes the views of the arrays, which copies and pickles lose, and finds the compiled function."""
+        """Makes the views of the arrays, which copies and pickles lose, and finds the compiled
+        function."""
         self._advance = kernel.compiled(self._form, self.lanes).advance
         first = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
         self._action = self._view(self.record, first, self.robot.cables, kernel.CABLE_RECORDS)
         self._memory = tuple(self._memory_of(tiles) for tiles in self._tiles)
 
-    def _memory_of(self, tiles: slice) -> tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
-        """Parameters, record, scratch memory of its own, index of the trajectories and of the steps of some tiles."""
+    def _memory_of(
+        self, tiles: slice
+    ) -> tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Parameters, record, scratch memory of its own, index of the trajectories and of the steps
+        of some tiles."""
         lanes = slice(tiles.start * self.lanes, tiles.stop * self.lanes)
         scratch = kernel_memory(kernel.scratch_rows(self._form) * self.lanes)
         indices = self.trajectory_index[lanes], self.step_index[lanes]
@@ -194,13 +218,15 @@ class Plant:
         self._rubs |= bool(np.any(cables[:, kernel.COULOMB_FRICTION :: kernel.CABLE_PARAMETERS]))
 
     def set_wrench(self, index: Array, force: Array, moment: Array | None = None) -> None:
-        """Sets the external wrench on the platforms of the robots at ``index``. It stays until it is changed.
+        """Sets the external wrench on the platforms of the robots at ``index``. It stays until it
+        is changed.
 
         Args:
             index: robots, shape (k,).
-            force: force at the centre of mass in the base frame [N], shape (k, 3), or (k, 2) if planar.
-            moment: moment in the base frame [N·m], shape (k, 3), or (k, 1) about the normal of a plane; None for zero.
-                Has no effect on a point mass.
+            force: force at the centre of mass in the base frame [N], shape (k, 3), or (k, 2) if
+                planar.
+            moment: moment in the base frame [N·m], shape (k, 3), or (k, 1) about the normal of a
+                plane; None for zero. Has no effect on a point mass.
         """
         index, force = np.asarray(index), np.asarray(force, float)
         wrench = np.zeros((len(index), 6))
@@ -211,7 +237,8 @@ class Plant:
         self._write(self._parameters, kernel.FORCE, index, wrench)
 
     def set_state(self, index: Array, pose: Array, velocity: Array) -> None:
-        """Resets the robots at ``index`` to poses X and velocities Ẋ, each (len(index), n), and to control step 0."""
+        """Resets the robots at ``index`` to poses X and velocities Ẋ, each (len(index), n), and to
+        control step 0."""
         index = np.asarray(index)
         self._write(self.record, 0, index, np.zeros((len(index), kernel.record_rows(self._form))))
         self._write(self.record, kernel.POSE, index, np.asarray(pose, float))
@@ -221,19 +248,33 @@ class Plant:
             self.step_index[self.count :] = 0
 
     def set_motors(self, index: Array, angle: Array, speed: Array) -> None:
-        """Sets motor angles β′ and speeds β̇′, each (len(index), m), of flexible robots after :meth:`set_state`.
+        """Sets motor angles β′ and speeds β̇′, each (len(index), m), of flexible robots after
+        :meth:`set_state`.
 
         With elastic cables and without joint springs they are those of the pulleys.
         """
         first = kernel.FIRST_CABLE_RECORD
         for row, values in ((kernel.MOTOR_ANGLE, angle), (kernel.MOTOR_SPEED, speed)):
-            self._write(self.record, first + row, np.asarray(index), np.asarray(values, float), kernel.CABLE_RECORDS)
+            self._write(
+                self.record,
+                first + row,
+                np.asarray(index),
+                np.asarray(values, float),
+                kernel.CABLE_RECORDS,
+            )
 
     def set_pulleys(self, index: Array, angle: Array, speed: Array) -> None:
-        """Sets pulley angles β and speeds β̇, each (len(index), m), between joint springs and elastic cables."""
+        """Sets pulley angles β and speeds β̇, each (len(index), m), between joint springs and
+        elastic cables."""
         for row, values in enumerate((angle, speed)):
             first = kernel.pulley_record(self.robot.cables) + row
-            self._write(self.record, first, np.asarray(index), np.asarray(values, float), kernel.PULLEY_RECORDS)
+            self._write(
+                self.record,
+                first,
+                np.asarray(index),
+                np.asarray(values, float),
+                kernel.PULLEY_RECORDS,
+            )
 
     def set_torques(self, index: Array, torques: Array) -> None:
         """Sets the recorded motor torques (len(index), m) [N·m] after :meth:`set_state`.
@@ -246,7 +287,9 @@ class Plant:
         row = kernel.FIRST_CABLE_PARAMETER + kernel.STALL
         stall = self._read(self._parameters, row, self.robot.cables, kernel.CABLE_PARAMETERS)[index]
         self._write(self.record, first + kernel.TORQUE, index, torques, stride)
-        self._write(self.record, first + kernel.LAGGED, index, np.clip(torques, -stall, stall), stride)
+        self._write(
+            self.record, first + kernel.LAGGED, index, np.clip(torques, -stall, stall), stride
+        )
 
     def set_action(self, action: Array) -> None:
         """Sets the actions of all robots, shape (N, m), or (m,) for one robot."""
@@ -262,8 +305,8 @@ class Plant:
         """Advances all robots by one control period of ``substeps`` RK4 steps.
 
         Args:
-            references: reference poses at every physics step from 0 on, shape (trajectories, lines, n). After the last
-                line the reference stays constant.
+            references: reference poses at every physics step from 0 on, shape (trajectories, lines,
+                n). After the last line the reference stays constant.
             ends: index of the last line of each trajectory, shape (trajectories,).
             substeps: physics steps per control period.
             step: length of a physics step [s].
@@ -274,7 +317,8 @@ class Plant:
     def advance_calls(
         self, references: Array, ends: Array, *, substeps: int, step: float
     ) -> tuple[Callable[[], None], ...]:
-        """The calls of :meth:`advance`, one for each of :attr:`parts`, which may be made in parallel.
+        """The calls of :meth:`advance`, one for each of :attr:`parts`, which may be made in
+        parallel.
 
         They can be used until parameters of the robots change.
         """

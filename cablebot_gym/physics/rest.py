@@ -1,4 +1,5 @@
-"""Robots at the start of an episode: equilibrium at a pose, and the motors and pulleys that belong to it."""
+"""Robots at the start of an episode: equilibrium at a pose, and the motors and pulleys that belong
+to it."""
 
 from __future__ import annotations
 
@@ -27,7 +28,9 @@ class MotorStart:
     """Pulley angles β [rad]; without meaning for rigid robots."""
 
 
-def equilibrium_torques(nominal: Robot, robot: RobotArrays, mass: Array, pose: Array, *, moved: bool) -> Array:
+def equilibrium_torques(
+    nominal: Robot, robot: RobotArrays, mass: Array, pose: Array, *, moved: bool
+) -> Array:
     """Torques r T that hold robots at rest, shape (k, m) or (1, m) [N·m].
 
     Args:
@@ -35,18 +38,21 @@ def equilibrium_torques(nominal: Robot, robot: RobotArrays, mass: Array, pose: A
         robot: the true robots.
         mass: total masses, (k,) [kg].
         pose: poses, (k, n).
-        moved: whether parameters on which the equilibrium of unit masses depends differ from the nominal ones.
+        moved: whether parameters on which the equilibrium of unit masses depends differ from the
+            nominal ones.
 
     Raises:
         numpy.linalg.LinAlgError: if no tensions hold a robot.
     """
-    # The least largest action of redundant cables is not proportional to the mass; unique tensions are. Without weight
-    # the torques do not depend on the mass.
+    # The least largest action of redundant cables is not proportional to the mass; unique tensions
+    # are. Without weight the torques do not depend on the mass.
     redundant = robot.cables > robot.coordinates and not robot.weightless
     unit = mass if redundant else np.ones(len(pose))
     moved = moved or (redundant and robot is not nominal)
     if moved or np.any(pose != pose[0]) or np.any(unit != unit[0]):
-        torques = textbook.static_torque(robot, unit, pose, minimum=textbook.allocated_minimum(nominal))
+        torques = textbook.static_torque(
+            robot, unit, pose, minimum=textbook.allocated_minimum(nominal)
+        )
     else:
         torques = _nominal_torques(nominal, float(unit[0]), tuple(pose[0].tolist()))
     if redundant or robot.weightless:
@@ -62,17 +68,20 @@ def _nominal_torques(robot: Robot, mass: float, pose: tuple[float, ...]) -> Arra
 
 
 def motor_start(robot: RobotArrays, torque: Array, pose: Array, velocity: Array) -> MotorStart:
-    """Motors and pulleys of robots that are at rest on their springs and cables, or move as if they were.
+    """Motors and pulleys of robots that are at rest on their springs and cables, or move as if they
+    were.
 
     Args:
         robot: the robots.
-        torque: torques r T from :func:`equilibrium_torques`, (k, m) [N·m]. Springs are wound by at most the stall
-            torque.
+        torque: torques r T from :func:`equilibrium_torques`, (k, m) [N·m]. Springs are wound by at
+            most the stall torque.
         pose: poses X, (k, n).
         velocity: velocities Ẋ, (k, n).
     """
     speed = np.zeros_like(torque)
-    if robot.flexible or np.any(velocity):  # most motions start at rest, and the Jacobian makes resets slow
+    if robot.flexible or np.any(
+        velocity
+    ):  # most motions start at rest, and the Jacobian makes resets slow
         speed = textbook.pulley_speed(robot, pose, velocity)
     if not robot.flexible:
         no_angle = np.zeros_like(speed)
@@ -81,7 +90,9 @@ def motor_start(robot: RobotArrays, torque: Array, pose: Array, velocity: Array)
     if not robot.elastic:
         pulley_angle = textbook.pulley_angle(robot, pose)
         motor_angle = pulley_angle + wound / robot.stiffness
-        return MotorStart(torque=torque, speed=speed, motor_angle=motor_angle, pulley_angle=pulley_angle)
+        return MotorStart(
+            torque=torque, speed=speed, motor_angle=motor_angle, pulley_angle=pulley_angle
+        )
     tensions = wound / robot.pulley_radius
     motor_angle, pulley_angle = textbook.rest_angles(robot, tensions, pose)
     stretch = 1 + tensions / robot.axial_stiffness  # cables are wound without their stretch

@@ -1,7 +1,9 @@
-"""Sag of heavy cables, which the straight cables of the model leave out: catenary, parabola, and the platform's pose.
+"""Sag of heavy cables, which the straight cables of the model leave out: catenary, parabola, and
+the platform's pose.
 
-T is the component of the tension along the chord between the ends of a cable, w the weight per length [N/m], and θ
-the inclination of the chord. The horizontal force is ``T cos θ``. Only the component ``w cos θ`` bends the cable.
+T is the component of the tension along the chord between the ends of a cable, w the weight per
+length [N/m], and θ the inclination of the chord. The horizontal force is ``T cos θ``. Only the
+component ``w cos θ`` bends the cable.
 """
 
 from __future__ import annotations
@@ -43,8 +45,11 @@ def _check_finite(**arguments: ArrayLike) -> None:
         all_finite(name, values)
 
 
-def catenary(across: ArrayLike, rise: ArrayLike, tension: ArrayLike, weight: ArrayLike) -> tuple[Array, Array]:
-    """Sag below the middle of the chord, perpendicular to it, and extra length [m] of a catenary that does not stretch.
+def catenary(
+    across: ArrayLike, rise: ArrayLike, tension: ArrayLike, weight: ArrayLike
+) -> tuple[Array, Array]:
+    """Sag below the middle of the chord, perpendicular to it, and extra length [m] of a catenary
+    that does not stretch.
 
     Args:
         across: horizontal distance of the ends, shape (...) [m]; ≥ 0.
@@ -60,22 +65,37 @@ def catenary(across: ArrayLike, rise: ArrayLike, tension: ArrayLike, weight: Arr
         *(np.asarray(a, float) for a in (across, rise, tension, weight))
     )
     chord = np.hypot(across, rise)
-    # With a = H/w, μ = d/(2a): the length is √(h² + (d sinh μ/μ)²), and the slope in the middle is sinh ξ.
+    # With a = H/w, μ = d/(2a): the length is √(h² + (d sinh μ/μ)²), and the slope in the middle is
+    # sinh ξ.
     ratio = weight * chord / (2 * tension)  # μ, because H = T d/chord
     with np.errstate(over="ignore", invalid="ignore"):  # not a cable any more: infinite
-        stretched = across * np.where(ratio > 0, np.sinh(ratio) / np.where(ratio > 0, ratio, 1.0), 1.0)
-        # √(h² + s²) − √(h² + d²) without cancellation; s − d comes from the series where μ is small.
+        stretched = across * np.where(
+            ratio > 0, np.sinh(ratio) / np.where(ratio > 0, ratio, 1.0), 1.0
+        )
+        # √(h² + s²) − √(h² + d²) without cancellation; s − d comes from the series where μ is
+        # small.
         more = across * np.where(
-            ratio < 0.01, ratio**2 / 6 * (1 + ratio**2 / 20), stretched / np.maximum(across, 1e-300) - 1
+            ratio < 0.01,
+            ratio**2 / 6 * (1 + ratio**2 / 20),
+            stretched / np.maximum(across, 1e-300) - 1,
         )
         extra = more * (stretched + across) / (np.hypot(rise, stretched) + chord)
         steep = rise / np.maximum(stretched, 1e-300)  # sinh ξ = h/(2 a sinh μ)
         twice = 2 * np.sinh(ratio / 2) ** 2  # cosh μ − 1
-        down = tension * across / chord / np.where(weight > 0, weight, 1.0) * np.sqrt(1 + steep**2) * twice
+        down = (
+            tension
+            * across
+            / chord
+            / np.where(weight > 0, weight, 1.0)
+            * np.sqrt(1 + steep**2)
+            * twice
+        )
     return np.where(weight > 0, down * across / chord, 0.0), extra
 
 
-def parabola(across: ArrayLike, rise: ArrayLike, tension: ArrayLike, weight: ArrayLike) -> tuple[Array, Array]:
+def parabola(
+    across: ArrayLike, rise: ArrayLike, tension: ArrayLike, weight: ArrayLike
+) -> tuple[Array, Array]:
     """Sag and extra length [m] of the parabola, ``w cos θ L²/(8 T)`` and ``(w cos θ)² L³/(24 T²)``.
 
     The limit of :func:`catenary`, with the same arguments, for ``w L ≪ T``.
@@ -88,7 +108,8 @@ def parabola(across: ArrayLike, rise: ArrayLike, tension: ArrayLike, weight: Arr
 
 
 def sag(robot: Robot, pose: ArrayLike, tensions: ArrayLike) -> Sag:
-    """Sag of a robot's cables at poses (..., n) with tensions T (..., m); without the radius of swivel pulleys."""
+    """Sag of a robot's cables at poses (..., n) with tensions T (..., m); without the radius of
+    swivel pulleys."""
     _check_finite(tensions=tensions)
     tensions = np.asarray(tensions, float)
     across, rise = _chords(robot, pose)
@@ -118,7 +139,8 @@ def _weights(robot: Robot) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Settled:
-    """Rest of a platform on sagging cables whose motors stand where straight cables would hold the pose."""
+    """Rest of a platform on sagging cables whose motors stand where straight cables would hold the
+    pose."""
 
     pose_change: Array
     """Change of the pose, shape (n,) [m, rad]."""
@@ -127,11 +149,12 @@ class Settled:
 
 
 def settle(robot: Robot, mass: float, pose: ArrayLike, tensions: ArrayLike) -> Settled:
-    """Pose change and tensions at rest if the cables sag and weigh, by statics that are linear in the pose change.
+    """Pose change and tensions at rest if the cables sag and weigh, by statics that are linear in
+    the pose change.
 
-    Half of the weight of each cable acts on its platform anchor. The chord of cable i becomes longer by
-    ``e = (T − T⁰) L/EA − (w cos θ)² L³/(24 T²)``. This is a rising function of T, so the equilibrium is unique. The
-    stiffness that comes from turning the tensions is left out.
+    Half of the weight of each cable acts on its platform anchor. The chord of cable i becomes
+    longer by ``e = (T − T⁰) L/EA − (w cos θ)² L³/(24 T²)``. This is a rising function of T, so the
+    equilibrium is unique. The stiffness that comes from turning the tensions is left out.
 
     Args:
         robot: the robot, with or without elastic cables.
@@ -150,7 +173,9 @@ def settle(robot: Robot, mass: float, pose: ArrayLike, tensions: ArrayLike) -> S
     chord, weight = np.hypot(across, rise), _weights(robot)
     bent = (weight * across) ** 2 * chord / 24
     soft = chord / robot.axial_stiffness if robot.elastic else np.zeros(robot.cables)
-    load = textbook.bias(robot, mass, pose, np.zeros_like(pose)) + _cable_weight(robot, pose, weight * chord / 2)
+    load = textbook.bias(robot, mass, pose, np.zeros_like(pose)) + _cable_weight(
+        robot, pose, weight * chord / 2
+    )
     if not np.any(bent):
         return Settled(pose_change=np.zeros_like(pose), tensions=straight)
 
@@ -175,7 +200,10 @@ def settle(robot: Robot, mass: float, pose: ArrayLike, tensions: ArrayLike) -> S
         step = np.linalg.solve(structure.T @ (rates[:, None] * structure), -missing)
         while True:  # the residual falls along a short enough step
             trial = tension(structure @ (change + step))
-            if np.linalg.norm(load + structure.T @ trial) < np.linalg.norm(missing) or np.abs(step).max() < 1e-15:
+            if (
+                np.linalg.norm(load + structure.T @ trial) < np.linalg.norm(missing)
+                or np.abs(step).max() < 1e-15
+            ):
                 break
             step = step / 2
         change, found = change + step, trial

@@ -1,7 +1,8 @@
-"""Tensions and payloads that cables and motors can hold, at rest or along a motion, without a simulation.
+"""Tensions and payloads that cables and motors can hold, at rest or along a motion, without a
+simulation.
 
-The answers are exact for rigid transmissions. Joint springs and the stretch of the cables are left out: motor and
-pulley turn together.
+The answers are exact for rigid transmissions. Joint springs and the stretch of the cables are left
+out: motor and pulley turn together.
 """
 
 from __future__ import annotations
@@ -13,14 +14,21 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import HELD, Feasibility, ScaleInterval, feasible, largest_scale
+from cablebot_gym.physics.distribution import (
+    HELD,
+    Feasibility,
+    ScaleInterval,
+    feasible,
+    largest_scale,
+)
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, at_rest, start_pose
 from cablebot_gym.trajectories import Reference, Trajectory
 from cablebot_gym.utils.checks import number, numbers
 
 HEAVIEST = 1000.0
-"""Largest payload that is tried, in platform masses. If this payload is feasible, the payload is unlimited."""
+"""Largest payload that is tried, in platform masses. If this payload is feasible, the payload is
+unlimited."""
 
 _SAMPLES = 201
 """Number of checked instants of a motion."""
@@ -35,7 +43,8 @@ def resting(poses: Array) -> Reference:
 def tension_bounds(
     robot: Robot, reference: Reference, minimum: float, *, line_speed: ArrayLike = 1.0
 ) -> tuple[Array, Array]:
-    """Least and largest tensions on a reference, each (K, m) [N]: the minimum tension and the torque-speed lines.
+    """Least and largest tensions on a reference, each (K, m) [N]: the minimum tension and the
+    torque-speed lines.
 
     Speeds and pulley accelerations, and so the bounds, do not depend on the mass.
 
@@ -51,7 +60,9 @@ def tension_bounds(
     Raises:
         ValueError: if a number is not finite.
     """
-    known = np.all(np.isfinite(textbook.jacobian(robot, reference.position)), axis=(-2, -1), keepdims=True)[..., 0]
+    known = np.all(
+        np.isfinite(textbook.jacobian(robot, reference.position)), axis=(-2, -1), keepdims=True
+    )[..., 0]
     pose = np.where(known, reference.position, robot.home)
     velocity = reference.velocity
     acceleration = reference.acceleration
@@ -61,7 +72,9 @@ def tension_bounds(
         rest = rest + textbook.coulomb_torque(robot, speed)
     if robot.jointed:
         rest = rest + robot.motor_damping * speed
-        rest = rest + robot.motor_inertia * textbook.pulley_acceleration(robot, pose, velocity, acceleration)
+        rest = rest + robot.motor_inertia * textbook.pulley_acceleration(
+            robot, pose, velocity, acceleration
+        )
     limits = textbook.torque_limits(robot, numbers("line_speed", line_speed) * speed)
     lower, upper = ((limit - rest) / robot.pulley_radius for limit in limits)
     lower = np.maximum(lower, number("minimum", minimum))
@@ -71,11 +84,14 @@ def tension_bounds(
 def required_load(robot: Robot, reference: Reference, payload: float) -> Array:
     """Generalised force that a reference requires with a payload [kg], (K, n)."""
     mass = np.full(len(reference.position), robot.mass + payload)
-    return textbook.load(robot, mass, reference.position, reference.velocity, reference.acceleration)
+    return textbook.load(
+        robot, mass, reference.position, reference.velocity, reference.acceleration
+    )
 
 
 def feasible_payloads(robot: Robot, reference: Reference) -> ScaleInterval:
-    """Interval of the payloads with which cables and motors follow a reference, at each of its K instants [kg]."""
+    """Interval of the payloads with which cables and motors follow a reference, at each of its K
+    instants [kg]."""
     unloaded = required_load(robot, reference, 0.0)
     return largest_scale(
         textbook.jacobian(robot, reference.position),
@@ -107,8 +123,9 @@ def holds(robot: Robot, poses: Array, payload: float) -> Array:
 def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
     """Largest payload with which the motors hold the robot at the start pose [kg], in closed form.
 
-    The static torques are affine in the payload. The result is ``inf`` if the motion does not start at rest or no
-    payload changes the torques (without gravity), and ``-inf`` if the motors hold no payload.
+    The static torques are affine in the payload. The result is ``inf`` if the motion does not start
+    at rest or no payload changes the torques (without gravity), and ``-inf`` if the motors hold no
+    payload.
     """
     if not at_rest(trajectory(0.0)):
         return math.inf
@@ -117,7 +134,8 @@ def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds
         return _hold_payload_of_redundant_cables(robot, pose)
     minimum = textbook.allocated_minimum(robot)
     empty, loaded = (
-        textbook.static_torque(robot, robot.mass + payload, pose, minimum=minimum) for payload in (0.0, 1.0)
+        textbook.static_torque(robot, robot.mass + payload, pose, minimum=minimum)
+        for payload in (0.0, 1.0)
     )
     slope = np.abs(loaded - empty)
     sign = np.where(loaded < empty, -1.0, 1.0)
@@ -128,7 +146,8 @@ def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds
 
 
 def _hold_payload_of_redundant_cables(robot: Robot, pose: Array) -> float:
-    """Largest payload that some tensions within the stall torques hold at a pose [kg]; ``-inf`` if there is none."""
+    """Largest payload that some tensions within the stall torques hold at a pose [kg]; ``-inf`` if
+    there is none."""
     zero = np.zeros_like(pose)
     most = robot.stall_torque / robot.pulley_radius
     least = textbook.allocated_minimum(robot)
@@ -139,15 +158,17 @@ def _hold_payload_of_redundant_cables(robot: Robot, pose: Array) -> float:
 
 
 EXACT_FACTOR = 5.0
-"""Largest ratio of a controller's payload to that of exact tracking on a robot without gravity. It is 2.6 for the best
-known payload of the paper's planar robot."""
+"""Largest ratio of a controller's payload to that of exact tracking on a robot without gravity. It
+is 2.6 for the best known payload of the paper's planar robot."""
 
 
 def payload_ceiling(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
-    """Payload that no controller can be expected to carry [kg]; ``-inf`` if the motors cannot hold the start.
+    """Payload that no controller can be expected to carry [kg]; ``-inf`` if the motors cannot hold
+    the start.
 
-    With gravity it is the payload that the motors hold at the start pose. Without, they hold every payload at rest, and
-    it is a multiple of the payload of exact tracking, at least the mass of the platform.
+    With gravity it is the payload that the motors hold at the start pose. Without, they hold every
+    payload at rest, and it is a multiple of the payload of exact tracking, at least the mass of the
+    platform.
     """
     held = hold_payload(robot, trajectory, error_bounds)
     if math.isfinite(held):

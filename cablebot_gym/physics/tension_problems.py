@@ -1,9 +1,11 @@
-"""Compiled problems of cable tensions, batched: the work of :mod:`cablebot_gym.physics.distribution`.
+"""Compiled problems of cable tensions, batched: the work of
+:mod:`cablebot_gym.physics.distribution`.
 
-All four are one problem: the point of a polyhedron ``C x ≥ d`` that is nearest to a given point. A QR factorisation
-of S gives the tensions that hold the load, ``T = T_p + N λ``, so x has r or r + 1 components. The dual active-set
-method of Goldfarb and Idnani finds the point after finitely many steps, or a combination of constraints that excludes
-every point. Bounds count as satisfied within 1e-10 of the largest tension.
+All four are one problem: the point of a polyhedron ``C x ≥ d`` that is nearest to a given point. A
+QR factorisation of S gives the tensions that hold the load, ``T = T_p + N λ``, so x has r or r + 1
+components. The dual active-set method of Goldfarb and Idnani finds the point after finitely many
+steps, or a combination of constraints that excludes every point. Bounds count as satisfied within
+1e-10 of the largest tension.
 """
 
 from __future__ import annotations
@@ -38,9 +40,10 @@ _FARTHEST = 1e4  # longest step to the end of an interval in _extreme, relative 
 def _approximate(problem, factors, structure, load, low, high, weights, u):
     """Tensions u within the bounds with the least wrench error ``Σ (weights e)²``, e = load + Sᵀu.
 
-    The tensions that leave the least error are not always unique. A term ``η² Σ u²`` selects short ones. With η = 1e-3
-    of the effect of a cable it changes the wrench by about 1e-6 of the tensions. A smaller η makes the tensions jump
-    where the set of cables between their bounds changes; a larger one makes them jump where the load becomes feasible.
+    The tensions that leave the least error are not always unique. A term ``η² Σ u²`` selects short
+    ones. With η = 1e-3 of the effect of a cable it changes the wrench by about 1e-6 of the
+    tensions. A smaller η makes the tensions jump where the set of cables between their bounds
+    changes; a larger one makes them jump where the load becomes feasible.
     """
     matrix, x = factors[0], problem[2]
     m, n = structure.shape
@@ -72,7 +75,8 @@ def _approximate(problem, factors, structure, load, low, high, weights, u):
 
 @helper
 def _start(structure, load, low, high, reference, below, above, rest):
-    """Bounds and load relative to the reference tensions; returns whether each lower bound is below the upper."""
+    """Bounds and load relative to the reference tensions; returns whether each lower bound is below
+    the upper."""
     m, n = structure.shape
     ordered = True
     for j in range(n):
@@ -88,13 +92,15 @@ def _start(structure, load, low, high, reference, below, above, rest):
 
 @helper
 def _within(value, low, high):
-    """Value without the rounding that would exceed a bound; the lower bound takes precedence and replaces NaN."""
+    """Value without the rounding that would exceed a bound; the lower bound takes precedence and
+    replaces NaN."""
     return min(value, high) if min(value, high) > low else low
 
 
 @compiled_when_frequent
 def solve_least_norm(structure, load, lower, upper, reference, weights, tensions, status):
-    """Tensions nearest to the reference, see :func:`~cablebot_gym.physics.distribution.least_norm`."""
+    """Tensions nearest to the reference, see
+    :func:`~cablebot_gym.physics.distribution.least_norm`."""
     items, m, n = structure.shape
     problem = new_problem(m - n, 2 * m)
     factors = new_factors(m, n)
@@ -125,7 +131,9 @@ def solve_least_norm(structure, load, lower, upper, reference, weights, tensions
 
 
 @compiled_when_frequent
-def solve_least_largest(structure, load, lower, upper, slope, offset, smoothing, weights, tensions, status):
+def solve_least_largest(
+    structure, load, lower, upper, slope, offset, smoothing, weights, tensions, status
+):
     """Tensions whose largest action is the least, see
     :func:`~cablebot_gym.physics.distribution.least_largest_action`.
     """
@@ -184,7 +192,8 @@ def solve_least_largest(structure, load, lower, upper, slope, offset, smoothing,
 
 @helper
 def _combine(problem, count, m, coefficients):
-    """Combination of cables in the multipliers, scaled to a largest magnitude of 1; returns the scale."""
+    """Combination of cables in the multipliers, scaled to a largest magnitude of 1; returns the
+    scale."""
     active, multipliers = problem[3], problem[4]
     coefficients[:] = 0.0
     other = 0.0
@@ -207,7 +216,8 @@ def _combine(problem, count, m, coefficients):
 
 @helper
 def _unreachable(factors, rank, load, direction):
-    """Direction of coordinates on which no cable acts, largest component 1, along which the load is the largest."""
+    """Direction of coordinates on which no cable acts, largest component 1, along which the load is
+    the largest."""
     matrix, order, z = factors[0], factors[2], factors[4]
     n, best = matrix.shape[1], -1.0
     for free in range(rank, n):
@@ -228,8 +238,11 @@ def _unreachable(factors, rank, load, direction):
 
 
 @compiled_when_frequent
-def solve_feasible(structure, load, lower, upper, reference, status, excess, direction, coefficients):
-    """Whether tensions hold the load, or a proof, see :func:`~cablebot_gym.physics.distribution.feasible`."""
+def solve_feasible(
+    structure, load, lower, upper, reference, status, excess, direction, coefficients
+):
+    """Whether tensions hold the load, or a proof, see
+    :func:`~cablebot_gym.physics.distribution.feasible`."""
     items, m, n = structure.shape
     problem = new_problem(m - n, 2 * m)
     factors = new_factors(m, n)
@@ -240,7 +253,16 @@ def solve_feasible(structure, load, lower, upper, reference, status, excess, dir
     active = problem[3]
     multipliers = problem[4]
     for item in range(items):
-        if not _start(structure[item], load[item], lower[item], upper[item], reference[item], below, above, rest):
+        if not _start(
+            structure[item],
+            load[item],
+            lower[item],
+            upper[item],
+            reference[item],
+            below,
+            above,
+            rest,
+        ):
             status[item] = INFEASIBLE
             for i in range(m):
                 excess[item] = max(excess[item], lower[item, i] - upper[item, i])
@@ -266,8 +288,8 @@ def solve_feasible(structure, load, lower, upper, reference, status, excess, dir
 def _extreme(problem, step, tolerance, scale, x, before):
     """Moves x, which satisfies the constraints, as far along its last axis as they permit.
 
-    It projects a point ahead of x until x stays in place, which is so only at the end. Returns the number of active
-    constraints; −1 if rounding stops it.
+    It projects a point ahead of x until x stays in place, which is so only at the end. Returns the
+    number of active constraints; −1 if rounding stops it.
     """
     count = 0
     for _ in range(100):
@@ -288,7 +310,19 @@ def _extreme(problem, step, tolerance, scale, x, before):
 
 
 @compiled_when_frequent
-def solve_interval(structure, load, unit_load, lower, upper, unit_lower, unit_upper, ends, found, status, coefficients):
+def solve_interval(
+    structure,
+    load,
+    unit_load,
+    lower,
+    upper,
+    unit_lower,
+    unit_upper,
+    ends,
+    found,
+    status,
+    coefficients,
+):
     """Ends of the interval, see :func:`~cablebot_gym.physics.distribution.largest_scale`."""
     items, m, n = structure.shape
     size = m - n + 1

@@ -1,4 +1,5 @@
-"""Trajectory optimisation: motions within the error bounds for the heaviest payload (extra ``optimal``).
+"""Trajectory optimisation: motions within the error bounds for the heaviest payload (extra
+``optimal``).
 
 * ``stage_functions``: the constraints at one instant.
 * ``program``: the nonlinear program.
@@ -13,4 +14,12 @@ from cablebot_gym.planning.library import plan_motion
 from cablebot_gym.planning.motion import Margins, PlannedMotion
 from cablebot_gym.planning.program import Infeasible, MotionProgram
 
-__all__ = ["Follower", "Infeasible", "Margins", "MotionProgram", "PlannedMotion", "State", "plan_motion"]
+__all__ = [
+    "Follower",
+    "Infeasible",
+    "Margins",
+    "MotionProgram",
+    "PlannedMotion",
+    "State",
+    "plan_motion",
+]

@@ -17,7 +17,8 @@ from cablebot_gym.utils.checks import number, numbers
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """Measured state at a control instant; each array has shape (..., size) unless stated otherwise."""
+    """Measured state at a control instant; each array has shape (..., size) unless stated
+    otherwise."""
 
     time: Array
     """Time of the control instant since the start of the motion, shape (...) [s]."""
@@ -39,13 +40,15 @@ class State:
 
 @dataclass(frozen=True, kw_only=True)
 class Follower:
-    """Controller for a planned motion: computed torque if rigid, PD control of the planned motor angles if flexible.
+    """Controller for a planned motion: computed torque if rigid, PD control of the planned motor
+    angles if flexible.
 
-    The torque is constant over a control period h. The controller therefore uses the mean acceleration of the plan over
-    the period, (Ẋ(t+h) − Ẋ(t))/h, and the inverse dynamics at the middle of the period. After the period the velocity
-    matches the plan up to O(h³). On a flexible robot the same applies to β̈′. There the correction v = K_P e + K_D ė of
-    the platform error requires the additional spring torque ∂κ/∂Ẍ v, which shifts the motor angles by this torque
-    over the stiffness of the springs, which are joint springs or elastic cables.
+    The torque is constant over a control period h. The controller therefore uses the mean
+    acceleration of the plan over the period, (Ẋ(t+h) − Ẋ(t))/h, and the inverse dynamics at the
+    middle of the period. After the period the velocity matches the plan up to O(h³). On a flexible
+    robot the same applies to β̈′. There the correction v = K_P e + K_D ė of the platform error
+    requires the additional spring torque ∂κ/∂Ẍ v, which shifts the motor angles by this torque over
+    the stiffness of the springs, which are joint springs or elastic cables.
 
     Raises:
         ValueError: if a gain is negative, or another number is not positive.
@@ -69,7 +72,9 @@ class Follower:
         """Actions for the torques of :meth:`torques`, shape (..., m)."""
         return textbook.normalised_action(self.robot, *self.torques(plan, state, payload, period))
 
-    def torques(self, plan: PlannedMotion, state: State, payload: Array, period: float) -> tuple[Array, Array]:
+    def torques(
+        self, plan: PlannedMotion, state: State, payload: Array, period: float
+    ) -> tuple[Array, Array]:
         """Requested torques [N·m] and current motor speeds [rad/s], each (..., m).
 
         Args:
@@ -78,7 +83,8 @@ class Follower:
             payload: payload of the controller's model [kg], shape (...).
             period: control period, over which the torque is constant [s].
         """
-        # The plan rests after its end. Without the minimum, a last period that ends late by rounding would brake.
+        # The plan rests after its end. Without the minimum, a last period that ends late by
+        # rounding would brake.
         end = np.minimum(state.time + period, plan.duration)
         now, after = plan(state.time), plan(end)
         error = now.position - state.pose
@@ -124,7 +130,8 @@ class Follower:
 
     @staticmethod
     def _spring_change(robot: Robot, mass: Array, pose: Array, acceleration: Array) -> Array:
-        """Spring torque ∂κ/∂Ẍ times an acceleration [N·m], with the smallest change of tensions; shape (..., m)."""
+        """Spring torque ∂κ/∂Ẍ times an acceleration [N·m], with the smallest change of tensions;
+        shape (..., m)."""
         structure = textbook.jacobian(robot, pose)
         transposed = np.swapaxes(structure, -1, -2)
         wrench = textbook.mass_matrix(robot, mass, pose) @ acceleration[..., None]
@@ -132,4 +139,9 @@ class Follower:
         change: Array = robot.pulley_radius * tensions
         if not robot.jointed:
             return change
-        return change - robot.pulley_inertia * (structure @ acceleration[..., None])[..., 0] / robot.pulley_radius
+        return (
+            change
+            - robot.pulley_inertia
+            * (structure @ acceleration[..., None])[..., 0]
+            / robot.pulley_radius
+        )

@@ -27,7 +27,8 @@ _SAMPLES = 1000.0
 
 
 def fingerprint(module: str, robot: Robot, trajectory: Trajectory, **more: Any) -> str:
-    """Hash of a robot, a reference, further data, the code and the versions of Python and of the solver.
+    """Hash of a robot, a reference, further data, the code and the versions of Python and of the
+    solver.
 
     Args:
         module: module that uses the data; the hash includes its code and its imports.
@@ -38,7 +39,14 @@ def fingerprint(module: str, robot: Robot, trajectory: Trajectory, **more: Any) 
     times = np.arange(round(trajectory.duration * _SAMPLES) + 1) / _SAMPLES
     reference = trajectory(times)
     plain = {name: to_jsonable(value) for name, value in more.items()}
-    data = [robot.to_dict(), trajectory.name, trajectory.duration, plain, source_hash(module), _versions()]
+    data = [
+        robot.to_dict(),
+        trajectory.name,
+        trajectory.duration,
+        plain,
+        source_hash(module),
+        _versions(),
+    ]
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode())
     for values in (reference.position, reference.velocity):
         digest.update(np.ascontiguousarray(values).tobytes())
@@ -46,7 +54,10 @@ def fingerprint(module: str, robot: Robot, trajectory: Trajectory, **more: Any) 
 
 
 def _versions() -> list[str]:
-    return [platform.python_version(), *(version(name) for name in ("casadi", "numpy", "scipy", "numba"))]
+    return [
+        platform.python_version(),
+        *(version(name) for name in ("casadi", "numpy", "scipy", "numba")),
+    ]
 
 
 def load_or_compute(
@@ -73,15 +84,20 @@ def load_or_compute(
     return value
 
 
-def plan_motion(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds, **settings: Any) -> PlannedMotion:
-    """The cached solution of a :class:`~cablebot_gym.planning.program.MotionProgram`, which has the same arguments.
+def plan_motion(
+    robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds, **settings: Any
+) -> PlannedMotion:
+    """The cached solution of a :class:`~cablebot_gym.planning.program.MotionProgram`, which has the
+    same arguments.
 
     Raises:
         Infeasible: if the solver finds no motion within the constraints.
         ImportError: if CasADi is missing.
     """
     import_casadi()
-    key = fingerprint("cablebot_gym.planning.program", robot, trajectory, error_bounds=error_bounds, **settings)
+    key = fingerprint(
+        "cablebot_gym.planning.program", robot, trajectory, error_bounds=error_bounds, **settings
+    )
 
     def solve() -> PlannedMotion:
         return MotionProgram(robot, trajectory, error_bounds, **settings).solve()

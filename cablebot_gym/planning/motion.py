@@ -17,10 +17,12 @@ from cablebot_gym.trajectories import Reference
 from cablebot_gym.utils.checks import number
 
 MOTOR_DEGREE = 3
-"""Degree of the splines of β′. β̈′ dominates the torque; it is linear between knots and does not oscillate."""
+"""Degree of the splines of β′. β̈′ dominates the torque; it is linear between knots and does not
+oscillate."""
 
 RIGID_DEGREE, FLEXIBLE_DEGREE = 3, MOTOR_DEGREE + 2
-"""Degree of the spline of X. Ẍ is as smooth as the torques of a rigid robot or the motor angles of a flexible one."""
+"""Degree of the spline of X. Ẍ is as smooth as the torques of a rigid robot or the motor angles of
+a flexible one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +50,8 @@ class Margins:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedMotion:
-    """A planned motion as a spline. It implements :class:`~cablebot_gym.trajectories.Trajectory`."""
+    """A planned motion as a spline. It implements
+    :class:`~cablebot_gym.trajectories.Trajectory`."""
 
     name: str
     """Name of the reference motion."""
@@ -57,10 +60,11 @@ class PlannedMotion:
     poses: Array
     """Control points of the pose, shape (count, n) [m, rad]."""
     motors: tuple[Array, ...]
-    """Control points of the motor angles β′ of a flexible robot, each (count, m) [rad]: with the heaviest payload and,
-    if planned, with the lightest payload. Empty if rigid."""
+    """Control points of the motor angles β′ of a flexible robot, each (count, m) [rad]: with the
+    heaviest payload and, if planned, with the lightest payload. Empty if rigid."""
     payload: float
-    """Heaviest payload of the motion [kg]. All payloads from ``lightest`` to this one are feasible."""
+    """Heaviest payload of the motion [kg]. All payloads from ``lightest`` to this one are
+    feasible."""
     lightest: float
     """Lightest payload of the motion [kg]."""
     minimum_tension: float
@@ -88,16 +92,21 @@ class PlannedMotion:
         for value in values[1:]:
             value[times > self.duration] = 0.0
         position, velocity, acceleration, jerk, snap = values
-        return Reference(position=position, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=snap)
+        return Reference(
+            position=position, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=snap
+        )
 
     @cached_property
     def _derivatives(self) -> list[Any]:
         """Splines of the derivatives 0 to 4; those above the degree are zero."""
-        spline, zero = (BSpline(self.knots, values, self.degree) for values in (self.poses, 0 * self.poses))
+        spline, zero = (
+            BSpline(self.knots, values, self.degree) for values in (self.poses, 0 * self.poses)
+        )
         return [spline, *(spline.derivative(d) if d <= self.degree else zero for d in (1, 2, 3, 4))]
 
     def motor_motion(self, times: ArrayLike, payload: ArrayLike) -> tuple[Array, Array, Array]:
-        """Motor angles β′ [rad], speeds β̇′ and accelerations β̈′ of a flexible robot, each (..., m).
+        """Motor angles β′ [rad], speeds β̇′ and accelerations β̈′ of a flexible robot, each (...,
+        m).
 
         With two planned payloads they are affine in the payload, like the balance of forces.
 
@@ -111,7 +120,8 @@ class PlannedMotion:
         else:
             fraction = (np.asarray(payload, float) - self.lightest) / (self.payload - self.lightest)
             angle, speed, acceleration = (
-                value[..., 1, :] + fraction[..., None] * (value[..., 0, :] - value[..., 1, :]) for value in values
+                value[..., 1, :] + fraction[..., None] * (value[..., 0, :] - value[..., 1, :])
+                for value in values
             )
         return angle, speed, acceleration
 
@@ -125,7 +135,13 @@ class PlannedMotion:
         """The motion as arrays by name, which :meth:`from_arrays` reads."""
         numbers = np.array([self.payload, self.lightest, self.minimum_tension])
         motors = {f"motors{index}": values for index, values in enumerate(self.motors)}
-        return {"name": np.array(self.name), "knots": self.knots, "poses": self.poses, "numbers": numbers, **motors}
+        return {
+            "name": np.array(self.name),
+            "knots": self.knots,
+            "poses": self.poses,
+            "numbers": numbers,
+            **motors,
+        }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array]) -> PlannedMotion:

@@ -1,12 +1,14 @@
-"""Nonlinear program for the motion with the heaviest payload, with splines, collocation, CasADi and IPOPT.
+"""Nonlinear program for the motion with the heaviest payload, with splines, collocation, CasADi and
+IPOPT.
 
-The motion X(t) is a spline. On a rigid robot, tensions and torques at each instant follow from X, Ẋ and Ẍ. On a
-flexible robot the motor angles β′(t) are a second spline. The balance of forces of the platform at the collocation
-points couples the two splines, and the torques follow from β′ and its derivatives.
+The motion X(t) is a spline. On a rigid robot, tensions and torques at each instant follow from X, Ẋ
+and Ẍ. On a flexible robot the motor angles β′(t) are a second spline. The balance of forces of the
+platform at the collocation points couples the two splines, and the torques follow from β′ and its
+derivatives.
 
-Each constraint is a function of a few numbers at one instant, which are affine in the variables of the program. The
-Jacobian and the Hessian are assembled from small dense ones. This is ten times faster than to differentiate the whole
-program.
+Each constraint is a function of a few numbers at one instant, which are affine in the variables of
+the program. The Jacobian and the Hessian are assembled from small dense ones. This is ten times
+faster than to differentiate the whole program.
 """
 
 from __future__ import annotations
@@ -23,7 +25,13 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.statics import HEAVIEST, hold_payload
 from cablebot_gym.physics.textbook import cable_equivalent
-from cablebot_gym.planning.motion import FLEXIBLE_DEGREE, MOTOR_DEGREE, RIGID_DEGREE, Margins, PlannedMotion
+from cablebot_gym.planning.motion import (
+    FLEXIBLE_DEGREE,
+    MOTOR_DEGREE,
+    RIGID_DEGREE,
+    Margins,
+    PlannedMotion,
+)
 from cablebot_gym.planning.signals import SolverInterrupt
 from cablebot_gym.planning.stage_functions import (
     TENSION,
@@ -40,8 +48,8 @@ from cablebot_gym.task import ErrorBounds, start_pose
 from cablebot_gym.trajectories import Trajectory
 
 STAGES_PER_INTERVAL = {"rigid": 2, "flexible": 4}
-"""Instants per spline interval at which actions and tensions are constrained. Springs oscillate in between: with two
-instants the actions exceeded their limits by 10 %, with four by 0.6 %."""
+"""Instants per spline interval at which actions and tensions are constrained. Springs oscillate in
+between: with two instants the actions exceeded their limits by 10 %, with four by 0.6 %."""
 
 ERROR_STAGES_PER_INTERVAL = 4
 """Instants per spline interval at which the error bounds are enforced."""
@@ -50,10 +58,12 @@ _TOLERANCE = 1e-5
 """Tolerance of IPOPT on the scaled program. Payloads are then accurate to 0.1 g."""
 
 _LIGHTEST = -0.95
-"""Smallest payload of the program in platform masses. A negative payload tells how much too heavy the platform is."""
+"""Smallest payload of the program in platform masses. A negative payload tells how much too heavy
+the platform is."""
 
 _START_MASSES = 65
-"""Number of masses in the table of the springs at rest. The tensions of redundant cables are not linear in the mass."""
+"""Number of masses in the table of the springs at rest. The tensions of redundant cables are not
+linear in the mass."""
 
 _HOLD_MARGIN = 1e-6
 """Margin to the payload that the motors hold at the start pose [kg]. It covers rounding."""
@@ -71,7 +81,8 @@ class Infeasible(RuntimeError):
 
 
 class _Spline:
-    """One spline of the program. Its control points are ``base + scale * z[at]`` of the variables z."""
+    """One spline of the program. Its control points are ``base + scale * z[at]`` of the variables
+    z."""
 
     def __init__(self, knots: Array, degree: int, at: Array, base: Array, scale: Array) -> None:
         self.knots, self.degree = knots, degree
@@ -124,18 +135,20 @@ class MotionProgram:
 
     Args:
         robot: any robot without motor lag.
-        trajectory: reference motion. The motion starts at :func:`~cablebot_gym.task.start_pose` with its velocity.
+        trajectory: reference motion. The motion starts at :func:`~cablebot_gym.task.start_pose`
+            with its velocity.
         error_bounds: bounds of the tracking error.
         intervals: number of intervals of the splines.
         margins: margins to the constraints; None for no margins.
-        lightest: a second payload for which the same motion must be feasible [kg]; None for the heaviest one only. On a
-            given motion, actions and tensions are affine in the payload, so all payloads in between are feasible.
+        lightest: a second payload for which the same motion must be feasible [kg]; None for the
+            heaviest one only. On a given motion, actions and tensions are affine in the payload, so
+            all payloads in between are feasible.
         period: control period over which the torques are constant [s]; 0 for continuous torques.
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
-        ValueError: if a margin is not below its bound, the minimum tension exceeds the initial tension of a flexible
-            planar robot, or the robot has motor lag.
+        ValueError: if a margin is not below its bound, the minimum tension exceeds the initial
+            tension of a flexible planar robot, or the robot has motor lag.
     """
 
     def __init__(
@@ -162,13 +175,20 @@ class MotionProgram:
         self._set_margins(margins or Margins())
         count = STAGES_PER_INTERVAL[robot.joints] * intervals
         self._instants = np.linspace(0.0, trajectory.duration, count + 1)
-        self._error_instants = np.linspace(0.0, trajectory.duration, ERROR_STAGES_PER_INTERVAL * intervals + 1)[1:]
+        self._error_instants = np.linspace(
+            0.0, trajectory.duration, ERROR_STAGES_PER_INTERVAL * intervals + 1
+        )[1:]
         self._variables = 0
         self._payload_at = self._take(1)
         self._poses = self._pose_spline(intervals)
         loads = 1 if lightest is None else 2
-        self._motors = [self._motor_spline(intervals) for _ in range(loads if robot.flexible else 0)]
-        self._tensions = [self._take(len(self._instants), robot.cables) for _ in range(0 if robot.flexible else loads)]
+        self._motors = [
+            self._motor_spline(intervals) for _ in range(loads if robot.flexible else 0)
+        ]
+        self._tensions = [
+            self._take(len(self._instants), robot.cables)
+            for _ in range(0 if robot.flexible else loads)
+        ]
         self._interrupt = SolverInterrupt()
         self._solver: tuple[Any, Array, Array] | None = None
         self._solution: Any = None
@@ -187,29 +207,36 @@ class MotionProgram:
                 f"whose initial tension is {initial:g} N, not {margins.tension:g} N"
             )
 
-    def solve(self, start: PlannedMotion | None = None, *, shift: Array | None = None) -> PlannedMotion:
+    def solve(
+        self, start: PlannedMotion | None = None, *, shift: Array | None = None
+    ) -> PlannedMotion:
         """Solves the program for the motion with the heaviest payload.
 
         Args:
             start: initial guess, such as the motion on a coarser mesh; None for the reference.
-            shift: offset of the initial control points of the pose in units of the error bounds, shape (n,) or
-                (control points, n).
+            shift: offset of the initial control points of the pose in units of the error bounds,
+                shape (n,) or (control points, n).
 
         Raises:
-            Infeasible: if the solver finds no motion within the constraints; the message is its status.
+            Infeasible: if the solver finds no motion within the constraints; the message is its
+                status.
         """
         if self._solver is None:
             self._solver = self._assemble({})
-        return self._solved(self._solver, x0=self._initial_guess(start, 0.0 if shift is None else shift))
+        return self._solved(
+            self._solver, x0=self._initial_guess(start, 0.0 if shift is None else shift)
+        )
 
     def resolve(self, margins: Margins) -> PlannedMotion:
-        """Solves the program with other margins, starting from its last solution, which takes a few iterations.
+        """Solves the program with other margins, starting from its last solution, which takes a few
+        iterations.
 
         Args:
             margins: margins to the constraints, close to those of the last solution.
 
         Raises:
-            Infeasible: if the solver finds no motion within the constraints, or the program has no solution yet.
+            Infeasible: if the solver finds no motion within the constraints, or the program has no
+                solution yet.
             ValueError: if a margin is not below its bound.
         """
         self._set_margins(margins)
@@ -217,15 +244,21 @@ class MotionProgram:
         if (last := self._solution) is None:
             raise Infeasible("the program has no solution to start from")
         x0 = np.array(last["x"])[:, 0]
-        return self._solved(self._assemble(_WARM_START), x0=x0, lam_x0=last["lam_x"], lam_g0=last["lam_g"])
+        return self._solved(
+            self._assemble(_WARM_START), x0=x0, lam_x0=last["lam_x"], lam_g0=last["lam_g"]
+        )
 
-    def _solved(self, assembled: tuple[Any, Array, Array], *, x0: Array, **multipliers: Any) -> PlannedMotion:
+    def _solved(
+        self, assembled: tuple[Any, Array, Array], *, x0: Array, **multipliers: Any
+    ) -> PlannedMotion:
         solver, lowest, highest = assembled
         low, high = self._bounds()
         if np.any(low > high):
             raise Infeasible("the motors cannot hold the start pose")
         with self._interrupt.watch():
-            solution = solver(x0=np.clip(x0, low, high), lbx=low, ubx=high, lbg=lowest, ubg=highest, **multipliers)
+            solution = solver(
+                x0=np.clip(x0, low, high), lbx=low, ubx=high, lbg=lowest, ubg=highest, **multipliers
+            )
         status = solver.stats()["return_status"]
         if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
             raise Infeasible(status)
@@ -258,28 +291,40 @@ class MotionProgram:
         robot, degree = self._robot, MOTOR_DEGREE
         knots = _knots(self._trajectory.duration, intervals, degree)
         poses = self._trajectory(greville(knots, degree)).position
-        angles, _ = start_motors(robot, np.full(len(poses), robot.mass), poses, np.zeros(robot.coordinates))
+        angles, _ = start_motors(
+            robot, np.full(len(poses), robot.mass), poses, np.zeros(robot.coordinates)
+        )
         base = _interpolate(knots, degree, angles)
-        return _Spline(knots, degree, self._take(len(base), robot.cables), base, np.ones(robot.cables))
+        return _Spline(
+            knots, degree, self._take(len(base), robot.cables), base, np.ones(robot.cables)
+        )
 
     def _masses(self) -> list[float | None]:
         """Masses of platform and payload [kg]; None for the mass that is maximised."""
         return [None] if self._lightest is None else [None, self._robot.mass + self._lightest]
 
     def _bounds(self) -> tuple[Array, Array]:
-        """Bounds of the variables. They fix the start pose and its velocity, with the springs at rest."""
+        """Bounds of the variables. They fix the start pose and its velocity, with the springs at
+        rest."""
         low = np.full(self._variables, -np.inf)
         high = np.full(self._variables, np.inf)
         robot = self._robot
         pose = self._start
         velocity = self._trajectory(0.0).velocity
         ends = [(self._poses, pose, velocity)]
-        if robot.weightless and self._motors:  # with gravity the angles depend on the payload: a constraint
-            ends += [(spline, *start_motors(robot, np.array(robot.mass), pose, velocity)) for spline in self._motors]
+        if (
+            robot.weightless and self._motors
+        ):  # with gravity the angles depend on the payload: a constraint
+            ends += [
+                (spline, *start_motors(robot, np.array(robot.mass), pose, velocity))
+                for spline in self._motors
+            ]
         for spline, value, rate in ends:
             step = spline.knots[spline.degree + 1] / spline.degree
             for row, point in enumerate((value, value + step * rate)):
-                low[spline.at[row]] = high[spline.at[row]] = (point - spline.base[row]) / spline.scale
+                low[spline.at[row]] = high[spline.at[row]] = (
+                    point - spline.base[row]
+                ) / spline.scale
         for at in self._tensions:
             low[at] = self._least / TENSION
         low[self._payload_at], high[self._payload_at] = _LIGHTEST * robot.mass, self._heaviest
@@ -293,11 +338,15 @@ class MotionProgram:
         for at in self._tensions:
             z[at] = 1.0
         if start is not None:
-            points = _interpolate(poses.knots, poses.degree, start(greville(poses.knots, poses.degree)).position)
+            points = _interpolate(
+                poses.knots, poses.degree, start(greville(poses.knots, poses.degree)).position
+            )
             z[poses.at] = (points - poses.base) / poses.scale
             z[self._payload_at] = start.payload
             motion = start(self._instants)
-            masses = [robot.mass + start.payload if mass is None else mass for mass in self._masses()]
+            masses = [
+                robot.mass + start.payload if mass is None else mass for mass in self._masses()
+            ]
             for at, mass in zip(self._tensions, masses, strict=False):
                 tensions = textbook.required_tensions(
                     robot, mass, motion.position, motion.velocity, motion.acceleration, strict=False
@@ -327,11 +376,14 @@ class MotionProgram:
     def _blocks(self) -> list[_Block]:
         blocks = self._error_blocks()
         for index, mass in enumerate(self._masses()):
-            blocks += self._flexible(index, mass) if self._robot.flexible else self._rigid(index, mass)
+            blocks += (
+                self._flexible(index, mass) if self._robot.flexible else self._rigid(index, mass)
+            )
         return blocks
 
     def _block(self, function: Any, rows: list[_Row], low: Array, high: Array) -> _Block:
-        """A block with the numbers of one instant after the other: row k·d + i is number i at instant k."""
+        """A block with the numbers of one instant after the other: row k·d + i is number i at
+        instant k."""
         d, instants = len(rows), len(rows[0].constant)
         indices, columns, values = [], [], []
         for number, row in enumerate(rows):
@@ -342,7 +394,9 @@ class MotionProgram:
         entries = np.concatenate(values), (np.concatenate(indices), np.concatenate(columns))
         matrix = csr_matrix(entries, (instants * d, self._variables))
         offset = np.stack([row.constant for row in rows], axis=1).ravel()
-        return _Block(function=function, matrix=matrix, offset=offset, low=low, high=high, instants=instants)
+        return _Block(
+            function=function, matrix=matrix, offset=offset, low=low, high=high, instants=instants
+        )
 
     def _error_blocks(self) -> list[_Block]:
         """Constraints on the position and rotation errors, in units of their bounds."""
@@ -353,7 +407,9 @@ class MotionProgram:
         reference = self._trajectory(times).position
         rows = [
             _Row(row.matrix / bound, row.at, (row.constant - target) / bound)
-            for row, target, bound in zip(self._poses.rows(times, [0]), reference.T, self._poses.scale, strict=True)
+            for row, target, bound in zip(
+                self._poses.rows(times, [0]), reference.T, self._poses.scale, strict=True
+            )
         ]
         translation = ca.SX.sym("e", d)
         rotation = ca.SX.sym("e", angles)
@@ -362,7 +418,9 @@ class MotionProgram:
         blocks = [self._block(distance, rows[:d], np.array([-np.inf]), np.array([radius**2]))]
         if angles:
             most = np.full(angles, 1 - self._margins.rotation / self._error_bounds.rotation)
-            blocks.append(self._block(ca.Function("rotation", [rotation], [rotation]), rows[d:], -most, most))
+            blocks.append(
+                self._block(ca.Function("rotation", [rotation], [rotation]), rows[d:], -most, most)
+            )
         return blocks
 
     def _mass_row(self, mass: float | None, times: int) -> _Row:
@@ -371,7 +429,9 @@ class MotionProgram:
         return _Row(column, self._payload_at, constant)
 
     def _action_bounds(self) -> Array:
-        return np.full((2 if self._period > 0 else 1) * self._robot.cables, 1 - self._margins.action)
+        return np.full(
+            (2 if self._period > 0 else 1) * self._robot.cables, 1 - self._margins.action
+        )
 
     def _rigid(self, index: int, mass: float | None) -> list[_Block]:
         times = self._instants
@@ -381,7 +441,12 @@ class MotionProgram:
         tensions = [_Row(np.eye(len(times)), column, np.zeros(len(times))) for column in at.T]
         rows = [*self._poses.rows(times, [0, 1, 2]), *tensions, self._mass_row(mass, len(times))]
         return [
-            self._block(rigid_stage(self._robot, self._period), rows, np.r_[balanced, -most], np.r_[balanced, most])
+            self._block(
+                rigid_stage(self._robot, self._period),
+                rows,
+                np.r_[balanced, -most],
+                np.r_[balanced, most],
+            )
         ]
 
     def _flexible(self, index: int, mass: float | None) -> list[_Block]:
@@ -394,7 +459,11 @@ class MotionProgram:
         least = np.full(2 * robot.cables, self._least / TENSION)
 
         def rows(times: Array, orders: Sequence[int]) -> list[_Row]:
-            return [*poses.rows(times, orders), *motors.rows(times, orders), self._mass_row(mass, len(times))]
+            return [
+                *poses.rows(times, orders),
+                *motors.rows(times, orders),
+                self._mass_row(mass, len(times)),
+            ]
 
         collocation = greville(motors.knots, motors.degree)
         if index > 0:  # all payloads start with the same Ẍ, which the first block determines
@@ -409,19 +478,29 @@ class MotionProgram:
             ),
         ]
         if not robot.weightless:
-            masses = np.linspace((1 + _LIGHTEST) * robot.mass, robot.mass + self._heaviest, _START_MASSES)
+            masses = np.linspace(
+                (1 + _LIGHTEST) * robot.mass, robot.mass + self._heaviest, _START_MASSES
+            )
             velocity = self._trajectory(0.0).velocity
-            start = start_stage(robot, *(tuple(values.tolist()) for values in (self._start, velocity, masses)))
+            start = start_stage(
+                robot, *(tuple(values.tolist()) for values in (self._start, velocity, masses))
+            )
             begin, equal = np.zeros(1), np.zeros(2 * robot.cables)
             blocks.append(
-                self._block(start, [*motors.rows(begin, [0, 1]), self._mass_row(mass, len(begin))], equal, equal)
+                self._block(
+                    start,
+                    [*motors.rows(begin, [0, 1]), self._mass_row(mass, len(begin))],
+                    equal,
+                    equal,
+                )
             )
         return blocks
 
     # The program
 
     def _assemble(self, start: dict[str, Any]) -> tuple[Any, Array, Array]:
-        """The IPOPT solver of the program with options for its start, and the bounds of its constraints."""
+        """The IPOPT solver of the program with options for its start, and the bounds of its
+        constraints."""
         ca = self._ca
         z = ca.MX.sym("z", self._variables)
         sigma = ca.MX.sym("sigma")
@@ -454,7 +533,11 @@ class MotionProgram:
         options = {
             "iteration_callback": self._callback,
             "jac_g": ca.Function(
-                "slopes", [z, parameters], [constraints, ca.vertcat(*jacobians)], ["x", "p"], ["g", "jac_g_x"]
+                "slopes",
+                [z, parameters],
+                [constraints, ca.vertcat(*jacobians)],
+                ["x", "p"],
+                ["g", "jac_g_x"],
             ),
             "hess_lag": ca.Function(
                 "curvature",
@@ -477,22 +560,30 @@ class MotionProgram:
             },
         }
         program = {"x": z, "f": -z[int(self._payload_at[0])], "g": constraints}
-        return ca.nlpsol("motion", "ipopt", program, options), np.concatenate(lows), np.concatenate(highs)
+        return (
+            ca.nlpsol("motion", "ipopt", program, options),
+            np.concatenate(lows),
+            np.concatenate(highs),
+        )
 
 
 def greville(knots: Array, degree: int) -> Array:
-    """Greville points of a spline, one per control point. The values at these points determine the spline."""
+    """Greville points of a spline, one per control point. The values at these points determine the
+    spline."""
     count = len(knots) - degree - 1
     return np.array([knots[index + 1 : index + degree + 1].mean() for index in range(count)])
 
 
 def _knots(duration: float, intervals: int, degree: int) -> Array:
     """Equally spaced knots, clamped at both ends."""
-    return np.r_[np.zeros(degree), np.linspace(0.0, duration, intervals + 1), np.full(degree, duration)]
+    return np.r_[
+        np.zeros(degree), np.linspace(0.0, duration, intervals + 1), np.full(degree, duration)
+    ]
 
 
 def _basis(knots: Array, degree: int, times: Array, order: int) -> Array:
-    """Matrix from the control points to a derivative at each time, shape (times, control points)."""
+    """Matrix from the control points to a derivative at each time, shape (times, control
+    points)."""
     spline = BSpline(knots, np.eye(len(knots) - degree - 1), degree)
     values = (spline.derivative(order) if order else spline)(times)
     return np.where(np.abs(values) > 1e-12 * np.abs(values).max(), values, 0.0)

@@ -1,4 +1,5 @@
-"""Ctrl-C while IPOPT runs. CasADi alone treats the interrupt as a failed evaluation and continues."""
+"""Ctrl-C while IPOPT runs. CasADi alone treats the interrupt as a failed evaluation and
+continues."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ class SolverInterrupt:
 
     @contextmanager
     def watch(self) -> Iterator[None]:
-        """Catches Ctrl-C within the block, stops the solver and raises the signal again at the end of the block.
+        """Catches Ctrl-C within the block, stops the solver and raises the signal again at the end
+        of the block.
 
         Outside the main thread it does nothing, because only the main thread receives signals.
         """

@@ -1,4 +1,5 @@
-"""Constraints at one instant of a motion as CasADi functions, from the textbook equations on symbols."""
+"""Constraints at one instant of a motion as CasADi functions, from the textbook equations on
+symbols."""
 
 from __future__ import annotations
 
@@ -32,7 +33,9 @@ def import_casadi() -> Any:
     try:
         import casadi
     except ImportError:
-        raise ImportError("planned motions need CasADi: pip install 'cablebot-gym[optimal]'", name="casadi") from None
+        raise ImportError(
+            "planned motions need CasADi: pip install 'cablebot-gym[optimal]'", name="casadi"
+        ) from None
     _load_solver(casadi)
     return casadi
 
@@ -41,7 +44,8 @@ def import_casadi() -> Any:
 def _load_solver(casadi: Any) -> None:
     """Loads IPOPT with one thread for its linear algebra, because the matrices are small.
 
-    Two threads make a program 20 % slower, and several times slower if each core already runs a process.
+    Two threads make a program 20 % slower, and several times slower if each core already runs a
+    process.
     """
     before = os.environ.get(_THREADS)
     os.environ[_THREADS] = before or "1"
@@ -59,19 +63,23 @@ def check_model(robot: Robot) -> None:
         ValueError: if the motors have a lag.
     """
     if np.any(robot.motor_lag):
-        raise ValueError(f"planned motions need motors without lag, but the motors of robot {robot.name!r} have a lag")
+        raise ValueError(
+            f"planned motions need motors without lag, but the motors of robot {robot.name!r} have a lag"
+        )
 
 
 @lru_cache(maxsize=16)
 def rigid_stage(robot: Robot, period: float = 0.0) -> Any:
     """Stage function of a rigid robot.
 
-    The inputs are (X, Ẋ, Ẍ, T/50 N, mass). The outputs are the balance of forces (n) and :func:`_actions`.
+    The inputs are (X, Ẋ, Ẍ, T/50 N, mass). The outputs are the balance of forces (n) and
+    :func:`_actions`.
     """
     ca = import_casadi()
     n, m = robot.coordinates, robot.cables
     (xs, x), (vs, v), (as_, a), (ts, t), (ms, mass) = (
-        _symbols(ca, name, size) for name, size in (("X", n), ("V", n), ("A", n), ("T", m), ("m", 1))
+        _symbols(ca, name, size)
+        for name, size in (("X", n), ("V", n), ("A", n), ("T", m), ("m", 1))
     )
     tensions = TENSION * t
     speed = textbook.pulley_speed(robot, x, v)
@@ -86,8 +94,8 @@ def flexible_stage(robot: Robot, period: float = 0.0) -> tuple[Any, Any]:
     """Stage functions of a flexible robot: balance and limits.
 
     * Balance: from (X, Ẋ, Ẍ, β′, β̇′, β̈′, mass) to the balance of forces (n).
-    * Limits: from the same inputs to :func:`_actions`, T/50 N (m) and F/50 N (m) with the forces F of the springs,
-      which must not push.
+    * Limits: from the same inputs to :func:`_actions`, T/50 N (m) and F/50 N (m) with the forces F
+      of the springs, which must not push.
     """
     ca = import_casadi()
     n, m = robot.coordinates, robot.cables
@@ -99,7 +107,10 @@ def flexible_stage(robot: Robot, period: float = 0.0) -> tuple[Any, Any]:
     if robot.jointed:
         speed = textbook.pulley_speed(robot, x, v)
         second = textbook.pulley_acceleration(robot, x, v, a)
-        tensions = spring_force - (robot.pulley_inertia * second + robot.damping * speed) / robot.pulley_radius
+        tensions = (
+            spring_force
+            - (robot.pulley_inertia * second + robot.damping * speed) / robot.pulley_radius
+        )
     else:
         tensions, _ = textbook.cable_springs(robot, x, v, b, u, cable="bilateral")
     numbers = ca.vertcat(xs, vs, as_, bs, us, ws, ms)
@@ -111,30 +122,39 @@ def flexible_stage(robot: Robot, period: float = 0.0) -> tuple[Any, Any]:
 
 
 @lru_cache(maxsize=16)
-def start_stage(robot: Robot, pose: tuple[float, ...], velocity: tuple[float, ...], masses: tuple[float, ...]) -> Any:
+def start_stage(
+    robot: Robot, pose: tuple[float, ...], velocity: tuple[float, ...], masses: tuple[float, ...]
+) -> Any:
     """Deviation of the motors of a flexible robot from the start of an episode.
 
-    The inputs are (β′, β̇′, mass). The outputs are β′ − β′₀ (m), where the robot is at rest with β′₀, and the difference
-    of the speeds (m) as an action, which scales it. β′₀ is linear in the mass between ``masses`` (k,).
+    The inputs are (β′, β̇′, mass). The outputs are β′ − β′₀ (m), where the robot is at rest with
+    β′₀, and the difference of the speeds (m) as an action, which scales it. β′₀ is linear in the
+    mass between ``masses`` (k,).
     """
     ca = import_casadi()
     (bs, b), (us, u), (ms, _) = (
-        _symbols(ca, name, size) for name, size in (("B", robot.cables), ("U", robot.cables), ("m", 1))
+        _symbols(ca, name, size)
+        for name, size in (("B", robot.cables), ("U", robot.cables), ("m", 1))
     )
     table = start_motors(robot, np.array(masses), np.array(pose), np.array(velocity))
-    at_start = np.array([[_piecewise(ca, ms, np.array(masses), column) for column in part.T] for part in table])
+    at_start = np.array(
+        [[_piecewise(ca, ms, np.array(masses), column) for column in part.T] for part in table]
+    )
     values = b - at_start[:1], textbook.normalised_action(robot, 0.0, u - at_start[1:])
     return _function(ca, "start", ca.vertcat(bs, us, ms), *values)
 
 
 def start_motors(robot: Robot, mass: Array, pose: Array, velocity: Array) -> tuple[Array, Array]:
-    """Motor angles β′ [rad] and speeds β̇′ at the start of an episode with masses (...), each (..., m).
+    """Motor angles β′ [rad] and speeds β̇′ at the start of an episode with masses (...), each (...,
+    m).
 
     The springs are at rest with the tensions that the environment gives them.
     """
     minimum = textbook.allocated_minimum(robot)
     poses = np.broadcast_to(pose, (*np.shape(mass), robot.coordinates))
-    start = motor_start(robot, textbook.static_torque(robot, mass, poses, minimum=minimum), poses, velocity)
+    start = motor_start(
+        robot, textbook.static_torque(robot, mass, poses, minimum=minimum), poses, velocity
+    )
     return start.motor_angle, start.speed
 
 
@@ -147,11 +167,15 @@ def _piecewise(ca: Any, at: Any, points: Array, values: Array) -> Any:
     return result
 
 
-def _actions(robot: Robot, torque: Array, speed: Array, acceleration: Array, period: float) -> tuple[Array, ...]:
-    """Actions for a torque that is constant over a control period, at the motor speeds at its start and at its end.
+def _actions(
+    robot: Robot, torque: Array, speed: Array, acceleration: Array, period: float
+) -> tuple[Array, ...]:
+    """Actions for a torque that is constant over a control period, at the motor speeds at its start
+    and at its end.
 
-    An action refers to the motor speed at the start of the period. The torque must still be within its limits at the
-    end of the period. Each result has shape (1, m). For a period of 0 there is only one result.
+    An action refers to the motor speed at the start of the period. The torque must still be within
+    its limits at the end of the period. Each result has shape (1, m). For a period of 0 there is
+    only one result.
     """
     half = period / 2 * acceleration
     speeds = (speed - half, speed + half) if period > 0 else (speed,)
@@ -159,13 +183,16 @@ def _actions(robot: Robot, torque: Array, speed: Array, acceleration: Array, per
 
 
 def derivatives(function: Any) -> tuple[Any, Any]:
-    """Jacobian of a function of one vector, and Hessian of the sum of its values weighted by multipliers."""
+    """Jacobian of a function of one vector, and Hessian of the sum of its values weighted by
+    multipliers."""
     ca = import_casadi()
     numbers = ca.SX.sym("w", function.size1_in(0))
     values = function(numbers)
     lam = ca.SX.sym("lam", values.shape[0])
     first = ca.Function("first", [numbers], [ca.densify(ca.jacobian(values, numbers))])
-    second = ca.Function("second", [numbers, lam], [ca.densify(ca.hessian(ca.dot(lam, values), numbers)[0])])
+    second = ca.Function(
+        "second", [numbers, lam], [ca.densify(ca.hessian(ca.dot(lam, values), numbers)[0])]
+    )
     return first, second
 
 
@@ -176,7 +203,12 @@ def _symbols(ca: Any, name: str, count: int) -> tuple[Any, Array]:
 
 
 def _function(ca: Any, name: str, numbers: Any, *values: Array) -> Any:
-    return ca.Function(name, [numbers], [ca.vertcat(*(item for value in values for item in value[0]))], {"cse": True})
+    return ca.Function(
+        name,
+        [numbers],
+        [ca.vertcat(*(item for value in values for item in value[0]))],
+        {"cse": True},
+    )
 
 
 def _balance(robot: Robot, mass: Array, x: Array, v: Array, a: Array, tensions: Array) -> Array:

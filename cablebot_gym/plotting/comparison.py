@@ -1,4 +1,5 @@
-"""Figures of comparisons: errors over time and their distribution, as in Fig. 9, or over payload. Extra ``plot``."""
+"""Figures of comparisons: errors over time and their distribution, as in Fig. 9, or over payload.
+Extra ``plot``."""
 
 from __future__ import annotations
 
@@ -14,7 +15,16 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.plotting.figures import DPI, add_legend, new_figure, set_title
 from cablebot_gym.task import payload_model_text
 from cablebot_gym.utils.files import atomic_write
-from cablebot_gym.utils.palette import BLACK, BLUE, DEEP_SKY, GREEN, GREY, ORANGE, PURPLE, VERMILLION
+from cablebot_gym.utils.palette import (
+    BLACK,
+    BLUE,
+    DEEP_SKY,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    VERMILLION,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +56,11 @@ def draw_comparison(comparison: Comparison) -> Figure:
         kinds.append(("rotation", "mrad", "rotation", "max_rotation"))
     figure = new_figure(1.6 + 2.6 * len(kinds))
     grid = figure.subplots(
-        len(kinds), 2, squeeze=False, width_ratios=[1.6, 1], sharex="col" if len(kinds) < 2 else False
+        len(kinds),
+        2,
+        squeeze=False,
+        width_ratios=[1.6, 1],
+        sharex="col" if len(kinds) < 2 else False,
     )
     for (over_time, largest), (name, unit, series, peak) in zip(grid, kinds, strict=True):
         bound = getattr(comparison.error_bounds, name)
@@ -61,12 +75,20 @@ def draw_comparison(comparison: Comparison) -> Figure:
             top = max(1.05 * largest_error, 1.1 * bound)
         else:  # with the bound in view, the curves would be flat
             note, top = "above the plotted range", 1.05 * largest_error
-        over_time.set_title(f"bound {1e3 * bound:g} {unit}: {note}", fontsize=10, loc="right", color=GREY)
+        over_time.set_title(
+            f"bound {1e3 * bound:g} {unit}: {note}", fontsize=10, loc="right", color=GREY
+        )
         over_time.set(ylim=(0, 1e3 * top or 1.0))
-        largest.set(xlabel=f"largest {name} error [{unit}]", ylabel="fraction of draws", ylim=(0, 1.02))
+        largest.set(
+            xlabel=f"largest {name} error [{unit}]", ylabel="fraction of draws", ylim=(0, 1.02)
+        )
     grid[-1, 0].set_xlabel("time [s]")
     add_legend(figure, grid[0, 0])
-    band = ["mean over draws, band from the 5th to the 95th percentile"] if comparison.draws > 1 else []
+    band = (
+        ["mean over draws, band from the 5th to the 95th percentile"]
+        if comparison.draws > 1
+        else []
+    )
     if band and any(metrics.ended.any() for metrics in comparison.metrics):
         band[0] += "; draws that ended early are excluded after their end"
     set_title(figure, _conditions(comparison, f"payload {comparison.payload:g} kg, "), *band)
@@ -82,8 +104,15 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
     first = comparison.comparisons[0]
     payloads = comparison.payloads
     rows = [("max_error", "position error,\nlargest [mm]", 1e3)]
-    rows += [] if first.task.robot.point_mass else [("max_rotation", "rotation error,\nlargest [mrad]", 1e3)]
-    rows += [("rms_torque", "torque, root\nmean square [N·m]", 1.0), ("success", "success rate [%]", 100.0)]
+    rows += (
+        []
+        if first.task.robot.point_mass
+        else [("max_rotation", "rotation error,\nlargest [mrad]", 1e3)]
+    )
+    rows += [
+        ("rms_torque", "torque, root\nmean square [N·m]", 1.0),
+        ("success", "success rate [%]", 100.0),
+    ]
     figure = new_figure(1.4 + 1.9 * len(rows))
     panels = figure.subplots(len(rows), 1, sharex=True)
     for axes, (name, label, factor) in zip(panels, rows, strict=True):
@@ -95,11 +124,17 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
             style = STYLES[index % len(STYLES)]
             if first.draws > 1:
                 axes.fill_between(payloads, low, high, color=colour, alpha=0.2, linewidth=0)
-            axes.plot(payloads, mean, style, color=colour, linewidth=1.8, marker=".", label=f" {policy}")
+            axes.plot(
+                payloads, mean, style, color=colour, linewidth=1.8, marker=".", label=f" {policy}"
+            )
         axes.set_ylabel(label)
-    for axes, bound, unit in zip(panels[:-2], vars(first.error_bounds).values(), ("mm", "mrad"), strict=False):
+    for axes, bound, unit in zip(
+        panels[:-2], vars(first.error_bounds).values(), ("mm", "mrad"), strict=False
+    ):
         axes.axhline(1e3 * bound, color="black", linewidth=1.0)
-        axes.set_title(f"bound {1e3 * bound:g} {unit}: black line", fontsize=10, loc="right", color=GREY)
+        axes.set_title(
+            f"bound {1e3 * bound:g} {unit}: black line", fontsize=10, loc="right", color=GREY
+        )
     for axes in panels[:-1]:
         axes.set_ylim(bottom=0)
     panels[-1].set(xlabel="payload [kg]", ylim=(-4, 104))
@@ -111,7 +146,11 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
 
 def _conditions(comparison: Comparison, payload: str = "") -> str:
     """Environment, payload, payload model and draws."""
-    draws = f"{comparison.draws} draws of {comparison.uncertainty}" if comparison.uncertainty else "no uncertainty"
+    draws = (
+        f"{comparison.draws} draws of {comparison.uncertainty}"
+        if comparison.uncertainty
+        else "no uncertainty"
+    )
     model = payload_model_text(comparison.payload_known, comparison.model_payload_factor)
     return f"{described(comparison.env_id, comparison.task.robot.name)}, {payload}{model}; {draws}"
 
@@ -123,7 +162,11 @@ def save_comparison(comparison: Comparison | PayloadComparison, folder: Path) ->
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     path = folder / "comparison.png"
-    figure = draw_comparison(comparison) if isinstance(comparison, Comparison) else draw_payload_comparison(comparison)
+    figure = (
+        draw_comparison(comparison)
+        if isinstance(comparison, Comparison)
+        else draw_payload_comparison(comparison)
+    )
     atomic_write(path, partial(figure.savefig, dpi=DPI, format="png"))
     return path
 

@@ -1,7 +1,8 @@
-"""Figures of a DLCC result: torques and U± as in the paper's Figs. 10 and 12, paths as in Figs. 11 and 13.
+"""Figures of a DLCC result: torques and U± as in the paper's Figs. 10 and 12, paths as in Figs. 11
+and 13.
 
-Needs the extra ``plot``. The figures need no window and no global state of matplotlib. Show them in a notebook or save
-them.
+Needs the extra ``plot``. The figures need no window and no global state of matplotlib. Show them in
+a notebook or save them.
 """
 
 from __future__ import annotations
@@ -41,11 +42,13 @@ _HANDLE = 6
 """Width of the line sample in a legend [characters]."""
 
 _FEW = 20
-"""Largest number of steps for which every step is drawn as a dot, because a line would be too short."""
+"""Largest number of steps for which every step is drawn as a dot, because a line would be too
+short."""
 
 
 def import_matplotlib() -> ModuleType:
-    """Imports ``matplotlib.figure``. A command calls this first, so that it fails before a long computation.
+    """Imports ``matplotlib.figure``. A command calls this first, so that it fails before a long
+    computation.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
@@ -113,7 +116,12 @@ class TravelledPath:
     @property
     def line(self) -> dict[str, Any]:
         """Keywords of matplotlib for the curves."""
-        return {"color": self.color, "linestyle": self.style, "linewidth": 1.8, "marker": _marker(self.times)}
+        return {
+            "color": self.color,
+            "linestyle": self.style,
+            "linewidth": 1.8,
+            "marker": _marker(self.times),
+        }
 
 
 def draw_torques(result: DLCCResult) -> Figure:
@@ -140,14 +148,23 @@ def draw_result(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    return _drawn(result, {_draw_torques: torques_height(result.task.robot.cables), _draw_path: _PATH_HEIGHT})
+    return _drawn(
+        result, {_draw_torques: torques_height(result.task.robot.cables), _draw_path: _PATH_HEIGHT}
+    )
 
 
-def _drawn(result: DLCCResult, parts: Mapping[Callable[[FigureBase, DLCCResult], None], float]) -> Figure:
-    """A figure with parts of given heights [inch], one below the other, and the title of the result."""
+def _drawn(
+    result: DLCCResult, parts: Mapping[Callable[[FigureBase, DLCCResult], None], float]
+) -> Figure:
+    """A figure with parts of given heights [inch], one below the other, and the title of the
+    result."""
     figure = new_figure(sum(parts.values()))
     heights = list(parts.values())
-    rows = [figure] if len(parts) == 1 else figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
+    rows = (
+        [figure]
+        if len(parts) == 1
+        else figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
+    )
     for draw, row in zip(parts, rows, strict=True):
         draw(row, result)
     _set_result_title(figure, result)
@@ -163,20 +180,33 @@ def draw_springs(result: DLCCResult) -> Figure:
     """
     deflections = result.rollout.arrays.get("spring_deflection")
     if deflections is None:
-        raise ValueError(f"robot {result.task.robot.name!r} has no joint springs with cables that do not stretch")
+        raise ValueError(
+            f"robot {result.task.robot.name!r} has no joint springs with cables that do not stretch"
+        )
     cables = deflections.shape[1]
     columns = min(3, deflections.shape[1])
     figure = new_figure(torques_height(cables))
-    grid = figure.subplots(math.ceil(cables / columns), columns, sharex=True, sharey=True, squeeze=False)
+    grid = figure.subplots(
+        math.ceil(cables / columns), columns, sharex=True, sharey=True, squeeze=False
+    )
     times = result.rollout.arrays["time"]
     for axes in grid.flat[cables:]:
         axes.remove()
     for spring, axes in enumerate(grid.flat[:cables]):
         axes.set_title(f"spring {spring + 1}", fontsize=11)
         axes.axhline(0.0, color="black", linewidth=1.0, label="no torque")
-        axes.axhline(deflections[:, spring].mean(), color=GREY, linewidth=1.0, linestyle="--", label="mean")
+        axes.axhline(
+            deflections[:, spring].mean(), color=GREY, linewidth=1.0, linestyle="--", label="mean"
+        )
         label = "motor angle minus pulley angle"
-        axes.plot(times, deflections[:, spring], color=BLUE, linewidth=1.4, marker=_marker(times), label=label)
+        axes.plot(
+            times,
+            deflections[:, spring],
+            color=BLUE,
+            linewidth=1.4,
+            marker=_marker(times),
+            label=label,
+        )
         below = spring + columns >= cables
         axes.tick_params(labelbottom=below)
         axes.set(xlim=_span(times, _end(result)), xlabel="time [s]" if below else "")
@@ -188,7 +218,8 @@ def draw_springs(result: DLCCResult) -> Figure:
 
 
 def draw_success(result: DLCCResult) -> Figure:
-    """Draws the fraction of the scan's draws that carry each payload, the required probability and the payload.
+    """Draws the fraction of the scan's draws that carry each payload, the required probability and
+    the payload.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
@@ -201,12 +232,20 @@ def draw_success(result: DLCCResult) -> Figure:
     payload, fraction = np.array(result.success).T
     label = "fraction of the scan's draws that carry it"
     axes.plot(payload, fraction, color=BLUE, linewidth=1.8, marker="o", markersize=3, label=label)
-    axes.axhline(result.probability, color="black", linewidth=1.0, label=f"required: {result.probability:.0%}")
+    axes.axhline(
+        result.probability,
+        color="black",
+        linewidth=1.0,
+        label=f"required: {result.probability:.0%}",
+    )
     if result.payload is not None:
         label = f"payload: {result.payload:.2f} kg ({result.assurance})"
         axes.axvline(result.payload, color=VERMILLION, linewidth=1.2, label=label)
     largest = payload[np.flatnonzero(fraction > 0)[-1]] if fraction.any() else 0.0
-    axes.set(xlim=(0, min(result.payload_max, 1.25 * largest + 0.02 * result.payload_max)), ylim=(0, 1.02))
+    axes.set(
+        xlim=(0, min(result.payload_max, 1.25 * largest + 0.02 * result.payload_max)),
+        ylim=(0, 1.02),
+    )
     axes.set(xlabel="payload [kg]", ylabel="fraction of draws")
     add_legend(figure, axes)
     _set_result_title(figure, result, one_draw=False)
@@ -244,7 +283,8 @@ def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
 
 
 def tightest(result: DLCCResult) -> tuple[int, int]:
-    """Step and motor with the least torque margin, both from 0: the first occurrence of the largest |a|."""
+    """Step and motor with the least torque margin, both from 0: the first occurrence of the largest
+    |a|."""
     action = np.abs(result.rollout.arrays["commanded_action"])
     step, motor = np.unravel_index(np.argmax(action), action.shape)
     return int(step), int(motor)
@@ -260,11 +300,14 @@ def torque_limits(result: DLCCResult) -> tuple[Array, Array]:
 def requested_torque(result: DLCCResult) -> Array:
     """Requested torque ``τ_s a − (τ_s/ω_n) β̇``, (steps, m) [N·m]; beyond U± where |a| > 1."""
     rollout, arrays = result.rollout, result.rollout.arrays
-    return np.asarray(rollout.stall_torque * arrays["commanded_action"] - _slope(result) * arrays["motor_speeds"])
+    return np.asarray(
+        rollout.stall_torque * arrays["commanded_action"] - _slope(result) * arrays["motor_speeds"]
+    )
 
 
 def _slope(result: DLCCResult) -> Array:
-    """True slope τ_s/ω_n, (m,) [N·m·s]. The strength factor of a motor does not change its free speed."""
+    """True slope τ_s/ω_n, (m,) [N·m·s]. The strength factor of a motor does not change its free
+    speed."""
     robot = result.task.robot
     slope: Array = robot.speed_slope * (result.rollout.stall_torque / robot.stall_torque)
     return slope
@@ -303,7 +346,11 @@ def _set_result_title(figure: FigureBase, result: DLCCResult, *, one_draw: bool 
     head = f"{described(result.env_id, result.task.robot.name)}, policy {result.policy}, {result.criterion} criterion"
     draws_line = []
     if result.probability is not None:
-        shown = "the first draw that carries it" if result.payload is not None else "the draw with this violation"
+        shown = (
+            "the first draw that carries it"
+            if result.payload is not None
+            else "the draw with this violation"
+        )
         draws_line = [f"{result.uncertainty or 'random episodes'}, {result.assurance}"]
         draws_line += [f"shown: {shown}"] if one_draw else []
     set_title(figure, head, *draws_line, summary, f"limiting violation: {result.violation_text}")
@@ -323,14 +370,19 @@ def _draw_torques(figure: FigureBase, result: DLCCResult) -> None:
         end=_end(result),
     )
     margin = f"{action - 1:.1%} beyond the limit" if action > 1 else f"{1 - action:.1%} margin"
-    torque_panels(figure, profile, Mark(step=step, motor=motor, name="tightest instant", note=margin))
+    torque_panels(
+        figure, profile, Mark(step=step, motor=motor, name="tightest instant", note=margin)
+    )
 
 
 def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None = None) -> None:
-    """Draws a panel for each motor with its torque and limits, and a legend. A mark highlights one instant."""
+    """Draws a panel for each motor with its torque and limits, and a legend. A mark highlights one
+    instant."""
     time, cables = profile.times, profile.torques.shape[1]
     columns = min(3, cables)
-    grid = figure.subplots(math.ceil(cables / columns), columns, sharex=True, sharey=True, squeeze=False)
+    grid = figure.subplots(
+        math.ceil(cables / columns), columns, sharex=True, sharey=True, squeeze=False
+    )
     for axes in grid.flat[cables:]:
         axes.remove()
     (low, high), marker = _torque_range(profile), _marker(time)
@@ -348,9 +400,21 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
             # Where |a| ≤ 1 it equals the applied torque, which hides it.
             requested = profile.requested[:, motor]
             axes.plot(
-                time, requested, "--", color=VERMILLION, linewidth=1.4, label="requested torque beyond the limits"
+                time,
+                requested,
+                "--",
+                color=VERMILLION,
+                linewidth=1.4,
+                label="requested torque beyond the limits",
             )
-        axes.plot(time, profile.torques[:, motor], color=BLUE, linewidth=1.8, marker=marker, label=profile.name)
+        axes.plot(
+            time,
+            profile.torques[:, motor],
+            color=BLUE,
+            linewidth=1.8,
+            marker=marker,
+            label=profile.name,
+        )
         axes.set(xlim=_span(time, profile.end), ylim=(low, high))
         below = motor + columns >= cables
         axes.tick_params(labelbottom=below)
@@ -385,7 +449,8 @@ def _is_short(times: Array) -> bool:
 
 
 def _torque_range(profile: TorqueProfile) -> tuple[float, float]:
-    """Range of the torque axis [N·m]: the limits, and requested torques up to half a stall torque beyond them."""
+    """Range of the torque axis [N·m]: the limits, and requested torques up to half a stall torque
+    beyond them."""
     lower, upper = profile.lower, profile.upper
     requested = profile.torques if profile.requested is None else profile.requested
     stall = float((upper - lower).max()) / 2
@@ -404,7 +469,9 @@ def _draw_mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:
     # The annotation is placed between the torque and the opposite limit.
     positive = 2 * torque > lower[mark.step] + upper[mark.step]
     gap = (lower.max(), torques.min()) if positive else (torques.max(), upper.min())
-    axes.plot(time, torque, "o", color=VERMILLION, markeredgecolor="black", markersize=7, label=mark.name)
+    axes.plot(
+        time, torque, "o", color=VERMILLION, markeredgecolor="black", markersize=7, label=mark.name
+    )
     axes.annotate(
         f"t = {round(float(time), 7):.3f} s: {mark.note}",  # rounded as in the text of a result
         (time, torque),
@@ -413,7 +480,12 @@ def _draw_mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:
         horizontalalignment="right" if early else "left",
         verticalalignment="center",
         arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.8, "shrinkB": 4},
-        bbox={"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": GREY, "linewidth": 0.6},
+        bbox={
+            "boxstyle": "round,pad=0.25",
+            "facecolor": "white",
+            "edgecolor": GREY,
+            "linewidth": 0.6,
+        },
     )
 
 
@@ -422,8 +494,14 @@ def add_legend(figure: FigureBase, axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
     labels = [textwrap.fill(label.strip(), LINE_LENGTH - _HANDLE) for label in labels]
     width = sum(len(label) + _HANDLE for label in labels)
-    columns = len(labels) if width <= LINE_LENGTH else max(1, LINE_LENGTH // (max(map(len, labels)) + _HANDLE))
-    legend = figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    columns = (
+        len(labels)
+        if width <= LINE_LENGTH
+        else max(1, LINE_LENGTH // (max(map(len, labels)) + _HANDLE))
+    )
+    legend = figure.legend(
+        handles, labels, loc="outside lower center", ncols=columns, frameon=False
+    )
     for text in legend.get_texts():
         text.set_parse_math(False)
 
@@ -465,21 +543,31 @@ def path_panels(
     if rotates:
         last.tick_params(labelbottom=False)
         last = figure.add_subplot(grid[1, 1], sharex=last)
-        _draw_error(last, paths, [path.rotation_error for path in paths], rotation, "rotation", "mrad")
+        _draw_error(
+            last, paths, [path.rotation_error for path in paths], rotation, "rotation", "mrad"
+        )
     last.set_xlabel("time [s]")
     add_legend(figure, plane)
 
 
-def draw_plane(axes: Axes, trajectory: Trajectory, paths: Sequence[TravelledPath], radius: float) -> None:
+def draw_plane(
+    axes: Axes, trajectory: Trajectory, paths: Sequence[TravelledPath], radius: float
+) -> None:
     """Draws paths in the x–y plane and the tube with a radius [m] around their reference."""
     from matplotlib.collections import EllipseCollection
 
     reference = trajectory(np.linspace(0.0, trajectory.duration, 1001)).position[:, :2]
     # Discs instead of offset curves, which fail for a reference that stops or turns on the spot.
-    discs: dict[str, Any] = {"units": "xy", "offsets": reference, "offset_transform": axes.transData}
+    discs: dict[str, Any] = {
+        "units": "xy",
+        "offsets": reference,
+        "offset_transform": axes.transData,
+    }
     tube = EllipseCollection(2 * radius, 2 * radius, 0, color=SKY, linewidth=0, zorder=0, **discs)
     axes.add_collection(tube, autolim=False)
-    axes.fill([], [], color=SKY, label=f"tube, R = {radius * 1e3:g} mm")  # a legend ignores the collection
+    axes.fill(
+        [], [], color=SKY, label=f"tube, R = {radius * 1e3:g} mm"
+    )  # a legend ignores the collection
     points = [reference - radius, reference + radius]
     for path in paths:
         points.append(path.pose[:, :2])
@@ -517,7 +605,9 @@ def _draw_error(
     axes.set(xlim=span, ylim=(0, 1.2 * top or 1.0), ylabel=f"{name} error [{unit}]")
 
 
-def mark_bound(axes: Axes, bound: float, unit: str, *, side: Literal["left", "right"] = "right") -> None:
+def mark_bound(
+    axes: Axes, bound: float, unit: str, *, side: Literal["left", "right"] = "right"
+) -> None:
     """Draws a labelled line at the bound of an error. ``unit`` is a thousandth of the SI unit."""
     axes.axhline(1e3 * bound, color="black", linewidth=1.0)
     axes.annotate(
@@ -528,5 +618,10 @@ def mark_bound(axes: Axes, bound: float, unit: str, *, side: Literal["left", "ri
         textcoords="offset points",
         horizontalalignment=side,
         verticalalignment="bottom",
-        bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
+        bbox={
+            "boxstyle": "round,pad=0.15",
+            "facecolor": "white",
+            "edgecolor": "none",
+            "alpha": 0.85,
+        },
     )

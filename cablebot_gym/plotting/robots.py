@@ -1,4 +1,5 @@
-"""Drawing of a robot: cables, platform, motion, and the positions where it holds a payload at rest."""
+"""Drawing of a robot: cables, platform, motion, and the positions where it holds a payload at
+rest."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ _CELLS = 61
 
 
 def draw_robot(check: RobotCheck, motion: MotionCheck | None = None) -> Figure:
-    """Draws a robot at its home pose, with a motion and a slice of its workspace: the plane, or plan and elevations.
+    """Draws a robot at its home pose, with a motion and a slice of its workspace: the plane, or
+    plan and elevations.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
@@ -45,7 +47,10 @@ def draw_robot(check: RobotCheck, motion: MotionCheck | None = None) -> Figure:
     panels = figure.subplots(1, len(views), squeeze=False)[0]
     for axes, view in zip(panels, views, strict=True):
         _draw_view(axes, check, motion, view)
-    set_title(figure, f"{robot.name}: {KIND_TEXTS[robot.kind]}, {robot.cables} cables, payload {check.payload:g} kg")
+    set_title(
+        figure,
+        f"{robot.name}: {KIND_TEXTS[robot.kind]}, {robot.cables} cables, payload {check.payload:g} kg",
+    )
     add_legend(figure, figure.axes[0])
     return figure
 
@@ -86,8 +91,11 @@ def _draw_view(axes: Axes, check: RobotCheck, motion: MotionCheck | None, view: 
         axes.invert_yaxis()  # y of a plane and z point down
 
 
-def _draw_held_positions(axes: Axes, check: RobotCheck, view: list[int], low: Array, high: Array) -> None:
-    """Colours where the robot holds the payload at rest, between the corners ``low`` and ``high`` of a view, (2,)."""
+def _draw_held_positions(
+    axes: Axes, check: RobotCheck, view: list[int], low: Array, high: Array
+) -> None:
+    """Colours where the robot holds the payload at rest, between the corners ``low`` and ``high``
+    of a view, (2,)."""
     robot = check.robot
     columns = np.linspace(low[0], high[0], _CELLS)
     rows = np.linspace(low[1], high[1], _CELLS)
@@ -96,12 +104,15 @@ def _draw_held_positions(axes: Axes, check: RobotCheck, view: list[int], low: Ar
     poses[..., across] = columns
     poses[..., along] = rows[:, None]
     held = holds(robot, poses.reshape(-1, robot.coordinates), check.payload)
-    axes.contourf(columns, rows, held.reshape(_CELLS, _CELLS).astype(float), levels=[0.5, 1.5], colors=[SKY])
+    axes.contourf(
+        columns, rows, held.reshape(_CELLS, _CELLS).astype(float), levels=[0.5, 1.5], colors=[SKY]
+    )
     axes.fill([], [], color=SKY, label="holds the payload at rest")
 
 
 def _number_cables(axes: Axes, starts: Array, ends: Array) -> None:
-    """Writes the numbers of the cables; cables with one line in this view share a text, and no texts overlap."""
+    """Writes the numbers of the cables; cables with one line in this view share a text, and no
+    texts overlap."""
     corners = np.concatenate([starts, ends])
     width = float(np.ptp(corners, axis=0).max())
     numbers = np.empty((0, 2))
@@ -117,12 +128,18 @@ def _number_cables(axes: Axes, starts: Array, ends: Array) -> None:
             fontsize=8,
             ha="center",
             va="center",
-            bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+            bbox={
+                "boxstyle": "round,pad=0.1",
+                "facecolor": "white",
+                "edgecolor": "none",
+                "alpha": 0.8,
+            },
         )
 
 
 def _number_point(start: Array, end: Array, numbers: Array, width: float) -> Array:
-    """The point of a cable for its number: the nearest to its base that is free, or the farthest from all numbers.
+    """The point of a cable for its number: the nearest to its base that is free, or the farthest
+    from all numbers.
 
     Args:
         start: base anchor in the view, (2,) [m].

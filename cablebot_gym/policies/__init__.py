@@ -1,7 +1,14 @@
 """The policy protocol, and how a policy's name becomes a loaded policy."""
 
 from cablebot_gym.policies.adapters import PolicyFactory, RealTime, WrappedPolicy, as_policy
-from cablebot_gym.policies.protocol import Declarations, LoadedPolicy, Policy, PolicyEntry, PolicyError, name_of
+from cablebot_gym.policies.protocol import (
+    Declarations,
+    LoadedPolicy,
+    Policy,
+    PolicyEntry,
+    PolicyError,
+    name_of,
+)
 from cablebot_gym.policies.spec import (
     ENTRY_POINT_GROUP,
     FILE_ENTRY_POINT_GROUP,

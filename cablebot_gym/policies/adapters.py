@@ -35,7 +35,9 @@ def as_policy(policy: Any) -> Policy:
         TypeError: if the object is neither a policy nor a callable.
     """
     if isinstance(policy, type):
-        raise TypeError(f"a policy must be an object, not the class {policy.__name__}: pass {policy.__name__}(…)")
+        raise TypeError(
+            f"a policy must be an object, not the class {policy.__name__}: pass {policy.__name__}(…)"
+        )
     if isinstance(policy, Policy):
         return policy
     if callable(policy):
@@ -46,10 +48,11 @@ def as_policy(policy: Any) -> Policy:
 
 
 class CallablePolicy:
-    """A policy made from a function ``observation -> action``, which is called for one observation at a time.
+    """A policy made from a function ``observation -> action``, which is called for one observation
+    at a time.
 
-    All episodes of a batch share the function, so it must not remember anything from one call to the next. Use
-    :class:`PolicyFactory` for a callable with state.
+    All episodes of a batch share the function, so it must not remember anything from one call to
+    the next. Use :class:`PolicyFactory` for a callable with state.
     """
 
     def __init__(self, function: Callable[[Array], Any]) -> None:
@@ -59,7 +62,11 @@ class CallablePolicy:
             self.reset = function.reset
 
     def predict(
-        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[Array, Any]:
         """Action of the function for each observation.
 
@@ -72,14 +79,15 @@ class CallablePolicy:
 
 
 class PolicyFactory:
-    """A policy that makes one instance for each episode of a batch, for controllers that keep their own state.
+    """A policy that makes one instance for each episode of a batch, for controllers that keep their
+    own state.
 
-    ``PolicyFactory(MyController)`` calls ``MyController()`` for every episode. An instance gets the observations of
-    its episode alone, so the result does not depend on the other episodes.
+    ``PolicyFactory(MyController)`` calls ``MyController()`` for every episode. An instance gets the
+    observations of its episode alone, so the result does not depend on the other episodes.
 
     Args:
-        factory: function without arguments that returns a policy or a callable ``observation -> action``. It is called
-            once at the construction to read the declarations of the policy.
+        factory: function without arguments that returns a policy or a callable ``observation ->
+            action``. It is called once at the construction to read the declarations of the policy.
     """
 
     def __init__(self, factory: Callable[[], Any]) -> None:
@@ -104,7 +112,11 @@ class PolicyFactory:
             reset_policy(instance, self.name, partial(tuple, [task]))
 
     def predict(
-        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[Array, Any]:
         """Action of each episode's instance; the state is the list of the states of the instances.
 
@@ -115,11 +127,15 @@ class PolicyFactory:
         if len(rows) != len(self._instances):
             self._instances = [self._make() for _ in rows]
         states = [None] * len(rows) if state is None else list(state)
-        starts = np.zeros(len(rows), np.bool_) if episode_start is None else np.atleast_1d(episode_start)
+        starts = (
+            np.zeros(len(rows), np.bool_) if episode_start is None else np.atleast_1d(episode_start)
+        )
 
         def act(index: int, row: Array) -> Any:
             start = starts[index : index + 1]
-            actions, states[index] = self._instances[index].predict(row[None], states[index], start, deterministic)
+            actions, states[index] = self._instances[index].predict(
+                row[None], states[index], start, deterministic
+            )
             return np.asarray(actions)[0]
 
         actions = _stacked(rows, act)
@@ -144,7 +160,9 @@ def _stacked(observation: Array, act: Callable[[int, Array], Any]) -> Array:
             raise BatchItemError(index, raised(error, "it failed with")) from error
         actions.append(action)
         if action.shape != actions[0].shape:
-            raise BatchItemError(index, f"it returned shape {action.shape} after {actions[0].shape}")
+            raise BatchItemError(
+                index, f"it returned shape {action.shape} after {actions[0].shape}"
+            )
     return np.stack(actions)
 
 
@@ -159,7 +177,11 @@ class OpenLoop:
         self._actions = actions
 
     def predict(
-        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[Array, Any]:
         """The next action for each observation; the state is the number of past steps."""
         step = state or 0
@@ -168,11 +190,12 @@ class OpenLoop:
 
 
 class RealTime:
-    """A policy for one episode whose late actions are replaced by the last one, as a real-time controller would.
+    """A policy for one episode whose late actions are replaced by the last one, as a real-time
+    controller would.
 
-    ``PolicyFactory(lambda: RealTime(make_policy(), period))`` times the actions of each episode one by one. The times
-    differ between runs, so the policy is stochastic. The clock is that of the policy's process, which can change it:
-    the times hold for honest policies only.
+    ``PolicyFactory(lambda: RealTime(make_policy(), period))`` times the actions of each episode one
+    by one. The times differ between runs, so the policy is stochastic. The clock is that of the
+    policy's process, which can change it: the times hold for honest policies only.
 
     Args:
         policy: a policy or a callable ``observation -> action``.
@@ -198,9 +221,14 @@ class RealTime:
         self.reset_time = time.perf_counter() - start
 
     def predict(
-        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[Array, Any]:
-        """Action of the policy, or its last one if it is late. The first :data:`WARM_UP` actions are never late."""
+        """Action of the policy, or its last one if it is late. The first :data:`WARM_UP` actions
+        are never late."""
         start = time.perf_counter()
         action, state = self._policy.predict(observation, state, episode_start, deterministic)
         self.times.append(time.perf_counter() - start)
@@ -210,7 +238,8 @@ class RealTime:
 
 
 class NormalisedPolicy:
-    """A model that reads normalised observations, as a policy that reads observations in physical units.
+    """A model that reads normalised observations, as a policy that reads observations in physical
+    units.
 
     Args:
         model: object with Stable-Baselines3's ``predict``.
@@ -221,25 +250,34 @@ class NormalisedPolicy:
         self._model, self._layout = model, layout
 
     def predict(
-        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[Array, Any]:
         """Actions and the state to pass next time.
 
         Raises:
             ValueError: if the observation is not that of the layout.
         """
-        actions, state = self._model.predict(self._layout.normalise(observation), state, episode_start, deterministic)
+        actions, state = self._model.predict(
+            self._layout.normalise(observation), state, episode_start, deterministic
+        )
         return actions, state
 
 
 class WrappedPolicy:
-    """A policy behind the wrappers of its training, which get a stand-in and never the judge's environment.
+    """A policy behind the wrappers of its training, which get a stand-in and never the judge's
+    environment.
 
-    The wrappers are made anew for each batch of episodes, at the first call with ``state=None``, and wrap an
-    environment without physics. The state that ``predict`` returns holds them, so it has to be passed to the next call.
+    The wrappers are made anew for each batch of episodes, at the first call with ``state=None``,
+    and wrap an environment without physics. The state that ``predict`` returns holds them, so it
+    has to be passed to the next call.
 
     Args:
-        policy: the policy, which gets wrapped observations and returns the actions that the wrappers expect.
+        policy: the policy, which gets wrapped observations and returns the actions that the
+            wrappers expect.
         stack: the wrappers.
         note: a sentence about wrappers that the user did not give; may be empty.
     """
@@ -267,7 +305,11 @@ class WrappedPolicy:
         reset_policy(self.policy, "", lambda: tuple(tasks))
 
     def predict(
-        self, observation: Array, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[Array, Any]:
         """Actions (N, m) or (m,) of the robot, and the state of the wrappers and of the policy.
 
@@ -275,7 +317,11 @@ class WrappedPolicy:
             Exception: whatever a wrapper raises.
         """
         rows = np.atleast_2d(observation)
-        starts = np.full(len(rows), state is None) if episode_start is None else np.atleast_1d(episode_start)
+        starts = (
+            np.full(len(rows), state is None)
+            if episode_start is None
+            else np.atleast_1d(episode_start)
+        )
         if state is None:
             state = Coroutine(partial(self._stack.run, self.policy, self._tasks))
         actions = state.send(rows, starts, deterministic)

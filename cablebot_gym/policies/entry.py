@@ -1,4 +1,5 @@
-"""Entries: policies of others, each a folder with a card. `cablebot submit` makes it, and the benchmark runs it."""
+"""Entries: policies of others, each a folder with a card. `cablebot submit` makes it, and the
+benchmark runs it."""
 
 from __future__ import annotations
 
@@ -15,8 +16,8 @@ from cablebot_gym.utils.code_hash import module_file
 from cablebot_gym.utils.files import read_text
 
 CARD, POLICY, PACKAGES = "entry.json", "policy", "packages"
-"""Names in the folder of an entry: the card, the files of the policy, and the packages that it refers to, if they are
-not installed."""
+"""Names in the folder of an entry: the card, the files of the policy, and the packages that it
+refers to, if they are not installed."""
 
 
 _FORMS = {
@@ -38,8 +39,8 @@ class Entry:
     policy: str
     """``module:factory``, or a ``.zip`` file in the folder of the policy."""
     package: str | None
-    """Requirement for pip of the package that has the policy, such as ``their-law==1.0``; None if the entry has its
-    files."""
+    """Requirement for pip of the package that has the policy, such as ``their-law==1.0``; None if
+    the entry has its files."""
     files: Mapping[str, str]
     """SHA-256 of every file of the policy or of its package, by path."""
     authors: str
@@ -90,25 +91,32 @@ class Entry:
         if own.is_dir():
             return own
         if self.package is None:
-            raise ValueError(f"entry {self.name!r} has no files of its policy: restore the folder {str(own)!r}")
+            raise ValueError(
+                f"entry {self.name!r} has no files of its policy: restore the folder {str(own)!r}"
+            )
         installed = package_root(self._top)
         if installed is None:
             command = f"pip install --no-deps --only-binary :all: --target {own} {self.package}"  # runs no code
-            raise ImportError(f"entry {self.name!r} needs its package: `{command}` installs it for this entry only")
+            raise ImportError(
+                f"entry {self.name!r} needs its package: `{command}` installs it for this entry only"
+            )
         return installed[0]
 
     def paths(self, folder: Path) -> tuple[Path, ...]:
         """The card and all files of the policy.
 
         Raises:
-            ValueError: if a file is missing or differs from the card, or if the policy has other files.
+            ValueError: if a file is missing or differs from the card, or if the policy has other
+                files.
         """
         root = self.root(folder)
         owned = root if self.package is None else root / self._top
         owned = owned if owned.is_dir() else owned.with_suffix(".py")
         present = digests(root, plain_files(owned, compiled=self.package is None))
         if differing := sorted({name for name, _ in self.files.items() ^ present.items()}):
-            raise ValueError(f"entry {self.name!r} does not match its card in {', '.join(differing[:5])}")
+            raise ValueError(
+                f"entry {self.name!r} does not match its card in {', '.join(differing[:5])}"
+            )
         return (folder / CARD, *(root / name for name in present))
 
 
@@ -134,7 +142,8 @@ def read_entry(folder: Path) -> Entry:
 
 
 def entry_spec(name: str) -> str:
-    """The policy of an entry as a name that can be loaded in this process, which has to be the policy's own.
+    """The policy of an entry as a name that can be loaded in this process, which has to be the
+    policy's own.
 
     Its modules come first in the search path. Every other name of a policy is returned unchanged.
 
@@ -156,7 +165,8 @@ def entry_spec(name: str) -> str:
 
 
 def package_root(top: str) -> tuple[Path, Path] | None:
-    """The folder that has a top-level module, and the file or folder of this module; None if it is missing."""
+    """The folder that has a top-level module, and the file or folder of this module; None if it is
+    missing."""
     file = module_file(top)
     if file is None:
         return None
@@ -177,9 +187,14 @@ def plain_files(owned: Path, *, compiled: bool = False) -> list[Path]:
     found = [owned, *sorted(owned.rglob("*"))]
     if links := [str(path) for path in found if path.is_symlink()]:
         raise ValueError(f"{links[0]!r} is a link: an entry has plain files only")
-    return [path for path in found if path.is_file() and (compiled or "__pycache__" not in path.parts)]
+    return [
+        path for path in found if path.is_file() and (compiled or "__pycache__" not in path.parts)
+    ]
 
 
 def digests(root: Path, paths: Iterable[Path]) -> dict[str, str]:
     """SHA-256 of files by their paths relative to a folder."""
-    return {path.relative_to(root).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+    return {
+        path.relative_to(root).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in paths
+    }

@@ -23,18 +23,22 @@ Array = NDArray[Any]
 
 @runtime_checkable
 class Policy(Protocol):
-    """An object with the method ``predict`` of Stable-Baselines3, for one observation (size,) or a batch (N, size).
+    """An object with the method ``predict`` of Stable-Baselines3, for one observation (size,) or a
+    batch (N, size).
 
     Optional members:
 
-    * ``reset(tasks)`` is called before the first step of a batch with one :class:`~cablebot_gym.task.Task` for each
-      observation. A ``reset`` that takes no tasks is called without arguments.
-    * ``unsaturated_actions = True`` declares that the policy returns actions beyond ±1 where it requests more torque
-      than the motors have. The paper criterion applies to such policies only.
-    * ``stochastic = True`` declares that equal observations may give different actions, also with ``deterministic``.
-      Other policies must give equal episodes when they are repeated, in any order of the batch.
-    * ``measurement = "winches"`` declares that the policy reads the sensors of winches, in an environment with this
-      kind of :class:`~cablebot_gym.measurement.Measurement`. Other policies read pose and velocity.
+    * ``reset(tasks)`` is called before the first step of a batch with one
+      :class:`~cablebot_gym.task.Task` for each observation. A ``reset`` that takes no tasks is
+      called without arguments.
+    * ``unsaturated_actions = True`` declares that the policy returns actions beyond ±1 where it
+      requests more torque than the motors have. The paper criterion applies to such policies only.
+    * ``stochastic = True`` declares that equal observations may give different actions, also with
+      ``deterministic``. Other policies must give equal episodes when they are repeated, in any
+      order of the batch.
+    * ``measurement = "winches"`` declares that the policy reads the sensors of winches, in an
+      environment with this kind of :class:`~cablebot_gym.measurement.Measurement`. Other policies
+      read pose and velocity.
     """
 
     def predict(
@@ -64,11 +68,12 @@ class PolicyEntry:
     slow: bool = False
     """Whether an evaluation takes minutes. Most benchmark suites skip slow policies."""
     unsaturated_actions: bool = False
-    """Whether a test of this project holds the policy to its declaration ``unsaturated_actions``. The paper criterion
-    marks the results of other policies as declared, also of policies of other packages."""
+    """Whether a test of this project holds the policy to its declaration ``unsaturated_actions``.
+    The paper criterion marks the results of other policies as declared, also of policies of other
+    packages."""
     files: tuple[Path, ...] | None = None
-    """Data files that the policy reads, such as weights. Benchmark results depend on their content. None stands for all
-    files in the folder of the policy's module."""
+    """Data files that the policy reads, such as weights. Benchmark results depend on their content.
+    None stands for all files in the folder of the policy's module."""
 
 
 class PolicyError(RuntimeError):
@@ -121,7 +126,8 @@ def declarations(policy: Any) -> Declarations:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoadedPolicy:
-    """A policy that is ready for evaluations, as :func:`cablebot_gym.policies.spec.load` makes it."""
+    """A policy that is ready for evaluations, as :func:`cablebot_gym.policies.spec.load` makes
+    it."""
 
     policy: Policy
     """The policy, behind its wrappers and estimators."""
@@ -130,7 +136,8 @@ class LoadedPolicy:
     declarations: Declarations
     """What the policy declares about itself."""
     held: bool = False
-    """Whether a test of this project holds the policy to its declaration ``unsaturated_actions``."""
+    """Whether a test of this project holds the policy to its declaration
+    ``unsaturated_actions``."""
     wrappers: tuple[str, ...] = ()
     """Names of the wrappers of the training, the innermost first."""
     notes: tuple[str, ...] = ()
@@ -157,7 +164,8 @@ class LoadedPolicy:
         time: float,
         ignored: NDArray[np.bool_] | None = None,
     ) -> tuple[Array, Any]:
-        """Calls the policy for a batch of observations, with ``deterministic=True``, and checks its actions.
+        """Calls the policy for a batch of observations, with ``deterministic=True``, and checks its
+        actions.
 
         Args:
             observation: observations, (N, size).
@@ -166,16 +174,19 @@ class LoadedPolicy:
             cables: number of cables m.
             payloads: true payload of each episode, (N,) [kg], for messages.
             time: time of the control instant [s], for messages.
-            ignored: True for episodes whose actions no longer matter, (N,). Their actions are set to 0.
+            ignored: True for episodes whose actions no longer matter, (N,). Their actions are set
+                to 0.
 
         Returns:
             Actions (N, m) and the next state of the policy.
 
         Raises:
-            PolicyError: if the policy raises anything but a KeyboardInterrupt, or if its actions are not numbers of
-                shape (N, m) that the environment accepts.
+            PolicyError: if the policy raises anything but a KeyboardInterrupt, or if its actions
+                are not numbers of shape (N, m) that the environment accepts.
         """
-        from cablebot_gym.envs.outcome import LARGEST  # slow to import; the environment has imported it
+        from cablebot_gym.envs.outcome import (
+            LARGEST,
+        )  # slow to import; the environment has imported it
 
         def failure(cause: str, affected: Array) -> PolicyError:
             lightest = f"{affected.min():g}"
@@ -205,12 +216,14 @@ class LoadedPolicy:
         return action, state
 
 
-def predicted(policy: Policy, observation: Array, state: Any, start: Array, cables: int) -> tuple[Array, Any]:
+def predicted(
+    policy: Policy, observation: Array, state: Any, start: Array, cables: int
+) -> tuple[Array, Any]:
     """Actions (N, m) of a policy as floats, which may be NaN or infinite, and its next state.
 
     Raises:
-        PolicyError: if the policy raises anything but a KeyboardInterrupt, or if its actions are not numbers of shape
-            (N, m). The message lacks the name of the policy.
+        PolicyError: if the policy raises anything but a KeyboardInterrupt, or if its actions are
+            not numbers of shape (N, m). The message lacks the name of the policy.
     """
     try:
         returned = policy.predict(observation, state=state, episode_start=start, deterministic=True)
@@ -234,7 +247,8 @@ def predicted(policy: Policy, observation: Array, state: Any, start: Array, cabl
 
 
 def reset_policy(policy: Policy, name: str, tasks: Callable[[], tuple[Task, ...]]) -> None:
-    """Calls the optional ``reset`` of a policy. Passes the tasks if it takes any, see :class:`Policy`.
+    """Calls the optional ``reset`` of a policy. Passes the tasks if it takes any, see
+    :class:`Policy`.
 
     Args:
         policy: the policy.
@@ -285,15 +299,20 @@ def to_floats(returned: Any) -> Array:
         cause = raised(error, "its conversion raised")
         raise ValueError(f"{type(returned).__name__} instead of real numbers: {cause}") from error
     if values.dtype.kind not in "biuf":
-        raise ValueError(f"{type(returned).__name__} of type {values.dtype} instead of real numbers")
+        raise ValueError(
+            f"{type(returned).__name__} of type {values.dtype} instead of real numbers"
+        )
     return values.astype(float)
 
 
 def name_of(policy: Any) -> str:
-    """Name of a policy in results and messages: a string itself, its ``name``, or the name of its function or class."""
+    """Name of a policy in results and messages: a string itself, its ``name``, or the name of its
+    function or class."""
     if isinstance(policy, str):
         return policy
-    return str(getattr(policy, "name", None) or getattr(policy, "__name__", None) or type(policy).__name__)
+    return str(
+        getattr(policy, "name", None) or getattr(policy, "__name__", None) or type(policy).__name__
+    )
 
 
 @cache

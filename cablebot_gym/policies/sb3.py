@@ -1,4 +1,5 @@
-"""Models that Stable-Baselines3, sb3-contrib (extra ``sb3``) and SBX saved, and the wrappers of their training."""
+"""Models that Stable-Baselines3, sb3-contrib (extra ``sb3``) and SBX saved, and the wrappers of
+their training."""
 
 from __future__ import annotations
 
@@ -44,7 +45,9 @@ def load_model(path: Path) -> Any:
     for algorithm in _algorithms(path):
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # a model that cannot be loaded raises an error anyway
+                warnings.simplefilter(
+                    "ignore"
+                )  # a model that cannot be loaded raises an error anyway
                 return algorithm.load(path, device="cpu")
         except Exception as error:
             failures.append(f"{algorithm.__name__}: {' '.join(str(error).split())[:200]}")
@@ -56,13 +59,18 @@ def load_model(path: Path) -> Any:
 def statistics_beside(path: Path) -> Path | None:
     """File with the statistics of ``VecNormalize`` of a model; None if there is none.
 
-    It is looked for where Stable-Baselines3's ``CheckpointCallback`` saves it, beside the model, and in a folder with
-    the name of the model. RL-Zoo has a single such folder for its best model and its checkpoints.
+    It is looked for where Stable-Baselines3's ``CheckpointCallback`` saves it, beside the model,
+    and in a folder with the name of the model. RL-Zoo has a single such folder for its best model
+    and its checkpoints.
     """
-    candidates = [folder / name for folder in (path.parent, path.with_suffix("")) for name in STATISTICS]
+    candidates = [
+        folder / name for folder in (path.parent, path.with_suffix("")) for name in STATISTICS
+    ]
     checkpoint = re.fullmatch(r"(.+)_(\d+)_steps", path.stem)
     if checkpoint is not None:
-        candidates.insert(0, path.parent / f"{checkpoint[1]}_vecnormalize_{checkpoint[2]}_steps.pkl")
+        candidates.insert(
+            0, path.parent / f"{checkpoint[1]}_vecnormalize_{checkpoint[2]}_steps.pkl"
+        )
     if checkpoint is not None or path.stem == "best_model":
         in_folders = sorted(path.parent.glob(f"*/{STATISTICS[0]}"))
         if len(in_folders) == 1:
@@ -75,18 +83,21 @@ def behind_wrappers(
 ) -> Policy:
     """The policy behind its wrappers. A Stable-Baselines3 model is checked first.
 
-    Its observation space tells whether it reads normalised observations. The statistics of a ``VecNormalize`` are those
-    of its training environment if it has one, else those of ``beside``, unless the wrappers have one already.
+    Its observation space tells whether it reads normalised observations. The statistics of a
+    ``VecNormalize`` are those of its training environment if it has one, else those of ``beside``,
+    unless the wrappers have one already.
 
     Args:
         policy: the policy.
         robot: nominal robot.
         subject: subject of the sentence if the model does not fit, such as ``policy 'mine'``.
         wrappers: wrappers of the training, the innermost first.
-        beside: file with the statistics of a ``VecNormalize`` that was found; None if there is none.
+        beside: file with the statistics of a ``VecNormalize`` that was found; None if there is
+            none.
 
     Raises:
-        ValueError: if a wrapper is invalid, or if the spaces of a model differ from those of the wrapped environment.
+        ValueError: if a wrapper is invalid, or if the spaces of a model differ from those of the
+            wrapped environment.
     """
     packages = {kind.__module__.partition(".")[0] for kind in type(policy).__mro__}
     is_model = not packages.isdisjoint({"stable_baselines3", "sb3_contrib"})
@@ -115,13 +126,17 @@ def _algorithms(path: Path) -> list[Any]:
     try:
         sb3 = importlib.import_module("stable_baselines3")
     except ImportError:
-        raise ValueError("an SB3 policy needs Stable-Baselines3: pip install 'cablebot-gym[sb3]'") from None
+        raise ValueError(
+            "an SB3 policy needs Stable-Baselines3: pip install 'cablebot-gym[sb3]'"
+        ) from None
     saved_by = _policy_module(path).partition(".")[0]
     if saved_by == "sbx":
         try:
             return _classes(importlib.import_module("sbx"), SBX_ALGORITHMS)
         except ImportError:
-            raise ValueError(f"policy file {str(path)!r} was saved by SBX: pip install sbx-rl") from None
+            raise ValueError(
+                f"policy file {str(path)!r} was saved by SBX: pip install sbx-rl"
+            ) from None
     algorithms = _classes(sb3, SB3_ALGORITHMS)
     try:
         contributed = _classes(importlib.import_module("sb3_contrib"), CONTRIB_ALGORITHMS)
@@ -149,14 +164,16 @@ def _policy_module(path: Path) -> str:
 
 
 def _check_spaces(model: Any, subject: str, stack: Stack) -> bool:
-    """Checks that a model reads the observation of the wrapped environment of a robot and returns its actions.
+    """Checks that a model reads the observation of the wrapped environment of a robot and returns
+    its actions.
 
-    Returns whether it reads the normalised observation. Its bounds tell: they equal all those of one of the two
-    environments, or more than of the other if it was trained for a robot of other bounds.
+    Returns whether it reads the normalised observation. Its bounds tell: they equal all those of
+    one of the two environments, or more than of the other if it was trained for a robot of other
+    bounds.
 
     Raises:
-        ValueError: if the spaces differ, the message describes both; or if the last observation of the training shows
-            that there were other wrappers.
+        ValueError: if the spaces differ, the message describes both; or if the last observation of
+            the training shows that there were other wrappers.
     """
     inputs = model.observation_space
     outputs = model.action_space
@@ -177,8 +194,12 @@ def _check_spaces(model: Any, subject: str, stack: Stack) -> bool:
                 break
     elif normalised and equal_normalised == equal_bounds:
         lowest, highest = np.min(inputs.low), np.max(inputs.high)
-        difference = f"the model reads an observation that a wrapper rescaled to [{lowest:g}, {highest:g}]"
-    elif not np.array_equal([outputs.low, outputs.high], [stack.action_space.low, stack.action_space.high]):
+        difference = (
+            f"the model reads an observation that a wrapper rescaled to [{lowest:g}, {highest:g}]"
+        )
+    elif not np.array_equal(
+        [outputs.low, outputs.high], [stack.action_space.low, stack.action_space.high]
+    ):
         difference = f"the model returns rescaled actions within [{np.min(outputs.low):g}, {np.max(outputs.high):g}]"
     elif not stack.normalises and _exceeds(getattr(model, "_last_obs", None), inputs):
         raise ValueError(
@@ -211,8 +232,13 @@ def _spaces(stack: Stack) -> str:
 
 
 def _fits(model: Any, stack: Stack) -> bool:
-    pairs = ((model.observation_space, stack.observation_space), (model.action_space, stack.action_space))
-    return all(type(read) is type(offered) and read.shape == offered.shape for read, offered in pairs)
+    pairs = (
+        (model.observation_space, stack.observation_space),
+        (model.action_space, stack.action_space),
+    )
+    return all(
+        type(read) is type(offered) and read.shape == offered.shape for read, offered in pairs
+    )
 
 
 def _agreement(space: Any, offered: Any) -> float:
@@ -228,4 +254,6 @@ def _exceeds(observation: Any, space: Any) -> bool:
     if not isinstance(space, Box) or not isinstance(observation, np.ndarray):
         return False
     tolerance = 1e-4 * np.maximum(1, np.abs(observation))
-    return bool(((observation < space.low - tolerance) | (observation > space.high + tolerance)).any())
+    return bool(
+        ((observation < space.low - tolerance) | (observation > space.high + tolerance)).any()
+    )

@@ -39,26 +39,27 @@ _LOGGER = logging.getLogger("cablebot_gym")
 _NAME = attrgetter("name")
 
 ENTRY_POINT_GROUP = "cablebot_gym.policies"
-"""Entry point group of policies. A package adds a policy by an entry point that names a :class:`PolicyEntry`. The entry
-point has the name of the policy."""
+"""Entry point group of policies. A package adds a policy by an entry point that names a
+:class:`PolicyEntry`. The entry point has the name of the policy."""
 
 FILE_ENTRY_POINT_GROUP = "cablebot_gym.policy_files"
-"""Entry point group of file loaders. A package adds a kind of policy file by an entry point that names a
-:data:`FileLoader`."""
+"""Entry point group of file loaders. A package adds a kind of policy file by an entry point that
+names a :data:`FileLoader`."""
 
 ESTIMATOR_ENTRY_POINT_GROUP = "cablebot_gym.estimators"
-"""Entry point group of estimators, which run any policy with the sensors of winches: ``ekf+fl`` names the policy ``fl``
-behind the estimator ``ekf``. An entry point names a function of the nominal robot and the policy that returns a
-policy."""
+"""Entry point group of estimators, which run any policy with the sensors of winches: ``ekf+fl``
+names the policy ``fl`` behind the estimator ``ekf``. An entry point names a function of the nominal
+robot and the policy that returns a policy."""
 
 FileLoader = Callable[[Path, Robot], Policy | None]
-"""Makes a policy from a ``.zip`` file and a nominal robot. It returns None if the file is of another kind. It raises a
-ValueError with an explanation if the file is of its kind, but is damaged or made for another robot."""
+"""Makes a policy from a ``.zip`` file and a nominal robot. It returns None if the file is of
+another kind. It raises a ValueError with an explanation if the file is of its kind, but is damaged
+or made for another robot."""
 
 
 Kind = Literal["entry", "installed", "file", "factory", "unknown"]
-"""Kind of a policy's name: folder of an entry with its card; name of an installed policy; ``.zip`` file;
-``package.module:factory`` or ``file.py:factory``."""
+"""Kind of a policy's name: folder of an entry with its card; name of an installed policy; ``.zip``
+file; ``package.module:factory`` or ``file.py:factory``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,21 +108,24 @@ class PolicySpec:
 
     @property
     def own(self) -> bool:
-        """Whether it is the name of a policy of this project alone, and not of another installed package."""
+        """Whether it is the name of a policy of this project alone, and not of another installed
+        package."""
         return self.installed and is_own(self.points[0])
 
     @property
     def held(self) -> bool:
         """Whether this project holds the policy to its declaration ``unsaturated_actions``.
 
-        False stands for every other policy, also of other packages, whose declaration is taken on trust.
+        False stands for every other policy, also of other packages, whose declaration is taken on
+        trust.
         """
         return self.own and bool(self.points[0].load().unsaturated_actions)
 
     def entry(self) -> PolicyEntry | None:
         """The entry of the installed policy, imported; None if there is none.
 
-        An entry that cannot be imported, or has another name than its entry point, is skipped with a warning.
+        An entry that cannot be imported, or has another name than its entry point, is skipped with
+        a warning.
         """
         return _first_entry(self.points)
 
@@ -137,9 +141,12 @@ def policy_names() -> list[str]:
 
 
 def policy_entries() -> dict[str, PolicyEntry]:
-    """All installed policies by name, sorted. A policy whose package cannot be imported is skipped with a warning."""
+    """All installed policies by name, sorted. A policy whose package cannot be imported is skipped
+    with a warning."""
     entries = {}
-    for name, points in groupby(sorted(entry_points(group=ENTRY_POINT_GROUP), key=_NAME), key=_NAME):
+    for name, points in groupby(
+        sorted(entry_points(group=ENTRY_POINT_GROUP), key=_NAME), key=_NAME
+    ):
         entry = _first_entry(_own_first(points))
         if entry is not None:
             entries[name] = entry
@@ -164,47 +171,56 @@ def _first_entry(points: Iterable[EntryPoint]) -> PolicyEntry | None:
 
 
 def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = ()) -> Policy:
-    """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``; ``ekf+…`` behind an estimator.
+    """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``; ``ekf+…``
+    behind an estimator.
 
-    A factory, a function or a class, is called with the nominal robot, or with nothing if it needs nothing. A file is
-    passed to the loaders of :data:`FILE_ENTRY_POINT_GROUP` in turn. If all of them return None, the file is loaded as a
-    Stable-Baselines3 model of PPO, SAC, TD3, A2C or DDPG. If sb3-contrib is installed, models of TQC, CrossQ,
-    RecurrentPPO, TRPO and ARS are loaded as well, and if SBX is installed, its models.
+    A factory, a function or a class, is called with the nominal robot, or with nothing if it needs
+    nothing. A file is passed to the loaders of :data:`FILE_ENTRY_POINT_GROUP` in turn. If all of
+    them return None, the file is loaded as a Stable-Baselines3 model of PPO, SAC, TD3, A2C or DDPG.
+    If sb3-contrib is installed, models of TQC, CrossQ, RecurrentPPO, TRPO and ARS are loaded as
+    well, and if SBX is installed, its models.
 
     Args:
         name: the name.
         robot: nominal robot, its name, or an environment id.
         wrappers: wrappers of the training, the innermost first, see
-            :data:`~cablebot_gym.policies.wrappers.Wrapper`. The statistics of a ``VecNormalize`` beside a
-            Stable-Baselines3 file are used without being named, and a note on standard error says so.
+            :data:`~cablebot_gym.policies.wrappers.Wrapper`. The statistics of a ``VecNormalize``
+            beside a Stable-Baselines3 file are used without being named, and a note on standard
+            error says so.
 
     Raises:
-        ValueError: if the name is unknown, or if the policy cannot be loaded or does not fit the robot. The message
-            lists the valid names.
+        ValueError: if the name is unknown, or if the policy cannot be loaded or does not fit the
+            robot. The message lists the valid names.
         PolicyError: if the code of the policy tries to end the process.
     """
     return load(name, as_robot(robot), wrappers=wrappers).policy
 
 
-def load(policy: Any, robot: Robot, *, name: str | None = None, wrappers: Sequence[Wrapper] = ()) -> LoadedPolicy:
+def load(
+    policy: Any, robot: Robot, *, name: str | None = None, wrappers: Sequence[Wrapper] = ()
+) -> LoadedPolicy:
     """Loads a policy, and says its notes. A policy that is loaded already is returned.
 
     Args:
-        policy: a name as for :func:`load_policy`, a policy object, a callable, a class that makes a policy, or a loaded
-            policy, such as an :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy`.
+        policy: a name as for :func:`load_policy`, a policy object, a callable, a class that makes a
+            policy, or a loaded policy, such as an
+            :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy`.
         robot: nominal robot.
         name: name of the policy in results and messages; None for its own name.
         wrappers: as for :func:`load_policy`.
 
     Raises:
         TypeError: if the object is neither a policy nor a callable.
-        ValueError: if the policy cannot be made, or does not fit the robot, or if a loaded policy gets wrappers.
+        ValueError: if the policy cannot be made, or does not fit the robot, or if a loaded policy
+            gets wrappers.
         PolicyError: if the code of the policy tries to end the process.
     """
     loaded = getattr(policy, "loaded", policy)
     if isinstance(loaded, LoadedPolicy):
         if wrappers:
-            raise ValueError(f"policy {loaded.name!r} is loaded already: give the wrappers where it is loaded")
+            raise ValueError(
+                f"policy {loaded.name!r} is loaded already: give the wrappers where it is loaded"
+            )
         return replace(loaded, name=name or loaded.name)
     if isinstance(policy, str):
         spec = PolicySpec.parse(policy)
@@ -243,15 +259,20 @@ def as_robot(robot: Robot | str) -> Robot:
         return robot
     names = [*ENV_ROBOTS, *robot_names()]
     if robot not in names and not Path(robot).suffix and not Path(robot).exists():
-        raise unknown_name_error("environment or robot", robot, names, ", a robot file, or pass a Robot")
+        raise unknown_name_error(
+            "environment or robot", robot, names, ", a robot file, or pass a Robot"
+        )
     return find_robot(ENV_ROBOTS.get(robot, robot))
 
 
 def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
-    """The target of a name without wrappers, the subject of messages, and a file of statistics beside it."""
+    """The target of a name without wrappers, the subject of messages, and a file of statistics
+    beside it."""
     name, subject = spec.target, f"policy {spec.target!r}"
     if spec.kind == "entry":
-        raise ValueError(f"entry {name!r} runs in a process of its own only: `cablebot dlcc --isolate` does it")
+        raise ValueError(
+            f"entry {name!r} runs in a process of its own only: `cablebot dlcc --isolate` does it"
+        )
     entry = spec.entry()
     if entry is not None:
         return entry.factory(robot), subject, None
@@ -261,7 +282,9 @@ def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
     if spec.kind == "factory":
         factory = _import_factory(name, subject)
         return _call(factory, robot, subject), subject, None
-    forms = "a learned bundle or an SB3 file ending in .zip, file.py:factory, or package.module:factory"
+    forms = (
+        "a learned bundle or an SB3 file ending in .zip, file.py:factory, or package.module:factory"
+    )
     check_not_a_file("policy", name, f"{forms}, or the folder of an entry with its card")
     raise unknown_name_error("policy", name, policy_entries(), f", {forms}")
 
@@ -279,12 +302,15 @@ def _import_factory(name: str, subject: str) -> Callable[..., Any]:
     if isinstance(factory, Policy) and not isinstance(factory, type):
         return lambda: factory
     if not callable(factory):
-        raise ValueError(f"{subject}: it must be a function that takes a robot and returns a policy")
+        raise ValueError(
+            f"{subject}: it must be a function that takes a robot and returns a policy"
+        )
     return cast(Callable[..., Any], factory)
 
 
 def _call(factory: Callable[..., Any], robot: Robot, subject: str) -> Policy:
-    """The policy of a factory, which is called with the robot, or with nothing if it takes nothing."""
+    """The policy of a factory, which is called with the robot, or with nothing if it takes
+    nothing."""
     try:
         created = factory(*_arguments(factory, robot))
     except KeyboardInterrupt:
@@ -314,7 +340,8 @@ def _arguments(factory: Callable[..., Any], robot: Robot) -> list[Robot]:
 
 
 def _failure(error: BaseException, subject: str, cause: str) -> ValueError | PolicyError:
-    """A PolicyError for an attempt to end the process, such as SystemExit, and a ValueError for other errors."""
+    """A PolicyError for an attempt to end the process, such as SystemExit, and a ValueError for
+    other errors."""
     text = f"{subject}: {cause}"
     return ValueError(text) if isinstance(error, Exception) else PolicyError(text, cause=cause)
 
@@ -332,7 +359,9 @@ def _load_file(path: Path, robot: Robot) -> Policy:
         try:
             loader: FileLoader = point.load()
         except Exception as error:
-            _LOGGER.warning("policy files of kind %r are skipped: %s raised %s", point.name, point.value, error)
+            _LOGGER.warning(
+                "policy files of kind %r are skipped: %s raised %s", point.name, point.value, error
+            )
             continue
         try:
             policy = loader(path, robot)

@@ -1,7 +1,8 @@
-"""Wrappers of a policy's training, around a stand-in that returns the observations that it is given.
+"""Wrappers of a policy's training, around a stand-in that returns the observations that it is
+given.
 
-Wrappers call ``reset`` and ``step`` of an environment, but a policy is called with observations. :class:`Coroutine`
-turns this round: the wrappers pause wherever they step the environment.
+Wrappers call ``reset`` and ``step`` of an environment, but a policy is called with observations.
+:class:`Coroutine` turns this round: the wrappers pause wherever they step the environment.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ from cablebot_gym.utils.imports import import_object
 from cablebot_gym.utils.user_code import raised
 
 Wrapper = str | Path | Callable[[Any], Any]
-"""A wrapper of the training: a class or function that takes an environment and returns the wrapped one, its name
-``package.module:name`` or ``file.py:name``, a file ``.pkl`` with the ``VecNormalize`` of Stable-Baselines3, or
-:data:`NORMALISED`. The environment is a vector environment of Gymnasium, a single one, or a ``VecEnv``: the first form
-that the wrapper accepts."""
+"""A wrapper of the training: a class or function that takes an environment and returns the wrapped
+one, its name ``package.module:name`` or ``file.py:name``, a file ``.pkl`` with the ``VecNormalize``
+of Stable-Baselines3, or :data:`NORMALISED`. The environment is a vector environment of Gymnasium, a
+single one, or a ``VecEnv``: the first form that the wrapper accepts."""
 
 NORMALISED = "normalised_observation"
 """Name of the wrapper that does what the environment's keyword of this name does."""
@@ -48,20 +49,23 @@ SB3 = "VecEnv"
 """Forms of wrappers."""
 
 UNEQUAL = (
-    "the wrappers step the environments of a batch different numbers of times: pass a wrapper of the vector environment"
+    "the wrappers step the environments of a batch different numbers of times: "
+    "pass a wrapper of the vector environment"
 )
 """An error about wrappers of single environments."""
 
 
 class Coroutine:
-    """A function that runs only while :meth:`send` waits for it, and hands out values with :func:`pause`.
+    """A function that runs only while :meth:`send` waits for it, and hands out values with
+    :func:`pause`.
 
     It ends when the object is collected.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._greenlet = greenlet(function)
-        # Paused greenlets hold their callers. In such a cycle they are never collected by themselves.
+        # Paused greenlets hold their callers. In such a cycle they are never collected by
+        # themselves.
         weakref.finalize(self, _end, self._greenlet)
 
     def send(self, *values: Any) -> Any:
@@ -90,7 +94,8 @@ def _end(paused: greenlet) -> None:
 
 
 class _Still:
-    """What both forms of the stand-in share. Attributes of the true environment that are public knowledge."""
+    """What both forms of the stand-in share. Attributes of the true environment that are public
+    knowledge."""
 
     layout: ObservationLayout
     _observation: Array
@@ -129,9 +134,11 @@ class _Vector(VectorEnv[Any, Any, Any]):
 
 
 class StandIn(_Still, _Vector):
-    """Vector environment without physics: ``step`` hands out the actions and returns the observations that come back.
+    """Vector environment without physics: ``step`` hands out the actions and returns the
+    observations that come back.
 
-    Rewards are 0, info is empty and no episode ends. ``layout`` and ``tasks`` are those of the true environment.
+    Rewards are 0, info is empty and no episode ends. ``layout`` and ``tasks`` are those of the true
+    environment.
 
     Args:
         layout: layout of the observation.
@@ -153,7 +160,9 @@ class StandIn(_Still, _Vector):
         self._observation = observation
         self._exchange = exchange
         self._tasks = tasks
-        self._set_spaces(len(observation), layout.space(), Box(-1.0, 1.0, (cables,), dtype=np.float32))
+        self._set_spaces(
+            len(observation), layout.space(), Box(-1.0, 1.0, (cables,), dtype=np.float32)
+        )
 
     @property
     def tasks(self) -> tuple[Task, ...]:
@@ -166,7 +175,9 @@ class StandIn(_Still, _Vector):
             raise RuntimeError("the tasks are known from the first reset of the environment")
         return tuple(self._tasks)
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
         """The first observations."""
         return self._reset(), {}
 
@@ -195,7 +206,9 @@ class SingleStandIn(_Still, gym.Env[Any, Any]):
         task: Task = self._vector.tasks[self._index]
         return task
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
         """The first observation."""
         super().reset(seed=seed)
         return self._reset(), {}
@@ -240,7 +253,9 @@ class Rows(_Vector):
         """The stand-in."""
         return self.env.unwrapped
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """The first observations."""
         return self._observed([row.reset for row in self._rows]), {}
 
@@ -273,7 +288,8 @@ class _Result:
 
 
 def _call_row(index: int, call: Callable[[], Any]) -> None:
-    """Runs calls of a row. It pauses in their steps of the environment, and with the :class:`_Result` of each call."""
+    """Runs calls of a row. It pauses in their steps of the environment, and with the
+    :class:`_Result` of each call."""
     try:
         while True:
             call = pause(_Result(call()))
@@ -285,7 +301,12 @@ def _call_row(index: int, call: Callable[[], Any]) -> None:
 
 def as_vec_env(env: VectorEnv[Any, Any, Any]) -> Any:
     """A vector environment of Gymnasium as a ``VecEnv`` of Stable-Baselines3 (extra ``sb3``)."""
-    from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
+    from stable_baselines3.common.vec_env.base_vec_env import (
+        VecEnv,
+        VecEnvIndices,
+        VecEnvObs,
+        VecEnvStepReturn,
+    )
 
     class VecEnvStandIn(VecEnv):
         """The stand-in in the form of Stable-Baselines3."""
@@ -314,7 +335,9 @@ def as_vec_env(env: VectorEnv[Any, Any, Any]) -> Any:
             return [False] * self.num_envs
 
         def env_method(self, method_name: str, *args: Any, **kwargs: Any) -> list[Any]:
-            raise NotImplementedError("the environment has no further methods, and its attributes cannot be set")
+            raise NotImplementedError(
+                "the environment has no further methods, and its attributes cannot be set"
+            )
 
         set_attr: Any = env_method
 
@@ -322,9 +345,12 @@ def as_vec_env(env: VectorEnv[Any, Any, Any]) -> Any:
 
 
 def normalised_observation(env: Any) -> VectorEnv[Any, Any, Any]:
-    """Observations of order one, as from the environment with the keyword ``normalised_observation``."""
+    """Observations of order one, as from the environment with the keyword
+    ``normalised_observation``."""
     layout: ObservationLayout = env.unwrapped.layout
-    return TransformObservation(env, layout.normalise, single_observation_space=layout.space(normalised=True))
+    return TransformObservation(
+        env, layout.normalise, single_observation_space=layout.space(normalised=True)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -384,7 +410,9 @@ class NamedWrapper:
         if form == SB3 and isinstance(env, VectorEnv):
             env = as_vec_env(env)
         wrapped = self.wrap(env)
-        if not (isinstance(wrapped, VectorEnv) if form == VECTOR else hasattr(wrapped, "step_wait")):
+        if not (
+            isinstance(wrapped, VectorEnv) if form == VECTOR else hasattr(wrapped, "step_wait")
+        ):
             raise TypeError(f"it returned {type(wrapped).__name__}")
         return wrapped
 
@@ -413,7 +441,8 @@ class NamedWrapper:
 
 
 def statistics(name: str, data: bytes) -> NamedWrapper:
-    """The wrapper of a pickled ``VecNormalize``, with frozen statistics. A pickle can execute any code."""
+    """The wrapper of a pickled ``VecNormalize``, with frozen statistics. A pickle can execute any
+    code."""
     return NamedWrapper(name=name, wrap=partial(_vec_normalize, data), forms=(SB3,))
 
 
@@ -421,13 +450,19 @@ def _vec_normalize(data: bytes, env: Any) -> Any:
     try:
         normalize = pickle.loads(data)
     except Exception as error:
-        raise ValueError(f"it is no pickle of VecNormalize, or one of another version ({error})") from error
+        raise ValueError(
+            f"it is no pickle of VecNormalize, or one of another version ({error})"
+        ) from error
     if not hasattr(normalize, "set_venv"):
         raise ValueError(f"it holds {type(normalize).__name__}; save it by VecNormalize.save")
     normalize.training = normalize.norm_reward = False
     if normalize.observation_space.shape != env.observation_space.shape:
-        saved, present = (" × ".join(map(str, each.observation_space.shape)) for each in (normalize, env))
-        raise ValueError(f"its statistics are those of {saved} numbers, but the environment has {present}")
+        saved, present = (
+            " × ".join(map(str, each.observation_space.shape)) for each in (normalize, env)
+        )
+        raise ValueError(
+            f"its statistics are those of {saved} numbers, but the environment has {present}"
+        )
     normalize.set_venv(env)
     normalize.observation_space = env.observation_space  # the pickle has that of the training
     return normalize
@@ -478,7 +513,12 @@ class Stack:
         return Stack([NORMALISED, *self.wrappers], self.robot)
 
     def run(
-        self, policy: Policy, tasks: Sequence[Task] | None, observation: Array, starts: Array, deterministic: bool
+        self,
+        policy: Policy,
+        tasks: Sequence[Task] | None,
+        observation: Array,
+        starts: Array,
+        deterministic: bool,
     ) -> None:
         """Runs policy and wrappers in a :class:`Coroutine` until an exception ends it.
 
@@ -501,7 +541,9 @@ class Stack:
         env: Any = StandIn(self.layout, self.robot.cables, observation, exchange, tasks)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the training has shown them
-            for form, pairs in groupby(zip(self._forms, self.wrappers, strict=True), key=itemgetter(0)):
+            for form, pairs in groupby(
+                zip(self._forms, self.wrappers, strict=True), key=itemgetter(0)
+            ):
                 wrappers = [wrapper for _, wrapper in pairs]
                 if form == SINGLE:  # once for each row, whatever the number of wrappers
                     env = Rows(env, partial(reduce, _wrap, wrappers))
@@ -514,7 +556,9 @@ class Stack:
         state = None
         while True:
             started, starts = starts, np.zeros_like(starts)
-            actions, state = policy.predict(wrapped, state=state, episode_start=started, deterministic=deterministic)
+            actions, state = policy.predict(
+                wrapped, state=state, episode_start=started, deterministic=deterministic
+            )
             wrapped = env.step(actions)[0]
 
 
@@ -523,7 +567,8 @@ def _wrap(env: Any, wrapper: NamedWrapper) -> Any:
 
 
 def _layers(env: Any) -> Iterator[Any]:
-    """The environment and all that it wraps, from outside; of rows, the wrappers of the first row too."""
+    """The environment and all that it wraps, from outside; of rows, the wrappers of the first row
+    too."""
     while env is not None:
         yield env
         if isinstance(env, Rows):

@@ -32,18 +32,24 @@ class Camera:
     """Focal length [pixels]."""
 
     def project(self, points: ArrayLike) -> Array:
-        """Projection of points (..., 3) [m] onto the picture, (..., 2) [pixels], x to the right and y downwards."""
+        """Projection of points (..., 3) [m] onto the picture, (..., 2) [pixels], x to the right and
+        y downwards."""
         relative = np.asarray(points, float) - self.eye
         lateral = np.stack([relative @ self.right, relative @ self.down], axis=-1)
         return self.centre + self.focal * lateral / (relative @ self.forward)[..., None]
 
     def pixels(self, length: float, at: ArrayLike) -> float:
-        """Length in pixels of a length [m] perpendicular to the line of sight at a point ``at`` (3,) [m]."""
+        """Length in pixels of a length [m] perpendicular to the line of sight at a point ``at``
+        (3,) [m]."""
         return float(self.focal * length / ((np.asarray(at, float) - self.eye) @ self.forward))
 
 
 def fit_camera(
-    points: ArrayLike, window: tuple[float, float, float, float], *, azimuth: float, elevation: float
+    points: ArrayLike,
+    window: tuple[float, float, float, float],
+    *,
+    azimuth: float,
+    elevation: float,
 ) -> Camera:
     """The camera closest to some points that shows all of them in a window of the picture.
 
@@ -66,7 +72,12 @@ def fit_camera(
     def camera_at(distance: float) -> tuple[Camera, bool]:
         def camera(centre: Array) -> Camera:
             return Camera(
-                eye=target - distance * forward, right=right, down=down, forward=forward, centre=centre, focal=focal
+                eye=target - distance * forward,
+                right=right,
+                down=down,
+                forward=forward,
+                centre=centre,
+                focal=focal,
             )
 
         page = camera(np.zeros(2)).project(cloud)
@@ -85,7 +96,8 @@ def fit_camera(
 
 
 def coinciding(points: Array) -> list[list[int]]:
-    """Indices of points (m, …), grouped by position, in the order of the first index of each group."""
+    """Indices of points (m, …), grouped by position, in the order of the first index of each
+    group."""
     groups: list[list[int]] = []
     for index, point in enumerate(points):
         for group in groups:

@@ -15,7 +15,8 @@ from cablebot_gym.physics.textbook import torque_limits
 from cablebot_gym.robots import Robot
 
 HANG = 0.3
-"""Distance below a spatial platform at which the payload is drawn [m]. In the model it is at the centre of mass."""
+"""Distance below a spatial platform at which the payload is drawn [m]. In the model it is at the
+centre of mass."""
 
 _STEEL = 7850.0
 """Density of the ball that represents the payload [kg/m³]."""
@@ -35,8 +36,8 @@ def full_tension(robot: Robot) -> float:
 class Moment:
     """True state of an episode at one instant.
 
-    Pose and errors are those at ``time``. Torques, torque limits, actions and tensions are those at the start of the
-    last control period, and 0 before the first period.
+    Pose and errors are those at ``time``. Torques, torque limits, actions and tensions are those at
+    the start of the last control period, and 0 before the first period.
     """
 
     time: float
@@ -61,7 +62,9 @@ class Moment:
     """Largest difference of an angle from the reference [rad]; 0 for a point mass."""
 
     @classmethod
-    def from_info(cls, robot: Robot, stall_torque: Array, pose: Array, info: Mapping[str, Any]) -> Moment:
+    def from_info(
+        cls, robot: Robot, stall_torque: Array, pose: Array, info: Mapping[str, Any]
+    ) -> Moment:
         """The moment after a control step.
 
         Args:

@@ -49,7 +49,8 @@ _TENSION_COLOURS = ("#8FBFE0", "#3F7FB5", "#8E5EA2", "#D55E00", "#8C1C13")
 """Colours of cables, from zero tension to the tension that the motor holds at standstill."""
 
 _BALL_COLOURS = ((1.0, "#3A3D42"), (0.82, "#4A4E55"), (0.55, "#5F646C"), (0.25, "#858B94"))
-"""Shades of the payload's ball from its edge to its highlight: fraction of the radius, and colour."""
+"""Shades of the payload's ball from its edge to its highlight: fraction of the radius, and
+colour."""
 
 _INK = "#202020"
 _PAPER = "#FFFFFF"
@@ -81,7 +82,9 @@ def check_size(size: tuple[int, int]) -> tuple[int, int]:
     if not (wide_enough and high_enough):
         least = f"{SMALLEST[0]} × {SMALLEST[1]}"
         most = f"{LARGEST[0]} × {LARGEST[1]}"
-        raise ValueError(f"a picture must have between {least} and {most} pixels, not {width} × {height}")
+        raise ValueError(
+            f"a picture must have between {least} and {most} pixels, not {width} × {height}"
+        )
     return size
 
 
@@ -114,7 +117,9 @@ class Painter:
         # Width of the motor panel at the right.
         self._panel = max(40 + _BAR_SPACING * task.robot.cables, 150) * self._unit
         trajectory = task.trajectory
-        path = np.array([trajectory(time).position for time in np.linspace(0, trajectory.duration, 241)])
+        path = np.array(
+            [trajectory(time).position for time in np.linspace(0, trajectory.duration, 241)]
+        )
         self._path = self._points(path)
         self._base = self._points(task.robot.base)
         self._camera = self._fitted_camera()
@@ -122,7 +127,12 @@ class Painter:
         self._static_layer = self._canvas.copy()
 
     def paint(
-        self, moment: Moment, trail: Sequence[Array] | Array = (), note: str = "", *, good: bool = False
+        self,
+        moment: Moment,
+        trail: Sequence[Array] | Array = (),
+        note: str = "",
+        *,
+        good: bool = False,
     ) -> pygame.Surface:
         """Paints a moment.
 
@@ -155,7 +165,12 @@ class Painter:
         return self._pygame.transform.smoothscale(self._canvas, self.size)
 
     def array(
-        self, moment: Moment, trail: Sequence[Array] | Array = (), note: str = "", *, good: bool = False
+        self,
+        moment: Moment,
+        trail: Sequence[Array] | Array = (),
+        note: str = "",
+        *,
+        good: bool = False,
     ) -> NDArray[np.uint8]:
         """The picture as an array (height, width, 3); arguments as for :meth:`paint`."""
         return as_array(self.paint(moment, trail, note, good=good))
@@ -194,7 +209,12 @@ class Painter:
         top = int(58 * self._unit)
         width = int(self._width - self._panel - 0.08 * self._width)
         height = int(self._height - 152 * self._unit)
-        return fit_camera(np.concatenate(visible), (left, top, width, height), azimuth=azimuth, elevation=elevation)
+        return fit_camera(
+            np.concatenate(visible),
+            (left, top, width, height),
+            azimuth=azimuth,
+            elevation=elevation,
+        )
 
     def _paint_background(self) -> None:
         """Paints what does not move: base, tube around the path, and reference path."""
@@ -217,7 +237,9 @@ class Painter:
             outward /= max(float(np.linalg.norm(outward)), 1.0)
             numbers = ",".join(str(cable + 1) for cable in cables)
             self._circle(_INK, anchor, 4.5 * unit)
-            self._write(numbers, anchor + 13 * unit * outward, 11, palette.GREY, across=0.5, along=0.5)
+            self._write(
+                numbers, anchor + 13 * unit * outward, 11, palette.GREY, across=0.5, along=0.5
+            )
 
     def _paint_robot(self, moment: Moment) -> None:
         """Paints the payload, the platform, the cables and the reference position."""
@@ -243,12 +265,15 @@ class Painter:
             if moment.slack[cable]:
                 self._paint_slack_cable(self._base[cable], ends[cable])
             else:
-                self._paint_tight_cable(self._base[cable], ends[cable], float(moment.tensions[cable]))
+                self._paint_tight_cable(
+                    self._base[cable], ends[cable], float(moment.tensions[cable])
+                )
         reference = self._points(np.asarray(self.task.trajectory(moment.time).position))
         self._circle(palette.VERMILLION, self._camera.project(reference), 3.2 * unit, 1.3 * unit)
 
     def _paint_payload(self, payload: float, centre: Array) -> None:
-        """Paints the payload as a ball at the centre of a planar platform, or on a hook below a spatial one."""
+        """Paints the payload as a ball at the centre of a planar platform, or on a hook below a
+        spatial one."""
         camera = self._camera
         radius = ball_radius(payload)
         ball = centre
@@ -282,7 +307,8 @@ class Painter:
         self._line(start, stop, tension_colour(fraction), width * self._unit)
 
     def _paint_motors(self, moment: Moment) -> None:
-        """Paints a bar of the applied torque for each motor. The scale beyond its present U± is shaded."""
+        """Paints a bar of the applied torque for each motor. The scale beyond its present U± is
+        shaded."""
         unit = self._unit
         robot = self.task.robot
         left = self._width - self._panel + 26 * unit
@@ -317,7 +343,14 @@ class Painter:
         stop = start + _BAR_SPACING * unit * robot.cables
         self._line((start, zero), (stop, zero), palette.GREY, unit)
         for torque in (-largest, 0.0, largest):
-            self._write(f"{torque:.3g}", (left - 7 * unit, row(torque)), 11, palette.GREY, across=1.0, along=0.5)
+            self._write(
+                f"{torque:.3g}",
+                (left - 7 * unit, row(torque)),
+                11,
+                palette.GREY,
+                across=1.0,
+                along=0.5,
+            )
 
     def _paint_tension_scale(self) -> None:
         """Paints the colour scale of the cable tensions, below the motors."""
@@ -327,9 +360,13 @@ class Painter:
         length = self._panel - 40 * unit
         for x in range(round(length)):
             colour = tension_colour(x / length)
-            self._pygame.draw.line(self._canvas, colour, (left + x, top), (left + x, top + 7 * unit))
+            self._pygame.draw.line(
+                self._canvas, colour, (left + x, top), (left + x, top + 7 * unit)
+            )
         highest = f"{full_tension(self.task.robot):.3g}"
-        self._write("cable tension [N]", (left + length / 2, top - 15 * unit), 11, palette.GREY, across=0.5)
+        self._write(
+            "cable tension [N]", (left + length / 2, top - 15 * unit), 11, palette.GREY, across=0.5
+        )
         self._write("0", (left, top + 8 * unit), 11, palette.GREY)
         self._write(highest, (left + length, top + 8 * unit), 11, palette.GREY, across=1.0)
 
@@ -337,15 +374,23 @@ class Painter:
         """Paints the errors relative to their bounds, and the time."""
         unit = self._unit
         bounds = self.task.error_bounds
-        self._paint_error("position", self._height - 60 * unit, moment.position_error, bounds.position, "mm")
+        self._paint_error(
+            "position", self._height - 60 * unit, moment.position_error, bounds.position, "mm"
+        )
         if not self.task.robot.point_mass:
-            self._paint_error("rotation", self._height - 40 * unit, moment.rotation_error, bounds.rotation, "mrad")
+            self._paint_error(
+                "rotation", self._height - 40 * unit, moment.rotation_error, bounds.rotation, "mrad"
+            )
         duration = self.task.trajectory.duration
         text = f"{moment.time:.3f} of {duration:.3g} s"
         fraction = min(moment.time / duration, 1.0)
-        self._paint_gauge("time", self._height - 18 * unit, 4 * unit, fraction, palette.GREY, text, _INK)
+        self._paint_gauge(
+            "time", self._height - 18 * unit, 4 * unit, fraction, palette.GREY, text, _INK
+        )
 
-    def _paint_error(self, name: str, y: float, error: float, bound: float, bound_unit: str) -> None:
+    def _paint_error(
+        self, name: str, y: float, error: float, bound: float, bound_unit: str
+    ) -> None:
         """Paints the gauge of an error and a mark at its bound."""
         unit = self._unit
         colour = palette.BLUE
@@ -363,9 +408,17 @@ class Painter:
         self._line((mark, y - 8 * unit), (mark, y + 8 * unit), _INK, 2 * unit)
 
     def _paint_gauge(
-        self, name: str, y: float, height: float, fraction: float, colour: str, text: str, text_colour: str
+        self,
+        name: str,
+        y: float,
+        height: float,
+        fraction: float,
+        colour: str,
+        text: str,
+        text_colour: str,
     ) -> tuple[float, float]:
-        """Paints a horizontal bar that is filled by a fraction, and returns its left edge and length."""
+        """Paints a horizontal bar that is filled by a fraction, and returns its left edge and
+        length."""
         unit = self._unit
         left = 76 * unit
         length = self._width - self._panel - 190 * unit
@@ -409,9 +462,12 @@ class Painter:
         across: float = 0.0,
         along: float = 0.0,
     ) -> None:
-        """Writes text at a point; ``across`` and ``along`` are the fractions of it left of the point and above it."""
+        """Writes text at a point; ``across`` and ``along`` are the fractions of it left of the
+        point and above it."""
         if size not in self._fonts:
-            self._fonts[size] = self._pygame.font.Font(None, max(8, round(1.28 * size * self._unit)))
+            self._fonts[size] = self._pygame.font.Font(
+                None, max(8, round(1.28 * size * self._unit))
+            )
         image = self._fonts[size].render(text, True, colour)
         left = at[0] - across * image.get_width()
         top = at[1] - along * image.get_height()
@@ -425,7 +481,8 @@ def as_array(surface: pygame.Surface) -> NDArray[np.uint8]:
 
 
 def tension_colour(fraction: float) -> tuple[int, int, int]:
-    """Colour of a cable whose tension is this fraction of the tension that its motor holds at standstill."""
+    """Colour of a cable whose tension is this fraction of the tension that its motor holds at
+    standstill."""
     position = min(max(fraction, 0.0), 1.0) * (len(_TENSION_COLOURS) - 1)
     index = min(int(position), len(_TENSION_COLOURS) - 2)
     low = np.array(list(bytes.fromhex(_TENSION_COLOURS[index][1:])))
@@ -436,7 +493,8 @@ def tension_colour(fraction: float) -> tuple[int, int, int]:
 
 
 def _polygon(points: Array) -> Array:
-    """Distinct points among points (m, 2), sorted by direction from their centre: corners of a polygon."""
+    """Distinct points among points (m, 2), sorted by direction from their centre: corners of a
+    polygon."""
     relative = points - points.mean(axis=0)
     distinct = [group[0] for group in coinciding(points)]
     angles = np.arctan2(relative[distinct, 1], relative[distinct, 0])

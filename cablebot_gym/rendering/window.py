@@ -26,8 +26,9 @@ class Window:
 
     Args:
         caption: title of the window.
-        needs_display: whether to raise an error if there is no display. If False, the window then uses SDL's dummy
-            driver, as the windows of Gymnasium's own environments do, and writes a log message.
+        needs_display: whether to raise an error if there is no display. If False, the window then
+            uses SDL's dummy driver, as the windows of Gymnasium's own environments do, and writes a
+            log message.
 
     Raises:
         ImportError: if pygame is missing.
@@ -44,8 +45,8 @@ class Window:
     def show(self, picture: pygame.Surface, rate: float) -> list[str]:
         """Shows a picture, and returns the names of the keys pressed since the last picture.
 
-        The call waits so that at most ``rate`` pictures are shown per second. It has no effect after the window was
-        closed.
+        The call waits so that at most ``rate`` pictures are shown per second. It has no effect
+        after the window was closed.
 
         Raises:
             NoDisplayError: if there is no display and the window needs one.

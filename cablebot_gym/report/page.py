@@ -1,4 +1,5 @@
-"""The report page: the records of a benchmark and the replays of their cells in one self-contained HTML file."""
+"""The report page: the records of a benchmark and the replays of their cells in one self-contained
+HTML file."""
 
 from __future__ import annotations
 
@@ -14,10 +15,24 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.benchmark import scores
-from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, Record, TimingCell, canonical
+from cablebot_gym.benchmark.cells import (
+    BestKnownCell,
+    Cell,
+    PolicyCell,
+    Record,
+    TimingCell,
+    canonical,
+)
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.maps import varied_fields
-from cablebot_gym.benchmark.tables import best_known_text, failures, fallbacks, heading, motion_title, task_title
+from cablebot_gym.benchmark.tables import (
+    best_known_text,
+    failures,
+    fallbacks,
+    heading,
+    motion_title,
+    task_title,
+)
 from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.rendering.moment import HANG, full_tension
 from cablebot_gym.report.replay import LEVELS, RATE, Replay, platform_points
@@ -43,7 +58,9 @@ def merge_records(sources: Sequence[Results]) -> list[Record]:
     return list(merged.values())
 
 
-def html(title: str, sources: Sequence[Results], replays: Mapping[str, Sequence[Replay] | str]) -> str:
+def html(
+    title: str, sources: Sequence[Results], replays: Mapping[str, Sequence[Replay] | str]
+) -> str:
     """The report page as HTML text.
 
     Args:
@@ -52,7 +69,9 @@ def html(title: str, sources: Sequence[Results], replays: Mapping[str, Sequence[
         replays: episodes, or an error message, by key of the cell.
     """
     assets = files("cablebot_gym.report") / "assets"
-    data = json.dumps(page_data(sources, replays), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    data = json.dumps(
+        page_data(sources, replays), ensure_ascii=False, allow_nan=False, separators=(",", ":")
+    )
     values = {
         "title": title.replace("&", "&amp;").replace("<", "&lt;"),
         "style": (assets / "style.css").read_text(encoding="utf-8"),
@@ -63,38 +82,70 @@ def html(title: str, sources: Sequence[Results], replays: Mapping[str, Sequence[
     return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], page)
 
 
-def page_data(sources: Sequence[Results], replays: Mapping[str, Sequence[Replay] | str]) -> dict[str, Any]:
+def page_data(
+    sources: Sequence[Results], replays: Mapping[str, Sequence[Replay] | str]
+) -> dict[str, Any]:
     """JSON-able data for the scripts of the page. For the arguments see :func:`html`."""
     records = merge_records(sources)
     all_scores = scores.scores(records)
-    references = [best for best in scores.best_known_payloads(records).values() if not varied_fields(best.cell)]
+    references = [
+        best
+        for best in scores.best_known_payloads(records).values()
+        if not varied_fields(best.cell)
+    ]
     by_key = {record.cell.key: record for record in records}
     robots, motions = _Unique(), _Unique()
 
-    def entry(cell: Cell, label: str, facts: list[list[str]], reason: str = NO_EPISODE) -> dict[str, Any]:
+    def entry(
+        cell: Cell, label: str, facts: list[list[str]], reason: str = NO_EPISODE
+    ) -> dict[str, Any]:
         facts = [*facts, _made_by(by_key[cell.key])]
-        data = {"title": task_title(cell), "payload_label": label, "code": _code(cell), "facts": facts}
+        data = {
+            "title": task_title(cell),
+            "payload_label": label,
+            "code": _code(cell),
+            "facts": facts,
+        }
         recorded = replays.get(cell.key, "")
         if isinstance(recorded, str):
             return data | {"replays": None, "reason": recorded or reason}
         shown = [replay.to_dict() for replay in recorded]
-        return data | {"replays": shown, "robot": robots.add(_robot(cell)), "motion": motions.add(_motion(cell))}
+        return data | {
+            "replays": shown,
+            "robot": robots.add(_robot(cell)),
+            "motion": motions.add(_motion(cell)),
+        }
 
     cells = []
     for score in all_scores:
         reason = NO_EPISODE if score.result.get("applicable", True) else NOT_APPLICABLE
-        cells.append(entry(score.cell, "unloaded" if score.payload is None else "DLCC", _facts(score), reason))
+        cells.append(
+            entry(
+                score.cell, "unloaded" if score.payload is None else "DLCC", _facts(score), reason
+            )
+        )
     indices = {score.cell.key: index for index, score in enumerate(all_scores)}
     boards, rows = scores.leaderboards(records), []
     for leaderboard in boards:
-        rows += [_row(leaderboard, policy, column, indices) for policy, column in leaderboard.entries]
+        rows += [
+            _row(leaderboard, policy, column, indices) for policy, column in leaderboard.entries
+        ]
         for name in dict.fromkeys(column.motion for column in leaderboard.columns):
             motion = leaderboard.env_id, name
-            group = [best for best in references if (best.cell.env_id, best.cell.trajectory["name"]) == motion]
+            group = [
+                best
+                for best in references
+                if (best.cell.env_id, best.cell.trajectory["name"]) == motion
+            ]
             if not group:
                 continue
-            rows.append(_best_row(leaderboard, name, group, range(len(cells), len(cells) + len(group))))
-            cells += [entry(best.cell, BEST_KNOWN, [["Best known payload", best_known_text(best)]]) for best in group]
+            rows.append(
+                _best_row(leaderboard, name, group, range(len(cells), len(cells) + len(group)))
+            )
+            cells += [
+                entry(best.cell, BEST_KNOWN, [["Best known payload", best_known_text(best)]])
+                for best in group
+            ]
     return {
         "rows": rows,
         "start": _start(rows, cells, boards),
@@ -109,21 +160,29 @@ def page_data(sources: Sequence[Results], replays: Mapping[str, Sequence[Replay]
 
 
 def _start(
-    rows: Sequence[Mapping[str, Any]], cells: Sequence[Mapping[str, Any]], boards: Sequence[scores.Leaderboard]
+    rows: Sequence[Mapping[str, Any]],
+    cells: Sequence[Mapping[str, Any]],
+    boards: Sequence[scores.Leaderboard],
 ) -> int:
-    """Index of the row that the page opens: the largest payload on the circle of the first leaderboard.
+    """Index of the row that the page opens: the largest payload on the circle of the first
+    leaderboard.
 
     A row without an episode is opened only if none of these rows has one.
     """
     if not boards:
         return 0
     board = boards[0]
-    column = next((column for column in board.columns if column.motion.startswith("circle-")), board.columns[0])
+    column = next(
+        (column for column in board.columns if column.motion.startswith("circle-")),
+        board.columns[0],
+    )
     keys = {_row_key(board, policy, column) for policy in board.policies}
 
     def rank(index: int) -> tuple[bool, float]:
         row = rows[index]
-        return cells[row["cells"][0]]["replays"] is not None, -1.0 if row["payload"] is None else row["payload"]
+        return cells[row["cells"][0]]["replays"] is not None, -1.0 if row[
+            "payload"
+        ] is None else row["payload"]
 
     return max((index for index, row in enumerate(rows) if row["key"] in keys), key=rank)
 
@@ -157,7 +216,9 @@ def _row(
         "payload_text": "error" if failed else value if applicable else "n/a",
         "payload": None if failed or not applicable else median(payloads),
         "fraction": None if fraction is None else fraction.mean,
-        "interval": [fraction.low, fraction.high] if fraction and len(entry) >= scores.RANKED_MOTIONS else None,
+        "interval": [fraction.low, fraction.high]
+        if fraction and len(entry) >= scores.RANKED_MOTIONS
+        else None,
         "note": _note(entry, applicable, failed),
         "violation": _violation_text(entry),
         "cells": [indices[score.cell.key] for score in entry],
@@ -165,7 +226,10 @@ def _row(
 
 
 def _best_row(
-    leaderboard: scores.Leaderboard, motion: str, group: Sequence[scores.BestKnown], indices: Sequence[int]
+    leaderboard: scores.Leaderboard,
+    motion: str,
+    group: Sequence[scores.BestKnown],
+    indices: Sequence[int],
 ) -> dict[str, Any]:
     payloads = [best.payload for best in group if best.payload is not None]
     payload = median(payloads) if len(payloads) == len(group) else None
@@ -178,7 +242,9 @@ def _best_row(
     }
 
 
-def _conditions(leaderboard: scores.Leaderboard, policy: str, column: scores.Column) -> dict[str, Any]:
+def _conditions(
+    leaderboard: scores.Leaderboard, policy: str, column: scores.Column
+) -> dict[str, Any]:
     return {
         "key": _row_key(leaderboard, policy, column),
         "id": leaderboard.env_id,
@@ -194,17 +260,25 @@ def _row_key(leaderboard: scores.Leaderboard, policy: str, column: scores.Column
 
 
 def _note(entry: Sequence[scores.Score], applicable: bool, failed: bool) -> str:
-    """Reason for a missing fraction; empty if there is a fraction or if another column states the reason."""
+    """Reason for a missing fraction; empty if there is a fraction or if another column states the
+    reason."""
     if not applicable:
         return "does not declare unsaturated_actions"
     cell = entry[0].cell
-    searched = all(score.best_known is not None for score in entry) or cell.criterion != "task" or cell.uncertainty
+    searched = (
+        all(score.best_known is not None for score in entry)
+        or cell.criterion != "task"
+        or cell.uncertainty
+    )
     return "" if failed or searched else "no best known payload"
 
 
 def _violation_text(entry: Sequence[scores.Score]) -> str:
-    """Limiting violation for one motion; the kinds of violation and their counts for several motions."""
-    violations = [violation for score in entry if (violation := limiting_violation(score)) is not None]
+    """Limiting violation for one motion; the kinds of violation and their counts for several
+    motions."""
+    violations = [
+        violation for score in entry if (violation := limiting_violation(score)) is not None
+    ]
     if len(entry) == 1:
         return str(violations[0]) if violations else (entry[0].error or "")
     counts = Counter(violation.kind for violation in violations)
@@ -240,7 +314,10 @@ def _facts(score: scores.Score) -> list[list[str]]:
     if cell.draws > 1:
         bound = "is" if result.get("assured") else "is not assured to be"
         facts.append(
-            ["Draws", f"{cell.draws}; the payload {bound} the 95/{100 * cell.probability:g} lower tolerance bound"]
+            [
+                "Draws",
+                f"{cell.draws}; the payload {bound} the 95/{100 * cell.probability:g} lower tolerance bound",
+            ]
         )
     if result.get("failures"):
         counts = ", ".join(f"{kind}: {count}" for kind, count in result["failures"].items())
@@ -262,7 +339,10 @@ def limiting_violation(score: scores.Score) -> Violation | None:
 
 
 def _made_by(record: Record) -> list[str]:
-    return ["Provenance", f"code {record.source}, with " + ", ".join(f"{k} {v}" for k, v in record.versions.items())]
+    return [
+        "Provenance",
+        f"code {record.source}, with " + ", ".join(f"{k} {v}" for k, v in record.versions.items()),
+    ]
 
 
 def _robot(cell: Cell) -> dict[str, Any]:

@@ -30,7 +30,8 @@ def record_all(
 
     Args:
         queries: cells and payloads by key of the cell.
-        folder: folder of the stored episodes, one file per cell. Broken files and files of different code are replaced.
+        folder: folder of the stored episodes, one file per cell. Broken files and files of
+            different code are replaced.
         workers: number of parallel processes.
         say: called with one-sentence messages for the user.
     """
@@ -42,9 +43,14 @@ def record_all(
         else:
             group = batch_key(cell) if isinstance(cell, PolicyCell) else key
             groups.setdefault(group, []).append(key)
-    jobs = {group: partial(record_batch, [queries[key] for key in keys]) for group, keys in groups.items()}
+    jobs = {
+        group: partial(record_batch, [queries[key] for key in keys])
+        for group, keys in groups.items()
+    }
     returned = (processes.WorkerDied,)
-    for group, results in processes.run(jobs, workers=workers, kind=_kind, say=say, returned=returned):
+    for group, results in processes.run(
+        jobs, workers=workers, kind=_kind, say=say, returned=returned
+    ):
         for index, key in enumerate(groups[group]):
             if isinstance(results, processes.WorkerDied):
                 yield key, str(results)
@@ -55,12 +61,15 @@ def record_all(
 
 
 def record_batch(queries: Sequence[ReplayQuery]) -> list[ReplayResult]:
-    """The episodes of cells that share a batch. An exception becomes an error message; it does not stop the report."""
+    """The episodes of cells that share a batch. An exception becomes an error message; it does not
+    stop the report."""
     try:
         first = queries[0][0]
         if isinstance(first, BestKnownCell):
             return [best_replays(first)]
-        return list(replays([(cell, payload) for cell, payload in queries if isinstance(cell, PolicyCell)]))
+        return list(
+            replays([(cell, payload) for cell, payload in queries if isinstance(cell, PolicyCell)])
+        )
     except Exception as error:
         if len(queries) > 1:  # an error in one cell must not hide the others
             return [result for query in queries for result in record_batch([query])]
@@ -74,7 +83,9 @@ def _kind(job: partial[list[ReplayResult]]) -> str:
 
 
 def _path(folder: Path, cell: Cell, payload: float | None) -> Path:
-    digest = hashlib.sha256(canonical([cell.to_dict(), payload, cell.source]).encode()).hexdigest()[:16]
+    digest = hashlib.sha256(canonical([cell.to_dict(), payload, cell.source]).encode()).hexdigest()[
+        :16
+    ]
     return folder / f"{cell.stem}-{digest}.json"
 
 

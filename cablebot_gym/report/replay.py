@@ -1,4 +1,5 @@
-"""Compressed episodes of a cell for the report page: one at the DLCC and one at a slightly larger payload."""
+"""Compressed episodes of a cell for the report page: one at the DLCC and one at a slightly larger
+payload."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ RATE = 100
 """Frame rate of a replay [Hz]."""
 
 EXCESS_FACTOR = 1.05
-"""Ratio of the payload of the second episode to the DLCC; large enough to show the limiting violation."""
+"""Ratio of the payload of the second episode to the DLCC; large enough to show the limiting
+violation."""
 
 MIN_EXCESS = 0.1
 """Minimum difference between the two payloads [kg]."""
@@ -60,7 +62,8 @@ class Replay:
     carried: bool
     """Whether the policy carries the payload in this episode, by the task criterion."""
     violation: str
-    """First violation and how the margin shrinks before it, as sentences; empty if there is none."""
+    """First violation and how the margin shrinks before it, as sentences; empty if there is
+    none."""
     violation_time: float | None
     """Time of the first violation [s]; None if there is none."""
     end: float
@@ -68,16 +71,18 @@ class Replay:
     frames: int
     """Number of frames."""
     channels: Mapping[str, int]
-    """Number of components by channel. Values at the time of the frame: ``position`` of the platform and its
-    ``anchors`` [m]. Values over the interval since the previous frame: ``tension`` (minimum) [N], ``action`` (value of
-    the largest magnitude), ``position_error`` (maximum) [m] and ``rotation_error`` (maximum) [rad]."""
+    """Number of components by channel. Values at the time of the frame: ``position`` of the
+    platform and its ``anchors`` [m]. Values over the interval since the previous frame: ``tension``
+    (minimum) [N], ``action`` (value of the largest magnitude), ``position_error`` (maximum) [m] and
+    ``rotation_error`` (maximum) [rad]."""
     low: list[float]
     """Minimum of each component."""
     high: list[float]
     """Maximum of each component."""
     data: str
-    """Samples of one component after the other. Each component is quantised to 16 bits between ``low`` and ``high`` and
-    stored as differences of successive frames: little-endian, compressed with zlib, base64-encoded."""
+    """Samples of one component after the other. Each component is quantised to 16 bits between
+    ``low`` and ``high`` and stored as differences of successive frames: little-endian, compressed
+    with zlib, base64-encoded."""
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data."""
@@ -85,32 +90,41 @@ class Replay:
 
 
 def platform_points(robot: Robot) -> tuple[Array, list[int]]:
-    """The distinct anchor points of the platform (k, 2 or 3) [m], and the index of each cable's anchor point."""
+    """The distinct anchor points of the platform (k, 2 or 3) [m], and the index of each cable's
+    anchor point."""
     points, indices = np.unique(np.round(robot.platform, 12), axis=0, return_inverse=True)
     return points, [int(index) for index in np.ravel(indices)]
 
 
 def batch_key(cell: PolicyCell) -> str:
-    """Cells with equal keys can be recorded in one batch: same policy, robot, error bounds and control frequency."""
+    """Cells with equal keys can be recorded in one batch: same policy, robot, error bounds and
+    control frequency."""
     # A learned policy requires equal error bounds in a batch.
-    return canonical([cell.policy, cell.env_id, cell.robot_changes, cell.error_bounds, cell.control_frequency])
+    return canonical(
+        [cell.policy, cell.env_id, cell.robot_changes, cell.error_bounds, cell.control_frequency]
+    )
 
 
 def replays(cells: Sequence[tuple[PolicyCell, float | None]]) -> list[list[Replay]]:
-    """The episodes of cells: for each, one at its DLCC and one at a larger payload, or one unloaded without a DLCC.
+    """The episodes of cells: for each, one at its DLCC and one at a larger payload, or one unloaded
+    without a DLCC.
 
     All episodes run in one batch. For a cell with several draws, they are those of the first draw.
 
     Args:
-        cells: cells of one :func:`batch_key`, with their DLCC [kg]; None if the policy fails unloaded.
+        cells: cells of one :func:`batch_key`, with their DLCC [kg]; None if the policy fails
+            unloaded.
 
     Raises:
         ValueError: if the policy cannot be loaded or does not support the robot.
-        cablebot_gym.policies.protocol.PolicyError: if the policy raises an exception or returns an invalid action.
+        cablebot_gym.policies.protocol.PolicyError: if the policy raises an exception or returns an
+            invalid action.
     """
     first = cells[0][0]
     isolated = PolicySpec.parse(first.policy).kind == "entry"
-    policy = load(IsolatedPolicy(first.policy, first.robot) if isolated else first.policy, first.robot)
+    policy = load(
+        IsolatedPolicy(first.policy, first.robot) if isolated else first.policy, first.robot
+    )
     episodes = [(cell, payload) for cell, dlcc in cells for payload in _payloads(dlcc)]
     env = gym.make_vec(
         first.env_id,
@@ -145,7 +159,10 @@ def _rollouts(
         "payload_known": [cell.payload_known for cell in cells],
         "model_payload_factor": [cell.model_payload_factor for cell in cells],
         "uncertainty": [cell.uncertainty or "none" for cell in cells],
-        "noise_seed": [noise_seed(seed, payload) for seed, payload in zip(seeds, payloads.tolist(), strict=True)],
+        "noise_seed": [
+            noise_seed(seed, payload)
+            for seed, payload in zip(seeds, payloads.tolist(), strict=True)
+        ],
     }
     judge = Judge("task", env.settings.robot.cables, env.num_envs)
     env.reset(options=options)
@@ -177,7 +194,11 @@ def best_replays(cell: BestKnownCell) -> list[Replay]:
             "the actions of this best known payload are not in the cache of this machine, or they were computed by "
             "different code. Run the code under 'How this number is computed' (minutes), then cablebot report again"
         )
-    return [compress(record_rollout(OpenLoop(result.actions), cell.env_id, payload=result.payload, **options))]
+    return [
+        compress(
+            record_rollout(OpenLoop(result.actions), cell.env_id, payload=result.payload, **options)
+        )
+    ]
 
 
 def compress(rollout: Rollout) -> Replay:
@@ -190,7 +211,9 @@ def compress(rollout: Rollout) -> Replay:
         payload=rollout.payload,
         radius=ball_radius(rollout.payload),
         carried=rollout.verdict.carried,
-        violation="" if violation is None else f"{violation}. {approach(rollout, violation)}".strip(),
+        violation=""
+        if violation is None
+        else f"{violation}. {approach(rollout, violation)}".strip(),
         violation_time=None if violation is None else violation.time,
         end=float(rollout.arrays["time"][-1]),
         frames=len(table),
@@ -220,23 +243,31 @@ def approach(rollout: Rollout, violation: Violation) -> str:
     instants = [before for before in APPROACH if times[0] <= -before]
     if not instants:
         return ""
-    shown = ", ".join(f"{values[np.searchsorted(times, -before - 1e-9)]:.0f}" for before in instants)
+    shown = ", ".join(
+        f"{values[np.searchsorted(times, -before - 1e-9)]:.0f}" for before in instants
+    )
     return f"{subject} is {shown} {unit}, {', '.join(f'{1e3 * before:.0f}' for before in instants)} ms before."
 
 
 def _channels(rollout: Rollout, every: int) -> dict[str, Array]:
-    """Frames of every channel: at the start, after every ``every`` control steps, and at the end."""
+    """Frames of every channel: at the start, after every ``every`` control steps, and at the
+    end."""
     robot = rollout.task.robot
     arrays = rollout.arrays
     steps = len(rollout) - 1
     ends = [*range(every, steps, every), steps]
     windows = [slice(end - every if end % every == 0 else end - end % every, end) for end in ends]
-    poses = np.concatenate([rollout.start["true_pose"][None], arrays["true_pose"][np.array(ends) - 1]])
+    poses = np.concatenate(
+        [rollout.start["true_pose"][None], arrays["true_pose"][np.array(ends) - 1]]
+    )
     position = poses[:, : robot.base.shape[1]]
     points, _ = platform_points(robot)
     anchors = position[:, None] + turned(poses, points)
     action = arrays["commanded_action"]
-    peaks = [np.take_along_axis(rows, np.abs(rows).argmax(0)[None], 0)[0] for rows in (action[w] for w in windows)]
+    peaks = [
+        np.take_along_axis(rows, np.abs(rows).argmax(0)[None], 0)[0]
+        for rows in (action[w] for w in windows)
+    ]
     channels = {
         "position": position,
         "anchors": anchors.reshape(len(poses), -1),
@@ -260,4 +291,8 @@ def _pack(table: Array) -> tuple[Array, Array, str]:
     span = np.where(high > low, high - low, 1.0)
     levels = np.rint((table - low) / span * LEVELS).astype(np.int64)
     steps = np.diff(levels, axis=0, prepend=0).T.astype("<i2")
-    return low, high, base64.b64encode(zlib.compress(np.ascontiguousarray(steps).tobytes(), 9)).decode("ascii")
+    return (
+        low,
+        high,
+        base64.b64encode(zlib.compress(np.ascontiguousarray(steps).tobytes(), 9)).decode("ascii"),
+    )

@@ -1,1 +1,2 @@
-"""Utilities: files, console output, code hashes, checks of arguments, colours and worker processes."""
+"""Utilities: files, console output, code hashes, checks of arguments, colours and worker
+processes."""

@@ -1,4 +1,5 @@
-"""Checks of arguments. Each check returns the value in one type, or raises a ValueError that names the argument."""
+"""Checks of arguments. Each check returns the value in one type, or raises a ValueError that names
+the argument."""
 
 from __future__ import annotations
 
@@ -63,8 +64,14 @@ def whole(name: str, value: Any, *, least: int = 0, most: float = INF) -> int:
     Raises:
         ValueError: if the value is not such an integer.
     """
-    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) <= most:
-        raise ValueError(f"{name} must be an integer of{_bounds_text(-INF, least, INF, most, '')}, not {value!r}")
+    if (
+        not isinstance(value, Integral)
+        or isinstance(value, bool)
+        or not least <= int(value) <= most
+    ):
+        raise ValueError(
+            f"{name} must be an integer of{_bounds_text(-INF, least, INF, most, '')}, not {value!r}"
+        )
     return int(value)
 
 
@@ -94,7 +101,8 @@ def numbers(
         unit: unit of the bounds in the message.
 
     Raises:
-        ValueError: if the value does not consist of numbers, or a shape, a number or a bound is wrong.
+        ValueError: if the value does not consist of numbers, or a shape, a number or a bound is
+            wrong.
     """
     try:
         given = np.array(value)
@@ -105,7 +113,9 @@ def numbers(
     if shapes and given.shape not in shapes:
         valid = form or "an array of shape " + " or ".join(map(str, shapes))
         raise ValueError(f"{name} must be {valid}, not an array of shape {given.shape}")
-    inside = np.isfinite(given) & (above < given) & (given < below) & (least <= given) & (given <= most)
+    inside = (
+        np.isfinite(given) & (above < given) & (given < below) & (least <= given) & (given <= most)
+    )
     if not inside.all():
         bounds = _bounds_text(above, least, below, most, unit)
         raise ValueError(f"{name} must be finite{bounds and ' and'}{bounds}, not {value!r}")
@@ -113,7 +123,8 @@ def numbers(
 
 
 def all_finite(name: str, values: Any) -> None:
-    """Checks that all numbers are finite. It costs a microsecond or two, for functions that run in every control step.
+    """Checks that all numbers are finite. It costs a microsecond or two, for functions that run in
+    every control step.
 
     Args:
         name: name of the argument in the message.
@@ -162,7 +173,10 @@ def record(name: str, kind: type[_T], value: Any) -> _T:
     known = dataclasses.fields(kind)  # type: ignore[arg-type]  # mypy has no type for the classes of dataclasses
     given = mapping(name, value, [field.name for field in known])
     for field in known:
-        if field.default is field.default_factory is dataclasses.MISSING and field.name not in given:
+        if (
+            field.default is field.default_factory is dataclasses.MISSING
+            and field.name not in given
+        ):
             raise ValueError(f"{name} needs the key {field.name!r}")
     return kind(**given)
 
@@ -185,8 +199,11 @@ def choice(kind: str, value: Any, valid: Iterable[str], otherwise: str = "") -> 
     return str(value)
 
 
-def unknown_name_error(kind: str, name: object, names: Iterable[str], otherwise: str = "") -> ValueError:
-    """The error to raise for an unknown name. Its message lists the valid names and suggests the closest one.
+def unknown_name_error(
+    kind: str, name: object, names: Iterable[str], otherwise: str = ""
+) -> ValueError:
+    """The error to raise for an unknown name. Its message lists the valid names and suggests the
+    closest one.
 
     Args:
         kind: kind of the named thing, such as ``environment``.
@@ -198,17 +215,21 @@ def unknown_name_error(kind: str, name: object, names: Iterable[str], otherwise:
 
 
 class UnexpectedKeywordError(TypeError, ValueError):
-    """Unknown keyword argument: a TypeError as Python raises it, and a ValueError as the other errors of arguments."""
+    """Unknown keyword argument: a TypeError as Python raises it, and a ValueError as the other
+    errors of arguments."""
 
 
 def unexpected_keyword_error(name: str, names: Iterable[str]) -> UnexpectedKeywordError:
-    """The error to raise for an unknown keyword argument: in Python's own words, for which other libraries look.
+    """The error to raise for an unknown keyword argument: in Python's own words, for which other
+    libraries look.
 
     Args:
         name: the unknown keyword.
         names: the valid keywords.
     """
-    return UnexpectedKeywordError(f"got an unexpected keyword argument {name!r}; {_choices_text(name, names, '')}")
+    return UnexpectedKeywordError(
+        f"got an unexpected keyword argument {name!r}; {_choices_text(name, names, '')}"
+    )
 
 
 def _choices_text(name: object, names: Iterable[str], otherwise: str) -> str:
@@ -220,7 +241,9 @@ def _choices_text(name: object, names: Iterable[str], otherwise: str) -> str:
 
 def _bounds_text(above: float, least: float, below: float, most: float, unit: str) -> str:
     unit = f" {unit}" if unit else ""
-    low = f"greater than {above:g}" if above > -INF else f"at least {least:g}" if least > -INF else ""
+    low = (
+        f"greater than {above:g}" if above > -INF else f"at least {least:g}" if least > -INF else ""
+    )
     high = f"less than {below:g}" if below < INF else f"at most {most:g}" if most < INF else ""
     text = " and ".join(part for part in (low, high) if part)
     return f" {text}{unit}" if text else ""

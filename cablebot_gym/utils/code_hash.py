@@ -1,4 +1,5 @@
-"""Hash of the code that produced a result: the modules that it depends on, without comments and docstrings."""
+"""Hash of the code that produced a result: the modules that it depends on, without comments and
+docstrings."""
 
 from __future__ import annotations
 
@@ -15,10 +16,12 @@ _NAMED = re.compile(r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
 
 @cache
 def source_hash(*modules: str, data: tuple[Path, ...] = ()) -> str:
-    """Hash of modules, of their imports from their own packages and from ``cablebot_gym``, and of data files.
+    """Hash of modules, of their imports from their own packages and from ``cablebot_gym``, and of
+    data files.
 
-    For a module outside a package, imports from its folder count too, unless the folder is ``site-packages``. Two
-    results come from the same code if their hashes are equal. Comments, docstrings and other modules have no effect.
+    For a module outside a package, imports from its folder count too, unless the folder is
+    ``site-packages``. Two results come from the same code if their hashes are equal. Comments,
+    docstrings and other modules have no effect.
 
     Args:
         modules: module names, such as ``cablebot_gym.evaluation.evaluator``.
@@ -34,19 +37,27 @@ def source_hash(*modules: str, data: tuple[Path, ...] = ()) -> str:
 
 
 def file_digest(*modules: str, data: tuple[Path, ...] = ()) -> str:
-    """SHA-256 of the bytes of the files that :func:`source_hash` depends on, comments and docstrings included."""
+    """SHA-256 of the bytes of the files that :func:`source_hash` depends on, comments and
+    docstrings included."""
     digest = hashlib.sha256()
     for name, path in sorted(source_files(*modules).items()):
         digest.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
-    for content in sorted(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n" for path in data):
+    for content in sorted(
+        f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n" for path in data
+    ):
         digest.update(content.encode())
     return digest.hexdigest()
 
 
 def source_files(*modules: str) -> dict[str, Path]:
-    """Files by name of the modules, of their imports from their own packages and from ``cablebot_gym``."""
+    """Files by name of the modules, of their imports from their own packages and from
+    ``cablebot_gym``."""
     packages = frozenset({"cablebot_gym", *(name.partition(".")[0] for name in modules)})
-    folders = frozenset(path.parent for name in modules if (path := module_file(name)) is not None and "." not in name)
+    folders = frozenset(
+        path.parent
+        for name in modules
+        if (path := module_file(name)) is not None and "." not in name
+    )
     files: dict[str, Path] = {}
     pending = list(modules)
     while pending:
@@ -82,7 +93,9 @@ def module_file(module: str) -> Path | None:
     if spec is None:
         return None
     if not spec.submodule_search_locations:
-        return Path(spec.origin) if not rest and spec.origin and spec.origin.endswith(".py") else None
+        return (
+            Path(spec.origin) if not rest and spec.origin and spec.origin.endswith(".py") else None
+        )
     for root in spec.submodule_search_locations:
         stem = Path(root, *rest)
         for path in (stem / "__init__.py", stem.with_suffix(".py")):
@@ -93,7 +106,8 @@ def module_file(module: str) -> Path | None:
 
 @cache
 def _parsed(path: Path, module: str) -> tuple[str, frozenset[str]]:
-    """Syntax tree of a module without comments and docstrings, and the names of modules that it may import."""
+    """Syntax tree of a module without comments and docstrings, and the names of modules that it may
+    import."""
     tree = ast.parse(path.read_bytes())
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     names: set[str] = set()
@@ -101,10 +115,16 @@ def _parsed(path: Path, module: str) -> tuple[str, frozenset[str]]:
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            above = (
+                package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            )
             base = ".".join([*above, *([node.module] if node.module else [])])
             names |= {base, *(f"{base}.{alias.name}" for alias in node.names)}
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and _NAMED.match(node.value):
+        elif (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and _NAMED.match(node.value)
+        ):
             names.add(node.value.partition(":")[0])
     return ast.dump(_DocstringRemover().visit(tree)), frozenset(names)
 
@@ -114,4 +134,8 @@ class _DocstringRemover(ast.NodeTransformer):
 
     def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
         """Drops the statement if it is a string."""
-        return None if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str) else node
+        return (
+            None
+            if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+            else node
+        )

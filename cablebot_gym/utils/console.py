@@ -1,4 +1,5 @@
-"""Output on the terminal: consoles for results and for messages, tables, and the progress of long computations."""
+"""Output on the terminal: consoles for results and for messages, tables, and the progress of long
+computations."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ FIRST_LINE = 2.0
 """Elapsed time before the first line of progress off a terminal [s]."""
 
 LINE_GROWTH = 1.3
-"""Ratio of the elapsed times of two successive lines of progress, which are at least :data:`FIRST_LINE` apart."""
+"""Ratio of the elapsed times of two successive lines of progress, which are at least
+:data:`FIRST_LINE` apart."""
 
 LONGEST_SILENCE = 60.0
 """Longest time between two lines of progress [s]."""
@@ -32,7 +34,8 @@ LEAST = 0.03
 """Finished fraction from which the time left is estimated."""
 
 LEAST_WORK = 10.0
-"""Time of work from which the time left is estimated even if less than :data:`LEAST` is finished [s]."""
+"""Time of work from which the time left is estimated even if less than :data:`LEAST` is finished
+[s]."""
 
 _PULSE = 0.5
 """Time between two looks at the clock while a computation reports nothing [s]."""
@@ -61,11 +64,18 @@ def notes_console() -> Console:
     """Console for progress and messages on standard error, without markup, emoji and wrapping."""
     from rich.console import Console
 
-    return Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True, force_jupyter=False)
+    return Console(
+        stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True, force_jupyter=False
+    )
 
 
 def print_table(
-    title: str, rows: Iterable[Sequence[str]], *, right: bool = True, width: int | None = None, **options: Any
+    title: str,
+    rows: Iterable[Sequence[str]],
+    *,
+    right: bool = True,
+    width: int | None = None,
+    **options: Any,
 ) -> None:
     """Prints a title and a table on standard output.
 
@@ -91,7 +101,8 @@ def print_table(
 
 
 class Preparation:
-    """Counts the time of preparations, such as compilation, which the estimates of the time left do not include."""
+    """Counts the time of preparations, such as compilation, which the estimates of the time left do
+    not include."""
 
     def __init__(self) -> None:
         self._depth, self._since, self._spent = 0, 0.0, 0.0
@@ -137,7 +148,8 @@ class _Clock:
         return time.monotonic() - self._start
 
     def update(self, done: float, expected: float) -> None:
-        """Notes the progress. Work starts at the last report of the first value: results may be there already."""
+        """Notes the progress. Work starts at the last report of the first value: results may be
+        there already."""
         if self._first in (-1.0, done):
             self._first, self._since = done, PREPARATION.worked
         self._done = done
@@ -150,7 +162,9 @@ class _Clock:
         finished = self._done - self._first
         rest = self._expected - self._done
         now = PREPARATION.worked
-        if min(rest, finished) <= 0 or (finished <= LEAST * (finished + rest) and now - self._since < LEAST_WORK):
+        if min(rest, finished) <= 0 or (
+            finished <= LEAST * (finished + rest) and now - self._since < LEAST_WORK
+        ):
             return ""
         # The next unit is expected at the mean pace; if it is late, as if it were finished now.
         in_time = (self._last - self._since) * rest / finished - (now - self._last)
@@ -159,15 +173,18 @@ class _Clock:
 
 
 def _is_terminal(console: Console) -> bool:
-    """Whether bars can be drawn. rich alone would draw them in a log or a notebook that sets ``FORCE_COLOR``."""
+    """Whether bars can be drawn. rich alone would draw them in a log or a notebook that sets
+    ``FORCE_COLOR``."""
     return console.is_terminal and sys.stderr.isatty()
 
 
 @contextmanager
 def progress(text: str, unit: str = "%") -> Iterator[Step]:
-    """Shows the progress of a computation, and elapsed and remaining time: as a bar on a terminal, else as lines.
+    """Shows the progress of a computation, and elapsed and remaining time: as a bar on a terminal,
+    else as lines.
 
-    The lines come at growing intervals of at most :data:`LONGEST_SILENCE`, also while the computation reports nothing.
+    The lines come at growing intervals of at most :data:`LONGEST_SILENCE`, also while the
+    computation reports nothing.
 
     Args:
         text: description of the computation.
@@ -184,14 +201,22 @@ def progress(text: str, unit: str = "%") -> Iterator[Step]:
                 description = text or description
                 clock.update(done, expected)
                 if done < expected:
-                    count = f"{done / expected:.0%}" if unit == "%" else f"{done:,.0f} of {expected:,.0f} {unit}"
+                    count = (
+                        f"{done / expected:.0%}"
+                        if unit == "%"
+                        else f"{done:,.0f} of {expected:,.0f} {unit}"
+                    )
                     say(f"{description}: {count}")
 
             yield report
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    count = "{task.percentage:3.0f} %" if unit == "%" else f"{{task.completed:,.0f}} of {{task.total:,.0f}} {unit}"
+    count = (
+        "{task.percentage:3.0f} %"
+        if unit == "%"
+        else f"{{task.completed:,.0f}} of {{task.total:,.0f}} {unit}"
+    )
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn(count))
     left = (TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
     with Progress(*columns, *left, console=console, transient=True) as bar:
@@ -199,14 +224,17 @@ def progress(text: str, unit: str = "%") -> Iterator[Step]:
 
         def step(done: float, expected: float, text: str = "") -> None:
             clock.update(done, expected)
-            bar.update(task, completed=done, total=expected, description=text or None, left=clock.left)
+            bar.update(
+                task, completed=done, total=expected, description=text or None, left=clock.left
+            )
 
         yield step
 
 
 @contextmanager
 def chosen_progress(choice: Any, text: str, unit: str = "%") -> Iterator[Any]:
-    """The callback for an argument ``progress``: that of :func:`progress` for True, else the argument, or None."""
+    """The callback for an argument ``progress``: that of :func:`progress` for True, else the
+    argument, or None."""
     if choice is not True:
         yield choice or None
         return
@@ -216,7 +244,8 @@ def chosen_progress(choice: Any, text: str, unit: str = "%") -> Iterator[Any]:
 
 @contextmanager
 def activity() -> Iterator[Callable[[str], None]]:
-    """Shows the activity of a computation of unknown length. Yields a function that takes the present activity."""
+    """Shows the activity of a computation of unknown length. Yields a function that takes the
+    present activity."""
     console = notes_console()
     if not _is_terminal(console):
         with _lines(_Clock(), console.print) as say:
@@ -240,15 +269,22 @@ class _Say(Protocol):
 
 @contextmanager
 def _lines(clock: _Clock, write: Callable[[str], None]) -> Iterator[_Say]:
-    """Writes the present activity with elapsed and remaining time when a line is due, in a thread of its own."""
+    """Writes the present activity with elapsed and remaining time when a line is due, in a thread
+    of its own."""
     ended, lock = threading.Event(), threading.Lock()
     present, due = "", FIRST_LINE
 
     def write_line() -> None:
         nonlocal due
         elapsed = clock.elapsed
-        due = elapsed + min(max(FIRST_LINE, (LINE_GROWTH - 1) * elapsed), max(FIRST_LINE, LONGEST_SILENCE))
-        write(", ".join(part for part in (present, f"{_duration(elapsed)} elapsed", clock.left) if part))
+        due = elapsed + min(
+            max(FIRST_LINE, (LINE_GROWTH - 1) * elapsed), max(FIRST_LINE, LONGEST_SILENCE)
+        )
+        write(
+            ", ".join(
+                part for part in (present, f"{_duration(elapsed)} elapsed", clock.left) if part
+            )
+        )
 
     def say(text: str, *, at_once: bool = False) -> None:
         nonlocal present
@@ -278,8 +314,8 @@ def command_line(command: str, *arguments: object, **options: Any) -> str:
     Args:
         command: command of ``cablebot``.
         arguments: its positional arguments.
-        options: values by the option's name in Python. True is a flag without value, a mapping becomes JSON, and a list
-            repeats the option. None, False and empty values are left out.
+        options: values by the option's name in Python. True is a flag without value, a mapping
+            becomes JSON, and a list repeats the option. None, False and empty values are left out.
     """
     words = ["cablebot", command, *map(str, arguments)]
     for name, given in options.items():
@@ -288,7 +324,11 @@ def command_line(command: str, *arguments: object, **options: Any) -> str:
                 continue
             words.append(f"--{name.replace('_', '-')}")
             if value is not True:
-                words.append(json.dumps(value, ensure_ascii=False) if isinstance(value, Mapping) else str(value))
+                words.append(
+                    json.dumps(value, ensure_ascii=False)
+                    if isinstance(value, Mapping)
+                    else str(value)
+                )
     return shlex.join(words)
 
 

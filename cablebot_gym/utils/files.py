@@ -1,4 +1,5 @@
-"""Files that people bring, result files and cache files: checked reads, checks before the work, and atomic writes."""
+"""Files that people bring, result files and cache files: checked reads, checks before the work, and
+atomic writes."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ def cache_folder() -> Path:
 
 
 def read_cached(path: Path, decode: Callable[[bytes], _Value]) -> _Value | None:
-    """The content of a cache file, decoded; None if it is missing or damaged. A log line reports a damaged file.
+    """The content of a cache file, decoded; None if it is missing or damaged. A log line reports a
+    damaged file.
 
     Args:
         path: file in a cache.
@@ -41,7 +43,9 @@ def read_cached(path: Path, decode: Callable[[bytes], _Value]) -> _Value | None:
     try:
         return decode(content)
     except Exception as error:
-        _LOGGER.warning("%s is damaged (%s); it is ignored, and its content is computed again", path, error)
+        _LOGGER.warning(
+            "%s is damaged (%s); it is ignored, and its content is computed again", path, error
+        )
         return None
 
 
@@ -66,7 +70,8 @@ def read_text(path: Path) -> str:
 
 
 def check_not_a_file(kind: str, name: object, forms: str) -> None:
-    """Checks that an unknown name is not that of an existing file or folder, which is not unknown but of another form.
+    """Checks that an unknown name is not that of an existing file or folder, which is not unknown
+    but of another form.
 
     Args:
         kind: kind of the named thing, such as ``robot``.
@@ -82,13 +87,16 @@ def check_not_a_file(kind: str, name: object, forms: str) -> None:
 
 
 def check_writable_dir(folder: Path) -> None:
-    """Checks that files can be written to a folder, or that the folder can be created. Nothing is left behind.
+    """Checks that files can be written to a folder, or that the folder can be created. Nothing is
+    left behind.
 
     Raises:
         ValueError: if files cannot be written.
     """
     existing = folder.absolute()
-    while not os.path.exists(existing) and existing != existing.parent:  # Path.exists raises in closed folders
+    while (
+        not os.path.exists(existing) and existing != existing.parent
+    ):  # Path.exists raises in closed folders
         existing = existing.parent
     try:
         with tempfile.TemporaryFile(dir=existing):
@@ -122,8 +130,9 @@ def check_writable_file(path: Path) -> None:
 def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     """Calls ``write`` with a temporary file beside ``path`` and then moves the file to ``path``.
 
-    A missing folder is created. After an interrupt or an error the previous file at ``path`` is unchanged. The
-    temporary file has the same suffix because some writers choose the format by suffix.
+    A missing folder is created. After an interrupt or an error the previous file at ``path`` is
+    unchanged. The temporary file has the same suffix because some writers choose the format by
+    suffix.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
@@ -131,7 +140,9 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     temporary = Path(name)
     try:
         write(temporary)
-        os.chmod(temporary, 0o666 & ~_umask())  # the mode of an ordinary new file; temporary files are private
+        os.chmod(
+            temporary, 0o666 & ~_umask()
+        )  # the mode of an ordinary new file; temporary files are private
         os.replace(temporary, path)
     except BaseException as error:
         temporary.unlink(missing_ok=True)

@@ -14,7 +14,8 @@ MOST_NAMES = 10
 
 
 def import_object(text: str) -> Any:
-    """The object that ``package.module:name`` or ``folder/file.py:name`` names, or the only one in ``folder/file.py``.
+    """The object that ``package.module:name`` or ``folder/file.py:name`` names, or the only one in
+    ``folder/file.py``.
 
     Raises:
         ValueError: if there is no such file or name; the message lists names of the module.
@@ -34,7 +35,8 @@ def import_object(text: str) -> Any:
 
 
 def split_name(text: str) -> tuple[str, str]:
-    """Module and name of an object. The folder of a ``file.py`` is added to ``sys.path``, so workers find it too.
+    """Module and name of an object. The folder of a ``file.py`` is added to ``sys.path``, so
+    workers find it too.
 
     A file needs no name if it has a single public function or class.
 
@@ -68,7 +70,9 @@ def _defined(path: Path) -> dict[str, bool]:
     try:
         body = ast.parse(path.read_bytes()).body
     except SyntaxError as error:
-        raise ValueError(f"{path.name!r} is not valid Python: {error.msg}, line {error.lineno}") from error
+        raise ValueError(
+            f"{path.name!r} is not valid Python: {error.msg}, line {error.lineno}"
+        ) from error
     names = {}
     for node in body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):

@@ -1,4 +1,5 @@
-"""Colours of figures and pictures: greys and the palette of Okabe and Ito, which is safe for colour-blind readers."""
+"""Colours of figures and pictures: greys and the palette of Okabe and Ito, which is safe for
+colour-blind readers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Standard streams that never stop a command: closed, full, or without an encoding for some characters."""
+"""Standard streams that never stop a command: closed, full, or without an encoding for some
+characters."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ _ESCAPES = "cablebot_gym.escapes"
 
 
 def _escaped(error: UnicodeError) -> tuple[str, int]:
-    r"""Replaces characters without an encoding by ``\uXXXX``, which is also what they are in JSON."""
+    r"""Replaces characters without an encoding by ``\uXXXX``, which is also what they are in
+    JSON."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return json.dumps(error.object[error.start : error.end])[1:-1], error.end
@@ -36,7 +38,8 @@ class _Output(io.RawIOBase):
         self._raw, self._other = raw, other
         self._is_broken = False
         self.problem = ""
-        """Error message of the operating system; empty if there is none, or if the reader has closed the pipe."""
+        """Error message of the operating system; empty if there is none, or if the reader has
+        closed the pipe."""
 
     def writable(self) -> bool:
         return True
@@ -51,7 +54,9 @@ class _Output(io.RawIOBase):
         while not self._is_broken:
             try:
                 count = self._raw.write(data)
-            except BrokenPipeError:  # as in `| head`: nobody wants the rest, but the command may still write files
+            except (
+                BrokenPipeError
+            ):  # as in `| head`: nobody wants the rest, but the command may still write files
                 self._is_broken, self._other = True, None
             except OSError as error:
                 self._is_broken = True
@@ -68,7 +73,8 @@ class _Output(io.RawIOBase):
 
 
 def protect_streams() -> None:
-    """Replaces the standard streams by streams that never fail. Those that a test or a notebook has set stay."""
+    """Replaces the standard streams by streams that never fail. Those that a test or a notebook has
+    set stay."""
     if sys.stdin is None:
         sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115, for the life of the process
     sys.stderr = _protected(sys.stderr, sys.__stderr__, None)
@@ -82,12 +88,16 @@ def _protected(stream: Any, original: Any, other: Any) -> Any:
         return stream
     output = _Output(getattr(stream.buffer, "raw", stream.buffer), other)
     return io.TextIOWrapper(
-        io.BufferedWriter(output), encoding=stream.encoding, errors=_ESCAPES, line_buffering=stream.line_buffering
+        io.BufferedWriter(output),
+        encoding=stream.encoding,
+        errors=_ESCAPES,
+        line_buffering=stream.line_buffering,
     )
 
 
 def output_problem() -> str:
-    """Why standard output could not be written; empty if it was written, or if its reader has closed the pipe."""
+    """Why standard output could not be written; empty if it was written, or if its reader has
+    closed the pipe."""
     sys.stdout.flush()
     raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
     return raw.problem if isinstance(raw, _Output) else ""

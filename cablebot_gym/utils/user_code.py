@@ -1,4 +1,5 @@
-"""Errors of code that users bring, such as a policy or a motion in a file: one sentence that names the line."""
+"""Errors of code that users bring, such as a policy or a motion in a file: one sentence that names
+the line."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ _SENTENCE = "_cablebot_sentence"
 
 
 def raised(error: BaseException, verb: str = "it raised", where: str = "") -> str:
-    """An error of the user's code as text with its file and line, such as ``it raised KeyError: 'mass' (mine.py, …)``.
+    """An error of the user's code as text with its file and line, such as ``it raised KeyError:
+    'mass' (mine.py, …)``.
 
     Args:
         error: the error.
@@ -32,7 +34,8 @@ def raised(error: BaseException, verb: str = "it raised", where: str = "") -> st
 
 
 def sentence_of_user_code(error: BaseException) -> str:
-    """The error as one sentence if it passed through code that is neither installed nor of this project, else empty."""
+    """The error as one sentence if it passed through code that is neither installed nor of this
+    project, else empty."""
     baselines = getattr(sys.modules.get("cablebot_baselines"), "__path__", [])
     own = tuple(str(path) + os.sep for path in baselines)
     if any(not frame.filename.startswith(own) for frame in _frames(error)):
@@ -41,7 +44,8 @@ def sentence_of_user_code(error: BaseException) -> str:
 
 
 def keep_sentence(error: BaseException, sentence: str) -> None:
-    """Attaches a sentence of :func:`sentence_of_user_code` to an error, which loses its traceback by pickling."""
+    """Attaches a sentence of :func:`sentence_of_user_code` to an error, which loses its traceback
+    by pickling."""
     setattr(error, _SENTENCE, sentence)
 
 
@@ -57,9 +61,11 @@ def _message(error: BaseException) -> str:
 
 
 def _frames(error: BaseException) -> list[FrameSummary]:
-    """Lines that the error passed through, except for those of Python, of installed packages and of this package."""
+    """Lines that the error passed through, except for those of Python, of installed packages and of
+    this package."""
     return [
         frame
         for frame in extract_tb(error.__traceback__)
-        if not frame.filename.startswith(("<", _LIBRARY, _PACKAGE)) and "site-packages" not in frame.filename
+        if not frame.filename.startswith(("<", _LIBRARY, _PACKAGE))
+        and "site-packages" not in frame.filename
     ]

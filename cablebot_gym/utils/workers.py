@@ -23,7 +23,8 @@ from typing import Any, TypeVar, cast
 from cablebot_gym.utils.user_code import keep_sentence, sentence_of_user_code
 
 Task = TypeVar("Task", bound=Callable[[], Any])
-"""A computation. For workers it must be picklable: a module-level function or a ``functools.partial`` of one."""
+"""A computation. For workers it must be picklable: a module-level function or a
+``functools.partial`` of one."""
 
 ATTEMPTS = 2
 """Number of times that a computation is started if its process dies."""
@@ -34,7 +35,8 @@ GRACE = 5.0
 
 
 class WorkerDied(RuntimeError):
-    """A computation ended its process or tried to, for example by ``sys.exit``, a crash or for lack of memory."""
+    """A computation ended its process or tried to, for example by ``sys.exit``, a crash or for lack
+    of memory."""
 
 
 def cores() -> int:
@@ -61,29 +63,36 @@ def run(
     say: Callable[[str], None],
     returned: tuple[type[Exception], ...] = (),
 ) -> Iterator[tuple[str, Any]]:
-    """Yields keys and results in the order of completion. Closing the iterator or an interrupt ends the processes.
+    """Yields keys and results in the order of completion. Closing the iterator or an interrupt ends
+    the processes.
 
-    A computation whose process dies is repeated in a new process, at most :data:`ATTEMPTS` times in total.
+    A computation whose process dies is repeated in a new process, at most :data:`ATTEMPTS` times in
+    total.
 
     Args:
-        tasks: computations by key. With ``workers`` = 1 they run one after the other in this process.
+        tasks: computations by key. With ``workers`` = 1 they run one after the other in this
+            process.
         workers: number of processes.
-        kind: returns the kind of a computation; computations of one kind need the same compiled code, see
-            :func:`leaders_first`.
-        say: called with each message that workers log to ``cablebot_gym``; repeated messages are dropped.
-        returned: exception types that are yielded in place of a result, such as :class:`WorkerDied`. Other exceptions
-            are raised.
+        kind: returns the kind of a computation; computations of one kind need the same compiled
+            code, see :func:`leaders_first`.
+        say: called with each message that workers log to ``cablebot_gym``; repeated messages are
+            dropped.
+        returned: exception types that are yielded in place of a result, such as
+            :class:`WorkerDied`. Other exceptions are raised.
     """
     sequential = workers == 1 or not tasks
     pool = None if sequential else _Pool(min(workers, len(tasks)), say)
-    for key, failure, result in pool.results(tasks, leaders_first(tasks, kind)) if pool else _sequential(tasks):
+    for key, failure, result in (
+        pool.results(tasks, leaders_first(tasks, kind)) if pool else _sequential(tasks)
+    ):
         if failure is not None and not isinstance(failure, returned):
             raise failure
         yield key, result if failure is None else failure
 
 
 def _outcome(task: Callable[[], Any]) -> tuple[Exception | None, Any]:
-    """Error and result of a computation. An attempt to end the process, such as ``sys.exit``, is a WorkerDied."""
+    """Error and result of a computation. An attempt to end the process, such as ``sys.exit``, is a
+    WorkerDied."""
     try:
         return None, task()
     except KeyboardInterrupt:
@@ -139,7 +148,9 @@ class _Pool:
         self._reported: set[str] = set()
         self._workers: list[_Worker] = []
 
-    def results(self, tasks: Mapping[str, Task], order: list[str]) -> Iterator[tuple[str, Exception | None, Any]]:
+    def results(
+        self, tasks: Mapping[str, Task], order: list[str]
+    ) -> Iterator[tuple[str, Exception | None, Any]]:
         """Key, error and result of each computation in the order of completion."""
         queue, deaths = deque(order), Counter[str]()
 
@@ -154,7 +165,9 @@ class _Pool:
                 with _interrupts_deferred():
                     self._workers.append(_Worker())
                 submit_next(self._workers[-1])
-            while busy := {worker.pipe: worker for worker in self._workers if worker.key is not None}:
+            while busy := {
+                worker.pipe: worker for worker in self._workers if worker.key is not None
+            }:
                 for worker in [busy[pipe] for pipe in cast(list[Connection], wait(list(busy)))]:
                     key, outcome = worker.key or "", self._receive(worker)
                     if isinstance(outcome, WorkerDied):
@@ -172,13 +185,16 @@ class _Pool:
                 worker.end()
 
     def _receive(self, worker: _Worker) -> tuple[Exception | None, Any] | WorkerDied | None:
-        """Error and result, a :class:`WorkerDied` if the process died, or None after a log message."""
+        """Error and result, a :class:`WorkerDied` if the process died, or None after a log
+        message."""
         try:
             kind, content = worker.pipe.recv()
         except (EOFError, OSError):
             worker.process.join(GRACE)  # the pipe closes shortly before the process ends
             worker.end()
-            return WorkerDied(f"its process died {ATTEMPTS} times, with exit status {worker.process.exitcode}")
+            return WorkerDied(
+                f"its process died {ATTEMPTS} times, with exit status {worker.process.exitcode}"
+            )
         if kind == "log":
             if content not in self._reported:
                 self._reported.add(content)
@@ -194,9 +210,14 @@ class _Pool:
 
 @contextmanager
 def _interrupts_deferred() -> Iterator[None]:
-    """Defers interrupts of all threads until the end. A process that is started meanwhile never receives any."""
+    """Defers interrupts of all threads until the end. A process that is started meanwhile never
+    receives any."""
     received: list[int] = []
-    handler = signal.getsignal(signal.SIGINT) if threading.current_thread() is threading.main_thread() else None
+    handler = (
+        signal.getsignal(signal.SIGINT)
+        if threading.current_thread() is threading.main_thread()
+        else None
+    )
     if handler is not None:  # runs in this thread even if another thread receives the signal
         signal.signal(signal.SIGINT, lambda number, frame: received.append(number))
     masks = hasattr(signal, "pthread_sigmask")  # child processes inherit the mask
@@ -227,7 +248,9 @@ def _serve(pipe: Connection) -> None:
             except EOFError:
                 return
             failure, reply = _outcome(partial(_pickled_result, data))
-            pipe.send_bytes(reply if failure is None else pickle.dumps(("error", _portable(failure))))
+            pipe.send_bytes(
+                reply if failure is None else pickle.dumps(("error", _portable(failure)))
+            )
 
 
 def _pickled_result(data: bytes) -> bytes:
@@ -236,12 +259,15 @@ def _pickled_result(data: bytes) -> bytes:
 
 
 def _portable(error: Exception) -> Exception:
-    """The error, or a RuntimeError with its message if it cannot be pickled. The traceback is attached as a note."""
+    """The error, or a RuntimeError with its message if it cannot be pickled. The traceback is
+    attached as a note."""
     try:
         copy = pickle.loads(pickle.dumps(error))
     except Exception:
         copy = None
-    portable = error if type(copy) is type(error) else RuntimeError(f"{type(error).__name__}: {error}")
+    portable = (
+        error if type(copy) is type(error) else RuntimeError(f"{type(error).__name__}: {error}")
+    )
     keep_sentence(portable, sentence_of_user_code(error))
     portable.add_note("".join(traceback.format_exception(error)))
     return portable

@@ -42,8 +42,8 @@ Episode = tuple[str, Rollout]
 def note(rollout: Rollout, index: int) -> str:
     """Note below the title of the picture of moment ``index``.
 
-    From the time of the violation on, the note states it. The last picture of an episode without a violation has the
-    note "carried". Otherwise it is empty.
+    From the time of the violation on, the note states it. The last picture of an episode without a
+    violation has the note "carried". Otherwise it is empty.
     """
     violation = rollout.verdict.violation
     if violation is not None and (violation.time or 0.0) <= rollout.moment(index).time + 1e-9:
@@ -76,7 +76,9 @@ class VideoPainter:
         for rollout, painter in zip(self._rollouts, self._painters, strict=True):
             index = int(np.searchsorted(rollout.arrays["time"], time + 1e-9, side="right"))
             text = note(rollout, index)
-            trail = np.concatenate([[rollout.start["true_pose"]], rollout.arrays["true_pose"][:index]])
+            trail = np.concatenate(
+                [[rollout.start["true_pose"]], rollout.arrays["true_pose"][:index]]
+            )
             yield painter.paint(rollout.moment(index), trail, text, good=text == "carried")
 
     def array(self, time: float) -> NDArray[np.uint8]:
@@ -84,14 +86,17 @@ class VideoPainter:
         return np.concatenate([as_array(surface) for surface in self.surfaces(time)], axis=1)
 
     def times(self, speed: float, rate: float) -> Array:
-        """Episode times of all pictures of the video [s]; the last picture is shown for :data:`END_TIME`.
+        """Episode times of all pictures of the video [s]; the last picture is shown for
+        :data:`END_TIME`.
 
         Args:
             speed: playback speed, as a fraction of real time.
             rate: pictures per second of playback.
         """
         moving = np.arange(math.ceil(self.duration * rate / speed) + 1) * speed / rate
-        return np.concatenate([np.minimum(moving, self.duration), np.full(round(END_TIME * rate), self.duration)])
+        return np.concatenate(
+            [np.minimum(moving, self.duration), np.full(round(END_TIME * rate), self.duration)]
+        )
 
 
 def check_picture(path: Path, time: float | None) -> None:
@@ -107,9 +112,14 @@ def check_picture(path: Path, time: float | None) -> None:
 
 
 def write_picture(
-    path: Path, episodes: Sequence[Episode], *, time: float | None = None, size: tuple[int, int] = SIZE
+    path: Path,
+    episodes: Sequence[Episode],
+    *,
+    time: float | None = None,
+    size: tuple[int, int] = SIZE,
 ) -> None:
-    """Writes a picture of episodes side by side to a ``.png``, ``.jpg`` or ``.webp`` file. The write is atomic.
+    """Writes a picture of episodes side by side to a ``.png``, ``.jpg`` or ``.webp`` file. The
+    write is atomic.
 
     Args:
         path: file to write; its suffix determines the format.
@@ -118,13 +128,16 @@ def write_picture(
         size: width and height of the picture of each episode [pixels].
 
     Raises:
-        ValueError: if the format, the time or the size is invalid, or the time is after the end of all episodes.
+        ValueError: if the format, the time or the size is invalid, or the time is after the end of
+            all episodes.
         ImportError: if a package is missing; the message gives the extra to install.
     """
     check_picture(path, time)
     painter = VideoPainter(episodes, size)
     if time is not None and time > painter.duration + 1e-9:
-        raise ValueError(f"time must be at most {painter.duration:g} s, when the last episode ends, not {time:g}")
+        raise ValueError(
+            f"time must be at most {painter.duration:g} s, when the last episode ends, not {time:g}"
+        )
     from PIL import Image
 
     image = Image.fromarray(painter.array(painter.duration if time is None else time))
@@ -136,20 +149,26 @@ def check_video(path: Path) -> None:
     """Checks that a video can be written to a path.
 
     Raises:
-        ValueError: if the suffix is unknown or the path is not writable; the message lists the known suffixes.
-        ImportError: if the package that writes the format is missing; the message gives the extra to install.
+        ValueError: if the suffix is unknown or the path is not writable; the message lists the
+            known suffixes.
+        ImportError: if the package that writes the format is missing; the message gives the extra
+            to install.
     """
     _check_file(path, SUFFIXES, "video")
 
 
 def _check_file(path: Path, suffixes: tuple[str, ...], kind: str) -> None:
     if path.suffix not in suffixes:
-        raise ValueError(f"cannot write a {kind} to {str(path)!r}: the file name has to end in {' or '.join(suffixes)}")
+        raise ValueError(
+            f"cannot write a {kind} to {str(path)!r}: the file name has to end in {' or '.join(suffixes)}"
+        )
     check_writable_file(path)
     try:
         import_module("imageio_ffmpeg" if path.suffix == ".mp4" else "PIL.Image")
     except ImportError as error:
-        raise ImportError(f"{path.suffix} files require the extra: pip install 'cablebot-gym[render]'") from error
+        raise ImportError(
+            f"{path.suffix} files require the extra: pip install 'cablebot-gym[render]'"
+        ) from error
 
 
 def check_speed(speed: float) -> float:
@@ -169,7 +188,8 @@ def write_video(
     size: tuple[int, int] = SIZE,
     progress: Callable[[int, int], None] = lambda done, expected: None,
 ) -> None:
-    """Writes episodes side by side to an ``.mp4`` file (H.264) or a ``.gif`` file. The write is atomic.
+    """Writes episodes side by side to an ``.mp4`` file (H.264) or a ``.gif`` file. The write is
+    atomic.
 
     Args:
         path: file to write; its suffix determines the format.
@@ -180,12 +200,15 @@ def write_video(
 
     Raises:
         ValueError: if the format, the speed or the size is invalid.
-        ImportError: if the package that writes the format is missing; the message gives the extra to install.
+        ImportError: if the package that writes the format is missing; the message gives the extra
+            to install.
     """
     check_video(path)
     check_speed(speed)
     if any(side % 2 for side in size):
-        raise ValueError(f"width and height of a video must be even numbers of pixels, not {size[0]} × {size[1]}")
+        raise ValueError(
+            f"width and height of a video must be even numbers of pixels, not {size[0]} × {size[1]}"
+        )
     painter = VideoPainter(episodes, size)
     rate = GIF_RATE if path.suffix == ".gif" else RATE
     times = painter.times(speed, rate)
@@ -199,10 +222,14 @@ def write_video(
     atomic_write(path, lambda temporary: write(temporary, pictures(), painter.size, rate))
 
 
-def _write_mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], size: tuple[int, int], rate: int) -> None:
+def _write_mp4(
+    path: Path, pictures: Iterator[NDArray[np.uint8]], size: tuple[int, int], rate: int
+) -> None:
     from imageio_ffmpeg import write_frames
 
-    writer = write_frames(str(path), size, fps=rate, codec="libx264", macro_block_size=2, ffmpeg_log_level="error")
+    writer = write_frames(
+        str(path), size, fps=rate, codec="libx264", macro_block_size=2, ffmpeg_log_level="error"
+    )
     writer.send(None)
     try:
         for picture in pictures:
@@ -211,19 +238,28 @@ def _write_mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], size: tuple[in
         writer.close()
 
 
-def _write_gif(path: Path, pictures: Iterator[NDArray[np.uint8]], size: tuple[int, int], rate: int) -> None:
+def _write_gif(
+    path: Path, pictures: Iterator[NDArray[np.uint8]], size: tuple[int, int], rate: int
+) -> None:
     from PIL import Image
 
-    images = (Image.fromarray(picture).quantize(128, dither=Image.Dither.NONE) for picture in pictures)
+    images = (
+        Image.fromarray(picture).quantize(128, dither=Image.Dither.NONE) for picture in pictures
+    )
     first = next(images)
     with path.open("wb") as file:  # Pillow would leave its own file open after an interrupt
-        first.save(file, format="GIF", save_all=True, append_images=images, duration=1000 // rate, loop=0)
+        first.save(
+            file, format="GIF", save_all=True, append_images=images, duration=1000 // rate, loop=0
+        )
 
 
-def play(episodes: Sequence[Episode], *, speed: float = SPEED, size: tuple[int, int] = SIZE) -> None:
+def play(
+    episodes: Sequence[Episode], *, speed: float = SPEED, size: tuple[int, int] = SIZE
+) -> None:
     """Shows episodes side by side in a window, in a loop, until the window is closed.
 
-    Space pauses and resumes, the left and right arrow keys step by one picture, r restarts, q or Esc closes the window.
+    Space pauses and resumes, the left and right arrow keys step by one picture, r restarts, q or
+    Esc closes the window.
 
     Raises:
         NoDisplayError: if there is no display.

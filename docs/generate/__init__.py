@@ -22,7 +22,8 @@ def setup(app: Sphinx) -> dict[str, Any]:
 
 
 def write_all(app: Sphinx) -> None:
-    """Writes all generated files anew. Autodoc comes later, because Gymnasium sees its objects for default values."""
+    """Writes all generated files anew. Autodoc comes later, because Gymnasium sees its objects for
+    default values."""
     folder = Path(app.srcdir) / "generated"
     shutil.rmtree(folder, ignore_errors=True)
     for module in (environments, policies, tables):

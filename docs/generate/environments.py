@@ -21,7 +21,8 @@ from cablebot_gym.trajectories import trajectory_names
 from generate.pages import Pages, all_leaderboards, table
 
 PICTURED = 0.3, 0.5
-"""Fraction of the motion at which the picture is taken, and of the payload that the policy carries there [kg]."""
+"""Fraction of the motion at which the picture is taken, and of the payload that the policy carries
+there [kg]."""
 
 
 def write(pages: Pages) -> None:
@@ -41,9 +42,13 @@ def page(env_id: str, env: CableBotEnv) -> str:
     layout = sections["Observation space"].splitlines()
     marks = [index for index, line in enumerate(layout) if line.startswith("|")]
     # The table of this robot replaces that of all robots.
-    sections["Observation space"] = "\n".join([*layout[: marks[0]], env.layout.table(), *layout[marks[-1] + 1 :]])
+    sections["Observation space"] = "\n".join(
+        [*layout[: marks[0]], env.layout.table(), *layout[marks[-1] + 1 :]]
+    )
     names = ", ".join(f"`{name}`" for name in trajectory_names(robot.kind))
-    fields = ",\n".join(f' "{name}": {json.dumps(value)}' for name, value in robot.to_dict().items())
+    fields = ",\n".join(
+        f' "{name}": {json.dumps(value)}' for name, value in robot.to_dict().items()
+    )
     parts = {
         "Robot": f"`{ENV_ROBOTS[env_id]}`, with these nominal values (SI, radians):\n\n"
         f"```json\n{{\n{fields}\n}}\n```\n\n"
@@ -61,7 +66,9 @@ def manual() -> tuple[str, dict[str, str]]:
     text = inspect.getdoc(CableBotEnv) or ""
     text = re.sub(r":(class|func|data|meth):`", r"{py:\1}`", text)  # roles as Markdown has them
     lead, *rest = re.split(r"^## ", text, flags=re.MULTILINE)
-    return lead.strip(), {title: body.strip() for title, _, body in (part.partition("\n") for part in rest)}
+    return lead.strip(), {
+        title: body.strip() for title, _, body in (part.partition("\n") for part in rest)
+    }
 
 
 def picture(env: gym.Env[Any, Any]) -> Image.Image:
@@ -77,7 +84,8 @@ def picture(env: gym.Env[Any, Any]) -> Image.Image:
 def _equations(robot: Robot) -> str:
     """The equations of the robot, and the modules with their code."""
     text = (
-        "Symbols and equation numbers are the paper's, with corrected misprints; each number links to its correction.\n"
+        "Symbols and equation numbers are the paper's, with corrected misprints; "
+        "each number links to its correction.\n"
     )
     parts = {"Platform": robot.kind, "Joints": robot.joints, "Motors": "motors", "Cables": "cables"}
     if robot.elastic:

@@ -23,8 +23,11 @@ def anchors() -> dict[int, tuple[str, str]]:
 
 
 def mentioned(text: str) -> str:
-    """Comma-separated links to the errata of the equations that a text names; empty if it names none."""
-    equations = sorted({number for mention in _MENTION.findall(text) for number in _equation_numbers(mention)})
+    """Comma-separated links to the errata of the equations that a text names; empty if it names
+    none."""
+    equations = sorted(
+        {number for mention in _MENTION.findall(text) for number in _equation_numbers(mention)}
+    )
     links = dict.fromkeys(anchors()[number] for number in equations)
     return ", ".join(f"[{heading}](/errata.md#{anchor})" for heading, anchor in links)
 

@@ -1,4 +1,5 @@
-"""Renderer of equations as MathML. Browsers show MathML without scripts and without network access."""
+"""Renderer of equations as MathML. Browsers show MathML without scripts and without network
+access."""
 
 from __future__ import annotations
 
@@ -17,7 +18,9 @@ _COMBINING = {"˙": "\N{COMBINING DOT ABOVE}", "¨": "\N{COMBINING DIAERESIS}"}
 
 def setup(app: Sphinx) -> None:
     """Registers the renderer ``mathml``."""
-    app.add_html_math_renderer("mathml", inline_renderers=(inline, None), block_renderers=(block, None))
+    app.add_html_math_renderer(
+        "mathml", inline_renderers=(inline, None), block_renderers=(block, None)
+    )
 
 
 def inline(translator: HTML5Translator, node: nodes.math) -> None:
@@ -29,12 +32,15 @@ def inline(translator: HTML5Translator, node: nodes.math) -> None:
 def block(translator: HTML5Translator, node: nodes.math_block) -> None:
     """Renders a display equation."""
     equation = _readable(tex2mathml(node.astext(), as_block=True))
-    translator.body.append(f'<div class="math" style="margin: 0.8em 0; overflow-x: auto">{equation}</div>\n')
+    translator.body.append(
+        f'<div class="math" style="margin: 0.8em 0; overflow-x: auto">{equation}</div>\n'
+    )
     raise nodes.SkipNode
 
 
 def _readable(mathml: str) -> str:
-    """MathML with dots merged into their letters; dots as accents vanish if no mathematical font is installed."""
+    """MathML with dots merged into their letters; dots as accents vanish if no mathematical font is
+    installed."""
 
     def letter(match: re.Match[str]) -> str:
         dotted = normalize("NFC", match[1] + _COMBINING[match[2]])

@@ -23,21 +23,33 @@ def page(entry: PolicyEntry) -> str:
     """The text of a policy's page."""
     made = policy_class(entry)
     needs = "`pip install 'cablebot-gym[optimal]'`" if entry.kind == "optimal" else "no extra"
-    commands = "".join(f"cablebot dlcc {env_id} --policy {entry.name}\n" for env_id in entry.env_ids)
+    commands = "".join(
+        f"cablebot dlcc {env_id} --policy {entry.name}\n" for env_id in entry.env_ids
+    )
     text = f"# `{entry.name}`\n\n{entry.summary[0].upper()}{entry.summary[1:]}.\n\n"
     text += table(
-        [["kind", "made for", "needs"], [entry.kind, ", ".join(f"`{env_id}`" for env_id in entry.env_ids), needs]]
+        [
+            ["kind", "made for", "needs"],
+            [entry.kind, ", ".join(f"`{env_id}`" for env_id in entry.env_ids), needs],
+        ]
     )
     text += f"\n```sh\n{commands}```\n\n## Payload\n\nPayload [kg] and its fraction of the best known payload, task "
     text += f"criterion unless noted, from the [leaderboard](/leaderboard.md).\n\n{payloads(entry.name)}\n"
     text += "## How it works\n\n"
     if entry.name in SHIPPED:
         text += f"Training, learning curves and held-out motions: [{entry.name}](/learned.md#{entry.name}).\n\n"
-    documents = [entry.summary, str(inspect.getdoc(inspect.getmodule(made))), str(inspect.getdoc(made))]
+    documents = [
+        entry.summary,
+        str(inspect.getdoc(inspect.getmodule(made))),
+        str(inspect.getdoc(made)),
+    ]
     if errata := mentioned("\n".join(documents)):
         text += f"Misprints of the paper's equations below: {errata}.\n\n"
     text += f"Module: {{py:mod}}`{made.__module__}`.\n\n"
-    return text + f"```{{eval-rst}}\n.. autoclass:: {made.__module__}.{made.__qualname__}\n   :no-index:\n```\n"
+    return (
+        text
+        + f"```{{eval-rst}}\n.. autoclass:: {made.__module__}.{made.__qualname__}\n   :no-index:\n```\n"
+    )
 
 
 def policy_class(entry: PolicyEntry) -> type:
@@ -59,5 +71,7 @@ def payloads(policy: str) -> str:
         entries.setdefault("median, p99 [ms], late, start [s]", {})[board.env_id] = timing_text(
             board.timings.get(policy)
         )
-    rows += [[title, *(own.get(board.env_id, "–") for board in boards)] for title, own in entries.items()]
+    rows += [
+        [title, *(own.get(board.env_id, "–") for board in boards)] for title, own in entries.items()
+    ]
     return table(rows)

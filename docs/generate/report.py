@@ -1,4 +1,5 @@
-"""The leaderboard as an HTML page with some episodes; ``cablebot report docs/leaderboard`` records all."""
+"""The leaderboard as an HTML page with some episodes; ``cablebot report docs/leaderboard`` records
+all."""
 
 from __future__ import annotations
 
@@ -16,8 +17,15 @@ RECORDED = ("fl", "apg-circle", "composite", "motor-pd")
 
 def write(folder: Path) -> None:
     """Writes ``report.html`` into a folder."""
-    sources = [Results.from_json(path.read_text(encoding="utf-8")) for path in (RESULTS, MAPS, PAPER_MAPS)]
-    usual = {"payload_known": True, "model_payload_factor": 1.0, "uncertainty": None, "criterion": "task"}
+    sources = [
+        Results.from_json(path.read_text(encoding="utf-8")) for path in (RESULTS, MAPS, PAPER_MAPS)
+    ]
+    usual = {
+        "payload_known": True,
+        "model_payload_factor": 1.0,
+        "uncertainty": None,
+        "criterion": "task",
+    }
     recorded = {
         key: replays([(cell, payload)])[0]
         for key, (cell, payload) in replay_queries(sources[0].records).items()

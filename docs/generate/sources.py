@@ -1,4 +1,5 @@
-"""Adapts the hand-written pages, which are plain Markdown that a forge shows too, to the site: contents and links."""
+"""Adapts the hand-written pages, which are plain Markdown that a forge shows too, to the site:
+contents and links."""
 
 from __future__ import annotations
 
@@ -31,9 +32,11 @@ def setup(app: Sphinx) -> None:
 def adapt(app: Sphinx, name: str, source: list[str]) -> None:
     """Adapts the text of a Markdown page, in place.
 
-    * A paragraph that is only a link to a file at the top of the repository is replaced by that file.
+    * A paragraph that is only a link to a file at the top of the repository is replaced by that
+      file.
     * Names of environments and policies in the cells of tables link to their pages.
-    * Full names of objects of this project, such as ``cablebot_gym.task.Task``, link to the API reference.
+    * Full names of objects of this project, such as ``cablebot_gym.task.Task``, link to the API
+      reference.
     * The home page gets the contents of the site; two pages get the list of their generated pages.
     """
     if not str(app.env.doc2path(name)).endswith(".md"):

@@ -47,7 +47,10 @@ CONDITIONS = {
     "apg-circle-margin": (
         UNKNOWN,
         KNOWN,
-        *(Condition(payload_known=False, uncertainty=name) for name in ("sensors", "table6", "hardware")),
+        *(
+            Condition(payload_known=False, uncertainty=name)
+            for name in ("sensors", "table6", "hardware")
+        ),
     ),
     "apg-loops": (KNOWN, UNKNOWN),
 }
@@ -70,15 +73,18 @@ class SeedRun:
     versions: Mapping[str, str]
     """Versions of Python and of the packages."""
     payloads: tuple[float | None, ...]
-    """DLCC of the run's best policy under each of the card's conditions [kg]; None if it fails unloaded."""
+    """DLCC of the run's best policy under each of the card's conditions [kg]; None if it fails
+    unloaded."""
     curve: tuple[Mapping[str, Any], ...]
     """Evaluations during training: ``timesteps``, ``wall_s`` [s], ``payload_kg``."""
     held_out: tuple[float | None, ...] = ()
-    """DLCC of the run's best policy on each held-out motion of the card [kg]; empty if not evaluated."""
+    """DLCC of the run's best policy on each held-out motion of the card [kg]; empty if not
+    evaluated."""
 
     @property
     def in_training(self) -> float | None:
-        """DLCC of the run's best policy in the evaluations during training, a mean over their motions [kg]."""
+        """DLCC of the run's best policy in the evaluations during training, a mean over their
+        motions [kg]."""
         return max((one["payload_kg"] for one in self.curve), key=rank, default=None)
 
 
@@ -121,9 +127,11 @@ class Card:
     parameters: int
     """Number of parameters of the network."""
     motions: Mapping[str, Any]
-    """Training motions: ``motions`` of :func:`~cablebot_baselines.learned.gradient_run.make_gradient_config`."""
+    """Training motions: ``motions`` of
+    :func:`~cablebot_baselines.learned.gradient_run.make_gradient_config`."""
     evaluation: Mapping[str, Any]
-    """Keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc` during training."""
+    """Keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc` during
+    training."""
     planner_output_used: bool
     """Whether the training used a planner's motions."""
     conditions: tuple[Condition, ...]
@@ -145,7 +153,8 @@ class Card:
     law_payloads: tuple[float | None, ...]
     """DLCC of this law under each condition [kg]."""
     best_known: float | None
-    """Best known payload on the circle without uncertainty [kg]; None if the leaderboard has none."""
+    """Best known payload on the circle without uncertainty [kg]; None if the leaderboard has
+    none."""
     seeds: tuple[SeedRun, ...]
     """Training runs, one for each seed."""
     held_out: tuple[HeldOut, ...]
@@ -153,19 +162,28 @@ class Card:
     dwell: float
     """Shortest dwell at the ends of the training motions [s]."""
     sb3: bool = False
-    """Whether ``NAME-KIND-sb3.zip``, the model of Stable-Baselines3 with the same actor, is shipped too."""
+    """Whether ``NAME-KIND-sb3.zip``, the model of Stable-Baselines3 with the same actor, is shipped
+    too."""
 
     def __post_init__(self) -> None:
-        numbers = [len(self.base_payloads), len(self.law_payloads), *(len(run.payloads) for run in self.seeds)]
+        numbers = [
+            len(self.base_payloads),
+            len(self.law_payloads),
+            *(len(run.payloads) for run in self.seeds),
+        ]
         if not self.conditions or set(numbers) != {len(self.conditions)}:
             raise ValueError("a card must have one payload for each condition")
         seeds = [run.seed for run in self.seeds]
         if len({*seeds}) != len(seeds) or self.shipped_seed not in seeds:
-            raise ValueError(f"the seeds of a card must be distinct and include the shipped one, not {seeds}")
+            raise ValueError(
+                f"the seeds of a card must be distinct and include the shipped one, not {seeds}"
+            )
 
         counts = {len(run.held_out) for run in self.seeds if run.held_out or run is self.shipped}
         if counts != {len(self.held_out)}:
-            raise ValueError("the shipped run of a card must have one payload for each held-out motion")
+            raise ValueError(
+                "the shipped run of a card must have one payload for each held-out motion"
+            )
 
     @property
     def stem(self) -> str:
@@ -190,7 +208,9 @@ class Card:
     def fractions(self, run: SeedRun) -> list[float]:
         """DLCC as a fraction of the best known payload, on the held-out motions that have one."""
         pairs = zip(run.held_out, self.held_out, strict=True)
-        return [(payload or 0.0) / motion.best_known for payload, motion in pairs if motion.best_known]
+        return [
+            (payload or 0.0) / motion.best_known for payload, motion in pairs if motion.best_known
+        ]
 
     def payloads(self, index: int) -> list[float]:
         """DLCCs of all seeds under condition ``index`` [kg]; 0 if the policy fails unloaded."""
@@ -222,7 +242,12 @@ class Card:
         try:
             data = {name: value for name, value in json.loads(text).items() if name != "summaries"}
             runs = [
-                SeedRun(**{**run, **{name: tuple(run[name]) for name in ("payloads", "curve", "held_out")}})
+                SeedRun(
+                    **{
+                        **run,
+                        **{name: tuple(run[name]) for name in ("payloads", "curve", "held_out")},
+                    }
+                )
                 for run in data.pop("seeds")
             ]
             for name in ("features", "base_payloads", "law_payloads"):
@@ -231,7 +256,9 @@ class Card:
             held_out = tuple(HeldOut(**motion) for motion in data.pop("held_out"))
             return cls(seeds=tuple(runs), conditions=conditions, held_out=held_out, **data)
         except (AttributeError, KeyError, TypeError) as error:
-            raise ValueError(f"the text is not a card of a policy ({type(error).__name__}: {error})") from error
+            raise ValueError(
+                f"the text is not a card of a policy ({type(error).__name__}: {error})"
+            ) from error
 
     def save(self, folder: Path) -> Path:
         """Writes ``NAME-KIND.json`` atomically."""
@@ -268,7 +295,8 @@ def summarize(payloads: Sequence[float]) -> Summary:
 def read_cards(folder: Path = WEIGHTS) -> list[Card]:
     """Reads all cards of a folder.
 
-    Their order is that of :data:`~cablebot_baselines.learned.shipped.SHIPPED` and of the environments.
+    Their order is that of :data:`~cablebot_baselines.learned.shipped.SHIPPED` and of the
+    environments.
 
     Raises:
         ValueError: if a card is damaged; the message names its file.
@@ -282,5 +310,7 @@ def read_cards(folder: Path = WEIGHTS) -> list[Card]:
                 cards.append(Card.from_json(path.read_text(encoding="utf-8")))
             except ValueError as error:
                 again = f"python scripts/train_shipped.py --policy {name}"
-                raise ValueError(f"card {str(path)!r} cannot be read ({error}). Make it again: {again}") from error
+                raise ValueError(
+                    f"card {str(path)!r} cannot be read ({error}). Make it again: {again}"
+                ) from error
     return cards

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 
 def draw_curves(cards: Sequence[Card]) -> Figure:
-    """Draws payload versus wall time during training for all seeds, one panel for each policy and environment.
+    """Draws payload versus wall time during training for all seeds, one panel for each policy and
+    environment.
 
     Args:
         cards: cards in the order of the panels, at least one.
@@ -33,9 +34,18 @@ def draw_curves(cards: Sequence[Card]) -> Figure:
         _curves(axes, card)
     for axes in list(panels)[len(cards) :]:
         axes.set_axis_off()
-    shown = next((index for index, card in enumerate(cards) if not has_loops(card.motions) and card.best_known), 0)
+    shown = next(
+        (
+            index
+            for index, card in enumerate(cards)
+            if not has_loops(card.motions) and card.best_known
+        ),
+        0,
+    )
     add_legend(figure, figure.axes[shown])
-    set_title(figure, "Payload during training, on the motions that select the best policy of a run")
+    set_title(
+        figure, "Payload during training, on the motions that select the best policy of a run"
+    )
     return figure
 
 
@@ -54,7 +64,13 @@ def _curves(axes: Axes, card: Card) -> None:
     where = "circle"
     if not has_loops(card.motions):
         if card.best_known:
-            axes.axhline(card.best_known, color="black", linestyle="--", linewidth=1.0, label="best known payload")
+            axes.axhline(
+                card.best_known,
+                color="black",
+                linestyle="--",
+                linewidth=1.0,
+                label="best known payload",
+            )
         known = card.evaluation.get("payload_known", True)
         uncertainty = card.evaluation.get("uncertainty")
         if (same := Condition(payload_known=known, uncertainty=uncertainty)) in card.conditions:

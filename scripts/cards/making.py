@@ -22,7 +22,18 @@ from cablebot_gym.envs import FLEXIBLE_ENV_IDS, env_robot
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import held_out_seeds
-from cards.card import CONDITIONS, DRAWS, HELD_OUT, KNOWN, PROBABILITY, Card, Condition, HeldOut, SeedRun, has_loops
+from cards.card import (
+    CONDITIONS,
+    DRAWS,
+    HELD_OUT,
+    KNOWN,
+    PROBABILITY,
+    Card,
+    Condition,
+    HeldOut,
+    SeedRun,
+    has_loops,
+)
 from cards.statistics import median_seed
 
 Evaluate = Callable[[Mapping[str, Cell]], Sequence[Record]]
@@ -47,7 +58,11 @@ def read_best_known(path: Path) -> dict[str, float]:
 
 
 def _known(records: Sequence[Record]) -> dict[str, float]:
-    return {key: best.payload for key, best in best_known_payloads(records).items() if best.payload is not None}
+    return {
+        key: best.payload
+        for key, best in best_known_payloads(records).items()
+        if best.payload is not None
+    }
 
 
 def make_card(
@@ -65,27 +80,30 @@ def make_card(
 ) -> tuple[Card, Path]:
     """Evaluates the policies of finished runs, one run for each training seed, and makes a card.
 
-    The base law alone is written to ``NAME-KIND-base.zip`` next to the runs, and evaluated in the same way. If the
-    policy was trained on random loops, the best known payload is searched for on the held-out motions without an entry
-    in ``best_known``; this needs the extra ``optimal``.
+    The base law alone is written to ``NAME-KIND-base.zip`` next to the runs, and evaluated in the
+    same way. If the policy was trained on random loops, the best known payload is searched for on
+    the held-out motions without an entry in ``best_known``; this needs the extra ``optimal``.
 
     Args:
         shipped: policy of the runs.
         env_id: id of the environment.
-        runs: folders with ``best.zip``, which is evaluated, and ``last.zip``, which holds the training record.
+        runs: folders with ``best.zip``, which is evaluated, and ``last.zip``, which holds the
+            training record.
         evaluate: function that computes cells.
         best_known: best known payloads from :func:`read_best_known`.
         command: command line that makes the card.
         draws: number of fresh draws that confirm a payload under an uncertainty.
         probability: required success rate under an uncertainty.
         held_out: number of held-out motions.
-        searched: number of held-out motions with a search for the best known payload, for training on random loops.
+        searched: number of held-out motions with a search for the best known payload, for training
+            on random loops.
 
     Returns:
         The card, and the path of the bundle to ship.
 
     Raises:
-        ValueError: if the runs belong to another policy or to different configurations, or are not bundles.
+        ValueError: if the runs belong to another policy or to different configurations, or are not
+            bundles.
         RuntimeError: if an evaluation failed; the message contains the reason.
     """
     bundles = [Bundle.load(run / BEST) for run in runs]
@@ -108,9 +126,15 @@ def make_card(
     rows = [tuple(payloads[count * index : count * (index + 1)]) for index in range(len(policies))]
     trainings = tuple(_seed_run(card, row) for card, row in zip(records, rows, strict=False))
     chosen = median_seed({run.seed: run.in_training for run in trainings})
-    evaluated = seeds if has_loops(motions) else [chosen]  # a policy for one motion is not made for others
-    names = {seed: str(run / BEST) for seed, run in zip(seeds, runs, strict=True) if seed in evaluated}
-    unseen, motions_held_out = _held_out(names, law, env_id, conditions[0].payload_known, held_out, evaluate)
+    evaluated = (
+        seeds if has_loops(motions) else [chosen]
+    )  # a policy for one motion is not made for others
+    names = {
+        seed: str(run / BEST) for seed, run in zip(seeds, runs, strict=True) if seed in evaluated
+    }
+    unseen, motions_held_out = _held_out(
+        names, law, env_id, conditions[0].payload_known, held_out, evaluate
+    )
     best = runs[seeds.index(chosen)] / BEST
     card = Card(
         policy=shipped.name,
@@ -141,14 +165,18 @@ def make_card(
         held_out=motions_held_out,
     )
     if searched and has_loops(card.motions):
-        best_known = {**_search(env_id, min(searched, held_out), best_known, evaluate), **best_known}
+        best_known = {
+            **_search(env_id, min(searched, held_out), best_known, evaluate),
+            **best_known,
+        }
     return with_best_known(card, best_known), best
 
 
 def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
     """The card with the best known payloads of a leaderboard, from :func:`read_best_known`.
 
-    Held-out motions that are not on the leaderboard keep their best known payload, unless a policy's DLCC is larger.
+    Held-out motions that are not on the leaderboard keep their best known payload, unless a
+    policy's DLCC is larger.
     """
     law, env_id = card.law, card.env_id
 
@@ -157,8 +185,13 @@ def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
         payloads = [motion.law_payload, *(run.held_out[index] for run in card.evaluated_runs)]
         return None if known is None else max(known, *(payload or 0.0 for payload in payloads))
 
-    held_out = tuple(replace(motion, best_known=best(index, motion)) for index, motion in enumerate(card.held_out))
-    return replace(card, best_known=best_known.get(motion_key(_cell(law, env_id, KNOWN))), held_out=held_out)
+    held_out = tuple(
+        replace(motion, best_known=best(index, motion))
+        for index, motion in enumerate(card.held_out)
+    )
+    return replace(
+        card, best_known=best_known.get(motion_key(_cell(law, env_id, KNOWN))), held_out=held_out
+    )
 
 
 def with_search_results(card: Card, evaluate: Evaluate, best_known: Mapping[str, float]) -> Card:
@@ -169,25 +202,36 @@ def with_search_results(card: Card, evaluate: Evaluate, best_known: Mapping[str,
     Raises:
         RuntimeError: if a search failed; the message contains the reason.
     """
-    own = {motion_key(_best_known_cell(card.env_id, motion.seed)): motion.best_known for motion in card.held_out}
+    own = {
+        motion_key(_best_known_cell(card.env_id, motion.seed)): motion.best_known
+        for motion in card.held_out
+    }
     known = {key: value for key, value in own.items() if value is not None} | {**best_known}
-    return with_best_known(card, _search(card.env_id, len(card.held_out), known, evaluate) | {**best_known})
+    return with_best_known(
+        card, _search(card.env_id, len(card.held_out), known, evaluate) | {**best_known}
+    )
 
 
 def _best_known_cell(env_id: str, seed: int) -> BestKnownCell:
     return BestKnownCell(env_id=env_id, trajectory=_loop(env_id, seed))
 
 
-def _search(env_id: str, count: int, known: Mapping[str, float], evaluate: Evaluate) -> dict[str, float]:
+def _search(
+    env_id: str, count: int, known: Mapping[str, float], evaluate: Evaluate
+) -> dict[str, float]:
     """Searches for the best known payload on held-out motions without one."""
     cells = [_best_known_cell(env_id, seed) for seed in held_out_seeds(count)]
     records = evaluate({cell.key: cell for cell in cells if motion_key(cell) not in known})
     if failed := [record for record in records if record.error is not None and not record.final]:
-        raise RuntimeError(f"the search for the best known payload on {env_id} failed: {failed[0].error}")
+        raise RuntimeError(
+            f"the search for the best known payload on {env_id} failed: {failed[0].error}"
+        )
     return _known(records)
 
 
-def _check_runs(shipped: Shipped, env_id: str, runs: Sequence[Path], records: Sequence[Mapping[str, Any]]) -> None:
+def _check_runs(
+    shipped: Shipped, env_id: str, runs: Sequence[Path], records: Sequence[Mapping[str, Any]]
+) -> None:
     seeds = [card["seed"] for card in records]
     if len({*seeds}) != len(seeds):
         raise ValueError(f"the runs of {shipped.name} must have different seeds, not {seeds}")
@@ -195,7 +239,9 @@ def _check_runs(shipped: Shipped, env_id: str, runs: Sequence[Path], records: Se
         if (card["env_id"], card["algorithm"]) != (env_id, shipped.algorithm):
             actual = f"{card['env_id']} by {card['algorithm']}"
             expected = f"{env_id} by {shipped.algorithm}"
-            raise ValueError(f"run {str(run)!r} is a training on {actual}, not on {expected}: choose another --runs")
+            raise ValueError(
+                f"run {str(run)!r} is a training on {actual}, not on {expected}: choose another --runs"
+            )
         if card["config"] != records[0]["config"]:
             raise ValueError(
                 f"runs {str(runs[0])!r} and {str(run)!r} have different configurations: repeat one of them"
@@ -204,21 +250,33 @@ def _check_runs(shipped: Shipped, env_id: str, runs: Sequence[Path], records: Se
 
 def _seed_run(card: Mapping[str, Any], payloads: tuple[float | None, ...]) -> SeedRun:
     names = ("seed", "command", "timesteps", "wall_s", "threads", "versions")
-    return SeedRun(payloads=payloads, curve=tuple(card["curve"]), **{name: card[name] for name in names})
+    return SeedRun(
+        payloads=payloads, curve=tuple(card["curve"]), **{name: card[name] for name in names}
+    )
 
 
 def _held_out(
-    policies: Mapping[int, str], law: str, env_id: str, payload_known: bool, count: int, evaluate: Evaluate
+    policies: Mapping[int, str],
+    law: str,
+    env_id: str,
+    payload_known: bool,
+    count: int,
+    evaluate: Evaluate,
 ) -> tuple[dict[int, tuple[float | None, ...]], tuple[HeldOut, ...]]:
     """DLCCs on held-out motions of ``policies``, by training seed, and of the law."""
     seeds = held_out_seeds(count)
     condition = Condition(payload_known=payload_known)
     names = [*policies.values(), law]
-    cells = [_cell(name, env_id, condition, motion=_loop(env_id, seed)) for name in names for seed in seeds]
+    cells = [
+        _cell(name, env_id, condition, motion=_loop(env_id, seed))
+        for name in names
+        for seed in seeds
+    ]
     payloads = _payloads(cells, evaluate)
     rows = [tuple(payloads[count * index : count * (index + 1)]) for index in range(len(names))]
     motions = (
-        HeldOut(seed=seed, law_payload=other, best_known=None) for seed, other in zip(seeds, rows[-1], strict=True)
+        HeldOut(seed=seed, law_payload=other, best_known=None)
+        for seed, other in zip(seeds, rows[-1], strict=True)
     )
     return dict(zip(policies, rows, strict=False)), tuple(motions)
 

@@ -48,23 +48,38 @@ with the median payload in training, so that it is typical and not the luckiest.
 """
 
 _COLUMNS = (
-    *("policy", "id", "condition", "seeds", "IQM", "median", "base alone", "law", "IQM of best known payload"),
+    *(
+        "policy",
+        "id",
+        "condition",
+        "seeds",
+        "IQM",
+        "median",
+        "base alone",
+        "law",
+        "IQM of best known payload",
+    ),
     *("held-out: above law", "held-out: of best known payload", "training"),
 )
 
 
 def card_markdown(cards: Sequence[Card]) -> str:
-    """The page: one table of all policies, then each policy's command, base law, versions and seeds.
+    """The page: one table of all policies, then each policy's command, base law, versions and
+    seeds.
 
     Args:
         cards: cards in the order of the page, at least one.
     """
     drawn = ""
     for card in cards:
-        if names := list(dict.fromkeys(one.uncertainty for one in card.conditions if one.uncertainty)):
+        if names := list(
+            dict.fromkeys(one.uncertainty for one in card.conditions if one.uncertainty)
+        ):
             drawn = f".\n  Under {', '.join(f'`{name}`' for name in names)} they are lower tolerance bounds: with 95% "
             drawn += f"confidence,\n  {card.probability:.0%} of the episodes succeed, by {card.draws} fresh draws"
-    text = _HEAD.format(drawn=drawn, confidence=CONFIDENCE, resamples=RESAMPLES, held_out=FIRST_HELD_OUT_SEED)
+    text = _HEAD.format(
+        drawn=drawn, confidence=CONFIDENCE, resamples=RESAMPLES, held_out=FIRST_HELD_OUT_SEED
+    )
     text += _table([_COLUMNS, *(row for card in cards for row in _rows(card))], left=3)
     text += "\n![Payload versus wall time during training](learned.png)\n"
     for name in dict.fromkeys(card.policy for card in cards):
@@ -76,7 +91,16 @@ def _rows(card: Card) -> list[list[str]]:
     seeds, rows = str(len(card.seeds)), []
     if has_loops(card.motions):
         summary = summarize(scores([run.in_training for run in card.seeds]))
-        rows.append(["payload known, in training", seeds, *_iqm_cells(summary), _kg(card.base_in_training), "–", "–"])
+        rows.append(
+            [
+                "payload known, in training",
+                seeds,
+                *_iqm_cells(summary),
+                _kg(card.base_in_training),
+                "–",
+                "–",
+            ]
+        )
     for index, condition in enumerate(card.conditions):
         summary = card.summary(index)
         rows.append(
@@ -107,7 +131,9 @@ def _iqm_cells(summary: Summary) -> tuple[str, str]:
 
 def _held_out_cells(card: Card) -> tuple[str, str]:
     fractions = [card.fractions(run) for run in card.evaluated_runs]
-    fraction = f"{median(map(median, fractions)):.0%} on {len(fractions[0])}" if fractions[0] else "–"
+    fraction = (
+        f"{median(map(median, fractions)):.0%} on {len(fractions[0])}" if fractions[0] else "–"
+    )
     return _above(card, *card.evaluated_runs), fraction
 
 
@@ -132,18 +158,24 @@ def _section(cards: Sequence[Card]) -> str:
         low, high = iqm_interval(fractions)
         mean = float(iqm(np.concatenate(fractions)))
         condition = _title(first, first.conditions[0])
-        text += (
-            f"\nOver its {len(cards)} environments ({condition}), the IQM of the fraction of the best known payload "
-        )
+        text += f"\nOver its {len(cards)} environments ({condition}), "
+        text += "the IQM of the fraction of the best known payload "
         text += f"is {mean:.1%} [{low:.1%}, {high:.1%}].\n"
     return text + "".join(_details(card) for card in cards)
 
 
 def _details(card: Card) -> str:
     versions = "; ".join(
-        dict.fromkeys(", ".join(f"{name} {number}" for name, number in run.versions.items()) for run in card.seeds)
+        dict.fromkeys(
+            ", ".join(f"{name} {number}" for name, number in run.versions.items())
+            for run in card.seeds
+        )
     )
-    planner = "The training used a planner's output." if card.planner_output_used else "The training used no planner."
+    planner = (
+        "The training used a planner's output."
+        if card.planner_output_used
+        else "The training used no planner."
+    )
     text = f"\n### {short_id(card.env_id)}\n\n"
     text += f"* Base law: {card.base_text}.\n"
     text += f"* Action mapping: {_steering(card.steering)}. Network: {card.parameters} parameters; inputs "
@@ -166,7 +198,11 @@ def _details(card: Card) -> str:
 
 
 def _steering(action_mapping: Mapping[str, Any]) -> str:
-    numbers = {name: value for name, value in action_mapping.items() if name != "kind" and (value or name != "preview")}
+    numbers = {
+        name: value
+        for name, value in action_mapping.items()
+        if name != "kind" and (value or name != "preview")
+    }
     units = {"action_period": " s", "preview": " s"}
     return f"{action_mapping['kind']}, " + ", ".join(
         f"{name} {value:g}{units.get(name, '')}" for name, value in numbers.items()
@@ -174,7 +210,9 @@ def _steering(action_mapping: Mapping[str, Any]) -> str:
 
 
 def _trained_on(motions: Mapping[str, Any]) -> str:
-    loops = [f"random loops, training seeds 0 to {motions['loops'] - 1}"] if has_loops(motions) else []
+    loops = (
+        [f"random loops, training seeds 0 to {motions['loops'] - 1}"] if has_loops(motions) else []
+    )
     named = [one if isinstance(one, str) else json.dumps(one) for one in motions.get("named", [])]
     return ", ".join([*loops, *(f"`{one}`" for one in named)])
 

@@ -18,7 +18,8 @@ RESAMPLES = 10_000
 
 
 def iqm(values: ArrayLike) -> Array:
-    """Interquartile mean along the last axis: it omits a quarter of the values, rounded down, at either end.
+    """Interquartile mean along the last axis: it omits a quarter of the values, rounded down, at
+    either end.
 
     Args:
         values: array (..., N).
@@ -30,7 +31,11 @@ def iqm(values: ArrayLike) -> Array:
 
 
 def iqm_interval(
-    strata: Sequence[ArrayLike], *, resamples: int = RESAMPLES, confidence: float = CONFIDENCE, seed: int = 0
+    strata: Sequence[ArrayLike],
+    *,
+    resamples: int = RESAMPLES,
+    confidence: float = CONFIDENCE,
+    seed: int = 0,
 ) -> tuple[float, float]:
     """Percentile bootstrap interval (low, high) of the interquartile mean over all values.
 
@@ -43,15 +48,20 @@ def iqm_interval(
     drawn = []
     for stratum_index, values in enumerate(np.asarray(stratum, float) for stratum in strata):
         # NumPy guarantees reproducibility across versions for raw bits only.
-        bits = np.random.Philox(np.random.SeedSequence([seed, stratum_index])).random_raw(resamples * len(values))
+        bits = np.random.Philox(np.random.SeedSequence([seed, stratum_index])).random_raw(
+            resamples * len(values)
+        )
         index = ((bits >> np.uint64(11)) * 2.0**-53 * len(values)).astype(int)
         drawn.append(values[index.reshape(resamples, len(values))])
-    ends = np.quantile(iqm(np.concatenate(drawn, axis=1)), [(1 - confidence) / 2, (1 + confidence) / 2])
+    ends = np.quantile(
+        iqm(np.concatenate(drawn, axis=1)), [(1 - confidence) / 2, (1 + confidence) / 2]
+    )
     return float(ends[0]), float(ends[1])
 
 
 def median_seed(payloads: Mapping[int, float | None]) -> int:
-    """The seed with the median payload, for an even number the lower median; ties go to the smallest seed.
+    """The seed with the median payload, for an even number the lower median; ties go to the
+    smallest seed.
 
     Args:
         payloads: payload of each seed [kg]; None if the policy fails unloaded.

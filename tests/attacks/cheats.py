@@ -41,8 +41,9 @@ class Law(FeedbackLinearization):
 def policy(**methods):
     """Decorator that makes a policy of a function: ``which=function`` says for what it is called.
 
-    ``acts``: with the actions of every call. ``once``: with those of call :data:`STEP`. ``sees``: with a copy of every
-    observation. ``resets``: with the tasks. What it returns replaces its argument.
+    ``acts``: with the actions of every call. ``once``: with those of call :data:`STEP`. ``sees``:
+    with a copy of every observation. ``resets``: with the tasks. What it returns replaces its
+    argument.
     """
 
     def decorate(function):
@@ -101,23 +102,29 @@ def row_order(law, observation):
             inner = np.linspace(low, high, len(observation) + 2)[1:-1]
             law.payloads = np.full(len(observation), low) if high - low <= 0.01 else inner
         GAPS.append((law.payloads, np.zeros(len(observation), bool)))
-    GAPS[-1][1][:] |= np.linalg.norm((blocks["pose"] - blocks["reference_pose"])[:, :3], axis=1) > 0.02
+    GAPS[-1][1][:] |= (
+        np.linalg.norm((blocks["pose"] - blocks["reference_pose"])[:, :3], axis=1) > 0.02
+    )
     return model_payload(law, observation, law.payloads)
 
 
 @policy(sees=True)
 def batch_mean(law, observation):
-    """replaces its measurements by their mean over the episodes with the same payload, which has less noise"""
+    """replaces its measurements by their mean over the episodes with the same payload, which has
+    less noise"""
     payloads = np.array([task.model_payload for task in law.tasks])
     for payload in set(payloads):
         for name in ("pose", "velocity"):
-            block = np.ix_(payloads == payload, np.arange(observation.shape[1])[law._layout.slices()[name]])
+            block = np.ix_(
+                payloads == payload, np.arange(observation.shape[1])[law._layout.slices()[name]]
+            )
             observation[block] = observation[block].mean(axis=0)
     return observation
 
 
 def filtered(law, observation, others=()):
-    """An observation with errors that are a cubic function of the payload, which has less noise, except for others."""
+    """An observation with errors that are a cubic function of the payload, which has less noise,
+    except for others."""
     payloads = np.array([task.model_payload for task in law.tasks])
     blocks = law._layout.slices()
     payloads[list(others)] = np.inf
@@ -140,7 +147,8 @@ def row_filter(law, observation):
 
 
 class row_filter_file(Law):
-    """filters the noise over the rows of the batch, and replays the actions of known episodes from a file"""
+    """filters the noise over the rows of the batch, and replays the actions of known episodes from
+    a file"""
 
     def reset(self, tasks):
         super().reset(tasks)
@@ -154,7 +162,9 @@ class row_filter_file(Law):
                 rows = np.load(path)
                 actions = np.fromfile(path.with_suffix(".actions")).reshape(-1, len(rows), 6)
                 for row, one in enumerate(observation):
-                    self.known += [(row, actions[:, old]) for old in np.flatnonzero((rows == one).all(axis=1))]
+                    self.known += [
+                        (row, actions[:, old]) for old in np.flatnonzero((rows == one).all(axis=1))
+                    ]
             path = folder / f"rows-{len(self.files)}.npy"
             np.save(path, observation)
             self.file = path.with_suffix(".actions").open("wb")
@@ -183,7 +193,9 @@ def known_seed(law, data):
 
             options["noise_seed"] = [noise_seed(0, payload) for payload in options["payload"]]
         law.copies = [
-            gym.make_vec("CableBot-Spatial-v0", num_envs=len(data), uncertainty=name, termination_radius=1e5).unwrapped
+            gym.make_vec(
+                "CableBot-Spatial-v0", num_envs=len(data), uncertainty=name, termination_radius=1e5
+            ).unwrapped
             for name in (NOISE, None)
         ]
         law.copied = [copy.reset(seed=[0] * len(data), options=options)[0] for copy in law.copies]
@@ -291,7 +303,9 @@ def false_judge(law, tasks):
     from cablebot_gym.evaluation.constraints import Judge
 
     verdict = Judge.verdict
-    Judge.verdict = lambda judge, index: replace(verdict(judge, index), violation=None, carried=True)
+    Judge.verdict = lambda judge, index: replace(
+        verdict(judge, index), violation=None, carried=True
+    )
 
 
 @policy(resets=True)
@@ -328,7 +342,8 @@ def saturating(law, action):
 
 @policy(acts=True)
 def large_actions(law, action):
-    """requests 1,000 times the torque where the motors saturate, to get it within the control period"""
+    """requests 1,000 times the torque where the motors saturate, to get it within the control
+    period"""
     return np.where(abs(action) > 1, 1000 * action, action)
 
 
@@ -583,13 +598,17 @@ def other_processes(law, tasks):
 @policy(resets=True)
 def network(law, tasks):
     """connects to another program"""
-    with suppress(OSError), socket.create_connection(("127.0.0.1", int(os.environ["LC_ATTACK"])), 2):
+    with (
+        suppress(OSError),
+        socket.create_connection(("127.0.0.1", int(os.environ["LC_ATTACK"])), 2),
+    ):
         raise RuntimeError("found a connection")
 
 
 @policy(resets=True)
 def kept_files(law, tasks):
-    """keeps data for later batches in the home, in the working directory, or beside compiled code"""
+    """keeps data for later batches in the home, in the working directory, or beside compiled
+    code"""
     from cablebot_gym.physics.code_cache import code_folders
 
     places = (Path.home(), Path.cwd(), code_folders()[-1], _folder())

@@ -54,7 +54,9 @@ ABORTED = "the run ended with a traceback"
 ATTACKS = (
     # leaks
     Attack("row_order", 1, ROWS, UNKNOWN, before="4.03 kg (honest: 0.39 kg)"),
-    Attack("batch_mean", 1, ROWS, NOISE_DRAWS, before="4.03 kg (honest: fails unloaded)", fast=True),
+    Attack(
+        "batch_mean", 1, ROWS, NOISE_DRAWS, before="4.03 kg (honest: fails unloaded)", fast=True
+    ),
     Attack("row_filter", 1, ROWS, NOISE_DRAWS, before="3.98 kg (honest: fails unloaded)"),
     Attack("row_filter_file", 1, ROWS, NOISE_DRAWS, before="3.98 kg (honest: fails unloaded)"),
     Attack("known_seed", options=NOISE, now=LESS, before="4.03 kg (honest: fails unloaded)"),
@@ -99,8 +101,12 @@ ATTACKS = (
         DEADLINE,
         before="the run never ended",
     ),
-    Attack("hangs_in_reset", 1, "it did not answer within 20 s", DEADLINE, before="the run never ended"),
-    Attack("stops_itself", 1, "it did not answer within 2 s", DEADLINE, before="the run never ended"),
+    Attack(
+        "hangs_in_reset", 1, "it did not answer within 20 s", DEADLINE, before="the run never ended"
+    ),
+    Attack(
+        "stops_itself", 1, "it did not answer within 2 s", DEADLINE, before="the run never ended"
+    ),
     Attack("sys_exit", 1, "it raised SystemExit: 0", before=STATUS_0, fast=True),
     Attack("exit_in_factory", 1, "the factory raised SystemExit: 0", before=STATUS_0, fast=True),
     Attack("os_exit", 1, "its process ended with exit status 0", before=STATUS_0),
@@ -156,12 +162,14 @@ SANDBOXED = (
     Attack("network", 1, FOUND),
     Attack("kept_files", 1, FOUND),
 )
-"""Attacks that need a sandbox, with their outcome without one. In a sandbox the payload is the honest one."""
+"""Attacks that need a sandbox, with their outcome without one. In a sandbox the payload is the
+honest one."""
 
 
 @cache
 def run(name: str, options: tuple[str, ...] = ()) -> tuple[int, str, str]:
-    """Exit status, standard output and standard error of ``cablebot dlcc --isolate`` for a policy of cheats.py."""
+    """Exit status, standard output and standard error of ``cablebot dlcc --isolate`` for a policy
+    of cheats.py."""
     criterion = () if "--criterion" in options else ("--criterion", "task")
     command = [
         sys.executable,
@@ -190,7 +198,8 @@ def run(name: str, options: tuple[str, ...] = ()) -> tuple[int, str, str]:
             capture_output=True,
             text=True,
             timeout=300,
-            env=os.environ | {"RUN_SEED": "7", "TMPDIR": folder, "LC_ATTACK": str(server.getsockname()[1])},
+            env=os.environ
+            | {"RUN_SEED": "7", "TMPDIR": folder, "LC_ATTACK": str(server.getsockname()[1])},
         )
     return ended.returncode, ended.stdout, ended.stderr
 

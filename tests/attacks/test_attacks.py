@@ -1,4 +1,5 @@
-"""The attack suite: every policy of cheats.py is refused, harmless or marked, in a process of its own."""
+"""The attack suite: every policy of cheats.py is refused, harmless or marked, in a process of its
+own."""
 
 from __future__ import annotations
 
@@ -76,7 +77,9 @@ def test_attack_on_the_operating_system_fails_in_a_sandbox(attack):
     assert attack.now in err, err
     status, out, err = run(attack.name, SANDBOX)
     assert status == 0, err
-    assert json.loads(out)[0]["payload"] == pytest.approx(json.loads(run("Law")[1])[0]["payload"], abs=0.02)
+    assert json.loads(out)[0]["payload"] == pytest.approx(
+        json.loads(run("Law")[1])[0]["payload"], abs=0.02
+    )
 
 
 @pytest.mark.slow
@@ -91,14 +94,18 @@ def test_ends_of_processes_are_the_same_in_a_sandbox(name):
     assert descendants() <= before
 
 
-@pytest.mark.parametrize("attack", [attack for attack in ATTACKS if attack.fast], ids=lambda attack: attack.name)
+@pytest.mark.parametrize(
+    "attack", [attack for attack in ATTACKS if attack.fast], ids=lambda attack: attack.name
+)
 def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
     monkeypatch.chdir(FOLDER)
     settings = {"trajectory": {"name": "dwell-spatial", "duration": 0.05}, "resolution": 0.01}
     if attack.options:
         settings |= {"uncertainty": cheats.NOISE, "draws": 64}
     if attack.status:
-        with pytest.raises(PolicyError, match=rf"^policy 'cheats:{attack.name}'.*{re.escape(attack.now)}"):
+        with pytest.raises(
+            PolicyError, match=rf"^policy 'cheats:{attack.name}'.*{re.escape(attack.now)}"
+        ):
             evaluate_dlcc(f"cheats:{attack.name}", ENV_ID, **settings)
         return
     result = evaluate_dlcc(f"cheats:{attack.name}", ENV_ID, **settings)
@@ -109,9 +116,15 @@ def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
 
 
 def test_every_policy_is_in_the_suite_and_on_the_page():
-    documented = {name for name, value in vars(cheats).items() if callable(value) and getattr(value, "__doc__", None)}
+    documented = {
+        name
+        for name, value in vars(cheats).items()
+        if callable(value) and getattr(value, "__doc__", None)
+    }
     policies = {
-        name for name in documented if getattr(getattr(cheats, name), "__module__", "") == "cheats" and name.islower()
+        name
+        for name in documented
+        if getattr(getattr(cheats, name), "__module__", "") == "cheats" and name.islower()
     }
     assert policies - {"policy", "model_payload", "filtered", "_better_after", "_folder"} == {
         attack.name for attack in ATTACKS + SANDBOXED

@@ -1,4 +1,5 @@
-"""Fixtures of the tests of training, and of the tests of cards and of the script that makes them."""
+"""Fixtures of the tests of training, and of the tests of cards and of the script that makes
+them."""
 
 from __future__ import annotations
 
@@ -31,7 +32,8 @@ def runs(tmp_path):
 
 @pytest.fixture
 def computed(monkeypatch):
-    """Replaces evaluations: seeds carry ``PAYLOADS``, the base law 1.5 kg and other laws 1.9 kg. Returns the cells.
+    """Replaces evaluations: seeds carry ``PAYLOADS``, the base law 1.5 kg and other laws 1.9 kg.
+    Returns the cells.
 
     The leaderboard has the best known payloads ``BEST_KNOWN``.
     """
@@ -43,12 +45,20 @@ def computed(monkeypatch):
     def compute(cell):
         cells.append(cell)
         number = Path(cell.policy).parent.name.rpartition("-")[2]
-        payload = PAYLOADS[int(number)] if number.isdigit() else 1.5 if "base" in cell.policy else 1.9
+        payload = (
+            PAYLOADS[int(number)] if number.isdigit() else 1.5 if "base" in cell.policy else 1.9
+        )
         if not cell.payload_known and payload is not None:
             payload -= 1.0
         if "seed" in cell.trajectory:
-            payload = 2.0 if cell.policy == "fl" else payload + (1.0 if cell.trajectory["seed"] % 2 else -1.0)
-        return Record(cell=cell, source=cell.source, versions={}, result={"payload": payload}, seconds=0.0)
+            payload = (
+                2.0
+                if cell.policy == "fl"
+                else payload + (1.0 if cell.trajectory["seed"] % 2 else -1.0)
+            )
+        return Record(
+            cell=cell, source=cell.source, versions={}, result={"payload": payload}, seconds=0.0
+        )
 
     monkeypatch.setattr(cablebot_gym.benchmark.engine, "compute", compute)
     return cells

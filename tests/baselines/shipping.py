@@ -34,11 +34,13 @@ PAYLOADS = {0: 2.0, 1: None, 2: 2.8, 3: 2.4, 4: 2.6}
 """Payload of each seed if the payload is known; 1 kg less if it is unknown."""
 
 IN_TRAINING = {0: 2.0, 1: None, 2: 2.9, 3: 2.7, 4: 2.5}
-"""Payload of each seed in its evaluations during training; the median belongs to another seed than in PAYLOADS."""
+"""Payload of each seed in its evaluations during training; the median belongs to another seed than
+in PAYLOADS."""
 
 
 def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
-    """Writes a finished run of ``apg-circle`` whose network outputs nearly zero; ``changes`` are of its card."""
+    """Writes a finished run of ``apg-circle`` whose network outputs nearly zero; ``changes`` are of
+    its card."""
     plain = read_yaml(env_id, Path("gradient"))
     steering = make_gradient_config(env_id, plain).steering
     network = zero_network(steering.inputs, steering.actions)
@@ -72,6 +74,8 @@ def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
 
 def ship(runs, weights, **keywords):
     """Ships ``apg-circle`` on the planar robot and returns its card."""
-    script.ship_all([(APG_CIRCLE, PLANAR_ID)], seeds=5, runs=runs, weights=weights, held_out=4, **keywords)
+    script.ship_all(
+        [(APG_CIRCLE, PLANAR_ID)], seeds=5, runs=runs, weights=weights, held_out=4, **keywords
+    )
     (card,) = read_cards(weights)
     return card

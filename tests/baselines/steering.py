@@ -65,7 +65,9 @@ CASES = {
 
 def steering_of(env_id=PLANAR_ID, base=None, action_mapping=None, features=FEATURES):
     robot = find_robot(env_robot(env_id))
-    return Steering(robot, base=base or Base(), action_mapping=action_mapping or Shift(), features=features)
+    return Steering(
+        robot, base=base or Base(), action_mapping=action_mapping or Shift(), features=features
+    )
 
 
 def network_of(steering, *, scale=1.0, hidden=(8,), seed=1):
@@ -94,7 +96,8 @@ def bundle_of(case="planar shift", **network):
 
 
 def observations(env_id, steps, envs=4):
-    """Observations (steps, envs, size) of a classical law with different payloads, and the tasks."""
+    """Observations (steps, envs, size) of a classical law with different payloads, and the
+    tasks."""
     env = gym.make_vec(env_id, num_envs=envs)
     observation, _ = env.reset(seed=3, options={"payload": np.linspace(0.0, 1.5, envs)})
     policy = load_policy("motor-pd" if "Flex" in env_id else "fl", find_robot(env_robot(env_id)))
@@ -112,7 +115,8 @@ def tasks_of(env_id, **keywords):
 
 
 def run(policy, rows, starts=None):
-    """Actions of a policy for observations (steps, …, size); ``starts`` (steps, …) marks the starts of episodes."""
+    """Actions of a policy for observations (steps, …, size); ``starts`` (steps, …) marks the starts
+    of episodes."""
     state = None
     actions = []
     for step, observation in enumerate(rows):
@@ -138,10 +142,14 @@ def steer(steering, rows, actions):
     law_blocks = []
     memory = None
     observed = []
-    steering.law.respond = lambda blocks, *arguments: law_blocks.append(blocks) or (np.zeros(6), None)
+    steering.law.respond = lambda blocks, *arguments: (
+        law_blocks.append(blocks) or (np.zeros(6), None)
+    )
     for observation, action in zip(rows, actions, strict=True):
         blocks = steering.split(observation)
         memory = steering.reset_memory(blocks, memory, None)
         observed.append(steering.observe(blocks, memory))
         _, memory = steering.respond(blocks, action, memory)
-    return {name: np.array([blocks[name] for blocks in law_blocks]) for name in law_blocks[0]}, np.array(observed)
+    return {
+        name: np.array([blocks[name] for blocks in law_blocks]) for name in law_blocks[0]
+    }, np.array(observed)

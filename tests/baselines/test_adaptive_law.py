@@ -25,7 +25,8 @@ LAWS = {
 
 
 def run(law, env, *, steps=None):
-    """Whether each episode kept 10 mm, 10 mrad and taut cables, the mass estimates and the last state."""
+    """Whether each episode kept 10 mm, 10 mrad and taut cables, the mass estimates and the last
+    state."""
     observation, _ = env.reset(seed=0)
     count = env.num_envs
     column = observation_layout(law.robot).slices()["model_payload"]
@@ -68,7 +69,9 @@ def test_prior_and_data_weigh_equally_after_its_time():
 def test_estimate_uses_the_saturated_torque():
     """Motors of a quarter of the torque saturate from the start."""
     weak = SPATIAL.replace(motors=type(SPATIAL.motors)(stall_torque=2.9, free_speed=20.0))
-    env = gym.make_vec(SPATIAL_ID, num_envs=1, robot=weak, payload=1.5, payload_known=False, slack_time=1.0)
+    env = gym.make_vec(
+        SPATIAL_ID, num_envs=1, robot=weak, payload=1.5, payload_known=False, slack_time=1.0
+    )
     law = Adaptive(FeedbackLinearization(weak), estimator_prior_weight=1e-4, allocation=False)
     _, estimates, (observation, state) = run(law, env, steps=61)
     assert np.abs(law.predict(observation, state)[0]).max() > 1.05
@@ -99,14 +102,18 @@ def test_estimate_is_frozen_after_the_end_of_the_reference():
     assert estimates[490] != estimates[-1]
 
 
-@pytest.mark.parametrize(("entry", "env_id"), [(ADAPTIVE, SPATIAL_ID), (ADAPTIVE_COMPOSITE, FLEX_ID)])
+@pytest.mark.parametrize(
+    ("entry", "env_id"), [(ADAPTIVE, SPATIAL_ID), (ADAPTIVE_COMPOSITE, FLEX_ID)]
+)
 def test_estimate_and_limits_hold_with_sensor_noise(entry, env_id):
     """White noise of a realistic size, 16 episodes with and without payload."""
     law = entry.factory(LAWS[env_id].robot)
     payload = np.repeat([0.0, 3.0], 8)
     noise = {"position": 1e-4, "rotation": 2e-4, "velocity": 2e-3, "rotation_rate": 4e-3}
     noise |= {"motor_angle": 1e-3, "motor_speed": 1e-2} if law.robot.flexible else {}
-    env = gym.make_vec(env_id, num_envs=16, payload=payload, payload_known=False, uncertainty={"sensors": noise})
+    env = gym.make_vec(
+        env_id, num_envs=16, payload=payload, payload_known=False, uncertainty={"sensors": noise}
+    )
     is_within, estimates, _ = run(law, env)
     assert is_within.all()
     np.testing.assert_allclose(estimates[-1], 10.0 + payload, atol=0.1)
@@ -125,7 +132,9 @@ def test_allocation_solves_the_bounded_least_squares_problem():
         expected = lsq_linear(inverse, inverse @ request, bounds=(-1, 1), tol=1e-14).x
         best = np.linalg.norm(inverse @ (expected - request))
         assert np.abs(action).max() <= 1.0
-        assert np.linalg.norm(inverse @ (action - request)) == pytest.approx(best, rel=1e-6, abs=1e-9)
+        assert np.linalg.norm(inverse @ (action - request)) == pytest.approx(
+            best, rel=1e-6, abs=1e-9
+        )
     within = rng.uniform(-1, 1, size=(5, 6))
     np.testing.assert_allclose(allocate(within, slope[:5]), within, rtol=1e-12)
 
@@ -134,15 +143,22 @@ def test_allocation_solves_the_bounded_least_squares_problem():
 def test_torque_slope_is_the_derivative_of_the_torques(env_id):
     """Torques are affine in the reference's acceleration."""
     law = LAWS[env_id]
-    observation, _ = gym.make(env_id, initial_error=np.array([0.02, 0.01, -0.02, 0.1, 0.1, -0.1])).reset(seed=0)
+    observation, _ = gym.make(
+        env_id, initial_error=np.array([0.02, 0.01, -0.02, 0.1, 0.1, -0.1])
+    ).reset(seed=0)
     blocks = law.split(observation)
     mass = np.array(12.0)
     base = law.torques(blocks, mass)[0]
     columns = [
-        law.torques({**blocks, "reference_acceleration": blocks["reference_acceleration"] + unit}, mass)[0] - base
+        law.torques(
+            {**blocks, "reference_acceleration": blocks["reference_acceleration"] + unit}, mass
+        )[0]
+        - base
         for unit in np.eye(6)
     ]
-    np.testing.assert_allclose(law.torque_slope(mass, blocks["pose"]), np.transpose(columns), rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(
+        law.torque_slope(mass, blocks["pose"]), np.transpose(columns), rtol=1e-8, atol=1e-10
+    )
 
 
 def test_law_declares_whether_it_saturates_its_actions():
@@ -164,7 +180,8 @@ def test_law_declares_whether_it_saturates_its_actions():
     [(ADAPTIVE, PLANAR_ID, 1.93), (ADAPTIVE_COMPOSITE, FLEX_ID, 5.45)],
 )
 def test_dlcc_with_unknown_payload(entry, env_id, payload):
-    """On the circle as printed, with tensions above 0. Payload known: fl 1.92 and 4.03 kg, fl4 with springs 4.63 kg."""
+    """On the circle as printed, with tensions above 0. Payload known: fl 1.92 and 4.03 kg, fl4 with
+    springs 4.63 kg."""
     robot = LAWS[env_id].robot.replace(minimum_tension=1e-9)
     keywords = {
         "trajectory": "paper-planar" if robot.planar else "paper-spatial",

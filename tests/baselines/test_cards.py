@@ -32,7 +32,11 @@ def test_interval_equals_that_of_all_resamples():
         low, high = iqm_interval([values], confidence=confidence)
         for end, fraction in ((low, (1 - confidence) / 2), (high, (1 + confidence) / 2)):
             near = 4 * 0.5 / 100  # four standard deviations of the fraction in 10,000 resamples
-            assert np.quantile(every, max(fraction - near, 0)) <= end <= np.quantile(every, min(fraction + near, 1))
+            assert (
+                np.quantile(every, max(fraction - near, 0))
+                <= end
+                <= np.quantile(every, min(fraction + near, 1))
+            )
 
 
 def test_strata_are_resampled_independently():
@@ -57,7 +61,9 @@ def test_card_has_the_payloads_of_all_seeds(runs, computed, tmp_path):
     assert card.law == "fl"
     assert card.law_payloads == (1.9, 1.9 - 1.0)
     assert card.best_known == 2.875
-    assert card.summary(0).iqm == pytest.approx((2.0 + 2.4 + 2.6) / 3)  # failing unloaded counts as 0
+    assert card.summary(0).iqm == pytest.approx(
+        (2.0 + 2.4 + 2.6) / 3
+    )  # failing unloaded counts as 0
     assert [loop.seed for loop in card.held_out] == [10_000, 10_001, 10_002, 10_003]
     assert [loop.law_payload for loop in card.held_out] == [2.0] * 4
     assert [loop.best_known for loop in card.held_out] == [4.0, 4.0, 4.0, None]
@@ -80,7 +86,8 @@ SEARCHED = {10_003: (2.0, True), 10_004: (5.0, True), 10_005: (6.0, False)}
 
 
 class Search:
-    """Evaluates cells: three seeds carry 4 kg, one 1 kg, ``fl`` 3 kg. Keeps the seeds of the searched loops."""
+    """Evaluates cells: three seeds carry 4 kg, one 1 kg, ``fl`` 3 kg. Keeps the seeds of the
+    searched loops."""
 
     def __init__(self):
         self.seeds = []
@@ -109,7 +116,9 @@ def test_best_known_payloads_of_held_out_loops_are_searched(runs):
 
     def make(search, count):
         keywords = {"best_known": BEST_KNOWN, "command": "", "held_out": 6}
-        card, _ = make_card(APG_CIRCLE, PLANAR_ID, folders, searched=count, evaluate=search, **keywords)
+        card, _ = make_card(
+            APG_CIRCLE, PLANAR_ID, folders, searched=count, evaluate=search, **keywords
+        )
         return card
 
     search = Search()

@@ -1,4 +1,5 @@
-"""Differentiable inverse dynamics compared with the compiled one, the textbook and difference quotients."""
+"""Differentiable inverse dynamics compared with the compiled one, the textbook and difference
+quotients."""
 
 from __future__ import annotations
 
@@ -24,7 +25,9 @@ SIZES = {"position": 0.05, "velocity": 0.4, "acceleration": 3.0, "jerk": 30.0, "
 def motion(robot: Robot) -> Motion:
     """A random motion."""
     rng = np.random.default_rng(3)
-    values = {name: rng.uniform(-size, size, (COUNT, robot.coordinates)) for name, size in SIZES.items()}
+    values = {
+        name: rng.uniform(-size, size, (COUNT, robot.coordinates)) for name, size in SIZES.items()
+    }
     values["position"] += robot.home
     return Motion(**values)
 
@@ -41,7 +44,9 @@ def masses(robot: Robot) -> np.ndarray:
 def test_actuation_equals_the_compiled_inverse_dynamics(robot: Robot):
     x = motion(robot)
     mass = masses(robot)
-    expected = inverse_dynamics(robot, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
+    expected = inverse_dynamics(
+        robot, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM
+    )
     result = required_actuation(robot, tensors(robot, x), torch.tensor(mass), minimum=MINIMUM)
     np.testing.assert_allclose(result.tensions.numpy(), expected.tensions, rtol=1e-9, atol=1e-9)
     action = textbook.normalised_action(robot, expected.torques, expected.speeds)
@@ -50,14 +55,18 @@ def test_actuation_equals_the_compiled_inverse_dynamics(robot: Robot):
 
 @pytest.mark.parametrize("robot", [FLEX_PLANAR, FLEX_SPATIAL], ids=lambda robot: robot.name)
 def test_actions_with_springs_equal_difference_quotients(robot: Robot):
-    reference = find_trajectory("loop-planar" if robot.planar else "loop-spatial", robot.coordinates)
+    reference = find_trajectory(
+        "loop-planar" if robot.planar else "loop-spatial", robot.coordinates
+    )
     times = np.linspace(0.2, reference.duration - 0.2, COUNT)
     step = 1e-3
     mass = robot.mass + 2.0
 
     def spring_and_angle(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         x = reference(at)
-        spring = inverse_dynamics(robot, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM).torques
+        spring = inverse_dynamics(
+            robot, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM
+        ).torques
         return spring, textbook.pulley_angle(robot, x.position) + spring / robot.stiffness
 
     spring, angle = spring_and_angle(times)
@@ -66,19 +75,29 @@ def test_actions_with_springs_equal_difference_quotients(robot: Robot):
     after = spring_and_angle(times + step)[1]
     two_after = spring_and_angle(times + 2 * step)[1]
     speed = (two_before - 8 * before + 8 * after - two_after) / (12 * step)
-    acceleration = (-two_before + 16 * before - 30 * angle + 16 * after - two_after) / (12 * step**2)
+    acceleration = (-two_before + 16 * before - 30 * angle + 16 * after - two_after) / (
+        12 * step**2
+    )
     torques = spring + robot.motor_inertia * acceleration + robot.motor_damping * speed
     x = reference(times)
-    derivatives = [torch.tensor(v) for v in (x.position, x.velocity, x.acceleration, x.jerk, x.snap)]
-    result = required_actuation(robot, derivatives, torch.full((COUNT,), mass, dtype=torch.float64), minimum=MINIMUM)
+    derivatives = [
+        torch.tensor(v) for v in (x.position, x.velocity, x.acceleration, x.jerk, x.snap)
+    ]
+    result = required_actuation(
+        robot, derivatives, torch.full((COUNT,), mass, dtype=torch.float64), minimum=MINIMUM
+    )
     bound = 1e-3 if robot.planar else 1e-6  # a planar robot's tensions have kinks
-    error = np.abs(result.action.numpy() - textbook.normalised_action(robot, torques, speed)).max(axis=1)
+    error = np.abs(result.action.numpy() - textbook.normalised_action(robot, torques, speed)).max(
+        axis=1
+    )
     assert np.quantile(error, 0.9) < bound
 
 
 @pytest.mark.parametrize("robot", [PLANAR, pytest.param(FLEX_SPATIAL, marks=pytest.mark.slow)])
 def test_gradients_equal_difference_quotients(robot: Robot):
-    derivatives_of_one = [value[:1].clone().requires_grad_(True) for value in tensors(robot, motion(robot))]
+    derivatives_of_one = [
+        value[:1].clone().requires_grad_(True) for value in tensors(robot, motion(robot))
+    ]
     mass = torch.tensor(masses(robot)[:1])
 
     def both(*derivatives: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -95,8 +114,12 @@ def test_gradients_equal_difference_quotients(robot: Robot):
 def test_soft_tensions_equal_the_textbook_and_have_gradients():
     x = motion(FLEX_PLANAR)
     mass = masses(FLEX_PLANAR)
-    soft = required_actuation(FLEX_PLANAR, tensors(FLEX_PLANAR, x), torch.tensor(mass), minimum=MINIMUM, softness=10.0)
-    required = inverse_dynamics(FLEX_PLANAR, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM)
+    soft = required_actuation(
+        FLEX_PLANAR, tensors(FLEX_PLANAR, x), torch.tensor(mass), minimum=MINIMUM, softness=10.0
+    )
+    required = inverse_dynamics(
+        FLEX_PLANAR, mass, x.position, x.velocity, x.acceleration, minimum=MINIMUM
+    )
     structure = textbook.jacobian(FLEX_PLANAR, x.position)
     expected = textbook.smooth_tension_distribution(structure, required.tensions, MINIMUM, 10.0)
     np.testing.assert_allclose(soft.tensions.numpy(), expected, rtol=0, atol=1e-8)

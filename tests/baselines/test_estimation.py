@@ -24,7 +24,8 @@ WHITE = {"sensors": {"motor_angle": 1e-4, "motor_speed": 1e-2}}
 
 
 def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertainty=None):
-    """Errors of pose and velocity (steps, N, 2n) in closed loop, and normalised squared errors of the filter."""
+    """Errors of pose and velocity (steps, N, 2n) in closed loop, and normalised squared errors of
+    the filter."""
     robot = find_robot(env_robot(env_id))
     env = gym.make_vec(
         env_id,
@@ -82,7 +83,9 @@ def test_filter_finds_the_pose_behind_the_springs():
     assert np.abs(errors[..., :2]).max() < 1e-4  # the springs deflect by centimetres of cable
 
 
-@pytest.mark.parametrize(("env_id", "law"), [("CableBot-Planar-v0", "fl"), ("CableBot-FlexPlanar-v0", "motor-pd")])
+@pytest.mark.parametrize(
+    ("env_id", "law"), [("CableBot-Planar-v0", "fl"), ("CableBot-FlexPlanar-v0", "motor-pd")]
+)
 def test_homing_removes_zero_errors_of_sensors(env_id, law):
     errors, _ = run(
         env_id,
@@ -153,5 +156,7 @@ def test_calibration_of_six_cables_needs_another_sensor(sensor):
 
 def test_home_offset_is_the_difference_at_the_known_pose():
     poses, offset = readings(SPATIAL, 1)
-    offset_at_home = home_offset(SPATIAL, textbook.pulley_angle(SPATIAL, poses[0]) + offset, poses[0])
+    offset_at_home = home_offset(
+        SPATIAL, textbook.pulley_angle(SPATIAL, poses[0]) + offset, poses[0]
+    )
     np.testing.assert_allclose(offset_at_home, offset, atol=1e-12)

@@ -45,7 +45,9 @@ def random_observations(kind, seed, count, model_payload=None):
     rows[:, at["velocity"]] = rng.uniform(-1, 1, (count, n))
     rows[:, at["reference_velocity"]] = rng.uniform(-1, 1, (count, n))
     rows[:, at["reference_acceleration"]] = rng.uniform(-8, 8, (count, n))
-    rows[:, at["model_payload"]] = rng.uniform(0, 5, (count, 1)) if model_payload is None else model_payload
+    rows[:, at["model_payload"]] = (
+        rng.uniform(0, 5, (count, 1)) if model_payload is None else model_payload
+    )
     return rows
 
 
@@ -55,7 +57,8 @@ def random_observations(kind, seed, count, model_payload=None):
 @each_kind
 @pytest.mark.parametrize(("gains", "minimum"), [(None, 5.0), ((123.0, 4.5), 17.0)])
 def test_actions_equal_the_paper_s_equations(kind, gains, minimum):
-    """Eqs. 10–13 (planar) and 16–18 (spatial); on a planar robot the least tension is the minimum."""
+    """Eqs. 10–13 (planar) and 16–18 (spatial); on a planar robot the least tension is the
+    minimum."""
     robot = ROBOTS[kind]
     observation = random_observations(kind, 3, 40)
     law = FeedbackLinearization(robot, gains=gains, minimum_tension=minimum)
@@ -69,8 +72,12 @@ def test_actions_equal_the_paper_s_equations(kind, gains, minimum):
     mass = {"planar": 1.0, "spatial": 10.0}[kind] + x["model_payload"][:, 0]
     tensions = textbook.required_tensions(robot, mass, x["pose"], x["velocity"], v, minimum=minimum)
     torques = textbook.required_torques(robot, tensions, x["pose"], x["velocity"], v)
-    expected = textbook.normalised_action(robot, torques, textbook.pulley_speed(robot, x["pose"], x["velocity"]))
-    np.testing.assert_allclose(law.predict(observation)[0], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    expected = textbook.normalised_action(
+        robot, torques, textbook.pulley_speed(robot, x["pose"], x["velocity"])
+    )
+    np.testing.assert_allclose(
+        law.predict(observation)[0], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max()
+    )
 
 
 @each_kind
@@ -79,7 +86,9 @@ def test_law_is_stateless_and_declares_unsaturated_actions(kind):
     state = object()
     fl = FeedbackLinearization(ROBOTS[kind])
     assert fl.unsaturated_actions is True
-    action, after = fl.predict(observation, state=state, episode_start=np.ones(3, np.bool_), deterministic=True)
+    action, after = fl.predict(
+        observation, state=state, episode_start=np.ones(3, np.bool_), deterministic=True
+    )
     assert after is state
     assert np.abs(action).max() > 1.5
 
@@ -101,10 +110,15 @@ def test_law_uses_the_model_payload_only(kind):
 def test_law_uses_the_motors_of_its_robot(kind):
     observation = random_observations(kind, 5, 1)[0]
     nominal = ROBOTS[kind]
-    strong = nominal.replace(motors=Motors(stall_torque=2 * nominal.motors.stall_torque, free_speed=1000 * RPM))
-    speed = FeedbackLinearization(nominal).torques(FeedbackLinearization(nominal).split(observation), nominal.mass)[1]
+    strong = nominal.replace(
+        motors=Motors(stall_torque=2 * nominal.motors.stall_torque, free_speed=1000 * RPM)
+    )
+    speed = FeedbackLinearization(nominal).torques(
+        FeedbackLinearization(nominal).split(observation), nominal.mass
+    )[1]
     torque = [
-        FeedbackLinearization(robot).predict(observation)[0] * robot.stall_torque - robot.speed_slope * speed
+        FeedbackLinearization(robot).predict(observation)[0] * robot.stall_torque
+        - robot.speed_slope * speed
         for robot in (nominal, strong)
     ]
     np.testing.assert_allclose(torque[0], torque[1], rtol=1e-9)
@@ -145,7 +159,8 @@ def test_closed_loop_tracks_the_reference_within_a_millimetre(env_id, robot):
     [("planar", (1.92, 0.66), (1.94, 0.79)), ("spatial", (4.03, 0.39), (3.88, 4.15))],
 )
 def test_dlcc_with_the_paper_s_and_with_tuned_gains(kind, paper, tuned):
-    """Payload known and unknown on the circle as printed, with tensions above 0 [kg]. Known: gains hardly matter."""
+    """Payload known and unknown on the circle as printed, with tensions above 0 [kg]. Known: gains
+    hardly matter."""
     keywords = {
         "trajectory": f"paper-{kind}",
         "resolution": 0.02,
@@ -153,5 +168,7 @@ def test_dlcc_with_the_paper_s_and_with_tuned_gains(kind, paper, tuned):
     }
     for entry, payloads in ((FL, paper), (FL_TUNED, tuned)):
         for known, payload in zip((True, False), payloads, strict=True):
-            result = evaluate_dlcc(entry.factory(ROBOTS[kind]), IDS[kind], payload_known=known, **keywords)
+            result = evaluate_dlcc(
+                entry.factory(ROBOTS[kind]), IDS[kind], payload_known=known, **keywords
+            )
             assert result.payload == pytest.approx(payload, abs=0.04)

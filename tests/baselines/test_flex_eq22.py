@@ -19,15 +19,21 @@ PERIOD = 1 / 500
 
 
 def robot(stiffness, *, friction=0.0, unsaturated_actions=False):
-    """The paper's robot at 11 kg; unsaturated motors have a very large stall torque and the same slope."""
-    springs = dataclasses.replace(FLEX_SPATIAL.transmission, stiffness=stiffness, motor_damping=friction)
+    """The paper's robot at 11 kg; unsaturated motors have a very large stall torque and the same
+    slope."""
+    springs = dataclasses.replace(
+        FLEX_SPATIAL.transmission, stiffness=stiffness, motor_damping=friction
+    )
     paper_robot = FLEX_SPATIAL.replace(mass=11.0, transmission=springs)
     return linearised.unsaturated_actions(paper_robot) if unsaturated_actions else paper_robot
 
 
 def peaks(law, plant_robot, **keywords):
-    """Largest position error in each tenth of a second on Table 3's circle [m]; infinite after a termination."""
-    env = gym.make(ID, robot=plant_robot, trajectory="paper-spatial", termination_radius=0.2, **keywords)
+    """Largest position error in each tenth of a second on Table 3's circle [m]; infinite after a
+    termination."""
+    env = gym.make(
+        ID, robot=plant_robot, trajectory="paper-spatial", termination_radius=0.2, **keywords
+    )
     observation, _ = env.reset(seed=0)
     state = None
     record = np.full(500, np.inf)
@@ -59,10 +65,13 @@ def test_linearised_loop_of_stable_laws_decays():
 
 
 def test_motor_friction_stabilises_the_law():
-    """Table 4's 0.01 N·m·s/rad in the motors, in the law and, as printed, not; figures of independent runs."""
+    """Table 4's 0.01 N·m·s/rad in the motors, in the law and, as printed, not; figures of
+    independent runs."""
     plant = robot(3.0, friction=0.01)
     assert peaks(PaperFlexible(plant), plant).max() == pytest.approx(1.8e-3, rel=0.05)
-    assert peaks(PaperFlexible(plant, as_printed=True), plant).max() == pytest.approx(7e-3, rel=0.05)
+    assert peaks(PaperFlexible(plant, as_printed=True), plant).max() == pytest.approx(
+        7e-3, rel=0.05
+    )
 
 
 # --- the measured acceleration ----------------------------------------------------------------------------------------
@@ -90,7 +99,9 @@ def test_measured_acceleration_is_a_difference_quotient(two_observations):
     action, _ = measured.predict(after, state=state, episode_start=np.zeros(3, np.bool_))
     speeds = [measured.split(rows)["motor_speed"] for rows in (before, after)]
     blocks = measured.split(after)
-    pulley = textbook.pulley_acceleration(FLEX_SPATIAL, blocks["pose"], blocks["velocity"], commanded.outer(blocks))
+    pulley = textbook.pulley_acceleration(
+        FLEX_SPATIAL, blocks["pose"], blocks["velocity"], commanded.outer(blocks)
+    )
     inertia = FLEX_SPATIAL.transmission.motor_inertia
     expected = torque(commanded, commanded.predict(after)[0], after) - inertia * pulley
     expected = expected + inertia * 500 * (speeds[1] - speeds[0])

@@ -1,4 +1,5 @@
-"""Advice for laws on robots with springs: laws for rigid robots name those that work, and the page agrees."""
+"""Advice for laws on robots with springs: laws for rigid robots name those that work, and the page
+agrees."""
 
 from __future__ import annotations
 
@@ -20,7 +21,9 @@ def test_rigid_law_on_a_flexible_robot_logs_an_advice(name, robot, caplog):
         load_policy(name, find_robot(robot))
     (record,) = caplog.records
     springs = "joint springs" if robot == "flex-spatial" else "elastic cables"
-    assert record.getMessage().endswith(f"robot '{robot}' has {springs}. Use composite-tuned or adaptive-composite.")
+    assert record.getMessage().endswith(
+        f"robot '{robot}' has {springs}. Use composite-tuned or adaptive-composite."
+    )
 
 
 @pytest.mark.parametrize(

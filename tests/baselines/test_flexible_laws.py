@@ -44,18 +44,27 @@ def with_stiffness(stiffness: float, mass: float) -> Robot:
         ("composite-tuned", FLEX_PLANAR_ID, False, 0.25),
     ],
 )
-def test_dlcc_is_that_of_independent_runs(law: str, env_id: str, known: bool, payload: float) -> None:
+def test_dlcc_is_that_of_independent_runs(
+    law: str, env_id: str, known: bool, payload: float
+) -> None:
     """On the circle as printed, with tensions above 0; the runs allocated at least 5 N."""
-    robot, circle = (FLEX_PLANAR, "paper-planar") if env_id == FLEX_PLANAR_ID else (FLEX_SPATIAL, "paper-spatial")
+    robot, circle = (
+        (FLEX_PLANAR, "paper-planar")
+        if env_id == FLEX_PLANAR_ID
+        else (FLEX_SPATIAL, "paper-spatial")
+    )
     robot = robot.replace(minimum_tension=1e-9)
     policy = MotorPD(robot, minimum_tension=5.0) if law == "motor-pd" else law
-    result = evaluate_dlcc(policy, env_id, payload_known=known, robot=robot, trajectory=circle, resolution=0.02)
+    result = evaluate_dlcc(
+        policy, env_id, payload_known=known, robot=robot, trajectory=circle, resolution=0.02
+    )
     assert result.payload == pytest.approx(payload, abs=0.04)
 
 
 @pytest.mark.parametrize("law", ["motor-pd", "composite-tuned", "adaptive-composite"])
 def test_position_limits_the_dlcc_on_the_default_planar_circle(law: str) -> None:
-    """With allocated tensions of 5 N, the jump of the acceleration took a cable below 1 N, without any payload, too."""
+    """With allocated tensions of 5 N, the jump of the acceleration took a cable below 1 N, without
+    any payload, too."""
     result = evaluate_dlcc(law, FLEX_PLANAR_ID, payload_max=4.0, resolution=0.1)
     assert result.payload is not None
     assert result.payload > 1.8
@@ -65,7 +74,8 @@ def test_position_limits_the_dlcc_on_the_default_planar_circle(law: str) -> None
 
 @pytest.mark.slow
 def test_laws_hold_a_platform_on_cables_that_stretch() -> None:
-    """The free length of FAST's cables is 0.4 % less than their length. Without it the laws sagged by 28 to 115 mm."""
+    """The free length of FAST's cables is 0.4 % less than their length. Without it the laws sagged
+    by 28 to 115 mm."""
     motion = {
         "name": "line-spatial",
         "start": (0, 0, -140, 0, 0, 0),
@@ -81,7 +91,9 @@ def test_laws_hold_a_platform_on_cables_that_stretch() -> None:
 @pytest.mark.parametrize(("law", "bound"), [("composite", 6e-3), ("motor-pd", 3e-3), ("fl4", 6e-3)])
 def test_errors_on_the_papers_circle_at_eleven_kilograms(law: str, bound: float) -> None:
     robot = with_stiffness(2.0, 11.0)
-    verdict = record_rollout(LAWS[law](robot), FLEX_SPATIAL_ID, robot=robot, trajectory="paper-spatial").verdict
+    verdict = record_rollout(
+        LAWS[law](robot), FLEX_SPATIAL_ID, robot=robot, trajectory="paper-spatial"
+    ).verdict
     assert verdict.carried
     assert verdict.position_peak < bound
     assert verdict.rotation_peak < 2e-3
@@ -91,7 +103,9 @@ def test_fourth_order_error_decays_with_the_given_poles() -> None:
     """On a dwell an initial error follows the fourth-order linear equation in all coordinates."""
     poles = (-8.0, -9.0, -10.0, -11.0)
     error = np.array([2e-3, -1e-3, 1e-3, 2e-3, 1e-3, -2e-3])
-    env = gym.make(FLEX_SPATIAL_ID, trajectory="dwell-spatial", initial_error=error, control_frequency=2000.0)
+    env = gym.make(
+        FLEX_SPATIAL_ID, trajectory="dwell-spatial", initial_error=error, control_frequency=2000.0
+    )
     observation, _ = env.reset(seed=0)
     law = FourthOrder(FLEX_SPATIAL, poles=poles)
     steps = 400
@@ -119,22 +133,29 @@ def test_motor_pd_tracks_a_smooth_motion_closely() -> None:
 
 def test_taylor_motion_equals_its_polynomial() -> None:
     values = np.random.default_rng(0).normal(size=(5, 3, 6))
-    motion = Motion(**dict(zip(("position", "velocity", "acceleration", "jerk", "snap"), values, strict=True)))
+    motion = Motion(
+        **dict(zip(("position", "velocity", "acceleration", "jerk", "snap"), values, strict=True))
+    )
     time = 0.3
     factors = time ** np.arange(5) / np.array([1, 1, 2, 6, 24])
     for order, computed in enumerate(motion.after(time)):
-        np.testing.assert_allclose(computed, np.tensordot(factors[: 5 - order], values[order:], axes=1), rtol=1e-12)
+        np.testing.assert_allclose(
+            computed, np.tensordot(factors[: 5 - order], values[order:], axes=1), rtol=1e-12
+        )
 
 
 def test_damping_of_soft_springs_is_the_papers_at_500_hz() -> None:
     robot = with_stiffness(3.0, 10.0)
-    np.testing.assert_array_equal(Composite(robot).damping(1 / 500), np.sqrt(robot.stiffness * robot.motor_inertia))
+    np.testing.assert_array_equal(
+        Composite(robot).damping(1 / 500), np.sqrt(robot.stiffness * robot.motor_inertia)
+    )
 
 
 @pytest.mark.parametrize("frequency", [100.0, 500.0, 2000.0])
 @pytest.mark.parametrize("stiffness", [1.0, 300.0, 1000.0, 3000.0, 1e4])
 def test_sampled_spring_damping_is_stable(stiffness: float, frequency: float) -> None:
-    """A rotor on a spring whose other end hardly moves, with constant torque per period and the outer loop's K_D."""
+    """A rotor on a spring whose other end hardly moves, with constant torque per period and the
+    outer loop's K_D."""
     robot = with_stiffness(stiffness, 10.0)
     inertia = robot.motor_inertia[0]
     rate = textbook.highest_frequency(robot)
@@ -148,7 +169,9 @@ def test_sampled_spring_damping_is_stable(stiffness: float, frequency: float) ->
 def test_stiff_springs_are_stable_in_the_loop(entry: PolicyEntry, stiffness: float) -> None:
     """The damping for soft springs fails at 500 Hz from K = 600 on; K → ∞ is the rigid robot."""
     robot = with_stiffness(stiffness, 10.0)
-    assert record_rollout(entry.factory(robot), FLEX_SPATIAL_ID, payload=4.0, robot=robot).verdict.carried
+    assert record_rollout(
+        entry.factory(robot), FLEX_SPATIAL_ID, payload=4.0, robot=robot
+    ).verdict.carried
 
 
 @pytest.mark.parametrize(

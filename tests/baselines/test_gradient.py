@@ -1,4 +1,5 @@
-"""Analytic policy gradient: its motion is that of the law, its constraints are those of the plant, and its runs."""
+"""Analytic policy gradient: its motion is that of the law, its constraints are those of the plant,
+and its runs."""
 
 from __future__ import annotations
 
@@ -56,7 +57,9 @@ FLEX = "CableBot-FlexSpatial-v0"
 
 def made(env_id, action_mapping, *, features=("rbf_progress",), motions=None, **settings):
     robot = find_robot(env_robot(env_id))
-    trajectories = [find_trajectory(name, robot.kind) for name in motions or [default_trajectory(robot)]]
+    trajectories = [
+        find_trajectory(name, robot.kind) for name in motions or [default_trajectory(robot)]
+    ]
     return GradientTraining(
         robot=robot,
         trajectories=trajectories,
@@ -91,7 +94,9 @@ def test_training_motion_equals_the_reference_of_the_law(env_id, law, action_map
     steering.reset(tasks_of(env_id)[:1])
     law_blocks = {}
     respond = steering.law.respond
-    steering.law.respond = lambda blocks, *arguments: law_blocks.update(blocks) or respond(blocks, *arguments)
+    steering.law.respond = lambda blocks, *arguments: (
+        law_blocks.update(blocks) or respond(blocks, *arguments)
+    )
     memory = None
     for step in range(200):
         blocks = blocks_on_reference(robot, trajectory, step / 500)
@@ -100,11 +105,16 @@ def test_training_motion_equals_the_reference_of_the_law(env_id, law, action_map
         _, memory = steering.respond(blocks, action, memory, False)
         if step % steering.periods == 0:
             decision = trained[step // steering.periods, 0]
-            # The first instant lies a billionth of a decision after it: a spline's derivatives jump there.
+            # The first instant lies a billionth of a decision after it: a spline's derivatives jump
+            # there.
             np.testing.assert_allclose(law_blocks["reference_pose"], decision[0], rtol=0, atol=1e-6)
-            np.testing.assert_allclose(law_blocks["reference_velocity"], decision[1], rtol=0, atol=1e-6)
+            np.testing.assert_allclose(
+                law_blocks["reference_velocity"], decision[1], rtol=0, atol=1e-6
+            )
             if robot.flexible:
-                assert law_blocks["reference_snap"] == pytest.approx(decision[4], rel=1e-5, abs=1e-3)
+                assert law_blocks["reference_snap"] == pytest.approx(
+                    decision[4], rel=1e-5, abs=1e-3
+                )
     assert np.abs(trained[:, :, 0] - training._motions.reference[0, :, :, 0].numpy()).max() > 1e-4
 
 
@@ -135,7 +145,9 @@ def test_violations_equal_the_inverse_dynamics():
         demands.append(normalised_action(robot, actuation.torques, actuation.speeds))
         tensions.append(actuation.tensions)
     assert broken[0] == pytest.approx(np.maximum(np.abs(demands) - 0.5, 0).ravel(), abs=1e-9)
-    assert broken[1] == pytest.approx(np.maximum(20.0 - np.array(tensions), 0).ravel() / 20.0, abs=1e-9)
+    assert broken[1] == pytest.approx(
+        np.maximum(20.0 - np.array(tensions), 0).ravel() / 20.0, abs=1e-9
+    )
     assert broken[0].max() > 0
     assert broken[1].max() > 0
 
@@ -169,15 +181,20 @@ def test_softness_continues_the_search_at_kinks_of_the_tensions():
         )
         used = []
         for index in range(2):
-            training.round(index, lambda training=training, used=used: used.append(training._softness))
+            training.round(
+                index, lambda training=training, used=used: used.append(training._softness)
+            )
         assert list(dict.fromkeys(used)) == list(softness or (0.0,))
         carried[softness] = training.payloads.mean()
     assert carried[20.0, 3.0] > 1.2 * carried[()]
 
 
 def test_falling_faster_than_gravity_is_a_violation():
-    """The distribution of tensions gives an answer for such a load too, with tensions below the minimum."""
-    training = made("CableBot-Point-v0", Shift(action_period=0.02, fraction=0.985, degree=3), spread=3.0)
+    """The distribution of tensions gives an answer for such a load too, with tensions below the
+    minimum."""
+    training = made(
+        "CableBot-Point-v0", Shift(action_period=0.02, fraction=0.985, degree=3), spread=3.0
+    )
     falling = training.motion()[training._motions.inside][:, 2, 2] > 9.81
     tensions = training._violations()[1].reshape(2, -1, training.robot.cables).amax(dim=(0, 2))
     assert falling.any()
@@ -186,7 +203,8 @@ def test_falling_faster_than_gravity_is_a_violation():
 
 @pytest.mark.slow
 def test_model_of_rigid_cables_continues_the_search():
-    """With stretch, a kink of redundant tensions is a jump of the action, at which the search stops."""
+    """With stretch, a kink of redundant tensions is a jump of the action, at which the search
+    stops."""
     carried = []
     for stretch in (True, False):
         training = made(
@@ -221,10 +239,14 @@ def config(tmp_path_factory):
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory, config):
     """A finished run."""
-    return train_gradient(PLANAR, out=tmp_path_factory.mktemp("trained") / "run", config=config, seed=3)
+    return train_gradient(
+        PLANAR, out=tmp_path_factory.mktemp("trained") / "run", config=config, seed=3
+    )
 
 
-@pytest.mark.parametrize(("env_id", "softness"), [(PLANAR, ()), ("CableBot-FlexPlanar-v0", (20.0,))])
+@pytest.mark.parametrize(
+    ("env_id", "softness"), [(PLANAR, ()), ("CableBot-FlexPlanar-v0", (20.0,))]
+)
 def test_round_raises_the_payload(env_id, softness):
     mapping = Shift(action_period=0.02, fraction=0.98, degree=4)
     training = made(env_id, mapping, spread=0.01, rounds=(30.0,), iterations=10, softness=softness)
@@ -242,11 +264,16 @@ def test_short_run_carries_far_more_than_its_base(trained):
     assert payload > 1.5 * trained.base_payload_kg > 1.0
     assert bundle.card["seed"] == 3
     assert not bundle.card["planner_output_used"]
-    assert bundle.card["command"] == f"cablebot train {PLANAR} --algo gradient --config small.yaml --seed 3 --threads 1"
+    assert (
+        bundle.card["command"]
+        == f"cablebot train {PLANAR} --algo gradient --config small.yaml --seed 3 --threads 1"
+    )
 
 
 @pytest.mark.slow
-def test_interrupted_run_resumes_to_the_same_weights(trained, tmp_path, config, capsys, monkeypatch):
+def test_interrupted_run_resumes_to_the_same_weights(
+    trained, tmp_path, config, capsys, monkeypatch
+):
     out = tmp_path / "run"
     seconds = []
 
@@ -259,11 +286,16 @@ def test_interrupted_run_resumes_to_the_same_weights(trained, tmp_path, config, 
         train_gradient(PLANAR, out=out, config=config, seed=3, progress=stop)
     assert not (out / LAST).exists()
     assert len(TrainingResult.load(out).evaluations) == 1
-    monkeypatch.setattr("sys.argv", ["cablebot", "train", PLANAR, "--out", str(out), "--resume", "--json"])
+    monkeypatch.setattr(
+        "sys.argv", ["cablebot", "train", PLANAR, "--out", str(out), "--resume", "--json"]
+    )
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code in (0, None)
-    assert json.loads(capsys.readouterr().out)["evaluations"][-1]["payload_kg"] == trained.evaluations[-1].payload_kg
+    assert (
+        json.loads(capsys.readouterr().out)["evaluations"][-1]["payload_kg"]
+        == trained.evaluations[-1].payload_kg
+    )
     for weights, expected in zip(
         *(Bundle.load(folder / LAST).network.weights for folder in (out, trained.out)), strict=True
     ):
@@ -297,7 +329,9 @@ def test_invalid_configuration_is_rejected():
 
 def test_validation_loops_differ_from_training_loops():
     line = {"name": "line-planar", "duration": 2.0}
-    config = make_gradient_config(PLANAR, SMALL | {"motions": {"loops": 2, "named": ["paper-planar", line]}})
+    config = make_gradient_config(
+        PLANAR, SMALL | {"motions": {"loops": 2, "named": ["paper-planar", line]}}
+    )
     *loops, paper, named = config.trajectories
     assert [loop.motion.seed for loop in loops] == [0, 1]
     assert paper.name == "paper-planar"
@@ -307,11 +341,15 @@ def test_validation_loops_differ_from_training_loops():
 
 def loop_seeds(trajectories):
     """Seeds of the random loops among trajectories."""
-    motions = [trajectory.motion for trajectory in trajectories if isinstance(trajectory, BetweenDwells)]
+    motions = [
+        trajectory.motion for trajectory in trajectories if isinstance(trajectory, BetweenDwells)
+    ]
     return {motion.seed for motion in motions if isinstance(motion, RandomLoop)}
 
 
-@pytest.mark.parametrize("name", ["gradient", pytest.param("gradient-loops", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["gradient", pytest.param("gradient-loops", marks=pytest.mark.slow)]
+)
 def test_shipped_configurations_use_training_motions_only(name):
     configs = yaml.safe_load((HYPERPARAMS / f"{name}.yaml").read_text(encoding="utf-8"))
     for env_id, plain in configs.items():
@@ -341,5 +379,7 @@ def test_gradient_of_redundant_cables_is_exact(name):
     np.testing.assert_allclose(actuation.tensions.detach(), expected(motion[0]), rtol=1e-6)
     direction = random.normal(size=motion[0].shape)
     actuation.tensions[:, 0].sum().backward()
-    slope = (expected(motion[0] + 1e-6 * direction) - expected(motion[0] - 1e-6 * direction))[:, 0].sum() / 2e-6
+    slope = (expected(motion[0] + 1e-6 * direction) - expected(motion[0] - 1e-6 * direction))[
+        :, 0
+    ].sum() / 2e-6
     np.testing.assert_allclose((tensors[0].grad.numpy() * direction).sum(), slope, rtol=1e-4)

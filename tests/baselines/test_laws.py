@@ -1,4 +1,5 @@
-"""Behaviour that all classical laws share: their robots, observations, batches and registered names."""
+"""Behaviour that all classical laws share: their robots, observations, batches and registered
+names."""
 
 from __future__ import annotations
 
@@ -14,10 +15,14 @@ from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
 
-ENTRIES = [entry for entry in vars(cablebot_baselines.classical).values() if isinstance(entry, PolicyEntry)]
+ENTRIES = [
+    entry for entry in vars(cablebot_baselines.classical).values() if isinstance(entry, PolicyEntry)
+]
 CASES = [(entry, env_id) for entry in ENTRIES for env_id in entry.env_ids]
 
-each_case = pytest.mark.parametrize(("entry", "env_id"), CASES, ids=lambda value: getattr(value, "name", value))
+each_case = pytest.mark.parametrize(
+    ("entry", "env_id"), CASES, ids=lambda value: getattr(value, "name", value)
+)
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +42,14 @@ def test_law_accepts_its_robot_and_rejects_others(started, entry, env_id):
         if other_id != env_id:
             with pytest.raises(ValueError, match=r"was built for robot .*Build the law"):
                 law.reset(tasks[other_id])
-            if observations[other_id].shape == observations[env_id].shape:  # four cables, three coordinates
+            if (
+                observations[other_id].shape == observations[env_id].shape
+            ):  # four cables, three coordinates
                 continue
             for wrong in (observations[other_id], observations[other_id][0]):
-                with pytest.raises(ValueError, match=r"the observation of robot '.*' has \d+ components, not"):
+                with pytest.raises(
+                    ValueError, match=r"the observation of robot '.*' has \d+ components, not"
+                ):
                     law.predict(wrong)
 
 
@@ -63,9 +72,12 @@ def test_law_rejects_a_robot_of_another_geometry(robot, changes):
 
 @each_case
 def test_single_observation_gives_the_action_of_its_row(started, entry, env_id):
-    """For three steps, so that a law's state matters; the second action is beyond the motors' limits."""
+    """For three steps, so that a law's state matters; the second action is beyond the motors'
+    limits."""
     robot = started[0][env_id][0].robot
-    moving = {"trajectory": f"paper-{robot.kind}"} if env_id in PAPER_ENV_IDS else {}  # from the first step on
+    moving = (
+        {"trajectory": f"paper-{robot.kind}"} if env_id in PAPER_ENV_IDS else {}
+    )  # from the first step on
     env = gym.make_vec(env_id, num_envs=3, payload=[0.0, 3.0, 8.0], **moving)
     law = entry.factory(robot)
     observation, _ = env.reset(seed=0)
@@ -74,12 +86,16 @@ def test_single_observation_gives_the_action_of_its_row(started, entry, env_id):
     start = np.ones(3, np.bool_)
     for _ in range(3):
         before = observation.copy()
-        action, together = law.predict(observation, state=together, episode_start=start, deterministic=True)
+        action, together = law.predict(
+            observation, state=together, episode_start=start, deterministic=True
+        )
         assert action.shape == (3, env.single_action_space.shape[0])
         assert np.ptp(action, axis=0).max() > 0.01
         np.testing.assert_array_equal(observation, before)
         for index in range(3):
-            single, alone[index] = law.predict(observation[index], state=alone[index], episode_start=start[index])
+            single, alone[index] = law.predict(
+                observation[index], state=alone[index], episode_start=start[index]
+            )
             assert single.shape == action[index].shape
             np.testing.assert_allclose(single, action[index], rtol=1e-9, atol=1e-9)
         observation, *_ = env.step(action)

@@ -50,7 +50,9 @@ def saved(tmp_path):
 
 
 def test_motion_of_a_base_alone_is_the_task_soon():
-    bundle = dataclasses.replace(bundle_of("preview"), base=Base())  # an estimator would remember the start
+    bundle = dataclasses.replace(
+        bundle_of("preview"), base=Base()
+    )  # an estimator would remember the start
     alone = LearnedPolicy(bundle.base_alone, SPATIAL)
     robot = bundle.base.make(SPATIAL)
     rows, tasks = observations(SPATIAL_ID, 300)
@@ -73,11 +75,15 @@ def test_episodes_of_a_batch_are_independent(case):
     together = run(policy, rows, starts)
     for index, begun in enumerate((0, 7, 23, 38)):
         fresh = run(policy, rows[begun:, index])
-        np.testing.assert_allclose(together[begun:, index], fresh, rtol=0, atol=1e-9 * np.abs(together).max())
+        np.testing.assert_allclose(
+            together[begun:, index], fresh, rtol=0, atol=1e-9 * np.abs(together).max()
+        )
     assert np.ptp(together, axis=1).max() > 0.01
 
 
-@pytest.mark.parametrize("case", [case for case in CASES if not getattr(CASES[case][2], "preview", 0)])
+@pytest.mark.parametrize(
+    "case", [case for case in CASES if not getattr(CASES[case][2], "preview", 0)]
+)
 def test_zero_network_equals_the_base_law(case):
     bundle = bundle_of(case, scale=0.0)
     robot = find_robot(env_robot(bundle.env_id))
@@ -198,7 +204,9 @@ def test_network_equals_its_layers():
     biases = (np.full(3, 0.1), np.full(4, -0.2))
     values = output_weights @ np.tanh(hidden_weights @ np.array([1.0, -10.0]) + 0.1) - 0.2
     for squash, expected in (("none", values), ("tanh", np.tanh(values))):
-        network = Network(weights=(hidden_weights, output_weights), biases=biases, squash=squash, **normalisation)
+        network = Network(
+            weights=(hidden_weights, output_weights), biases=biases, squash=squash, **normalisation
+        )
         np.testing.assert_allclose(network(x), expected, rtol=1e-12)
 
 
@@ -208,14 +216,20 @@ def test_bundle_is_evaluated_by_the_name_of_its_file(tmp_path):
     bundle.save(path)
     law = bundle.base.make(PLANAR)
     expected = evaluate_dlcc(law, PLANAR_ID, trajectory=DWELL, resolution=0.1).payload
-    assert evaluate_dlcc(str(path), PLANAR_ID, trajectory=DWELL, resolution=0.1).payload == expected > 0
+    assert (
+        evaluate_dlcc(str(path), PLANAR_ID, trajectory=DWELL, resolution=0.1).payload
+        == expected
+        > 0
+    )
     assert find_policies([str(path)], [PLANAR_ID]) == {PLANAR_ID: (str(path),)}
 
 
 def test_stored_result_depends_on_the_code_of_a_bundle(saved, monkeypatch):
     names = set()
     parsed = code_hash._parsed.__wrapped__
-    monkeypatch.setattr(code_hash, "_parsed", lambda path, name: names.add(name) or parsed(path, name))
+    monkeypatch.setattr(
+        code_hash, "_parsed", lambda path, name: names.add(name) or parsed(path, name)
+    )
     code_hash.source_hash.cache_clear()
     assert PolicyCell(env_id=PLANAR_ID, trajectory=DWELL, policy=str(saved)).source
     assert "cablebot_baselines.learned.steering" in names

@@ -43,7 +43,8 @@ OBSERVED = (
     *("shift", "shift_velocity"),
 )
 
-# Under random actions some episodes fail, others last until a time limit that falls within an action.
+# Under random actions some episodes fail, others last until a time limit that falls within an
+# action.
 CASES: dict[str, dict[str, Any]] = {
     "shift": {
         "env_id": PLANAR_ID,
@@ -89,7 +90,8 @@ def batch(case, count, **keywords) -> Any:
 
 
 def check_same_row(results, env_index, single_results):
-    """The row of a batch's results, the info last, equals the single environment's; its scalars are Python objects."""
+    """The row of a batch's results, the info last, equals the single environment's; its scalars are
+    Python objects."""
     for value, single_value in zip(results[:-1], single_results[:-1], strict=True):
         np.testing.assert_array_equal(value[env_index], single_value)
         assert value.dtype == np.asarray(single_value).dtype
@@ -102,7 +104,9 @@ def check_same_row(results, env_index, single_results):
 
 
 @pytest.mark.filterwarnings("ignore:.*different from the unwrapped version:UserWarning")
-@pytest.mark.filterwarnings("ignore:.*A Box observation space m.*imum value is -?infinity:UserWarning")
+@pytest.mark.filterwarnings(
+    "ignore:.*A Box observation space m.*imum value is -?infinity:UserWarning"
+)
 def test_single_form_passes_the_checkers_of_gymnasium_and_sb3():
     env = single("shift")
     check_env(env)
@@ -122,7 +126,9 @@ def test_row_of_a_batch_equals_the_single_environment(case):
     for env_index, single_env in enumerate(singles):
         check_same_row(started, env_index, single_env.reset(seed=seed + env_index))
     failures = limits = ends_within_an_action = 0
-    for action in np.random.default_rng(0).uniform(-1, 1, (30, *env.action_space.shape)).astype(np.float32):
+    for action in (
+        np.random.default_rng(0).uniform(-1, 1, (30, *env.action_space.shape)).astype(np.float32)
+    ):
         results = env.step(action)
         ended = results[2] | results[3]
         for env_index, single_env in enumerate(singles):
@@ -148,7 +154,9 @@ def test_ended_episode_has_the_result_of_its_last_period():
     The reward is the sum up to the end.
     """
     steered = {"base": "fl", "steering": "residual", "features": ("pose",)}
-    env = make_steered_vec(SPATIAL_ID, 2, wrappers=[(Steered, steered)], terminate_on_violation=True)
+    env = make_steered_vec(
+        SPATIAL_ID, 2, wrappers=[(Steered, steered)], terminate_on_violation=True
+    )
     plain = gym.make(SPATIAL_ID, terminate_on_violation=True)
     env.reset(seed=0, options={"payload": [30.0, 0.0]})
     law = env.steering.law
@@ -211,7 +219,8 @@ class Ended(gym.Wrapper[Any, Any, Any, Any]):
 
 @pytest.fixture
 def curriculum():
-    """A curriculum; ``play(succeeds)`` plays an episode with a heavy or a light payload and returns the ceiling."""
+    """A curriculum; ``play(succeeds)`` plays an episode with a heavy or a light payload and returns
+    the ceiling."""
     ended = Ended(gym.make(PLANAR_ID))
     settings = {"start": 1.0, "step": 0.25, "success": 0.75, "window": 4, "setback": 0.5}
     env = PayloadCurriculum(ended, heaviest=2.0, **settings)
@@ -316,7 +325,9 @@ def test_effort_costs_the_mean_square_of_the_clipped_action():
     action = np.array([[0.5, 7.0], [0.0, 0.0]])
     rewards = []
     for effort in (0.0, 0.4):
-        env = make_steered_vec(PLANAR_ID, 2, wrappers=[(Steered, {**arguments, "effort": effort})], seed=3)
+        env = make_steered_vec(
+            PLANAR_ID, 2, wrappers=[(Steered, {**arguments, "effort": effort})], seed=3
+        )
         rewards.append(env.step(action)[1])
     assert rewards[0] - rewards[1] == pytest.approx([0.4 * 0.625, 0.0])
 

@@ -29,7 +29,8 @@ def policies():
 
 
 def rollout(policy, env, *, steps=None):
-    """Whether each episode kept its limits, largest position errors, all actions, and the last state."""
+    """Whether each episode kept its limits, largest position errors, all actions, and the last
+    state."""
     observation, _ = env.reset(seed=0)
     tasks = env.unwrapped.tasks
     policy.reset(tasks)
@@ -60,7 +61,9 @@ def vector(env_id, count, **keywords):
 @pytest.mark.parametrize(("env_id", "payload"), [(PLANAR_ID, 2.7), (SPATIAL_ID, 6.4)])
 def test_payload_far_beyond_adaptive_is_carried(policies, env_id, payload):
     """``adaptive`` has a DLCC of 1.9 kg and 5.0 kg."""
-    env = vector(env_id, 3, payload=np.array([0.0, payload, payload]), payload_known=[False, True, False])
+    env = vector(
+        env_id, 3, payload=np.array([0.0, payload, payload]), payload_known=[False, True, False]
+    )
     is_within, _, actions, _ = rollout(policies[env_id], env)
     assert is_within.all()
     assert policies[env_id].fallbacks == 0
@@ -70,7 +73,11 @@ def test_payload_far_beyond_adaptive_is_carried(policies, env_id, payload):
 def test_plan_uses_the_error_bounds_of_the_task(policies):
     env = vector(PLANAR_ID, 1, payload=1.5, error_bounds={"position": 0.002})
     assert rollout(policies[PLANAR_ID], env, steps=450)[1][0] < 0.002
-    assert 0.003 < rollout(policies[PLANAR_ID], vector(PLANAR_ID, 1, payload=1.5), steps=450)[1][0] < 0.01
+    assert (
+        0.003
+        < rollout(policies[PLANAR_ID], vector(PLANAR_ID, 1, payload=1.5), steps=450)[1][0]
+        < 0.01
+    )
 
 
 # --- batch and state --------------------------------------------------------------------------------------------------
@@ -124,8 +131,8 @@ def test_new_episode_discards_the_plan(policies):
 
 @pytest.mark.slow
 def test_preview_interpolates_the_reference_across_its_jump(policies):
-    """From t = 0.31 s on the horizon contains the circle's jump of acceleration, which one observation alone misses by
-    2 cm."""
+    """From t = 0.31 s on the horizon contains the circle's jump of acceleration, which one
+    observation alone misses by 2 cm."""
     policy = policies[PLANAR_ID]
     env = vector(PLANAR_ID, 1, termination_radius=10.0)
     observation, _ = env.reset(seed=0)
@@ -165,7 +172,8 @@ def test_preview_rests_after_the_end_of_the_reference(policies):
 
 
 def test_planned_motion_keeps_the_limits_between_its_instants():
-    """By the textbook's inverse dynamics, where the reference asks for more than the motors have."""
+    """By the textbook's inverse dynamics, where the reference asks for more than the motors
+    have."""
     program = HorizonProgram(PLANAR, TUNING["planar"])
     home = np.array([0.1, 0.0])
     zero = np.zeros(2)
@@ -180,7 +188,9 @@ def test_planned_motion_keeps_the_limits_between_its_instants():
     fine = np.linspace(0.0, HORIZON, 201)
     pose, velocity, acceleration = program.basis(fine) @ plan
     minimum = program.minimum_tension
-    required = textbook.inverse_dynamics(PLANAR, mass, pose, velocity, acceleration, minimum=minimum, strict=False)
+    required = textbook.inverse_dynamics(
+        PLANAR, mass, pose, velocity, acceleration, minimum=minimum, strict=False
+    )
     action = textbook.normalised_action(PLANAR, required.torques, required.speeds)
     assert np.abs(action).max() < 1.02
     assert np.linalg.norm((pose - reference(fine))[:, :3], axis=1).max() < 0.03
@@ -190,7 +200,8 @@ def test_planned_motion_keeps_the_limits_between_its_instants():
 
 @pytest.mark.parametrize("env_id", ROBOTS)
 def test_plan_exists_from_every_regular_state(policies, env_id):
-    """Outside the bounds, moving away, and so fast that braking would take several times the torque."""
+    """Outside the bounds, moving away, and so fast that braking would take several times the
+    torque."""
     program = policies[env_id].program
     robot = program.robot
     zero = np.zeros(program.robot.coordinates)
@@ -198,7 +209,9 @@ def test_plan_exists_from_every_regular_state(policies, env_id):
     away = np.eye(len(zero))[min(len(zero), 3) - 1]
     keywords = {"mass": 20.0, "error_bounds": ErrorBounds()}
     still = np.tile(home, (len(program.instants), 1))
-    assert np.isfinite(program.plan(still, home - 0.015 * away, -2.0 * away, still, zero, **keywords)).all()
+    assert np.isfinite(
+        program.plan(still, home - 0.015 * away, -2.0 * away, still, zero, **keywords)
+    ).all()
     if robot.planar:  # at an anchor, a cable has no direction
         anchor = np.array(robot.base[0])
         still = np.tile(anchor, (len(program.instants), 1))

@@ -1,4 +1,5 @@
-"""The paper's robust control, signs corrected: Lyapunov's equation, the effect of the term, and the DLCC."""
+"""The paper's robust control, signs corrected: Lyapunov's equation, the effect of the term, and the
+DLCC."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ GAINS = (30.0, 20.0)
 
 
 def errors_with(outer_loop, mass_factor=1.1, initial_error=(0.0,) * 6, steps=500):
-    """Position error, V and ‖s‖ at every control instant of a robot whose mass differs from the model."""
+    """Position error, V and ‖s‖ at every control instant of a robot whose mass differs from the
+    model."""
     law = FeedbackLinearization(SPATIAL)
     law.outer = outer_loop
     env = gym.make(
@@ -70,7 +72,9 @@ def test_term_equals_the_corrected_equations(layer):
         "velocity": zero,
     }
     blocks["reference_acceleration"] = acceleration
-    loop = RobustPD(gains=GAINS, boundary_layer=layer, zeta=0.3, phi=2.0, q=[[3.0, 0.2], [0.2, 1.0]])
+    loop = RobustPD(
+        gains=GAINS, boundary_layer=layer, zeta=0.3, phi=2.0, q=[[3.0, 0.2], [0.2, 1.0]]
+    )
     e = np.stack([pose, velocity], axis=1).ravel()
     a = np.kron(np.eye(6), [[0.0, 1.0], [-30.0, -20.0]])
     s = np.kron(np.eye(6), [[0.0, 1.0]]) @ np.kron(np.eye(6), loop.lyapunov) @ e
@@ -139,5 +143,7 @@ def test_invalid_parameters_raise(name, value, message):
     [(Robust(SPATIAL, zeta=0.3, phi=3.0), 2.85), (ROBUST_TUNED.factory(SPATIAL), 4.58)],
 )
 def test_dlcc_with_unknown_payload_is_that_of_independent_runs(law, payload):
-    result = evaluate_dlcc(law, ID, payload_known=False, trajectory="paper-spatial", resolution=0.02)
+    result = evaluate_dlcc(
+        law, ID, payload_known=False, trajectory="paper-spatial", resolution=0.02
+    )
     assert result.payload == pytest.approx(payload, abs=0.05)

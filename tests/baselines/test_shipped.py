@@ -1,4 +1,5 @@
-"""Shipped learned policies: the script that trains and evaluates them, and the files in the repository."""
+"""Shipped learned policies: the script that trains and evaluates them, and the files in the
+repository."""
 
 from __future__ import annotations
 
@@ -38,7 +39,9 @@ def test_invalid_requests_are_rejected_before_the_work(runs, computed, tmp_path)
         script.ship_all([(APG_CIRCLE, PLANAR_ID)], seeds=4, runs=tmp_path / "none")
     assert not (tmp_path / "none").exists()
     save_run(runs / "apg-circle-planar-2", 2, config={"motions": {"loops": 2}})
-    with pytest.raises(ValueError, match="another config than the present apg-circle: remove the folder"):
+    with pytest.raises(
+        ValueError, match="another config than the present apg-circle: remove the folder"
+    ):
         ship(runs, tmp_path / "weights")
     assert not computed
 
@@ -48,7 +51,9 @@ def test_sb3_model_has_the_actor_of_the_bundle_and_no_paths(tmp_path):
     out = tmp_path / "run"
     train(out)
     bundle = Bundle.load(out / LAST)  # the best network differs from the last one
-    network = replace(bundle.network, weights=tuple(0.7 * weight for weight in bundle.network.weights))
+    network = replace(
+        bundle.network, weights=tuple(0.7 * weight for weight in bundle.network.weights)
+    )
     replace(bundle, network=network).save(out / BEST)
     data = script.sb3_model(out / BEST)
     model = PPO.load(io.BytesIO(data), device="cpu")
@@ -79,7 +84,9 @@ def test_kind_of_robot_selects_the_weights(robot):
 def test_missing_weights_are_rejected(tmp_path):
     with pytest.raises(ValueError, match=r"apg-circle-planar.zip' does not exist"):
         load_shipped("apg-circle", PLANAR, tmp_path)
-    with pytest.raises(ValueError, match=r"'ppo-circle' is for CableBot-Spatial-v0, not for .*choose apg-circle"):
+    with pytest.raises(
+        ValueError, match=r"'ppo-circle' is for CableBot-Spatial-v0, not for .*choose apg-circle"
+    ):
         load_shipped("ppo-circle", PLANAR)
 
 
@@ -96,7 +103,9 @@ def test_weights_and_cards_of_all_policies_are_present():
 
 
 def test_page_equals_that_of_the_cards():
-    assert (ROOT / "docs/learned.md").read_text(encoding="utf-8") == card_markdown(list(CARDS.values())), AGAIN
+    assert (ROOT / "docs/learned.md").read_text(encoding="utf-8") == card_markdown(
+        list(CARDS.values())
+    ), AGAIN
     known = read_best_known(script.RESULTS)
     assert [with_best_known(card, known) for card in CARDS.values()] == list(CARDS.values()), AGAIN
 

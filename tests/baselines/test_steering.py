@@ -35,7 +35,8 @@ from cablebot_gym.trajectories import find_trajectory
 
 @pytest.mark.parametrize("degree", [2, 3, 4, 5])
 def test_spline_is_a_smooth_partition_of_unity(degree):
-    """Its derivatives equal difference quotients, and it is continuous at its knots up to order degree − 1."""
+    """Its derivatives equal difference quotients, and it is continuous at its knots up to order
+    degree − 1."""
     action_period = 0.03
     step = 1e-6
     shift = Shift(degree=degree)
@@ -64,7 +65,9 @@ def test_shift_stays_within_the_error_bounds(env_id):
     n = steering.robot.coordinates
     actions = 3 * np.sign(np.random.default_rng(0).normal(size=(600, n)))
     actions[300:] = 3.0  # all to one corner
-    law_blocks, _ = steer(steering, np.zeros((600, observation_layout(steering.robot).size)), actions)
+    law_blocks, _ = steer(
+        steering, np.zeros((600, observation_layout(steering.robot).size)), actions
+    )
     shift = law_blocks["reference_pose"]
     away = np.linalg.norm(shift[:, :3], axis=1)
     assert away.max() <= 0.95 * 0.02 * (1 + 1e-12)
@@ -75,11 +78,14 @@ def test_shift_stays_within_the_error_bounds(env_id):
 
 @pytest.mark.parametrize(("degree", "preview"), [(2, 0.02), (4, 0.1), (5, 0.2)])
 def test_preview_delays_uniform_motion_by_half_the_spline(degree, preview):
-    """Σⱼ j B(u − j) = u − (degree + 1)/2: the delay is (degree + 1)/2 action periods minus the preview."""
+    """Σⱼ j B(u − j) = u − (degree + 1)/2: the delay is (degree + 1)/2 action periods minus the
+    preview."""
     action_period = 0.02
     steps = 120
     action_mapping = Shift(action_period=action_period, degree=degree, preview=preview)
-    steering = steering_of(FLEX_SPATIAL_ID, base=Base(law="composite"), action_mapping=action_mapping)
+    steering = steering_of(
+        FLEX_SPATIAL_ID, base=Base(law="composite"), action_mapping=action_mapping
+    )
     start = np.array([0.3, -0.2, 0.1, 0.05, -0.02, 0.01])
     speed = np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3])
     times = np.arange(steps) * PERIOD
@@ -87,9 +93,13 @@ def test_preview_delays_uniform_motion_by_half_the_spline(degree, preview):
     inside = slice(round(degree * action_period / PERIOD), None)
     expected = start + speed * (times[inside, None] + preview - (degree + 1) / 2 * action_period)
     np.testing.assert_allclose(law_blocks["reference_pose"][inside], expected, atol=1e-14)
-    np.testing.assert_allclose(law_blocks["reference_velocity"][inside], np.tile(speed, (len(expected), 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        law_blocks["reference_velocity"][inside], np.tile(speed, (len(expected), 1)), atol=1e-12
+    )
     for order, name in enumerate(DERIVATIVES[2:], start=2):
-        np.testing.assert_allclose(law_blocks[f"reference_{name}"][inside], 0.0, atol=1e-12 / action_period**order)
+        np.testing.assert_allclose(
+            law_blocks[f"reference_{name}"][inside], 0.0, atol=1e-12 / action_period**order
+        )
 
 
 def test_flexible_law_gets_derivatives_up_to_snap():
@@ -100,10 +110,15 @@ def test_flexible_law_gets_derivatives_up_to_snap():
     rows = line(FLEX_PLANAR, np.zeros(2), np.zeros(2), np.arange(steps))
     observation_layout(FLEX_PLANAR).split(rows)["reference_snap"][:] = 7.0
     law_blocks, _ = steer(steering, rows, actions)
-    points = np.concatenate([np.zeros((5, 2)), actions[::5]]) * action_mapping.bounds(ErrorBounds(), PLANAR)
+    points = np.concatenate([np.zeros((5, 2)), actions[::5]]) * action_mapping.bounds(
+        ErrorBounds(), PLANAR
+    )
     for step in range(steps):
         weights = action_mapping.weights(np.array(step % 5 * PERIOD), 0.01)
-        expected = weights @ points[step // 5 : step // 5 + 6] + np.array([0.0, 0.0, 0.0, 0.0, 7.0])[:, None]
+        expected = (
+            weights @ points[step // 5 : step // 5 + 6]
+            + np.array([0.0, 0.0, 0.0, 0.0, 7.0])[:, None]
+        )
         for order, name in enumerate(DERIVATIVES):
             result = law_blocks[f"reference_{name}"][step]
             np.testing.assert_allclose(result, expected[order], rtol=1e-9, atol=1e-9 / 0.01**order)
@@ -168,7 +183,9 @@ def test_learner_and_law_get_the_shift_of_the_present_instant(degree, preview):
 @pytest.mark.parametrize("preview", [0.0, 0.05])
 def test_shifted_motion_starts_at_rest_at_the_start_pose(preview):
     """In a batch with a motion that starts on its reference, and again in the next episode."""
-    steering = steering_of(SPATIAL_ID, action_mapping=Shift(preview=preview), features=("error", "shift"))
+    steering = steering_of(
+        SPATIAL_ID, action_mapping=Shift(preview=preview), features=("error", "shift")
+    )
     (task,) = tasks_of(SPATIAL_ID)[:1]
     tasks = [task, dataclasses.replace(task, trajectory=find_trajectory("paper-spatial", 6))]
     steering.reset(tasks)
@@ -181,7 +198,9 @@ def test_shifted_motion_starts_at_rest_at_the_start_pose(preview):
     )
     references = []
     memory = None
-    steering.law.respond = lambda blocks, *arguments: references.append(blocks) or (np.zeros((2, 6)), None)
+    steering.law.respond = lambda blocks, *arguments: (
+        references.append(blocks) or (np.zeros((2, 6)), None)
+    )
     for _ in range(2):
         memory = steering.reset_memory(blocks, memory, np.ones(2, bool))
         np.testing.assert_allclose(steering.observe(blocks, memory)[:, :6], 0.0, atol=1e-15)
@@ -208,5 +227,9 @@ def test_time_features_start_with_the_episode():
     observation_layout(PLANAR).split(rows)["time_to_go"][:, 0] = 1.0 - np.arange(30) * PERIOD
     _, learner = steer(steering, rows, np.zeros((30, 2)))
     times = np.arange(30)[:, None] * PERIOD
-    np.testing.assert_allclose(learner[:, : len(TIME_CONSTANTS)], np.exp(-times / TIME_CONSTANTS), rtol=1e-12)
-    np.testing.assert_allclose(learner[:, -len(TIME_CONSTANTS) :], np.exp(-(1.0 - times) / TIME_CONSTANTS), rtol=1e-12)
+    np.testing.assert_allclose(
+        learner[:, : len(TIME_CONSTANTS)], np.exp(-times / TIME_CONSTANTS), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        learner[:, -len(TIME_CONSTANTS) :], np.exp(-(1.0 - times) / TIME_CONSTANTS), rtol=1e-12
+    )

@@ -35,7 +35,10 @@ def test_transformed_motion_permutes_the_motors(robot):
     motion = find_trajectory(LOOP, 2)(np.linspace(0.1, 1.0, 20))
 
     def actions(transform):
-        derivatives = (blocks @ transform.T for blocks in (motion.position, motion.velocity, motion.acceleration))
+        derivatives = (
+            blocks @ transform.T
+            for blocks in (motion.position, motion.velocity, motion.acceleration)
+        )
         required = inverse_dynamics(robot, 3.0, *derivatives, minimum=5.0)
         return normalised_action(robot, required.torques, required.speeds)
 
@@ -43,7 +46,9 @@ def test_transformed_motion_permutes_the_motors(robot):
     before = actions(np.eye(2))
     for transform in transforms:
         after = actions(transform)
-        permutation = [int(np.abs(before - column[:, None]).max(axis=0).argmin()) for column in after.T]
+        permutation = [
+            int(np.abs(before - column[:, None]).max(axis=0).argmin()) for column in after.T
+        ]
         np.testing.assert_allclose(after, before[:, permutation], atol=1e-9)
         permutations.add(tuple(permutation))
     assert len(permutations) == 6
@@ -72,7 +77,9 @@ def test_network_is_equivariant_before_and_after_training(hidden, iterations):
         trainer.round(0)
         assert np.abs(trainer.network.weights[1] - before.weights[1]).max() > 1e-4
     network = trainer.network
-    inputs = network.mean + network.scale * np.random.default_rng(0).normal(size=(6, network.inputs))
+    inputs = network.mean + network.scale * np.random.default_rng(0).normal(
+        size=(6, network.inputs)
+    )
     outputs = network(inputs)
     assert np.abs(outputs).min() > 1e-4
     for transform in symmetries(FLEX_PLANAR):

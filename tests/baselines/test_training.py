@@ -1,4 +1,5 @@
-"""Training runs with Stable-Baselines3: configurations, export, checkpoints, interrupts and the folder of a run."""
+"""Training runs with Stable-Baselines3: configurations, export, checkpoints, interrupts and the
+folder of a run."""
 
 from __future__ import annotations
 
@@ -67,7 +68,9 @@ def plain(algorithm="ppo", **changes):
 def run(out, algorithm="ppo", changes=None, **options):
     """A training with a tiny configuration, which is written next to its folder."""
     path = out.with_name(f"{algorithm}.yaml")
-    path.write_text(yaml.safe_dump({"default": plain(algorithm, **(changes or {}))}), encoding="utf-8")
+    path.write_text(
+        yaml.safe_dump({"default": plain(algorithm, **(changes or {}))}), encoding="utf-8"
+    )
     defaults = {"evaluation": QUICK, "eval_every": 128, "checkpoint_every": 64}
     return training.train(PLANAR, out=out, algorithm=algorithm, config=path, **(defaults | options))
 
@@ -78,7 +81,11 @@ def weights(path):
 
 
 def digests(folder):
-    return {path: hashlib.sha256(path.read_bytes()).digest() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path: hashlib.sha256(path.read_bytes()).digest()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def rows(path):
@@ -114,7 +121,9 @@ def test_shipped_configurations_are_valid():
 def test_default_settings_follow_from_the_robot(env_id):
     """Nothing is compiled, because no environment is reset."""
     default = make_config(read_yaml("a robot without a key", runs.Path("ppo")))
-    env: Any = gym.make_vec(env_id, num_envs=2, autoreset_mode=AutoresetMode.DISABLED, **default.env_kwargs)
+    env: Any = gym.make_vec(
+        env_id, num_envs=2, autoreset_mode=AutoresetMode.DISABLED, **default.env_kwargs
+    )
     plant = env.settings
     for wrapper, arguments in default.wrappers:
         env = wrapper.vector(env, **arguments)
@@ -127,7 +136,9 @@ def test_default_settings_follow_from_the_robot(env_id):
 def test_curriculum_without_exact_tracking_needs_a_payload():
     fast = {"name": "paper-planar", "duration": 0.1}
     env = gym.make_vec(PLANAR, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, trajectory=fast)
-    with pytest.raises(ValueError, match="heaviest must be given in kg: the motors of robot 'planar' cannot follow"):
+    with pytest.raises(
+        ValueError, match="heaviest must be given in kg: the motors of robot 'planar' cannot follow"
+    ):
         PayloadCurriculumVector(env)
 
 
@@ -154,9 +165,9 @@ def test_texts_of_rl_zoo_are_converted():
     }
     model = make_config(plain(policy_kwargs=text, learning_rate="lin_2e-3")).model
     assert model["policy_kwargs"] == expected
-    assert [model["learning_rate"](progress_left) for progress_left in (1.0, 0.5, 0.0)] == pytest.approx(
-        [2e-3, 1e-3, 0.0]
-    )
+    assert [
+        model["learning_rate"](progress_left) for progress_left in (1.0, 0.5, 0.0)
+    ] == pytest.approx([2e-3, 1e-3, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -181,17 +192,25 @@ def test_invalid_values_leave_no_file(tmp_path, changes, options, message):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("algorithm", "activation"), [("ppo", "Tanh"), ("sac", "ReLU"), ("tqc", "Tanh")])
+@pytest.mark.parametrize(
+    ("algorithm", "activation"), [("ppo", "Tanh"), ("sac", "ReLU"), ("tqc", "Tanh")]
+)
 def test_exported_network_equals_the_model(algorithm, activation):
-    config = make_config(plain(algorithm, policy_kwargs=f"dict(net_arch=[9, 5], activation_fn=nn.{activation})"))
-    envs = make_steered_vec(PLANAR, config.n_envs, wrappers=config.wrappers, seed=0, **config.env_kwargs)
+    config = make_config(
+        plain(algorithm, policy_kwargs=f"dict(net_arch=[9, 5], activation_fn=nn.{activation})")
+    )
+    envs = make_steered_vec(
+        PLANAR, config.n_envs, wrappers=config.wrappers, seed=0, **config.env_kwargs
+    )
     normalize = VecNormalize(CableBotVecEnv(envs), **config.normalize)
     model = algorithm_class(algorithm)(env=normalize, seed=3, device="cpu", **config.model)
     with runs.torch_threads(1):
         model.learn(128)
     network = network_from_sb3(model)
     spread = 20 * np.sqrt(normalize.obs_rms.var)  # some inputs are clipped
-    observed = normalize.obs_rms.mean + spread * np.random.default_rng(0).normal(size=(200, network.inputs))
+    observed = normalize.obs_rms.mean + spread * np.random.default_rng(0).normal(
+        size=(200, network.inputs)
+    )
     expected = model.predict(normalize.normalize_obs(observed), deterministic=True)[0]
     assert np.ptp(expected) > 1e-3
     assert np.max(np.abs(np.clip(network(observed), -1.0, 1.0) - expected)) < 1e-6
@@ -207,9 +226,13 @@ def test_run_writes_policies_evaluations_and_card(trained):
         == [evaluation.timesteps for evaluation in result.evaluations]
     )
     assert [float(row["time/total_timesteps"]) for row in logged] == [128.0, 256.0]
-    assert {"train/learning_rate", "rollout/payload_ceiling", "rollout/success_rate"} <= {*logged[-1]}
+    assert {"train/learning_rate", "rollout/payload_ceiling", "rollout/success_rate"} <= {
+        *logged[-1]
+    }
     card = Bundle.load(trained / "best.zip").card
-    assert card["command"].startswith(f"cablebot train {PLANAR} --algo ppo --config ppo.yaml --seed 3 --timesteps 256")
+    assert card["command"].startswith(
+        f"cablebot train {PLANAR} --algo ppo --config ppo.yaml --seed 3 --timesteps 256"
+    )
     assert card["seed"] == 3
     assert card["config"]["n_steps"] == 4
     assert not card["planner_output_used"]
@@ -223,25 +246,34 @@ def test_same_seed_gives_the_same_weights(trained, tmp_path):
     np.random.seed(9)  # noqa: NPY002 - SB3 draws from this generator
     for seed in (3, 4):
         run(tmp_path / str(seed), seed=seed)
-        same = np.array_equal(weights(tmp_path / str(seed) / "last.zip"), weights(trained / "last.zip"))
+        same = np.array_equal(
+            weights(tmp_path / str(seed) / "last.zip"), weights(trained / "last.zip")
+        )
         assert same == (seed == 3)
 
 
 def test_resumed_run_continues_from_the_saved_model(copied, monkeypatch):
-    """Without updates the weights stay, while normalisation, curriculum, evaluations and logs continue."""
+    """Without updates the weights stay, while normalisation, curriculum, evaluations and logs
+    continue."""
     before = weights(copied / "last.zip")
     state = json.loads((copied / "run.json").read_text(encoding="utf-8"))
-    (copied / "run.json").write_text(json.dumps(state | {"payload_ceiling": 1.25}), encoding="utf-8")
+    (copied / "run.json").write_text(
+        json.dumps(state | {"payload_ceiling": 1.25}), encoding="utf-8"
+    )
     counts = [pickle.loads((copied / "checkpoint/256/vecnormalize.pkl").read_bytes()).obs_rms.count]
     monkeypatch.setattr(PPO, "train", lambda self: None)
     result = training.train(PLANAR, out=copied, resume=True, timesteps=384)
     assert np.array_equal(weights(copied / "last.zip"), before)
-    counts.append(pickle.loads((copied / "checkpoint/384/vecnormalize.pkl").read_bytes()).obs_rms.count)
+    counts.append(
+        pickle.loads((copied / "checkpoint/384/vecnormalize.pkl").read_bytes()).obs_rms.count
+    )
     assert counts[1] > counts[0]
     assert result.timesteps == 384
     assert result.payload_ceiling == 1.25
     assert [evaluation.timesteps for evaluation in result.evaluations] == [128, 256, 384]
-    assert [float(row["time/total_timesteps"]) for row in rows(copied / "progress_256.csv")] == [384.0]
+    assert [float(row["time/total_timesteps"]) for row in rows(copied / "progress_256.csv")] == [
+        384.0
+    ]
     assert len(rows(copied / "progress.csv")) == 2
 
 
@@ -269,7 +301,9 @@ def test_interrupted_command_keeps_its_results_and_resumes(tmp_path, monkeypatch
             signal.raise_signal(signals.pop())
 
     def command(*arguments):
-        monkeypatch.setattr(sys, "argv", [*map(str, ("cablebot", "train", PLANAR, "--out", out, *arguments))])
+        monkeypatch.setattr(
+            sys, "argv", [*map(str, ("cablebot", "train", PLANAR, "--out", out, *arguments))]
+        )
         with pytest.raises(SystemExit) as ended:
             cli.main()
         return ended.value.code, capsys.readouterr()

@@ -41,7 +41,9 @@ LINE = {"name": "line-planar", "duration": 0.4, "dwell": 0.0}
 
 def carried(policy, env_id, payload, known, **keywords):
     """Whether each of N episodes keeps the limits."""
-    env = gym.make_vec(env_id, num_envs=len(payload), payload=payload, payload_known=known, **keywords)
+    env = gym.make_vec(
+        env_id, num_envs=len(payload), payload=payload, payload_known=known, **keywords
+    )
     observation, info = env.reset(seed=0)
     task = env.unwrapped.tasks[0]
     judge = Judge("task", policy.robot.cables, len(payload))
@@ -63,12 +65,15 @@ def carried(policy, env_id, payload, known, **keywords):
 def test_short_motion_is_tracked_with_known_and_unknown_payload():
     """fl fails with 5 kg.
 
-    Without dwells the plan accelerates at once, and an unknown payload lets a cable below the minimum tension within
-    the first control period, in which its estimate is zero.
+    Without dwells the plan accelerates at once, and an unknown payload lets a cable below the
+    minimum tension within the first control period, in which its estimate is zero.
     """
     policy = make_trajopt(PLANAR)
     payload = np.array([0.0, 6.0, 4.0])
-    assert carried(policy, PLANAR_ID, payload, [True, True, False], trajectory=LINE | {"dwell": 0.3}) == [True] * 3
+    assert (
+        carried(policy, PLANAR_ID, payload, [True, True, False], trajectory=LINE | {"dwell": 0.3})
+        == [True] * 3
+    )
     assert policy.fallbacks == 0
 
 
@@ -91,20 +96,25 @@ def test_robots_carry_most_of_the_planned_payload(robot, env_id, trajectory, pay
     """On the short line an unknown payload is estimated late."""
     payloads = np.array([0.0, payload, 0.0, unknown])
     known = [True, True, False, False]
-    assert carried(make_trajopt(robot), env_id, payloads, known, trajectory=trajectory) == [True] * 4
+    assert (
+        carried(make_trajopt(robot), env_id, payloads, known, trajectory=trajectory) == [True] * 4
+    )
 
 
 @pytest.mark.slow
 def test_margins_make_the_policy_robust_to_sensor_noise():
     keywords = {"payload": 5.9, "uncertainty": "sensors", "draws": 40, "payload_known": False}
     policies = [make_trajopt(SPATIAL), make_trajopt_margin(SPATIAL)]
-    near, far = compare_policies(policies, SPATIAL_ID, names=["trajopt", "trajopt-margin"], **keywords).metrics
+    near, far = compare_policies(
+        policies, SPATIAL_ID, names=["trajopt", "trajopt-margin"], **keywords
+    ).metrics
     assert far.carried.sum() >= 38
     assert near.carried.sum() < 38
 
 
 def test_margins_follow_error_bounds_and_friction():
-    """The friction of a motor that turns around changes the tension of its cable within a control period."""
+    """The friction of a motor that turns around changes the tension of its cable within a control
+    period."""
     bounds = ErrorBounds(position=0.02, rotation=0.03)
     margins = TRAJOPT_SETTINGS["rigid"].margins(SPATIAL, bounds)
     assert (margins.position, margins.rotation) == pytest.approx((0.02 * 0.02, 0.02 * 0.03))
@@ -145,7 +155,9 @@ def test_infeasible_plan_is_tried_once(monkeypatch, caplog):
     with caplog.at_level(logging.WARNING, "cablebot_gym"):
         assert carried(policy, PLANAR_ID, np.array([1.5, 1.0]), [True, True]) == [True, True]
     assert policy.fallbacks == 2
-    assert "trajectory 'circle-planar' has no feasible motion within the error bounds" in caplog.text
+    assert (
+        "trajectory 'circle-planar' has no feasible motion within the error bounds" in caplog.text
+    )
     policy.reset([gym.make(PLANAR_ID).unwrapped.task])
     assert policy.fallbacks == 1
     planner.assert_called_once()
@@ -155,9 +167,13 @@ def test_infeasible_plan_is_tried_once(monkeypatch, caplog):
 
 
 def test_each_environment_tracks_the_plan_of_its_own_task():
-    """Also after a start in one of them, the estimator forgets the last payload in that one only."""
+    """Also after a start in one of them, the estimator forgets the last payload in that one
+    only."""
     motions = [LINE, LINE | {"duration": 0.5}]
-    singles = [gym.make(PLANAR_ID, trajectory=motion, payload=2.0, payload_known=False) for motion in motions]
+    singles = [
+        gym.make(PLANAR_ID, trajectory=motion, payload=2.0, payload_known=False)
+        for motion in motions
+    ]
     observed = np.array([env.reset(seed=0)[0] for env in singles])
     tasks = [env.unwrapped.task for env in singles]
     batch, *alone = (make_trajopt(PLANAR) for _ in range(3))
@@ -172,7 +188,9 @@ def test_each_environment_tracks_the_plan_of_its_own_task():
             observed[0] = singles[0].reset(seed=0)[0]
         together, state = batch.predict(observed, state, start)
         for index in range(2):
-            action, states[index] = alone[index].predict(observed[index], states[index], start[index])
+            action, states[index] = alone[index].predict(
+                observed[index], states[index], start[index]
+            )
             np.testing.assert_allclose(together[index], action, atol=1e-9)
             observed[index] = singles[index].step(action)[0]
         if step == 10:

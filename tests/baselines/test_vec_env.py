@@ -40,8 +40,11 @@ def dummy(env_id=PLANAR_ID, count=COUNT, **keywords):
 
 
 def random_actions(env, steps, seed=0):
-    """Actions (steps, N, m), each constant for some steps, some beyond ±1 and many that slacken cables."""
-    drawn = np.random.default_rng(seed).uniform(-1.0, 1.5, (steps // 4 + 1, env.num_envs, *env.action_space.shape))
+    """Actions (steps, N, m), each constant for some steps, some beyond ±1 and many that slacken
+    cables."""
+    drawn = np.random.default_rng(seed).uniform(
+        -1.0, 1.5, (steps // 4 + 1, env.num_envs, *env.action_space.shape)
+    )
     return np.repeat(drawn, 4, axis=0)[:steps]
 
 
@@ -54,14 +57,17 @@ def check_same_dict(infos, expected):
 
 
 def check_same_run(env, twin, actions):
-    """Compares transitions and infos; returns how many episodes failed, and how many the time limit ended."""
+    """Compares transitions and infos; returns how many episodes failed, and how many the time limit
+    ended."""
     failed = limited = 0
     for action in actions:
         results = env.step(action)
         expected = twin.step(action)
         for result, expected_result in zip(results[:3], expected[:3], strict=True):
             np.testing.assert_array_equal(result, expected_result, strict=True)
-        for result, expected_result in zip(results[3] + env.reset_infos, expected[3] + twin.reset_infos, strict=True):
+        for result, expected_result in zip(
+            results[3] + env.reset_infos, expected[3] + twin.reset_infos, strict=True
+        ):
             check_same_dict(result, expected_result)
         limit = np.array([info["TimeLimit.truncated"] for info in expected[3]])
         failed = failed + (expected[2] & ~limit).sum()
@@ -84,7 +90,8 @@ def test_transitions_equal_those_of_dummy_vec_env(env_id):
 
 
 def test_info_keys_select_the_info_of_the_episode_that_ended():
-    """Ended episodes also have the final keys; the info of the next episode is in ``reset_infos`` only."""
+    """Ended episodes also have the final keys; the info of the next episode is in ``reset_infos``
+    only."""
     env = ours(seed=1, info_keys=("time", "slack"))
     twin = dummy()
     twin.seed(1)
@@ -100,7 +107,9 @@ def test_info_keys_select_the_info_of_the_episode_that_ended():
 @pytest.mark.parametrize(("limit", "by_limit"), [(10, True), (11, False), (12, False)])
 def test_failure_at_the_last_step_is_not_a_truncation(limit, by_limit):
     """SB3 would add the value of a failed state to its reward."""
-    env = make_sb3_vec_env(PLANAR_ID, 2, control_frequency=100.0, slack_time=0.1, max_episode_steps=limit)
+    env = make_sb3_vec_env(
+        PLANAR_ID, 2, control_frequency=100.0, slack_time=0.1, max_episode_steps=limit
+    )
     env.reset()
     ends = [env.step(np.full((2, 3), -0.5)) for _ in range(min(limit, 11))]
     assert not any(dones.any() for _, _, dones, _ in ends[:-1])
@@ -160,7 +169,9 @@ def test_attributes_equal_those_of_the_single_environments():
         vec_env.step(random_actions(vec_env, 1)[0])
     for name in ("pose", "action_space", "observation_space", "render_mode", "np_random_seed"):
         np.testing.assert_equal(env.get_attr(name), twin.get_attr(name))
-    np.testing.assert_equal(env.get_attr("pose", indices=[3, 1]), twin.get_attr("pose", indices=[3, 1]))
+    np.testing.assert_equal(
+        env.get_attr("pose", indices=[3, 1]), twin.get_attr("pose", indices=[3, 1])
+    )
     with pytest.raises(AttributeError, match="paylaod"):
         env.get_attr("paylaod")
     with pytest.raises(NotImplementedError, match=r"set_options\(\)"):
@@ -186,7 +197,11 @@ def test_wrappers_of_the_batch_take_effect():
             assert mine["r"] == pytest.approx(its["r"], abs=1e-5)
             ends += 1
     assert ends > COUNT
-    assert wrapped.env_is_wrapped(TransformAction) == wrapped.env_is_wrapped(RecordEpisodeStatistics) == [True] * COUNT
+    assert (
+        wrapped.env_is_wrapped(TransformAction)
+        == wrapped.env_is_wrapped(RecordEpisodeStatistics)
+        == [True] * COUNT
+    )
     assert wrapped.env_is_wrapped(Monitor, indices=0) == [False]
 
 

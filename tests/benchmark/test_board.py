@@ -1,4 +1,5 @@
-"""Boards: the hidden motions and the policies are fixed by a commitment; stored promises are tried again."""
+"""Boards: the hidden motions and the policies are fixed by a commitment; stored promises are tried
+again."""
 
 from __future__ import annotations
 
@@ -128,7 +129,9 @@ def test_results_of_other_motions_than_the_board_are_rejected(tmp_path, monkeypa
     monkeypatch.setattr(suites, "SUITES", {"s": suite})
     results = Results(suite="s", command="", records=records, board=board)
     results.check_board()
-    easy = replace(records[0], cell=replace(records[0].cell, trajectory={"name": "loop-planar", "seed": 12345}))
+    easy = replace(
+        records[0], cell=replace(records[0].cell, trajectory={"name": "loop-planar", "seed": 12345})
+    )
     with pytest.raises(ValueError, match="are not those of board"):
         replace(results, records=[easy, *records[1:]]).check_board()
     with pytest.raises(ValueError, match="are not those of board"):
@@ -178,7 +181,9 @@ def test_fresh_draws_tell_a_kept_promise_from_a_broken_one(inline):
         record(cell(policy="robust"), None),
         record(cell(seed=1), 9.9, assured=False),
     ]
-    confirmations = confirm([feasible, too_much, *unpromised], local(1), cells=20, draws=60, seed=5, say=print)
+    confirmations = confirm(
+        [feasible, too_much, *unpromised], local(1), cells=20, draws=60, seed=5, say=print
+    )
     by_policy = {confirmation.cell.policy: confirmation for confirmation in confirmations}
     assert set(by_policy) == {"fl", "fl-tuned"}
     assert by_policy["fl"].success_rate == 1.0

@@ -1,4 +1,5 @@
-"""Cells: their keys, the evaluation that they request, and the hash of the code that computes them."""
+"""Cells: their keys, the evaluation that they request, and the hash of the code that computes
+them."""
 
 from __future__ import annotations
 
@@ -92,7 +93,9 @@ def default_payload():
 
 
 @pytest.mark.usefixtures("inline")
-@pytest.mark.parametrize("name", sorted(set(OTHERS) - UNCERTAIN - {"env_id", "robot_name", "criterion", "real_time"}))
+@pytest.mark.parametrize(
+    "name", sorted(set(OTHERS) - UNCERTAIN - {"env_id", "robot_name", "criterion", "real_time"})
+)
 def test_field_reaches_the_evaluation(default_payload, name):
     assert compute(changed(**{name: OTHERS[name]})).result["payload"] != default_payload
 
@@ -119,7 +122,9 @@ def test_robot_name_reaches_plant_and_policy():
         "duration": 1.0,
     }
     options = {"trajectory": motion, "resolution": 0.5, "payload_max": 5.0}
-    cell = PolicyCell(env_id="CableBot-PlanarPlatform-v0", policy="fl", robot_name=klaus.name, **options)
+    cell = PolicyCell(
+        env_id="CableBot-PlanarPlatform-v0", policy="fl", robot_name=klaus.name, **options
+    )
     expected = evaluate_dlcc(
         load_policy("fl", klaus), cell.env_id, robot=klaus, error_bounds=FL.error_bounds, **options
     )
@@ -140,7 +145,9 @@ def test_robot_changes_reach_plant_and_policy():
         robot_changes=SPRINGS,
     )
     stiffer = FLEX_PLANAR.replace(transmission=FLEX_PLANAR.transmission.replace(stiffness=10.0))
-    expected = evaluate_dlcc(load_policy("motor-pd", stiffer), cell.env_id, robot=stiffer, resolution=0.2)
+    expected = evaluate_dlcc(
+        load_policy("motor-pd", stiffer), cell.env_id, robot=stiffer, resolution=0.2
+    )
     result = compute(cell).result
     assert result["payload"] == expected.payload
     assert result["saturated"]
@@ -163,7 +170,9 @@ def test_draws_and_probability_reach_the_evaluation():
 
 @pytest.mark.slow
 def test_late_actions_lower_the_payload_of_a_slow_policy(module, monkeypatch):
-    monkeypatch.setattr("cablebot_gym.evaluation.search.SEARCH_DRAWS", 1)  # each episode takes its time
+    monkeypatch.setattr(
+        "cablebot_gym.evaluation.search.SEARCH_DRAWS", 1
+    )  # each episode takes its time
     module("toy_slow.py", SLEEPS)
     slow = changed(
         policy="toy_slow:make",
@@ -292,7 +301,9 @@ def test_paper_criterion_takes_unsaturated_policies(module):
     result = compute(changed(policy="toy_policies:clips", **PAPER)).result
     assert not result["applicable"]
     assert result["payload"] is None
-    assert compute(changed(policy="toy_policies:claims", **PAPER)).result["payload"] == pytest.approx(1.06, abs=0.03)
+    assert compute(changed(policy="toy_policies:claims", **PAPER)).result[
+        "payload"
+    ] == pytest.approx(1.06, abs=0.03)
 
 
 @pytest.mark.usefixtures("inline")
@@ -316,7 +327,12 @@ def test_fallbacks_are_counted_per_episode(module):
     module("toy_policies.py", TOYS)
     short = {"name": "dwell-planar", "duration": 0.02}
     for draws in ({}, {"uncertainty": "table6", "draws": 40}):
-        assert compute(changed(policy="toy_policies:Falls", trajectory=short, **draws)).result["fallbacks"] == 3
+        assert (
+            compute(changed(policy="toy_policies:Falls", trajectory=short, **draws)).result[
+                "fallbacks"
+            ]
+            == 3
+        )
     assert compute(changed(trajectory=short)).result["fallbacks"] is None
 
 
@@ -347,7 +363,9 @@ def test_hash_has_imports_and_data_of_a_package_but_no_comments(module):
         ("gains.py", "K = 3\n"),
         ("__init__.py", "K = 3\n"),
     )
-    hashes = sources(module, "toy_package.law:make", [(f"toy_package/{name}", text) for name, text in files])
+    hashes = sources(
+        module, "toy_package.law:make", [(f"toy_package/{name}", text) for name, text in files]
+    )
     assert hashes[0] == hashes[1] == hashes[2]
     assert len(set(hashes)) == 4
 
@@ -361,7 +379,9 @@ def test_hash_of_an_installed_policy_has_its_files(module, monkeypatch):
     ):
         path = module(f"toy_package/{name}", text)
     files = (path.parent / "own.bin",)
-    entry = PolicyEntry(name="toy", kind="learned", env_ids=(), factory=lambda robot: None, summary="", files=files)
+    entry = PolicyEntry(
+        name="toy", kind="learned", env_ids=(), factory=lambda robot: None, summary="", files=files
+    )
     point = EntryPoint(name="toy", group="cablebot_gym.policies", value="toy_package.law:ENTRY")
     monkeypatch.setattr("cablebot_gym.policies.spec.entry_points", lambda group, name: [point])
     monkeypatch.setattr(policy_sources, "public_entry", {"toy": entry}.get)
@@ -377,7 +397,9 @@ def test_hash_of_a_module_has_imports_of_its_folder(module):
     )
     module("toy_helpers/__init__.py", "")
     names = ("toy_helper.py", "toy_helpers/deep.py", "toy_helpers/__init__.py", "toy_other.py")
-    hashes = sources(module, "toy_flat:make", [(name, f"K = {value}\n") for name in names for value in (1, 2)])
+    hashes = sources(
+        module, "toy_flat:make", [(name, f"K = {value}\n") for name in names for value in (1, 2)]
+    )
     assert len(set(hashes)) == 6  # nobody imports the last module
 
 
@@ -391,7 +413,9 @@ def test_hash_of_a_module_has_the_data_that_it_names(module):
 def test_hash_has_physics_evaluation_and_law_but_no_command(monkeypatch):
     files = []
     real = code_hash._parsed.__wrapped__
-    monkeypatch.setattr(code_hash, "_parsed", lambda path, name: files.append(name) or real(path, name))
+    monkeypatch.setattr(
+        code_hash, "_parsed", lambda path, name: files.append(name) or real(path, name)
+    )
     code_hash.source_hash.cache_clear()
     assert changed(policy="adaptive").source
     code_hash.source_hash.cache_clear()
@@ -404,14 +428,22 @@ def test_hash_has_physics_evaluation_and_law_but_no_command(monkeypatch):
         "uncertainty",
     )
     assert {f"cablebot_gym.{name}" for name in names} <= set(files)
-    assert {"cablebot_baselines.classical.adaptive", "cablebot_baselines.classical.law"} <= set(files)
-    assert not [name for name in files if name.startswith(("cablebot_baselines.paper", "cablebot_gym.cli.app"))]
+    assert {"cablebot_baselines.classical.adaptive", "cablebot_baselines.classical.law"} <= set(
+        files
+    )
+    assert not [
+        name
+        for name in files
+        if name.startswith(("cablebot_baselines.paper", "cablebot_gym.cli.app"))
+    ]
 
 
 def test_hash_has_the_file_of_a_real_robot(tmp_path, monkeypatch):
     cells = [changed(robot_name="flex-cogiro"), dataclasses.replace(BEST, robot_name="cogiro"), FL]
     hashes = []
-    monkeypatch.setattr("cablebot_gym.benchmark.cells.library", lambda: {"cogiro": tmp_path / "cogiro.toml"})
+    monkeypatch.setattr(
+        "cablebot_gym.benchmark.cells.library", lambda: {"cogiro": tmp_path / "cogiro.toml"}
+    )
     for content in ("mass = 1", "mass = 2"):
         (tmp_path / "cogiro.toml").write_text(content, encoding="utf-8")
         code_hash.source_hash.cache_clear()

@@ -1,4 +1,5 @@
-"""Entries of others: tampered folders and claims are refused. The commands have tests in tests/cli."""
+"""Entries of others: tampered folders and claims are refused. The commands have tests in
+tests/cli."""
 
 from __future__ import annotations
 
@@ -57,7 +58,9 @@ def entry(module, tmp_path, monkeypatch):
     make_entry(folder, "toy_law:make", [ENV_ID], TEXTS)
     policy_source.cache_clear()
     records = renamed(reruns(folder, 1.0, 0.5), "law")
-    results = Results(suite="tiny", command="", records=records, entries=[note(folder, "unverified")])
+    results = Results(
+        suite="tiny", command="", records=records, entries=[note(folder, "unverified")]
+    )
     (folder / "results.json").write_text(results.to_json(), encoding="utf-8")
     return folder
 
@@ -78,7 +81,11 @@ def reruns(folder, exact, drawn, seed=0):
                 "resolution": 0.001,
                 "assured": is_assured,
             }
-        records.append(Record(cell=replace(cell, seed=seed), source="a", versions={}, result=result, seconds=0.0))
+        records.append(
+            Record(
+                cell=replace(cell, seed=seed), source="a", versions={}, result=result, seconds=0.0
+            )
+        )
     return records
 
 
@@ -207,12 +214,16 @@ def test_entry_is_verified_by_a_rerun_in_a_sandbox(entry, monkeypatch):
 
 def test_table_gives_authors_licence_and_status(entry):
     notes = [note(entry, "unverified: 1.000 kg | claimed")]
-    page = markdown(Results(suite="tiny", command="", records=reruns(entry, 1.0, 0.5), entries=notes))
+    page = markdown(
+        Results(suite="tiny", command="", records=reruns(entry, 1.0, 0.5), entries=notes)
+    )
     assert f"| `{entry}`, unverified |" in page
     assert f"| `{entry}` | – | A. Author | MIT | none | none | none | unverified: 1.000 kg" in page
     verified = [replace(notes[0], status="verified")]
     again = Results.from_json(
-        Results(suite="tiny", command="", records=reruns(entry, 1.0, 0.5), entries=verified).to_json()
+        Results(
+            suite="tiny", command="", records=reruns(entry, 1.0, 0.5), entries=verified
+        ).to_json()
     )
     assert "`, unverified" not in markdown(again)
 

@@ -1,4 +1,5 @@
-"""Cells on a Ray cluster of two nodes on this machine: equal numbers, and no cell is lost with its worker."""
+"""Cells on a Ray cluster of two nodes on this machine: equal numbers, and no cell is lost with its
+worker."""
 
 from __future__ import annotations
 
@@ -21,7 +22,9 @@ from cablebot_gym.utils.workers import WorkerDied
 
 CIRCLE = {"name": "circle-planar", "duration": 0.8}
 CELLS = [
-    PolicyCell(env_id="CableBot-Planar-v0", trajectory=CIRCLE, policy=policy, resolution=0.1, **model)
+    PolicyCell(
+        env_id="CableBot-Planar-v0", trajectory=CIRCLE, policy=policy, resolution=0.1, **model
+    )
     for policy in ("fl", "fl-tuned")
     for model in ({}, {"payload_known": False})
 ]
@@ -78,7 +81,9 @@ def test_cells_on_two_nodes_have_the_numbers_of_one_process(address, tmp_path):
     messages = []
     store = Store(tmp_path, say=messages.append)
     cells = {cell.key: cell for cell in CELLS}
-    records = run_cells(cells, store, on_ray(address), progress=lambda *step: None, say=messages.append)
+    records = run_cells(
+        cells, store, on_ray(address), progress=lambda *step: None, say=messages.append
+    )
     assert [record.result for record in records] == [compute(cell).result for cell in CELLS]
     assert len({record.result["payload"] for record in records}) > 2
     assert messages == []
@@ -111,7 +116,9 @@ def test_chosen_exceptions_are_results_and_others_are_raised(address):
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "nonsense", "host:port"])
 def test_address_without_cluster_raises_at_once(address):
     pytest.importorskip("ray")
-    with pytest.raises(ValueError, match=rf"{address}' is not an address|no Ray cluster at '{address}"):
+    with pytest.raises(
+        ValueError, match=rf"{address}' is not an address|no Ray cluster at '{address}"
+    ):
         on_ray(address)
 
 

@@ -42,15 +42,21 @@ def best(payload, motion=CIRCLE, env_id=PLANAR, **more):
 
 def carries(policy, payload, motion=CIRCLE, more=None, env_id=PLANAR, **conditions):
     cell = PolicyCell(env_id=env_id, trajectory=motion, policy=policy, **conditions)
-    return record(cell, payload=payload, total_mass=None if payload is None else payload + 1.0, **(more or {}))
+    return record(
+        cell, payload=payload, total_mass=None if payload is None else payload + 1.0, **(more or {})
+    )
 
 
 def fails(policy, message="it raised", motion=CIRCLE, **more):
-    return record(PolicyCell(env_id=PLANAR, trajectory=motion, policy=policy), error=message, **more)
+    return record(
+        PolicyCell(env_id=PLANAR, trajectory=motion, policy=policy), error=message, **more
+    )
 
 
 def page_of(records):
-    return markdown(Results(suite="smoke", command="cablebot benchmark --suite smoke", records=records))
+    return markdown(
+        Results(suite="smoke", command="cablebot benchmark --suite smoke", records=records)
+    )
 
 
 def row(text, policy):
@@ -121,7 +127,8 @@ def family(policies, count=RANKED_MOTIONS, env_id=PLANAR):
 
 
 def test_rank_counts_the_policies_better_with_confidence():
-    """The motions differ more than the policies: only differences on the same motions tell c from a and b."""
+    """The motions differ more than the policies: only differences on the same motions tell c from a
+    and b."""
     random = np.random.default_rng(0)
     hard = random.uniform(-0.3, 0.3, RANKED_MOTIONS)
     noise = random.normal(0, 0.01, RANKED_MOTIONS)
@@ -263,8 +270,12 @@ ALL = [
     fails("bad", "policy 'bad' raised <b> | and * more"),
     carries("fl", 1.06, {"name": "paper-planar"}, criterion="paper"),
     carries("toy", 1.5, {"name": "paper-planar"}, criterion="paper", more={"declared": True}),
-    carries("trajopt", None, {"name": "paper-planar"}, criterion="paper", more={"applicable": False}),
-    carries("fl", 0.25, payload_known=False, uncertainty="table6", draws=512, more={"assured": True}),
+    carries(
+        "trajopt", None, {"name": "paper-planar"}, criterion="paper", more={"applicable": False}
+    ),
+    carries(
+        "fl", 0.25, payload_known=False, uncertainty="table6", draws=512, more={"assured": True}
+    ),
     record(
         TimingCell(env_id=PLANAR, trajectory=CIRCLE, policy="fl"),
         **TIMING,
@@ -303,5 +314,7 @@ def test_page_and_terminal_have_the_numbers_of_the_json(capsys):
 
 
 def test_lost_computation_has_a_null_score_in_json():
-    lost = Results(suite="smoke", command="", records=[best(2.0), fails("lost", "no memory", final=False)])
+    lost = Results(
+        suite="smoke", command="", records=[best(2.0), fails("lost", "no memory", final=False)]
+    )
     assert scores(Results.from_json(lost.to_json()).records)[0].score is None

@@ -93,14 +93,17 @@ def test_results_of_other_code_are_used_only_on_request(store, messages, tmp_pat
 
 
 def run(store, outcomes=None, cells=(CELL, OTHER), progress=lambda *step: None):
-    """Records of the cells and the computed cells; outcomes replace records, and an interrupt is raised."""
+    """Records of the cells and the computed cells; outcomes replace records, and an interrupt is
+    raised."""
     computed = []
 
     def backend(jobs, say, returned):
         for key, job in jobs.items():
             (cell,) = job.compute.args
             computed.append(cell)
-            outcome = (outcomes or {}).get(cell.policy if isinstance(cell, PolicyCell) else "") or record(cell)
+            outcome = (outcomes or {}).get(
+                cell.policy if isinstance(cell, PolicyCell) else ""
+            ) or record(cell)
             if isinstance(outcome, KeyboardInterrupt):
                 raise outcome
             yield key, outcome
@@ -150,7 +153,9 @@ def test_longest_cells_start_first(store):
 
 def test_jobs_with_one_key_run_once():
     calls = []
-    jobs = [Job(key="a", compute=lambda: calls.append(1), kind=0)] * 2 + [Job(key="b", compute=dict().popitem, kind=0)]
+    jobs = [Job(key="a", compute=lambda: calls.append(1), kind=0)] * 2 + [
+        Job(key="b", compute=dict().popitem, kind=0)
+    ]
     outcomes = dict(run_jobs(jobs, local(1), say=print, returned=(KeyError,)))
     assert calls == [1]
     assert outcomes["a"] is None

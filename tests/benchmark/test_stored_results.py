@@ -1,4 +1,5 @@
-"""Results in docs: the pages follow from the stored results, the cells are those of the suites, and samples still hold.
+"""Results in docs: the pages follow from the stored results, the cells are those of the suites, and
+samples still hold.
 
 The last line of each page is the command that computes it.
 """
@@ -28,7 +29,9 @@ PAGES = {
 @pytest.fixture(scope="module")
 def results():
     def read(name):
-        return Results.from_json((ROOT / "docs" / name / "results.json").read_text(encoding="utf-8"))
+        return Results.from_json(
+            (ROOT / "docs" / name / "results.json").read_text(encoding="utf-8")
+        )
 
     return {name: read(name) for name in (*PAGES, "library")}
 
@@ -53,7 +56,9 @@ def test_results_have_the_cells_of_their_suite(results, name):
     policy_records = records_of(stored, PolicyCell)
     (seed,) = {record.cell.seed for record in policy_records}
     policies = sorted({record.cell.policy for record in policy_records})
-    cells = suite_cells(suite, find_policies(policies, suite.env_ids), seed=seed, board=stored.board)
+    cells = suite_cells(
+        suite, find_policies(policies, suite.env_ids), seed=seed, board=stored.board
+    )
     assert sorted(record.cell.key for record in stored.records) == sorted(cells)
     for record in stored.records:
         assert record.error is None or "did not answer within" in record.error
@@ -77,14 +82,22 @@ def test_leaderboard_follows_from_its_commitment(results):
 
 @pytest.mark.slow
 def test_uncertain_payloads_are_carried_in_fresh_draws(results):
-    confirmations = list(confirm(results["leaderboard"].records, local(2), cells=2, draws=256, seed=23, say=print))
-    assert [str(confirmation) for confirmation in confirmations if confirmation.success_rate < 0.93] == []
+    confirmations = list(
+        confirm(results["leaderboard"].records, local(2), cells=2, draws=256, seed=23, say=print)
+    )
+    assert [
+        str(confirmation) for confirmation in confirmations if confirmation.success_rate < 0.93
+    ] == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("index", range(10))
 def test_cheapest_payloads_of_the_leaderboard_are_reproduced(results, index):
-    carried = [record for record in records_of(results["leaderboard"], PolicyCell) if record.result.get("payload")]
+    carried = [
+        record
+        for record in records_of(results["leaderboard"], PolicyCell)
+        if record.result.get("payload")
+    ]
     carried.sort(key=lambda record: record.seconds)
     stored = carried[index].result
     result = compute(carried[index].cell).result
@@ -101,7 +114,8 @@ def test_best_known_payload_is_reproduced(results):
 
 
 OTHERS = {"learned.md", "attacks.md", "changelog.md", "errata.md"}
-"""Pages that a script writes, the history, and the errata, whose numbers have tests of their own."""
+"""Pages that a script writes, the history, and the errata, whose numbers have tests of their
+own."""
 
 SETTINGS = {
     "README.md": {"6 kg"},  # what the picture shows
@@ -117,7 +131,9 @@ SETTINGS = {
 
 def prose(path):
     """Text of a page without code and without tables that scripts write."""
-    text = re.sub(r"<!-- [^>]*written by.*?<!-- end", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    text = re.sub(
+        r"<!-- [^>]*written by.*?<!-- end", "", path.read_text(encoding="utf-8"), flags=re.DOTALL
+    )
     return re.sub(r"```.*?```", "", text, flags=re.DOTALL)
 
 
@@ -131,8 +147,15 @@ def test_no_measured_number_is_typed_into_prose():
     ]
     for path in pages:
         name = path.relative_to(ROOT).as_posix()
-        if path.name in OTHERS or path in PAGES.values() or "/generated/" in name or "/reproduction/" in name:
+        if (
+            path.name in OTHERS
+            or path in PAGES.values()
+            or "/generated/" in name
+            or "/reproduction/" in name
+        ):
             continue
-        numbers = re.findall(r"\d+(?:\.\d+)? ?(?:kg|%|ms|s|min|minutes?|hours?)(?![\w/·])", prose(path))
+        numbers = re.findall(
+            r"\d+(?:\.\d+)? ?(?:kg|%|ms|s|min|minutes?|hours?)(?![\w/·])", prose(path)
+        )
         typed = set(numbers) - SETTINGS.get(name, set())
         assert not typed, f"{name} has {typed}: generate these numbers from stored results"

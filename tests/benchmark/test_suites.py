@@ -67,7 +67,9 @@ def test_cells_of_a_suite_are_valid(name):
         assert find_uncertainty(uncertainty, find_robot(env_robot(env_id))).random == (count > 1)
     for cell in motions.values():
         find_trajectory(dict(cell.trajectory), cell.robot.kind)
-        assert cell.env_id in FLEXIBLE_ENV_IDS or "stiffness" not in cell.robot_changes.get("transmission", {})
+        assert cell.env_id in FLEXIBLE_ENV_IDS or "stiffness" not in cell.robot_changes.get(
+            "transmission", {}
+        )
 
 
 STANDARD = {
@@ -96,7 +98,9 @@ def test_suite_has_every_fast_policy_under_all_conditions(name):
     for cell in policy_cells(name):
         evaluated.add((cell.env_id, cell.policy))
         motion = cell.trajectory["name"].partition("-")[0]
-        conditions.add((cell.env_id, motion, cell.payload_model, cell.uncertainty, cell.criterion, cell.draws))
+        conditions.add(
+            (cell.env_id, motion, cell.payload_model, cell.uncertainty, cell.criterion, cell.draws)
+        )
         seeds.add(cell.trajectory.get("seed"))
     assert evaluated == fast
     expected = {(env_id, *condition) for env_id in PAPER_ENV_IDS for condition in CONDITIONS[name]}
@@ -113,7 +117,9 @@ def test_slow_policy_is_evaluated_in_marked_blocks_only(monkeypatch):
     assert len(policy_cells("standard", ["fl"])) == 2 * 7
     slow = {"fl": replace(entries["fl"], slow=True)}
     monkeypatch.setattr("cablebot_gym.benchmark.suites.public_entry", slow.get)
-    conditions = {(cell.uncertainty, cell.trajectory["name"][:4]) for cell in policy_cells("ranked", ["fl"])}
+    conditions = {
+        (cell.uncertainty, cell.trajectory["name"][:4]) for cell in policy_cells("ranked", ["fl"])
+    }
     assert conditions == {(None, "loop"), (None, "circ")}
     assert policy_cells("standard", ["fl"]) == []
 
@@ -121,7 +127,9 @@ def test_slow_policy_is_evaluated_in_marked_blocks_only(monkeypatch):
 def test_real_time_repeats_every_episode():
     suite = find_suite("standard")
     some = suite_cells(suite, {PLANAR: ("fl",)}, real_time=True).values()
-    drawn = {(cell.uncertainty, cell.options()["draws"]) for cell in some if isinstance(cell, PolicyCell)}
+    drawn = {
+        (cell.uncertainty, cell.options()["draws"]) for cell in some if isinstance(cell, PolicyCell)
+    }
     assert drawn == {(None, 59), ("hardware", 512), ("table6", 512)}
 
 
@@ -135,7 +143,8 @@ def test_policies_are_assigned_to_their_environments():
 
 
 def test_code_of_another_package_is_not_imported_here(tmp_path, module):
-    """Its module once patched the judge when the benchmark read its environment ids. It cannot replace `fl` either."""
+    """Its module once patched the judge when the benchmark read its environment ids. It cannot
+    replace `fl` either."""
     for name, text in (
         ("toy_other-1.dist-info/METADATA", "Metadata-Version: 2.1\nName: toy-other\nVersion: 1\n"),
         (
@@ -167,7 +176,9 @@ def test_factory_for_no_robot_is_rejected(module):
         "def planar(robot):\n    assert robot.planar\n    return lambda observation: 0\n"
         "def none(robot):\n    raise RuntimeError('not today')\n",
     )
-    assert find_policies(["toy_suites:planar"], [PLANAR, SPATIAL])[SPATIAL] == ("toy_suites:planar",)
+    assert find_policies(["toy_suites:planar"], [PLANAR, SPATIAL])[SPATIAL] == (
+        "toy_suites:planar",
+    )
     with pytest.raises(ValueError, match="not today"):
         find_policies(["toy_suites:none"], [PLANAR, SPATIAL])
     assert "toy_suites" not in sys.modules  # it is loaded in another process

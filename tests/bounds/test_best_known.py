@@ -1,4 +1,5 @@
-"""The best known payload: hand calculation, certificate, every policy, and a replay in a fresh environment."""
+"""The best known payload: hand calculation, certificate, every policy, and a replay in a fresh
+environment."""
 
 from __future__ import annotations
 
@@ -62,9 +63,13 @@ def circle() -> BestKnownPayload:
     return find_best_known(PLANAR_ID, cache=False)
 
 
-def replay(payload: float, actions: Any, *, env_id: str = PLANAR_ID, trajectory: Any = LINE, **more: Any) -> Verdict:
+def replay(
+    payload: float, actions: Any, *, env_id: str = PLANAR_ID, trajectory: Any = LINE, **more: Any
+) -> Verdict:
     """The verdict on an open-loop episode."""
-    return record_rollout(OpenLoop(actions), env_id, payload=payload, trajectory=trajectory, **more).verdict
+    return record_rollout(
+        OpenLoop(actions), env_id, payload=payload, trajectory=trajectory, **more
+    ).verdict
 
 
 # --- the fast case ----------------------------------------------------------------------------------------------------
@@ -89,15 +94,18 @@ def test_replays_have_the_physics_step_and_a_tenth_of_it(line) -> None:
         verdict = replay(line.payload, line.actions, substeps=stored.substeps)
         assert verdict.carried
         assert stored.violation is None
-        assert f"{stored.substeps} physics steps per control period: least tension {stored.least_tension:.3f}" in str(
-            line
+        assert (
+            f"{stored.substeps} physics steps per control period: least tension {stored.least_tension:.3f}"
+            in str(line)
         )
         assert verdict.least_tension == stored.least_tension >= PLANAR.minimum_tension
         assert verdict.position_peak == stored.position_peak <= 0.01
     assert fine.least_tension < coarse.least_tension
 
 
-def test_replay_that_fails_at_finer_steps_is_not_verified(monkeypatch: pytest.MonkeyPatch, line) -> None:
+def test_replay_that_fails_at_finer_steps_is_not_verified(
+    monkeypatch: pytest.MonkeyPatch, line
+) -> None:
     case = best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0)
     refinements = []
     record = best_known._Case._record
@@ -156,7 +164,9 @@ def test_hang_within_narrow_bounds_has_the_static_payload() -> None:
     bounds = {"position": 1e-5, "rotation": 1e-5}
     tight = find_best_known(SPATIAL_ID, trajectory=hang, error_bounds=bounds, cache=False)
     assert tight.verified
-    assert tight.payload == pytest.approx(exact_payload(SPATIAL, find_trajectory(hang, 6)).payload, rel=2e-3)
+    assert tight.payload == pytest.approx(
+        exact_payload(SPATIAL, find_trajectory(hang, 6)).payload, rel=2e-3
+    )
 
 
 @pytest.mark.slow
@@ -177,7 +187,9 @@ def test_arguments_reach_the_program(line) -> None:
         "error_bounds": {"position": 0.12},
     }
     motors = Motors(stall_torque=5.5, free_speed=PLANAR.motors.free_speed)
-    changed = find_best_known(PLANAR_ID, robot=PLANAR.replace(motors=motors), cache=False, **options)
+    changed = find_best_known(
+        PLANAR_ID, robot=PLANAR.replace(motors=motors), cache=False, **options
+    )
     assert changed.verified
     assert len(changed.actions) == 80
     assert changed.environment["control_frequency"] == 200.0
@@ -219,7 +231,9 @@ def test_failed_fine_mesh_is_skipped(
 
 def test_best_of_several_starts_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     payloads = iter([1.0, 3.0, 2.0])
-    monkeypatch.setattr(MotionProgram, "solve", lambda *_, **__: SimpleNamespace(payload=next(payloads)))
+    monkeypatch.setattr(
+        MotionProgram, "solve", lambda *_, **__: SimpleNamespace(payload=next(payloads))
+    )
     case = best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0)
     assert case._first(case._program(20)).payload == 3.0
 

@@ -1,4 +1,5 @@
-"""The upper certificate against hand calculation, quadrature of its own proof, and all that carries a payload."""
+"""The upper certificate against hand calculation, quadrature of its own proof, and all that carries
+a payload."""
 
 from __future__ import annotations
 
@@ -31,12 +32,15 @@ from cablebot_gym.trajectories import find_trajectory
 
 CIRCLE = find_trajectory("paper-planar", 2)
 BEST_KNOWN = 3.850
-"""Total mass [kg] that ``cablebot best-known CableBot-Planar-v0 --trajectory paper-planar`` verifies within 10 mm."""
+"""Total mass [kg] that ``cablebot best-known CableBot-Planar-v0 --trajectory paper-planar``
+verifies within 10 mm."""
 
 
 @cache
 def certificate(name: str = "paper-planar", position: float = 0.01, passes: int = 1) -> Certificate:
-    return planar_certificate(PLANAR, find_trajectory(name, 2), ErrorBounds(position=position), passes=passes)
+    return planar_certificate(
+        PLANAR, find_trajectory(name, 2), ErrorBounds(position=position), passes=passes
+    )
 
 
 @cache
@@ -70,11 +74,17 @@ def test_wider_tube_raises_the_certificate() -> None:
     ]
     assert np.all(np.diff(masses) > 0.1)
     wide = {"error_bounds": ErrorBounds(position=0.02), "payload_known": True, "resolution": 0.05}
-    assert 0 < evaluate_dlcc("robust-tuned", "CableBot-Planar-v0", **wide).payload < certificate(position=0.02).payload
+    assert (
+        0
+        < evaluate_dlcc("robust-tuned", "CableBot-Planar-v0", **wide).payload
+        < certificate(position=0.02).payload
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("inertia", "free_speed", "damping"), [(0.02, 1e9, 0.0), (0.02, 100.0, 0.05)])
+@pytest.mark.parametrize(
+    ("inertia", "free_speed", "damping"), [(0.02, 1e9, 0.0), (0.02, 100.0, 0.05)]
+)
 def test_certificate_in_one_dimension_matches_the_closed_form(
     inertia: float, free_speed: float, damping: float
 ) -> None:
@@ -113,12 +123,14 @@ def test_multiplier_bounds_the_force_in_the_tube() -> None:
     towards = -textbook.jacobian(PLANAR, CIRCLE(times).position + error)
     (w, _, _), (phi, _, _) = multiplier(times)
     assert np.all(phi >= np.maximum(np.einsum("tij,tj->ti", towards, w), 0.0))
-    assert np.abs(phi - np.einsum("tij,tj->ti", towards, w)).min() < 1e-4 * phi.max()  # and it is used
+    assert (
+        np.abs(phi - np.einsum("tij,tj->ti", towards, w)).min() < 1e-4 * phi.max()
+    )  # and it is used
 
 
 def left_side(mass: float, multiplier: Multiplier, error: Any) -> float:
-    """M ∫ w·p̈ − T₀ ∫ w·D − Σ ∫ φ_i (s_i + k_i q̇_i + μ_i q̈_i) of a motion ``p_d + error``, before any integration by
-    parts."""
+    """M ∫ w·p̈ − T₀ ∫ w·D − Σ ∫ φ_i (s_i + k_i q̇_i + μ_i q̈_i) of a motion ``p_d + error``, before
+    any integration by parts."""
     times, step = fine_times(multiplier)
     reference = CIRCLE(times)
     e, v, a = error(times)
@@ -136,7 +148,8 @@ def left_side(mass: float, multiplier: Multiplier, error: Any) -> float:
 
 @pytest.mark.parametrize("speed", [-40.0, 3.0, 40.0])
 def test_proof_excludes_motions_in_the_tube(speed: float) -> None:
-    """Above the certificate the left side is positive for every motion, so none obeys the limits."""
+    """Above the certificate the left side is positive for every motion, so none obeys the
+    limits."""
 
     def path(t: Array) -> Array:
         """An error that starts at rest at zero and then circles."""
@@ -166,7 +179,9 @@ def test_proved_mass_is_the_zero_of_h_by_quadrature() -> None:
 
     def surplus(mass: float) -> float:
         psi = mass * w_second - np.einsum("ti,tij->tj", b, away)
-        tube = step * (0.01 * np.linalg.norm(psi, axis=-1).sum() + bulge + PLANAR.minimum_tension * fanning)
+        tube = step * (
+            0.01 * np.linalg.norm(psi, axis=-1).sum() + bulge + PLANAR.minimum_tension * fanning
+        )
         return left_side(mass, multiplier, lambda t: np.zeros((3, len(t), 2))) - tube
 
     zero = brentq(surplus, 1.0, 10.0)

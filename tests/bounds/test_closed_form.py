@@ -17,7 +17,8 @@ from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors, Robot
 from cablebot_gym.trajectories import Dwell, PointToPoint, Reference, Trajectory, find_trajectory
 
 HOME_RISE = 0.1 / math.sqrt(0.1**2 + 0.47**2 + ((2 * 0.148 - 0.47) / math.sqrt(3)) ** 2)
-"""Vertical part of each cable's direction in the spatial home pose, from A1 (-a, -a/√3, 0) to P1 (0, -2b/√3, 0.1)."""
+"""Vertical part of each cable's direction in the spatial home pose, from A1 (-a, -a/√3, 0) to P1
+(0, -2b/√3, 0.1)."""
 
 
 def with_motors(robot: Robot, **changes: Any) -> Robot:
@@ -45,7 +46,9 @@ def test_minimum_tension_needs_ballast(minimum: float) -> None:
     assert result.lowest == pytest.approx(6 * minimum * HOME_RISE / 9.81 - 10, rel=1e-12)
 
 
-@pytest.mark.parametrize(("robot", "minimum"), [(SPATIAL, 200.1), (PLANAR, 100.1)])  # τ_s / r is 200 and 100 N
+@pytest.mark.parametrize(
+    ("robot", "minimum"), [(SPATIAL, 200.1), (PLANAR, 100.1)]
+)  # τ_s / r is 200 and 100 N
 def test_minimum_tension_beyond_the_motors_is_infeasible(robot: Robot, minimum: float) -> None:
     trajectory = find_trajectory(f"dwell-{robot.name}", robot.coordinates)
     result = exact_payload(robot, trajectory, minimum_tension=minimum)
@@ -83,8 +86,8 @@ class Jolted:
 
 @pytest.mark.parametrize("at", [0.0, 0.998])
 def test_acceleration_matches_the_triangle_of_forces(at: float) -> None:
-    # Towards −x cables 1 (210°) and 3 (90°) pull: T_1 cos 30° = M a and T_3 = T_1 / 2. The pulley of cable 1 needs
-    # J a cos 30° / r too.
+    # Towards −x cables 1 (210°) and 3 (90°) pull: T_1 cos 30° = M a and T_3 = T_1 / 2. The pulley
+    # of cable 1 needs J a cos 30° / r too.
     robot = PLANAR
     a = 20.0
     result = exact_payload(robot, Jolted(at=at, acceleration=-a))
@@ -96,8 +99,11 @@ def test_acceleration_matches_the_triangle_of_forces(at: float) -> None:
 
 
 def test_lower_torque_limit_counts() -> None:
-    # Towards +x pulley 1 runs out with −J a cos 30° / r, against which its slack cable does nothing.
-    robot = PLANAR.replace(transmission=dataclasses.replace(PLANAR.transmission, pulley_inertia=(0.1, 1e-9, 1e-9)))
+    # Towards +x pulley 1 runs out with −J a cos 30° / r, against which its slack cable does
+    # nothing.
+    robot = PLANAR.replace(
+        transmission=dataclasses.replace(PLANAR.transmission, pulley_inertia=(0.1, 1e-9, 1e-9))
+    )
     result = exact_payload(robot, Jolted(at=0.5, acceleration=3.0))
     assert 0.1 * 3.0 * math.cos(math.pi / 6) / 0.05 > 5
     assert result.payload == -math.inf
@@ -108,8 +114,9 @@ def test_lower_torque_limit_counts() -> None:
 
 @pytest.mark.parametrize(("mass", "below"), [(1.0, True), (3.0, False)])
 def test_interval_around_zero_payload_is_chosen(mass: float, below: bool) -> None:
-    # Seven cables, at 150°, 90°, 30° and about -50°. The force left over from 10 N in each points to the left; a
-    # growing mass turns it over cable 2, whose tension has a peak on the way that its weak motor cannot hold.
+    # Seven cables, at 150°, 90°, 30° and about -50°. The force left over from 10 N in each points
+    # to the left; a growing mass turns it over cable 2, whose tension has a peak on the way that
+    # its weak motor cannot hold.
     angles = np.radians([150, 90, 30, -40, -45, -50, -60])
     robot = PLANAR.replace(
         base_anchors=tuple((math.cos(angle), math.sin(angle)) for angle in angles),
@@ -144,9 +151,11 @@ def test_interval_around_zero_payload_is_chosen(mass: float, below: bool) -> Non
         (PLANAR, 5.0, 2.07),
     ],
 )
-def test_mass_on_the_papers_circle_matches_independent_runs(robot: Robot, minimum: float, total: float) -> None:
-    # Before the jump of acceleration at 0.5 s for the planar robot, after it for the spatial: control instants alone
-    # would miss one of them.
+def test_mass_on_the_papers_circle_matches_independent_runs(
+    robot: Robot, minimum: float, total: float
+) -> None:
+    # Before the jump of acceleration at 0.5 s for the planar robot, after it for the spatial:
+    # control instants alone would miss one of them.
     trajectory = find_trajectory(f"paper-{robot.name}", robot.coordinates)
     result = exact_payload(robot, trajectory, minimum_tension=minimum)
     assert result.total_mass == pytest.approx(total, abs=0.006)
@@ -160,14 +169,18 @@ def test_mass_on_the_papers_circle_matches_independent_runs(robot: Robot, minimu
 def test_more_instants_lower_the_payload(robot: Robot) -> None:
     trajectory = find_trajectory(f"paper-{robot.name}", robot.coordinates)
     frequencies = (500.0, 1000.0, 5000.0, None)
-    coarse, fine, finest, infimum = (exact_payload(robot, trajectory, frequency=f).payload for f in frequencies)
+    coarse, fine, finest, infimum = (
+        exact_payload(robot, trajectory, frequency=f).payload for f in frequencies
+    )
     assert coarse >= fine >= finest >= infimum
     assert coarse == pytest.approx(finest, abs=0.05)
 
 
 def test_motion_that_needs_a_pushing_cable_is_infeasible() -> None:
     # The platform does not turn, so all tensions are proportional to the mass.
-    result = exact_payload(SPATIAL, find_trajectory({"name": "smooth-circle-spatial", "duration": 0.97}, 6))
+    result = exact_payload(
+        SPATIAL, find_trajectory({"name": "smooth-circle-spatial", "duration": 0.97}, 6)
+    )
     assert result.payload == -math.inf
     assert result.total_mass == -math.inf
     assert result.lowest == math.inf
@@ -191,8 +204,12 @@ def random_case(kind: str, rng: np.random.Generator) -> tuple[Robot, Trajectory,
         base = SPATIAL.base + rng.uniform(-0.03, 0.03, (6, 3))
     else:
         cables = int(kind[-1])
-        angles = 2 * np.pi * (np.arange(cables) + rng.uniform(-0.25, 0.25, cables)) / cables + rng.uniform(0, 6)
-        base = rng.uniform(0.7, 1.0, (cables, 1)) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        angles = 2 * np.pi * (
+            np.arange(cables) + rng.uniform(-0.25, 0.25, cables)
+        ) / cables + rng.uniform(0, 6)
+        base = rng.uniform(0.7, 1.0, (cables, 1)) * np.stack(
+            [np.cos(angles), np.sin(angles)], axis=1
+        )
         robot = PLANAR
         trajectory = "paper-planar"
     torques = robot.stall_torque.max() * rng.uniform(0.8, 1.8, len(base))
@@ -202,19 +219,28 @@ def random_case(kind: str, rng: np.random.Generator) -> tuple[Robot, Trajectory,
         base_anchors=base,
         mass=robot.mass * float(rng.uniform(0.6, 1.2)),
         motors=Motors(stall_torque=tuple(torques), free_speed=float(rng.uniform(800, 2000)) * RPM),
-        transmission=dataclasses.replace(robot.transmission, pulley_inertia=inertia, damping=damping),
+        transmission=dataclasses.replace(
+            robot.transmission, pulley_inertia=inertia, damping=damping
+        ),
     )
     radius = float(rng.uniform(0.04, 0.1))
     duration = float(rng.uniform(1.0, 2.0))
-    motion = find_trajectory({"name": trajectory, "radius": radius, "duration": duration}, robot.coordinates)
+    motion = find_trajectory(
+        {"name": trajectory, "radius": radius, "duration": duration}, robot.coordinates
+    )
     return robot, motion, float(rng.choice([0.0, rng.uniform(0, 40)]))
 
 
-def feasible(robot: Robot, trajectory: Trajectory, minimum: float, total_masses: np.ndarray) -> np.ndarray:
+def feasible(
+    robot: Robot, trajectory: Trajectory, minimum: float, total_masses: np.ndarray
+) -> np.ndarray:
     """Whether exact tracking respects the limits with each total mass."""
     reference = trajectory(np.arange(round(trajectory.duration * FREQUENCY)) / FREQUENCY)
     shape = (len(total_masses), *reference.position.shape)
-    motion = [np.broadcast_to(a, shape) for a in (reference.position, reference.velocity, reference.acceleration)]
+    motion = [
+        np.broadcast_to(a, shape)
+        for a in (reference.position, reference.velocity, reference.acceleration)
+    ]
     masses = np.broadcast_to(total_masses[:, None], shape[:2])
     tension = textbook.required_tensions(robot, masses, *motion, minimum=minimum)
     torque = textbook.required_torques(robot, tension, *motion)
@@ -224,7 +250,8 @@ def feasible(robot: Robot, trajectory: Trajectory, minimum: float, total_masses:
 
 
 def bisected(robot: Robot, trajectory: Trajectory, minimum: float) -> tuple[float, float]:
-    """Ends (lowest, largest) of the interval of feasible payloads at or nearest to zero, from a scan up to 60 kg."""
+    """Ends (lowest, largest) of the interval of feasible payloads at or nearest to zero, from a
+    scan up to 60 kg."""
 
     def edge(good: float, bad: float) -> float:
         for _ in range(40):
@@ -237,14 +264,18 @@ def bisected(robot: Robot, trajectory: Trajectory, minimum: float) -> tuple[floa
     good = feasible(robot, trajectory, minimum, scan)
     if not np.any(good):
         return math.inf, -math.inf
-    nearest = low_index = high_index = int(np.argmin(np.where(good, np.abs(scan - robot.mass), np.inf)))
+    nearest = low_index = high_index = int(
+        np.argmin(np.where(good, np.abs(scan - robot.mass), np.inf))
+    )
     while low_index > 0 and good[low_index - 1]:
         low_index -= 1
     while high_index < len(scan) - 1 and good[high_index + 1]:
         high_index += 1
     assert low_index <= nearest <= high_index
     lowest = edge(scan[low_index], scan[low_index - 1]) if low_index > 0 else -robot.mass
-    return lowest, edge(scan[high_index], scan[high_index + 1]) if high_index < len(scan) - 1 else math.inf
+    return lowest, edge(scan[high_index], scan[high_index + 1]) if high_index < len(
+        scan
+    ) - 1 else math.inf
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -252,7 +283,9 @@ def bisected(robot: Robot, trajectory: Trajectory, minimum: float) -> tuple[floa
 def test_closed_form_matches_bisection(kind: str, seed: int) -> None:
     robot, trajectory, minimum = random_case(kind, np.random.default_rng(seed))
     result = exact_payload(robot, trajectory, minimum_tension=minimum, frequency=FREQUENCY)
-    assert (result.lowest, result.payload) == pytest.approx(bisected(robot, trajectory, minimum), abs=1e-6)
+    assert (result.lowest, result.payload) == pytest.approx(
+        bisected(robot, trajectory, minimum), abs=1e-6
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -263,7 +296,9 @@ def test_named_motor_is_the_only_one_that_raises_the_payload(kind: str) -> None:
     for motor in range(1, robot.cables + 1):
         factor = np.where(np.arange(1, robot.cables + 1) == motor, 1.001, 1.0)
         stronger = with_motors(robot, stall_torque=tuple(robot.stall_torque * factor))
-        gained = exact_payload(stronger, trajectory, minimum_tension=minimum, frequency=FREQUENCY).payload
+        gained = exact_payload(
+            stronger, trajectory, minimum_tension=minimum, frequency=FREQUENCY
+        ).payload
         assert (gained > result.payload + 1e-6) == (motor == result.motor)
 
 
@@ -282,7 +317,8 @@ def test_bad_argument_is_rejected(arguments: dict[str, float], named: str) -> No
 
 
 def test_redundant_cables_have_the_best_tensions() -> None:
-    """A linear program finds tensions within both limits just below the payload, and none just above it."""
+    """A linear program finds tensions within both limits just below the payload, and none just
+    above it."""
     start = (0.2, 0.1, 4.0, 0.0, 0.0, 0.0)
     end = (1.5, -0.8, 3.0, 0.1, 0.0, 0.2)
     trajectory = PointToPoint(name="line", start=start, end=end, duration=2.0)
@@ -291,14 +327,20 @@ def test_redundant_cables_have_the_best_tensions() -> None:
     motion = reference.position, reference.velocity, reference.acceleration
     speed = textbook.pulley_speed(CRANE, *motion[:2])
     idle = textbook.required_torques(CRANE, np.zeros((len(times), 8)), *motion)
-    low, high = ((limit - idle) / CRANE.pulley_radius for limit in textbook.torque_limits(CRANE, speed))
+    low, high = (
+        (limit - idle) / CRANE.pulley_radius for limit in textbook.torque_limits(CRANE, speed)
+    )
     structure = textbook.jacobian(CRANE, reference.position)
 
     def held(payload: float) -> list[bool]:
         load = textbook.load(CRANE, CRANE.mass + payload, *motion)
         return [
-            linprog(np.zeros(8), A_eq=-matrix.T, b_eq=wrench, bounds=list(zip(least, most, strict=True))).success
-            for matrix, wrench, least, most in zip(structure, load, np.maximum(low, 20.0), high, strict=True)
+            linprog(
+                np.zeros(8), A_eq=-matrix.T, b_eq=wrench, bounds=list(zip(least, most, strict=True))
+            ).success
+            for matrix, wrench, least, most in zip(
+                structure, load, np.maximum(low, 20.0), high, strict=True
+            )
         ]
 
     assert all(held(result.payload - 0.01))

@@ -40,7 +40,9 @@ def changed(robot: Robot, name: str, value: Any) -> Robot:
     owner = getattr(robot, group) if group else robot
     if isinstance(value, str):
         value = np.multiply(getattr(owner, field), float(value[1:]))
-    new = owner.replace(**{field: value.tolist() if isinstance(value, np.ndarray | np.floating) else value})
+    new = owner.replace(
+        **{field: value.tolist() if isinstance(value, np.ndarray | np.floating) else value}
+    )
     return robot.replace(**{group: new}) if group else new
 
 
@@ -116,7 +118,8 @@ def test_plausible_robots_raise_no_question(name):
 
 
 def test_frame_with_the_origin_on_the_floor_is_questioned():
-    """Eight cables hold a platform in both directions: nothing else shows that z points up in the file."""
+    """Eight cables hold a platform in both directions: nothing else shows that z points up in the
+    file."""
     corners = [(x, y, z) for z in (0.0, 3.0) for x, y in ((-2, -2), (2, -2), (2, 2), (-2, 2))]
     # Each cable runs to the next corner, in alternating senses: they resist a turn.
     ends = [(-y / 10, x / 10, (1.5 - z) / 15) for x, y, z in corners]
@@ -134,4 +137,7 @@ def test_frame_with_the_origin_on_the_floor_is_questioned():
     (question,) = doubtful_values(box)
     assert "z points down here" in question
     centered = [(x, y, z - 3.0) for x, y, z in corners]
-    assert list(doubtful_values(box.replace(base_anchors=centered, home_pose=(0, 0, -1.5, 0, 0, 0)))) == []
+    assert (
+        list(doubtful_values(box.replace(base_anchors=centered, home_pose=(0, 0, -1.5, 0, 0, 0))))
+        == []
+    )

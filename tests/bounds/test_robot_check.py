@@ -21,7 +21,9 @@ def test_payload_limit_is_the_closed_form(robot):
     motion = f"smooth-circle-{robot.kind}"
     exact = exact_payload(robot, find_trajectory(motion, robot.kind), minimum_tension=1.0)
     check = check_motion(robot, trajectory=motion)
-    assert exact.payload <= check.limit.largest <= 1.005 * exact.payload  # which looks at more instants
+    assert (
+        exact.payload <= check.limit.largest <= 1.005 * exact.payload
+    )  # which looks at more instants
     assert f"cable {exact.motor} at the torque limit" in check.limit.reason
 
 
@@ -58,7 +60,8 @@ def test_infeasible_motion_names_the_cause():
     ],
 )
 def test_limit_is_that_which_excludes_the_payload(duration, payload, cause):
-    """On a fast circle with jumps, a light platform slackens a cable; that a heavier one needs torque is no cause."""
+    """On a fast circle with jumps, a light platform slackens a cable; that a heavier one needs
+    torque is no cause."""
     three = CAMERA.replace(
         base_anchors=((-2, -1.5, -3), (2, -1.5, -3), (0, 2, -3)),
         home_pose=(0.0, 0.0, -1.0),
@@ -91,7 +94,10 @@ def test_crossing_cables_are_questioned():
     platform = find_robot("ttk4900")
     swapped = platform.replace(platform_anchors=platform.platform[[1, 0, 2, 3]])
     texts = check_motion(swapped).questions
-    assert any(text.startswith("cables 1 and 2 come within 0 mm at home_pose: do they touch") for text in texts)
+    assert any(
+        text.startswith("cables 1 and 2 come within 0 mm at home_pose: do they touch")
+        for text in texts
+    )
 
 
 def test_segment_distance_is_the_least_over_points():

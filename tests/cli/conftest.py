@@ -102,7 +102,9 @@ def cablebot(monkeypatch, capfd, tmp_path):
     folder = tmp_path / "work"
     folder.mkdir()
     monkeypatch.chdir(folder)
-    monkeypatch.setattr("cablebot_gym.utils.console.FIRST_LINE", 1e9)  # no lines of progress on a slow machine
+    monkeypatch.setattr(
+        "cablebot_gym.utils.console.FIRST_LINE", 1e9
+    )  # no lines of progress on a slow machine
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["cablebot", *map(str, arguments)])
@@ -132,7 +134,9 @@ def no_work(monkeypatch):
         "comparison.compare_policies",
         "rollout.record_rollout",
     ):
-        monkeypatch.setattr(f"cablebot_gym.evaluation.{name}", lambda *_, **__: pytest.fail("found after the work"))
+        monkeypatch.setattr(
+            f"cablebot_gym.evaluation.{name}", lambda *_, **__: pytest.fail("found after the work")
+        )
 
 
 def names(folder):

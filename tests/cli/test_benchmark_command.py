@@ -1,4 +1,5 @@
-"""``cablebot benchmark``: files, resume, interrupts and failing policies. Bad input is in test_commands."""
+"""``cablebot benchmark``: files, resume, interrupts and failing policies. Bad input is in
+test_commands."""
 
 from __future__ import annotations
 
@@ -56,8 +57,11 @@ def best(monkeypatch):
 
 @pytest.fixture
 def isolated_benchmark(monkeypatch, cablebot, tmp_path):
-    """Runs the command in this process on a tiny suite, with one worker: this process. Policies are isolated."""
-    monkeypatch.setattr(suites, "SUITES", {entry.name: entry for entry in (TINY, TIMED, HIDDEN)} | suites.SUITES)
+    """Runs the command in this process on a tiny suite, with one worker: this process. Policies are
+    isolated."""
+    monkeypatch.setattr(
+        suites, "SUITES", {entry.name: entry for entry in (TINY, TIMED, HIDDEN)} | suites.SUITES
+    )
 
     def run(*arguments, policies="fl", workers=1, suite="tiny"):
         options = (
@@ -71,7 +75,9 @@ def isolated_benchmark(monkeypatch, cablebot, tmp_path):
             workers,
         )
         ended = cablebot("benchmark", *options, *arguments)
-        return SimpleNamespace(status=ended.status, out=ended.out, err=ended.err, folder=tmp_path / "out")
+        return SimpleNamespace(
+            status=ended.status, out=ended.out, err=ended.err, folder=tmp_path / "out"
+        )
 
     return run
 
@@ -85,7 +91,9 @@ def benchmark(isolated_benchmark, inline):
 def scores(ended):
     cells = json.loads((ended.folder / "results.json").read_text(encoding="utf-8"))["cells"]
     return {
-        (cell["cell"]["policy"], cell["cell"].get("payload_known")): cell["score"] for cell in cells if "score" in cell
+        (cell["cell"]["policy"], cell["cell"].get("payload_known")): cell["score"]
+        for cell in cells
+        if "score" in cell
     }
 
 
@@ -105,7 +113,9 @@ def test_files_table_and_json_have_the_same_numbers(benchmark, best, tmp_path):
 
 def test_second_run_computes_nothing_and_gives_the_same_bytes(benchmark, best, monkeypatch):
     computed = benchmark()
-    before = {name: (computed.folder / name).read_bytes() for name in ("results.json", "leaderboard.md")}
+    before = {
+        name: (computed.folder / name).read_bytes() for name in ("results.json", "leaderboard.md")
+    }
     monkeypatch.setattr("cablebot_gym.benchmark.cells.evaluate_dlcc", None)
     again = benchmark()
     assert again.status == 0
@@ -140,7 +150,9 @@ def test_policy_that_fails_costs_its_own_cells_only(benchmark, best, toys):
 
 
 @pytest.mark.slow
-def test_policy_whose_process_fails_costs_its_own_cells_only(isolated_benchmark, best, toys, monkeypatch):
+def test_policy_whose_process_fails_costs_its_own_cells_only(
+    isolated_benchmark, best, toys, monkeypatch
+):
     monkeypatch.setitem(IsolatedPolicy.__init__.__kwdefaults__, "deadline", 5.0)
     check_failures(isolated_benchmark(policies=",".join([*map(toys, CAUSES), "fl"])), toys, CAUSES)
 
@@ -165,7 +177,10 @@ def test_interrupt_keeps_finished_cells_and_says_how_to_resume(benchmark, best, 
     ended = benchmark()
     assert ended.status == cli.INTERRUPTED
     assert "2 of 3 cells are finished and stored in" in ended.err
-    assert f"Resume with: cablebot benchmark --suite tiny --policies fl --out {ended.folder}" in ended.err
+    assert (
+        f"Resume with: cablebot benchmark --suite tiny --policies fl --out {ended.folder}"
+        in ended.err
+    )
     assert not (ended.folder / "results.json").exists()
     assert len(list(ended.folder.glob("cells/*"))) == 2
 
@@ -187,7 +202,9 @@ def test_hidden_suite_needs_a_commitment(benchmark, best):
     secret = json.loads((committed.folder / "secret.json").read_text(encoding="utf-8"))
     assert committed.status == 0
     assert best == []
-    assert secret["secret"] not in committed.out + (committed.folder / "board.json").read_text(encoding="utf-8")
+    assert secret["secret"] not in committed.out + (committed.folder / "board.json").read_text(
+        encoding="utf-8"
+    )
     refused = benchmark(suite="hidden", policies="fl,adaptive")
     assert refused.status == 2
     assert best == []
@@ -198,7 +215,11 @@ def test_hidden_suite_needs_a_commitment(benchmark, best):
 
 @pytest.mark.slow
 def test_board_is_run_published_and_verified(benchmark, best, cablebot):
-    secret = json.loads((benchmark("--commit", "1", suite="hidden").folder / "secret.json").read_text(encoding="utf-8"))
+    secret = json.loads(
+        (benchmark("--commit", "1", suite="hidden").folder / "secret.json").read_text(
+            encoding="utf-8"
+        )
+    )
     ended = benchmark(suite="hidden")
     assert ended.status == 0
     page = (ended.folder / "leaderboard.md").read_text(encoding="utf-8")

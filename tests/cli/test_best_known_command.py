@@ -22,7 +22,9 @@ def quick(cache, monkeypatch):
     """A cache of the test's own; two meshes and no certificate."""
     monkeypatch.setattr(best_known, "MESH_TOLERANCE", 1.0)
     upper = {"payload": 98.5, "total_mass": 99.5, "conditions": "none"}
-    monkeypatch.setattr(best_known, "upper_bound", lambda *_: SimpleNamespace(to_dict=lambda: upper))
+    monkeypatch.setattr(
+        best_known, "upper_bound", lambda *_: SimpleNamespace(to_dict=lambda: upper)
+    )
 
 
 def test_options_reach_the_search(cablebot, monkeypatch):

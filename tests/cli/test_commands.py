@@ -1,4 +1,5 @@
-"""All commands, those of installed packages included: help, exit status, bad input, interrupts and progress."""
+"""All commands, those of installed packages included: help, exit status, bad input, interrupts and
+progress."""
 
 from __future__ import annotations
 
@@ -50,7 +51,9 @@ def test_help_has_valid_examples_and_a_text_for_every_option(cablebot, name):
     for example in examples:
         assert example.split()[0] == name
         parse(example)
-    assert [option.name for option in COMMANDS[name].params if not getattr(option, "help", None)] == []
+    assert [
+        option.name for option in COMMANDS[name].params if not getattr(option, "help", None)
+    ] == []
     line = cablebot(name, "--no-such-option").message(2)
     assert line == f"cablebot: No such option: --no-such-option. Example: cablebot {examples[0]}\n"
 
@@ -127,7 +130,9 @@ def test_bad_input_ends_with_status_2_one_line_and_no_file(cablebot, tmp_path, t
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value),
 )
-def test_missing_extra_ends_with_the_command_that_installs_it(cablebot, monkeypatch, cache, module, extra, typed):
+def test_missing_extra_ends_with_the_command_that_installs_it(
+    cablebot, monkeypatch, cache, module, extra, typed
+):
     for name in [name for name in sys.modules if name.partition(".")[0] == module]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, module, None)
@@ -164,7 +169,9 @@ def test_time_left_counts_work_from_the_first_step_on(clock, capsys):
                 console.PREPARATION.end()
             clock.sleep(1.0)
             step(done, 100)
-    assert capsys.readouterr().err.splitlines()[-1] == "task criterion: 5%, 9.4 min elapsed, 95 s left"
+    assert (
+        capsys.readouterr().err.splitlines()[-1] == "task criterion: 5%, 9.4 min elapsed, 95 s left"
+    )
 
 
 def test_silent_computation_writes_lines(clock, monkeypatch):
@@ -189,7 +196,9 @@ def test_command_line_is_quoted_and_complete():
         "out": Path("my runs"),
         "seed": 0,
     }
-    typed = console.command_line("dlcc", "ID", **options, isolate=False, deadline=None, only=["a", "b"])
+    typed = console.command_line(
+        "dlcc", "ID", **options, isolate=False, deadline=None, only=["a", "b"]
+    )
     assert typed == (
         """cablebot dlcc ID --trajectory '{"name": "line-planar"}' --payload-unknown --out 'my runs' --seed 0 """
         "--only a --only b"

@@ -41,7 +41,9 @@ def test_json_has_every_policy(cablebot, toys):
 
 def test_options_reach_the_comparison(cablebot):
     before = cablebot(*PAIR, "fl", "--json").data
-    after = cablebot(*PAIR, "fl", "--payload", "2.5", "--draws", "2", "--position-bound", "20", "--json").data
+    after = cablebot(
+        *PAIR, "fl", "--payload", "2.5", "--draws", "2", "--position-bound", "20", "--json"
+    ).data
     assert after["payload"] == 2.5
     assert after["draws"] == 2
     assert after["error_bounds"]["position"] == 0.02
@@ -82,7 +84,11 @@ def test_table_has_the_numbers_of_the_comparison(comparison, capsys, monkeypatch
     print_comparison(comparison)
     text = capsys.readouterr().out
     assert text.startswith(f"{SPATIAL}, payload 1.25 kg, payload unknown, 3 draws of table6\n")
-    rows = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if line[0] == "│"]
+    rows = [
+        [cell.strip() for cell in line.strip("│").split("│")]
+        for line in text.splitlines()
+        if line[0] == "│"
+    ]
     scales = {
         "mean_error": 1e3,
         "rms_error": 1e3,

@@ -131,7 +131,9 @@ def test_table_over_draws_says_what_they_assure(cablebot):
 
 def test_error_of_a_policy_names_its_line(cablebot, toys):
     line = cablebot("dlcc", PLANAR, "--policy", toys("raises"), "--out", "new").message(1)
-    assert line.startswith(f"cablebot: policy '{toys('raises')}', at t = 0.020 s with payloads of 0 to 10 kg")
+    assert line.startswith(
+        f"cablebot: policy '{toys('raises')}', at t = 0.020 s with payloads of 0 to 10 kg"
+    )
     assert f"RuntimeError: lost (cli_toys.py, line {LOST})" in line
     assert "no factory today" in cablebot("dlcc", PLANAR, "--policy", toys("unmakeable")).message(2)
 
@@ -232,7 +234,9 @@ def test_printed_command_repeats_the_failure(cablebot, tmp_path):
 
 def test_bisection_finds_the_payload_and_is_unranked(cablebot):
     scan = cablebot(*ONE, "--payload-max", "40", "--resolution", "0.05").data[0]
-    bisection = cablebot(*ONE, "--payload-max", "40", "--resolution", "0.05", "--search", "bisection").data[0]
+    bisection = cablebot(
+        *ONE, "--payload-max", "40", "--resolution", "0.05", "--search", "bisection"
+    ).data[0]
     assert scan["ranked"]
     assert not bisection["ranked"]
     assert bisection["payload"] == pytest.approx(scan["payload"], abs=0.1)
@@ -253,9 +257,14 @@ def motion():
 def test_robot_and_motion_of_files_reach_an_isolated_policy(cablebot, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path])
     data = PLANAR_ROBOT.replace(name="mine").to_dict()
-    table = "".join(f"{name} = {json.dumps(value)}\n" for name, value in data.items() if value and name not in PARTS)
+    table = "".join(
+        f"{name} = {json.dumps(value)}\n"
+        for name, value in data.items()
+        if value and name not in PARTS
+    )
     tables = [
-        f"[{name}]\n" + "".join(f"{key} = {value}\n" for key, value in data[name].items() if value) for name in PARTS
+        f"[{name}]\n" + "".join(f"{key} = {value}\n" for key, value in data[name].items() if value)
+        for name in PARTS
     ]
     text = (
         table

@@ -61,7 +61,10 @@ def test_folder_that_hides_the_baselines_is_a_fault(tmp_path):
     command = [sys.executable, "-m", "cablebot_gym.cli.app", "doctor"]
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ran.returncode == 1
-    assert f"BAD package cablebot_baselines: {tmp_path.resolve() / 'cablebot_baselines'} hides " in ran.stdout
+    assert (
+        f"BAD package cablebot_baselines: {tmp_path.resolve() / 'cablebot_baselines'} hides "
+        in ran.stdout
+    )
     assert "BAD policy fl: ModuleNotFoundError" in ran.stdout
 
 
@@ -75,7 +78,9 @@ def test_folder_that_hides_the_baselines_is_a_fault(tmp_path):
 )
 def test_missing_package_is_a_fault_but_in_an_extra(monkeypatch, package, name, ok, install):
     version = doctor._version
-    monkeypatch.setattr(doctor, "_version", lambda asked: None if asked == package else version(asked))
+    monkeypatch.setattr(
+        doctor, "_version", lambda asked: None if asked == package else version(asked)
+    )
     text = f"{package} not installed. To install: pip install {install}"
     assert findings()[name] == Finding(name=name, ok=ok, text=text)
 
@@ -136,13 +141,16 @@ def test_read_only_folder_without_compiled_code_is_a_fault(monkeypatch, tmp_path
 
 
 def test_unknown_id_to_compile_is_refused(cablebot):
-    assert "unknown --compile 'CableBot-Cubic-v0'" in cablebot("doctor", "--compile", "CableBot-Cubic-v0").message(2)
+    assert "unknown --compile 'CableBot-Cubic-v0'" in cablebot(
+        "doctor", "--compile", "CableBot-Cubic-v0"
+    ).message(2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", [PLANAR, "CableBot-Point-v0"])
 def test_compiled_id_needs_no_compilation_afterwards(tmp_path, env_id):
-    """Excludes code that only laws of redundant cables use, which would be compiled at each start of a container."""
+    """Excludes code that only laws of redundant cables use, which would be compiled at each start
+    of a container."""
     env = os.environ | {
         "NUMBA_CACHE_DIR": str(tmp_path / "compiled"),
         "CABLEBOT_CACHE": str(tmp_path / "plans"),
@@ -150,7 +158,9 @@ def test_compiled_id_needs_no_compilation_afterwards(tmp_path, env_id):
     command = [sys.executable, "-m", "cablebot_gym.cli.app"]
 
     def run(*arguments):
-        return subprocess.run([*command, *arguments], env=env, capture_output=True, text=True, check=True)
+        return subprocess.run(
+            [*command, *arguments], env=env, capture_output=True, text=True, check=True
+        )
 
     run("doctor", "--compile", env_id)
     before = sorted((tmp_path / "compiled" / "cablebot_gym").iterdir())
@@ -162,7 +172,9 @@ def test_compiled_id_needs_no_compilation_afterwards(tmp_path, env_id):
 @pytest.mark.parametrize(("good", "status"), [(True, 0), (None, 0), (False, 1)])
 def test_exit_status_is_1_for_faults_only(monkeypatch, capsys, good, status):
     monkeypatch.setattr("sys.argv", ["cablebot", "doctor"])
-    monkeypatch.setattr(doctor, "examine", lambda: [Finding(name="a thing", ok=good, text="as it is")])
+    monkeypatch.setattr(
+        doctor, "examine", lambda: [Finding(name="a thing", ok=good, text="as it is")]
+    )
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert (ended.value.code or 0) == status

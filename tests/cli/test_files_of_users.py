@@ -113,7 +113,9 @@ def test_existing_path_is_not_an_unknown_name(tmp_path, monkeypatch, find, name)
         Path(name).mkdir()
     else:
         Path(name).write_text("x", encoding="utf-8")
-    with pytest.raises(ValueError, match=rf"^(file|folder) '{name}' has no form of a .*; use ") as caught:
+    with pytest.raises(
+        ValueError, match=rf"^(file|folder) '{name}' has no form of a .*; use "
+    ) as caught:
         find(name)
     assert "unknown" not in str(caught.value)
 
@@ -135,7 +137,9 @@ def test_existing_path_is_not_an_unknown_name(tmp_path, monkeypatch, find, name)
     ],
 )
 @pytest.mark.parametrize("command", ["check", "rollout"])
-def test_error_in_a_motion_file_is_one_sentence(cablebot, tmp_path, monkeypatch, command, name, status, message):
+def test_error_in_a_motion_file_is_one_sentence(
+    cablebot, tmp_path, monkeypatch, command, name, status, message
+):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "motion_of_a_test", raising=False)
     path = tmp_path / "motion_of_a_test.py"
@@ -160,7 +164,9 @@ def test_error_of_user_code_in_a_worker_keeps_its_line(monkeypatch):
     except KeyError as error:
         portable = _portable(error)
     portable.__traceback__ = None
-    assert sentence_of_user_code(portable).startswith("your code raised KeyError: 'mass' (test_files_of_users.py, line")
+    assert sentence_of_user_code(portable).startswith(
+        "your code raised KeyError: 'mass' (test_files_of_users.py, line"
+    )
 
 
 def test_error_of_this_package_is_no_error_of_user_code():

@@ -47,7 +47,12 @@ def test_json_has_numbers_and_questions(cablebot):
     assert data["held"]
     assert data["payload"] == 100
     assert len(data["cables"]) == 8
-    assert data["limit"]["least"] == 0 < data["limit"]["largest"] < data["robot"]["defaults"]["payload_range"][1]
+    assert (
+        data["limit"]["least"]
+        == 0
+        < data["limit"]["largest"]
+        < data["robot"]["defaults"]["payload_range"][1]
+    )
     assert json.dumps(data["questions"]) == "[]"
 
 
@@ -60,7 +65,9 @@ def test_json_has_numbers_and_questions(cablebot):
         ("flex-ttk4900", 4, 0, "cablebot dlcc --policy composite-tuned --robot flex-ttk4900"),
     ],
 )
-def test_payload_is_judged_by_exact_tracking_and_by_the_start(cablebot, robot, payload, status, text):
+def test_payload_is_judged_by_exact_tracking_and_by_the_start(
+    cablebot, robot, payload, status, text
+):
     ended = cablebot("robot", "check", robot, "--payload", payload)
     assert ended.status == status
     assert text in ended.out
@@ -74,7 +81,9 @@ def test_refused_motion_follows_the_lines_that_need_none(cablebot, edited):
     assert ended.status == 1
     assert "radius of gyration" in ended.out
     assert "motion " not in ended.out
-    assert "motion refused: trajectory 'lemniscate-planar-platform' leaves the workspace" in ended.err
+    assert (
+        "motion refused: trajectory 'lemniscate-planar-platform' leaves the workspace" in ended.err
+    )
     data = json.loads(cablebot("robot", "check", wrong, "--json").out)
     assert not data["held"]
     assert data["questions"] == []
@@ -109,15 +118,23 @@ def test_impossible_robot_is_refused_with_its_remedy(cablebot, edited, name, old
 
 
 def test_command_finds_the_id_by_the_robot(cablebot):
-    env_ids = {name: fitting_env_id(name) for name in ("cogiro", "stadium-camera", "ttk4900", "flex-cogiro", "planar")}
+    env_ids = {
+        name: fitting_env_id(name)
+        for name in ("cogiro", "stadium-camera", "ttk4900", "flex-cogiro", "planar")
+    }
     assert list(env_ids.values()) == [
         *("CableBot-Spatial-v0", "CableBot-Point-v0", "CableBot-PlanarPlatform-v0"),
         *("CableBot-FlexSpatial-v0", "CableBot-Planar-v0"),
     ]
-    kinds = {env_id: (find_robot(name).kind, find_robot(name).flexible) for env_id, name in ENV_ROBOTS.items()}
+    kinds = {
+        env_id: (find_robot(name).kind, find_robot(name).flexible)
+        for env_id, name in ENV_ROBOTS.items()
+    }
     assert kinds == ENV_KINDS
     assert "give an environment id, one of" in cablebot("dlcc", "--policy", "fl").message(2)
-    unknown = cablebot("rollout", "--policy", "no", "--robot", "ttk4900", "--out", "run.csv").message(2)
+    unknown = cablebot(
+        "rollout", "--policy", "no", "--robot", "ttk4900", "--out", "run.csv"
+    ).message(2)
     assert "unknown policy 'no'" in unknown
 
 

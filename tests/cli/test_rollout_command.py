@@ -26,7 +26,9 @@ def test_rollout_records_the_payload_motion_and_frequency(cablebot, tmp_path):
     with np.load(tmp_path / "run.npz") as file:
         times = file["time"]
         payloads = file["payload"]
-    np.testing.assert_allclose(times, np.arange(1, 841) / 400, atol=1e-12)  # with two dwells of 0.3 s
+    np.testing.assert_allclose(
+        times, np.arange(1, 841) / 400, atol=1e-12
+    )  # with two dwells of 0.3 s
     np.testing.assert_array_equal(payloads, 0.5)
 
 
@@ -53,12 +55,18 @@ def test_options_reach_the_episode(cablebot, tmp_path):
         path = tmp_path / f"{name}.npz"
         assert cablebot("rollout", SPATIAL, "--policy", "fl", *options, "--out", path).status == 0
         with np.load(path) as file:
-            runs[name] = {key: file[key] for key in ("commanded_action", "pose", "tracking_error_peak")}
+            runs[name] = {
+                key: file[key] for key in ("commanded_action", "pose", "tracking_error_peak")
+            }
     start_action = {name: run["commanded_action"][0] for name, run in runs.items()}
     np.testing.assert_array_equal(start_action["empty"], start_action["unknown"])
     assert np.all(np.abs(start_action["known"] - start_action["empty"]) > 1e-3)
     assert np.all(np.abs(start_action["known"] - start_action["scaled"]) > 1e-4)
-    assert runs["known"]["tracking_error_peak"].max() < 0.01 < runs["unknown"]["tracking_error_peak"].max()
+    assert (
+        runs["known"]["tracking_error_peak"].max()
+        < 0.01
+        < runs["unknown"]["tracking_error_peak"].max()
+    )
     np.testing.assert_array_equal(runs["drawn"]["pose"], runs["again"]["pose"])
     for before, after in (("empty", "drawn"), ("drawn", "other")):
         assert np.abs(runs[before]["pose"] - runs[after]["pose"]).max() > 1e-6
@@ -66,7 +74,10 @@ def test_options_reach_the_episode(cablebot, tmp_path):
 
 def test_early_end_is_stated_and_recorded(cablebot, toys, tmp_path):
     ended = cablebot("rollout", SPATIAL, "--policy", toys("limp"), "--out", tmp_path / "run.csv")
-    assert "task criterion: not carried: cable 1 falls below its tension bound of 1 N at t = 0." in ended.out
+    assert (
+        "task criterion: not carried: cable 1 falls below its tension bound of 1 N at t = 0."
+        in ended.out
+    )
     assert "(ended early: tracking_error)" in ended.out
     assert 10 < len((tmp_path / "run.csv").read_text(encoding="utf-8").splitlines()) < 500
 
@@ -75,6 +86,8 @@ def test_early_end_is_stated_and_recorded(cablebot, toys, tmp_path):
 def test_unfinished_episode_leaves_the_old_file(cablebot, toys, tmp_path, name, status):
     path = tmp_path / "run.csv"
     path.write_text("old", encoding="utf-8")
-    line = cablebot("rollout", PLANAR, "--policy", toys(name), "--payload", "0.25", "--out", path).message(status)
+    line = cablebot(
+        "rollout", PLANAR, "--policy", toys(name), "--payload", "0.25", "--out", path
+    ).message(status)
     assert status == 130 or "at t = 0.020 s with a payload of 0.25 kg" in line
     assert path.read_text(encoding="utf-8") == "old"

@@ -1,4 +1,5 @@
-"""``cablebot submit`` and ``cablebot verify``: an outside package from its pull request to a board, and cheats."""
+"""``cablebot submit`` and ``cablebot verify``: an outside package from its pull request to a board,
+and cheats."""
 
 from __future__ import annotations
 
@@ -112,7 +113,8 @@ def install(tmp_path):
 
 @pytest.fixture
 def source(tmp_path):
-    """Folder of the sources of a policy of others: the module ``mine.py`` and a file that it reads."""
+    """Folder of the sources of a policy of others: the module ``mine.py`` and a file that it
+    reads."""
     (tmp_path / "work").mkdir(exist_ok=True)
     (tmp_path / "work" / "mine.py").write_text(LAW, encoding="utf-8")
     (tmp_path / "work" / "gains.txt").write_text("400 40", encoding="utf-8")
@@ -134,7 +136,9 @@ SUBMIT = ("--id", PLANAR, "--suite", "tiny", *CARD)
 
 @in_a_sandbox
 @pytest.mark.slow
-def test_package_of_others_is_submitted_verified_and_on_a_board(command, install, tmp_path, monkeypatch):
+def test_package_of_others_is_submitted_verified_and_on_a_board(
+    command, install, tmp_path, monkeypatch
+):
     entry = Path("entries/pendant")
     install(tmp_path / "site")
     with pytest.MonkeyPatch.context() as author:
@@ -146,7 +150,10 @@ def test_package_of_others_is_submitted_verified_and_on_a_board(command, install
     module_file.cache_clear()
     assert names(entry) == ["entry.json", "results.json"]
     message = command("verify", entry).message(2)
-    assert "pip install --no-deps --only-binary :all: --target entries/pendant/packages pendant-law==1.2" in message
+    assert (
+        "pip install --no-deps --only-binary :all: --target entries/pendant/packages pendant-law==1.2"
+        in message
+    )
     install(entry / "packages")
     verified = command("verify", entry)
     assert verified.status == 0, verified.err
@@ -171,7 +178,10 @@ def test_package_of_others_is_submitted_verified_and_on_a_board(command, install
     ran = command(*board)
     assert ran.status == 0, ran.err
     page = Path("board/leaderboard.md").read_text(encoding="utf-8")
-    assert "| `entries/pendant` | pendant-law==1.2 | A. Author | BSD-3-Clause | 1 h | none | 0 | verified |" in page
+    assert (
+        "| `entries/pendant` | pendant-law==1.2 | A. Author | BSD-3-Clause | 1 h | none | 0 | verified |"
+        in page
+    )
     assert "unverified" not in page
     (entry / "packages/pendant_law/gains.txt").write_text("800 40", encoding="utf-8")
     assert "does not match its card in pendant_law/gains.txt" in command("verify", entry).message(1)
@@ -227,7 +237,9 @@ def test_entry_needs_a_sandbox_or_consent_and_results(command, cablebot, source,
     for arguments in (("verify", "entries/mine"), ("benchmark", "--entries", "entries")):
         message = command(*arguments).message(2)
         assert "there is no sandbox: bubblewrap is not installed. --no-sandbox runs" in message
-    assert "--sandbox needs --isolate" in cablebot("dlcc", PLANAR, "--policy", "fl", "--sandbox").message(2)
+    assert "--sandbox needs --isolate" in cablebot(
+        "dlcc", PLANAR, "--policy", "fl", "--sandbox"
+    ).message(2)
     texts = dict(zip((name.removeprefix("--") for name in CARD[::2]), CARD[1::2], strict=True))
     make_entry(Path("entries/mine"), "mine.py:Law", [PLANAR], texts)
     message = command("verify", "entries/mine", "--no-sandbox").message(1)

@@ -130,7 +130,8 @@ def test_complete_default_motion_is_truncated(env_id):
     ],
 )
 def test_step_that_completes_the_motion_truncates(frequency, trajectory, steps):
-    """A time limit shortens the episode and never lengthens it. Steps after the end are truncated too."""
+    """A time limit shortens the episode and never lengthens it. Steps after the end are truncated
+    too."""
     keywords = {"trajectory": trajectory, "control_frequency": frequency}
     env = make(PLANAR, **keywords)
     for limit in (None, max(1, steps // 2), 2 * steps):
@@ -298,7 +299,8 @@ def test_measured_blocks_are_the_true_state(env_id):
 @two_ids
 @pytest.mark.parametrize("known", [True, False])
 def test_observation_and_task_hide_the_true_values(env_id, known):
-    """Only the springs of flexible robots depend on the true payload at the start, and only info has it."""
+    """Only the springs of flexible robots depend on the true payload at the start, and only info
+    has it."""
     parameters = {
         "payload": {"low": 0.5, "high": 1.0},
         "platform_mass": {"low": 0.05, "high": 0.1},
@@ -363,6 +365,7 @@ def test_copy_in_mid_episode_continues_independently(count, duplicate):
 
 
 def test_copies_need_no_compilation_of_their_own():
-    """Copies of read-only arrays are writable, which is another type for numba: seconds of compilation."""
+    """Copies of read-only arrays are writable, which is another type for numba: seconds of
+    compilation."""
     constants = make(PLANAR)._simulation._constants
     assert all(value.flags.writeable for value in constants if isinstance(value, np.ndarray))

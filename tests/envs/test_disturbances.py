@@ -1,4 +1,5 @@
-"""Effects of uncertainty on an episode: true parameters, external wrench, sensor noise and delayed actions."""
+"""Effects of uncertainty on an episode: true parameters, external wrench, sensor noise and delayed
+actions."""
 
 from __future__ import annotations
 
@@ -192,9 +193,12 @@ def test_table_6_forces_have_the_mean_and_variance_of_the_paper():
     env = make_lasting(SPATIAL, 128, uncertainty="table6", control_frequency=100.0)
     env.reset(seed=2)
     forces = wrenches_over(env, 150)[..., :3]
-    # A factor f uniform in [0.9, 1.1]: E f² = 1 + 0.04/12, and the variance is E f² · 0.2 + Var f · 0.5².
+    # A factor f uniform in [0.9, 1.1]: E f² = 1 + 0.04/12, and the variance is E f² · 0.2 + Var f ·
+    # 0.5².
     variance = 0.2 * (1 + 0.04 / 12) + 0.04 / 12 * 0.25
-    assert forces.mean() == pytest.approx(0.5, abs=4 * np.sqrt(0.2 / forces.size) + 4 * 0.5 * 0.058 / np.sqrt(384))
+    assert forces.mean() == pytest.approx(
+        0.5, abs=4 * np.sqrt(0.2 / forces.size) + 4 * 0.5 * 0.058 / np.sqrt(384)
+    )
     assert forces.var() == pytest.approx(variance, rel=4 * np.sqrt(2 / forces.size) + 0.02)
     components = np.corrcoef(forces.reshape(-1, 3).T) - np.eye(3)
     assert np.abs(components).max() < 6 / np.sqrt(forces.size / 3)
@@ -242,7 +246,9 @@ def test_sensor_noise_is_white_and_in_measured_blocks_only(env_id):
         "motor_speed": [1e-2] * robot.cables,
     }
     deviations["pose"] = [1e-4] * robot.dimensions + [2e-4] * (robot.coordinates - robot.dimensions)
-    deviations["velocity"] = [2e-3] * robot.dimensions + [4e-3] * (robot.coordinates - robot.dimensions)
+    deviations["velocity"] = [2e-3] * robot.dimensions + [4e-3] * (
+        robot.coordinates - robot.dimensions
+    )
     columns = []
     for name, values in noisy.layout.split(noise).items():
         if name in MEASURED:
@@ -261,7 +267,8 @@ def test_sensor_noise_is_white_and_in_measured_blocks_only(env_id):
 
 
 def test_sensor_bias_is_normal_and_constant_in_an_episode():
-    """White noise is added to it; the second environment has none, and the next episode another one."""
+    """White noise is added to it; the second environment has none, and the next episode another
+    one."""
     sigma = {
         "position": 1e-3,
         "rotation": 2e-3,
@@ -370,7 +377,9 @@ def test_actions_arrive_delayed(env_id, delay):
         seed=0,
     )
     for observations in (ours.observations, theirs.observations):
-        observations[:, late.layout.slices()["last_actions"]] = 0.0  # those of the policy, before the delay
+        observations[:, late.layout.slices()["last_actions"]] = (
+            0.0  # those of the policy, before the delay
+        )
     assert_allclose(ours.observations, theirs.observations, rtol=1e-12, atol=1e-12)
     for key, value in theirs.info.items():
         assert_allclose(ours.info[key], value, rtol=1e-9, atol=1e-11, err_msg=key)
@@ -402,7 +411,8 @@ def test_motors_hold_the_true_robot_until_the_first_action(env_id):
 
 
 def test_delays_of_environments_are_independent():
-    """Delays 0, 3 and 1 at once; then one environment restarts with a longer delay, and again with none."""
+    """Delays 0, 3 and 1 at once; then one environment restarts with a longer delay, and again with
+    none."""
     env = make_vector(FLEX_SPATIAL, 3, trajectory="dwell-spatial")
     singles = [make(FLEX_SPATIAL, trajectory="dwell-spatial") for _ in range(3)]
     env.reset(seed=0, options={"uncertainty": [None, {"delay": 3}, {"delay": 1}]})

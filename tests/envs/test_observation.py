@@ -29,7 +29,8 @@ from cablebot_gym.trajectories import trajectory_names
 @pytest.mark.parametrize("mode", AutoresetMode, ids=lambda mode: mode.name)
 @pytest.mark.parametrize("delay", [0, 2])
 def test_last_actions_are_those_sent_in_this_episode(mode, delay):
-    """Latest first, clipped, before delay, zeros after a reset, for episodes that end at different times."""
+    """Latest first, clipped, before delay, zeros after a reset, for episodes that end at different
+    times."""
     count = 5
     env = make_vector(
         PLANAR,
@@ -76,7 +77,9 @@ def test_slack_time_is_the_timer_of_the_termination():
     step = 0
     while not terminated:
         assert env.layout.split(observation)["slack_time"] == pytest.approx([timer], abs=1e-12)
-        observation, _, terminated, _, info = env.step(np.full(3, -0.9 if step % 9 > 1 or step > 20 else 0.5))
+        observation, _, terminated, _, info = env.step(
+            np.full(3, -0.9 if step % 9 > 1 or step > 20 else 0.5)
+        )
         timer = timer + 0.002 if info["slack"].any() else 0.0
         step += 1
     assert TERMINATION_REASONS[info["termination_reason"]] == "slack"
@@ -125,7 +128,8 @@ def test_policies_cannot_change_the_shared_layout():
 
 
 def tracked(env_id, options=None, **keywords):
-    """Observations and normalised observations of an episode of a policy that follows most motions, and both envs."""
+    """Observations and normalised observations of an episode of a policy that follows most motions,
+    and both envs."""
     env = make(env_id, **keywords)
     normalised = make(env_id, normalised_observation=True, **keywords)
     robot = env.settings.robot
@@ -148,7 +152,8 @@ def tracked(env_id, options=None, **keywords):
 
 @two_ids
 def test_normalised_observation_is_the_layouts_function(env_id):
-    """With sensor noise, payload, delay and saturated components; the vector environment returns the same."""
+    """With sensor noise, payload, delay and saturated components; the vector environment returns
+    the same."""
     keywords = {
         "uncertainty": {
             "sensors": {"position": 1e-3, "velocity": 30.0},
@@ -174,7 +179,10 @@ def test_normalised_observation_is_the_layouts_function(env_id):
 @pytest.mark.parametrize("env_id", [PLANAR, pytest.param(FLEX_SPATIAL, marks=pytest.mark.slow)])
 def test_normalised_components_are_of_order_one_on_all_motions(env_id):
     names = trajectory_names(ROBOTS[env_id].kind)
-    episodes = [tracked(env_id, {"trajectory": name, "payload": float(i % 3)})[:2] for i, name in enumerate(names)]
+    episodes = [
+        tracked(env_id, {"trajectory": name, "payload": float(i % 3)})[:2]
+        for i, name in enumerate(names)
+    ]
     raw, normalised = (np.concatenate(columns) for columns in zip(*episodes, strict=True))
     assert np.mean(np.abs(normalised) <= 10) > 0.99
     moving = np.std(raw, axis=0) > 1e-9

@@ -28,7 +28,8 @@ from cablebot_gym.physics import textbook
 
 @dataclass(frozen=True)
 class Case:
-    """A value other than the default, the results that must change with it, and those that must not."""
+    """A value other than the default, the results that must change with it, and those that must
+    not."""
 
     value: Any
     """A function of the robot, or the value."""
@@ -91,7 +92,9 @@ KEYWORDS = {
     "cable": Case("bilateral", {"observations", "tensions"}, {"start"}, action=-0.3),
     "control_frequency": Case(250.0, {"observations", "time", "tracking_error"}),
     "substeps": Case(7, {"observations"}, {"start", "time"}, action=0.5, steps=5),
-    "termination_radius": Case(1e-6, {"terminated", "rewards", "termination_reason"}, {"observations"}),
+    "termination_radius": Case(
+        1e-6, {"terminated", "rewards", "termination_reason"}, {"observations"}
+    ),
     "slack_time": Case(0.0, {"terminated", "termination_reason"}, {"observations"}, action=-0.3),
     "reward_weights": Case(
         {"position": 3.0},
@@ -219,7 +222,8 @@ def test_torques_after_a_reset_hold_the_true_robot_at_rest(env_id):
 
 
 def test_redundant_cables_hold_each_payload_after_a_reset():
-    """Torques that environments share, and keep from one reset to the next, are those of the present mass."""
+    """Torques that environments share, and keep from one reset to the next, are those of the
+    present mass."""
     env = make_vector("CableBot-Point-v0", 2)
     robot = env.settings.robot
     for payload in (0.0, 5.0):

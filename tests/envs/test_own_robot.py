@@ -1,4 +1,5 @@
-"""Defaults of a robot that brings none: motion, error bounds, end of the scan; and a start that is not held."""
+"""Defaults of a robot that brings none: motion, error bounds, end of the scan; and a start that is
+not held."""
 
 from __future__ import annotations
 
@@ -60,7 +61,10 @@ def test_default_motion_is_smooth_and_within_the_limits(name):
     assert check.limit.largest < top < 60 * max(robot.mass, check.limit.largest)
     reference = check.trajectory(np.linspace(0, check.trajectory.duration, 101))
     assert_allclose(reference.position[[0, -1]], [robot.home, robot.home], atol=1e-12)
-    assert np.ptp(reference.position, axis=0)[:2].min() > 0.01 * np.ptp(robot.pose_bounds, axis=0)[:2].min()
+    assert (
+        np.ptp(reference.position, axis=0)[:2].min()
+        > 0.01 * np.ptp(robot.pose_bounds, axis=0)[:2].min()
+    )
     for order in ("velocity", "acceleration", "jerk", "snap"):
         assert np.abs(getattr(reference, order)[[0, -1]]).max() < 1e-9
 

@@ -57,7 +57,8 @@ def test_wrong_derivative_warns_where_it_is_used(order):
 
 def test_jump_of_a_derivative_does_not_warn():
     def trapezium(times, arrays):
-        """Constant acceleration along x up to the middle, then the opposite one: jumps at three instants."""
+        """Constant acceleration along x up to the middle, then the opposite one: jumps at three
+        instants."""
         late = times > 0.5
         since_rest = np.where(late, 1.0 - np.minimum(times, 1.0), times)
         for values in arrays.values():

@@ -58,7 +58,9 @@ def test_reward_is_the_sum_of_its_weighted_terms(env_id, weight):
     start = np.append([0.0, 0.02], np.zeros(robot.coordinates - 2))
     episode = rollout(env, actions, seed=0, options={"initial_error": start})
     info = {name: values[1:] for name, values in episode.info.items()}
-    assert np.any(info["tracking_error"] < info["tracking_error_peak"] - 1e-6)  # else the peak would do as well
+    assert np.any(
+        info["tracking_error"] < info["tracking_error_peak"] - 1e-6
+    )  # else the peak would do as well
     step = np.flatnonzero(info["violated"])[0]
     assert step > 0
     terms = {
@@ -95,7 +97,8 @@ def test_error_terms_have_a_slope_at_ten_bounds(name, coordinate):
 
 
 def violations(env, actions, **options):
-    """Whether the start violates, the steps in which the violation term is not zero, and the info."""
+    """Whether the start violates, the steps in which the violation term is not zero, and the
+    info."""
     info = rollout(env, actions, options=options).info
     assert np.all(np.diff(info["violated"].astype(int)) >= 0)
     return (
@@ -156,7 +159,8 @@ def test_termination_violates():
 @rigid_ids
 @pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
 def test_violated_agrees_with_the_judge(env_id, cable):
-    """Over random actions, payloads that cannot be held, and start errors, until the end of the motion."""
+    """Over random actions, payloads that cannot be held, and start errors, until the end of the
+    motion."""
     robot = ROBOTS[env_id]
     count = 96
     env = make_vector(
@@ -218,7 +222,9 @@ def test_terminate_on_violation_ends_the_episode_there(env_id):
 
 def test_default_weights_satisfy_the_proof():
     """The conditions that docs/your-own/reward.md names."""
-    inside, position, rotation, saturation, violation = (DEFAULT_WEIGHTS[name] for name in REWARD_TERMS)
+    inside, position, rotation, saturation, violation = (
+        DEFAULT_WEIGHTS[name] for name in REWARD_TERMS
+    )
     assert inside == 1
     assert saturation < position / 2
     assert violation >= position + rotation
@@ -273,11 +279,14 @@ def test_return_orders_success_before_failure():
 @pytest.mark.parametrize("seed", [None, *held_out_seeds(2)], ids=["circle", "loop 1", "loop 2"])
 @paper_ids
 def test_return_orders_all_classical_policies(env_id, seed):
-    """On the default motion and on held-out loops, for payloads from none to more than any policy carries."""
+    """On the default motion and on held-out loops, for payloads from none to more than any policy
+    carries."""
     kind = ROBOTS[env_id].kind
     trajectory = f"circle-{kind}" if seed is None else {"name": f"loop-{kind}", "seed": seed}
     entries = policy_entries().values()
-    policies = [entry.name for entry in entries if entry.kind == "classical" and env_id in entry.env_ids]
+    policies = [
+        entry.name for entry in entries if entry.kind == "classical" and env_id in entry.env_ids
+    ]
     assert len(policies) >= 3
     check_order(
         env_id,

@@ -57,7 +57,9 @@ def check_unrelated(rows, law):
 def test_seeds_episodes_and_purposes_have_independent_numbers():
     rows = []
     for purpose in Purpose:
-        random = streams(0, 1, 2, 2**32, 2**64, 2**64 + 1, 2**65, 2**127, 2**128, 2**128 + 2**64, 2**200)
+        random = streams(
+            0, 1, 2, 2**32, 2**64, 2**64 + 1, 2**65, 2**127, 2**128, 2**128 + 2**64, 2**200
+        )
         everyone = np.arange(11)
         for _ in range(2):
             rows += list(random.uniform(everyone, purpose, 3000))
@@ -136,7 +138,9 @@ def draws_of(env_id, seed=5, steps=(1,), **keywords):
 
 @two_ids
 def test_draws_do_not_depend_on_the_other_uncertainties(env_id):
-    other_draws = MASS | {name: ParameterDistribution(low=-0.1, high=0.1) for name in ("motor_strength", "payload")}
+    other_draws = MASS | {
+        name: ParameterDistribution(low=-0.1, high=0.1) for name in ("motor_strength", "payload")
+    }
     fields_of = {
         "mass": {"parameters": MASS},
         "wrench": {"wrench": FORCES},
@@ -200,7 +204,8 @@ def noise_and_parameters(env, **reset):
 
 @pytest.mark.parametrize("noise_seed", [7, [9, 5, 7]])
 def test_noise_seed_changes_the_noise_and_not_the_parameters(noise_seed):
-    """Wrench and white noise follow it until the next seed; masses, factors, biases and delays follow the seed."""
+    """Wrench and white noise follow it until the next seed; masses, factors, biases and delays
+    follow the seed."""
     wrench = ExternalWrench(force_std=1.0, factor=(0.5, 2.0))
     uncertainty = Uncertainty(
         parameters=MASS,
@@ -211,7 +216,9 @@ def test_noise_seed_changes_the_noise_and_not_the_parameters(noise_seed):
     )
     env = make_vector(PLANAR, 3, uncertainty=uncertainty)
     noises, parameters = noise_and_parameters(env, seed=1)
-    other_noises, same_parameters = noise_and_parameters(env, seed=1, options={"noise_seed": noise_seed})
+    other_noises, same_parameters = noise_and_parameters(
+        env, seed=1, options={"noise_seed": noise_seed}
+    )
     assert not np.any(np.array(noises) == np.array(other_noises))
     white = np.array(other_noises)[:, 0]
     assert len(np.unique(white)) == white.size
@@ -223,7 +230,9 @@ def test_noise_seed_changes_the_noise_and_not_the_parameters(noise_seed):
 
 @pytest.mark.parametrize("bad", [-1, 0.5, [1, 2], "seed"])
 def test_impossible_noise_seed_raises_and_keeps_the_streams(bad):
-    env, twin = (make(PLANAR, uncertainty=Uncertainty(parameters=MASS, sensors=NOISE)) for _ in range(2))
+    env, twin = (
+        make(PLANAR, uncertainty=Uncertainty(parameters=MASS, sensors=NOISE)) for _ in range(2)
+    )
     env.reset(seed=0)
     twin.reset(seed=0)
     with pytest.raises(ValueError, match="noise_seed must be"):

@@ -22,7 +22,8 @@ def make(env_id, **keywords) -> Any:
 
 
 def reason_after(env, action, steps=1, **options):
-    """Reason of the termination, which comes in the last of these steps at the earliest, and the last info."""
+    """Reason of the termination, which comes in the last of these steps at the earliest, and the
+    last info."""
     episode = rollout(env, np.tile(action, (steps, 1)), options=options)
     assert not episode.terminated[:-1].any()
     assert not episode.truncated.any()  # a crash is not a time limit
@@ -53,7 +54,10 @@ def test_position_error_beyond_the_radius_terminates(env_id):
     env = make(env_id, termination_radius=0.05)
     for error, reason in ((0.0501, "tracking_error"), (0.0495, "")):
         start = error * np.eye(ROBOTS[env_id].coordinates)[0]
-        assert reason_after(env, np.full(env.action_space.shape, 0.3), initial_error=start)[0] == reason
+        assert (
+            reason_after(env, np.full(env.action_space.shape, 0.3), initial_error=start)[0]
+            == reason
+        )
 
 
 def test_slack_cable_terminates_after_the_slack_time():
@@ -112,7 +116,8 @@ def test_termination_uses_the_true_state():
 
 @rigid_ids
 def test_info_is_of_the_start_and_peaks_of_the_whole_period(env_id):
-    """The actions are raw, many beyond ±1, and the torques clipped. Damped cables go slack within a period."""
+    """The actions are raw, many beyond ±1, and the torques clipped. Damped cables go slack within a
+    period."""
     robot = ROBOTS[env_id]
     robot = robot.replace(transmission=robot.transmission.replace(damping=0.3))
     env = make(

@@ -24,7 +24,8 @@ MODES = [
     AutoresetMode.DISABLED,
 ]
 
-# Start errors close to a tight radius: under random actions some episodes end early, the others at the time limit.
+# Start errors close to a tight radius: under random actions some episodes end early, the others at
+# the time limit.
 LIMIT = 7
 RUGGED: dict[str, dict[str, Any]] = {
     PLANAR: {
@@ -61,8 +62,11 @@ def random_actions(env, steps):
 
 
 def check_same_info(ours, theirs):
-    """Gymnasium marks in ``_key`` the environments with a valid value; these values are equal bit for bit."""
-    assert {key for key in ours if not key.startswith("_")} == {key for key in theirs if not key.startswith("_")}
+    """Gymnasium marks in ``_key`` the environments with a valid value; these values are equal bit
+    for bit."""
+    assert {key for key in ours if not key.startswith("_")} == {
+        key for key in theirs if not key.startswith("_")
+    }
     for key, mask in theirs.items():
         if not key.startswith("_"):
             continue
@@ -86,7 +90,8 @@ def check_same(ours, theirs):
 
 
 def check_run(ours, theirs, actions):
-    """Compares the runs; the reasons of their ends, and the numbers of restarts and of time limits."""
+    """Compares the runs; the reasons of their ends, and the numbers of restarts and of time
+    limits."""
     assert ours.single_observation_space == theirs.single_observation_space
     assert ours.observation_space == theirs.observation_space
     assert ours.action_space == theirs.action_space
@@ -120,7 +125,9 @@ def test_every_environment_equals_the_single_one(env_id, mode, count):
     keywords = RUGGED[env_id]
     ours = make(env_id, count, autoreset_mode=mode, **keywords)
     theirs = SyncVectorEnv([lambda: gym.make(env_id, **keywords)] * count, autoreset_mode=mode)
-    reasons, restarts, truncations = check_run(ours, theirs, random_actions(ours, 60 if count == 1 else 40))
+    reasons, restarts, truncations = check_run(
+        ours, theirs, random_actions(ours, 60 if count == 1 else 40)
+    )
     assert restarts > 2 * count
     assert "tracking_error" in reasons
     assert count == 1 or ("slack" in reasons and truncations > 0)
@@ -220,7 +227,8 @@ def test_global_random_state_is_neither_read_nor_changed():
 
 @rigid_ids
 def test_reset_mask_restarts_the_marked_environments_only(env_id):
-    """With a motion of another length, first in the order of environments: tables change during other episodes."""
+    """With a motion of another length, first in the order of environments: tables change during
+    other episodes."""
     keywords = {"termination_radius": 1.0, "slack_time": 9.0}
     env, twin = (make(env_id, 5, payload_range=(0.0, 2.0), **keywords) for _ in range(2))
     mask = np.array([True, True, False, True, False])
@@ -265,7 +273,8 @@ def test_reset_mask_restarts_the_marked_environments_only(env_id):
 @pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.name)
 @pytest.mark.parametrize("limit", [None, 12])
 def test_each_environment_is_truncated_after_its_motion(mode, limit):
-    """By 6, 20 and 6 steps, or by an earlier limit; the third environment starts again while the others continue."""
+    """By 6, 20 and 6 steps, or by an earlier limit; the third environment starts again while the
+    others continue."""
     keywords = {
         "slack_time": 9.0,
         "control_frequency": 100.0,
@@ -437,7 +446,9 @@ def test_attributes_equal_those_of_a_sync_vector_env():
     for name in names:
         values = ours.get_attr(name)
         assert type(values) is tuple
-        assert [repr(value) for value in values] == [repr(value) for value in theirs.get_attr(name)], name
+        assert [repr(value) for value in values] == [
+            repr(value) for value in theirs.get_attr(name)
+        ], name
 
 
 def test_attributes_are_set_of_each_environment():

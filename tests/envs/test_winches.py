@@ -140,6 +140,7 @@ def test_invalid_measurement_is_rejected(measurement, message):
 
 
 def test_law_of_pose_is_rejected_with_the_name_to_type():
-    """A spatial robot has as many motor angles as coordinates: the law would read them as its pose."""
+    """A spatial robot has as many motor angles as coordinates: the law would read them as its
+    pose."""
     with pytest.raises(ValueError, match=r"reads measurement 'pose'.*such as ekf\+fl"):
         evaluate_dlcc("fl", SPATIAL, measurement="winches")

@@ -66,7 +66,8 @@ def test_eq21_and_eq23_platform_has_no_motor_torque():
 
 
 def test_eq22_measured_acceleration_determines_no_torque():
-    """τ = r T + J β̈ + J′ β̈′ as the law and J′ β̈′ = τ − κ of Eq. 4 are the same equation, but for r T + J β̈ = κ."""
+    """τ = r T + J β̈ + J′ β̈′ as the law and J′ β̈′ = τ − κ of Eq. 4 are the same equation, but for
+    r T + J β̈ = κ."""
     torque, second, desired_force, spring = sympy.symbols("tau beta_m wanted kappa")
     inertia = sympy.symbols("J_m", positive=True)
     law = sympy.Eq(torque, desired_force + inertia * second)
@@ -81,11 +82,17 @@ def test_eq22_measured_one_sample_late_diverges(stiffness):
     period = 1 / 500
     inertia = 4e-4
     plant = expm(period * np.array([[0, 1, 0], [-stiffness / inertia, 0, 1 / inertia], [0, 0, 0]]))
-    loop = np.zeros((3, 3))  # β′, β̇′ and β̇′ one sample ago, the pulley held: τ = J′ (β̇′ − its last value)/h
-    loop[:2] = plant[:2, [0, 1, 2]] @ np.array([[1, 0, 0], [0, 1, 0], [0, inertia / period, -inertia / period]])
+    loop = np.zeros(
+        (3, 3)
+    )  # β′, β̇′ and β̇′ one sample ago, the pulley held: τ = J′ (β̇′ − its last value)/h
+    loop[:2] = plant[:2, [0, 1, 2]] @ np.array(
+        [[1, 0, 0], [0, 1, 0], [0, inertia / period, -inertia / period]]
+    )
     loop[2, 1] = 1.0
     rate = np.log(np.abs(np.linalg.eigvals(loop)).max()) / period
-    assert rate == pytest.approx(np.cbrt(stiffness / (inertia * period)) / 2, rel=0.1)  # s³ + K/(J′ h) = 0
+    assert rate == pytest.approx(
+        np.cbrt(stiffness / (inertia * period)) / 2, rel=0.1
+    )  # s³ + K/(J′ h) = 0
     assert rate * 0.1 > 6
 
 
@@ -132,14 +139,19 @@ def test_eq22_loop_of_one_joint_has_no_cubic_term(stiffness, damping):
     ],
 )
 def test_eq22_is_unstable_without_motor_friction(stiffness, friction, low, high):
-    """K_D J′ is 0.008 N·m·s/rad. β̈′ is taken from v. Without friction the trace of the loop is zero."""
+    """K_D J′ is 0.008 N·m·s/rad. β̈′ is taken from v. Without friction the trace of the loop is
+    zero."""
     robot = with_transmission(FLEXIBLE, stiffness=stiffness, motor_damping=friction)
 
     def rates(states):
         x = states[:, :6]
         v = states[:, 6:12]
         required = textbook.inverse_dynamics(robot, 11.0, x, v, KP * (robot.home - x) - KD * v)
-        torques = required.torques + robot.motor_inertia * required.pulley_accelerations + friction * required.speeds
+        torques = (
+            required.torques
+            + robot.motor_inertia * required.pulley_accelerations
+            + friction * required.speeds
+        )
         return flexible_rates(robot, states, torques)
 
     loop = by_columns(rates, resting(robot))
@@ -151,13 +163,17 @@ def test_eq22_is_unstable_without_motor_friction(stiffness, friction, low, high)
 
 @each_time
 def test_eq24_inertia_of_the_motors_cancels(time):
-    """MuJoCo, wound by β′ = β + (r T + J β̈)/K and driven by Eq. 22, moves as asked; Eq. 24 says β̈′ = 0 there."""
+    """MuJoCo, wound by β′ = β + (r T + J β̈)/K and driven by Eq. 22, moves as asked; Eq. 24 says
+    β̈′ = 0 there."""
 
     def required(at):
         return textbook.inverse_dynamics(FLEXIBLE, 11.0, *motion(FLEXIBLE, at)).torques
 
     def motor(at):
-        return textbook.pulley_angle(FLEXIBLE, motion(FLEXIBLE, at)[0]) + required(at) / FLEXIBLE.stiffness
+        return (
+            textbook.pulley_angle(FLEXIBLE, motion(FLEXIBLE, at)[0])
+            + required(at) / FLEXIBLE.stiffness
+        )
 
     (x, v, a) = motion(FLEXIBLE, time)
     angle = motor(time)
@@ -228,7 +244,9 @@ def test_eq25_undamped_oscillator_grows_at_resonance():
     ).sol
     for turns in (10, 20):
         times = np.linspace((turns - 1) * 2 * math.pi, turns * 2 * math.pi, 400) / rate
-        assert np.abs(swing(times)[0]).max() == pytest.approx(small * times[-1] / (2 * inertia * rate), rel=0.05)
+        assert np.abs(swing(times)[0]).max() == pytest.approx(
+            small * times[-1] / (2 * inertia * rate), rel=0.05
+        )
 
 
 # --- §3.4: robust law -------------------------------------------------------------------------------------------------
@@ -236,7 +254,8 @@ def test_eq25_undamped_oscillator_grows_at_resonance():
 
 @each_time
 def test_eq27_and_eq30_gain_of_the_input_has_the_pulleys(time):
-    """γ = ∂τ/∂v from the kinetic energy; η of Eq. 30 against a plant that is heavier than the model."""
+    """γ = ∂τ/∂v from the kinetic energy; η of Eq. 30 against a plant that is heavier than the
+    model."""
     x, v, requested = motion(SPATIAL, time)
     true = with_transmission(SPATIAL.replace(mass=11.5), pulley_inertia=3e-3)
     (alpha, gamma) = parts_of_law(true, x, v)
@@ -244,7 +263,9 @@ def test_eq27_and_eq30_gain_of_the_input_has_the_pulleys(time):
     g, _ = turning(SPATIAL, time)
     complete = np.stack([momentum(SPATIAL, x, e) for e in np.eye(6)], axis=1)  # linear in Ẋ
     assert_allclose(model_gamma, np.linalg.solve(g.T, complete), rtol=0, atol=1e-8)
-    printed = [np.linalg.solve(g.T, textbook.mass_matrix(SPATIAL, mass, x)) for mass in (11.5, 10.0)]
+    printed = [
+        np.linalg.solve(g.T, textbook.mass_matrix(SPATIAL, mass, x)) for mass in (11.5, 10.0)
+    ]
     assert np.abs(printed[1] - model_gamma).max() > 0.005
     torques = model_alpha + model_gamma @ requested
     reached, _ = textbook.forward_dynamics(true, 11.5, x, v, torques, cable="bilateral")
@@ -257,7 +278,8 @@ def test_eq27_and_eq30_gain_of_the_input_has_the_pulleys(time):
 
 
 def test_eq27_fewer_inputs_than_coordinates_are_controllable():
-    """Relative degree four: τ enters the fourth derivative of X, and nothing before, by an invertible matrix."""
+    """Relative degree four: τ enters the fourth derivative of X, and nothing before, by an
+    invertible matrix."""
     state = resting(FLEXIBLE)
     plant = by_columns(lambda states: flexible_rates(FLEXIBLE, states, np.zeros((1, 6))), state)
     inputs = by_columns(
@@ -268,7 +290,9 @@ def test_eq27_fewer_inputs_than_coordinates_are_controllable():
     plant = 0.01 * plant * scale[:, None] / scale
     inputs = 0.01 * inputs * scale[:, None]
     ends = (np.hstack([pole * np.eye(24) - plant, inputs]) for pole in np.linalg.eigvals(plant))
-    assert min(np.linalg.svd(end, compute_uv=False)[-1] for end in ends) > 1e-5  # the test of Hautus
+    assert (
+        min(np.linalg.svd(end, compute_uv=False)[-1] for end in ends) > 1e-5
+    )  # the test of Hautus
     outputs = np.eye(6, 24)
     for power in range(3):
         assert_allclose(
@@ -281,7 +305,8 @@ def test_eq27_fewer_inputs_than_coordinates_are_controllable():
 
 @pytest.mark.parametrize("error", [1, -1], ids=["z_d - z", "z - z_d"])
 def test_eq31_is_positive_feedback_and_eq18_is_not(error):
-    """Poles of z̈ = v in the error e = ± (z_d − z), v − z̈_d = sign (K_D (ż_d − ż) + K_P (z_d − z))."""
+    """Poles of z̈ = v in the error e = ± (z_d − z), v − z̈_d = sign (K_D (ż_d − ż) + K_P (z_d −
+    z))."""
     for sign, least, most in (
         (-1, 1, 100),
         (1, -100, -1),
@@ -310,7 +335,8 @@ LYAPUNOV = solve_continuous_lyapunov(np.array([[0, -KP], [1, -KD]]), -np.eye(2))
 
 
 def robust_run(error, sign):
-    """V, mean ‖e‖ and the residual of Eq. 32 along a run of z̈ = v + η: 15 % too heavy, in an unknown force.
+    """V, mean ‖e‖ and the residual of Eq. 32 along a run of z̈ = v + η: 15 % too heavy, in an
+    unknown force.
 
     e = ±(z_d − z), Δv = sign ρ BᵀPe/‖BᵀPe‖ with a layer of 1e-4, the rest of v is Eq. 18's.
     """
@@ -374,10 +400,14 @@ def test_eq36_printed_system_has_no_lyapunov_matrix():
 
 
 def test_eq36_input_matrix_has_two_rows_too_many():
-    printed = np.array([row for k in (0, 1, 2, 3, 3, 4, 5) for row in (np.zeros(6), np.eye(6)[k])])  # ψ's twice
+    printed = np.array(
+        [row for k in (0, 1, 2, 3, 3, 4, 5) for row in (np.zeros(6), np.eye(6)[k])]
+    )  # ψ's twice
     with pytest.raises(ValueError, match="mismatch"):
         printed.T @ np.eye(12)
-    corrected = np.kron(np.eye(6), [[0.0], [1.0]])  # an input is the second derivative of its own error
+    corrected = np.kron(
+        np.eye(6), [[0.0], [1.0]]
+    )  # an input is the second derivative of its own error
     assert_array_equal(np.delete(printed, [8, 9], axis=0), corrected)
 
 
@@ -395,7 +425,8 @@ def test_eq36_norm_of_metres_and_radians_depends_on_the_unit():
 
 
 def test_eq36_bracket_of_rho_closes_after_the_last_term():
-    """ρ has to bound ‖ψ‖, which ρ itself enlarges: at the worst of what ζ, γ̄ and φ allow, it is just enough."""
+    """ρ has to bound ‖ψ‖, which ρ itself enlarges: at the worst of what ζ, γ̄ and φ allow, it is
+    just enough."""
     rng = np.random.default_rng(3)
     zeta = rng.uniform(0.05, 0.9, 200)
     (gain, phi, requested, drift) = rng.uniform(0.1, 5, (4, 200))
@@ -403,7 +434,9 @@ def test_eq36_bracket_of_rho_closes_after_the_last_term():
     unknown = gain * phi
 
     def slack(rho):
-        return rho - (zeta * (requested + drift + rho) + unknown)  # less ‖η(v)‖ at v = ‖z̈_d‖ + ‖Ae‖ + ρ
+        return rho - (
+            zeta * (requested + drift + rho) + unknown
+        )  # less ‖η(v)‖ at v = ‖z̈_d‖ + ‖Ae‖ + ρ
 
     assert_allclose(slack((known + unknown) / (1 - zeta)), 0, atol=1e-9)
     assert slack(known / (1 - zeta) + unknown).max() < 0

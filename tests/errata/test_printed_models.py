@@ -58,7 +58,9 @@ def test_eq2_with_the_jacobian_of_eq3_loses_the_pulleys_inertia(time):
     theta = np.arctan2(*(x - RUBBING.base).T[::-1])  # from the anchor to the platform
     s = -np.array([np.cos(theta), np.sin(theta)])
     assert_allclose(equation(s), required, rtol=0, atol=1e-8)
-    assert_allclose(s, RADIUS * g.T, rtol=0, atol=1e-12)  # S τ is r times the generalised force of τ
+    assert_allclose(
+        s, RADIUS * g.T, rtol=0, atol=1e-12
+    )  # S τ is r times the generalised force of τ
     assert np.abs(equation(-s) - required).max() > 0.01
 
 
@@ -100,7 +102,8 @@ def test_eq4_is_a_force_law_and_no_constraint():
 
 @each_time
 def test_eq9_and_eq10_need_both_rows_and_a_pseudoinverse(time):
-    """Division by components couples x and y wrongly; S has no inverse, and M_eq S⁻¹ does not exist."""
+    """Division by components couples x and y wrongly; S has no inverse, and M_eq S⁻¹ does not
+    exist."""
     (x, v, _) = motion(RUBBING, time)
     (g, rate) = turning(RUBBING, time)
     s = RADIUS * g.T
@@ -143,12 +146,16 @@ def test_eq11_matrix_a_is_s(time):
     particular = s.T @ np.linalg.solve(s @ s.T, desired_force)
     assert_allclose(s @ (particular + 7.0 * null), desired_force, rtol=0, atol=1e-12)
     another = s + 0.1 * np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    assert np.abs(s @ s.T @ np.linalg.solve(another @ another.T, desired_force) - desired_force).max() > 0.1
+    assert (
+        np.abs(s @ s.T @ np.linalg.solve(another @ another.T, desired_force) - desired_force).max()
+        > 0.1
+    )
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(2000.0, 10.0), (30.0, 20.0)])
 def test_eq14_law_is_pd_and_leaves_an_error_under_a_force(stiffness, damping):
-    """Eqs. 12–14, 17–19: z̈ = v + η. With the integral that the text speaks of, η would leave no error."""
+    """Eqs. 12–14, 17–19: z̈ = v + η. With the integral that the text speaks of, η would leave no
+    error."""
     law = PD(gains=(stiffness, damping))
 
     def loop(_, state):
@@ -191,7 +198,9 @@ def test_eq15_and_eq16_printed_sign_drops_the_platform():
     transposed = textbook.jacobian(SPATIAL, SPATIAL.home).T
     gravity = textbook.bias(SPATIAL, 10.0, SPATIAL.home, still)
     hanging = np.linalg.solve(-transposed, gravity)
-    assert hanging.min() > 20  # so z points down (Eq. 3); upwards, and with the sign of Eq. 16, all cables push
+    assert (
+        hanging.min() > 20
+    )  # so z points down (Eq. 3); upwards, and with the sign of Eq. 16, all cables push
     printed = np.linalg.solve(
         textbook.mass_matrix(SPATIAL, 10.0, SPATIAL.home),
         -gravity + transposed @ hanging,

@@ -20,7 +20,9 @@ class Dropping(FeedbackLinearization):
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         action, state = super().predict(observation, state, episode_start, deterministic)
-        return np.where(self.lets_go(np.array(observation)[..., MODEL_PAYLOAD])[..., None], 0.0, action), state
+        return np.where(
+            self.lets_go(np.array(observation)[..., MODEL_PAYLOAD])[..., None], 0.0, action
+        ), state
 
 
 def play(env, policy, options=None, seed=0):

@@ -1,4 +1,5 @@
-"""Policies side by side: every number against single episodes, the intervals against SciPy's, and the figure."""
+"""Policies side by side: every number against single episodes, the intervals against SciPy's, and
+the figure."""
 
 from __future__ import annotations
 
@@ -46,7 +47,8 @@ def limp(observation):
 
 
 class LetsGo(Scaled):
-    """FL that returns zero actions in the episodes whose measured x is positive at the third step."""
+    """FL that returns zero actions in the episodes whose measured x is positive at the third
+    step."""
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         action, _ = super().predict(observation)
@@ -154,7 +156,9 @@ def test_error_counts_as_constant_after_an_early_termination():
     (measured,) = comparison.metrics
     assert 0 < measured.ended.sum() < 6
     for draw, seed in enumerate(draw_seeds(2, 6)):
-        by_hand = episode(LetsGo(1.0), seed, payload=0.0, trajectory=motion, uncertainty="sensors", position=0.01)
+        by_hand = episode(
+            LetsGo(1.0), seed, payload=0.0, trajectory=motion, uncertainty="sensors", position=0.01
+        )
         for name in (*QUANTITIES, "carried", "ended"):
             assert getattr(measured, name)[draw] == pytest.approx(by_hand[name], abs=1e-12), name
         steps = len(by_hand["error"])
@@ -203,7 +207,9 @@ def made(*mean_errors):
     measured = []
     for index, errors in enumerate(mean_errors):
         metrics = compared().metrics[0]
-        measured.append(dataclasses.replace(metrics, policy=f"p{index}", mean_error=np.array(errors, float)))
+        measured.append(
+            dataclasses.replace(metrics, policy=f"p{index}", mean_error=np.array(errors, float))
+        )
     return dataclasses.replace(compared(), metrics=tuple(measured), draws=len(mean_errors[0]))
 
 
@@ -212,7 +218,9 @@ def test_interval_of_a_mean_is_students(quantity):
     values = getattr(compared().metrics[1], quantity)
     low, high = stats.t.interval(0.95, 4, loc=values.mean(), scale=stats.sem(values))
     estimate = compared().metrics[1].estimate(quantity)
-    assert (estimate.mean, estimate.low, estimate.high) == pytest.approx((values.mean(), low, high), rel=1e-12)
+    assert (estimate.mean, estimate.low, estimate.high) == pytest.approx(
+        (values.mean(), low, high), rel=1e-12
+    )
     assert estimate.low < estimate.mean < estimate.high
 
 
@@ -223,7 +231,9 @@ def test_reduction_compares_means_of_paired_draws():
     fraction = made((1, 2, 3, 10), (2, 4, 6, 20)).reduction(1, "mean_error")
     assert (fraction.mean, fraction.low, fraction.high) == pytest.approx((-1, -1, -1), abs=1e-12)
     comparison = made((2, 4), (1, 2), (0.5, 1))
-    assert [comparison.reduction(index, "mean_error").mean for index in range(3)] == pytest.approx([0, 0.5, 0.75])
+    assert [comparison.reduction(index, "mean_error").mean for index in range(3)] == pytest.approx(
+        [0, 0.5, 0.75]
+    )
 
 
 def test_interval_of_a_reduction_is_scipys_bootstrap():
@@ -283,7 +293,9 @@ def test_figure_shows_draws_that_end_early():
         "seed": 2,
         "trajectory": motion,
     }
-    comparison = compare_policies([LetsGo(1.0), limp], SPATIAL_ID, error_bounds={"position": 0.005}, **keywords)
+    comparison = compare_policies(
+        [LetsGo(1.0), limp], SPATIAL_ID, error_bounds={"position": 0.005}, **keywords
+    )
     lines = draw_comparison(comparison).axes[0].get_lines()
     bound = [line for line in lines if line.get_color() == "black"]
     long_line, short_line = [line for line in lines if line.get_color() != "black"]

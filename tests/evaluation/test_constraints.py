@@ -31,7 +31,9 @@ class HandMadeTask:
 
     steps: int
     error_bounds: ErrorBounds = BOUNDS
-    robot: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(cables=3, minimum_tension=1.0))
+    robot: SimpleNamespace = field(
+        default_factory=lambda: SimpleNamespace(cables=3, minimum_tension=1.0)
+    )
     cable: str = "unilateral"
     starts_at_rest: bool = True
 
@@ -40,7 +42,8 @@ each_criterion = pytest.mark.parametrize("criterion", ["task", "paper"])
 
 
 class Scripted(gym.Env):
-    """An environment with a given ``info``: one dict of the changes to an uneventful step, per step."""
+    """An environment with a given ``info``: one dict of the changes to an uneventful step, per
+    step."""
 
     def __init__(self, script, *, start=None, steps=None, **changes):
         self.action_space = gym.spaces.Box(-1, 1, (3,))
@@ -280,12 +283,16 @@ def test_episodes_of_a_batch_are_independent():
     none = np.zeros(3, np.bool_)
     judge.reset(stacked(*(info_of(0, payload=p) for p in (1.0, 2.0, 3.0))), HandMadeTask(3))
     judge.observe(stacked(info_of(1), info_of(1, position=0.03), info_of(1)), none)
-    judge.observe(stacked(info_of(2, position=0.004), info_of(2, position=0.05), info_of(2, slack=(2,))), none)
+    judge.observe(
+        stacked(info_of(2, position=0.004), info_of(2, position=0.05), info_of(2, slack=(2,))), none
+    )
     assert not judge.carried.any()
     judge.observe(stacked(info_of(3), info_of(3), info_of(3)), np.array([False, True, True]))
     verdicts = [judge.verdict(index) for index in range(3)]
     assert judge.failed.tolist() == [False, True, True]
-    assert judge.carried.tolist() == [verdict.carried for verdict in verdicts] == [True, False, False]
+    assert (
+        judge.carried.tolist() == [verdict.carried for verdict in verdicts] == [True, False, False]
+    )
     assert [verdict.payload for verdict in verdicts] == [1.0, 2.0, 3.0]
     assert [verdict.position_peak for verdict in verdicts] == [0.004, 0.03, 0.001]
     assert [(v.violation.kind, v.violation.index) for v in verdicts[1:]] == [
@@ -355,7 +362,10 @@ def test_bounds_of_the_reset_option_reach_the_monitor():
     env = DLCCMonitor(gym.make(IDS["planar"]))
     short = {"name": "line-planar", "duration": 0.7}
     for options, carried in (({}, True), ({"error_bounds": {"position": 1e-5}}, False), ({}, True)):
-        assert play(env, FeedbackLinearization(PLANAR), {"trajectory": short} | options).carried is carried
+        assert (
+            play(env, FeedbackLinearization(PLANAR), {"trajectory": short} | options).carried
+            is carried
+        )
 
 
 def test_monitor_only_adds_to_info():
@@ -370,11 +380,15 @@ def test_monitor_only_adds_to_info():
         assert set(watched_info) - set(info) == {"dlcc_carried"}
 
 
-@pytest.mark.parametrize(("kind", "criterion"), [("planar", "task"), ("spatial", "paper"), ("spatial", "task")])
+@pytest.mark.parametrize(
+    ("kind", "criterion"), [("planar", "task"), ("spatial", "paper"), ("spatial", "task")]
+)
 def test_monitor_agrees_with_the_evaluator(kind, criterion):
     trajectory = {"name": f"paper-{kind}", "duration": 1.0}
     fl = FeedbackLinearization(ROBOTS[kind])
-    result = evaluate_dlcc(fl, IDS[kind], criterion=criterion, trajectory=trajectory, resolution=0.01)
+    result = evaluate_dlcc(
+        fl, IDS[kind], criterion=criterion, trajectory=trajectory, resolution=0.01
+    )
     assert 0 < result.resolution <= 0.01
     env = DLCCMonitor(gym.make(IDS[kind], trajectory=trajectory), criterion=criterion)
     below = play(env, fl, {"payload": result.payload})

@@ -1,4 +1,5 @@
-"""Payloads against hand-computed cases, the closed form, the paper's figures, and policies that misbehave."""
+"""Payloads against hand-computed cases, the closed form, the paper's figures, and policies that
+misbehave."""
 
 from __future__ import annotations
 
@@ -88,7 +89,9 @@ def test_planar_payload_matches_independent_runs():
 @pytest.mark.parametrize("kind", ["planar", "spatial"])
 def test_paper_criterion_agrees_with_the_closed_form(kind):
     robot = ROBOTS[kind]
-    exact = exact_payload(robot, find_trajectory(f"paper-{kind}", robot.coordinates), minimum_tension=5.0)
+    exact = exact_payload(
+        robot, find_trajectory(f"paper-{kind}", robot.coordinates), minimum_tension=5.0
+    )
     result = scored(kind, "paper")
     assert result.total_mass == pytest.approx(exact.total_mass, rel=0.02)
     assert result.violation.kind == exact.kind
@@ -100,11 +103,14 @@ def test_paper_criterion_agrees_with_the_closed_form(kind):
 
 
 def hang_capacity(stall):
-    """Total mass that six cables hold at rest in the symmetric pose, each pulling with τ_s/r: Σ T cos(angle) / g."""
+    """Total mass that six cables hold at rest in the symmetric pose, each pulling with τ_s/r: Σ T
+    cos(angle) / g."""
     a = 0.47
     b = 0.148
     depth = 0.1
-    sideways = np.array([a, -a / math.sqrt(3)]) - np.array([0, -2 * b / math.sqrt(3)])  # A2 to P1; all six are alike
+    sideways = np.array([a, -a / math.sqrt(3)]) - np.array(
+        [0, -2 * b / math.sqrt(3)]
+    )  # A2 to P1; all six are alike
     cosine = depth / math.hypot(*sideways, depth)
     return 6 * stall / 0.05 * cosine / 9.81
 
@@ -115,7 +121,9 @@ def test_static_hang_is_the_vertical_capacity_of_the_cables(resolution):
         "trajectory": HANG,
         "initial_error": 0.0,
     }  # the usual start is lower, where the cables hold more
-    result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, criterion="paper", resolution=resolution, **keywords)
+    result = evaluate_dlcc(
+        fl("spatial"), SPATIAL_ID, criterion="paper", resolution=resolution, **keywords
+    )
     expected = hang_capacity(10.0) - 10
     assert 14 < expected < 15
     # At the exact payload every motor stalls; only rounding of the numbers is tolerated there.
@@ -128,7 +136,9 @@ def test_static_hang_is_the_vertical_capacity_of_the_cables(resolution):
 @pytest.mark.parametrize("frequency", [250.0, 1000.0])
 def test_control_frequency_reaches_the_environment(frequency):
     motion = {"name": "dwell-planar", "duration": 0.02}
-    result = evaluate_dlcc(lambda _: np.full(3, 0.1), PLANAR_ID, trajectory=motion, control_frequency=frequency)
+    result = evaluate_dlcc(
+        lambda _: np.full(3, 0.1), PLANAR_ID, trajectory=motion, control_frequency=frequency
+    )
     assert result.environment["control_frequency"] == frequency
     assert len(result.rollout) == 1 + round(0.02 * frequency)
 
@@ -147,7 +157,9 @@ def test_environment_terminates_outside_wide_error_bounds_only():
         "initial_error": LOWER,
     }
     wide = evaluate_dlcc(lambda _: np.zeros(6), SPATIAL_ID, **keywords)
-    assert 0.1 < wide.rollout.arrays["tracking_error"].max() < 0.3, "beyond the environment's default radius"
+    assert 0.1 < wide.rollout.arrays["tracking_error"].max() < 0.3, (
+        "beyond the environment's default radius"
+    )
     assert wide.payload == 1.0
     assert wide.violation is None
     assert wide.scan_ended
@@ -198,7 +210,9 @@ def test_search_finds_a_threshold(threshold, resolution):
 
 
 def test_feasible_set_with_holes_is_reported_as_intervals():
-    policy = Dropping(lambda payload: (payload > 1.02) & (payload < 1.58) | (payload > 2.22) & (payload < 2.38))
+    policy = Dropping(
+        lambda payload: (payload > 1.02) & (payload < 1.58) | (payload > 2.22) & (payload < 2.38)
+    )
     motion = {"name": "dwell-spatial", "duration": 0.1}
     result = evaluate_dlcc(policy, SPATIAL_ID, payload_max=3.15, resolution=1e-4, trajectory=motion)
     assert 1.02 - 1e-4 <= result.payload <= 1.02
@@ -279,7 +293,9 @@ def test_policy_gets_its_state_and_the_episode_starts():
     steps = 25
     evaluate_dlcc(spy, SPATIAL_ID, trajectory=HANG, payload_max=1.0)
     batches = 4
-    assert spy.calls == (["reset"] + ["predict"] * steps) * batches, "scan, checks, finer physics, recorded episode"
+    assert spy.calls == (["reset"] + ["predict"] * steps) * batches, (
+        "scan, checks, finer physics, recorded episode"
+    )
     for start in range(0, batches * steps, steps):
         assert spy.states[start] is None
         assert spy.starts[start].all()
@@ -374,7 +390,9 @@ def test_nan_after_the_violation_is_ignored():
         def predict(self, observation, **keywords):
             action, state = super().predict(observation, **keywords)
             self.steps += 1
-            return np.where((observation[:, [MODEL_PAYLOAD]] > 1) & (self.steps % 100 > 60), np.nan, action), state
+            return np.where(
+                (observation[:, [MODEL_PAYLOAD]] > 1) & (self.steps % 100 > 60), np.nan, action
+            ), state
 
     motion = {"name": "dwell-spatial", "duration": 0.2}
     policy = Blind(lambda payload: payload > 1)
@@ -411,7 +429,9 @@ def test_bad_argument_is_rejected_before_the_work(arguments, message):
     env_id = arguments.pop("env_id", SPATIAL_ID)
     defaults = {"trajectory": HANG, "uncertainty": "table6", "draws": 3}
     with pytest.raises(ValueError, match=message):
-        evaluate_dlcc(policy, env_id, progress=lambda *_: pytest.fail("work"), **defaults | arguments)
+        evaluate_dlcc(
+            policy, env_id, progress=lambda *_: pytest.fail("work"), **defaults | arguments
+        )
 
 
 @pytest.mark.parametrize(
@@ -441,8 +461,13 @@ def test_environment_of_the_json_repeats_the_evaluation():
     data = json.loads(result.to_json(), parse_constant=pytest.fail)
     assert data["violation"] == dataclasses.asdict(result.violation)
     assert data["versions"]["cablebot-gym"] == cablebot_gym.__version__
-    conditions = {name: data[name] for name in ("criterion", "error_bounds", "payload_max", "payload_known", "seed")}
-    again = evaluate_dlcc("fl", data["env_id"], resolution=0.01, **conditions, **data["environment"])
+    conditions = {
+        name: data[name]
+        for name in ("criterion", "error_bounds", "payload_max", "payload_known", "seed")
+    }
+    again = evaluate_dlcc(
+        "fl", data["env_id"], resolution=0.01, **conditions, **data["environment"]
+    )
     assert again.payload == result.payload
     assert again.to_dict()["environment"] == result.to_dict()["environment"]
 
@@ -493,13 +518,17 @@ def test_rollout_equals_an_episode_of_the_single_environment(tmp_path):
     for suffix in ("npz", "csv"):
         rollout.save(tmp_path / f"run.{suffix}")
     with np.load(tmp_path / "run.npz") as file:
-        assert {name: file[name].tolist() for name in file} == {n: v.tolist() for n, v in rollout.arrays.items()}
+        assert {name: file[name].tolist() for name in file} == {
+            n: v.tolist() for n, v in rollout.arrays.items()
+        }
     table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
     np.testing.assert_array_equal(table["tensions_6"], rollout.arrays["tensions"][:, 5])
 
 
 def test_recording_goes_on_until_the_termination():
-    rollout = record_rollout(lambda _: np.zeros(6), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.5})
+    rollout = record_rollout(
+        lambda _: np.zeros(6), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.5}
+    )
     assert rollout.reason == "tracking_error"
     assert rollout.verdict.violation.kind == "slack"
     assert rollout.arrays["tracking_error"][-1] > 0.1 > rollout.arrays["tracking_error"][-2]

@@ -1,4 +1,5 @@
-"""How the evaluation resists careless and cheating policies. tests/attacks has the policies themselves."""
+"""How the evaluation resists careless and cheating policies. tests/attacks has the policies
+themselves."""
 
 from __future__ import annotations
 
@@ -61,7 +62,9 @@ class FailsAlone(Law):
 
 @pytest.mark.parametrize("uncertainty", [None, "sensors"])
 def test_random_policy_must_not_need_other_episodes(uncertainty):
-    with pytest.raises(PolicyError, match=r"depends on the other.* in 0 of 12 draws alone, in 60 of 60 together"):
+    with pytest.raises(
+        PolicyError, match=r"depends on the other.* in 0 of 12 draws alone, in 60 of 60 together"
+    ):
         evaluated(FailsAlone(), uncertainty=uncertainty, draws=60)
 
 
@@ -114,7 +117,8 @@ def test_name_of_an_object_does_not_hide_its_declaration():
 
 @pytest.mark.parametrize("uncertainty", [{}, {"uncertainty": "sensors", "draws": 60}])
 def test_dense_check_finds_an_island_of_failures(uncertainty):
-    """The narrow gap of failures lies between two payloads of the scan, below the first other failure."""
+    """The narrow gap of failures lies between two payloads of the scan, below the first other
+    failure."""
     scanned = []
 
     def spy(payload):
@@ -155,7 +159,9 @@ def test_rows_have_a_secret_order():
     orders = []
     for _ in range(2):
         scanned = []
-        evaluated(Dropping(lambda payload, scanned=scanned: scanned.append(payload.copy()) or payload > 9))
+        evaluated(
+            Dropping(lambda payload, scanned=scanned: scanned.append(payload.copy()) or payload > 9)
+        )
         orders.append(scanned[0])
     assert np.any(orders[0] != orders[1])
     np.testing.assert_array_equal(*np.sort(orders))
@@ -227,7 +233,9 @@ def clock(monkeypatch):
 def test_times_of_actions(clock, payload):
     """Also of those after a violation, which the larger payload causes at once."""
     times = time_actions(Slow(clock), SPATIAL_ID, payload=payload, trajectory=HANG)
-    late = [calls % 4 == 0 for calls in range(WARM_UP + 1, round(HANG["duration"] / times.period) + 1)]
+    late = [
+        calls % 4 == 0 for calls in range(WARM_UP + 1, round(HANG["duration"] / times.period) + 1)
+    ]
     assert times.period == 0.002
     assert times.missed == np.mean(late)
     assert (times.median, times.p99) == pytest.approx((0.001, 0.005))
@@ -236,7 +244,9 @@ def test_times_of_actions(clock, payload):
 
 def test_episode_without_actions_to_time_raises(clock):
     with pytest.raises(ValueError, match="ends after 5 actions"):
-        time_actions(Slow(clock), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.01})
+        time_actions(
+            Slow(clock), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.01}
+        )
 
 
 def test_late_action_is_replaced_by_the_last_one(clock):

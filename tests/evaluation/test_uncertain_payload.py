@@ -1,4 +1,5 @@
-"""The payload over draws against order statistics, single episodes and Clopper and Pearson's bound."""
+"""The payload over draws against order statistics, single episodes and Clopper and Pearson's
+bound."""
 
 from __future__ import annotations
 
@@ -35,7 +36,11 @@ def draw_seeds(seed, draws):
 
 def spread(**parameters):
     """Uniform ± a fraction of each parameter, one deviation for all motors."""
-    return {"parameters": {name: {"low": -half, "high": half, "each": False} for name, half in parameters.items()}}
+    return {
+        "parameters": {
+            name: {"low": -half, "high": half, "each": False} for name, half in parameters.items()
+        }
+    }
 
 
 # --- by hand: a constant pull -----------------------------------------------------------------------------------------
@@ -90,7 +95,9 @@ def true_masses(uncertainty, seed, draws):
     return np.array(masses)
 
 
-@pytest.mark.parametrize(("draws", "probability", "required"), [(20, 0.95, 19), (80, 0.95, 80), (80, 0.6, 56)])
+@pytest.mark.parametrize(
+    ("draws", "probability", "required"), [(20, 0.95, 19), (80, 0.95, 80), (80, 0.6, 56)]
+)
 def test_payload_is_an_order_statistic_of_the_draws(draws, probability, required):
     """With 20 draws the fraction counts, with 80 the 95/95 lower tolerance bound."""
     unknown = spread(platform_mass=0.1)
@@ -221,7 +228,9 @@ def test_margins_are_those_of_the_tightest_single_episodes():
     carried = [verdict for verdict in verdicts(result.payload) if verdict.carried]
     actions = np.abs(result.rollout.arrays["commanded_action"])
     assert len(actions) == 125
-    assert actions.max() == pytest.approx(max(carried[0].peak_action), abs=1e-9)  # the recorded draw
+    assert actions.max() == pytest.approx(
+        max(carried[0].peak_action), abs=1e-9
+    )  # the recorded draw
     expected = {
         "position": 1 - max(verdict.position_peak for verdict in carried) / BOUND,
         "rotation": 1 - max(verdict.rotation_peak for verdict in carried) / 0.01,
@@ -235,13 +244,19 @@ def test_violation_seed_repeats_the_violation():
     law = FeedbackLinearization(SPATIAL)
     motion = {"name": "dwell-spatial", "duration": 0.5}
     options = {"trajectory": motion, "uncertainty": "table6+sensors", "payload_known": False}
-    result = evaluate_dlcc(law, SPATIAL_ID, draws=5, probability=0.5, payload_max=8.0, resolution=0.1, **options)
+    result = evaluate_dlcc(
+        law, SPATIAL_ID, draws=5, probability=0.5, payload_max=8.0, resolution=0.1, **options
+    )
     assert result.violation_seed in result.draw_seeds
     assert max(result.draw_seeds) < 2**53, "every JSON parser reads them exactly"
     env = DLCCMonitor(gym.make(SPATIAL_ID, payload=result.failed_payload, **options))
     noise = noise_seed(result.violation_seed, result.failed_payload)
-    assert play(env, law, {"noise_seed": noise}, result.violation_seed).violation == result.violation
-    recorded = record_rollout(law, SPATIAL_ID, payload=result.failed_payload, seed=result.violation_seed, **options)
+    assert (
+        play(env, law, {"noise_seed": noise}, result.violation_seed).violation == result.violation
+    )
+    recorded = record_rollout(
+        law, SPATIAL_ID, payload=result.failed_payload, seed=result.violation_seed, **options
+    )
     assert recorded.verdict.violation == result.violation
 
 
@@ -296,11 +311,15 @@ def test_payloads_share_the_parameters_of_a_draw():
         "parameters": {"platform_mass": {"low": -0.1, "high": 0.1}},
         "sensors": {"position": 1e-4},
     }
-    batch = Batch("fl", SPATIAL_ID, uncertainty=uncertainty, draws=3, seed=11, keywords={"trajectory": HANG})
+    batch = Batch(
+        "fl", SPATIAL_ID, uncertainty=uncertainty, draws=3, seed=11, keywords={"trajectory": HANG}
+    )
     assert batch.seeds == draw_seeds(11, 3)
     observers = [Starts(), Starts()]
     for starts in observers:
-        batch.run([(payload, seed) for payload in (0.0, 1.0) for seed in batch.seeds], observer=starts)
+        batch.run(
+            [(payload, seed) for payload in (0.0, 1.0) for seed in batch.seeds], observer=starts
+        )
     observer, repeated = observers
     np.testing.assert_array_equal(observer.mass[:3], observer.mass[3:])
     assert len({*observer.mass.tolist()}) == 3
@@ -309,7 +328,9 @@ def test_payloads_share_the_parameters_of_a_draw():
     env = gym.make(SPATIAL_ID, trajectory=HANG, uncertainty=uncertainty, payload=1.0)
     noise = noise_seed(batch.seeds[2], 1.0)
     observation, _ = env.reset(seed=batch.seeds[2], options={"noise_seed": noise})
-    np.testing.assert_array_equal(observation[observation_layout(SPATIAL).slices()["pose"]], observer.pose[5])
+    np.testing.assert_array_equal(
+        observation[observation_layout(SPATIAL).slices()["pose"]], observer.pose[5]
+    )
 
 
 def test_batch_size_and_secret_order_do_not_change_the_result(monkeypatch):

@@ -1,4 +1,5 @@
-"""Policies in processes of their own: fresh processes, deadlines, and no process left. See also tests/attacks."""
+"""Policies in processes of their own: fresh processes, deadlines, and no process left. See also
+tests/attacks."""
 
 from __future__ import annotations
 
@@ -68,7 +69,8 @@ def missing(robot): return Path("missing").read_text()
 
 @pytest.fixture
 def spec(tmp_path, monkeypatch):
-    """Name of a policy of a module in the working directory, which is found as on the command line."""
+    """Name of a policy of a module in the working directory, which is found as on the command
+    line."""
     (tmp_path / "mine.py").write_text(MODULE, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", ["", *sys.path])
@@ -86,7 +88,10 @@ def env():
 def alive(pid):
     """Whether a process runs; a zombie does not."""
     try:
-        return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0] != "Z"
+        return (
+            Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0]
+            != "Z"
+        )
     except FileNotFoundError:
         return False
 
@@ -126,7 +131,10 @@ def test_process_gets_tasks_and_few_environment_variables(spec, env, monkeypatch
 def test_policy_that_cannot_be_loaded_gives_the_usual_error(spec):
     for name, message in (
         ("lqr", "unknown policy 'lqr'; choose one of"),
-        (spec("missing"), r"policy 'mine:missing': the factory raised FileNotFoundError.*\(mine.py, line"),
+        (
+            spec("missing"),
+            r"policy 'mine:missing': the factory raised FileNotFoundError.*\(mine.py, line",
+        ),
     ):
         with pytest.raises(ValueError, match=message):
             IsolatedPolicy(name, SPATIAL)
@@ -188,15 +196,23 @@ def ask_for_batches(count, deadline):
     ("times", "message"),
     [
         ({"load": 11.0}, "10 s, the deadline of loading, reset() and the first call"),
-        ({"load": 4.0, "reset": 4.0, "first": 3.0}, "10 s, the deadline of loading, reset() and the first call"),
+        (
+            {"load": 4.0, "reset": 4.0, "first": 3.0},
+            "10 s, the deadline of loading, reset() and the first call",
+        ),
         ({"load": 4.0, "reset": 4.0, "first": 1.0, "second": 1.5}, "1 s, the deadline of a call"),
         # Each batch has a fresh process, but not a fresh deadline.
-        ({"load": 9.0, "reset": 0.5, "first": 0.4, "second": 0.9}, "240 s, the deadline of all calls together"),
+        (
+            {"load": 9.0, "reset": 0.5, "first": 0.4, "second": 0.9},
+            "240 s, the deadline of all calls together",
+        ),
     ],
 )
 def test_late_answer_raises(monkeypatch, times, message):
     clock = Clock()
-    needed = itertools.cycle([times.get(call, 0.0) for call in ("load", "reset", "first", "second")])
+    needed = itertools.cycle(
+        [times.get(call, 0.0) for call in ("load", "reset", "first", "second")]
+    )
     monkeypatch.setattr(isolated, "time", clock)
     monkeypatch.setattr(isolated, "PolicyProcess", lambda names: Timed(clock, needed))
     with pytest.raises(PolicyError, match=re.escape(f"it did not answer within {message}")):
@@ -213,7 +229,11 @@ def test_policy_that_hangs_ends_with_the_evaluation(spec, sent):
         "IsolatedPolicy('mine:hangs', SPATIAL).predict(np.zeros((1, 3)))"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
-    wait_until(lambda: parent.poll() is not None or (Path("pids").exists() and Path("pids").stat().st_size > 0))
+    wait_until(
+        lambda: (
+            parent.poll() is not None or (Path("pids").exists() and Path("pids").stat().st_size > 0)
+        )
+    )
     pid, seen, folder = Path("pids").read_text(encoding="ascii").split()
     assert int(seen) == parent.pid
     parent.send_signal(sent)

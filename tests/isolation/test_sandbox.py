@@ -16,7 +16,8 @@ from cablebot_gym.robots import PLANAR
 
 @pytest.fixture
 def view(tmp_path, monkeypatch):
-    """Returns the paths that a policy sees, by whether it can write to them; its working directory has results."""
+    """Returns the paths that a policy sees, by whether it can write to them; its working directory
+    has results."""
     monkeypatch.setattr(sandbox, "check_sandbox", lambda: None)
     for name in (
         "work/results/run.json",
@@ -62,12 +63,16 @@ def test_entry_sees_only_its_card_and_its_policy(view, tmp_path):
 def test_missing_bubblewrap_is_named_with_its_install_command(monkeypatch):
     monkeypatch.setattr("shutil.which", lambda name: None)
     monkeypatch.setattr(sandbox, "sandbox_problem", sandbox.sandbox_problem.__wrapped__)
-    with pytest.raises(ValueError, match=r"there is no sandbox: bubblewrap is not installed .*apt-get install"):
+    with pytest.raises(
+        ValueError, match=r"there is no sandbox: bubblewrap is not installed .*apt-get install"
+    ):
         IsolatedPolicy("fl", PLANAR, sandbox=True)
 
 
 def test_machine_that_forbids_namespaces_says_so(monkeypatch):
-    denied = subprocess.CompletedProcess([], 1, "", "bwrap: setting up uid map: Permission denied\n")
+    denied = subprocess.CompletedProcess(
+        [], 1, "", "bwrap: setting up uid map: Permission denied\n"
+    )
     monkeypatch.setattr("shutil.which", lambda name: name)
     monkeypatch.setattr("subprocess.run", lambda *_, **__: denied)
     assert sandbox.sandbox_problem.__wrapped__() == (

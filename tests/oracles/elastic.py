@@ -20,7 +20,8 @@ class ElasticState(State):
 
 
 def states(robot, count, tension=400.0, spread=1.0):
-    """Random states near home whose tensions lie between ``1 − spread`` and ``1 + spread`` of ``tension``."""
+    """Random states near home whose tensions lie between ``1 − spread`` and ``1 + spread`` of
+    ``tension``."""
     random = np.random.default_rng(1)
     size = (count, robot.coordinates)
     pose = robot.home + random.uniform(-0.15, 0.15, size)
@@ -29,7 +30,9 @@ def states(robot, count, tension=400.0, spread=1.0):
     if robot.elastic:
         motor, pulley = textbook.rest_angles(robot, tensions, pose)
     elif robot.jointed:
-        motor = textbook.pulley_angle(robot, pose) + robot.pulley_radius * tensions / robot.stiffness
+        motor = (
+            textbook.pulley_angle(robot, pose) + robot.pulley_radius * tensions / robot.stiffness
+        )
         pulley = 0 * motor
     else:
         motor = 0 * tensions
@@ -62,4 +65,6 @@ def elastic_state_of(plant):
 
 def holding_torques(robot, state):
     """Torques (N, m) on the motors that the cables balance."""
-    return textbook.cable_springs(robot, state.pose, 0 * state.velocity, state.pulley, 0 * state.pulley)[1]
+    return textbook.cable_springs(
+        robot, state.pose, 0 * state.velocity, state.pulley, 0 * state.pulley
+    )[1]

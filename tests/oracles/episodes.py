@@ -1,4 +1,5 @@
-"""Environments without wrappers, whole episodes as arrays, and comparisons of their results to the last bit."""
+"""Environments without wrappers, whole episodes as arrays, and comparisons of their results to the
+last bit."""
 
 from __future__ import annotations
 
@@ -49,14 +50,17 @@ def wrenches(env: Any) -> np.ndarray:
     return plant._read(plant._parameters, kernel.FORCE, 6)
 
 
-def random_actions(env: Any, steps: int, low: float = 0.0, high: float = 0.8, seed: int = 0) -> np.ndarray:
+def random_actions(
+    env: Any, steps: int, low: float = 0.0, high: float = 0.8, seed: int = 0
+) -> np.ndarray:
     """Random actions that mostly pull, for an environment of either kind."""
     return np.random.default_rng(seed).uniform(low, high, (steps, *env.action_space.shape))
 
 
 @dataclasses.dataclass
 class Episode:
-    """T steps of one environment or several: observations and info have T + 1 rows, from the reset on."""
+    """T steps of one environment or several: observations and info have T + 1 rows, from the reset
+    on."""
 
     observations: np.ndarray
     info: dict[str, np.ndarray]

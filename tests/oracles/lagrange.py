@@ -1,4 +1,5 @@
-"""Robots and references for the tests of docs/errata.md: Lagrange's equation in finite differences, and MuJoCo."""
+"""Robots and references for the tests of docs/errata.md: Lagrange's equation in finite differences,
+and MuJoCo."""
 
 from __future__ import annotations
 
@@ -103,7 +104,9 @@ def resting(robot):
 def mujoco_state(state):
     """The flexible robot in MuJoCo at (X, Ẋ, β′, β̇′)."""
     pytest.importorskip("mujoco", reason="needs the extra cablebot-gym[mujoco]")
-    pose, velocity, angle, speed = np.split(np.concatenate(state) if isinstance(state, tuple) else state, 4)
+    pose, velocity, angle, speed = np.split(
+        np.concatenate(state) if isinstance(state, tuple) else state, 4
+    )
     peer = MujocoRobot(FLEXIBLE)
     peer.set_state(pose, velocity)
     peer.set_motors(angle, speed)

@@ -1,8 +1,10 @@
-"""A robot, rigid or flexible, as a MuJoCo model: an independent oracle for the plant, and the peer for its speed.
+"""A robot, rigid or flexible, as a MuJoCo model: an independent oracle for the plant, and the peer
+for its speed.
 
-MuJoCo computes lengths, moment arms and accelerations from bodies, sites and tendons; only Euler angles are converted
-here. Its cables push as well as pull, so it equals the plant with ``cable="bilateral"``, and the unilateral one while
-every cable is taut. Motor limits are the caller's business. Needs the extra ``cablebot-gym[mujoco]``.
+MuJoCo computes lengths, moment arms and accelerations from bodies, sites and tendons; only Euler
+angles are converted here. Its cables push as well as pull, so it equals the plant with
+``cable="bilateral"``, and the unilateral one while every cable is taut. Motor limits are the
+caller's business. Needs the extra ``cablebot-gym[mujoco]``.
 """
 
 from __future__ import annotations
@@ -31,25 +33,27 @@ _SWITCHED_OFF = (
     "island",
     "autoreset",
 )
-"""Flags: parts of MuJoCo that have nothing to do here, and its silent reset of a state that has blown up."""
+"""Flags: parts of MuJoCo that have nothing to do here, and its silent reset of a state that has
+blown up."""
 
 _WINCH_ROOM = 10
-"""How far off a winch stands in front of its base anchor, in diagonals of the workspace plus the spring's give at
-stall: nothing winds that far back, where the segment between them would turn round. Not farther: its digits are lost to
-the spring."""
+"""How far off a winch stands in front of its base anchor, in diagonals of the workspace plus the
+spring's give at stall: nothing winds that far back, where the segment between them would turn
+round. Not farther: its digits are lost to the spring."""
 
 
 def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
     """The robot as MJCF XML: controls are motor torques [N·m], positive winding in; integrator RK4.
 
-    In space: a free body, ``qpos = (p, quaternion of R)``, ``qvel = (ṗ, ω_body)``. A point mass slides along the axes,
-    and a platform in a plane turns on a hinge too, ``qpos = X``.
-    Reflected to its cable a pulley is a tendon with ``armature = J/r²`` and ``damping = c/r²``, its motor one with
-    ``gear = −1/r``.
+    In space: a free body, ``qpos = (p, quaternion of R)``, ``qvel = (ṗ, ω_body)``. A point mass
+    slides along the axes, and a platform in a plane turns on a hinge too, ``qpos = X``. Reflected
+    to its cable a pulley is a tendon with ``armature = J/r²`` and ``damping = c/r²``, its motor one
+    with ``gear = −1/r``.
 
-    Flexible: a motor is a winch, a body of mass ``J′/r²`` with damping ``c′/r²`` that slides across gravity away from
-    its base anchor by ``r β′``; ``qpos`` and ``qvel`` end in these. A second tendon, of stiffness ``K/r²``, runs from
-    the platform over the base anchor to the winch, so that its length is ``q + r β′`` and a constant.
+    Flexible: a motor is a winch, a body of mass ``J′/r²`` with damping ``c′/r²`` that slides across
+    gravity away from its base anchor by ``r β′``; ``qpos`` and ``qvel`` end in these. A second
+    tendon, of stiffness ``K/r²``, runs from the platform over the base anchor to the winch, so that
+    its length is ``q + r β′`` and a constant.
 
     Args:
         robot: any robot.
@@ -78,7 +82,8 @@ def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
     kind, sign = ("joint", 1) if robot.jointed else ("tendon", -1)
     driven = "winch" if robot.jointed else "cable"
     motors = "".join(
-        f'<motor name="motor{i}" {kind}="{driven}{i}" gear="{sign / radius!r}"/>' for i, radius in enumerate(radii)
+        f'<motor name="motor{i}" {kind}="{driven}{i}" gear="{sign / radius!r}"/>'
+        for i, radius in enumerate(radii)
     )
     return f"""<mujoco model="{_escaped(robot.name)}">
 <compiler angle="radian" inertiafromgeom="false"/>
@@ -90,7 +95,8 @@ def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
 
 
 def _winches_and_springs(robot: Robot) -> tuple[str, str]:
-    """Bodies and tendons of the motors behind their springs; all springs are unwound at home with β′ = 0."""
+    """Bodies and tendons of the motors behind their springs; all springs are unwound at home with
+    β′ = 0."""
     home = cable_lengths(robot.base, robot.platform, robot.home)
     per_radius2 = 1 / robot.pulley_radius**2
     diagonal = np.linalg.norm(np.diff(robot.pose_bounds[:, : robot.dimensions], axis=0))
@@ -134,7 +140,8 @@ def _joints_and_inertia(robot: Robot, mass: float) -> str:
     tensor = robot.inertia_tensor
     if np.any(products := tensor[(0, 0, 1), (1, 2, 2)]):
         return f'<freejoint/>{inertial} fullinertia="{_numbers([*tensor.diagonal(), *products])}"/>'
-    # A plate's largest moment is the sum of the others; MuJoCo refuses the last digit that rounding may put on top.
+    # A plate's largest moment is the sum of the others; MuJoCo refuses the last digit that rounding
+    # may put on top.
     largest = sum(sorted(robot.inertia)[:2])
     moments = _numbers(min(moment, largest) for moment in robot.inertia)
     return f'<freejoint/>{inertial} diaginertia="{moments}"/>'
@@ -146,7 +153,10 @@ def _padded(points: Array) -> Array:
 
 
 def _sites(prefix: str, points: Array) -> str:
-    return "".join(f'<site name="{prefix}{i}" pos="{_numbers(point)}"/>' for i, point in enumerate(_padded(points)))
+    return "".join(
+        f'<site name="{prefix}{i}" pos="{_numbers(point)}"/>'
+        for i, point in enumerate(_padded(points))
+    )
 
 
 def _numbers(values: Iterable[float]) -> str:
@@ -192,8 +202,8 @@ def euler_angles(quat: ArrayLike) -> tuple[float, float, float]:
 class MujocoRobot:
     """One robot in MuJoCo, in the pose X of its kind, and β′ if flexible.
 
-    It starts at rest in ``robot.home_pose``, springs unwound; ``timestep`` is MuJoCo's [s]. :attr:`model` and
-    :attr:`data` are MuJoCo's own objects, to use freely.
+    It starts at rest in ``robot.home_pose``, springs unwound; ``timestep`` is MuJoCo's [s].
+    :attr:`model` and :attr:`data` are MuJoCo's own objects, to use freely.
     """
 
     def __init__(self, robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> None:
@@ -207,14 +217,17 @@ class MujocoRobot:
         self.model: Any = self._mujoco.MjModel.from_xml_string(mjcf(robot, payload, timestep))
         self.data: Any = self._mujoco.MjData(self.model)
         self._platform_speeds = robot.coordinates
-        self._platform_positions = robot.coordinates + (robot.kind == "spatial")  # a quaternion has four numbers
+        self._platform_positions = robot.coordinates + (
+            robot.kind == "spatial"
+        )  # a quaternion has four numbers
         self._home_lengths = cable_lengths(robot.base, robot.platform, robot.home)
         self.set_state(robot.home, np.zeros(robot.coordinates))
 
     def set_state(self, pose: ArrayLike, velocity: ArrayLike) -> None:
         """Put the platform at pose X with velocity Ẋ, each of shape (n,); the time becomes 0.
 
-        A flexible robot's springs are unwound then, its motors turning with the pulleys; see :meth:`set_motors`.
+        A flexible robot's springs are unwound then, its motors turning with the pulleys; see
+        :meth:`set_motors`.
         """
         pose = np.asarray(pose, float)
         velocity = np.asarray(velocity, float)
@@ -238,12 +251,14 @@ class MujocoRobot:
             )
 
     def set_motors(self, angle: ArrayLike, speed: ArrayLike) -> None:
-        """Motor angles β′ and speeds β̇′ of a flexible robot, each of shape (m,), after :meth:`set_state`."""
+        """Motor angles β′ and speeds β̇′ of a flexible robot, each of shape (m,), after
+        :meth:`set_state`."""
         self.data.qpos[self._platform_positions :] = np.asarray(angle) * self.robot.pulley_radius
         self.data.qvel[self._platform_speeds :] = np.asarray(speed) * self.robot.pulley_radius
 
     def set_free_lengths(self, lengths: ArrayLike) -> None:
-        """Makes the cables elastic with free lengths l (m,) [m]: one-sided springs EA/l, and dampers also if slack.
+        """Makes the cables elastic with free lengths l (m,) [m]: one-sided springs EA/l, and
+        dampers also if slack.
 
         The pulleys stand still, so the robot must not have joint springs.
         """
@@ -256,7 +271,8 @@ class MujocoRobot:
         self.model.tendon_lengthspring[:, 1] = free - robot.extra_length
 
     def set_wrench(self, force: ArrayLike, moment: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        """External force [N] and moment [N·m] at the platform's centre of mass, in the base frame, each of shape (3,).
+        """External force [N] and moment [N·m] at the platform's centre of mass, in the base frame,
+        each of shape (3,).
 
         They last until the next :meth:`set_state`.
         """
@@ -275,7 +291,9 @@ class MujocoRobot:
     def motors(self) -> tuple[Array, Array]:
         """``(β′, β̇′)`` of a flexible robot, new arrays of shape (m,)."""
         radius = self.robot.pulley_radius
-        return self.data.qpos[self._platform_positions :] / radius, self.data.qvel[self._platform_speeds :] / radius
+        return self.data.qpos[self._platform_positions :] / radius, self.data.qvel[
+            self._platform_speeds :
+        ] / radius
 
     def lengths(self) -> Array:
         """Cable lengths q [m], shape (m,)."""
@@ -295,7 +313,8 @@ class MujocoRobot:
         )
 
     def motor_accelerations(self, torques: ArrayLike) -> Array:
-        """``β̈′`` of a flexible robot in the present state under motor torques of shape (m,) [N·m], shape (m,)."""
+        """``β̈′`` of a flexible robot in the present state under motor torques of shape (m,) [N·m],
+        shape (m,)."""
         return self._forward(torques)[self._platform_speeds :] / self.robot.pulley_radius
 
     def step(self, torques: ArrayLike, steps: int = 1) -> None:

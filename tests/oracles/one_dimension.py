@@ -60,8 +60,8 @@ def line_robot(*, inertia: float, free_speed: float, damping: float) -> Robot:
 
 
 def largest_mass(*, inertia: float, free_speed: float, damping: float) -> float:
-    """At full torque of two cables and least tension T₀ of the other two, (M + 2μ) ẍ + 2k ẋ = 2(s − T₀) must reach
-    x_d(T) − R."""
+    """At full torque of two cables and least tension T₀ of the other two, (M + 2μ) ẍ + 2k ẋ = 2(s −
+    T₀) must reach x_d(T) − R."""
     radius = 0.05
     motion = Accelerating()
     pull = 5.0 / radius
@@ -72,7 +72,9 @@ def largest_mass(*, inertia: float, free_speed: float, damping: float) -> float:
     def surplus(mass: float) -> float:
         rate = 2 * k / (mass + 2 * mu)
         acceleration = 2 * (pull - TENSION) / (mass + 2 * mu)
-        distance = end**2 / 2 if rate * end < 1e-4 else end / rate - (1 - math.exp(-rate * end)) / rate**2
+        distance = (
+            end**2 / 2 if rate * end < 1e-4 else end / rate - (1 - math.exp(-rate * end)) / rate**2
+        )
         return acceleration * distance - (motion.rate * end**2 / 2 - BOUND)
 
     return float(brentq(surplus, 1.0, 1e4))

@@ -63,7 +63,8 @@ NINE = PLANAR.replace(
     base_anchors=tuple((math.cos(k * math.tau / 9), math.sin(k * math.tau / 9)) for k in range(9)),
     transmission=Transmission(pulley_radius=0.05, pulley_inertia=0.8),
 )
-"""So many cables and so much pulley inertia that changing all wrong cables at once goes round in circles."""
+"""So many cables and so much pulley inertia that changing all wrong cables at once goes round in
+circles."""
 
 
 def _rough(robot):
@@ -80,7 +81,8 @@ def with_transmission(robot, **changes):
 
 
 ROUGH = tuple(_rough(robot) for robot in (QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL))
-"""With Coulomb friction and a lag, different in every motor; the first has no lag and the last no friction."""
+"""With Coulomb friction and a lag, different in every motor; the first has no lag and the last no
+friction."""
 
 
 def slowly(*robots):
@@ -95,9 +97,9 @@ def each_of(*robots):
 
 rigid_robots = each_of(QUAD, UNEQUAL)
 flexible_robots = each_of(FLEX_QUAD, FLEX_UNEQUAL)
-FLEX_HANGING = with_transmission(HANGING, stiffness=5.0, motor_inertia=3e-3, motor_damping=0.01).replace(
-    name="flex-hanging", mass=1.0
-)
+FLEX_HANGING = with_transmission(
+    HANGING, stiffness=5.0, motor_inertia=3e-3, motor_damping=0.01
+).replace(name="flex-hanging", mass=1.0)
 OTHER_KINDS = (FLEX_HANGING, _rough(TURNING), CAMERA, CRANE)
 every_kind = each_of(
     QUAD,
@@ -131,7 +133,8 @@ class State:
 
 
 def runge_kutta_step(rates, state, step):
-    """The state after one step of RK4; ``rates`` are a function of the time within the step and the state."""
+    """The state after one step of RK4; ``rates`` are a function of the time within the step and the
+    state."""
     slopes = [rates(0.0, state)]
     for fraction in (0.5, 0.5, 1.0):
         slopes.append(rates(fraction * step, state.moved(slopes[-1], fraction * step)))
@@ -142,7 +145,8 @@ def runge_kutta_step(rates, state, step):
 
 
 def random_states(robot, count, seed=1, reach=0.6):
-    """States that slacken many cables, springs wound and unwound by 0.02 to 3 rad; and actions, some beyond ± 1."""
+    """States that slacken many cables, springs wound and unwound by 0.02 to 3 rad; and actions,
+    some beyond ± 1."""
     rng = np.random.default_rng(seed)
     pose = rng.uniform(
         *(reach * (robot.pose_bounds - robot.home) + robot.home),
@@ -159,7 +163,8 @@ def random_states(robot, count, seed=1, reach=0.6):
 
 
 def holding_state(robot, pose, velocity=0.0, minimum=20.0):
-    """A state (1, ...) in which constant torques hold the robot, springs wound to them, and these torques."""
+    """A state (1, ...) in which constant torques hold the robot, springs wound to them, and these
+    torques."""
     pose = pose[None]
     velocity = np.broadcast_to(velocity, pose.shape)
     torques = textbook.static_torque(robot, robot.mass, pose, minimum=minimum)
@@ -173,11 +178,14 @@ def off_centre(robot):
     """A pose without symmetry, and a velocity in all coordinates."""
     if robot.kind == "planar":
         return np.array([0.05, 0.02]), np.array([0.3, -0.4])
-    return np.array([0.05, 0.02, 0.15, 0.05, 0.03, 0.02]), np.array([0.2, -0.3, 0.1, 0.4, -0.3, 0.5])
+    return np.array([0.05, 0.02, 0.15, 0.05, 0.03, 0.02]), np.array(
+        [0.2, -0.3, 0.1, 0.4, -0.3, 0.5]
+    )
 
 
 def free_motors(robot):
-    """Motors without lag, whose torque limits do not depend on the speed: an action of τ/τ_s holds the torque τ."""
+    """Motors without lag, whose torque limits do not depend on the speed: an action of τ/τ_s holds
+    the torque τ."""
     return robot.replace(motors=Motors(stall_torque=robot.motors.stall_torque, free_speed=1e100))
 
 
@@ -211,7 +219,8 @@ def no_reference(robot):
 
 
 def evaluated(plant, torques):
-    """Accelerations (N, n) and tensions (N, m) from the compiled kernel at the current states, N ≥ 2."""
+    """Accelerations (N, n) and tensions (N, m) from the compiled kernel at the current states, N ≥
+    2."""
     robot = plant.robot
     first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
     plant._write(
@@ -258,17 +267,24 @@ def pulley_torques(robot, state, torques, cable):
 
 def drive_speed(robot, state):
     """Speed of the motors."""
-    return state.speed if robot.flexible else textbook.pulley_speed(robot, state.pose, state.velocity)
+    return (
+        state.speed if robot.flexible else textbook.pulley_speed(robot, state.pose, state.velocity)
+    )
 
 
 def textbook_rates(robot, state, torques, cable="bilateral", mass=None):
-    """Rates of a state and the tensions: the rigid robot's equations, and J′ β̈′ = τ − κ − c′ β̇′ (Eq. 4) − friction."""
+    """Rates of a state and the tensions: the rigid robot's equations, and J′ β̈′ = τ − κ − c′ β̇′
+    (Eq. 4) − friction."""
     at_pulley = pulley_torques(robot, state, torques, cable)
     mass = robot.mass if mass is None else mass
-    platform, tension = textbook.forward_dynamics(robot, mass, state.pose, state.velocity, at_pulley, cable=cable)
+    platform, tension = textbook.forward_dynamics(
+        robot, mass, state.pose, state.velocity, at_pulley, cable=cable
+    )
     motors = 0.0 * state.speed
     if robot.flexible:
-        motors = (torques - at_pulley - textbook.motor_friction(robot, state.speed)) / robot.motor_inertia
+        motors = (
+            torques - at_pulley - textbook.motor_friction(robot, state.speed)
+        ) / robot.motor_inertia
     return State(state.velocity, platform, state.speed, motors), tension
 
 
@@ -276,15 +292,21 @@ def take_up_torques(robot, state, torques, acceleration, tension, cable):
     """u = r T − κ + J β̈ + c β̇ + friction, the torque with which a slack cable is wound up."""
     winding = textbook.pulley_acceleration(robot, state.pose, state.velocity, acceleration)
     speed = textbook.pulley_speed(robot, state.pose, state.velocity)
-    damping = robot.damping * speed + (0.0 if robot.flexible else textbook.coulomb_torque(robot, speed))
+    damping = robot.damping * speed + (
+        0.0 if robot.flexible else textbook.coulomb_torque(robot, speed)
+    )
     at_pulley = pulley_torques(robot, state, torques, cable)
     return robot.pulley_radius * tension - at_pulley + robot.pulley_inertia * winding + damping
 
 
 def energies(robot, state, cable="bilateral", mass=None):
-    """Kinetic energy of platform, pulleys and motors, and potential energy of weight and springs, each (N,)."""
+    """Kinetic energy of platform, pulleys and motors, and potential energy of weight and springs,
+    each (N,)."""
     mass = robot.mass if mass is None else mass
-    at = kinematics.turned(state.pose, robot.mass_center[None])[..., 0, :] + state.pose[..., : robot.dimensions]
+    at = (
+        kinematics.turned(state.pose, robot.mass_center[None])[..., 0, :]
+        + state.pose[..., : robot.dimensions]
+    )
     momentum = textbook.mass_matrix(robot, mass, state.pose) @ state.velocity[..., None]
     kinetic = np.sum(momentum[..., 0] * state.velocity, axis=-1) / 2
     potential = -mass * at @ robot.gravity_vector

@@ -42,7 +42,9 @@ def broken(interpretation, results):
 def part(name, *, draw=None, outcome=outcome, **marks):
     def jobs(interpretation):
         interpretation.spatial("payload")
-        return {key: job(limit, interpretation=interpretation, mark=mark) for key, mark in marks.items()}
+        return {
+            key: job(limit, interpretation=interpretation, mark=mark) for key, mark in marks.items()
+        }
 
     return Part(name=name, title=name, text="Words.", jobs=jobs, outcome=outcome, draw=draw)
 
@@ -126,7 +128,10 @@ def test_error_in_the_outcome_of_a_part_is_raised(tmp_path, monkeypatch):
 
 def test_invalid_arguments_raise_before_the_computations(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match=r"unknown part 'map-stiffness'; choose one of one, two, ten; .* paper-maps"):
+    with pytest.raises(
+        ValueError,
+        match=r"unknown part 'map-stiffness'; choose one of one, two, ten; .* paper-maps",
+    ):
         find_parts(["map-stiffness"])
     with pytest.raises(ValueError, match="workers"):
         reproduce(DEFAULT, tmp_path, workers=0)

@@ -50,7 +50,8 @@ def test_state_space_touches_the_limits_at_the_largest_payload(line):
 
 
 def assert_limited_by_lower_line(profile, limit):
-    """At the largest payload a torque is on U⁻ and none is close to U⁺; more payload goes below U⁻."""
+    """At the largest payload a torque is on U⁻ and none is close to U⁺; more payload goes below
+    U⁻."""
     at_limit = profile(limit.payload)
     below = at_limit.torques - at_limit.lower
     k, motor = np.unravel_index(below.argmin(), below.shape)
@@ -65,7 +66,9 @@ def assert_limited_by_lower_line(profile, limit):
 @pytest.mark.slow
 def test_lower_line_can_limit_the_payload_of_the_state_space():
     interpretation = Interpretation(line="reversed")
-    light = interpretation.flexible("payload").replace(gravity=0.3)  # the motors also have to push the platform
+    light = interpretation.flexible("payload").replace(
+        gravity=0.3
+    )  # the motors also have to push the platform
     profile = partial(state_space_profile, interpretation, light)
     assert_limited_by_lower_line(profile, state_space_limit(interpretation, light))
 
@@ -120,7 +123,9 @@ def test_motors_of_the_state_space_satisfy_eq_24(form, divisor):
         motion = circle(np.array(time))
         state = (motion.position, motion.velocity, motion.acceleration)
         tensions = textbook.required_tensions(robot, mass, *state)
-        return textbook.required_torques(robot, tensions, *state), textbook.pulley_angle(robot, motion.position)
+        return textbook.required_torques(robot, tensions, *state), textbook.pulley_angle(
+            robot, motion.position
+        )
 
     def acceleration(time, motor_angle):
         kappa, angle = spring(time)

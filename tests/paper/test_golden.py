@@ -20,8 +20,14 @@ FOLDER = Path(__file__).parents[2] / "docs" / "reproduction"
 AGAIN = "refresh it: cablebot reproduce --out docs/reproduction"
 
 TOLERANCES = {
-    r"^(fig14|fig15|fig9|fig7)\.(eq22|closed_loop)_": (1e-3, 0.05),  # an unstable loop amplifies rounding
-    r"^scan\.(with_equilibrium|with_positive_payload|hits)": (2.0, 0.005),  # geometries on the border of what counts
+    r"^(fig14|fig15|fig9|fig7)\.(eq22|closed_loop)_": (
+        1e-3,
+        0.05,
+    ),  # an unstable loop amplifies rounding
+    r"^scan\.(with_equilibrium|with_positive_payload|hits)": (
+        2.0,
+        0.005,
+    ),  # geometries on the border of what counts
     r"_kg$": (1.1e-3, 1e-6),  # the resolution of a search
     r"": (1e-6, 1e-3),
 }
@@ -40,7 +46,9 @@ def new(tmp_path_factory):
 
 
 def is_close(name, stored, new):
-    absolute, relative = next(bounds for pattern, bounds in TOLERANCES.items() if re.search(pattern, name))
+    absolute, relative = next(
+        bounds for pattern, bounds in TOLERANCES.items() if re.search(pattern, name)
+    )
     if absolute > 1.5 or (isinstance(stored, float) and isinstance(new, float)):
         return math.isclose(stored, new, abs_tol=absolute, rel_tol=relative)
     return stored == new
@@ -80,7 +88,10 @@ def test_new_parts_are_the_stored_ones(stored, new):
             old_cells = list(chain.from_iterable(old_table["rows"]))
             new_cells = list(chain.from_iterable(new_table["rows"]))
             for old_cell, new_cell in zip(old_cells, new_cells, strict=True):
-                assert isinstance(old_cell, str) or is_close("_kg", old_cell, new_cell), (before["name"], old_cell)
+                assert isinstance(old_cell, str) or is_close("_kg", old_cell, new_cell), (
+                    before["name"],
+                    old_cell,
+                )
 
 
 @pytest.mark.slow

@@ -40,8 +40,12 @@ def test_circumradius_is_the_distance_of_a_corner_from_centre():
 
 def test_turned_robot_is_rotated_about_z():
     turned = Interpretation(triangles="turned").spatial("payload")
-    lengths = cable_lengths(SPATIAL.base, SPATIAL.platform, np.array([0.05, 0.02, 0.1, 0.1, -0.05, 0.0]))
-    turned_lengths = cable_lengths(turned.base, turned.platform, np.array([-0.05, -0.02, 0.1, -0.1, 0.05, 0.0]))
+    lengths = cable_lengths(
+        SPATIAL.base, SPATIAL.platform, np.array([0.05, 0.02, 0.1, 0.1, -0.05, 0.0])
+    )
+    turned_lengths = cable_lengths(
+        turned.base, turned.platform, np.array([-0.05, -0.02, 0.1, -0.1, 0.05, 0.0])
+    )
     assert turned_lengths == pytest.approx(lengths)
     assert turned.base[4] == pytest.approx([0.0, -SPATIAL.base[4, 1], 0.0])
 
@@ -84,10 +88,14 @@ def test_line_that_no_motor_has_allows_no_closed_loop(line):
     with pytest.raises(ValueError, match="flat or physical"):
         interpretation.motors(FLEX_SPATIAL)
     assert interpretation.closed_loop_robot(FLEX_SPATIAL) == FLEX_SPATIAL
-    assert interpretation.closed_loop_possible is (line == "pulley")  # a rigid motor turns with its pulley
+    assert interpretation.closed_loop_possible is (
+        line == "pulley"
+    )  # a rigid motor turns with its pulley
 
 
-@pytest.mark.parametrize("choice", [{"line": "sideways"}, {"stiffness": "4"}, {"minimum_tension": -1.0}])
+@pytest.mark.parametrize(
+    "choice", [{"line": "sideways"}, {"stiffness": "4"}, {"minimum_tension": -1.0}]
+)
 def test_invalid_choice_raises(choice):
     with pytest.raises(ValueError, match=next(iter(choice))):
         Interpretation(**choice)

@@ -37,7 +37,10 @@ def narrow(monkeypatch):
 @pytest.mark.parametrize("line", ["physical", "flat"])
 def test_scan_contains_the_robots_of_the_interpretations(narrow, line):
     turned = {"sides": "circumradius", "triangles": "turned"}
-    for changes, turn, sizes in (({}, 0.0, ("half side",)), (turned, np.pi, ("half side", "circumradius"))):
+    for changes, turn, sizes in (
+        ({}, 0.0, ("half side",)),
+        (turned, np.pi, ("half side", "circumradius")),
+    ):
         interpretation = Interpretation(line=line, **changes)
         narrow(base_turn=turn, sizes=sizes)
         geometry = scan.geometries(interpretation=interpretation, base_size=sizes[-1])[-1]
@@ -55,7 +58,12 @@ def test_platform_that_needs_ballast_has_no_payload(narrow, monkeypatch, lowest,
 
 @pytest.mark.parametrize(
     ("size", "sides"),
-    [("half side", 2.0), ("circumradius", 3**0.5), ("inradius", 12**0.5), ("half altitude", 4 / 3**0.5)],
+    [
+        ("half side", 2.0),
+        ("circumradius", 3**0.5),
+        ("inradius", 12**0.5),
+        ("half altitude", 4 / 3**0.5),
+    ],
 )
 def test_side_follows_the_meaning_of_the_published_length(size, sides):
     side = np.linalg.norm(SPATIAL.base[2] - SPATIAL.base[0]) * scan.SIZES[size]
@@ -82,11 +90,16 @@ def test_map_has_paper_circle_weak_motors_and_slack_cables(monkeypatch, line):
 
 
 def released(stiffness, damping):
-    """Recorded arrays of a loop with an initial error of 1 mm that satisfies ë + K_D ė + K_P e = 0."""
+    """Recorded arrays of a loop with an initial error of 1 mm that satisfies ë + K_D ė + K_P e =
+    0."""
     time = np.arange(5001) / 10_000
     decay = damping / 2
     root = np.sqrt(complex(damping**2 / 4 - stiffness))
-    error = 1e-3 * np.exp(-decay * time) * np.real(np.cosh(root * time) + decay / root * np.sinh(root * time))
+    error = (
+        1e-3
+        * np.exp(-decay * time)
+        * np.real(np.cosh(root * time) + decay / root * np.sinh(root * time))
+    )
     pose = np.stack([0.3 + error, np.full_like(error, -0.2)], axis=1)
     reference = np.broadcast_to([0.3, -0.2], pose.shape)
     return SimpleNamespace(arrays={"time": time, "pose": pose, "reference_pose": reference})
@@ -114,7 +127,9 @@ def test_open_loop_torques_depend_on_the_reference_only(robot):
     reference = robot.home + 0.02 * rng.standard_normal(shape)
     velocity, acceleration = rng.standard_normal((2, *shape))
     law = FeedForward(robot, minimum_tension=2.0)
-    tensions = textbook.required_tensions(robot, mass, reference, velocity, acceleration, minimum=2.0)
+    tensions = textbook.required_tensions(
+        robot, mass, reference, velocity, acceleration, minimum=2.0
+    )
     required = textbook.required_torques(robot, tensions, reference, velocity, acceleration)
     for offset in (0.0, 0.01):
         blocks = {
@@ -126,7 +141,9 @@ def test_open_loop_torques_depend_on_the_reference_only(robot):
         }
         torques, speeds = law.torques(blocks, mass)
         assert torques == pytest.approx(required, rel=1e-9)
-        assert speeds == pytest.approx(textbook.pulley_speed(robot, blocks["pose"], blocks["velocity"]), rel=1e-9)
+        assert speeds == pytest.approx(
+            textbook.pulley_speed(robot, blocks["pose"], blocks["velocity"]), rel=1e-9
+        )
 
 
 # --- controllability --------------------------------------------------------------------------------------------------
@@ -142,7 +159,9 @@ def linear_plant(robot):
         structure = textbook.jacobian(robot, pose)
         twist = robot.stiffness * (angle - textbook.pulley_angle(robot, pose))
         pulleys = structure.T @ np.diag(robot.pulley_inertia / robot.pulley_radius**2) @ structure
-        load = textbook.bias(robot, robot.mass, pose, np.zeros(n)) + structure.T @ (twist / robot.pulley_radius)
+        load = textbook.bias(robot, robot.mass, pose, np.zeros(n)) + structure.T @ (
+            twist / robot.pulley_radius
+        )
         platform = np.linalg.solve(textbook.mass_matrix(robot, robot.mass, pose) + pulleys, -load)
         return np.concatenate([platform, -twist / robot.motor_inertia])
 
@@ -169,7 +188,9 @@ def test_motors_control_all_states_of_the_flexible_robot():
     robot = DEFAULT.flexible("control")
     transition, drive = linear_plant(robot)
     assert uncontrollable_modes(transition, drive) == 0
-    assert uncontrollable_modes(transition, drive.sum(axis=1, keepdims=True)) > 0  # one action for all motors
+    assert (
+        uncontrollable_modes(transition, drive.sum(axis=1, keepdims=True)) > 0
+    )  # one action for all motors
     assert linearised.controllable_states(robot) == len(transition) == 24
 
 

@@ -1,4 +1,5 @@
-"""Load iteration of the paper: the corrected form finds the exact payload, the printed form half of it."""
+"""Load iteration of the paper: the corrected form finds the exact payload, the printed form half of
+it."""
 
 from __future__ import annotations
 
@@ -12,7 +13,9 @@ from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL
 from cablebot_gym.trajectories import TRAJECTORIES, find_trajectory, trajectory_names
 
-MOVING = {name for kind in ("planar", "spatial") for name in trajectory_names(kind)} - {"dwell-planar"}
+MOVING = {name for kind in ("planar", "spatial") for name in trajectory_names(kind)} - {
+    "dwell-planar"
+}
 CIRCLE = find_trajectory("paper-spatial", 6)
 TOO_FAST = find_trajectory({"name": "smooth-circle-spatial", "duration": 1.0, "dwell": 0}, 6)
 """Motor 2 is overloaded by the platform alone, by 1.26 kg."""
@@ -32,7 +35,9 @@ TOO_FAST = find_trajectory({"name": "smooth-circle-spatial", "duration": 1.0, "d
 def test_coefficient_of_both_forms(full, empty, corrected, printed):
     """Planar motors of 5 N·m."""
     for is_corrected, expected in ((True, corrected), (False, printed)):
-        motors = load_coefficient(PLANAR, [full, 1.0, 1.0], [empty, 1.0, 1.0], np.zeros(3), corrected=is_corrected)
+        motors = load_coefficient(
+            PLANAR, [full, 1.0, 1.0], [empty, 1.0, 1.0], np.zeros(3), corrected=is_corrected
+        )
         np.testing.assert_allclose(motors, [expected, np.inf, np.inf])
 
 
@@ -55,7 +60,9 @@ def test_corrected_form_finds_the_payload_and_printed_form_half(name):
         assert corrected.converged
         assert corrected.payload == pytest.approx(bound.payload, abs=2e-6)
         assert corrected.loads[-1] == pytest.approx(bound.payload, abs=2e-6)
-        if not name.startswith(("dwell", "chain")):  # where all motors saturate together, or at two times
+        if not name.startswith(
+            ("dwell", "chain")
+        ):  # where all motors saturate together, or at two times
             assert (corrected.motor, corrected.time) == (bound.motor, bound.time)
         if minimum == 0.0:
             printed = iterate_load(robot, trajectory, guess=guess, corrected=False, **options)
@@ -72,7 +79,9 @@ def test_affine_torque_needs_one_guess():
 
 def test_torque_with_kinks_needs_several_guesses():
     line = find_trajectory("line-planar", 2)
-    iteration = iterate_load(PLANAR, line, guess=5.0, corrected=True, minimum_tension=5.0, max_iterations=1)
+    iteration = iterate_load(
+        PLANAR, line, guess=5.0, corrected=True, minimum_tension=5.0, max_iterations=1
+    )
     bound = exact_payload(PLANAR, line, frequency=500.0, minimum_tension=5.0)
     assert abs(iteration.payload - bound.payload) > 0.1
 
@@ -85,7 +94,9 @@ def test_next_guess_is_the_average_until_the_tolerance(corrected):
     assert triple.loads[:2] == (5.0, pytest.approx((5.0 + single.payload) / 2))
     assert not triple.converged
     for tolerance in (0.1, 1e-9):
-        iteration = iterate_load(SPATIAL, CIRCLE, guess=5.0, corrected=corrected, tolerance=tolerance)
+        iteration = iterate_load(
+            SPATIAL, CIRCLE, guess=5.0, corrected=corrected, tolerance=tolerance
+        )
         assert iteration.converged
         assert abs(iteration.loads[-1] - iteration.payload) <= tolerance
         assert abs(iteration.loads[-2] - iteration.payload) > tolerance

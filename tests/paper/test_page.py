@@ -17,11 +17,29 @@ from cablebot_baselines.paper.published import PUBLISHED
 from cablebot_baselines.paper.summary import points
 
 FLAT = Interpretation(line="flat")
-NUMBERS = {"fig10.counted_kg": 2.1, "fig10.payload_kg": 2.1, "fig10.exact_total_mass_kg": 3.12, "fig10.motor": 2}
+NUMBERS = {
+    "fig10.counted_kg": 2.1,
+    "fig10.payload_kg": 2.1,
+    "fig10.exact_total_mass_kg": 3.12,
+    "fig10.motor": 2,
+}
 CELLS = [["a|b <c> *d* _e_ f_g", 1.23456], ["none", None]]
 TABLE = {"title": "a|b", "header": ["law", "payload [kg]"], "rows": CELLS}
-PART = {"name": "fig10", "title": "Torques [N·m]", "text": "`payload_kg`", "figure": "fig10", "tables": [TABLE]}
-MAP = {"name": "map", "title": "A map", "text": "Text.", "figure": None, "tables": [], "impossible": "no tension"}
+PART = {
+    "name": "fig10",
+    "title": "Torques [N·m]",
+    "text": "`payload_kg`",
+    "figure": "fig10",
+    "tables": [TABLE],
+}
+MAP = {
+    "name": "map",
+    "title": "A map",
+    "text": "Text.",
+    "figure": None,
+    "tables": [],
+    "impossible": "no tension",
+}
 RESULTS = {
     "interpretation": asdict(FLAT),
     "versions": {"python": "3.12", "numpy": "2.1"},
@@ -99,10 +117,14 @@ def test_groups_and_subjects_are_complete():
     assert set(options) == set(asdict(Interpretation()))
 
 
-@pytest.mark.parametrize(("verdict", "expected"), [("reproduced", "partly reproduced"), (None, None)])
+@pytest.mark.parametrize(
+    ("verdict", "expected"), [("reproduced", "partly reproduced"), (None, None)]
+)
 def test_point_with_different_verdicts_is_partly_reproduced(verdict, expected):
     verdicts = {"4.4.sum": verdict}
-    judged = [row | {"verdict": verdicts.get(row["key"], "not reproduced")} for row in RESULTS["rows"]]
+    judged = [
+        row | {"verdict": verdicts.get(row["key"], "not reproduced")} for row in RESULTS["rows"]
+    ]
     run = Run(interpretation=Interpretation(), numbers={})
     by_title = {text.split("**")[1]: verdict for verdict, text in points(run, judged)}
     assert by_title.get("Error reduction of more than 60 % by the robust term") == expected

@@ -29,10 +29,12 @@ BY_HAND = """
     §5.1     1 0 5  1 | Table 7  5 0 0 5 | §5.2.1  0 2 1  2 | Table 8 5 0 0  5 | §5.2.2 0 2 1 2 | §5.2.3  2 3 3  5
     Table 9  3 0 0  3 | §6       0 2 4 2
 """
-"""Inputs, results, claims, and the numbers in digits and words that each place prints, counted in the paper.
+"""Inputs, results, claims, and the numbers in digits and words that each place prints, counted in
+the paper.
 
-The numbers of equations, figures, tables, sections and references, exponents of units, and words that count items of
-their own sentence are excluded. Most cells of Tables 1 and 3 print a number several times.
+The numbers of equations, figures, tables, sections and references, exponents of units, and words
+that count items of their own sentence are excluded. Most cells of Tables 1 and 3 print a number
+several times.
 """
 
 
@@ -56,7 +58,9 @@ def test_items_of_each_place_are_complete():
         place, inputs, results, claims, printed = cell.rsplit(maxsplit=4)
         place = place.strip()
         counted = [kinds.pop((place, kind), 0) for kind in ("input", "result", "claim")]
-        assert [*counted, times[place]] == [int(inputs), int(results), int(claims), int(printed)], place
+        assert [*counted, times[place]] == [int(inputs), int(results), int(claims), int(printed)], (
+            place
+        )
     assert not kinds
 
 
@@ -77,7 +81,9 @@ def test_values_are_the_printed_ones():
         if item.kind == "claim":
             assert item.value is None
             continue
-        number = item.printed.removeprefix("about ").removeprefix("more than ").replace("1,000", "1000")
+        number = (
+            item.printed.removeprefix("about ").removeprefix("more than ").replace("1,000", "1000")
+        )
         word = number.replace("%", "").replace(",", "").split()[0]
         if item.printed.endswith("…, 6"):
             assert item.value == 6
@@ -165,7 +171,10 @@ def test_robot_that_fails_unloaded_has_no_payload_and_no_motor():
     for key, ours in (("5.2.2.payload", "fails unloaded"), ("5.2.2.motor", "–")):
         row = finding(key, changes=unloaded)
         assert (row.ours, row.value, row.verdict) == (ours, None, "not reproduced")
-    neither = {"claims.closed_loop_spatial_paper_kg": None, "claims.open_loop_spatial_paper_kg": None}
+    neither = {
+        "claims.closed_loop_spatial_paper_kg": None,
+        "claims.open_loop_spatial_paper_kg": None,
+    }
     assert finding("6.open-payload", changes=neither).verdict == "not reproduced"
 
 
@@ -203,7 +212,9 @@ def test_inputs_follow_the_interpretation(key, options, ours, verdict):
     assert (row.ours, row.verdict) == (ours, verdict)
 
 
-@pytest.mark.parametrize("key", ["table2.m", "table7.m", "table2.side", "table7.torque", "table2.J", "table2.r"])
+@pytest.mark.parametrize(
+    "key", ["table2.m", "table7.m", "table2.side", "table7.torque", "table2.J", "table2.r"]
+)
 def test_inputs_follow_the_robot(monkeypatch, key):
     changed = PLANAR.replace(
         mass=1.2,
@@ -222,9 +233,13 @@ def test_inputs_follow_the_uncertainty_and_the_gains(monkeypatch):
     def wider(robot):
         nominal = table6(robot)
         mass = type(nominal.parameters["stiffness"])(low=-0.1, high=0.2, each=False)
-        return Uncertainty(parameters=dict(nominal.parameters) | {"platform_mass": mass}, wrench=nominal.wrench)
+        return Uncertainty(
+            parameters=dict(nominal.parameters) | {"platform_mass": mass}, wrench=nominal.wrench
+        )
 
     monkeypatch.setitem(inputs.PAPER_GAINS, "spatial", (31.0, 20.0))
     monkeypatch.setitem(UNCERTAINTIES, "table6", wider)
-    verdicts = [finding(key).verdict for key in ("table4.K_P", "table4.K_D", "table6.m", "table6.k")]
+    verdicts = [
+        finding(key).verdict for key in ("table4.K_P", "table4.K_D", "table6.m", "table6.k")
+    ]
     assert verdicts == ["replaced", "used", "replaced", "used"]

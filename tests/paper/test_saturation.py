@@ -1,4 +1,5 @@
-"""Figs. 10 to 15: numbers, marks and curves agree with the computed results under the chosen interpretation."""
+"""Figs. 10 to 15: numbers, marks and curves agree with the computed results under the chosen
+interpretation."""
 
 from __future__ import annotations
 
@@ -8,10 +9,19 @@ import numpy as np
 import pytest
 
 from cablebot_baselines.paper.contents import PARTS
-from cablebot_baselines.paper.exact import LargestPayload, exact_profile, paper_circle, state_space_profile
+from cablebot_baselines.paper.exact import (
+    LargestPayload,
+    exact_profile,
+    paper_circle,
+    state_space_profile,
+)
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.parts.flexible_saturation import with_friction
-from cablebot_baselines.paper.parts.profiles import PayloadSummary, computed_profile, first_saturation
+from cablebot_baselines.paper.parts.profiles import (
+    PayloadSummary,
+    computed_profile,
+    first_saturation,
+)
 from cablebot_gym.physics import textbook
 
 pytest.importorskip("matplotlib")
@@ -100,21 +110,31 @@ def test_robot_that_fails_unloaded_is_reported():
         title = draw(name, interpretation, computed)[1]
         for text in ("fails unloaded", "slack", "the episode ends at"):
             assert text in title
-    assert numbers("fig11", interpretation, computed)["within"] is False  # the episode is not complete
+    assert (
+        numbers("fig11", interpretation, computed)["within"] is False
+    )  # the episode is not complete
 
 
 def test_mark_without_payload_is_the_first_saturation_unloaded():
     interpretation = Interpretation(stiffness="2")
-    profile = computed_profile(state_space_profile(interpretation, interpretation.flexible("payload"), 0.0))
-    action = np.abs(2 * profile.torques - profile.upper - profile.lower) / (profile.upper - profile.lower)
-    mark = first_saturation(profile, PayloadSummary.computed(LargestPayload(payload=-0.2, motor=3, time=0.9)))
+    profile = computed_profile(
+        state_space_profile(interpretation, interpretation.flexible("payload"), 0.0)
+    )
+    action = np.abs(2 * profile.torques - profile.upper - profile.lower) / (
+        profile.upper - profile.lower
+    )
+    mark = first_saturation(
+        profile, PayloadSummary.computed(LargestPayload(payload=-0.2, motor=3, time=0.9))
+    )
     assert mark.step == np.flatnonzero(action.max(axis=1) >= 1)[0]
     assert mark.motor == np.argmax(action[mark.step])
 
 
 def test_mark_at_the_jump_is_on_the_side_of_the_larger_torque():
     profile = computed_profile(exact_profile(DEFAULT, DEFAULT.spatial("payload"), 1.8))
-    mark = first_saturation(profile, PayloadSummary(payload=1.8, motor=3, time=0.5, violation="motor 3"))
+    mark = first_saturation(
+        profile, PayloadSummary(payload=1.8, motor=3, time=0.5, violation="motor 3")
+    )
     sides = np.flatnonzero(np.abs(profile.times - 0.5) < 1e-6)
     assert len(sides) == 2
     assert profile.torques[mark.step, 2] == profile.torques[sides, 2].max()
@@ -132,11 +152,17 @@ def test_infeasible_or_infinite_payload_is_none(payload):
 def test_counted_payload_includes_the_platform_if_total(payload, counted):
     summary = PayloadSummary(payload=1.5, motor=2, time=0.5, violation="motor 2")
     shown = summary.numbers(Interpretation(payload=payload), DEFAULT.spatial("payload"))
-    assert (shown["payload_kg"], shown["counted_kg"], shown["total_mass_kg"]) == (1.5, counted, 11.5)
+    assert (shown["payload_kg"], shown["counted_kg"], shown["total_mass_kg"]) == (
+        1.5,
+        counted,
+        11.5,
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "source", "loop"), [("fig11", "fig10", "paper"), ("fig14", "fig14", "fl4")])
+@pytest.mark.parametrize(
+    ("name", "source", "loop"), [("fig11", "fig10", "paper"), ("fig14", "fig14", "fl4")]
+)
 def test_errors_are_those_of_the_drawn_episodes(results, name, source, loop):
     peak = 1e3 * results[source][loop].rollout.arrays["tracking_error"].max()
     shown = numbers(name, DEFAULT, results[source])

@@ -1,4 +1,5 @@
-"""Figs. 1 to 3 and 5 to 9: robots of the plant, limits of the interpretation, and effect of the robust law."""
+"""Figs. 1 to 3 and 5 to 9: robots of the plant, limits of the interpretation, and effect of the
+robust law."""
 
 from __future__ import annotations
 
@@ -61,14 +62,18 @@ def test_wind_up_is_that_at_the_start_of_an_episode():
     assert numbers["mode_high_Hz"] == pytest.approx(textbook.highest_frequency(robot) / (2 * np.pi))
 
 
-@pytest.mark.parametrize(("line", "factor"), [("physical", 1.0), ("flat", 0.0), ("reversed", -1.0), ("cable", -0.05)])
+@pytest.mark.parametrize(
+    ("line", "factor"), [("physical", 1.0), ("flat", 0.0), ("reversed", -1.0), ("cable", -0.05)]
+)
 def test_drawn_limits_are_those_of_the_line(planar_loop, line, factor):
     figure = tracking.draw_planar(Interpretation(line=line), {"loop": planar_loop})
     expected = 5 - factor * DEFAULT.planar.speed_slope * planar_loop.arrays["motor_speeds"]
     for motor, axes in enumerate(figure.axes[:3]):
         drawn = axes.get_lines()[0].get_xydata()
         np.testing.assert_allclose(drawn[[0, -1], 1], expected[[0, -1], motor])
-    assert ("the loop uses the physical line" in figure.get_suptitle()) == (line in ("reversed", "cable"))
+    assert ("the loop uses the physical line" in figure.get_suptitle()) == (
+        line in ("reversed", "cable")
+    )
 
 
 @pytest.mark.parametrize("line", ["flat", "reversed"])
@@ -114,7 +119,9 @@ def test_added_input_is_the_term_of_the_same_instant(env_id, law_class):
     law = law_class(robot)
     law.outer = Recording(gains=law.outer.gains)
     object.__setattr__(law.outer, "terms", [])
-    loop = record_rollout(law, env_id, robot=robot, trajectory="paper-spatial", uncertainty="table6")
+    loop = record_rollout(
+        law, env_id, robot=robot, trajectory="paper-spatial", uncertainty="table6"
+    )
     added = robust.added_input(law.outer, loop, robot)
     recorded = np.concatenate(law.outer.terms)[1:500]  # the first instant is not recorded
     np.testing.assert_allclose(added.term, recorded, atol=1e-9)

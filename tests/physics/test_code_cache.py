@@ -20,7 +20,8 @@ def triple(number):
 
 
 def hits(function=triple, argument=2, expected=6):
-    """Calls a function as a new process would. Returns the number of signatures that were read from disk."""
+    """Calls a function as a new process would. Returns the number of signatures that were read from
+    disk."""
     compiled = njit(cache=True)(function)
     assert compiled(argument) == expected
     return sum(compiled.stats.cache_hits.values())
@@ -28,7 +29,8 @@ def hits(function=triple, argument=2, expected=6):
 
 @pytest.fixture
 def folders(tmp_path, monkeypatch):
-    """Sets the folders of compiled code: existing ones are writable, files in their place are not."""
+    """Sets the folders of compiled code: existing ones are writable, files in their place are
+    not."""
 
     def set_folders(*paths):
         monkeypatch.setattr(code_cache, "code_folders", lambda: list(paths))

@@ -1,4 +1,5 @@
-"""Tensions of redundant cables against linear and quadratic programs, and the proofs that none exist."""
+"""Tensions of redundant cables against linear and quadratic programs, and the proofs that none
+exist."""
 
 from __future__ import annotations
 
@@ -62,7 +63,10 @@ def random_items(kind, count):
         spread = 100.0
     shape = structure.shape[:2]
     inside = rng.uniform(0, 700, shape)
-    load = -np.einsum("kci,kc->ki", structure, inside) + rng.normal(size=(count, structure.shape[2])) * spread
+    load = (
+        -np.einsum("kci,kc->ki", structure, inside)
+        + rng.normal(size=(count, structure.shape[2])) * spread
+    )
     return (
         structure,
         load,
@@ -72,7 +76,8 @@ def random_items(kind, count):
 
 
 def held_items(kind, count):
-    """Items whose load is held with 1e-3 N to spare, so that tolerances of an oracle do not decide."""
+    """Items whose load is held with 1e-3 N to spare, so that tolerances of an oracle do not
+    decide."""
     structure, load, lower, upper = random_items(kind, count)
     held = feasible(structure, load, lower + 1e-3, upper - 1e-3).status == HELD
     assert 0.05 < held.mean() < 0.999
@@ -122,7 +127,9 @@ def test_least_largest_action_is_that_of_a_linear_program(kind, count):
             axis=2,
         ),
         load,
-        np.concatenate([np.dstack([steep, -unit_column]), np.dstack([-steep, -unit_column])], axis=1),
+        np.concatenate(
+            [np.dstack([steep, -unit_column]), np.dstack([-steep, -unit_column])], axis=1
+        ),
         np.concatenate([-offset, offset], axis=1),
         np.concatenate(
             [
@@ -174,7 +181,8 @@ def test_least_norm_is_that_of_a_quadratic_program(kind, count):
 @each_kind
 @counts
 def test_every_load_is_held_or_proved_infeasible(kind, count):
-    """Both are checked by arithmetic alone: the tensions hold the load, or a combination of cables excludes it."""
+    """Both are checked by arithmetic alone: the tensions hold the load, or a combination of cables
+    excludes it."""
     structure, load, lower, upper = random_items(kind, count)
     proof = feasible(structure, load, lower, upper)
     held = least_norm(structure, load, lower, upper)

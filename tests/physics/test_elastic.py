@@ -1,4 +1,5 @@
-"""Elastic cables and swivel pulleys in the compiled plant: a Python loop over the textbook, energy and episodes."""
+"""Elastic cables and swivel pulleys in the compiled plant: a Python loop over the textbook, energy
+and episodes."""
 
 from __future__ import annotations
 
@@ -52,7 +53,9 @@ def rates(robot, state, torques, cable):
     )
     forces = np.einsum("kmn,km->kn", textbook.jacobian(robot, state.pose), tension)
     forces += textbook.bias(robot, robot.mass, state.pose, state.velocity)
-    platform = -np.linalg.solve(textbook.mass_matrix(robot, robot.mass, state.pose), forces[..., None])[..., 0]
+    platform = -np.linalg.solve(
+        textbook.mass_matrix(robot, robot.mass, state.pose), forces[..., None]
+    )[..., 0]
     driving = torques - textbook.coulomb_torque(robot, state.speed)
     if robot.jointed:
         twist = robot.stiffness * (state.angle - state.pulley)
@@ -61,7 +64,9 @@ def rates(robot, state, torques, cable):
     else:
         pulley = (driving - robot.damping * state.pulley_speed - pulling) / robot.pulley_inertia
         motor = pulley
-    return ElasticState(state.velocity, platform, state.speed, motor, state.pulley_speed, pulley), tension
+    return ElasticState(
+        state.velocity, platform, state.speed, motor, state.pulley_speed, pulley
+    ), tension
 
 
 # --- equations ----------------------------------------------------------------------------------------------------
@@ -79,7 +84,8 @@ def test_arctangent_is_right_to_the_last_digits():
 @pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
 @each_elastic
 def test_steps_are_those_of_a_python_loop(robot, cable):
-    """Tensions, and RK4 over slack and taut cables with joint springs, swivel pulleys and friction."""
+    """Tensions, and RK4 over slack and taut cables with joint springs, swivel pulleys and
+    friction."""
     robot = free_motors(robot)
     step = 2e-4
     everyone = states(robot, 6, spread=2.5)
@@ -136,10 +142,20 @@ def test_swivel_pulleys_are_those_of_the_textbook(robot):
 
 def energy(robot, state):
     """Kinetic and potential energy of platform, pulleys, motors and springs, (N,)."""
-    center = state.pose[..., : robot.dimensions] + turned(state.pose, robot.mass_center[None])[..., 0, :]
-    momentum = (textbook.mass_matrix(robot, robot.mass, state.pose) @ state.velocity[..., None])[..., 0]
-    total = np.sum(momentum * state.velocity, axis=-1) / 2 - robot.mass * center @ robot.gravity_vector
-    free = textbook.cable_lengths(robot, robot.home) + robot.extra_length - robot.pulley_radius * state.pulley
+    center = (
+        state.pose[..., : robot.dimensions] + turned(state.pose, robot.mass_center[None])[..., 0, :]
+    )
+    momentum = (textbook.mass_matrix(robot, robot.mass, state.pose) @ state.velocity[..., None])[
+        ..., 0
+    ]
+    total = (
+        np.sum(momentum * state.velocity, axis=-1) / 2 - robot.mass * center @ robot.gravity_vector
+    )
+    free = (
+        textbook.cable_lengths(robot, robot.home)
+        + robot.extra_length
+        - robot.pulley_radius * state.pulley
+    )
     strain = np.maximum(
         (textbook.cable_lengths(robot, state.pose) + robot.extra_length) / free - 1,
         0.0,
@@ -155,7 +171,9 @@ def energy(robot, state):
 @each_elastic
 def test_energy_is_kept_while_slack_comes_and_goes(robot):
     """Less the work of constant torques on the motors."""
-    robot = with_transmission(free_motors(robot), damping=0.0, axial_damping=0.0, coulomb_friction=0.0)
+    robot = with_transmission(
+        free_motors(robot), damping=0.0, axial_damping=0.0, coulomb_friction=0.0
+    )
     if robot.jointed:
         robot = with_transmission(robot, motor_damping=0.0)
     state = states(robot, 3, tension=40.0, spread=2.0)

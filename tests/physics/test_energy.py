@@ -1,4 +1,5 @@
-"""The plant against what no equation of it states: energy and power, and the order of convergence of its steps."""
+"""The plant against what no equation of it states: energy and power, and the order of convergence
+of its steps."""
 
 from __future__ import annotations
 
@@ -42,7 +43,8 @@ from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL
 
 
 def assert_order_four(end, coarsest, finest):
-    """Errors fall with the fourth power of the step; ``end`` gives the state after some number of steps."""
+    """Errors fall with the fourth power of the step; ``end`` gives the state after some number of
+    steps."""
     fine = end(finest)
     errors = [np.abs(end(coarsest * doubled) - fine).max() for doubled in (1, 2, 4)]
     assert errors[-1] > 1e-13
@@ -90,7 +92,8 @@ def test_order_is_four_while_elastic_cables_are_taut():
 @both_cables
 @every_kind
 def test_power_is_balanced_also_with_slack_cables(robot, cable):
-    """d/dt E = Σ τ β̇′ + Σ u β̇ − Σ c β̇² − Σ c′ β̇′² − Σ τ_c |β̇′|, u from complementarity; rigid: β′ = β, c′ = 0.
+    """d/dt E = Σ τ β̇′ + Σ u β̇ − Σ c β̇² − Σ c′ β̇′² − Σ τ_c |β̇′|, u from complementarity; rigid:
+    β′ = β, c′ = 0.
 
     At low speeds |β̇′| is smooth.
     """
@@ -106,7 +109,9 @@ def test_power_is_balanced_also_with_slack_cables(robot, cable):
     take_up = take_up_torques(robot, state, torques, platform, tension, cable)
     pulley = textbook.pulley_speed(robot, state.pose, state.velocity)
     motor = drive_speed(robot, state)
-    spent = np.sum(robot.damping * pulley**2, axis=1) + np.sum(textbook.coulomb_torque(robot, motor) * motor, axis=1)
+    spent = np.sum(robot.damping * pulley**2, axis=1) + np.sum(
+        textbook.coulomb_torque(robot, motor) * motor, axis=1
+    )
     if robot.flexible:
         spent += np.sum(robot.motor_damping * state.speed**2, axis=1)
     supplied = np.sum(np.where(tension == 0, take_up, 0.0) * pulley, axis=1)
@@ -119,7 +124,10 @@ def test_power_is_balanced_also_with_slack_cables(robot, cable):
 
     def energy(time):
         half_way = State(
-            state.velocity + time / 2 * platform, platform, state.speed + time / 2 * rate.speed, rate.speed
+            state.velocity + time / 2 * platform,
+            platform,
+            state.speed + time / 2 * rate.speed,
+            rate.speed,
         )
         return sum(energies(robot, state.moved(half_way, time), cable, mass))
 
@@ -131,7 +139,8 @@ def test_power_is_balanced_also_with_slack_cables(robot, cable):
 @pytest.mark.parametrize("count", [1, 2])
 @rigid_robots
 def test_work_of_a_constant_force_becomes_energy(robot, count):
-    """The undriven, undamped plant gains F·Δp: the force neither turns nor pauses. Reached: 1e-11 J of 24 J."""
+    """The undriven, undamped plant gains F·Δp: the force neither turns nor pauses. Reached: 1e-11 J
+    of 24 J."""
     robot = with_transmission(free_motors(robot), damping=0.0)
     mass = 1.3 * robot.mass
     space = robot.dimensions
@@ -140,13 +149,17 @@ def test_work_of_a_constant_force_becomes_energy(robot, count):
     if not robot.planar:
         pose[2] += 0.25
     motors = np.zeros((count, robot.cables))
-    start = State(np.tile(pose, (count, 1)), np.full((count, robot.coordinates), 0.4), motors, motors)
+    start = State(
+        np.tile(pose, (count, 1)), np.full((count, robot.coordinates), 0.4), motors, motors
+    )
     plant = loaded_plant(robot, start, mass=mass)
     plant.set_wrench(np.arange(count), np.tile(force, (count, 1)))
     advance(plant, np.zeros(robot.cables), 0.3, 300)
     work = (plant.pose - pose)[:, :space] @ force
     assert np.abs(work).min() > 0.5
-    gained = sum(energies(robot, state_of(plant), mass=mass)) - sum(energies(robot, start, mass=mass))
+    gained = sum(energies(robot, state_of(plant), mass=mass)) - sum(
+        energies(robot, start, mass=mass)
+    )
     assert_allclose(gained, work, rtol=0, atol=1e-9)
 
 
@@ -157,7 +170,10 @@ def test_default_step_keeps_the_energy_of_the_fastest_mode(robot):
     if not robot.planar:
         robot = robot.replace(gravity=1e-9)  # otherwise it falls
     turning = textbook.jacobian(robot, robot.home) / robot.pulley_radius[:, None]
-    platform = textbook.mass_matrix(robot, robot.mass, robot.home) + turning.T * robot.pulley_inertia @ turning
+    platform = (
+        textbook.mass_matrix(robot, robot.mass, robot.home)
+        + turning.T * robot.pulley_inertia @ turning
+    )
     twist = np.concatenate([turning, np.eye(robot.cables)], axis=1)
     inertia = block_diag(platform, np.diag(robot.motor_inertia))
     values, modes = eigh(twist.T * robot.stiffness @ twist, inertia)

@@ -1,4 +1,5 @@
-"""The flexible transmission: the paper's values, its frequencies, and the number of physics steps that they need."""
+"""The flexible transmission: the paper's values, its frequencies, and the number of physics steps
+that they need."""
 
 from __future__ import annotations
 

@@ -15,7 +15,8 @@ from cablebot_gym.robots import SPATIAL, find_robot
 
 ROBOTS = {name: find_robot(name) for name in ("planar", "spatial", "cogiro", "ipanema-3")}
 ROBOTS |= {name: PLATFORMS[name] for name in ("turning", "camera")}
-"""``cogiro`` has swivel pulleys, ``turning`` a platform in a plane; ``spatial`` has no redundant cable."""
+"""``cogiro`` has swivel pulleys, ``turning`` a platform in a plane; ``spatial`` has no redundant
+cable."""
 
 each_robot = each_of(
     *(ROBOTS[name] for name in ("planar", "spatial", "cogiro", "turning")),
@@ -27,7 +28,9 @@ def case(robot, count):
     """Poses, their cable lengths and guesses."""
     rng = np.random.default_rng(0)
     turning = np.arange(robot.coordinates) >= robot.dimensions
-    poses = robot.home + np.where(turning, 0.15, 0.1) * rng.uniform(-1, 1, (count, robot.coordinates))
+    poses = robot.home + np.where(turning, 0.15, 0.1) * rng.uniform(
+        -1, 1, (count, robot.coordinates)
+    )
     if not robot.planar:
         poses[:, 2] += 0.2  # below the base of the suspended robot
     return (
@@ -76,7 +79,8 @@ def test_wrong_lengths_give_the_least_squares_pose(robot):
 
 @pytest.mark.parametrize("name", ["turning", "cogiro"])
 def test_batch_equals_its_items(name):
-    """A batch is solved in tiles; a lane of a tile must not see the other ones, or wait for them."""
+    """A batch is solved in tiles; a lane of a tile must not see the other ones, or wait for
+    them."""
     robot = ROBOTS[name]
     _, lengths, guess = case(robot, 40)
     lengths += np.random.default_rng(1).normal(0, 5e-3, lengths.shape)

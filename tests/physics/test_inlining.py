@@ -95,8 +95,10 @@ def test_helper_that_allocates_frees_its_arrays():
 
 
 def test_vector_form_compiles_one_function_more(monkeypatch):
-    """The single and the vector environment share all helpers; a second compilation of each took 20 s."""
-    # Another action history or number of cables would be compiled anew; these robots are compiled for other tests.
+    """The single and the vector environment share all helpers; a second compilation of each took 20
+    s."""
+    # Another action history or number of cables would be compiled anew; these robots are compiled
+    # for other tests.
     compilations = Compilations()
     single = CableBotVectorEnv(robot="planar", num_envs=1)
     single.reset(seed=0)

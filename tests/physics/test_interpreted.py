@@ -28,9 +28,13 @@ def problems():
 STRUCTURE, LOAD = problems()
 CALLS = {
     "solve_least_norm": lambda: distribution.least_norm(STRUCTURE, LOAD, 1.0, 20.0),
-    "solve_least_largest": lambda: distribution.least_largest_action(STRUCTURE, LOAD, 1.0, 0.5, 0.1, 20.0),
+    "solve_least_largest": lambda: distribution.least_largest_action(
+        STRUCTURE, LOAD, 1.0, 0.5, 0.1, 20.0
+    ),
     "solve_feasible": lambda: distribution.feasible(STRUCTURE, LOAD, 1.0, 20.0),
-    "solve_interval": lambda: distribution.largest_scale(STRUCTURE, LOAD, LOAD[::-1], 1.0, 20.0, 10.0),
+    "solve_interval": lambda: distribution.largest_scale(
+        STRUCTURE, LOAD, LOAD[::-1], 1.0, 20.0, 10.0
+    ),
 }
 
 
@@ -47,7 +51,8 @@ def test_python_and_compiled_code_give_the_same_bits(name, monkeypatch):
 
 
 def test_first_resets_do_not_compile_the_distribution(monkeypatch):
-    """Excludes ten seconds of compilation before the first step of a robot with redundant cables."""
+    """Excludes ten seconds of compilation before the first step of a robot with redundant
+    cables."""
     monkeypatch.setattr(tension_problems.solve_least_largest, "_items_left", FEW_ITEMS)
     monkeypatch.setattr(tension_problems.solve_least_largest, "compiled", None)
     env = gym.make("CableBot-Point-v0")

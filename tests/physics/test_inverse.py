@@ -1,4 +1,5 @@
-"""The compiled inverse dynamics against the textbook, and the textbook's pulley accelerations against Eq. 6."""
+"""The compiled inverse dynamics against the textbook, and the textbook's pulley accelerations
+against Eq. 6."""
 
 from __future__ import annotations
 
@@ -43,7 +44,8 @@ TRIANGLE = TURNING.replace(
 
 
 def random_motion(robot, shape, seed=1):
-    """Masses from the robot's on, poses all over the workspace, velocities up to 2, accelerations up to 10."""
+    """Masses from the robot's on, poses all over the workspace, velocities up to 2, accelerations
+    up to 10."""
     rng = np.random.default_rng(seed)
     pose = rng.uniform(*robot.pose_bounds, (*shape, robot.coordinates))
     velocity = rng.uniform(-2, 2, pose.shape)
@@ -58,14 +60,17 @@ def worst_errors(results, expected):
         values = getattr(results, field.name)
         reference = getattr(expected, field.name)
         assert values.shape == reference.shape
-        errors.append(np.abs(values - reference).max(axis=-1) / np.maximum(1, np.abs(reference).max(axis=-1)))
+        errors.append(
+            np.abs(values - reference).max(axis=-1) / np.maximum(1, np.abs(reference).max(axis=-1))
+        )
     return np.stack(errors)
 
 
 @pytest.mark.parametrize("minimum", [0.0, 4.0])
 @every_robot
 def test_results_are_those_of_the_textbook(robot, minimum):
-    """Reached: 2e-16 times the condition of S, up to 1e-12; planar 1e-12, where two cables are nearly in line."""
+    """Reached: 2e-16 times the condition of S, up to 1e-12; planar 1e-12, where two cables are
+    nearly in line."""
     motion = random_motion(robot, (1000,))
     expected = textbook.inverse_dynamics(robot, *motion, minimum=minimum, strict=False)
     errors = worst_errors(inverse_dynamics(robot, *motion, minimum=minimum), expected)
@@ -81,7 +86,8 @@ def test_results_are_those_of_the_textbook(robot, minimum):
 
 @each_of(TRIANGLE, CAMERA, CRANE, *slowly(HANGING, TRIPOD, TURNING))
 def test_every_kind_of_robot_gets_the_tensions_of_the_textbook(robot):
-    """Unique ones, and the same choice of redundant ones; an error is left only of loads that no tensions hold."""
+    """Unique ones, and the same choice of redundant ones; an error is left only of loads that no
+    tensions hold."""
     mass, pose, velocity, acceleration = random_motion(robot, (200,))
     motion = (
         mass,
@@ -99,7 +105,8 @@ def test_every_kind_of_robot_gets_the_tensions_of_the_textbook(robot):
 
 
 def test_error_near_a_singular_pose_grows_with_the_condition():
-    """And not with its square. Turned by nearly a quarter, where no moment is left: condition 50 to 5e5.
+    """And not with its square. Turned by nearly a quarter, where no moment is left: condition 50 to
+    5e5.
 
     Reached: 3e-17 of the condition, with its square 3e-12.
     """

@@ -73,10 +73,13 @@ def test_rate_of_the_euler_rate_matrix_is_its_slope():
 
 
 def test_z_points_down():
-    """Sinking lengthens every cable and unwinds every pulley, and gravity is what makes the platform sink."""
+    """Sinking lengthens every cable and unwinds every pulley, and gravity is what makes the
+    platform sink."""
     sinking = np.array([0, 0, 0.1, 0, 0, 0])
     home = SPATIAL.home
-    assert np.all(textbook.cable_lengths(SPATIAL, home + sinking) > textbook.cable_lengths(SPATIAL, home))
+    assert np.all(
+        textbook.cable_lengths(SPATIAL, home + sinking) > textbook.cable_lengths(SPATIAL, home)
+    )
     assert np.all(textbook.pulley_speed(SPATIAL, home, sinking) < 0)
     fall, _ = textbook.forward_dynamics(SPATIAL, 10.0, home, np.zeros(6), np.zeros(6))
     assert 0 < fall[2] < SPATIAL.gravity

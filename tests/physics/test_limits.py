@@ -34,7 +34,8 @@ def start(robot, rigid, pose, velocity, torques):
 
 
 def distance(robot, rigid, holding, torques, duration, *, pose, velocity):
-    """Largest difference of the poses of two robots under the same torques, which ``holding`` torques precede."""
+    """Largest difference of the poses of two robots under the same torques, which ``holding``
+    torques precede."""
     plants = []
     for each in (free_motors(robot), free_motors(rigid)):
         plants.append(plant_at(each, start(each, rigid, pose, velocity, holding)))
@@ -66,7 +67,9 @@ def test_stiff_springs_approach_the_rigid_plant(flexible, rigid, damping):
 
     def error(stiffness):
         robot = with_transmission(flexible, damping=damping, stiffness=stiffness)
-        return distance(robot, rigid, torques, torques, 0.3, pose=pose[None], velocity=0.3 * velocity[None])
+        return distance(
+            robot, rigid, torques, torques, 0.3, pose=pose[None], velocity=0.3 * velocity[None]
+        )
 
     assert -1.03 < slope_of_error((30.0, 300.0, 3000.0), error) < -0.97
 
@@ -97,7 +100,9 @@ def test_stiff_joints_approach_the_robot_with_rigid_joints():
     torques = holding * np.linspace(0.9, 1.1, HANGING.cables)
 
     def error(stiffness):
-        double = with_transmission(single, stiffness=stiffness, pulley_inertia=1e-3, motor_inertia=3e-3)
+        double = with_transmission(
+            single, stiffness=stiffness, pulley_inertia=1e-3, motor_inertia=3e-3
+        )
         return distance(double, single, holding, torques, 0.1, pose=pose, velocity=0 * pose)
 
     assert -1.1 < slope_of_error((1e4, 1e5, 1e6), error) < -0.9

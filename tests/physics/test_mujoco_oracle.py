@@ -78,13 +78,16 @@ def test_accelerations_are_those_of_mujoco(robot):
 @pytest.mark.parametrize("spread", [0.5, 2.0], ids=["taut", "slack"])
 @each_of(CAMERA, CRANE, *slowly(HANGING, TURNING))
 def test_elastic_cables_are_the_one_sided_springs_of_mujoco(robot, spread):
-    """Their damping while taut; MuJoCo's dampers push slack cables, too. The pulleys stand still."""
+    """Their damping while taut; MuJoCo's dampers push slack cables, too. The pulleys stand
+    still."""
     damping = 30.0 if spread < 1 else 0.0
     robot = with_transmission(robot, axial_stiffness=2e4, axial_damping=damping, extra_length=0.3)
     state, _ = random_states(robot, STATES, seed=24, reach=0.4)
     tensions = 400 * (1 + spread * np.random.default_rng(25).uniform(-1, 1, (STATES, robot.cables)))
     _, angle = textbook.rest_angles(robot, tensions, state.pose)
-    free_lengths = textbook.cable_lengths(robot, robot.home) + robot.extra_length - robot.pulley_radius * angle
+    free_lengths = (
+        textbook.cable_lengths(robot, robot.home) + robot.extra_length - robot.pulley_radius * angle
+    )
     peer = MujocoRobot(robot)
     expected = []
     for lane in range(STATES):

@@ -1,4 +1,5 @@
-"""The compiled plant against itself in other batch sizes, the textbook, and a Python loop over its steps."""
+"""The compiled plant against itself in other batch sizes, the textbook, and a Python loop over its
+steps."""
 
 from __future__ import annotations
 
@@ -51,7 +52,8 @@ from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 def run_with_late_reset(robot, cable, members, count):
     """Records of eight periods of some of ``count`` robots.
 
-    Over slack, clipped motors, unequal masses and wrenches, three references and a reset of the last robot half way.
+    Over slack, clipped motors, unequal masses and wrenches, three references and a reset of the
+    last robot half way.
     """
     state, _ = random_states(robot, count, seed=count)
     rng = np.random.default_rng(7)
@@ -126,15 +128,19 @@ def test_accelerations_and_tensions_are_those_of_the_textbook(robot, cable):
 def test_tensions_and_take_up_torques_are_complementary(robot):
     """0 ≤ T ⟂ u ≥ 0 from the accelerations alone, u = r T − κ + J β̈ + c β̇.
 
-    In some of the states of nine cables, changing all wrong cables at once never ends: there the least-index rule has
-    to find the solution.
+    In some of the states of nine cables, changing all wrong cables at once never ends: there the
+    least-index rule has to find the solution.
     """
     state, _ = random_states(robot, 20_000 if robot is NINE else 2000, seed=12, reach=1.0)
     torques = np.random.default_rng(12).uniform(-1, 1, state.angle.shape) * robot.stall_torque
     acceleration, tension = evaluated(loaded_plant(robot, state, "unilateral"), torques)
     take_up = take_up_torques(robot, state, torques, acceleration, tension, "unilateral")
-    winding = robot.pulley_inertia * textbook.pulley_acceleration(robot, state.pose, state.velocity, acceleration)
-    take_up /= 1 + np.abs(robot.pulley_radius * tension).max() + np.abs(winding).max(axis=1, keepdims=True)
+    winding = robot.pulley_inertia * textbook.pulley_acceleration(
+        robot, state.pose, state.velocity, acceleration
+    )
+    take_up /= (
+        1 + np.abs(robot.pulley_radius * tension).max() + np.abs(winding).max(axis=1, keepdims=True)
+    )
     taut = tension > 0
     assert tension.min() >= 0
     assert take_up[~taut].min() >= -1e-11
@@ -150,9 +156,11 @@ def test_tensions_and_take_up_torques_are_complementary(robot):
 
 @each_of(SPATIAL, FLEX_SPATIAL)
 def test_default_step_is_accurate_under_bang_bang(robot):
-    """Against 1/20 of the step, 0.2 s of random full torques; with limits once per step the errors were 0.4 to 5 mm.
+    """Against 1/20 of the step, 0.2 s of random full torques; with limits once per step the errors
+    were 0.4 to 5 mm.
 
-    The kinks where motors saturate and springs become slack remain. Reached: 1e-8 m, flexible 3e-5 m.
+    The kinks where motors saturate and springs become slack remain. Reached: 1e-8 m, flexible 3e-5
+    m.
     """
     settings = make_settings(robot=robot, count=1)
     start, _ = holding_state(robot, robot.home, minimum=20.0)
@@ -175,7 +183,8 @@ def test_default_step_is_accurate_under_bang_bang(robot):
 
 
 def python_period(robot, mass, state, action, lagged, substeps, step, cable):
-    """States at all physics steps of a control period, the torques applied at each, and the lagged request."""
+    """States at all physics steps of a control period, the torques applied at each, and the lagged
+    request."""
     line = robot.speed_slope
     lag = robot.motor_lag
     request = robot.stall_torque * np.clip(action, -1, 1) - line * drive_speed(robot, state)
@@ -206,7 +215,8 @@ def python_period(robot, mass, state, action, lagged, substeps, step, cable):
 
 
 def check_record(plant, states, applied, tensions, lines):
-    """The record of a period: values at its start, least tensions, slack steps and peaks of the errors."""
+    """The record of a period: values at its start, least tensions, slack steps and peaks of the
+    errors."""
     robot = plant.robot
     least = np.min(tensions, axis=0)
     assert np.any(least < tensions[0])
@@ -235,13 +245,16 @@ def check_record(plant, states, applied, tensions, lines):
 @both_cables
 @every_kind
 def test_control_period_is_that_of_a_python_loop(robot, cable):
-    """The request follows its lag, and the limits the speed, at every stage; peaks over all physics steps."""
+    """The request follows its lag, and the limits the speed, at every stage; peaks over all physics
+    steps."""
     substeps = 10
     count = 6
     step = 5e-4 if robot.flexible else 2e-3
     state, action = random_states(robot, count, seed=5)
     mass = robot.mass * np.linspace(1, 1.5, count)
-    references = state.pose[:, None] + np.random.default_rng(6).normal(0, 0.05, (count, 31, robot.coordinates))
+    references = state.pose[:, None] + np.random.default_rng(6).normal(
+        0, 0.05, (count, 31, robot.coordinates)
+    )
     plant = loaded_plant(robot, state, cable, mass)
     plant.trajectory_index[:count] = np.arange(count)
     lagged = 0.3 * robot.stall_torque * np.ones((count, 1))
@@ -250,14 +263,22 @@ def test_control_period_is_that_of_a_python_loop(robot, cable):
     for period in range(3):
         plant.set_action(action)
         plant.advance(references, np.full(count, 30), substeps=substeps, step=step)
-        states, applied, lagged = python_period(robot, mass, state, action, lagged, substeps, step, cable)
-        assert period > 0 or np.abs(applied - applied[0]).max() > 0.01  # some motor reaches its limit on the way
+        states, applied, lagged = python_period(
+            robot, mass, state, action, lagged, substeps, step, cable
+        )
+        assert (
+            period > 0 or np.abs(applied - applied[0]).max() > 0.01
+        )  # some motor reaches its limit on the way
         tensions = []
         for start, torques in zip(states, applied, strict=False):
             tensions.append(textbook_rates(robot, start, torques, cable, mass)[1])
         lines = references[:, substeps * period + 1 : substeps * (period + 1) + 1].swapaxes(0, 1)
         peak_steps |= set(check_record(plant, states, applied, tensions, lines).tolist())
-        reached = state_of(plant) if robot.flexible else State(plant.pose, plant.velocity, state.angle, state.speed)
+        reached = (
+            state_of(plant)
+            if robot.flexible
+            else State(plant.pose, plant.velocity, state.angle, state.speed)
+        )
         for value, expected in zip(vars(reached).values(), vars(states[-1]).values(), strict=True):
             assert_allclose(value, expected, rtol=1e-13, atol=1e-12)
         state = reached
@@ -307,7 +328,8 @@ def test_lag_starts_within_the_stall_torque():
 
 
 def test_lag_far_below_the_step_delays_the_first_step_only():
-    """Excludes a lagged torque that is not stored when it has decayed, and starts anew in every period."""
+    """Excludes a lagged torque that is not stored when it has decayed, and starts anew in every
+    period."""
     gains = []
     for lag in (0.0, 1e-9):
         plant = plant_with_lag(lag)
@@ -322,13 +344,16 @@ def test_lag_far_below_the_step_delays_the_first_step_only():
 
 @each_of(PLANAR, FLEX_SPATIAL)
 def test_friction_too_steep_for_the_substeps_raises(robot):
-    """Its slope at standstill is τ_c/ω₀. The named number of substeps is stable, one step of 2.9 time constants not."""
+    """Its slope at standstill is τ_c/ω₀. The named number of substeps is stable, one step of 2.9
+    time constants not."""
     steep = with_transmission(free_motors(robot), coulomb_friction=30.0)
     with pytest.raises(ValueError, match="use at least") as refusal:
         make_settings(robot=steep, count=1, substeps=1)
     least = int(re.findall(r"at least (\d+)", str(refusal.value))[0])
     assert make_settings(robot=steep, count=1).substeps >= least > 2
-    uncertainty = {"parameters": {"coulomb_friction": {"low": 0.0, "high": 30.0, "relative": False}}}
+    uncertainty = {
+        "parameters": {"coulomb_friction": {"low": 0.0, "high": 30.0, "relative": False}}
+    }
     with pytest.raises(ValueError, match=f"use at least {least}"):
         make_settings(
             robot=free_motors(robot),
@@ -353,7 +378,11 @@ def test_friction_too_steep_for_the_substeps_raises(robot):
 def wrench_rows(plant):
     """Force and moment of all lanes in memory, the padding included, shape (width, 6)."""
     tiles = plant._parameters.reshape(len(plant.record), -1, plant.lanes)
-    return tiles[:, kernel.FORCE : kernel.FIRST_CABLE_PARAMETER].transpose(0, 2, 1).reshape(plant.width, 6)
+    return (
+        tiles[:, kernel.FORCE : kernel.FIRST_CABLE_PARAMETER]
+        .transpose(0, 2, 1)
+        .reshape(plant.width, 6)
+    )
 
 
 def test_wrench_lasts_until_it_or_the_parameters_are_set_anew():
@@ -386,7 +415,8 @@ def test_wrench_lasts_until_it_or_the_parameters_are_set_anew():
 def test_sine_and_cosine_are_right_to_the_last_digit():
     """Over ± 100 rad and near multiples of π/2: 1 ulp, and 1.2e-16 absolute.
 
-    Closer than 1e-9 to a zero the reduction's last digit shows (3e-27 at π/2), and relative errors mean nothing.
+    Closer than 1e-9 to a zero the reduction's last digit shows (3e-27 at π/2), and relative errors
+    mean nothing.
     """
     sine_and_cosine = njit(lambda angle: sincos(angle))
     quarter = np.arange(-63, 64) * (math.pi / 2)
@@ -405,7 +435,8 @@ def test_sine_and_cosine_are_right_to_the_last_digit():
 @pytest.mark.parametrize("spoilt", ["pose", "velocity", "action"])
 @rigid_robots
 def test_state_that_is_not_finite_spares_its_neighbours(robot, spoilt, bad):
-    """The search of taut cables ends. It shows in the position error, and the other lanes keep every bit."""
+    """The search of taut cables ends. It shows in the position error, and the other lanes keep
+    every bit."""
     state, action = random_states(robot, 33, seed=13)
     sick = np.array([3, 32])
 
@@ -473,7 +504,8 @@ def test_reset_leaves_nothing_of_the_earlier_run(robot):
 
 @each_of(QUAD, FLEX_UNEQUAL)
 def test_torques_end_at_the_torque_speed_lines(robot):
-    """Actions beyond ± 1 give exactly U⁺ and U⁻, those between exactly the request; the raw action is recorded."""
+    """Actions beyond ± 1 give exactly U⁺ and U⁻, those between exactly the request; the raw action
+    is recorded."""
     state, _ = random_states(robot, 40, seed=9)
     choices = [-3.0, -1.0, -0.4, 0.0, 0.7, 1.0, 1.5]
     actions = np.random.default_rng(1).choice(choices, (40, robot.cables))
@@ -484,5 +516,7 @@ def test_torques_end_at_the_torque_speed_lines(robot):
     assert_allclose(speed, drive_speed(robot, state), rtol=1e-12, atol=1e-12)
     drop = robot.speed_slope * speed
     assert np.abs(drop).max() > 0.3
-    assert_array_equal(plant.per_cable(kernel.TORQUE), robot.stall_torque * np.clip(actions, -1, 1) - drop)
+    assert_array_equal(
+        plant.per_cable(kernel.TORQUE), robot.stall_torque * np.clip(actions, -1, 1) - drop
+    )
     assert_array_equal(plant.per_cable(kernel.DEMAND), actions)

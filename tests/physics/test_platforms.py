@@ -1,4 +1,5 @@
-"""Kinematics and equations of motion of every kind of platform, against differences and Lagrange's equations."""
+"""Kinematics and equations of motion of every kind of platform, against differences and Lagrange's
+equations."""
 
 from __future__ import annotations
 
@@ -71,7 +72,9 @@ def test_jacobian_and_rate_at_once_are_those_alone(robot):
     pose, velocity, _ = random_motion(robot, 6)
     ends = robot.base, robot.platform
     shape = (2, 3, robot.coordinates)
-    jacobian, rate = kinematics.jacobian_and_rate(*ends, pose.reshape(shape), velocity.reshape(shape))
+    jacobian, rate = kinematics.jacobian_and_rate(
+        *ends, pose.reshape(shape), velocity.reshape(shape)
+    )
     assert_allclose(
         jacobian[1, 2],
         kinematics.structure_jacobian(*ends, pose[5]),
@@ -82,20 +85,27 @@ def test_jacobian_and_rate_at_once_are_those_alone(robot):
 
 
 def test_cable_wraps_its_swivel_pulley_on_the_right_side():
-    """Straight down from the outer edge of the pulley: half a turn on the pulley and the free length."""
+    """Straight down from the outer edge of the pulley: half a turn on the pulley and the free
+    length."""
     for swivel, depth in ((0.1, 2.0), (-0.1, -2.0)):
-        length = kinematics.cable_lengths([[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]], [0.2, 0.0, depth], [swivel])
+        length = kinematics.cable_lengths(
+            [[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]], [0.2, 0.0, depth], [swivel]
+        )
         assert_allclose(length, [np.pi * 0.1 + 2.0], rtol=1e-14)
     assert np.sign(SWIVELLED.swivel).tolist() == [1] * 8
     assert np.sign(LOWER_WINCHES.swivel).tolist() == [1, 0, 1, 1, -1, -1, -1, -1]
 
 
 def lagrangian(robot, mass, pose, velocity):
-    """Kinetic minus potential energy from the motion of the centre of mass, which :mod:`textbook` does not use."""
+    """Kinetic minus potential energy from the motion of the centre of mass, which :mod:`textbook`
+    does not use."""
 
     def center(time):
         moved = pose + time * velocity
-        return moved[..., : robot.dimensions] + kinematics.turned(moved, robot.mass_center[None])[..., 0, :]
+        return (
+            moved[..., : robot.dimensions]
+            + kinematics.turned(moved, robot.mass_center[None])[..., 0, :]
+        )
 
     speed = differentiated(center, 1e-3)
     energy = mass * np.sum(speed**2, axis=-1) / 2 + mass * center(0.0) @ robot.gravity_vector
@@ -119,13 +129,16 @@ def test_load_agrees_with_lagranges_equations(robot):
             velocity + time * acceleration,
         )
 
-    expected = differentiated(momentum, 1e-3) - gradient(lambda x: lagrangian(robot, mass, x, velocity), pose)
+    expected = differentiated(momentum, 1e-3) - gradient(
+        lambda x: lagrangian(robot, mass, x, velocity), pose
+    )
     load = textbook.load(robot, mass, pose, velocity, acceleration)
     assert_allclose(load, expected, rtol=1e-5, atol=1e-5 * np.abs(load).max())
 
 
 def test_linear_model_contains_the_springs_of_the_cables():
-    """A mass between a locked winch and its cable oscillates with √(EA/(l m)); the winch turns with √(EA r²/(l J))."""
+    """A mass between a locked winch and its cable oscillates with √(EA/(l m)); the winch turns with
+    √(EA r²/(l J))."""
     transmission = HANGING.transmission.replace(axial_stiffness=1e4, pulley_inertia=1e6)
     anchors = [(-1.0, 0.0), (1.0, 0.0)]
     robot = HANGING.replace(base_anchors=anchors, home_pose=(0.0, 1.0), transmission=transmission)

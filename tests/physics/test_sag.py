@@ -1,4 +1,5 @@
-"""Sag of heavy cables against a numerical integration, and the settled platform against its equilibrium."""
+"""Sag of heavy cables against a numerical integration, and the settled platform against its
+equilibrium."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ CASES = [
     (0.5, 12.0, 100.0, 5.0),
     (40.0, 0.0, 40.0, 3.0),
 ]
-"""Horizontal and vertical distance [m], chord tension [N] and weight per length [N/m]; sags of 1 to 80 %."""
+"""Horizontal and vertical distance [m], chord tension [N] and weight per length [N/m]; sags of 1 to
+80 %."""
 
 
 @pytest.mark.parametrize(("across", "rise", "tension", "weight"), CASES)
@@ -28,7 +30,9 @@ def test_catenary_is_the_integrated_equilibrium(across, rise, tension, weight):
     """The force of an element changes by its weight alone, and it points along the cable."""
     horizontal = tension * across / np.hypot(across, rise)
     half = weight * across / (2 * horizontal)
-    start = horizontal * np.sinh(np.arcsinh(rise * weight / (2 * horizontal * np.sinh(half))) - half)
+    start = horizontal * np.sinh(
+        np.arcsinh(rise * weight / (2 * horizontal * np.sinh(half))) - half
+    )
 
     def element(_, state):
         slope = state[2] / horizontal
@@ -44,9 +48,13 @@ def test_catenary_is_the_integrated_equilibrium(across, rise, tension, weight):
     )
     chord = np.hypot(across, rise)
     depth, extra = catenary(across, rise, tension, weight)
-    assert end.y[1, -1] == pytest.approx(rise, abs=1e-7)  # the closed form of the first slope is that of this chord
+    assert end.y[1, -1] == pytest.approx(
+        rise, abs=1e-7
+    )  # the closed form of the first slope is that of this chord
     assert end.y[3, -1] - chord == pytest.approx(float(extra), rel=1e-6)
-    assert (rise / 2 - end.sol(across / 2)[1]) * across / chord == pytest.approx(float(depth), rel=1e-6)
+    assert (rise / 2 - end.sol(across / 2)[1]) * across / chord == pytest.approx(
+        float(depth), rel=1e-6
+    )
 
 
 @pytest.mark.parametrize(("across", "rise", "tension", "weight"), CASES)
@@ -102,5 +110,7 @@ def test_settled_platform_is_in_equilibrium_with_its_cables(robot):
         atol=1e-6 * largest,
     )
     soft = loose.length / robot.axial_stiffness if robot.elastic else 0.0
-    stretch = (settled.tensions - straight) * soft - loose.extra_length  # of the catenary, not of the parabola
+    stretch = (
+        settled.tensions - straight
+    ) * soft - loose.extra_length  # of the catenary, not of the parabola
     assert_allclose(structure @ settled.pose_change, stretch, rtol=0.02, atol=1e-6)

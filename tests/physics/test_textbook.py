@@ -1,4 +1,5 @@
-"""Tensions, torques and accelerations of the textbook equations against linear programs, statics and themselves."""
+"""Tensions, torques and accelerations of the textbook equations against linear programs, statics
+and themselves."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ from cablebot_gym.robots import PLANAR, SPATIAL
 
 
 def random_motion(robot, count, seed=3):
-    """Poses around home, within the polygon of the anchors, and velocities and accelerations of any direction."""
+    """Poses around home, within the polygon of the anchors, and velocities and accelerations of any
+    direction."""
     rng = np.random.default_rng(seed)
     reach = np.array([0.12, 0.12] if robot.planar else [0.1, 0.1, 0.05, 0.2, 0.2, 0.2])
     pose = robot.home + rng.uniform(-reach, reach, (count, robot.coordinates))
@@ -78,7 +80,8 @@ def test_least_tensions_of_three_cables_are_least_at_once(x, y, fx, fy):
 @settings(max_examples=40, derandomize=True)
 @given(coordinate, coordinate, force, force, st.sampled_from([0.5, 5.0]))
 def test_smooth_tensions_are_a_soft_maximum(x, y, fx, fy, softness):
-    """By another way: least-norm tensions, and a soft maximum of what each cable needs of the null space."""
+    """By another way: least-norm tensions, and a soft maximum of what each cable needs of the null
+    space."""
     structure = textbook.jacobian(PLANAR, [x, y])
     load = np.array([fx, fy])
     minimum = 5.0
@@ -103,7 +106,9 @@ def test_impossible_force_raises_or_gives_the_minimum(robot):
     with pytest.raises(ValueError, match="outside the polygon"):
         textbook.required_tensions(robot, 1.0, poses, np.zeros(2), np.stack([away, away]))
     tensions = textbook.tension_distribution(structures, np.stack([away, away]), 2.0, strict=False)
-    assert_array_equal(tensions[1], 2.0)  # a control law gets the minimum, and its neighbour the solution
+    assert_array_equal(
+        tensions[1], 2.0
+    )  # a control law gets the minimum, and its neighbour the solution
     alone = textbook.tension_distribution(structures[0], away, 2.0)
     assert_allclose(tensions[0], alone, rtol=0, atol=1e-13)
     inwards = textbook.tension_distribution(structures[1], -away, 0.0)

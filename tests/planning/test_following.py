@@ -54,7 +54,8 @@ def plan(name: str) -> PlannedMotion:
 
 
 def follow(name: str, gains: tuple[float, float], *, error: float = 0.0) -> np.ndarray:
-    """Distance of the platform from the plan after every control period, in the environment's plant."""
+    """Distance of the platform from the plan after every control period, in the environment's
+    plant."""
     robot, env_id, _ = CASES[name]
     motion = plan(name)
     period = 1 / 500

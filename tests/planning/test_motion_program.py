@@ -1,4 +1,5 @@
-"""The nonlinear program: its equations, its derivatives, and optima that are known in closed form."""
+"""The nonlinear program: its equations, its derivatives, and optima that are known in closed
+form."""
 
 from __future__ import annotations
 
@@ -79,7 +80,9 @@ def test_rigid_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
     period = 0.004
     n = robot.coordinates
     inverse = textbook.inverse_dynamics(robot, mass, x, v, a, minimum=6.0, strict=False)
-    numbers = np.concatenate([*(array[0] for array in (x, v, a, inverse.tensions / TENSION)), [mass]])
+    numbers = np.concatenate(
+        [*(array[0] for array in (x, v, a, inverse.tensions / TENSION)), [mass]]
+    )
     values = np.array(rigid_stage(robot, period)(numbers))[:, 0]
     assert_allclose(values[:n], 0.0, atol=1e-12)
     frictionless = with_transmission(robot, coulomb_friction=0.0)
@@ -120,7 +123,9 @@ def test_elastic_stage_agrees_with_inverse_dynamics(name: str) -> None:
     mass = robot.mass + 1.7
     m = robot.cables
     minimum = textbook.allocated_minimum(robot)
-    inverse = textbook.inverse_dynamics(find_robot(name), mass, x, v, a, minimum=minimum, strict=False)
+    inverse = textbook.inverse_dynamics(
+        find_robot(name), mass, x, v, a, minimum=minimum, strict=False
+    )
     # The motors turn with the rigid cables, so that the damping of the elastic ones has no force.
     angle, _ = textbook.rest_angles(robot, inverse.tensions, x)
     speed = inverse.speeds[0]
@@ -130,7 +135,11 @@ def test_elastic_stage_agrees_with_inverse_dynamics(name: str) -> None:
     assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-9)
     at_start, at_end, tensions, springs = np.array(limits(numbers))[:, 0].reshape(4, m)
     torque = textbook.holding_torque(robot, robot.pulley_radius * inverse.tensions[0])
-    torque += robot.pulley_inertia * acceleration + robot.damping * speed + textbook.coulomb_torque(robot, speed)
+    torque += (
+        robot.pulley_inertia * acceleration
+        + robot.damping * speed
+        + textbook.coulomb_torque(robot, speed)
+    )
     check_actions(robot, (at_start, at_end), torque, speed, acceleration, 1e-7)
     assert_allclose(
         TENSION * np.array([tensions, springs]),
@@ -199,7 +208,9 @@ def test_assembled_derivatives_equal_casadis_own(robot: Robot, lightest: float |
     assembled = np.array(solver.get_function("nlp_hess_l")(z, [], 1.0, lam))
     inputs = ["x", "p", "lam:f", "lam:g"]
     outputs = ["triu:hess:gamma:x:x"]
-    expected = np.array(oracle.factory("h", inputs, outputs, {"gamma": ["f", "g"]})(z, [], 1.0, lam))
+    expected = np.array(
+        oracle.factory("h", inputs, outputs, {"gamma": ["f", "g"]})(z, [], 1.0, lam)
+    )
     assert_allclose(assembled, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
     assert np.count_nonzero(expected) > len(z)
 
@@ -228,7 +239,9 @@ def test_optimum_does_not_depend_on_the_initial_guess() -> None:
     coarse = MotionProgram(PLANAR, CIRCLE, BOUNDS, intervals=20)
     plan = coarse.solve()
     assert_array_equal(coarse.solve().poses, plan.poses)
-    assert coarse.solve(shift=np.array([0.3, -0.4])).payload == pytest.approx(plan.payload, rel=1e-4)
+    assert coarse.solve(shift=np.array([0.3, -0.4])).payload == pytest.approx(
+        plan.payload, rel=1e-4
+    )
     fine = MotionProgram(PLANAR, CIRCLE, BOUNDS, intervals=30)
     warm = fine.solve(plan).payload
     assert warm == pytest.approx(fine.solve().payload, rel=1e-4)

@@ -52,7 +52,9 @@ def plan(**changes: Any) -> PlannedMotion:
         "error_bounds": BOUNDS,
         "intervals": 8,
     } | changes
-    robot, trajectory, error_bounds = (settings.pop(name) for name in ("robot", "trajectory", "error_bounds"))
+    robot, trajectory, error_bounds = (
+        settings.pop(name) for name in ("robot", "trajectory", "error_bounds")
+    )
     return plan_motion(robot, trajectory, error_bounds, **settings)
 
 
@@ -72,7 +74,11 @@ def test_every_setting_makes_another_plan(monkeypatch: pytest.MonkeyPatch) -> No
     changed_settings: list[dict[str, Any]] = [
         {"robot": PLANAR.replace(motors=motors)},
         {"trajectory": find_trajectory({"name": "line-planar", "duration": 0.41}, 2)},
-        {"trajectory": PointToPoint(name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.16), duration=0.4)},
+        {
+            "trajectory": PointToPoint(
+                name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.16), duration=0.4
+            )
+        },
         {"error_bounds": ErrorBounds(position=0.011)},
         {"intervals": 9},
         {"margins": Margins(action=0.1)},
@@ -109,7 +115,9 @@ def test_broken_file_is_replaced(cache: Path, solved: list[int]) -> None:
     assert len(solved) == 2
 
 
-def test_plan_without_a_usable_folder_is_solved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plan_without_a_usable_folder_is_solved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / "file"
     file.write_text("no folder", encoding="utf-8")
     monkeypatch.setenv("CABLEBOT_CACHE", str(file / "cache"))
@@ -126,7 +134,9 @@ def test_infeasible_plan_leaves_no_file(cache: Path) -> None:
     assert not cache.exists()
 
 
-def test_cache_folder_follows_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
+def test_cache_folder_follows_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: Path
+) -> None:
     assert cache_folder() == cache
     monkeypatch.delenv("CABLEBOT_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -146,5 +156,7 @@ def test_missing_casadi_raises_with_the_pip_command(monkeypatch: pytest.MonkeyPa
 @pytest.mark.slow
 def test_planning_can_be_imported_without_casadi() -> None:
     code = "import sys; sys.modules['casadi'] = None; import cablebot_gym.planning, cablebot_gym.bounds.best_known"
-    ended = subprocess.run([sys.executable, "-c", code], env=dict(os.environ), capture_output=True, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", code], env=dict(os.environ), capture_output=True, check=False
+    )
     assert ended.returncode == 0, ended.stderr.decode()

@@ -1,4 +1,5 @@
-"""A planned motion between the instants of its program, by the textbook's equations and the plant itself."""
+"""A planned motion between the instants of its program, by the textbook's equations and the plant
+itself."""
 
 from __future__ import annotations
 
@@ -37,8 +38,9 @@ class Case:
     margins: Margins
     lightest: float | None = 0.0
     excess: float
-    """Largest excess of an action between instants. With joint springs, motor speeds vary most where the action jumps
-    from one bound to the other. Twice as many instants leave a fourth of the excess."""
+    """Largest excess of an action between instants. With joint springs, motor speeds vary most
+    where the action jumps from one bound to the other. Twice as many instants leave a fourth of the
+    excess."""
 
 
 CASES = {
@@ -70,7 +72,9 @@ each_case = pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=() if name == "planar" else pytest.mark.slow) for name in CASES],
 )
-planar_cases = pytest.mark.parametrize("name", ["planar", pytest.param("flexible planar", marks=pytest.mark.slow)])
+planar_cases = pytest.mark.parametrize(
+    "name", ["planar", pytest.param("flexible planar", marks=pytest.mark.slow)]
+)
 
 
 @cache
@@ -88,7 +92,10 @@ def plan(name: str, **changes: Any) -> PlannedMotion:
 def payloads(name: str) -> list[float]:
     """The lightest, the heaviest and two between."""
     motion = plan(name)
-    return [motion.lightest + fraction * (motion.payload - motion.lightest) for fraction in (0.0, 0.31, 0.77, 1.0)]
+    return [
+        motion.lightest + fraction * (motion.payload - motion.lightest)
+        for fraction in (0.0, 0.31, 0.77, 1.0)
+    ]
 
 
 def fine_times(name: str) -> Array:
@@ -103,7 +110,8 @@ def fine_times(name: str) -> Array:
 def demands_of(name: str, payload: float) -> tuple[Array, Array, Array, Array]:
     """Tensions, spring torques, actions and unbalanced forces by the textbook.
 
-    Those of a flexible robot follow from the motor angles, those of a rigid one from the motion alone.
+    Those of a flexible robot follow from the motor angles, those of a rigid one from the motion
+    alone.
     """
     robot = CASES[name].robot
     motion = plan(name)
@@ -115,11 +123,15 @@ def demands_of(name: str, payload: float) -> tuple[Array, Array, Array, Array]:
     if robot.flexible:
         angle, motor_speed, acceleration = motion.motor_motion(times, np.full(len(times), payload))
         springs = robot.stiffness * (angle - textbook.pulley_angle(robot, x.position))
-        tensions = (springs - robot.pulley_inertia * pulley - robot.damping * speed) / robot.pulley_radius
+        tensions = (
+            springs - robot.pulley_inertia * pulley - robot.damping * speed
+        ) / robot.pulley_radius
         torques = springs + robot.motor_inertia * acceleration + robot.motor_damping * motor_speed
     else:
         minimum = robot.minimum_tension + CASES[name].margins.tension
-        rigid = textbook.inverse_dynamics(robot, mass, x.position, x.velocity, x.acceleration, minimum=minimum)
+        rigid = textbook.inverse_dynamics(
+            robot, mass, x.position, x.velocity, x.acceleration, minimum=minimum
+        )
         tensions = rigid.tensions
         torques = rigid.torques
         motor_speed = speed
@@ -129,7 +141,9 @@ def demands_of(name: str, payload: float) -> tuple[Array, Array, Array, Array]:
     unbalanced = textbook.load(robot, mass, x.position, x.velocity, x.acceleration)
     unbalanced = unbalanced + np.einsum("tij,ti->tj", structure, tensions)
     half = PERIOD / 2 * acceleration
-    actions = np.stack([textbook.normalised_action(robot, torques, motor_speed + side) for side in (-half, half)])
+    actions = np.stack(
+        [textbook.normalised_action(robot, torques, motor_speed + side) for side in (-half, half)]
+    )
     return tensions, springs, actions, unbalanced
 
 
@@ -203,7 +217,9 @@ def test_motion_is_a_trajectory_with_consistent_derivatives(name: str) -> None:
     for rate in (after.velocity, after.acceleration, after.jerk, after.snap):
         assert_array_equal(rate, 0.0)
     assert_array_equal(before.position, motion(0.0).position)
-    assert {value.shape for value in vars(motion(np.zeros((4, 3)))).values()} == {(4, 3, motion.coordinates)}
+    assert {value.shape for value in vars(motion(np.zeros((4, 3)))).values()} == {
+        (4, 3, motion.coordinates)
+    }
 
 
 # --- invalid input ----------------------------------------------------------------------------------------------------
@@ -228,7 +244,9 @@ def test_motion_is_a_trajectory_with_consistent_derivatives(name: str) -> None:
         (FLEX_PLANAR, {"tension": 4.5}, "at most 4 N for 'flex-planar'"),
     ],
 )
-def test_margins_that_leave_no_motion_raise(robot: Robot, margins: dict[str, float], message: str) -> None:
+def test_margins_that_leave_no_motion_raise(
+    robot: Robot, margins: dict[str, float], message: str
+) -> None:
     reference = find_trajectory(f"paper-{robot.kind}", robot.coordinates)
     with pytest.raises(ValueError, match=message):
         MotionProgram(robot, reference, BOUNDS, intervals=4, margins=Margins(**margins))

@@ -36,7 +36,9 @@ def results():
 def springs():
     """Short dwell with joint springs."""
     dwell = {"name": "dwell-planar", "duration": 0.05}
-    return evaluate_dlcc("motor-pd", "CableBot-FlexPlanar-v0", trajectory=dwell, search="bisection", **SMALL)
+    return evaluate_dlcc(
+        "motor-pd", "CableBot-FlexPlanar-v0", trajectory=dwell, search="bisection", **SMALL
+    )
 
 
 def test_springs_have_their_deflections(springs):
@@ -50,7 +52,9 @@ def test_springs_have_their_deflections(springs):
     drawn = figures.draw_springs(springs).axes
     assert [axes.get_title() for axes in drawn] == ["spring 1", "spring 2", "spring 3"]
     for spring, axes in enumerate(drawn):
-        np.testing.assert_array_equal(axes.get_lines()[2].get_ydata(), rollout.arrays["spring_deflection"][:, spring])
+        np.testing.assert_array_equal(
+            axes.get_lines()[2].get_ydata(), rollout.arrays["spring_deflection"][:, spring]
+        )
 
 
 def test_springs_of_a_rigid_robot_raise(results):
@@ -151,7 +155,9 @@ def test_success_curve_has_fractions_and_the_payload(results, tmp_path):
     }
     drawn = evaluate_dlcc("fl", SPATIAL_ID, **options)
     lines = {line.get_label(): line for line in figures.draw_success(drawn).axes[0].get_lines()}
-    np.testing.assert_array_equal(lines["fraction of the scan's draws that carry it"].get_xydata(), drawn.success)
+    np.testing.assert_array_equal(
+        lines["fraction of the scan's draws that carry it"].get_xydata(), drawn.success
+    )
     assert lines["required: 30%"].get_ydata()[0] == 0.3
     label = f"payload: {drawn.payload:.2f} kg (30/95 lower tolerance bound, 60 draws)"
     assert lines[label].get_xdata()[0] == drawn.payload
@@ -162,7 +168,9 @@ def test_success_curve_has_fractions_and_the_payload(results, tmp_path):
 def test_files_of_both_criteria_without_pyplot(results, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     folder = tmp_path / "new"
-    odd_name = dataclasses.replace(results["violent"], policy="runs/$a_{/" + "long/" * 30 + "model_$.zip")
+    odd_name = dataclasses.replace(
+        results["violent"], policy="runs/$a_{/" + "long/" * 30 + "model_$.zip"
+    )
     task = figures.save_figures(odd_name, folder)
     paper = figures.save_figures(results["planar"], folder)
     assert [path.name for path in task] == ["torques-task.png", "path-task.png"]
@@ -174,7 +182,9 @@ def test_files_of_both_criteria_without_pyplot(results, tmp_path, monkeypatch):
 
 def test_comparison_shows_errors_and_their_distribution():
     motion = {"name": "dwell-spatial", "duration": 0.05}
-    compared = compare_policies(["fl", "robust"], SPATIAL_ID, uncertainty="table6", draws=4, trajectory=motion)
+    compared = compare_policies(
+        ["fl", "robust"], SPATIAL_ID, uncertainty="table6", draws=4, trajectory=motion
+    )
     over_time, distribution, *rotation = comparison.draw_comparison(compared).axes
     assert len(rotation) == 2
     for index, metrics in enumerate(compared.metrics):

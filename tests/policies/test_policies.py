@@ -99,7 +99,9 @@ def test_installed_policy_is_made_for_the_robot(robot):
 
 def test_policies_of_other_packages_are_found_by_name(points):
     for name in ("zzz", "constant"):
-        entry = PolicyEntry(name=name, kind="learned", env_ids=ENV_IDS[:1], factory=Constant, summary="third party")
+        entry = PolicyEntry(
+            name=name, kind="learned", env_ids=ENV_IDS[:1], factory=Constant, summary="third party"
+        )
         points[ENTRY_POINT_GROUP].append(Point(entry))
     assert list(policy_entries()) == sorted(policy_entries())
     assert {"constant", "fl", "zzz"} <= set(policy_entries())
@@ -156,7 +158,8 @@ def test_robot_may_be_named_or_be_that_of_an_environment():
     for robot in ("CableBot-Spatial-v0", "spatial"):
         assert load_policy("fl", robot).robot is SPATIAL
     with pytest.raises(
-        ValueError, match=r"unknown environment or robot 'CableBot-Spatal-v0'.*did you mean 'CableBot-S"
+        ValueError,
+        match=r"unknown environment or robot 'CableBot-Spatal-v0'.*did you mean 'CableBot-S",
     ):
         load_policy("fl", "CableBot-Spatal-v0")
 
@@ -165,7 +168,8 @@ def test_class_is_made_for_the_robot_of_the_evaluation():
     batch = Batch(Constant, PLANAR_ID)
     assert (batch.policy.name, batch.policy.policy.robot.name) == ("Constant", "planar")
     with pytest.raises(
-        TypeError, match=r"calls Constant\(\), which needs robot: PolicyFactory\(lambda: Constant\(robot"
+        TypeError,
+        match=r"calls Constant\(\), which needs robot: PolicyFactory\(lambda: Constant\(robot",
     ):
         PolicyFactory(Constant)
 
@@ -176,7 +180,10 @@ def test_class_is_made_for_the_robot_of_the_evaluation():
         ("lqr", r"unknown policy 'lqr'; choose one of .*adaptive, .*fl, "),
         ("missing.zip", "policy file 'missing.zip' does not exist"),
         ("toy_policy_module:nothing", r"the factory must return a policy; .*; NoneType is neither"),
-        ("toy_policy_module:raising", r"the factory raised KeyError: 'weights' \(toy_policy_module.py, line 15\)"),
+        (
+            "toy_policy_module:raising",
+            r"the factory raised KeyError: 'weights' \(toy_policy_module.py, line 15\)",
+        ),
         (
             "toy_policy_module:Many",
             r"it takes \(robot, gains\), but is called with the robot: def make\(robot\): return Many\(…\)",
@@ -194,15 +201,26 @@ def test_name_that_loads_no_policy_is_explained(module, name, message):
 
 def test_name_is_read_without_importing_anything(module):
     name = module("raise SystemExit")
-    kinds = {text: PolicySpec.parse(text).kind for text in ("fl", "ekf+fl", "best.zip", f"{name}:make", "a.py", "lqr")}
-    assert list(kinds.values()) == ["installed", "installed", "file", "factory", "factory", "unknown"]
+    kinds = {
+        text: PolicySpec.parse(text).kind
+        for text in ("fl", "ekf+fl", "best.zip", f"{name}:make", "a.py", "lqr")
+    }
+    assert list(kinds.values()) == [
+        "installed",
+        "installed",
+        "file",
+        "factory",
+        "factory",
+        "unknown",
+    ]
     behind = PolicySpec.parse("ekf+fl")
     assert ([point.name for point in behind.estimators], behind.target) == (["ekf"], "fl")
     assert (behind.own, behind.held, PolicySpec.parse("fl").own) == (False, False, True)
 
 
 def test_policy_is_loaded_once():
-    """Excludes a loaded policy that a second entrance makes anew, or that loses its declarations there."""
+    """Excludes a loaded policy that a second entrance makes anew, or that loses its declarations
+    there."""
     loaded = load("fl", PLANAR)
     again = load(loaded, SPATIAL, name="mine")
     assert (again.policy, again.name, again.held) == (loaded.policy, "mine", True)
@@ -213,7 +231,10 @@ def test_policy_is_loaded_once():
 
 def test_policy_behind_an_estimator_keeps_its_wrappers():
     loaded = load("ekf+fl", PLANAR, wrappers=["normalised_observation"])
-    assert (loaded.wrappers, loaded.declarations.measurement) == (("normalised_observation",), "winches")
+    assert (loaded.wrappers, loaded.declarations.measurement) == (
+        ("normalised_observation",),
+        "winches",
+    )
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
@@ -256,7 +277,9 @@ def test_damaged_file_is_not_loaded(points, archive):
 
 def test_file_that_is_no_model_is_rejected(archive, monkeypatch):
     pytest.importorskip("stable_baselines3")
-    with pytest.raises(ValueError, match=r"policy file '.*mine\.zip' is neither a bundle .* nor an SB3 model \("):
+    with pytest.raises(
+        ValueError, match=r"policy file '.*mine\.zip' is neither a bundle .* nor an SB3 model \("
+    ):
         load_policy(str(archive), PLANAR)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     with pytest.raises(ValueError, match=r"pip install 'cablebot-gym\[sb3\]'"):
@@ -330,7 +353,9 @@ def test_reset_gets_one_task_per_observation_if_it_takes_any():
     calls = []
     with closing(gym.make_vec(PLANAR_ID, num_envs=3)) as envs:
         envs.reset(seed=0)
-        reset_policy(with_reset(lambda batch, /: calls.append(batch)), "mine", lambda: envs.unwrapped.tasks)
+        reset_policy(
+            with_reset(lambda batch, /: calls.append(batch)), "mine", lambda: envs.unwrapped.tasks
+        )
     assert len(calls[0]) == 3
     assert all(isinstance(task, Task) for task in calls[0])
     for reset in (lambda: calls.append(None), lambda seed=None: calls.append(seed)):
@@ -370,7 +395,9 @@ def test_factory_makes_one_instance_for_each_episode_of_a_batch():
         for call in (1, 2):
             action, state = policy.predict(np.array([[5.0], [6.0]]), state)
             np.testing.assert_array_equal(action, [[5, call, 7], [6, call, 8]])
-    with pytest.raises(BatchItemError, match=r"it failed with KeyError: 'mass' \(test_policies.py") as caught:
+    with pytest.raises(
+        BatchItemError, match=r"it failed with KeyError: 'mass' \(test_policies.py"
+    ) as caught:
         policy.predict(np.array([[5.0], [9.0]]))
     assert caught.value.index == 1
 
@@ -382,10 +409,16 @@ def test_factory_keeps_the_state_of_each_policy():
             return np.repeat(total, 3, axis=1), total
 
     policy, state = PolicyFactory(lambda: Sums(PLANAR)), None
-    for start, expected in (([True, True], [1, 2]), ([False, False], [2, 4]), ([False, True], [3, 2])):
+    for start, expected in (
+        ([True, True], [1, 2]),
+        ([False, False], [2, 4]),
+        ([False, True], [3, 2]),
+    ):
         action, state = policy.predict(np.array([[1.0], [2.0]]), state, np.array(start))
         np.testing.assert_array_equal(action[:, 0], expected)
-    np.testing.assert_array_equal(PolicyFactory(lambda: Sums(PLANAR)).predict(np.array([3.0]))[0], [3, 3, 3])
+    np.testing.assert_array_equal(
+        PolicyFactory(lambda: Sums(PLANAR)).predict(np.array([3.0]))[0], [3, 3, 3]
+    )
 
 
 # --- calls ------------------------------------------------------------------------------------------------------------
@@ -414,9 +447,13 @@ def test_every_exception_but_an_interrupt_is_a_policy_error(error, message):
 
     policy = Constant(PLANAR)
     policy.predict = policy.reset = fail
-    with pytest.raises(PolicyError, match=rf"^policy 'mine', at t = 0.000 s with a payload of 0 kg: {message}"):
+    with pytest.raises(
+        PolicyError, match=rf"^policy 'mine', at t = 0.000 s with a payload of 0 kg: {message}"
+    ):
         call(policy)
-    with pytest.raises(PolicyError, match=rf"^policy 'mine': it raised {type(error).__name__} in reset\(\)"):
+    with pytest.raises(
+        PolicyError, match=rf"^policy 'mine': it raised {type(error).__name__} in reset\(\)"
+    ):
         reset_policy(policy, "mine", tuple)
     with pytest.raises(PolicyError, match=message.replace("raised", "failed with")):
         call(as_policy(fail))
@@ -459,7 +496,8 @@ HELD = [
 
 @pytest.mark.parametrize(("name", "env_id"), HELD)
 def test_held_law_requests_more_torque_than_the_motors_have(name, env_id):
-    """A law that saturates under the declaration scored 4.59 instead of 1.78 kg under the paper criterion."""
+    """A law that saturates under the declaration scored 4.59 instead of 1.78 kg under the paper
+    criterion."""
     env = gym.make(env_id).unwrapped
     robot = env.settings.robot
     policy = load_policy(name, robot)
@@ -479,7 +517,9 @@ def test_held_law_requests_more_torque_than_the_motors_have(name, env_id):
 
 def test_declarations_of_other_policies_are_not_held(points):
     assert all(PolicySpec.parse(name).held for name, _ in HELD)
-    assert {name for name, entry in policy_entries().items() if entry.unsaturated_actions} == {name for name, _ in HELD}
+    assert {name for name, entry in policy_entries().items() if entry.unsaturated_actions} == {
+        name for name, _ in HELD
+    }
     points[ENTRY_POINT_GROUP].append(Point(replace(FL, name="theirs")))
     assert PolicySpec.parse("theirs").entry().unsaturated_actions
     for name in ("trajopt", "apg-loops", "mine:make", "model.zip", "theirs"):

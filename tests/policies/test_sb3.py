@@ -1,4 +1,5 @@
-"""Policy files: bundles of other packages, and models of Stable-Baselines3 behind the wrappers of their training."""
+"""Policy files: bundles of other packages, and models of Stable-Baselines3 behind the wrappers of
+their training."""
 
 from __future__ import annotations
 
@@ -48,7 +49,13 @@ def spaces_of(env_id):
 def saved(path, observation, action, algorithm="PPO", package="stable_baselines3"):
     """Saves an untrained model."""
     on_policy = {"n_steps": 8, "batch_size": 8}
-    few = {"PPO": on_policy, "RecurrentPPO": on_policy, "TRPO": on_policy, "A2C": {}, "ARS": {"n_delta": 1}}
+    few = {
+        "PPO": on_policy,
+        "RecurrentPPO": on_policy,
+        "TRPO": on_policy,
+        "A2C": {},
+        "ARS": {"n_delta": 1},
+    }
     recurrent = algorithm == "RecurrentPPO"
     model = getattr(pytest.importorskip(package), algorithm)(
         "MlpLstmPolicy" if recurrent else "MlpPolicy",
@@ -63,7 +70,10 @@ def saved(path, observation, action, algorithm="PPO", package="stable_baselines3
 
 CASES = [
     pytest.param(package, name, marks=() if name == "PPO" else pytest.mark.slow)
-    for package, names in (("stable_baselines3", SB3_ALGORITHMS), ("sb3_contrib", CONTRIB_ALGORITHMS))
+    for package, names in (
+        ("stable_baselines3", SB3_ALGORITHMS),
+        ("sb3_contrib", CONTRIB_ALGORITHMS),
+    )
     for name in names
 ]
 
@@ -73,7 +83,15 @@ def test_loaded_model_predicts_like_the_saved_one(tmp_path, package, algorithm):
     path = tmp_path / "model.zip"
     model = saved(path, *spaces_of(PLANAR_ID), algorithm, package)
     loaded = load_policy(str(path), PLANAR)
-    if algorithm in ("PPO", "SAC", "TD3", "TQC", "CrossQ", "RecurrentPPO", "ARS"):  # others' files look the same
+    if algorithm in (
+        "PPO",
+        "SAC",
+        "TD3",
+        "TQC",
+        "CrossQ",
+        "RecurrentPPO",
+        "ARS",
+    ):  # others' files look the same
         assert type(loaded).__name__ == algorithm
     observation, _ = gym.make(PLANAR_ID).reset(seed=0)
     batch = np.stack([observation, observation / 2])
@@ -91,14 +109,22 @@ def test_loaded_model_predicts_like_the_saved_one(tmp_path, package, algorithm):
     [
         (76, 6, "the model reads 76 numbers and returns 6 numbers, which fits CableBot-Spatial-v0"),
         (31, MultiBinary(3), r"the model reads 31 numbers and returns MultiBinary\(3\)"),
-        (Box(-10.0, 10.0, (31,)), 3, r"the model reads an observation that a wrapper rescaled to \[-10, 10\]"),
+        (
+            Box(-10.0, 10.0, (31,)),
+            3,
+            r"the model reads an observation that a wrapper rescaled to \[-10, 10\]",
+        ),
         (31, Box(-0.5, 0.5, (3,)), r"the model returns rescaled actions within \[-0.5, 0.5\]"),
     ],
 )
 def test_model_with_other_spaces_is_rejected(tmp_path, observation, action, message):
     own, path = spaces_of(PLANAR_ID), tmp_path / "model.zip"
     if isinstance(observation, int):
-        observation = own[0] if observation == 31 else Box(-np.arange(1.0, observation + 1), 1.0, dtype=np.float64)
+        observation = (
+            own[0]
+            if observation == 31
+            else Box(-np.arange(1.0, observation + 1), 1.0, dtype=np.float64)
+        )
     saved(path, observation, Box(-1.0, 1.0, (action,)) if isinstance(action, int) else action)
     match = rf"^policy file '.*model\.zip' does not fit robot 'planar': {message}\. The robot has 31 observed numbers"
     with pytest.raises(ValueError, match=match):
@@ -119,8 +145,12 @@ def test_model_of_normalised_observations_gets_them(tmp_path, dtype):
     assert not np.array_equal(action, model.predict(raw, deterministic=True)[0])
     batch = policy.predict(np.stack([raw, raw]), None, np.ones(2, bool), True)[0]
     np.testing.assert_allclose(batch, [action, action], rtol=1e-6)
-    np.testing.assert_array_equal(load(model, PLANAR).policy.predict(raw, deterministic=True)[0], action)
-    with pytest.raises(ValueError, match=r"^policy 'PPO' does not fit robot 'spatial'.*fits CableBot-Planar-v0"):
+    np.testing.assert_array_equal(
+        load(model, PLANAR).policy.predict(raw, deterministic=True)[0], action
+    )
+    with pytest.raises(
+        ValueError, match=r"^policy 'PPO' does not fit robot 'spatial'.*fits CableBot-Planar-v0"
+    ):
         load(model, SPATIAL)
 
 
@@ -153,7 +183,15 @@ def trained(tmp_path):
         venv = DummyVecEnv([lambda: wrap(gym.make(PLANAR_ID, **keywords))])
         normalize = VecNormalize(venv)
         venv = VecFrameStack(normalize, frames) if frames > 1 else normalize
-        model = sb3.PPO("MlpPolicy", venv, n_steps=8, batch_size=8, n_epochs=1, policy_kwargs={"net_arch": []}, seed=0)
+        model = sb3.PPO(
+            "MlpPolicy",
+            venv,
+            n_steps=8,
+            batch_size=8,
+            n_epochs=1,
+            policy_kwargs={"net_arch": []},
+            seed=0,
+        )
         return model, normalize
 
     return make
@@ -179,12 +217,19 @@ def test_statistics_beside_the_file_are_used_and_said(trained, tmp_path, caplog)
         normalize.save(pkl)
         policy = load_policy(str(file), PLANAR)
         assert policy.wrappers == ("normalised_observation", str(pkl))
-        assert f"note: policy file {str(file)!r} gets observations normalised by {str(pkl)!r}" in caplog.text
-        np.testing.assert_allclose(policy.predict(raw_observation)[0], model.predict(seen, deterministic=True)[0])
+        assert (
+            f"note: policy file {str(file)!r} gets observations normalised by {str(pkl)!r}"
+            in caplog.text
+        )
+        np.testing.assert_allclose(
+            policy.predict(raw_observation)[0], model.predict(seen, deterministic=True)[0]
+        )
     Path(pkl).unlink()
     assert not hasattr(load_policy(str(file), PLANAR), "wrappers")
     np.testing.assert_array_equal(
-        load_policy(str(file), PLANAR, wrappers=[tmp_path / "plain" / "vecnormalize.pkl"]).predict(raw_observation)[0],
+        load_policy(str(file), PLANAR, wrappers=[tmp_path / "plain" / "vecnormalize.pkl"]).predict(
+            raw_observation
+        )[0],
         policy.predict(raw_observation)[0],
     )
 
@@ -195,7 +240,9 @@ def test_statistics_of_another_robot_are_refused(trained, tmp_path):
     normalize.obs_rms.mean = np.zeros(3)
     normalize.observation_space = gym.spaces.Box(-1, 1, (76,))
     normalize.save(tmp_path / "vecnormalize.pkl")
-    with pytest.raises(ValueError, match=r"its statistics are those of 76 numbers, but the environment has 31"):
+    with pytest.raises(
+        ValueError, match=r"its statistics are those of 76 numbers, but the environment has 31"
+    ):
         load_policy(str(tmp_path / "best.zip"), PLANAR)
     (tmp_path / "vecnormalize.pkl").write_bytes(b"no pickle")
     with pytest.raises(ValueError, match=r"vecnormalize.pkl': it is no pickle of VecNormalize"):
@@ -203,19 +250,27 @@ def test_statistics_of_another_robot_are_refused(trained, tmp_path):
 
 
 def test_model_without_its_statistics_is_refused(trained, tmp_path):
-    """The zip does not say that there was a VecNormalize, but it has the last observation of the training."""
+    """The zip does not say that there was a VecNormalize, but it has the last observation of the
+    training."""
     model, _ = trained(normalised_observation=True)
     model.learn(64)
     model.save(tmp_path / "best.zip")
-    with pytest.raises(ValueError, match=r"was trained behind VecNormalize or a wrapper like it.*--normalize FILE"):
+    with pytest.raises(
+        ValueError, match=r"was trained behind VecNormalize or a wrapper like it.*--normalize FILE"
+    ):
         load_policy(str(tmp_path / "best.zip"), PLANAR)
     assert "normalised_observation" in load(model, PLANAR).wrappers
 
 
 def test_wrapped_spaces_decide_whether_a_model_fits(trained, tmp_path):
     """Excludes a model that is judged behind fewer or other wrappers than it was trained behind."""
-    stack = lambda env: single.FrameStackObservation(env, 2)
-    half = lambda env: single.RescaleAction(env, -HALF, HALF)
+
+    def stack(env):
+        return single.FrameStackObservation(env, 2)
+
+    def half(env):
+        return single.RescaleAction(env, -HALF, HALF)
+
     model, normalize = trained(lambda env: single.FlattenObservation(stack(half(env))))
     model.save(tmp_path / "best.zip")
     normalize.save(tmp_path / "vecnormalize.pkl")
@@ -224,7 +279,10 @@ def test_wrapped_spaces_decide_whether_a_model_fits(trained, tmp_path):
     assert policy.predict(np.zeros((2, 31)))[0].shape == (2, 3)
     (tmp_path / "vecnormalize.pkl").rename(tmp_path / "statistics.pkl")
     for fewer, message in (
-        ([], r"the model reads 62 numbers and returns 3 numbers. .*--wrapper file.py:name and --normalize FILE"),
+        (
+            [],
+            r"the model reads 62 numbers and returns 3 numbers. .*--wrapper file.py:name and --normalize FILE",
+        ),
         (
             wrappers[1:3],
             r"returns rescaled actions within \[-0.5, 0.5\].*Behind <lambda>, FlattenObservation it has 62",
@@ -244,7 +302,9 @@ def test_frames_are_stacked_as_stable_baselines_does(trained):
     action = model.predict(first, deterministic=True)[0]
     second = env.step(action)[0]
     frozen = statistics("VecNormalize", pickle.dumps(normalize))
-    policy = load(model, PLANAR, wrappers=[frozen, functools.partial(VecFrameStack, n_stack=2)]).policy
+    policy = load(
+        model, PLANAR, wrappers=[frozen, functools.partial(VecFrameStack, n_stack=2)]
+    ).policy
     given, state = policy.predict(normalize.unnormalize_obs(first[:, 31:]))
     np.testing.assert_allclose(given, action, atol=1e-5)
     given, _ = policy.predict(normalize.unnormalize_obs(second[:, 31:]), state)

@@ -57,7 +57,10 @@ class Repeats(gym.Wrapper):
         (Inner(scale=0.5), lambda env: vector.RescaleAction(env, -HALF, HALF)),
         (Inner(scale=0.5), lambda env: single.RescaleAction(env, -0.5, 0.5)),
         (Inner(read=lambda stack: stack[:, -1]), lambda env: single.FrameStackObservation(env, 3)),
-        (Inner(read=lambda both: both[:, :-1]), lambda env: single.TimeAwareObservation(single.TimeLimit(env, 900))),
+        (
+            Inner(read=lambda both: both[:, :-1]),
+            lambda env: single.TimeAwareObservation(single.TimeLimit(env, 900)),
+        ),
     ],
     ids=["vector action", "single action", "frame stack", "time"],
 )
@@ -81,7 +84,11 @@ class Uneven(gym.Wrapper):
 
     def step(self, action):
         result = self.env.step(action)
-        return self.env.step(action) if result[0][LAYOUT.slices()["reference_pose"]][0] > 0.03 else result
+        return (
+            self.env.step(action)
+            if result[0][LAYOUT.slices()["reference_pose"]][0] > 0.03
+            else result
+        )
 
 
 def test_rows_that_act_at_different_times_are_refused():
@@ -89,7 +96,9 @@ def test_rows_that_act_at_different_times_are_refused():
     rows = np.tile(gym.make(PLANAR_ID).reset(seed=0)[0], (2, 1))
     _, state = policy.predict(rows)
     rows[:, LAYOUT.slices()["reference_pose"]] = [[0.1], [0.0]]
-    with pytest.raises(RuntimeError, match=r"different numbers of times: pass a wrapper of the vector environment"):
+    with pytest.raises(
+        RuntimeError, match=r"different numbers of times: pass a wrapper of the vector environment"
+    ):
         policy.predict(rows, state)
 
 
@@ -112,7 +121,8 @@ def test_episodes_of_a_batch_keep_their_own_wrappers():
 
 
 def test_paused_wrappers_are_freed_with_their_state():
-    """Excludes wrappers of every batch that stay until the end of an evaluation: they wait inside a step."""
+    """Excludes wrappers of every batch that stay until the end of an evaluation: they wait inside a
+    step."""
     wrappers = weakref.WeakSet()
 
     class Tracked(gym.Wrapper):
@@ -157,18 +167,29 @@ class Reads(gym.Wrapper):
 @pytest.mark.parametrize(("wrapper", "key"), [(Fails, "mass"), (Reads, "payload")])
 def test_error_in_a_wrapper_names_its_line_and_payload(wrapper, key):
     cause = rf"a wrapper raised KeyError: '{key}' \(test_wrappers.py, line \d+\)"
-    with pytest.raises(PolicyError, match=rf"^policy 'fl', at t = \d\.\d\d\d s with a payload of 1 kg: {cause}$"):
+    with pytest.raises(
+        PolicyError, match=rf"^policy 'fl', at t = \d\.\d\d\d s with a payload of 1 kg: {cause}$"
+    ):
         record_rollout("fl", PLANAR_ID, payload=1.0, wrappers=[wrapper])
 
 
 @pytest.mark.parametrize(
     ("wrappers", "message"),
     [
-        ([single.NormalizeObservation], r"NormalizeObservation goes on learning .* obs_rms, .*update_running_mean = F"),
+        (
+            [single.NormalizeObservation],
+            r"NormalizeObservation goes on learning .* obs_rms, .*update_running_mean = F",
+        ),
         ([vector.NormalizeObservation], r"NormalizeObservation goes on learning"),
-        ([lambda env: None], r"around a vector environment it raised TypeError: it returned NoneType; around a single"),
+        (
+            [lambda env: None],
+            r"around a vector environment it raised TypeError: it returned NoneType; around a single",
+        ),
         ([3], "wrapper 'int' must be a function or class that takes an environment"),
-        (["no_such_module:name"], r"wrapper 'no_such_module:name': cannot import it \(No module named"),
+        (
+            ["no_such_module:name"],
+            r"wrapper 'no_such_module:name': cannot import it \(No module named",
+        ),
         (["none.pkl"], "cannot read wrapper 'none.pkl': No such file"),
         ("mine.py:wrap", r"wrappers must be a list, such as \['mine.py:wrap'\]"),
     ],
@@ -210,7 +231,9 @@ def test_wrapper_finds_only_the_stand_in():
 
     record_rollout("fl", PLANAR_ID, payload=1.375, payload_known=False, wrappers=[Looks])
     assert type(envs[0]) is StandIn
-    assert not {"simulation", "settings", "truth", "payload", "seeds", "streams"} & set(vars(envs[0]))
+    assert not {"simulation", "settings", "truth", "payload", "seeds", "streams"} & set(
+        vars(envs[0])
+    )
     assert 1.375 not in [value for value in vars(tasks[0]).values() if isinstance(value, float)]
 
 
@@ -245,9 +268,13 @@ def test_isolated_wrappers_give_the_same_payload(module):
     with IsolatedPolicy("fl", PLANAR_ID, wrappers=names) as policy:
         isolated = evaluate_dlcc(policy, PLANAR_ID, **FEW)
         assert isolated.wrappers == tuple(names)
-        with pytest.raises(ValueError, match="is loaded already: give the wrappers where it is loaded"):
+        with pytest.raises(
+            ValueError, match="is loaded already: give the wrappers where it is loaded"
+        ):
             evaluate_dlcc(policy, PLANAR_ID, wrappers=names)
-    alone, behind = (evaluate_dlcc("fl", PLANAR_ID, wrappers=inline, **FEW) for inline in ([], names[1:]))
+    alone, behind = (
+        evaluate_dlcc("fl", PLANAR_ID, wrappers=inline, **FEW) for inline in ([], names[1:])
+    )
     assert isolated.payload == behind.payload != alone.payload
     assert isolated.to_dict()["wrappers"] == names
     with pytest.raises(ValueError, match="takes the names of its wrappers"):

@@ -14,7 +14,9 @@ from cablebot_gym.robots import find_robot
 from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.trajectories import find_trajectory
 
-ROBOTS = {kind: find_robot(env_robot(f"CableBot-{kind.title()}-v0")) for kind in ("planar", "spatial")}
+ROBOTS = {
+    kind: find_robot(env_robot(f"CableBot-{kind.title()}-v0")) for kind in ("planar", "spatial")
+}
 VERMILLION = (0xD5, 0x5E, 0x00)
 BLUE = (0x00, 0x72, 0xB2)
 
@@ -61,7 +63,8 @@ def count(picture, colour):
 
 
 def changed(kind, **changes):
-    """Bounding box (left, top, right, bottom) of the pixels that differ from the calm picture, as fractions."""
+    """Bounding box (left, top, right, bottom) of the pixels that differ from the calm picture, as
+    fractions."""
     painter = painter_of(kind)
     calm = painter.array(moment_of(kind))
     picture = painter.array(moment_of(kind, **changes))
@@ -112,7 +115,9 @@ def test_bar_of_a_motor_is_proportional_to_its_torque():
     assert large.max() == pytest.approx(negative.min(), abs=5)
 
 
-@pytest.mark.parametrize(("name", "rows"), [("position_error", (0.85, 0.9)), ("rotation_error", (0.89, 0.95))])
+@pytest.mark.parametrize(
+    ("name", "rows"), [("position_error", (0.85, 0.9)), ("rotation_error", (0.89, 0.95))]
+)
 def test_gauge_is_red_beyond_its_bound(name, rows):
     painter = painter_of("spatial")
     within = painter.array(moment_of("spatial", **{name: 0.0099}))
@@ -153,5 +158,9 @@ def test_robot_is_at_its_pose(kind):
     painter = painter_of(kind)
     moment = moment_of(kind)
     far = moment.pose + 0.1 * np.eye(len(moment.pose))[0]
-    columns = [steel(painter.array(replace(moment, pose=pose)))[1].mean() for pose in (moment.pose, far)]
-    assert columns[1] - columns[0] == pytest.approx(painter._camera.pixels(0.1, np.zeros(3)) / 2, rel=0.25)
+    columns = [
+        steel(painter.array(replace(moment, pose=pose)))[1].mean() for pose in (moment.pose, far)
+    ]
+    assert columns[1] - columns[0] == pytest.approx(
+        painter._camera.pixels(0.1, np.zeros(3)) / 2, rel=0.25
+    )

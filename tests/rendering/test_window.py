@@ -55,5 +55,7 @@ def test_window_without_display_raises(monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(RuntimeError, match=r"No display .* render_mode='rgb_array', or `cablebot video`"):
+    with pytest.raises(
+        RuntimeError, match=r"No display .* render_mode='rgb_array', or `cablebot video`"
+    ):
         Window("a test").show(picture("black"), 1000)

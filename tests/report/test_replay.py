@@ -22,12 +22,16 @@ SPATIAL_ID = "CableBot-Spatial-v0"
 
 def cell(env_id=SPATIAL_ID, policy="fl", **more):
     kind = "planar" if "Planar" in env_id else "spatial"
-    return PolicyCell(**({"env_id": env_id, "trajectory": {"name": f"paper-{kind}"}, "policy": policy} | more))
+    return PolicyCell(
+        **({"env_id": env_id, "trajectory": {"name": f"paper-{kind}"}, "policy": policy} | more)
+    )
 
 
 def unpack_channels(replay):
     """The channels of a replay as arrays (frames, components)."""
-    steps = np.frombuffer(zlib.decompress(base64.b64decode(replay.data)), "<i2").reshape(-1, replay.frames)
+    steps = np.frombuffer(zlib.decompress(base64.b64decode(replay.data)), "<i2").reshape(
+        -1, replay.frames
+    )
     low = np.array(replay.low)
     high = np.array(replay.high)
     values = low + np.cumsum(steps.astype(np.int64), axis=1).T / LEVELS * (high - low)
@@ -82,13 +86,21 @@ def test_frames_are_those_of_the_rollout(episodes):
     ],
 )
 def test_batch_gives_each_cell_its_own_conditions(episodes, name, options):
-    seed = 0 if name != "drawn" else int(np.random.SeedSequence(0).generate_state(3, np.uint64)[0]) >> 11
-    rollout = record_rollout("fl", SPATIAL_ID, payload=4.0, seed=seed, **{"trajectory": "paper-spatial"} | options)
+    seed = (
+        0
+        if name != "drawn"
+        else int(np.random.SeedSequence(0).generate_state(3, np.uint64)[0]) >> 11
+    )
+    rollout = record_rollout(
+        "fl", SPATIAL_ID, payload=4.0, seed=seed, **{"trajectory": "paper-spatial"} | options
+    )
     replay = episodes[name][0]
     assert replay.carried == rollout.verdict.carried
     assert replay.payload == rollout.payload
     assert replay.end == rollout.arrays["time"][-1]
-    assert unpack_channels(replay)["position"][-1] == pytest.approx(rollout.moment(-1).pose[:3], abs=1e-5)
+    assert unpack_channels(replay)["position"][-1] == pytest.approx(
+        rollout.moment(-1).pose[:3], abs=1e-5
+    )
 
 
 def test_drawn_cables_end_at_the_platform(episodes):
@@ -116,7 +128,10 @@ def test_second_episode_states_how_the_margin_shrinks(episodes):
     percent = ", ".join(f"{value:.0f}" for value in 100 * error[steps] / 0.01)
     assert beyond.violation_time == pytest.approx(time)
     expected = f"rotation error reaches its bound of 10 mrad at t = {time:.3f} s. "
-    assert beyond.violation == f"{expected}The error is {percent} % of its bound, 100, 50, 20 ms before."
+    assert (
+        beyond.violation
+        == f"{expected}The error is {percent} % of its bound, 100, 50, 20 ms before."
+    )
 
 
 def test_cell_without_dlcc_has_one_unloaded_episode():
@@ -157,13 +172,17 @@ def test_recording_stores_each_cell_and_keeps_errors_apart(tmp_path, monkeypatch
     assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == recorded
     monkeypatch.setattr("cablebot_gym.report.recording.replays", None)
     del queries["2"]
-    assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == {key: recorded[key] for key in queries}
+    assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == {
+        key: recorded[key] for key in queries
+    }
 
 
 def test_failing_episode_costs_its_own_cell_only(tmp_path, monkeypatch):
     """All cells of a policy run in one batch."""
     source = "def make(robot):\n    return lambda observation: 1 / (abs(observation[0]) < 9) * 0 * observation[:3]\n"
-    (tmp_path / "fragile.py").write_text(source.replace("observation[0]", "observation[-1]"), encoding="utf-8")
+    (tmp_path / "fragile.py").write_text(
+        source.replace("observation[0]", "observation[-1]"), encoding="utf-8"
+    )
     monkeypatch.syspath_prepend(tmp_path)
     still = {"name": "dwell-planar", "duration": 0.1}
     queries = {

@@ -18,7 +18,9 @@ LOOPS = [{"name": "loop-planar", "seed": 10_000 + number} for number in range(2)
 
 
 def record(cell, **result):
-    return Record(cell=cell, source="a" * 16, versions={"python": "3.11"}, result=result, seconds=1.0)
+    return Record(
+        cell=cell, source="a" * 16, versions={"python": "3.11"}, result=result, seconds=1.0
+    )
 
 
 def best(motion, payload, **more):
@@ -45,7 +47,10 @@ RECORDS = [
     carried(policy(), 1.9),
     carried(WIDE, 2.5),
     carried(policy(uncertainty="table6", draws=512), 1.0),
-    *(carried(policy(trajectory=motion), payload) for motion, payload in zip(LOOPS, (1.0, 2.0), strict=True)),
+    *(
+        carried(policy(trajectory=motion), payload)
+        for motion, payload in zip(LOOPS, (1.0, 2.0), strict=True)
+    ),
     record(policy("nobody</script>"), error="it raised <b>"),
 ]
 """A small benchmark with made-up payloads."""
@@ -69,7 +74,9 @@ def test_page_opens_on_the_largest_payload_of_the_first_table():
 
 def test_limiting_violation_has_the_bound_of_the_cell():
     data = page_data([RESULTS], {})
-    rows = {(row["policy"], row["motion"], row["condition"]): row["violation"] for row in data["rows"]}
+    rows = {
+        (row["policy"], row["motion"], row["condition"]): row["violation"] for row in data["rows"]
+    }
     sentence = "position error reaches its bound of 10 mm at t = 0.532 s"
     assert rows["fl", "circle", "payload known"] == sentence
     assert rows["fl", "2 held-out motions", "payload known"] == "position 2 ×"
@@ -105,8 +112,13 @@ def test_bad_input_raises_before_the_work(results, path, out, message):
 def written(tmp_path_factory):
     """A page with episodes of true payloads."""
     folder = tmp_path_factory.mktemp("page")
-    known = [compute(cell) for cell in (BestKnownCell(env_id=PLANAR, trajectory=CIRCLE), policy(), policy("adaptive"))]
-    made_up = [stored for stored in RECORDS[1:] if stored.cell not in (policy(), policy("adaptive"))]
+    known = [
+        compute(cell)
+        for cell in (BestKnownCell(env_id=PLANAR, trajectory=CIRCLE), policy(), policy("adaptive"))
+    ]
+    made_up = [
+        stored for stored in RECORDS[1:] if stored.cell not in (policy(), policy("adaptive"))
+    ]
     text = replace(RESULTS, records=[*known, *made_up]).to_json()
     (folder / "results.json").write_text(text, encoding="utf-8")
     report([folder], out=folder / "report.html", workers=1)
@@ -115,13 +127,16 @@ def written(tmp_path_factory):
 
 @pytest.fixture
 def opened(browser, request):
-    """The page in a window. A complaint of the browser or a network request is an error at the end."""
+    """The page in a window. A complaint of the browser or a network request is an error at the
+    end."""
     complaints = []
     contexts = []
 
     def load(width=1200, height=900, scheme="light", at="", file=None):
         file = file or request.getfixturevalue("written")
-        contexts.append(browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme))
+        contexts.append(
+            browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+        )
         page = contexts[-1].new_page()
         page.on(
             "console",
@@ -134,7 +149,9 @@ def opened(browser, request):
             lambda requested: requested.url.startswith(local) or complaints.append(requested.url),
         )
         page.goto(file.as_uri() + at)
-        page.wait_for_function("document.getElementById('replay').frames || document.getElementById('replay').hidden")
+        page.wait_for_function(
+            "document.getElementById('replay').frames || document.getElementById('replay').hidden"
+        )
         return page
 
     yield load
@@ -176,7 +193,9 @@ def test_episode_plays_and_moves_with_the_slider(opened):
     page = opened()
     assert page.inner_text("#episode-title").startswith("fl on CableBot-Planar-v0")
     assert page.inner_text("#verdict").endswith(" kg: carried")
-    assert page.locator("figure:visible svg path.curve").count() == 3 + 1 + 3 + 2  # actions, error, tensions, the map
+    assert (
+        page.locator("figure:visible svg path.curve").count() == 3 + 1 + 3 + 2
+    )  # actions, error, tensions, the map
     picture = "document.getElementById('scene').toDataURL()"
     before = page.evaluate(picture)
     cursor = page.locator("#chart-action .cursor").get_attribute("x1")
@@ -192,7 +211,9 @@ def test_episode_plays_and_moves_with_the_slider(opened):
     page.select_option("#speed", "1")
     page.click("#play")
     assert page.get_attribute("#play", "aria-pressed") == "true"
-    page.wait_for_function("document.getElementById('play').getAttribute('aria-pressed') === 'false'")
+    page.wait_for_function(
+        "document.getElementById('play').getAttribute('aria-pressed') === 'false'"
+    )
 
 
 @pytest.mark.slow
@@ -203,7 +224,9 @@ def test_larger_payload_shows_the_violation_and_marks_its_time(opened):
     assert page.locator("#chart-position line.bound").count() == 1
     page.get_by_label("above the DLCC").check()
     page.wait_for_function("document.getElementById('verdict').className === 'bad'")
-    assert page.inner_text("#verdict").startswith("2.01 kg: position error reaches its bound of 10 mm at t = ")
+    assert page.inner_text("#verdict").startswith(
+        "2.01 kg: position error reaches its bound of 10 mm at t = "
+    )
     assert "% of its bound" in page.inner_text("#verdict")
     assert page.locator("#chart-position line.bound").count() == 2
 
@@ -233,7 +256,9 @@ def test_rows_are_chosen_by_keyboard_and_linked(opened):
 def test_recipe_computes_the_number(opened, row, payload):
     page = opened()
     page.locator("#leaderboard-table tbody button", has_text=row).click()
-    page.wait_for_function(f"document.getElementById('verdict').textContent === '{payload} kg: carried'")
+    page.wait_for_function(
+        f"document.getElementById('verdict').textContent === '{payload} kg: carried'"
+    )
     page.click("summary:has-text('How this number is computed')")
     results = []
     exec(page.inner_text("#recipe pre"), {"print": results.append})
@@ -243,7 +268,9 @@ def test_recipe_computes_the_number(opened, row, payload):
 @pytest.mark.slow
 def test_map_has_its_numbers(opened, tmp_path):
     cells = [
-        AXES["position"].with_value(policy(name), bound) for name in ("fl", "apg-loops") for bound in (0.005, 0.01)
+        AXES["position"].with_value(policy(name), bound)
+        for name in ("fl", "apg-loops")
+        for bound in (0.005, 0.01)
     ]
     file = tmp_path / "maps.html"
     records = [carried(cell, 1.0) for cell in cells]

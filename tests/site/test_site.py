@@ -1,6 +1,7 @@
 """The built site in a real browser: search, phones, width of code, dark theme.
 
-``CABLEBOT_SITE`` names the folder of the site, ``site`` by default; without a site the tests are skipped.
+``CABLEBOT_SITE`` names the folder of the site, ``site`` by default; without a site the tests are
+skipped.
 """
 
 from __future__ import annotations
@@ -79,7 +80,9 @@ def opened(browser, address):
     contexts = []
 
     def load(page, width=1280, scheme="light"):
-        contexts.append(browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme))
+        contexts.append(
+            browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme)
+        )
         window = contexts[-1].new_page()
         window.goto(f"{address}/{page}")
         return window
@@ -94,8 +97,12 @@ def test_search_finds_the_words_of_users(opened, word):
     page = opened(f"search.html?q={word}")
     page.wait_for_selector("#search-results .search-summary:not(:empty)")
     page.wait_for_selector("#search-results li a")
-    results = page.eval_on_selector_all("#search-results li > a", "all => all.map(one => one.getAttribute('href'))")
-    assert any(address.split(".html")[0].endswith(FOUND[word]) for address in results[:FIRST]), results[:FIRST]
+    results = page.eval_on_selector_all(
+        "#search-results li > a", "all => all.map(one => one.getAttribute('href'))"
+    )
+    assert any(address.split(".html")[0].endswith(FOUND[word]) for address in results[:FIRST]), (
+        results[:FIRST]
+    )
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -106,7 +113,9 @@ def test_page_fits_a_phone(opened, page):
 
 @pytest.mark.parametrize("page", PAGES)
 def test_code_fits_on_a_laptop(opened, page):
-    wide = "all => all.filter(one => one.scrollWidth > one.clientWidth + 1).map(one => one.innerText)"
+    wide = (
+        "all => all.filter(one => one.scrollWidth > one.clientWidth + 1).map(one => one.innerText)"
+    )
     assert opened(f"{page}.html").eval_on_selector_all("article pre", wide) == []
 
 

@@ -24,7 +24,8 @@ def test_failed_write_leaves_the_previous_file_only(tmp_path, error, existing):
 
 
 def test_previous_file_exists_until_the_new_one_is_complete(tmp_path):
-    """The temporary file is in the same folder, because a rename is atomic within one file system only."""
+    """The temporary file is in the same folder, because a rename is atomic within one file system
+    only."""
     path = tmp_path / "folder" / "a.b.png"
     atomic_write(path, lambda temporary: temporary.write_text("old", encoding="utf-8"))
 

@@ -15,7 +15,9 @@ def file(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.delitem(sys.modules, "toy_objects", raising=False)
     path = tmp_path / "toy_objects.py"
-    path.write_text("import math\nfrom toy_sibling import GAIN\ndef make(robot): return GAIN\nclass Law: ...\n")
+    path.write_text(
+        "import math\nfrom toy_sibling import GAIN\ndef make(robot): return GAIN\nclass Law: ...\n"
+    )
     (tmp_path / "toy_sibling.py").write_text("GAIN = 7\n")
     return path
 

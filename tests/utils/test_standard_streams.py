@@ -1,4 +1,5 @@
-"""Standard streams of all kinds: a command ends without a traceback, and its results are not lost."""
+"""Standard streams of all kinds: a command ends without a traceback, and its results are not
+lost."""
 
 from __future__ import annotations
 
@@ -109,7 +110,9 @@ def test_no_stream_ends_a_command(tmp_path):
     cases = [(stream, command) for stream in STREAMS for command in COMMANDS]
     cases += [(stream, command) for stream in ("encoding ascii", "narrow") for command in TABLES]
     command = [sys.executable, "-c", RUN, str(tmp_path), json.dumps(cases)]
-    statuses = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    statuses = json.loads(
+        subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    )
     for number, ((stream, typed), status) in enumerate(zip(cases, statuses, strict=True)):
         folder = tmp_path / str(number)
         case = f"{typed!r} with {stream}"

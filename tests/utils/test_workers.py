@@ -112,7 +112,9 @@ def test_computation_that_exits_costs_its_own_result(workers):
 
 def test_interrupt_of_a_computation_in_this_process_is_raised():
     with pytest.raises(KeyboardInterrupt):
-        dict(started({"a": partial(raises, KeyboardInterrupt())}, workers=1, returned=(WorkerDied,)))
+        dict(
+            started({"a": partial(raises, KeyboardInterrupt())}, workers=1, returned=(WorkerDied,))
+        )
 
 
 def test_workers_continue_while_the_caller_uses_a_result(tmp_path):
@@ -134,7 +136,8 @@ def test_interrupt_ends_all_processes(tmp_path):
 
 
 def test_interrupt_is_deferred_while_a_process_starts(monkeypatch):
-    """Python raises it in the main thread, which would lose the process between its start and its registration."""
+    """Python raises it in the main thread, which would lose the process between its start and its
+    registration."""
     go = threading.Event()
     gone = threading.Event()
     processes = []
@@ -144,7 +147,9 @@ def test_interrupt_is_deferred_while_a_process_starts(monkeypatch):
         signal.pthread_kill(threading.get_ident(), signal.SIGINT)
         gone.set()
 
-    thread = threading.Thread(target=interrupt)  # started before interrupts are blocked, which threads inherit
+    thread = threading.Thread(
+        target=interrupt
+    )  # started before interrupts are blocked, which threads inherit
     thread.start()
     start = multiprocessing.context.SpawnProcess.start
 

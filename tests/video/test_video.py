@@ -37,7 +37,11 @@ def test_note_states_the_verdict_from_its_time_on(carried, lost):
     index_of_note = next(index for index in range(len(rollout)) if note(rollout, index))
     violation = rollout.verdict.violation
     assert rollout.moment(index_of_note).time == pytest.approx(violation.time)
-    assert note(rollout, index_of_note) == note(rollout, len(rollout) - 1) == f"not carried: {violation}"
+    assert (
+        note(rollout, index_of_note)
+        == note(rollout, len(rollout) - 1)
+        == f"not carried: {violation}"
+    )
 
 
 def test_pictures_are_side_by_side_at_the_same_time(carried, lost):
@@ -48,7 +52,9 @@ def test_pictures_are_side_by_side_at_the_same_time(carried, lost):
     assert side_by_side.duration == pytest.approx(1.6)
     alone = [first_painter.array(0.8), second_painter.array(0.8)]
     assert np.array_equal(side_by_side.array(0.8), np.concatenate(alone, axis=1))
-    assert np.array_equal(first_painter.array(0.8), first_painter.array(0.8019)), "the last moment that is not later"
+    assert np.array_equal(first_painter.array(0.8), first_painter.array(0.8019)), (
+        "the last moment that is not later"
+    )
     assert not np.array_equal(first_painter.array(0.8), first_painter.array(0.802))
 
 
@@ -85,7 +91,9 @@ def read_gif(path):
     return pictures, milliseconds / 1000
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio_ffmpeg leaves read pipes open
+@pytest.mark.filterwarnings(
+    "ignore::pytest.PytestUnraisableExceptionWarning"
+)  # imageio_ffmpeg leaves read pipes open
 @pytest.mark.parametrize(
     ("suffix", "read", "rate"),
     [(".mp4", read_mp4, 30), pytest.param(".gif", read_gif, 25, marks=pytest.mark.slow)],
@@ -93,7 +101,9 @@ def read_gif(path):
 def test_file_contains_every_picture(tmp_path, lost, suffix, read, rate):
     path = tmp_path / f"lost{suffix}"
     progress = []
-    write_video(path, [lost, lost], speed=1.0, size=SMALL, progress=lambda *done: progress.append(done))
+    write_video(
+        path, [lost, lost], speed=1.0, size=SMALL, progress=lambda *done: progress.append(done)
+    )
     painter = VideoPainter([lost, lost], SMALL)
     count = len(painter.times(1.0, rate))
     assert progress == [(done, count) for done in range(1, count + 1)]
@@ -115,7 +125,9 @@ def test_interrupt_keeps_the_old_file(tmp_path, lost):
 
     with pytest.raises(KeyboardInterrupt):
         write_video(path, [lost], size=SMALL, progress=interrupt)
-    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [("video.mp4", b"older")]
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
+        ("video.mp4", b"older")
+    ]
 
 
 def test_keys_pause_step_restart_and_quit(monkeypatch, lost):
@@ -150,7 +162,9 @@ def test_video_command_shows_two_policies(cablebot, tmp_path):
     status, printed, err = cablebot("video", SPATIAL, out, *arguments)
     assert status == 0
     assert imageio_ffmpeg.count_frames_and_secs(str(out))[0] == 13 + 30
-    assert re.fullmatch(rf"(fl|robust) on {SPATIAL}, 3 kg, task criterion: .*carried.*", printed.splitlines()[1])
+    assert re.fullmatch(
+        rf"(fl|robust) on {SPATIAL}, 3 kg, task criterion: .*carried.*", printed.splitlines()[1]
+    )
     assert f"wrote {out}" in err.replace("\n", "")
 
 
@@ -187,14 +201,18 @@ def test_watch_command_plays_in_a_window(cablebot, monkeypatch):
 def test_picture_shows_policies_at_a_time(cablebot, tmp_path):
     def picture(name, *options):
         path = tmp_path / name
-        status, out, _ = cablebot("picture", SPATIAL, path, "--payload", "1.0", "--size", "320x240", *options)
+        status, out, _ = cablebot(
+            "picture", SPATIAL, path, "--payload", "1.0", "--size", "320x240", *options
+        )
         assert status == 0
         with Image.open(path) as image:
             return np.asarray(image), out
 
     late, out = picture("late.png", "--policies", "fl,robust", "--time", "0.8")
     assert out.count("task criterion: carried") == 2
-    painter = VideoPainter([(f"fl on {SPATIAL}", record_rollout("fl", SPATIAL, payload=1.0))], SMALL)
+    painter = VideoPainter(
+        [(f"fl on {SPATIAL}", record_rollout("fl", SPATIAL, payload=1.0))], SMALL
+    )
     assert np.array_equal(late[:, :320], painter.array(0.8))
     at_the_end, _ = picture("end.png", "--policies", "fl,robust")
     assert not np.array_equal(late, at_the_end)

@@ -13,7 +13,13 @@ from cablebot_baselines.classical.flexible import (
     MotorPD,
 )
 from cablebot_baselines.classical.outer_loop import PD, RobustPD
-from cablebot_baselines.classical.robust import ROBUST, ROBUST_COMPOSITE, ROBUST_TUNED, Robust, RobustComposite
+from cablebot_baselines.classical.robust import (
+    ROBUST,
+    ROBUST_COMPOSITE,
+    ROBUST_TUNED,
+    Robust,
+    RobustComposite,
+)
 
 __all__ = [
     "ADAPTIVE",

@@ -1,4 +1,5 @@
-"""Adaptive control law: it estimates the payload during the motion and allocates saturated torques jointly."""
+"""Adaptive control law: it estimates the payload during the motion and allocates saturated torques
+jointly."""
 
 from __future__ import annotations
 
@@ -27,12 +28,14 @@ Higher gains do not increase the DLCC and amplify sensor noise.
 """
 
 MINIMUM_MASS_RATIO = 0.5
-"""Lower bound of the mass estimate as a fraction of the nominal platform mass. It keeps noisy estimates positive."""
+"""Lower bound of the mass estimate as a fraction of the nominal platform mass. It keeps noisy
+estimates positive."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EstimatorState:
-    """State of the payload estimator between two control steps; each array has shape (..., size)."""
+    """State of the payload estimator between two control steps; each array has shape (...,
+    size)."""
 
     pose: Array
     """X [m, rad]."""
@@ -51,31 +54,36 @@ class EstimatorState:
 
 
 class Adaptive(ClassicalLaw):
-    """A control law that uses an estimate of the mass of platform and payload (certainty equivalence).
+    """A control law that uses an estimate of the mass of platform and payload (certainty
+    equivalence).
 
-    The estimator works with a known and with an unknown payload. Over a control period of length h the momentum
-    balance is m y = f with y = Δṗ − g h and f = −∫ (SᵀT)_p dt, where ∫ r T dt = ∫ (κ − c β̇) dt − J Δβ̇. κ is the
-    motor torque, saturated as in the plant, or the spring torque of a flexible robot.
+    The estimator works with a known and with an unknown payload. Over a control period of length h
+    the momentum balance is m y = f with y = Δṗ − g h and f = −∫ (SᵀT)_p dt, where ∫ r T dt = ∫ (κ −
+    c β̇) dt − J Δβ̇. κ is the motor torque, saturated as in the plant, or the spring torque of a
+    flexible robot.
 
-    The estimate is m̂ = (λ m_model + Σ w·f)/(λ + Σ w·y). The weight w = p̈_d − g [m/s²] comes from the reference and
-    not from y. Measurement noise of y therefore causes no bias and mostly cancels between consecutive periods. The
-    estimator differentiates no signal.
+    The estimate is m̂ = (λ m_model + Σ w·f)/(λ + Σ w·y). The weight w = p̈_d − g [m/s²] comes from
+    the reference and not from y. Measurement noise of y therefore causes no bias and mostly cancels
+    between consecutive periods. The estimator differentiates no signal.
 
-    Effects outside the balance appear as mass: a downward force and a delay of the actions add mass, and motors that
-    are stronger than in the model subtract mass.
+    Effects outside the balance appear as mass: a downward force and a delay of the actions add
+    mass, and motors that are stronger than in the model subtract mass.
 
     Args:
         law: control law without memory. Its torques are computed with the estimated mass.
-        estimator_prior_weight: estimation time after which the estimate and the model mass have equal weight [s]; > 0.
-        allocation: whether saturated actions are replaced by the actions within ±1 that come closest to the requested
-            acceleration. This needs as many cables as coordinates. The law then saturates its actions itself, and the
-            paper criterion does not apply.
+        estimator_prior_weight: estimation time after which the estimate and the model mass have
+            equal weight [s]; > 0.
+        allocation: whether saturated actions are replaced by the actions within ±1 that come
+            closest to the requested acceleration. This needs as many cables as coordinates. The law
+            then saturates its actions itself, and the paper criterion does not apply.
 
     Raises:
         ValueError: if ``estimator_prior_weight`` is not positive.
     """
 
-    def __init__(self, law: ClassicalLaw, *, estimator_prior_weight: float = 0.01, allocation: bool = True) -> None:
+    def __init__(
+        self, law: ClassicalLaw, *, estimator_prior_weight: float = 0.01, allocation: bool = True
+    ) -> None:
         super().__init__(law.robot, minimum_tension=law.minimum_tension)
         self.model = law.model
         weight = number("estimator_prior_weight", estimator_prior_weight, above=0.0, unit="s")
@@ -106,7 +114,9 @@ class Adaptive(ClassicalLaw):
     ) -> tuple[Array, Array, Any]:
         robot = self.robot
         memory = self._updated_state(blocks, state, episode_start)
-        estimate = np.asarray(self.mass(memory, mass))  # an array also for a single observation, so it can be indexed
+        estimate = np.asarray(
+            self.mass(memory, mass)
+        )  # an array also for a single observation, so it can be indexed
         torques, speeds = self.law.torques(blocks, estimate)
         action = self._action(torques, speeds)
         saturated = np.any(np.abs(action) > 1, axis=-1)
@@ -140,13 +150,16 @@ class Adaptive(ClassicalLaw):
         )
 
     def _measured_state(self, blocks: dict[str, Array]) -> EstimatorState:
-        """Estimator state without past. The torques of a rigid robot are zero until the law has computed them."""
+        """Estimator state without past. The torques of a rigid robot are zero until the law has
+        computed them."""
         robot, pose = self.robot, blocks["pose"]
         pulley_speed = self.pulley_speed(pose, blocks["velocity"])
         torques = np.zeros_like(pulley_speed)
         if robot.flexible:
             deflection = np.maximum(blocks["motor_angle"] - textbook.pulley_angle(robot, pose), 0.0)
-            torques = textbook.stretched_torque(robot, textbook.joint_stiffness(robot, pose) * deflection)
+            torques = textbook.stretched_torque(
+                robot, textbook.joint_stiffness(robot, pose) * deflection
+            )
         zero = np.zeros_like(blocks["time_to_go"])
         return EstimatorState(
             pose=pose.copy(),
@@ -158,7 +171,9 @@ class Adaptive(ClassicalLaw):
             weighted_change=zero,
         )
 
-    def _weighted_balance(self, before: EstimatorState, now: EstimatorState, weight: Array) -> tuple[Array, Array]:
+    def _weighted_balance(
+        self, before: EstimatorState, now: EstimatorState, weight: Array
+    ) -> tuple[Array, Array]:
         """w·f and w·y of the control period between two states, each (..., 1)."""
         robot = self.model
         period = before.time_to_go - now.time_to_go
@@ -166,13 +181,17 @@ class Adaptive(ClassicalLaw):
         friction = robot.damping * (before.pulley_speed + now.pulley_speed)
         if not robot.flexible:
             # The requested torque is constant over the period, but saturates at the motor speed.
-            start_torque = np.clip(before.torques, *textbook.torque_limits(robot, before.pulley_speed))
+            start_torque = np.clip(
+                before.torques, *textbook.torque_limits(robot, before.pulley_speed)
+            )
             end_torque = np.clip(before.torques, *textbook.torque_limits(robot, now.pulley_speed))
             # Coulomb friction of a flexible robot acts on the motors.
             coulomb = textbook.coulomb_torque(robot, before.pulley_speed)
             friction += coulomb + textbook.coulomb_torque(robot, now.pulley_speed)
         mean_torque = (start_torque + end_torque - friction) / 2
-        angular_impulse = period * mean_torque - robot.pulley_inertia * (now.pulley_speed - before.pulley_speed)
+        angular_impulse = period * mean_torque - robot.pulley_inertia * (
+            now.pulley_speed - before.pulley_speed
+        )
         cable_impulse = angular_impulse / robot.pulley_radius
         middle = (before.pose + now.pose) / 2
         if robot.swivel is None:
@@ -182,7 +201,11 @@ class Adaptive(ClassicalLaw):
             cables = textbook.jacobian(robot, middle)[..., : robot.dimensions]
             scale = cable_impulse
         impulse = -np.sum(scale[..., None] * cables, axis=-2)
-        change = self._mass_center_velocity(now) - self._mass_center_velocity(before) - robot.gravity_vector * period
+        change = (
+            self._mass_center_velocity(now)
+            - self._mass_center_velocity(before)
+            - robot.gravity_vector * period
+        )
         weighted_impulse = np.sum(weight * impulse, axis=-1, keepdims=True)
         weighted_change = np.sum(weight * change, axis=-1, keepdims=True)
         return weighted_impulse, weighted_change

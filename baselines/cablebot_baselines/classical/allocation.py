@@ -1,7 +1,8 @@
 """Torque allocation: actions within ±1 that come closest to a requested platform acceleration.
 
-If one motor saturates alone, the other motors still apply the torque for the unsaturated acceleration, and the platform
-leaves its direction of motion. Allocation adjusts all motors together.
+If one motor saturates alone, the other motors still apply the torque for the unsaturated
+acceleration, and the platform leaves its direction of motion. Allocation adjusts all motors
+together.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from cablebot_gym.kinematics import Array
 _JOINT_ITERATIONS = 6
 """Number of iterations that change all wrong constraints at once, which nearly always suffices.
 
-After them only the first wrong constraint of each problem changes (Murty's rule), which cannot cycle.
+After them only the first wrong constraint of each problem changes (Murty's rule), which cannot
+cycle.
 """
 
 _MAX_ITERATIONS = 1000
@@ -21,12 +23,14 @@ _MAX_ITERATIONS = 1000
 
 
 def allocate(action: Array, slope: Array) -> Array:
-    """Actions within ±1 that minimise ‖Ẍ − v‖, where v is the acceleration that ``action`` would produce.
+    """Actions within ±1 that minimise ‖Ẍ − v‖, where v is the acceleration that ``action`` would
+    produce.
 
     Metres and radians have equal weight.
 
-    With Ẍ − v = G⁻¹(a − a*) this is a strictly convex problem with box constraints. A primal-dual active-set method
-    solves it for the whole batch at once. An action stays at its bound as long as the gradient points beyond the bound.
+    With Ẍ − v = G⁻¹(a − a*) this is a strictly convex problem with box constraints. A primal-dual
+    active-set method solves it for the whole batch at once. An action stays at its bound as long as
+    the gradient points beyond the bound.
 
     Args:
         action: unsaturated action a*, (..., m).

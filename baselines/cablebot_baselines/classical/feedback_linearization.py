@@ -15,16 +15,19 @@ With a known payload the DLCC is that of the paper's gains.
 
 
 class FeedbackLinearization(ClassicalLaw):
-    """``τ = r T + J β̈ + c β̇`` with ``−Sᵀ T = D v + h`` and ``v = Ẍ_d + K_D ė + K_P e``, e = X_d − X.
+    """``τ = r T + J β̈ + c β̇`` with ``−Sᵀ T = D v + h`` and ``v = Ẍ_d + K_D ė + K_P e``, e = X_d −
+    X.
 
-    The law uses the nominal parameters and the model payload. With more cables than coordinates it allocates tensions
-    of at least ``minimum_tension``; for the planar robot of the paper they are the smallest ones (Eq. 11 with the
-    smallest α). The action is not saturated: |a| > 1 is the paper's torque violation.
+    The law uses the nominal parameters and the model payload. With more cables than coordinates it
+    allocates tensions of at least ``minimum_tension``; for the planar robot of the paper they are
+    the smallest ones (Eq. 11 with the smallest α). The action is not saturated: |a| > 1 is the
+    paper's torque violation.
 
     Args:
         robot: nominal robot.
-        gains: (K_P, K_D), the same for each coordinate; None for the paper's gains. Sampling with period h reduces the
-            effective K_D by about K_P h/2, so the planar gains need a control frequency well above 100 Hz.
+        gains: (K_P, K_D), the same for each coordinate; None for the paper's gains. Sampling with
+            period h reduces the effective K_D by about K_P h/2, so the planar gains need a control
+            frequency well above 100 Hz.
         minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
 
     Raises:
@@ -45,7 +48,9 @@ class FeedbackLinearization(ClassicalLaw):
 
     def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
         """Requested torques [N·m] and motor speeds [rad/s], each (..., m)."""
-        required = self._inverse_dynamics(mass, blocks["pose"], blocks["velocity"], self.outer(blocks))
+        required = self._inverse_dynamics(
+            mass, blocks["pose"], blocks["velocity"], self.outer(blocks)
+        )
         return required.torques, required.speeds
 
 

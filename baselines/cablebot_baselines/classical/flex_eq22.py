@@ -24,16 +24,18 @@ class PaperFlexible(FlexibleLaw):
 
     The law does not linearise the plant. Its two variants differ in the motor acceleration β̈′:
 
-    * ``commanded``: β̈′ := β̈(v). The loop M J′ s⁴ + K (M + J′)(s² + K_D s + K_P) has no s³ term. It is unstable for
-      every K and every K_D > 0, with its fast pole pair near +K_D/2, unless the motor friction c′ exceeds about K_D J′.
-    * ``measured``: β̈′ cancels the motor inertia with a gain of exactly 1 and a delay of one sample. The loop
-      s³ + K/(J′ h) = 0 diverges immediately.
+    * ``commanded``: β̈′ := β̈(v). The loop M J′ s⁴ + K (M + J′)(s² + K_D s + K_P) has no s³ term.
+      It is unstable for every K and every K_D > 0, with its fast pole pair near +K_D/2, unless the
+      motor friction c′ exceeds about K_D J′.
+    * ``measured``: β̈′ cancels the motor inertia with a gain of exactly 1 and a delay of one
+      sample. The loop s³ + K/(J′ h) = 0 diverges immediately.
 
     Args:
         robot: nominal flexible robot.
-        motor_acceleration: ``commanded``: β̈′ is the pulley acceleration for v. ``measured``: β̈′ is the difference
-            quotient of the motor speeds at the last two control steps. This variant needs the ``state`` of predict and
-            uses the commanded value in the first step of an episode.
+        motor_acceleration: ``commanded``: β̈′ is the pulley acceleration for v. ``measured``: β̈′
+            is the difference quotient of the motor speeds at the last two control steps. This
+            variant needs the ``state`` of predict and uses the commanded value in the first step of
+            an episode.
         as_printed: whether to omit the damping terms, as the paper does from Eq. 4 on.
         gains: (K_P, K_D); None for the paper's gains.
         minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
@@ -53,7 +55,9 @@ class PaperFlexible(FlexibleLaw):
     ) -> None:
         choice("motor_acceleration", motor_acceleration, get_args(MotorAcceleration))
         if as_printed:
-            frictionless = robot.transmission.replace(damping=0.0, motor_damping=0.0, coulomb_friction=0.0)
+            frictionless = robot.transmission.replace(
+                damping=0.0, motor_damping=0.0, coulomb_friction=0.0
+            )
             robot = robot.replace(transmission=frictionless)
         super().__init__(robot, minimum_tension=minimum_tension)
         self.motor_acceleration = motor_acceleration
@@ -64,7 +68,9 @@ class PaperFlexible(FlexibleLaw):
     ) -> tuple[Array, Array, Any]:
         torques, motor_acceleration, _ = self._rigid_torques(mass, blocks, self.outer(blocks))
         if self.motor_acceleration == "measured":
-            motor_acceleration, state = _measured_acceleration(blocks, state, episode_start, default=motor_acceleration)
+            motor_acceleration, state = _measured_acceleration(
+                blocks, state, episode_start, default=motor_acceleration
+            )
         torques = torques + self.model.motor_inertia * motor_acceleration
         return torques, blocks["motor_speed"], state
 
@@ -72,7 +78,8 @@ class PaperFlexible(FlexibleLaw):
 def _measured_acceleration(
     blocks: dict[str, Array], state: Any, episode_start: Any, *, default: Array
 ) -> tuple[Array, Array]:
-    """β̈′ from the last two motor speeds, and the new state: the motor speeds and the time to go."""
+    """β̈′ from the last two motor speeds, and the new state: the motor speeds and the time to
+    go."""
     now = np.concatenate([blocks["motor_speed"], blocks["time_to_go"]], axis=-1)
     starts = first_steps(state, episode_start, now.shape[:-1])[..., None]
     before = now if state is None else state

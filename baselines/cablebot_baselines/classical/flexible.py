@@ -1,7 +1,8 @@
-"""Control laws for robots with joint springs or elastic cables, which the paper's own law (Eq. 22) does not stabilise.
+"""Control laws for robots with joint springs or elastic cables, which the paper's own law (Eq. 22)
+does not stabilise.
 
-All laws use the nominal parameters and the model payload. They read the motor angles β′ and the motor speeds β̇′. They
-do not saturate their actions.
+All laws use the nominal parameters and the model payload. They read the motor angles β′ and the
+motor speeds β̇′. They do not saturate their actions.
 """
 
 from __future__ import annotations
@@ -21,14 +22,16 @@ from cablebot_gym.trajectories import Reference
 from cablebot_gym.utils.checks import number
 
 DIFFERENCE_STEP = 2e-4
-"""Time step of the central differences for κ̇ and κ̈ along a motion [s]; their error is below 1e-6."""
+"""Time step of the central differences for κ̇ and κ̈ along a motion [s]; their error is below
+1e-6."""
 
 FLEXIBLE_MINIMUM_TENSION = 14.0
 """Least tension that the laws allocate on a planar robot with joint springs [N].
 
-A jump of the reference acceleration lets the tensions swing far below the allocated ones. This is the smallest value
-for which no tension limits the DLCC of ``motor-pd``, ``composite-tuned`` and ``adaptive-composite`` on the paper's
-circle between dwells. It costs a law that the tensions do not limit only a few per cent of the DLCC.
+A jump of the reference acceleration lets the tensions swing far below the allocated ones. This is
+the smallest value for which no tension limits the DLCC of ``motor-pd``, ``composite-tuned`` and
+``adaptive-composite`` on the paper's circle between dwells. It costs a law that the tensions do not
+limit only a few per cent of the DLCC.
 """
 
 
@@ -52,7 +55,8 @@ class FlexibleLaw(ClassicalLaw):
     """Base class of the control laws for joint springs, which read the motor speeds.
 
     Raises:
-        ValueError: if the robot has neither joint springs nor elastic cables, or ``minimum_tension`` is negative.
+        ValueError: if the robot has neither joint springs nor elastic cables, or
+            ``minimum_tension`` is negative.
     """
 
     usual_minimum = FLEXIBLE_MINIMUM_TENSION
@@ -71,8 +75,11 @@ class FlexibleLaw(ClassicalLaw):
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
         raise NotImplementedError
 
-    def _rigid_torques(self, mass: Array, blocks: dict[str, Array], acceleration: Array) -> tuple[Array, Array, Array]:
-        """Torque κ + c′ β̇, pulley acceleration β̈ and pulley speed β̇ for an acceleration of the platform.
+    def _rigid_torques(
+        self, mass: Array, blocks: dict[str, Array], acceleration: Array
+    ) -> tuple[Array, Array, Array]:
+        """Torque κ + c′ β̇, pulley acceleration β̈ and pulley speed β̇ for an acceleration of the
+        platform.
 
         The torque of a motor with a rigid joint is the first plus J′ β̈.
         """
@@ -81,13 +88,17 @@ class FlexibleLaw(ClassicalLaw):
         torques = spring + textbook.motor_friction(self.model, required.speeds)
         return torques, required.pulley_accelerations, required.speeds
 
-    def _spring_torques(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> Array:
+    def _spring_torques(
+        self, mass: Array, pose: Array, velocity: Array, acceleration: Array
+    ) -> Array:
         """Required spring torques κ = r T + J β̈ + c β̇ [N·m], (..., m)."""
         return self._inverse_dynamics(mass, pose, velocity, acceleration).torques
 
     def _pulley_acceleration(self, pose: Array, velocity: Array, acceleration: Array) -> Array:
         """β̈ [rad/s²], (..., m)."""
-        return self._inverse_dynamics(np.asarray(self.robot.mass), pose, velocity, acceleration).pulley_accelerations
+        return self._inverse_dynamics(
+            np.asarray(self.robot.mass), pose, velocity, acceleration
+        ).pulley_accelerations
 
     def _spring_torque_derivatives(self, mass: Array, motion: Motion) -> tuple[Array, Array, Array]:
         """κ, κ̇ and κ̈ along a motion, by central differences."""
@@ -100,24 +111,27 @@ class FlexibleLaw(ClassicalLaw):
 
 
 class Composite(FlexibleLaw):
-    """Rigid law for motor and pulley as one inertia, plus damping of the springs, ``K_v (β̇ − β̇′)``.
+    """Rigid law for motor and pulley as one inertia, plus damping of the springs, ``K_v (β̇ −
+    β̇′)``.
 
-    The torque is constant over a control period h, so a stiff spring tolerates less of this damping. If the platform is
-    much heavier than the rotors, the spring deflection δ oscillates with ω ≈ √(K/J′). The law acts on this oscillation
-    only through the torque −(K_v − J′K_D) δ̇, because the outer loop interprets the β̇ of the oscillation as a motion of
-    the platform. From one control step to the next the oscillation has
+    The torque is constant over a control period h, so a stiff spring tolerates less of this
+    damping. If the platform is much heavier than the rotors, the spring deflection δ oscillates
+    with ω ≈ √(K/J′). The law acts on this oscillation only through the torque −(K_v − J′K_D) δ̇,
+    because the outer loop interprets the β̇ of the oscillation as a motion of the platform. From
+    one control step to the next the oscillation has
 
         det = 1 − g sin(ωh)/ω,   trace = 2 cos(ωh) − g sin(ωh)/ω   with   g = K_v/J′ − K_D.
 
-    For ωh < π it is stable if 0 < g < ω cot(ωh/2). For ωh > π the control period is longer than half an oscillation.
-    The sampled damping then adds or removes energy according to the sign of sin(ωh). g = 0 has no effect at any ωh.
-    Hence
+    For ωh < π it is stable if 0 < g < ω cot(ωh/2). For ωh > π the control period is longer than
+    half an oscillation. The sampled damping then adds or removes energy according to the sign of
+    sin(ωh). g = 0 has no effect at any ωh. Hence
 
         K_v = min(spring_damping √(K J′), max(½ √(K J′) cot(ωh/2), J′K_D)),   the cotangent only for ωh < π.
 
-    This is half of the stability limit, or the value with g = 0 where that is larger. On the paper's robot at 500 Hz
-    the first term applies up to K = 82 N·m/rad and the last from about 910 N·m/rad on. For K → ∞ the law becomes the
-    rigid law. K_v is the first term until :meth:`reset` provides the control frequency.
+    This is half of the stability limit, or the value with g = 0 where that is larger. On the
+    paper's robot at 500 Hz the first term applies up to K = 82 N·m/rad and the last from about 910
+    N·m/rad on. For K → ∞ the law becomes the rigid law. K_v is the first term until :meth:`reset`
+    provides the control frequency.
 
     Args:
         robot: nominal robot.
@@ -126,7 +140,8 @@ class Composite(FlexibleLaw):
         minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
 
     Raises:
-        ValueError: if the robot has neither joint springs nor elastic cables, or an argument is out of its range.
+        ValueError: if the robot has neither joint springs nor elastic cables, or an argument is out
+            of its range.
     """
 
     def __init__(
@@ -175,11 +190,12 @@ class Composite(FlexibleLaw):
 
 
 class MotorPD(FlexibleLaw):
-    """PD control of the motor angles to ``β′_d = β_d + κ_d/K``, with the torque of the reference as feedforward.
+    """PD control of the motor angles to ``β′_d = β_d + κ_d/K``, with the torque of the reference as
+    feedforward.
 
-    The plant is differentially flat: all reference values follow from X_d and its derivatives up to snap. The law does
-    not read the measured pose of the platform. The tensions of redundant cables have kinks along a motion, so the law
-    then leaves out the rates of κ_d.
+    The plant is differentially flat: all reference values follow from X_d and its derivatives up to
+    snap. The law does not read the measured pose of the platform. The tensions of redundant cables
+    have kinks along a motion, so the law then leaves out the rates of κ_d.
 
     Args:
         robot: nominal robot.
@@ -188,7 +204,8 @@ class MotorPD(FlexibleLaw):
         minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
 
     Raises:
-        ValueError: if the robot has neither joint springs nor elastic cables, or an argument is out of its range.
+        ValueError: if the robot has neither joint springs nor elastic cables, or an argument is out
+            of its range.
     """
 
     tension_reserve = 2.0  # the tensions swing more than under a law that reads the pose
@@ -228,8 +245,14 @@ class MotorPD(FlexibleLaw):
         angle, _ = textbook.rest_angles(self.robot, spring / robot.pulley_radius, pose)
         spring = textbook.holding_torque(self.robot, spring)
         speed = self.pulley_speed(pose, velocity) + spring_rate / stiffness
-        motor_acceleration = self._pulley_acceleration(pose, velocity, acceleration) + spring_second / stiffness
-        feedforward = spring + robot.motor_inertia * motor_acceleration + textbook.motor_friction(robot, speed)
+        motor_acceleration = (
+            self._pulley_acceleration(pose, velocity, acceleration) + spring_second / stiffness
+        )
+        feedforward = (
+            spring
+            + robot.motor_inertia * motor_acceleration
+            + textbook.motor_friction(robot, speed)
+        )
         angle_error = angle - blocks["motor_angle"]
         speed_error = speed - blocks["motor_speed"]
         correction = self._stiffness * angle_error + self._damping * speed_error
@@ -237,11 +260,12 @@ class MotorPD(FlexibleLaw):
 
 
 class FourthOrder(FlexibleLaw):
-    """Fourth-order feedback linearization: the input is the snap of the platform, the error dynamics have given poles.
+    """Fourth-order feedback linearization: the input is the snap of the platform, the error
+    dynamics have given poles.
 
-    The law computes acceleration and jerk from the state through the spring torques. κ is affine in Ẍ, κ̇ in the jerk
-    and κ̈ in the snap, each with the matrix ∂κ/∂Ẍ. The law needs as many cables as coordinates. The paper gives no gains
-    for this law; the default poles are our choice.
+    The law computes acceleration and jerk from the state through the spring torques. κ is affine in
+    Ẍ, κ̇ in the jerk and κ̈ in the snap, each with the matrix ∂κ/∂Ẍ. The law needs as many cables
+    as coordinates. The paper gives no gains for this law; the default poles are our choice.
 
     Args:
         robot: nominal spatial robot.
@@ -251,7 +275,9 @@ class FourthOrder(FlexibleLaw):
         ValueError: if the robot is planar or has no joint springs, or the poles are invalid.
     """
 
-    def __init__(self, robot: Robot, *, poles: Sequence[complex] = (-15.0, -15.0, -60.0, -60.0)) -> None:
+    def __init__(
+        self, robot: Robot, *, poles: Sequence[complex] = (-15.0, -15.0, -60.0, -60.0)
+    ) -> None:
         super().__init__(robot)
         if robot.cables != robot.coordinates:
             raise ValueError(
@@ -262,7 +288,9 @@ class FourthOrder(FlexibleLaw):
         are_stable = np.all(np.real(poles) < 0)
         are_conjugate = np.all(np.abs(np.imag(gains)) <= 1e-9 * np.abs(gains))
         if len(poles) != 4 or not are_stable or not are_conjugate:
-            raise ValueError(f"poles must be four stable poles, complex poles in conjugate pairs, not {poles}")
+            raise ValueError(
+                f"poles must be four stable poles, complex poles in conjugate pairs, not {poles}"
+            )
         self._gains = np.real(gains)[1:]
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
@@ -274,14 +302,20 @@ class FourthOrder(FlexibleLaw):
         spring = stiffness * (blocks["motor_angle"] - textbook.pulley_angle(robot, pose))
         spring_rate = stiffness * (blocks["motor_speed"] - self.pulley_speed(pose, velocity))
         acceleration = _solve(slope, spring - self._spring_torques(mass, pose, velocity, zero))
-        motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=zero, snap=zero)
+        motion = Motion(
+            position=pose, velocity=velocity, acceleration=acceleration, jerk=zero, snap=zero
+        )
         _, rate_without_jerk, _ = self._spring_torque_derivatives(mass, motion)
         jerk = _solve(slope, spring_rate - rate_without_jerk)
-        motion = Motion(position=pose, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=zero)
+        motion = Motion(
+            position=pose, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=zero
+        )
         _, _, drift = self._spring_torque_derivatives(mass, motion)
         jerk_gain, acceleration_gain, velocity_gain, pose_gain = self._gains
         correction = jerk_gain * (blocks["reference_jerk"] - jerk)
-        correction = correction + acceleration_gain * (blocks["reference_acceleration"] - acceleration)
+        correction = correction + acceleration_gain * (
+            blocks["reference_acceleration"] - acceleration
+        )
         correction = correction + velocity_gain * (blocks["reference_velocity"] - velocity)
         correction = correction + pose_gain * (blocks["reference_pose"] - pose)
         snap = blocks["reference_snap"] + correction
@@ -299,7 +333,8 @@ def _solve(matrix: Array, vector: Array) -> Array:
 def composite_tuned(robot: Robot) -> Composite:
     """Composite law with gains for the kind of the robot, which also tolerate an unknown payload.
 
-    Much more spring damping does not help: β̇′ follows β̇ only as long as the spring torque is constant.
+    Much more spring damping does not help: β̇′ follows β̇ only as long as the spring torque is
+    constant.
     """
     if robot.kind == "planar":
         return Composite(robot, gains=(800.0, 30.0), spring_damping=0.5)

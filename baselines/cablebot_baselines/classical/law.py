@@ -1,4 +1,5 @@
-"""Base class of the classical control laws: observation, inverse dynamics and action of the nominal robot."""
+"""Base class of the classical control laws: observation, inverse dynamics and action of the nominal
+robot."""
 
 from __future__ import annotations
 
@@ -30,20 +31,22 @@ _LOGGER = logging.getLogger("cablebot_gym")
 
 
 def flexible_advice(robot: Robot) -> str:
-    """What a law for rigid robots says about a flexible one: its springs, and the laws that work."""
+    """What a law for rigid robots says about a flexible one: its springs, and the laws that
+    work."""
     springs = "joint springs" if robot.jointed else "elastic cables"
     return f"robot {robot.name!r} has {springs}. Use composite-tuned or adaptive-composite."
 
 
 class ClassicalLaw:
-    """Control law that computes motor torques from the blocks of the observation and the nominal parameters.
+    """Control law that computes motor torques from the blocks of the observation and the nominal
+    parameters.
 
     The action is not saturated: |a| > 1 is the paper's torque violation.
 
     Args:
         robot: nominal robot.
-        minimum_tension: least tension that the law allocates with more cables than coordinates [N]; ≥ 0. None for
-            :func:`~cablebot_gym.physics.textbook.allocated_minimum`.
+        minimum_tension: least tension that the law allocates with more cables than coordinates [N];
+            ≥ 0. None for :func:`~cablebot_gym.physics.textbook.allocated_minimum`.
 
     Raises:
         ValueError: if ``minimum_tension`` is negative.
@@ -51,7 +54,8 @@ class ClassicalLaw:
 
     unsaturated_actions = True
     for_rigid_robots = False
-    """Whether the law ignores springs. On a flexible robot it usually fails unloaded, and logs an advice."""
+    """Whether the law ignores springs. On a flexible robot it usually fails unloaded, and logs an
+    advice."""
     usual_minimum = MINIMUM_TENSION
     """Usual least tension [N]."""
     tension_reserve = TENSION_RESERVE
@@ -61,7 +65,9 @@ class ClassicalLaw:
         if minimum_tension is None:
             minimum_tension = allocated_minimum(robot, self.usual_minimum, self.tension_reserve)
         if self.for_rigid_robots and robot.flexible:
-            _LOGGER.warning("%s is for rigid robots, but %s", type(self).__name__, flexible_advice(robot))
+            _LOGGER.warning(
+                "%s is for rigid robots, but %s", type(self).__name__, flexible_advice(robot)
+            )
         self.robot = robot
         self.minimum_tension = number("minimum_tension", minimum_tension, least=0.0, unit="N")
         self.model = joint_equivalent(robot)
@@ -69,7 +75,8 @@ class ClassicalLaw:
         self._layout = observation_layout(robot)
 
     def reset(self, tasks: Sequence[Task]) -> None:
-        """Checks that the law fits the robots of the tasks. Other parameters, such as the mass, may differ.
+        """Checks that the law fits the robots of the tasks. Other parameters, such as the mass, may
+        differ.
 
         Raises:
             ValueError: if a task's robot differs from the law's robot in kind or anchors.
@@ -109,8 +116,11 @@ class ClassicalLaw:
         """
         return self._layout.split(observation)
 
-    def respond(self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None) -> tuple[Array, Any]:
-        """Like :meth:`predict`, from the blocks of an observation. A caller may replace the reference in the blocks."""
+    def respond(
+        self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None
+    ) -> tuple[Array, Any]:
+        """Like :meth:`predict`, from the blocks of an observation. A caller may replace the
+        reference in the blocks."""
         mass = self.robot.mass + blocks["model_payload"][..., 0]
         torques, speeds, state = self._control(blocks, mass, state, episode_start)
         return self._action(torques, speeds), state
@@ -133,13 +143,18 @@ class ClassicalLaw:
     def _action(self, torques: Array, speeds: Array) -> Array:
         return normalised_action(self.robot, torques, speeds)
 
-    def _inverse_dynamics(self, mass: Array, pose: Array, velocity: Array, acceleration: Array) -> InverseDynamics:
+    def _inverse_dynamics(
+        self, mass: Array, pose: Array, velocity: Array, acceleration: Array
+    ) -> InverseDynamics:
         """Tensions, torques, pulley speeds β̇ and pulley accelerations β̈ for a motion."""
-        return inverse_dynamics(self.model, mass, pose, velocity, acceleration, minimum=self.minimum_tension)
+        return inverse_dynamics(
+            self.model, mass, pose, velocity, acceleration, minimum=self.minimum_tension
+        )
 
     @property
     def rotor_inertia(self) -> Array:
-        """Inertia that the law's torque accelerates at the angular acceleration of the pulley [kg·m²], (m,)."""
+        """Inertia that the law's torque accelerates at the angular acceleration of the pulley
+        [kg·m²], (m,)."""
         return self.model.pulley_inertia
 
     def torque_slope(self, mass: Array, pose: Array) -> Array:
@@ -152,12 +167,17 @@ class ClassicalLaw:
         batch_axes = (1,) * (pose.ndim - 1)
         accelerations = units.reshape(n + 1, *batch_axes, n)
         required = self._inverse_dynamics(mass, pose, np.zeros_like(pose), accelerations)
-        torques = self.robot.pulley_radius * required.tensions + self.rotor_inertia * required.pulley_accelerations
+        torques = (
+            self.robot.pulley_radius * required.tensions
+            + self.rotor_inertia * required.pulley_accelerations
+        )
         return np.moveaxis(torques[1:] - torques[0], 0, -1)
 
     def pulley_speed(self, pose: Array, velocity: Array) -> Array:
         """Pulley speeds β̇ [rad/s], (..., m)."""
-        return self._inverse_dynamics(np.asarray(self.robot.mass), pose, velocity, np.zeros_like(pose)).speeds
+        return self._inverse_dynamics(
+            np.asarray(self.robot.mass), pose, velocity, np.zeros_like(pose)
+        ).speeds
 
 
 def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -165,7 +185,8 @@ def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArr
 
     Args:
         state: state of the previous step, or None.
-        episode_start: one boolean, also in an array of any shape, or one boolean for each observation; None for False.
+        episode_start: one boolean, also in an array of any shape, or one boolean for each
+            observation; None for False.
         shape: shape of the batch.
 
     Raises:
@@ -177,7 +198,9 @@ def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArr
     if start.size == 1:  # Stable-Baselines3 passes an array of one element for a single observation
         start = start.reshape(())
     elif start.shape != shape:
-        raise ValueError(f"episode_start must be one boolean or have shape {shape}, not shape {start.shape}")
+        raise ValueError(
+            f"episode_start must be one boolean or have shape {shape}, not shape {start.shape}"
+        )
     if state is None:
         start = np.array(True)
     return np.broadcast_to(start, shape)

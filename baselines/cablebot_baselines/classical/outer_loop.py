@@ -1,4 +1,5 @@
-"""Outer loops: the requested acceleration v of the platform as a function of the observation (Eqs. 13, 18 and 26–36).
+"""Outer loops: the requested acceleration v of the platform as a function of the observation (Eqs.
+13, 18 and 26–36).
 
 Errors are e = z_d − z, reference minus state.
 """
@@ -24,7 +25,8 @@ PAPER_GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
 
 
 def by_kind(table: Mapping[str, _T], robot: Robot) -> _T:
-    """The entry ``planar`` for a point mass in a plane, and the entry ``spatial`` for the other kinds."""
+    """The entry ``planar`` for a point mass in a plane, and the entry ``spatial`` for the other
+    kinds."""
     if robot.kind == "planar":
         return table["planar"]
     return table["spatial"]
@@ -38,12 +40,15 @@ def checked_gains(gains: tuple[float, float] | None, robot: Robot) -> tuple[floa
     """
     if gains is None:
         return by_kind(PAPER_GAINS, robot)
-    stiffness, damping = numbers("gains", gains, shapes=[(2,)], form="two numbers (K_P, K_D)", above=0.0).tolist()
+    stiffness, damping = numbers(
+        "gains", gains, shapes=[(2,)], form="two numbers (K_P, K_D)", above=0.0
+    ).tolist()
     return stiffness, damping
 
 
 class OuterLoop(Protocol):
-    """Function from the blocks of an observation to the requested acceleration v, (..., n) [m/s², rad/s²]."""
+    """Function from the blocks of an observation to the requested acceleration v, (..., n) [m/s²,
+    rad/s²]."""
 
     def __call__(self, blocks: dict[str, Array]) -> Array:
         """The requested acceleration v, (..., n)."""
@@ -66,19 +71,22 @@ class PD:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobustPD:
-    """PD plus the paper's robust term: ``v = z̈_d + k_d ė + k_p e + Δv`` (Eqs. 31–36, signs as derived here).
+    """PD plus the paper's robust term: ``v = z̈_d + k_d ė + k_p e + Δv`` (Eqs. 31–36, signs as
+    derived here).
 
-    With wrong parameters the error dynamics are ``ë + k_d ė + k_p e = −η − Δv`` with η = (γ⁻¹γ̂ − 1) v + γ⁻¹Δα (Eqs. 30
-    and 32). For each coordinate A = [[0, 1], [−k_p, −k_d]], B = (0, 1)ᵀ and AᵀP + PA = −Q (Eq. 35). The vector
-    s = BᵀPe contains all coordinates. For V = eᵀPe the derivative is V̇ = −eᵀQe − 2 sᵀ(η + Δv), so
+    With wrong parameters the error dynamics are ``ë + k_d ė + k_p e = −η − Δv`` with η = (γ⁻¹γ̂ −
+    1) v + γ⁻¹Δα (Eqs. 30 and 32). For each coordinate A = [[0, 1], [−k_p, −k_d]], B = (0, 1)ᵀ and
+    AᵀP + PA = −Q (Eq. 35). The vector s = BᵀPe contains all coordinates. For V = eᵀPe the
+    derivative is V̇ = −eᵀQe − 2 sᵀ(η + Δv), so
 
         Δv = ρ s / max(‖s‖, ε),   ρ = (ζ (‖z̈_d‖ + ‖Ae‖) + φ)/(1 − ζ)
 
-    makes V decrease outside the boundary layer ‖s‖ < ε if ‖γ⁻¹γ̂ − 1‖ ≤ ζ and ‖γ⁻¹Δα‖ ≤ φ. The paper's γ̄ is part of φ.
-    As in the paper, norms mix metres and radians.
+    makes V decrease outside the boundary layer ‖s‖ < ε if ‖γ⁻¹γ̂ − 1‖ ≤ ζ and ‖γ⁻¹Δα‖ ≤ φ. The
+    paper's γ̄ is part of φ. As in the paper, norms mix metres and radians.
 
-    Inside the layer the term is linear and acts as a stiffer PD. A thinner layer gives a smaller error, but the sampled
-    law then chatters already at a shorter control period. For ε → ∞ the term vanishes.
+    Inside the layer the term is linear and acts as a stiffer PD. A thinner layer gives a smaller
+    error, but the sampled law then chatters already at a shorter control period. For ε → ∞ the term
+    vanishes.
 
     Raises:
         ValueError: if a parameter is out of its range.
@@ -87,14 +95,16 @@ class RobustPD:
     gains: tuple[float, float]
     """(k_p, k_d), the same for each coordinate [1/s², 1/s]."""
     boundary_layer: float = 1e-3
-    """ε, bound of ‖s‖ in the boundary layer; > 0. The paper has no layer (ε = 0), which chatters."""
+    """ε, bound of ‖s‖ in the boundary layer; > 0. The paper has no layer (ε = 0), which
+    chatters."""
     zeta: float = 0.12
     """ζ, bound of ‖γ⁻¹γ̂ − 1‖, the relative error of the nominal inertia; 0 ≤ ζ < 1."""
     phi: float = 1.2
-    """φ, bound of ‖γ⁻¹Δα‖, the error of the nominal forces as an acceleration [m/s², rad/s²]; ≥ 0."""
+    """φ, bound of ‖γ⁻¹Δα‖, the error of the nominal forces as an acceleration [m/s², rad/s²]; ≥
+    0."""
     q: ArrayLike = 1.0
-    """Q of Eq. 35 for (e, ė) of each coordinate: a positive factor of the identity, or a symmetric positive definite
-    2×2 matrix."""
+    """Q of Eq. 35 for (e, ė) of each coordinate: a positive factor of the identity, or a symmetric
+    positive definite 2×2 matrix."""
 
     def __post_init__(self) -> None:
         if not self.boundary_layer > 0:
@@ -102,7 +112,10 @@ class RobustPD:
         number("zeta", self.zeta, least=0.0, below=1.0)
         number("phi", self.phi, least=0.0)
         numbers("q", self.q, shapes=[(), (2, 2)], form="a positive number or a 2×2 matrix")
-        if not np.array_equal(self.weight, self.weight.T) or np.linalg.eigvalsh(self.weight)[0] <= 0:
+        if (
+            not np.array_equal(self.weight, self.weight.T)
+            or np.linalg.eigvalsh(self.weight)[0] <= 0
+        ):
             raise ValueError(f"q must be symmetric and positive definite, not {self.q!r}")
 
     @cached_property

@@ -1,4 +1,5 @@
-"""The paper's robust control (Eqs. 26–36, signs corrected) for the rigid law and for the composite law."""
+"""The paper's robust control (Eqs. 26–36, signs corrected) for the rigid law and for the composite
+law."""
 
 from __future__ import annotations
 
@@ -12,14 +13,15 @@ from cablebot_gym.robots import Robot
 
 
 class Robust(FeedbackLinearization):
-    """Feedback linearization with the outer loop :class:`~cablebot_baselines.classical.outer_loop.RobustPD`.
+    """Feedback linearization with the outer loop
+    :class:`~cablebot_baselines.classical.outer_loop.RobustPD`.
 
     Args:
         robot: nominal robot.
         gains: (k_p, k_d), the same for each coordinate; None for the paper's gains.
         minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
-        robustness: ``boundary_layer``, ``zeta``, ``phi`` and ``q`` of the outer loop. The accuracy depends on the
-            boundary layer. The paper gives no values; the defaults are our choice.
+        robustness: ``boundary_layer``, ``zeta``, ``phi`` and ``q`` of the outer loop. The accuracy
+            depends on the boundary layer. The paper gives no values; the defaults are our choice.
 
     Raises:
         ValueError: if an argument is out of its range.
@@ -67,8 +69,8 @@ class RobustComposite(Composite):
 def _tuned(robot: Robot) -> Robust:
     """Robust law for an unknown payload.
 
-    φ = g/2 corresponds to a payload of half the platform's weight. The law does not tolerate sensor noise, because the
-    boundary layer is thin.
+    φ = g/2 corresponds to a payload of half the platform's weight. The law does not tolerate sensor
+    noise, because the boundary layer is thin.
     """
     return Robust(robot, boundary_layer=1e-3, zeta=0.5, phi=5.0)
 

@@ -1,8 +1,15 @@
-"""Estimators: pose and velocity from the sensors of winches and platform, so that any policy runs with them."""
+"""Estimators: pose and velocity from the sensors of winches and platform, so that any policy runs
+with them."""
 
 from cablebot_baselines.estimation.calibration import Calibration, calibrate, home_offset
 from cablebot_baselines.estimation.ekf import ExtendedKalmanFilter
-from cablebot_baselines.estimation.estimated import Estimated, KinematicEstimator, ekf, ekf_homed, fk
+from cablebot_baselines.estimation.estimated import (
+    Estimated,
+    KinematicEstimator,
+    ekf,
+    ekf_homed,
+    fk,
+)
 
 __all__ = [
     "Calibration",

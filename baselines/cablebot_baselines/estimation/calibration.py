@@ -1,8 +1,9 @@
 """Calibration of the zero of every motor angle.
 
-At one known pose the offsets are the differences of the angles: homing. At unknown poses, angles alone determine them
-only if there are more cables than coordinates. With as many cables as coordinates every offset belongs to some pose, so
-further readings are needed: tensions at rest, which depend on the pose by the equilibrium, or the orientation.
+At one known pose the offsets are the differences of the angles: homing. At unknown poses, angles
+alone determine them only if there are more cables than coordinates. With as many cables as
+coordinates every offset belongs to some pose, so further readings are needed: tensions at rest,
+which depend on the pose by the equilibrium, or the orientation.
 """
 
 from __future__ import annotations
@@ -35,19 +36,24 @@ class Calibration:
     """Poses of the readings, (K, n)."""
 
 
-def home_offset(robot: Robot, angles: ArrayLike, pose: ArrayLike, *, mass: float | None = None) -> Array:
+def home_offset(
+    robot: Robot, angles: ArrayLike, pose: ArrayLike, *, mass: float | None = None
+) -> Array:
     """Offset of the motor angles at rest at a known pose, (..., m) [rad].
 
     Args:
         robot: nominal robot.
         angles: readings at rest, (..., m) [rad].
         pose: the known pose, (..., n).
-        mass: mass of platform and payload, which winds the springs of a flexible robot [kg]; None without payload.
+        mass: mass of platform and payload, which winds the springs of a flexible robot [kg]; None
+            without payload.
     """
     if mass is None:
         mass = robot.mass
     if robot.flexible:
-        rest = textbook.static_motor_angle(robot, mass, pose, minimum=textbook.allocated_minimum(robot))
+        rest = textbook.static_motor_angle(
+            robot, mass, pose, minimum=textbook.allocated_minimum(robot)
+        )
     else:
         rest = textbook.pulley_angle(robot, pose)
     offset: Array = np.asarray(angles, float) - rest
@@ -73,7 +79,8 @@ def calibrate(
         tensions: tensions, (K, m) [N]; None without load cells.
         orientation: angles ψ, θ, φ of an IMU, (K, 3) [rad]; None without IMU.
         mass: mass of platform and payload [kg]; None without payload.
-        noise: standard deviations of the readings. Those of ``tensions`` and ``orientation`` include their bias.
+        noise: standard deviations of the readings. Those of ``tensions`` and ``orientation``
+            include their bias.
 
     Raises:
         ValueError: if the readings do not determine the offsets.
@@ -92,14 +99,18 @@ def calibrate(
         residuals = [angle_error.ravel()]
         if tensions is not None:
             structure = textbook.jacobian(robot, pose)
-            cable_force = (np.swapaxes(structure, -1, -2) @ np.asarray(tensions, float)[..., None])[..., 0]
+            cable_force = (np.swapaxes(structure, -1, -2) @ np.asarray(tensions, float)[..., None])[
+                ..., 0
+            ]
             unbalanced = cable_force + textbook.load(robot, total_mass, pose, zero, zero)
             # The error of a moment grows with the lever, so each row of Sᵀ has its own size.
             size = noise.tension * np.linalg.norm(structure, axis=-2)
             residuals.append((unbalanced / size).ravel())
         if orientation is not None:
             orientation_error = np.asarray(orientation, float) - pose[:, -3:]
-            residuals.append((orientation_error / np.array([noise.tilt, noise.tilt, noise.yaw])).ravel())
+            residuals.append(
+                (orientation_error / np.array([noise.tilt, noise.tilt, noise.yaw])).ravel()
+            )
         return np.concatenate(residuals)
 
     initial = np.concatenate([np.zeros(m), start.ravel()])

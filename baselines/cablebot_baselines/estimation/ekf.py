@@ -1,4 +1,5 @@
-"""Extended Kalman filter of pose, velocity and disturbance from the sensors of winches and platform."""
+"""Extended Kalman filter of pose, velocity and disturbance from the sensors of winches and
+platform."""
 
 from __future__ import annotations
 
@@ -28,21 +29,23 @@ DATA_SHEET = SensorNoise(
     angular_rate=4e-3,
     specific_force=2e-2,
 )
-"""Default errors of the sensors: a servo drive, a load cell and the IMU MTi-300. Encoder resolution is added."""
+"""Default errors of the sensors: a servo drive, a load cell and the IMU MTi-300. Encoder resolution
+is added."""
 
 INITIAL_DISTURBANCE = 0.3
-"""Standard deviation of the disturbance d at the start [m/s²]; of angles, divided by the platform's size."""
+"""Standard deviation of the disturbance d at the start [m/s²]; of angles, divided by the platform's
+size."""
 
 TARE_READINGS = 50
-"""Number of readings whose mean is the bias of the load cells, with homing. The filter considers the torque of the
-motors exact during these readings."""
+"""Number of readings whose mean is the bias of the load cells, with homing. The filter considers
+the torque of the motors exact during these readings."""
 
 CELL_TIME = 0.1
 """Time constant of the correction of the torque by load cells [s]."""
 
 BIAS_TIME = 10.0
-"""Correlation time of the errors of orientation and of the zero errors of angles [s]. After the first reading, the
-filter models them as white noise with the same information."""
+"""Correlation time of the errors of orientation and of the zero errors of angles [s]. After the
+first reading, the filter models them as white noise with the same information."""
 
 _FRACTIONS = ((np.arange(8) + 0.5) / 8)[:, None, None]
 """Instants of a control period, as fractions."""
@@ -75,23 +78,28 @@ class KalmanState:
 class ExtendedKalmanFilter:
     """Filter with the nominal dynamics, ``Ẍ = f(X, Ẋ, τ) + d``, where d is a random walk.
 
-    The torque τ on the pulleys is that of the last action; of a flexible robot, the torque balance of the motors gives
-    that of the springs, ``κ = τ − J′β̈′ − c′β̇′``, and the pulley angle ``β = β′ − κ/K``. Load cells correct a constant
-    error of this torque, such as friction. d takes up an unknown payload and wrench. An IMU adds orientation, angular
-    rate and, by the specific force, acceleration.
+    The torque τ on the pulleys is that of the last action; of a flexible robot, the torque balance
+    of the motors gives that of the springs, ``κ = τ − J′β̈′ − c′β̇′``, and the pulley angle ``β =
+    β′ − κ/K``. Load cells correct a constant error of this torque, such as friction. d takes up an
+    unknown payload and wrench. An IMU adds orientation, angular rate and, by the specific force,
+    acceleration.
 
     Args:
         robot: nominal robot.
         noise: standard deviations of the sensors.
-        disturbance: growth of the disturbance d in one second [m/s²]; of angles, divided by the platform's size. None
-            for 3 with rigid and 0.3 with flexible joints: the pose of a flexible robot follows from the small
-            difference of two angles, and a law that damps the springs amplifies the noise of a faster filter.
-        torque_error: standard deviation of the constant error of the motor torque, as a fraction of the stall torque.
-        cell_bias: standard deviation of the constant error of a load cell, as a fraction of the tension at this torque.
-        zero_error: standard deviation of the zero errors of the cable lengths [m]. It weights the angles against the
-            orientation of an IMU; without one, or with homing, it has no effect.
-        homing: whether the zeros of motor angles and load cells are set at the start: the robot then rests at the start
-            pose of the task with the payload of the model. Errors of these two become errors of the zeros.
+        disturbance: growth of the disturbance d in one second [m/s²]; of angles, divided by the
+            platform's size. None for 3 with rigid and 0.3 with flexible joints: the pose of a
+            flexible robot follows from the small difference of two angles, and a law that damps the
+            springs amplifies the noise of a faster filter.
+        torque_error: standard deviation of the constant error of the motor torque, as a fraction of
+            the stall torque.
+        cell_bias: standard deviation of the constant error of a load cell, as a fraction of the
+            tension at this torque.
+        zero_error: standard deviation of the zero errors of the cable lengths [m]. It weights the
+            angles against the orientation of an IMU; without one, or with homing, it has no effect.
+        homing: whether the zeros of motor angles and load cells are set at the start: the robot
+            then rests at the start pose of the task with the payload of the model. Errors of these
+            two become errors of the zeros.
     """
 
     def __init__(
@@ -153,7 +161,9 @@ class ExtendedKalmanFilter:
 
     @property
     def _angle_noise(self) -> float:
-        return float(np.hypot(self.noise.motor_angle, self._measurement.encoder_resolution / np.sqrt(12)))
+        return float(
+            np.hypot(self.noise.motor_angle, self._measurement.encoder_resolution / np.sqrt(12))
+        )
 
     @property
     def _balance_noise(self) -> Array:
@@ -182,7 +192,9 @@ class ExtendedKalmanFilter:
         count = len(angle)
         start = self._start if len(self._start) == count else self._start[:1]
         start = np.broadcast_to(start, (count, robot.coordinates))
-        torque = textbook.static_torque(robot, self._mass(blocks), start, minimum=textbook.allocated_minimum(robot))
+        torque = textbook.static_torque(
+            robot, self._mass(blocks), start, minimum=textbook.allocated_minimum(robot)
+        )
         deflection = np.zeros_like(angle)
         if robot.flexible:
             deflection = torque / textbook.joint_stiffness(self._nominal, start)
@@ -203,7 +215,9 @@ class ExtendedKalmanFilter:
             n = robot.coordinates
             gradient = np.broadcast_to(np.eye(3, 3 * n, n - 3), (count, 3, 3 * n))
             innovation = blocks["orientation"] - pose[:, -3:]
-            mean, covariance = _corrected(mean, covariance, innovation, gradient, self._orientation_variance)
+            mean, covariance = _corrected(
+                mean, covariance, innovation, gradient, self._orientation_variance
+            )
         return KalmanState(
             mean=mean,
             covariance=covariance,
@@ -217,11 +231,14 @@ class ExtendedKalmanFilter:
         )
 
     def _initial_covariance(self, inverse: Array, *, has_orientation: bool) -> Array:
-        """Covariance at the start, from the errors of motor angles and speeds and the inverse of the Jacobian."""
+        """Covariance at the start, from the errors of motor angles and speeds and the inverse of
+        the Jacobian."""
         robot, n = self.robot, self.robot.coordinates
         angle_error = np.hypot(self._angle_noise, self._zero_error if has_orientation else 0.0)
         if robot.flexible:
-            angle_error = np.hypot(angle_error, self._torque_error * robot.stall_torque / robot.stiffness)
+            angle_error = np.hypot(
+                angle_error, self._torque_error * robot.stall_torque / robot.stiffness
+            )
         pose_spread = inverse * (robot.pulley_radius * angle_error)
         velocity_spread = inverse * (robot.pulley_radius * self._speed_noise)
         covariance = np.zeros((len(inverse), 3 * n, 3 * n))
@@ -239,7 +256,12 @@ class ExtendedKalmanFilter:
         pose, velocity, disturbance = np.split(state.mean, 3, axis=-1)
         middle = pose + period / 2 * velocity
         acceleration, tensions = textbook.forward_dynamics(
-            robot, self._mass(blocks), middle, velocity, torque + state.correction, cable="bilateral"
+            robot,
+            self._mass(blocks),
+            middle,
+            velocity,
+            torque + state.correction,
+            cable="bilateral",
         )
         count = state.count + 1
         correction, tare = state.correction, state.tare
@@ -251,9 +273,12 @@ class ExtendedKalmanFilter:
         mean = np.concatenate([pose, velocity, disturbance], axis=-1)
         angles = angle
         if robot.flexible:
-            # Means over the last period: the motor angle by its cubic, the deflection by the mean torque.
+            # Means over the last period: the motor angle by its cubic, the deflection by the mean
+            # torque.
             mean_angle = (angle + state.angle) / 2 - period / 12 * (speed - state.speed)
-            angles = mean_angle - (torque + correction) / textbook.joint_stiffness(self._nominal, pose)
+            angles = mean_angle - (torque + correction) / textbook.joint_stiffness(
+                self._nominal, pose
+            )
         readings = self._readings(blocks, pose, velocity, acceleration, angles)
         mean, covariance = _corrected(mean, self._predicted_covariance(state.covariance), *readings)
         return KalmanState(
@@ -269,22 +294,30 @@ class ExtendedKalmanFilter:
         )
 
     def _mean_torque(self, blocks: dict[str, Array], state: KalmanState) -> Array:
-        """Mean torque on the pulleys in the last control period, without correction (N, m) [N·m]."""
+        """Mean torque on the pulleys in the last control period, without correction (N, m)
+        [N·m]."""
         robot, speed = self.robot, blocks["motor_speed"]
         action = np.clip(blocks["last_actions"][:, : robot.cables], -1.0, 1.0)
-        # The request is constant over the period; the torque-speed line clips it at the changing speed.
+        # The request is constant over the period; the torque-speed line clips it at the changing
+        # speed.
         request = robot.stall_torque * action - robot.speed_slope * state.speed
         drop = robot.speed_slope * (state.speed + _FRACTIONS * (speed - state.speed))
-        torque = np.mean(np.clip(request, -robot.stall_torque - drop, robot.stall_torque - drop), axis=0)
+        torque = np.mean(
+            np.clip(request, -robot.stall_torque - drop, robot.stall_torque - drop), axis=0
+        )
         if robot.flexible:
             friction = textbook.motor_friction(robot, (speed + state.speed) / 2)
             torque = torque - robot.motor_inertia * (speed - state.speed) / self._period - friction
         return torque
 
-    def _weighed(self, readings: Array, tensions: Array, count: Array, state: KalmanState) -> tuple[Array, Array]:
-        """Correction of the torque and bias of the load cells, from their readings and the predicted tensions."""
+    def _weighed(
+        self, readings: Array, tensions: Array, count: Array, state: KalmanState
+    ) -> tuple[Array, Array]:
+        """Correction of the torque and bias of the load cells, from their readings and the
+        predicted tensions."""
         robot = self.robot
-        # The cells read at the start of the period. With springs, the mean over the period before counts too.
+        # The cells read at the start of the period. With springs, the mean over the period before
+        # counts too.
         expected = (tensions + state.tensions) / 2 if robot.flexible else tensions
         excess = readings - np.maximum(expected, 0.0)
         is_taring = (count <= TARE_READINGS)[:, None] & self.homing
@@ -296,14 +329,17 @@ class ExtendedKalmanFilter:
     def _predicted_covariance(self, covariance: Array) -> Array:
         """Covariance after one control period.
 
-        The transition mixes X, Ẋ and d of a coordinate alone: the dynamics hardly change within a period.
+        The transition mixes X, Ẋ and d of a coordinate alone: the dynamics hardly change within a
+        period.
         """
         n, period = self.robot.coordinates, self._period
         mix = np.array([[1.0, period, period**2 / 2], [0.0, 1.0, period], [0.0, 0.0, 1.0]])
         transition = np.kron(mix, np.eye(n))
         growth = (self._disturbance * self._unit) ** 2 * period
         jerk = np.array([period**2 / 6, period / 2, 1.0])
-        return transition @ covariance @ transition.T + np.kron(np.outer(jerk, jerk), np.diag(growth))
+        return transition @ covariance @ transition.T + np.kron(
+            np.outer(jerk, jerk), np.diag(growth)
+        )
 
     def _readings(
         self,
@@ -313,13 +349,17 @@ class ExtendedKalmanFilter:
         acceleration: Array,
         angles: Array,
     ) -> tuple[Array, Array, Array]:
-        """Innovations (N, k), their gradient with respect to the state (N, k, 3n), and their variances (k,).
+        """Innovations (N, k), their gradient with respect to the state (N, k, 3n), and their
+        variances (k,).
 
-        ``angles`` are the pulley angles now, or of a flexible robot in the middle of the last control period.
+        ``angles`` are the pulley angles now, or of a flexible robot in the middle of the last
+        control period.
         """
         robot = self.robot
         ago = self._period / 2 if robot.flexible else 0.0
-        structure, rate = jacobian_and_rate(robot.base, robot.platform, pose, velocity, robot.swivel)
+        structure, rate = jacobian_and_rate(
+            robot.base, robot.platform, pose, velocity, robot.swivel
+        )
         turning = -structure / robot.pulley_radius[:, None]
         turning_rate = -rate / robot.pulley_radius[:, None]
         earlier_pose = pose - ago * velocity + ago**2 / 2 * acceleration
@@ -328,7 +368,9 @@ class ExtendedKalmanFilter:
         variances = [self._angle_variance(blocks)]
         if not robot.flexible:
             innovations.append(blocks["motor_speed"] - (turning @ velocity[..., None])[..., 0])
-            gradients.append(np.concatenate([turning_rate, turning, np.zeros_like(turning)], axis=-1))
+            gradients.append(
+                np.concatenate([turning_rate, turning, np.zeros_like(turning)], axis=-1)
+            )
             variances.append(np.full(robot.cables, self._speed_noise**2))
         if "orientation" in blocks:
             n, euler = robot.coordinates, pose[:, -3:]
@@ -345,7 +387,11 @@ class ExtendedKalmanFilter:
             variances.append(BIAS_TIME / self._period * self._orientation_variance)
             variances.append(np.full(3, self.noise.angular_rate**2))
             variances.append(np.full(3, self.noise.specific_force**2))
-        return np.concatenate(innovations, axis=-1), np.concatenate(gradients, axis=-2), np.concatenate(variances)
+        return (
+            np.concatenate(innovations, axis=-1),
+            np.concatenate(gradients, axis=-2),
+            np.concatenate(variances),
+        )
 
     def _angle_variance(self, blocks: dict[str, Array]) -> Array:
         """Variance of the pulley angles (m,) [rad²]."""
@@ -354,7 +400,12 @@ class ExtendedKalmanFilter:
         if robot.flexible:
             torque = self._balance_noise
             if "tensions" in blocks:
-                cells = self._cell_weight * robot.pulley_radius * self.noise.tension * np.sqrt(self._cell_gain / 2)
+                cells = (
+                    self._cell_weight
+                    * robot.pulley_radius
+                    * self.noise.tension
+                    * np.sqrt(self._cell_gain / 2)
+                )
                 torque = np.hypot(torque, cells)
             variance = variance + (torque / robot.stiffness) ** 2
         if "orientation" in blocks:

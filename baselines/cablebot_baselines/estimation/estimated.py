@@ -28,7 +28,9 @@ class Estimator(Protocol):
     def reset(self, tasks: Sequence[Task]) -> None:
         """Reads the public tasks of the next batch."""
 
-    def update(self, blocks: dict[str, Array], state: Any, starts: NDArray[np.bool_]) -> tuple[Array, Array, Any]:
+    def update(
+        self, blocks: dict[str, Array], state: Any, starts: NDArray[np.bool_]
+    ) -> tuple[Array, Array, Any]:
         """Pose and velocity, each (N, n), from the blocks of an observation, and the next state."""
 
 
@@ -51,7 +53,9 @@ class KinematicEstimator:
         """Reads the control period."""
         self._period = 1 / tasks[0].control_frequency
 
-    def update(self, blocks: dict[str, Array], state: Any, starts: NDArray[np.bool_]) -> tuple[Array, Array, Any]:
+    def update(
+        self, blocks: dict[str, Array], state: Any, starts: NDArray[np.bool_]
+    ) -> tuple[Array, Array, Any]:
         """Pose and velocity, each (N, n), and the pose as the next guess."""
         robot = self.robot
         angle = blocks["motor_angle"]
@@ -81,12 +85,14 @@ class KinematicEstimator:
 class Estimated:
     """A policy that reads pose and velocity, for environments that measure winches only.
 
-    An estimator adds pose and velocity to the observation. If an estimate is not finite, the actions are zero.
+    An estimator adds pose and velocity to the observation. If an estimate is not finite, the
+    actions are zero.
 
     Args:
         policy: any policy that reads pose and velocity.
         robot: nominal robot.
-        estimator: the estimator; None for an :class:`~cablebot_baselines.estimation.ekf.ExtendedKalmanFilter`.
+        estimator: the estimator; None for an
+            :class:`~cablebot_baselines.estimation.ekf.ExtendedKalmanFilter`.
     """
 
     measurement = "winches"
@@ -109,13 +115,20 @@ class Estimated:
         return self.policy.fallbacks  # type: ignore[attr-defined]
 
     def reset(self, tasks: Sequence[Task]) -> None:
-        """Resets estimator and policy, which gets the tasks with pose and velocity as the measurement."""
+        """Resets estimator and policy, which gets the tasks with pose and velocity as the
+        measurement."""
         self._measured = observation_layout(self.robot, tasks[0].measurement)
         self.estimator.reset(tasks)
-        reset_policy(self.policy, "", lambda: tuple(replace(task, measurement=POSE) for task in tasks))
+        reset_policy(
+            self.policy, "", lambda: tuple(replace(task, measurement=POSE) for task in tasks)
+        )
 
     def predict(
-        self, observation: ArrayLike, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: ArrayLike,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[Array, Any]:
         """Actions (N, m) or (m,), and the state of estimator and policy.
 
@@ -149,7 +162,8 @@ def ekf(robot: Robot, policy: Policy) -> Estimated:
 
 
 def ekf_homed(robot: Robot, policy: Policy) -> Estimated:
-    """The same, with motor angles and load cells zeroed at the start pose, the estimator ``ekf-homed``."""
+    """The same, with motor angles and load cells zeroed at the start pose, the estimator
+    ``ekf-homed``."""
     return Estimated(policy, robot, ExtendedKalmanFilter(robot, homing=True))
 
 

@@ -12,9 +12,13 @@ def load_bundle(path: Path, robot: Robot) -> Policy | None:
     """Loads a policy from a bundle for a nominal robot; returns None if the file is not a bundle.
 
     Raises:
-        ValueError: if the bundle is damaged, or its policy was trained on an observation other than the robot's.
+        ValueError: if the bundle is damaged, or its policy was trained on an observation other than
+            the robot's.
     """
-    from cablebot_baselines.learned.bundle import Bundle, is_bundle  # imported here: training does not need them
+    from cablebot_baselines.learned.bundle import (
+        Bundle,
+        is_bundle,
+    )  # imported here: training does not need them
     from cablebot_baselines.learned.policy import LearnedPolicy
 
     return LearnedPolicy(Bundle.load(path), robot) if is_bundle(path) else None

@@ -29,35 +29,46 @@ class Base:
     frequency: float | None = None
     """Natural frequency of the motor loop of ``motor-pd`` [rad/s]; None for its default."""
     minimum_tension: float | None = None
-    """Least tension that the law allocates with more cables than coordinates [N]; None for the law's default."""
+    """Least tension that the law allocates with more cables than coordinates [N]; None for the
+    law's default."""
     estimates_payload: bool = False
-    """Whether the law estimates the payload, see :class:`~cablebot_baselines.classical.adaptive.Adaptive`."""
+    """Whether the law estimates the payload, see
+    :class:`~cablebot_baselines.classical.adaptive.Adaptive`."""
     estimator_prior_weight: float = 0.01
     """Weight of the model's mass in the payload estimate [s]."""
     allocates: bool = False
-    """Whether a law that estimates the payload also allocates the available motor torques, see ``Adaptive``."""
+    """Whether a law that estimates the payload also allocates the available motor torques, see
+    ``Adaptive``."""
 
     def __post_init__(self) -> None:
         choice("base law", self.law, _LAWS)
         for name, laws in (("gains", ("fl", "composite")), ("frequency", ("motor-pd",))):
             if getattr(self, name) is not None and self.law not in laws:
-                raise ValueError(f"base law {self.law!r} has no {name}: leave it out, or choose {' or '.join(laws)}")
+                raise ValueError(
+                    f"base law {self.law!r} has no {name}: leave it out, or choose {' or '.join(laws)}"
+                )
         checked: dict[str, Any] = {
             "estimator_prior_weight": number(
                 "estimator_prior_weight", self.estimator_prior_weight, above=0.0, unit="s"
             ),
         }
         if self.gains is not None:
-            checked["gains"] = tuple(numbers("gains", self.gains, shapes=[(2,)], above=0.0).tolist())
+            checked["gains"] = tuple(
+                numbers("gains", self.gains, shapes=[(2,)], above=0.0).tolist()
+            )
         if self.minimum_tension is not None:
-            checked["minimum_tension"] = number("minimum_tension", self.minimum_tension, least=0.0, unit="N")
+            checked["minimum_tension"] = number(
+                "minimum_tension", self.minimum_tension, least=0.0, unit="N"
+            )
         if self.frequency is not None:
             checked["frequency"] = number("frequency", self.frequency, above=0.0, unit="rad/s")
         for name in ("estimates_payload", "allocates"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name} must be True or False, not {getattr(self, name)!r}")
         if self.allocates and not self.estimates_payload:
-            raise ValueError("allocates requires estimates_payload: set estimates_payload to True too")
+            raise ValueError(
+                "allocates requires estimates_payload: set estimates_payload to True too"
+            )
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
@@ -70,11 +81,14 @@ class Base:
         law = _LAWS[self.law](robot, self)
         if not self.estimates_payload:
             return law
-        return Adaptive(law, estimator_prior_weight=self.estimator_prior_weight, allocation=self.allocates)
+        return Adaptive(
+            law, estimator_prior_weight=self.estimator_prior_weight, allocation=self.allocates
+        )
 
 
 def default_base(robot: Robot) -> Base:
-    """The base law of a robot without a choice: ``motor-pd`` if it is flexible, else ``fl`` with stiff gains."""
+    """The base law of a robot without a choice: ``motor-pd`` if it is flexible, else ``fl`` with
+    stiff gains."""
     return Base(law="motor-pd") if robot.flexible else Base(gains=(2500.0, 100.0))
 
 
@@ -93,8 +107,12 @@ def _motor_pd(robot: Robot, base: Base) -> MotorPD:
 
 
 _LAWS: dict[str, Callable[[Robot, Base], ClassicalLaw]] = {
-    "fl": lambda robot, base: FeedbackLinearization(robot, gains=base.gains, minimum_tension=base.minimum_tension),
-    "composite": lambda robot, base: Composite(robot, gains=base.gains, minimum_tension=base.minimum_tension),
+    "fl": lambda robot, base: FeedbackLinearization(
+        robot, gains=base.gains, minimum_tension=base.minimum_tension
+    ),
+    "composite": lambda robot, base: Composite(
+        robot, gains=base.gains, minimum_tension=base.minimum_tension
+    ),
     "motor-pd": _motor_pd,
     "fl4": lambda robot, base: FourthOrder(robot),
 }

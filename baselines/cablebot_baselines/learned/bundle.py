@@ -1,4 +1,5 @@
-"""Bundles: the file format of learned policies. A bundle holds plain arrays and JSON; loading it executes no code."""
+"""Bundles: the file format of learned policies. A bundle holds plain arrays and JSON; loading it
+executes no code."""
 
 from __future__ import annotations
 
@@ -31,8 +32,8 @@ FORMAT = 1
 """Format number of bundles; a newer number is rejected."""
 
 SETTLING_PERIOD = 0.1
-"""Action period of a base law alone [s]: its shift from the start pose to zero takes a few periods, so that the cables
-stay taut."""
+"""Action period of a base law alone [s]: its shift from the start pose to zero takes a few periods,
+so that the cables stay taut."""
 
 _MEMBER = "bundle"
 """Name of the array that holds the JSON."""
@@ -65,25 +66,35 @@ class Bundle:
         sizes = (self.network.inputs, self.network.outputs)
         needed = (steering.inputs, steering.actions)
         if sizes != needed:
-            raise ValueError(f"the network has inputs and outputs {sizes}, but features and actions have {needed}")
+            raise ValueError(
+                f"the network has inputs and outputs {sizes}, but features and actions have {needed}"
+            )
 
     def steering(self, robot: Robot) -> Steering:
         """The steered base law for a nominal robot.
 
         Raises:
-            ValueError: if the robot's observation differs from the one that the policy was trained on.
+            ValueError: if the robot's observation differs from the one that the policy was trained
+                on.
         """
-        _compare(self.env_id, _layout(_trained_on(self.env_id)), f"robot {robot.name!r}", _layout(robot))
-        return Steering(robot, base=self.base, action_mapping=self.action_mapping, features=self.features)
+        _compare(
+            self.env_id, _layout(_trained_on(self.env_id)), f"robot {robot.name!r}", _layout(robot)
+        )
+        return Steering(
+            robot, base=self.base, action_mapping=self.action_mapping, features=self.features
+        )
 
     @property
     def base_alone(self) -> Bundle:
-        """The base law without the network: its reference moves slowly from the start pose to that of the task."""
+        """The base law without the network: its reference moves slowly from the start pose to that
+        of the task."""
         mapping = self.action_mapping
         network = zero_network(self.network.inputs, self.network.outputs)
         if isinstance(mapping, Shift):
             mapping = replace(mapping, action_period=SETTLING_PERIOD, preview=0.0)
-        return replace(self, action_mapping=mapping, network=network, card={"note": "the base law alone"})
+        return replace(
+            self, action_mapping=mapping, network=network, card={"note": "the base law alone"}
+        )
 
     def save(self, path: Path) -> None:
         """Writes the bundle atomically.
@@ -100,7 +111,10 @@ class Bundle:
             "features": list(self.features),
             "card": dict(self.card),
         }
-        arrays: dict[str, Any] = {_MEMBER: np.array(json.dumps(data, ensure_ascii=False)), **self.network.to_arrays()}
+        arrays: dict[str, Any] = {
+            _MEMBER: np.array(json.dumps(data, ensure_ascii=False)),
+            **self.network.to_arrays(),
+        }
 
         def write(temporary: Path) -> None:
             with temporary.open("wb") as file:
@@ -113,8 +127,8 @@ class Bundle:
         """Loads a bundle.
 
         Raises:
-            ValueError: if the file is not a bundle, is damaged, has a newer format, or was trained on an observation
-                that differs from that of its environment in this version.
+            ValueError: if the file is not a bundle, is damaged, has a newer format, or was trained
+                on an observation that differs from that of its environment in this version.
         """
         if not path.is_file():
             raise ValueError(f"policy file {str(path)!r} does not exist")
@@ -131,9 +145,15 @@ class Bundle:
                 card=data["card"],
             )
         except KeyError as error:
-            raise ValueError(f"policy bundle {str(path)!r} cannot be used: {error} is missing") from error
-        except Exception as error:  # damaged files raise errors of zipfile, its decompressors, numpy and json
-            raise ValueError(f"policy bundle {str(path)!r} cannot be used: {' '.join(str(error).split())}") from error
+            raise ValueError(
+                f"policy bundle {str(path)!r} cannot be used: {error} is missing"
+            ) from error
+        except (
+            Exception
+        ) as error:  # damaged files raise errors of zipfile, its decompressors, numpy and json
+            raise ValueError(
+                f"policy bundle {str(path)!r} cannot be used: {' '.join(str(error).split())}"
+            ) from error
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -149,7 +169,9 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
         arrays = {name: file[name] for name in file.files}
     data = json.loads(str(arrays.pop(_MEMBER)))
     if whole("its format", data["format"], least=1) > FORMAT:
-        raise ValueError(f"its format {data['format']} is newer than {FORMAT}: upgrade cablebot-gym")
+        raise ValueError(
+            f"its format {data['format']} is newer than {FORMAT}: upgrade cablebot-gym"
+        )
     return data, arrays
 
 
@@ -171,7 +193,8 @@ def _layout(robot: Robot) -> list[list[Any]]:
 
 
 def _compare(env_id: str, read: Any, other: str, present: list[list[Any]]) -> None:
-    """Checks that the present observation begins with the blocks of the training; new blocks are appended."""
+    """Checks that the present observation begins with the blocks of the training; new blocks are
+    appended."""
     if read == present[: len(read)]:
         return
     raise ValueError(

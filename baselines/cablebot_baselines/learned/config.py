@@ -1,9 +1,11 @@
-"""Hyperparameters of Stable-Baselines3 (SB3) by environment, in the YAML format of RL Baselines3 Zoo (RL-Zoo).
+"""Hyperparameters of Stable-Baselines3 (SB3) by environment, in the YAML format of RL Baselines3
+Zoo (RL-Zoo).
 
-The shipped files also work with ``python -m rl_zoo3.train --conf-file``. RL-Zoo itself is not a dependency, because its
-versions of packages conflict with this project's. Of its conventions, those in the shipped files are supported:
-``lin_`` schedules, ``normalize``, ``env_wrapper``, and ``policy_kwargs`` as a mapping or as the text ``dict(…)``. All
-other keys are keyword arguments of the algorithm in SB3.
+The shipped files also work with ``python -m rl_zoo3.train --conf-file``. RL-Zoo itself is not a
+dependency, because its versions of packages conflict with this project's. Of its conventions, those
+in the shipped files are supported: ``lin_`` schedules, ``normalize``, ``env_wrapper``, and
+``policy_kwargs`` as a mapping or as the text ``dict(…)``. All other keys are keyword arguments of
+the algorithm in SB3.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from torch import nn
 from cablebot_gym.utils.checks import choice, whole
 
 ALGORITHMS = ("ppo", "sac", "tqc")
-"""Names for ``--algo``; each has a file of the same name in :data:`~cablebot_baselines.learned.runs.HYPERPARAMS`."""
+"""Names for ``--algo``; each has a file of the same name in
+:data:`~cablebot_baselines.learned.runs.HYPERPARAMS`."""
 
 _OWN = ("n_timesteps", "n_envs", "policy", "normalize", "env_wrapper", "env_kwargs")
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
@@ -58,17 +61,20 @@ def algorithm_class(name: str) -> type[BaseAlgorithm]:
         try:
             from sb3_contrib import TQC
         except ImportError as error:
-            raise ImportError("tqc needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name) from error
+            raise ImportError(
+                "tqc needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name
+            ) from error
         return TQC
     return PPO if name == "ppo" else SAC
 
 
 def make_config(plain: Mapping[str, Any]) -> Config:
-    """Converts hyperparameters of an environment, from :func:`~cablebot_baselines.learned.runs.read_yaml`.
+    """Converts hyperparameters of an environment, from
+    :func:`~cablebot_baselines.learned.runs.read_yaml`.
 
     Raises:
-        ValueError: if a key is missing, or a value has an invalid form. Other values are checked by the wrappers and by
-            SB3.
+        ValueError: if a key is missing, or a value has an invalid form. Other values are checked by
+            the wrappers and by SB3.
     """
     if missing := [name for name in ("n_timesteps", "policy", "env_wrapper") if name not in plain]:
         raise ValueError(f"hyperparameters: {', '.join(missing)} must be given")
@@ -81,14 +87,20 @@ def make_config(plain: Mapping[str, Any]) -> Config:
         wrappers=_wrappers(plain["env_wrapper"]),
         normalize={
             "gamma": model.get("gamma", 0.99),
-            **({"norm_obs": bool(normalize)} if isinstance(normalize, bool) else _keywords("normalize", normalize)),
+            **(
+                {"norm_obs": bool(normalize)}
+                if isinstance(normalize, bool)
+                else _keywords("normalize", normalize)
+            ),
         },
         model={"policy": plain["policy"], **model},
     )
 
 
 def _count(name: str, value: Any) -> int:
-    return whole(name, int(value) if isinstance(value, float) and value.is_integer() else value, least=1)
+    return whole(
+        name, int(value) if isinstance(value, float) and value.is_integer() else value, least=1
+    )
 
 
 def _model_value(name: str, value: Any) -> Any:
@@ -97,20 +109,29 @@ def _model_value(name: str, value: Any) -> Any:
     if name in _SCHEDULES and isinstance(value, str) and value.startswith("lin_"):
         return LinearSchedule(float(value.removeprefix("lin_")), 0.0, 1.0)
     if isinstance(value, str) and not value.startswith("auto"):
-        raise ValueError(f"{name} must be a number, not {value!r}: YAML reads 1.0e-3 as a number, but 1e-3 as text")
+        raise ValueError(
+            f"{name} must be a number, not {value!r}: YAML reads 1.0e-3 as a number, but 1e-3 as text"
+        )
     return value
 
 
 def _keywords(name: str, value: Any) -> dict[str, Any]:
     """A mapping, also from RL-Zoo's text ``dict(…)``, which is parsed and not executed."""
     try:
-        return dict(_literal(ast.parse(value.strip(), mode="eval").body) if isinstance(value, str) else value)
+        return dict(
+            _literal(ast.parse(value.strip(), mode="eval").body)
+            if isinstance(value, str)
+            else value
+        )
     except (AttributeError, SyntaxError, TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be a mapping or text such as 'dict(net_arch=[64])', not {value!r}") from error
+        raise ValueError(
+            f"{name} must be a mapping or text such as 'dict(net_arch=[64])', not {value!r}"
+        ) from error
 
 
 def _literal(node: ast.expr) -> Any:
-    """The value of a literal, in which ``dict(…)`` and activations such as ``nn.ReLU`` are allowed."""
+    """The value of a literal, in which ``dict(…)`` and activations such as ``nn.ReLU`` are
+    allowed."""
     match node:
         case ast.Call(func=ast.Name(id="dict"), args=[], keywords=keywords):
             return {str(item.arg): _literal(item.value) for item in keywords}
@@ -120,13 +141,16 @@ def _literal(node: ast.expr) -> Any:
 
 
 def _wrappers(value: Any) -> tuple[tuple[type[Any], Mapping[str, Any]], ...]:
-    """Classes and keyword arguments of ``env_wrapper``: a dotted name, ``{name: keywords}``, or a list of these."""
+    """Classes and keyword arguments of ``env_wrapper``: a dotted name, ``{name: keywords}``, or a
+    list of these."""
     wrappers = []
     for entry in value if isinstance(value, list) else [value]:
         try:
             ((name, keywords),) = ({entry: {}} if isinstance(entry, str) else entry).items()
             module_name, _, class_name = name.rpartition(".")
-            wrappers.append((getattr(importlib.import_module(module_name), class_name), dict(keywords)))
+            wrappers.append(
+                (getattr(importlib.import_module(module_name), class_name), dict(keywords))
+            )
         except (AttributeError, ImportError, TypeError, ValueError) as error:
             text = "env_wrapper must be a list of 'package.module.Class: {keyword: value}'"
             raise ValueError(f"{text}, not {entry!r} ({error})") from error

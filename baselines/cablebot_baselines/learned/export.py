@@ -1,4 +1,5 @@
-"""Export from Stable-Baselines3: the mean of the actor as a network, including the normalisation of its inputs."""
+"""Export from Stable-Baselines3: the mean of the actor as a network, including the normalisation of
+its inputs."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ _ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 
 def network_from_sb3(model: BaseAlgorithm) -> Network:
-    """The deterministic actor of an ``MlpPolicy`` of PPO, SAC or TQC, as ``predict(…, deterministic=True)`` uses it.
+    """The deterministic actor of an ``MlpPolicy`` of PPO, SAC or TQC, as ``predict(…,
+    deterministic=True)`` uses it.
 
     PPO's means beyond ±1 are kept; the action mapping clips them, as SB3 does.
 
@@ -23,7 +25,8 @@ def network_from_sb3(model: BaseAlgorithm) -> Network:
         model: model with normalised observations (``VecNormalize``).
 
     Raises:
-        ValueError: if a :class:`Network` cannot represent the policy, or observations are not normalised.
+        ValueError: if a :class:`Network` cannot represent the policy, or observations are not
+            normalised.
     """
     policy: Any = model.policy
     if hasattr(policy, "actor"):
@@ -37,11 +40,19 @@ def network_from_sb3(model: BaseAlgorithm) -> Network:
     linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
     between = [type(layer) for layer in layers if not isinstance(layer, nn.Linear)]
     regular = len(between) == len(linear) and len({*between}) <= 1 and isinstance(head, nn.Linear)
-    if not regular or any(kind not in _ACTIVATIONS for kind in between) or (squash == "none" and policy.squash_output):
-        raise ValueError("only linear layers with nn.Tanh or with nn.ReLU between them can be exported")
+    if (
+        not regular
+        or any(kind not in _ACTIVATIONS for kind in between)
+        or (squash == "none" and policy.squash_output)
+    ):
+        raise ValueError(
+            "only linear layers with nn.Tanh or with nn.ReLU between them can be exported"
+        )
     normalize: Any = model.get_vec_normalize_env()
     if not normalize.norm_obs or normalize.clip_obs != Network.CUT:
-        raise ValueError(f"observations must be normalised with norm_obs=True and clip_obs={Network.CUT:g}")
+        raise ValueError(
+            f"observations must be normalised with norm_obs=True and clip_obs={Network.CUT:g}"
+        )
     return Network(
         mean=np.array(normalize.obs_rms.mean, float),
         scale=np.sqrt(normalize.obs_rms.var + normalize.epsilon),

@@ -1,4 +1,5 @@
-"""Inputs of a network: blocks of an observation, and features derived from them and from past actions."""
+"""Inputs of a network: blocks of an observation, and features derived from them and from past
+actions."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ def _decays(time: Array) -> Array:
 
 
 def _rbf_progress(time: Array, time_to_go: Array) -> Array:
-    """Gaussian radial basis functions over [0, 1]; their standard deviation is the distance of their centres."""
+    """Gaussian radial basis functions over [0, 1]; their standard deviation is the distance of
+    their centres."""
     progress = time / np.maximum(time + time_to_go, np.finfo(float).tiny)
     return np.exp(-0.5 * (progress * (RBF_COUNT - 1) - np.arange(RBF_COUNT)) ** 2)
 
@@ -35,17 +37,21 @@ _DERIVED: dict[str, Callable[[Mapping[str, Array], Mapping[str, Array]], Array]]
     "actions": lambda blocks, derived: derived["actions"],
     "error": lambda blocks, derived: derived["error"],
     "time_since_start": lambda blocks, derived: _decays(derived["time_since_start"]),
-    "rbf_progress": lambda blocks, derived: _rbf_progress(derived["time_since_start"], blocks["time_to_go"]),
+    "rbf_progress": lambda blocks, derived: _rbf_progress(
+        derived["time_since_start"], blocks["time_to_go"]
+    ),
     "time_to_go_decays": lambda blocks, derived: _decays(blocks["time_to_go"]),
 }
 """Features that are not blocks of the observation.
 
-* ``shift``, ``shift_velocity``: shift of the reference, in units of its bounds and of its bounds per action period.
+* ``shift``, ``shift_velocity``: shift of the reference, in units of its bounds and of its bounds
+  per action period.
 * ``actions``: past actions that still affect the spline.
 * ``error``: shifted reference minus pose [m, rad].
-* ``time_since_start``, ``time_to_go_decays``: decays with :data:`TIME_CONSTANTS` of the time since the start of the
-  episode and of the time to go.
-* ``rbf_progress``: Gaussian radial basis functions of the fraction of the motion's duration that has passed.
+* ``time_since_start``, ``time_to_go_decays``: decays with :data:`TIME_CONSTANTS` of the time since
+  the start of the episode and of the time to go.
+* ``rbf_progress``: Gaussian radial basis functions of the fraction of the motion's duration that
+  has passed.
 """
 
 SHIFT_FEATURES = ("shift", "shift_velocity")
@@ -59,14 +65,16 @@ REFERENCE_FEATURES = (
     "time_since_start",
     "time_to_go_decays",
 )
-"""Features of the reference and its preview; they contain neither the payload nor the tracking error."""
+"""Features of the reference and its preview; they contain neither the payload nor the tracking
+error."""
 
 
 def check_features(names: Sequence[str], robot: Robot) -> tuple[str, ...]:
     """Checks names of features for a robot and returns them.
 
     Raises:
-        ValueError: if there is none, or one is unknown for this robot; the message lists the known ones.
+        ValueError: if there is none, or one is unknown for this robot; the message lists the known
+            ones.
     """
     if not isinstance(names, Sequence) or isinstance(names, str) or not names:
         raise ValueError(f"features must be a list of names, not {names!r}")
@@ -74,21 +82,26 @@ def check_features(names: Sequence[str], robot: Robot) -> tuple[str, ...]:
     return tuple(choice("feature", name, known) for name in names)
 
 
-def feature_values(names: Sequence[str], blocks: Mapping[str, Array], derived: Mapping[str, Array]) -> Array:
+def feature_values(
+    names: Sequence[str], blocks: Mapping[str, Array], derived: Mapping[str, Array]
+) -> Array:
     """Concatenates the features, (..., count).
 
     Args:
         names: names of the features.
         blocks: blocks of the observation, each (..., size).
-        derived: ``time_since_start`` (..., 1) [s], ``error`` and ``actions``; with a shift also ``shift`` and
-            ``shift_velocity``.
+        derived: ``time_since_start`` (..., 1) [s], ``error`` and ``actions``; with a shift also
+            ``shift`` and ``shift_velocity``.
     """
-    values = [_DERIVED[name](blocks, derived) if name in _DERIVED else blocks[name] for name in names]
+    values = [
+        _DERIVED[name](blocks, derived) if name in _DERIVED else blocks[name] for name in names
+    ]
     return np.concatenate(values, axis=-1)
 
 
 def feature_symmetry(names: Sequence[str], robot: Robot, transform: Array) -> Array:
-    """Matrix (count, count) that a rotation or reflection of the plane applies to features of the reference.
+    """Matrix (count, count) that a rotation or reflection of the plane applies to features of the
+    reference.
 
     Args:
         names: names of the features.
@@ -104,7 +117,13 @@ def feature_symmetry(names: Sequence[str], robot: Robot, transform: Array) -> Ar
         "time_to_go_decays": len(TIME_CONSTANTS),
         "rbf_progress": RBF_COUNT,
     }
-    vectors = [name for name in observation_layout(robot).slices() if name.startswith(("reference_", "preview_"))]
+    vectors = [
+        name
+        for name in observation_layout(robot).slices()
+        if name.startswith(("reference_", "preview_"))
+    ]
     if other := [name for name in names if name not in times and name not in vectors]:
-        raise ValueError(f"feature {other[0]!r} is invalid with symmetric: remove the feature, or remove symmetric")
+        raise ValueError(
+            f"feature {other[0]!r} is invalid with symmetric: remove the feature, or remove symmetric"
+        )
     return block_diag(*(transform if name in vectors else np.eye(times[name]) for name in names))

@@ -1,15 +1,17 @@
-"""Analytic policy gradient (APG): training by gradients through the inverse dynamics, with the payload as objective.
+"""Analytic policy gradient (APG): training by gradients through the inverse dynamics, with the
+payload as objective.
 
-Training uses no episodes and no noise. The base law tracks a shifted reference almost exactly, so that actions and
-tensions follow from the shifted motion alone. Each training motion i has a payload m_i, which is optimised together
-with the network's weights θ. The objective to minimise is
+Training uses no episodes and no noise. The base law tracks a shifted reference almost exactly, so
+that actions and tensions follow from the shifted motion alone. Each training motion i has a payload
+m_i, which is optimised together with the network's weights θ. The objective to minimise is
 
     −mean m_i / scale + ρ · mean of squared violations
 
-of ``|action| ≤ 1`` and ``tension ≥ minimum``, both with and without payload, at instants between the decisions. ρ
-increases from round to round. On a fixed motion, actions and tensions are affine in the mass, so that constraints that
-hold at both ends hold in between. Each round runs L-BFGS with a strong Wolfe line search over all motions at once: the
-optimum lies on the boundary of the feasible set, where first-order steps converge slowly.
+of ``|action| ≤ 1`` and ``tension ≥ minimum``, both with and without payload, at instants between
+the decisions. ρ increases from round to round. On a fixed motion, actions and tensions are affine
+in the mass, so that constraints that hold at both ends hold in between. Each round runs L-BFGS with
+a strong Wolfe line search over all motions at once: the optimum lies on the boundary of the
+feasible set, where first-order steps converge slowly.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ try:
     import torch
     from torch import Tensor, nn
 except ImportError as error:
-    raise ImportError("training needs torch: pip install 'cablebot-gym[sb3]'", name=error.name) from error
+    raise ImportError(
+        "training needs torch: pip install 'cablebot-gym[sb3]'", name=error.name
+    ) from error
 
 from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.differentiable import required_actuation
@@ -52,7 +56,8 @@ SHORTEST = 5
 """Number of evaluations; a search that ends sooner has converged."""
 
 _EDGE = 1e-9
-"""Inset of a decision's first and last instant, as a fraction of it: a spline's derivatives jump at its knots."""
+"""Inset of a decision's first and last instant, as a fraction of it: a spline's derivatives jump at
+its knots."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +69,8 @@ class GradientSettings:
     """
 
     hidden: tuple[int, ...] = ()
-    """Hidden units of each layer; empty for a linear network. With ``symmetric`` per element of the symmetry group."""
+    """Hidden units of each layer; empty for a linear network. With ``symmetric`` per element of the
+    symmetry group."""
     symmetric: bool = False
     """Whether the network is equivariant to a planar robot's symmetries, see
     :mod:`cablebot_baselines.learned.symmetry`."""
@@ -72,19 +78,22 @@ class GradientSettings:
     """Penalty weight ρ of each round."""
     softness: tuple[float, ...] = ()
     """Smoothing of a planar robot's tensions in each round [N], see
-    :func:`~cablebot_baselines.learned.differentiable.required_actuation`; empty for none. With joint springs, a kink of
-    an unsmoothed tension is a jump of the action, which stops the line search."""
+    :func:`~cablebot_baselines.learned.differentiable.required_actuation`; empty for none. With
+    joint springs, a kink of an unsmoothed tension is a jump of the action, which stops the line
+    search."""
     stretch: bool = True
-    """Whether the model of a robot with elastic cables stretches. Without, the kinks of redundant tensions are no jumps
-    of the action; suitable for stiff cables."""
+    """Whether the model of a robot with elastic cables stretches. Without, the kinks of redundant
+    tensions are no jumps of the action; suitable for stiff cables."""
     iterations: int = 250
-    """Approximate number of evaluations of the objective in each round. A search that stops at a kink is restarted."""
+    """Approximate number of evaluations of the objective in each round. A search that stops at a
+    kink is restarted."""
     instants: int = 3
     """Number of instants per decision at which constraints are evaluated; ≥ 2."""
     action_limit: float = 0.998
     """Largest action; > 0. The remainder is left for feedback."""
     tension: float = 2.0
-    """Minimum tension of a spatial robot, with and without payload [N]; at least that of the robot."""
+    """Minimum tension of a spatial robot, with and without payload [N]; at least that of the
+    robot."""
     tension_scale: float = 20.0
     """Scale of violations of the minimum tension [N]; the scale of actions is 1."""
     lighter: float = 0.0
@@ -100,7 +109,9 @@ class GradientSettings:
         numbers("rounds", self.rounds, above=0.0)
         numbers("softness", self.softness or (0.0,), least=0.0)
         if not self.rounds or len(self.softness) not in (0, len(self.rounds)):
-            raise ValueError("rounds must not be empty, and softness must be empty or have one number for each round")
+            raise ValueError(
+                "rounds must not be empty, and softness must be empty or have one number for each round"
+            )
         for name in ("action_limit", "spread", "tension_scale"):
             number(name, getattr(self, name), above=0.0)
         number("lighter", self.lighter, least=0.0, below=1.0)
@@ -108,13 +119,14 @@ class GradientSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Motions:
-    """Training motions at all decisions; each of the M motions is padded to the largest number of decisions D."""
+    """Training motions at all decisions; each of the M motions is padded to the largest number of
+    decisions D."""
 
     inputs: Tensor
     """Features, (M, D, features)."""
     anchors: Tensor
-    """Origins of the control points, from ``degree`` points before the start on, (M, degree + D, n). Before the start
-    they are those of the start pose."""
+    """Origins of the control points, from ``degree`` points before the start on, (M, degree + D,
+    n). Before the start they are those of the start pose."""
     reference: Tensor
     """X_d and its derivatives, (M, D, instants, order + 1, n)."""
     inside: Tensor
@@ -126,8 +138,9 @@ class GradientTraining:
     """Training of a network that shifts references to maximise the payload.
 
     Raises:
-        ValueError: if a feature depends on the state or on past actions, so that the actions cannot be computed in
-            one pass; if ``softness`` is given for a spatial robot; or if the minimum tension is below the robot's.
+        ValueError: if a feature depends on the state or on past actions, so that the actions cannot
+            be computed in one pass; if ``softness`` is given for a spatial robot; or if the minimum
+            tension is below the robot's.
     """
 
     robot: Robot
@@ -149,29 +162,52 @@ class GradientTraining:
         return self.robot.cables > self.robot.coordinates
 
     def __post_init__(self) -> None:
-        own = ("shift", "shift_velocity", "actions", "error", "pose", "velocity", "motor_angle", "motor_speed")
-        if wrong := [name for name in self.features if name in (*own, "model_payload", "payload_known")]:
-            raise ValueError(f"features must depend on the reference and time alone: remove {wrong[0]!r}")
+        own = (
+            "shift",
+            "shift_velocity",
+            "actions",
+            "error",
+            "pose",
+            "velocity",
+            "motor_angle",
+            "motor_speed",
+        )
+        if wrong := [
+            name for name in self.features if name in (*own, "model_payload", "payload_known")
+        ]:
+            raise ValueError(
+                f"features must depend on the reference and time alone: remove {wrong[0]!r}"
+            )
         tension = self.minimum_tension if self._redundant else self.settings.tension
         least = self.robot.minimum_tension
         if tension < least:
-            raise ValueError(f"the minimum tension {tension:g} N is below the robot's {least:g} N: raise it")
+            raise ValueError(
+                f"the minimum tension {tension:g} N is below the robot's {least:g} N: raise it"
+            )
         if self.settings.softness and (self.robot.kind, self.robot.cables) != ("planar", 3):
-            raise ValueError(f"softness is for planar robots with three cables, not for {self.robot.name!r}: remove it")
+            raise ValueError(
+                f"softness is for planar robots with three cables, not for {self.robot.name!r}: remove it"
+            )
         torch.manual_seed(self.seed)
         n = self.robot.coordinates
         self._order = 4 if self.robot.flexible else 2
         bounds = find_error_bounds(None, self.robot)
         self._bounds = torch.tensor(self.action_mapping.bounds(bounds, self.robot))
-        within = self.action_mapping.action_period * np.linspace(_EDGE, 1 - _EDGE, self.settings.instants)
+        within = self.action_mapping.action_period * np.linspace(
+            _EDGE, 1 - _EDGE, self.settings.instants
+        )
         self._within = within
         self._weights = torch.tensor(
-            self.action_mapping.weights(within, self.action_mapping.action_period)[:, : self._order + 1]
+            self.action_mapping.weights(within, self.action_mapping.action_period)[
+                :, : self._order + 1
+            ]
         )
         self._motions = self._tabulated()
         inputs = self._motions.inputs[self._motions.inside[..., 0]]
         transforms = symmetries(self.robot) if self.settings.symmetric else np.eye(n)[None]
-        input_transforms = [feature_symmetry(self.features, self.robot, transform) for transform in transforms]
+        input_transforms = [
+            feature_symmetry(self.features, self.robot, transform) for transform in transforms
+        ]
         self._layers = SymmetricLayers(np.array(input_transforms), transforms, self.settings.hidden)
         self._mean, scale = self._layers.statistics(inputs)
         self._scale = torch.where(scale > 1e-9, scale, 1.0)
@@ -179,8 +215,12 @@ class GradientTraining:
         start = torch.tensor(self._start_shifts().mean(0)) / self._bounds
         with torch.no_grad():
             last.weight.normal_(std=self.settings.spread)
-            last.bias.copy_(start / (1 - start.square()).sqrt())  # the first motions stay where they start
-        self._variables = [parameter for layer in self._layers.layers for parameter in layer.parameters()]
+            last.bias.copy_(
+                start / (1 - start.square()).sqrt()
+            )  # the first motions stay where they start
+        self._variables = [
+            parameter for layer in self._layers.layers for parameter in layer.parameters()
+        ]
         self._payloads = torch.ones(len(self.trajectories), dtype=torch.float64, requires_grad=True)
         self.evaluations = 0
         """Evaluations of the objective in the current round."""
@@ -189,27 +229,42 @@ class GradientTraining:
     def _start_shifts(self) -> Array:
         """Start pose minus reference pose of each motion, (M, n)."""
         bounds = find_error_bounds(None, self.robot)
-        return np.array([start_pose(self.robot, one, bounds) - one(0.0).position for one in self.trajectories])
+        return np.array(
+            [start_pose(self.robot, one, bounds) - one(0.0).position for one in self.trajectories]
+        )
 
     def _tabulated(self) -> _Motions:
         action_period = self.action_mapping.action_period
         degree = self.action_mapping.degree
         n = self.robot.coordinates
-        most = max(math.ceil(trajectory.duration / action_period - 1e-9) for trajectory in self.trajectories)
+        most = max(
+            math.ceil(trajectory.duration / action_period - 1e-9)
+            for trajectory in self.trajectories
+        )
         decisions = np.arange(most) * action_period
         instants = decisions[:, None] + self._within
         inputs, anchors, references, inside = [], [], [], []
         for trajectory, start in zip(self.trajectories, self._start_shifts(), strict=True):
             blocks = observed_reference(trajectory, decisions, to_snap=self.robot.flexible)
-            inputs.append(feature_values(self.features, blocks, {"time_since_start": decisions[:, None]}))
-            origins = np.zeros((degree + most, n))  # without a preview the spline is the shift alone
+            inputs.append(
+                feature_values(self.features, blocks, {"time_since_start": decisions[:, None]})
+            )
+            origins = np.zeros(
+                (degree + most, n)
+            )  # without a preview the spline is the shift alone
             if self.action_mapping.preview:
                 origins[:degree] = trajectory(0.0).position
                 origins[degree:] = trajectory(decisions + self.action_mapping.preview).position
             origins[:degree] += start
             anchors.append(origins)
             motion = trajectory(instants)
-            derivatives = (motion.position, motion.velocity, motion.acceleration, motion.jerk, motion.snap)
+            derivatives = (
+                motion.position,
+                motion.velocity,
+                motion.acceleration,
+                motion.jerk,
+                motion.snap,
+            )
             references.append(np.stack(derivatives[: self._order + 1], axis=-2))
             inside.append(instants <= trajectory.duration)
         return _Motions(
@@ -229,13 +284,17 @@ class GradientTraining:
         lines = min(3, values.shape[-1])
         square = values[..., :lines].square().sum(-1, keepdim=True)
         rest = values[..., lines:]
-        return torch.cat([values[..., :lines] / (1 + square).sqrt(), rest / (1 + rest.square()).sqrt()], dim=-1)
+        return torch.cat(
+            [values[..., :lines] / (1 + square).sqrt(), rest / (1 + rest.square()).sqrt()], dim=-1
+        )
 
     def motion(self) -> Tensor:
         """The shifted motions and their derivatives, (M, D, instants, order + 1, n)."""
         motions = self._motions
         actions = self._actions(motions.inputs)
-        before = torch.zeros((len(actions), self.action_mapping.degree, actions.shape[-1]), dtype=torch.float64)
+        before = torch.zeros(
+            (len(actions), self.action_mapping.degree, actions.shape[-1]), dtype=torch.float64
+        )
         points = torch.cat([before, actions * self._bounds], dim=1) + motions.anchors
         pieces = points.unfold(1, self.action_mapping.degree + 1, 1)
         spline = torch.einsum("jod,mknd->mkjon", self._weights, pieces)
@@ -257,21 +316,32 @@ class GradientTraining:
             softness=self._softness,
         )
         violations = [torch.relu(required.action.abs() - settings.action_limit)]
-        if robot.kind != "planar":  # between the cables of a point in a plane, the distribution keeps the minimum
+        if (
+            robot.kind != "planar"
+        ):  # between the cables of a point in a plane, the distribution keeps the minimum
             least = self.minimum_tension if self._redundant else settings.tension
             violations.append(torch.relu(least - required.tensions) / settings.tension_scale)
-        if self.action_mapping.preview:  # without a preview the shift stays within the error bounds by construction
-            error = (flat - self._motions.reference[inside])[:, 0] / self._bounds * self.action_mapping.fraction
+        if (
+            self.action_mapping.preview
+        ):  # without a preview the shift stays within the error bounds by construction
+            error = (
+                (flat - self._motions.reference[inside])[:, 0]
+                / self._bounds
+                * self.action_mapping.fraction
+            )
             d = robot.dimensions
-            violations.append(torch.relu(torch.linalg.norm(error[:, :d], dim=1) - self.action_mapping.fraction))
+            violations.append(
+                torch.relu(torch.linalg.norm(error[:, :d], dim=1) - self.action_mapping.fraction)
+            )
             violations.append(torch.relu(error[:, d:].abs() - self.action_mapping.fraction))
         return [value.flatten() for value in violations]
 
     def round(self, index: int, report: Callable[[], None] = lambda: None) -> None:
-        """Runs round ``index``, counted from 0, and calls ``report`` after each evaluation of the objective.
+        """Runs round ``index``, counted from 0, and calls ``report`` after each evaluation of the
+        objective.
 
-        A round depends on weights and payloads alone, so that a run can be resumed between two rounds. After an
-        interrupt the network has the weights of the last evaluation.
+        A round depends on weights and payloads alone, so that a run can be resumed between two
+        rounds. After an interrupt the network has the weights of the last evaluation.
         """
         variables = [*self._variables, self._payloads]
         weight = self.settings.rounds[index]
@@ -282,8 +352,13 @@ class GradientTraining:
             for variable in variables:
                 variable.grad = None
             violations = torch.cat(self._violations())
-            loss = VIOLATION_WEIGHT * weight * violations.square().mean() - self._payloads.mean() / PAYLOAD_SCALE
-            loss = loss + self.settings.decay * sum(value.square().sum() for value in self._variables)
+            loss = (
+                VIOLATION_WEIGHT * weight * violations.square().mean()
+                - self._payloads.mean() / PAYLOAD_SCALE
+            )
+            loss = loss + self.settings.decay * sum(
+                value.square().sum() for value in self._variables
+            )
             torch.autograd.backward(loss)
             self.evaluations += 1
             report()
@@ -306,7 +381,10 @@ class GradientTraining:
 
     def state(self) -> dict[str, Array]:
         """State of the training as arrays by name, for :meth:`restore`."""
-        values = {f"variable{index}": value.detach().numpy().copy() for index, value in enumerate(self._variables)}
+        values = {
+            f"variable{index}": value.detach().numpy().copy()
+            for index, value in enumerate(self._variables)
+        }
         return values | {"payloads": self.payloads}
 
     def restore(self, arrays: Mapping[str, Array]) -> None:
@@ -324,7 +402,10 @@ class GradientTraining:
     @property
     def network(self) -> Network:
         """The network as plain arrays."""
-        layers = [tuple(value.detach().numpy().copy() for value in layer) for layer in self._layers.weights()]
+        layers = [
+            tuple(value.detach().numpy().copy() for value in layer)
+            for layer in self._layers.weights()
+        ]
         return Network(
             mean=self._mean.numpy().copy(),
             scale=self._scale.numpy().copy(),

@@ -1,4 +1,5 @@
-"""Training runs by analytic policy gradient (APG): configuration, checkpoints after each round, best policy."""
+"""Training runs by analytic policy gradient (APG): configuration, checkpoints after each round,
+best policy."""
 
 from __future__ import annotations
 
@@ -16,7 +17,13 @@ from cablebot_baselines.learned.steering import Shift, Steering, find_action_map
 from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.robots import Robot, find_robot
-from cablebot_gym.trajectories import TRAINING_SEEDS, BetweenDwells, RandomLoop, Trajectory, find_trajectory
+from cablebot_gym.trajectories import (
+    TRAINING_SEEDS,
+    BetweenDwells,
+    RandomLoop,
+    Trajectory,
+    find_trajectory,
+)
 from cablebot_gym.utils.checks import mapping, whole
 
 ALGORITHM = "gradient"
@@ -38,7 +45,8 @@ class GradientConfig:
     validation: tuple[Trajectory, ...]
     """Motions that select the best round."""
     steering: Steering
-    """Base law, mapping from actions to shifts of the reference, and names of the network's inputs."""
+    """Base law, mapping from actions to shifts of the reference, and names of the network's
+    inputs."""
     shift: Shift
     """Action mapping of ``steering``."""
     settings: GradientSettings
@@ -50,9 +58,9 @@ class GradientConfig:
 def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfig:
     """Checks ``plain``, the content of a configuration file for an environment.
 
-    The keys are ``motions``, ``base``, ``steering``, ``features``, ``evaluation``, and the fields of
-    :class:`GradientSettings`. ``motions`` is a mapping with one or both of these keys; the default is the
-    default motion of the environment:
+    The keys are ``motions``, ``base``, ``steering``, ``features``, ``evaluation``, and the fields
+    of :class:`GradientSettings`. ``motions`` is a mapping with one or both of these keys; the
+    default is the default motion of the environment:
 
     * ``loops``: a number N, for the random loops with training seeds 0 to N − 1.
     * ``named``: a list of trajectories for :func:`cablebot_gym.trajectories.find_trajectory`.
@@ -68,12 +76,16 @@ def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfi
     if not isinstance(shift, Shift):
         raise ValueError(f"steering must be of kind shift for {ALGORITHM}, not residual")
     settings = {name: value for name, value in plain.items() if name not in _OWN}
-    settings |= {name: tuple(settings[name]) for name in ("hidden", "rounds", "softness") if name in settings}
+    settings |= {
+        name: tuple(settings[name]) for name in ("hidden", "rounds", "softness") if name in settings
+    }
     trajectories, validation = _motions(plain.get("motions"), robot)
     return GradientConfig(
         trajectories=trajectories,
         validation=validation,
-        steering=Steering(robot, base=find_base(plain["base"]), action_mapping=shift, features=plain["features"]),
+        steering=Steering(
+            robot, base=find_base(plain["base"]), action_mapping=shift, features=plain["features"]
+        ),
         shift=shift,
         settings=GradientSettings(**settings),
         evaluation=dict(plain.get("evaluation", {})),
@@ -82,21 +94,33 @@ def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfi
 
 def _motions(value: Any, robot: Robot) -> tuple[tuple[Trajectory, ...], tuple[Trajectory, ...]]:
     """Training motions and validation motions."""
-    given = mapping("motions", {"named": [default_trajectory(robot)]} if value is None else value, ["loops", "named"])
+    given = mapping(
+        "motions",
+        {"named": [default_trajectory(robot)]} if value is None else value,
+        ["loops", "named"],
+    )
     most = len(TRAINING_SEEDS) - len(VALIDATION)
     count = whole("loops", given["loops"], least=1, most=most) if "loops" in given else 0
     named = given.get("named", [])
     if not isinstance(named, list) or not (named or count):
-        raise ValueError(f"motions must be {{loops: N}}, {{named: [TRAJECTORY, …]}} or both, not {value!r}")
+        raise ValueError(
+            f"motions must be {{loops: N}}, {{named: [TRAJECTORY, …]}} or both, not {value!r}"
+        )
     others = tuple(find_trajectory(one, robot.kind) for one in named)
     moving = [one.motion if isinstance(one, BetweenDwells) else one for one in others]
     if any(isinstance(one, RandomLoop) and one.seed not in TRAINING_SEEDS[:most] for one in moving):
-        raise ValueError(f"motions: other seeds are reserved for evaluation: train with seeds from 0 to {most - 1}")
-    return (*_loops(TRAINING_SEEDS[:count], robot), *others), _loops(VALIDATION, robot) if count else others
+        raise ValueError(
+            f"motions: other seeds are reserved for evaluation: train with seeds from 0 to {most - 1}"
+        )
+    return (*_loops(TRAINING_SEEDS[:count], robot), *others), _loops(
+        VALIDATION, robot
+    ) if count else others
 
 
 def _loops(seeds: Sequence[int], robot: Robot) -> tuple[Trajectory, ...]:
-    return tuple(find_trajectory({"name": f"loop-{robot.kind}", "seed": seed}, robot.kind) for seed in seeds)
+    return tuple(
+        find_trajectory({"name": f"loop-{robot.kind}", "seed": seed}, robot.kind) for seed in seeds
+    )
 
 
 def train_gradient(
@@ -112,7 +136,8 @@ def train_gradient(
 ) -> runs.TrainingResult:
     """Trains a policy by analytic policy gradient (APG).
 
-    The same seed and number of threads on the same machine give the same weights, also if the run was resumed.
+    The same seed and number of threads on the same machine give the same weights, also if the run
+    was resumed.
 
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
@@ -121,12 +146,14 @@ def train_gradient(
         seed: seed of the initial weights; None for 0.
         resume: whether to resume the run in ``out`` after its last finished round.
         threads: number of torch's threads; None for 1.
-        progress: function called with the evaluations of the objective so far, their largest number, and a text.
+        progress: function called with the evaluations of the objective so far, their largest
+            number, and a text.
         say: function called with messages for the user.
 
     Raises:
-        ValueError: if an argument or the configuration is invalid, or ``out`` already contains a run. With ``resume``
-            also if ``out`` contains no run, a run with other settings, or a damaged checkpoint. No file is changed.
+        ValueError: if an argument or the configuration is invalid, or ``out`` already contains a
+            run. With ``resume`` also if ``out`` contains no run, a run with other settings, or a
+            damaged checkpoint. No file is changed.
         Interrupted: after SIGINT or SIGTERM; the checkpoint is that of the last finished round.
     """
     options = {"env_id": env_id, "algorithm": ALGORITHM, "seed": seed, "threads": threads}
@@ -188,4 +215,6 @@ def _train(run: runs.Run, training: GradientTraining, resume: bool) -> None:
         state.rounds = state.rounds + 1
         run.evaluate(training.network, payload_by_equations_kg=float(np.mean(training.payloads)))
         run.save(write)
-    run.bundle(training.network, payload_by_equations_kg=float(np.mean(training.payloads))).save(run.out / runs.LAST)
+    run.bundle(training.network, payload_by_equations_kg=float(np.mean(training.payloads))).save(
+        run.out / runs.LAST
+    )

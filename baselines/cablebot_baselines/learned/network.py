@@ -12,7 +12,8 @@ from cablebot_gym.utils.checks import choice
 
 
 def _ball(values: Array) -> Array:
-    """Squashes the first (at most three) numbers as one vector, x/√(1 + |x|²), and each other number on its own."""
+    """Squashes the first (at most three) numbers as one vector, x/√(1 + |x|²), and each other
+    number on its own."""
     lines = min(3, values.shape[-1])
     square = values**2
     square[..., :lines] = np.sum(square[..., :lines], axis=-1, keepdims=True)
@@ -20,16 +21,25 @@ def _ball(values: Array) -> Array:
     return squashed
 
 
-ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0.0)}
+ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
+    "tanh": np.tanh,
+    "relu": lambda values: np.maximum(values, 0.0),
+}
 """Activation functions after each layer except the last, by name."""
 
-SQUASHES: dict[str, Callable[[Array], Array]] = {"none": lambda values: values, "tanh": np.tanh, "ball": _ball}
-"""Functions after the last layer, by name; ``ball`` keeps a position within the unit ball, and angles within ±1."""
+SQUASHES: dict[str, Callable[[Array], Array]] = {
+    "none": lambda values: values,
+    "tanh": np.tanh,
+    "ball": _ball,
+}
+"""Functions after the last layer, by name; ``ball`` keeps a position within the unit ball, and
+angles within ±1."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Network:
-    """A multilayer perceptron with normalised and clipped inputs, and a linear last layer with an optional squash.
+    """A multilayer perceptron with normalised and clipped inputs, and a linear last layer with an
+    optional squash.
 
     Raises:
         ValueError: if the shapes of the arrays are inconsistent, or a number is not finite.
@@ -55,15 +65,25 @@ class Network:
         for name, known in (("activation", ACTIVATIONS), ("squash", SQUASHES)):
             choice(name, getattr(self, name), known)
         size = len(self.mean)
-        fits = self.scale.shape == self.mean.shape == (size,) and len(self.weights) == len(self.biases) > 0
+        fits = (
+            self.scale.shape == self.mean.shape == (size,)
+            and len(self.weights) == len(self.biases) > 0
+        )
         for weight, bias in zip(self.weights, self.biases, strict=False):
-            fits = fits and weight.ndim == 2 and weight.shape[1] == size and bias.shape == (weight.shape[0],)
+            fits = (
+                fits
+                and weight.ndim == 2
+                and weight.shape[1] == size
+                and bias.shape == (weight.shape[0],)
+            )
             size = weight.shape[0]
         if not fits:
             raise ValueError("the shapes of the network's layers are inconsistent")
         arrays = (self.mean, self.scale, *self.weights, *self.biases)
         if not all(np.all(np.isfinite(array)) for array in arrays) or not np.all(self.scale > 0):
-            raise ValueError("the network's numbers must be finite, and the scale of its inputs must be above 0")
+            raise ValueError(
+                "the network's numbers must be finite, and the scale of its inputs must be above 0"
+            )
 
     @property
     def inputs(self) -> int:
@@ -120,4 +140,6 @@ class Network:
 def zero_network(inputs: int, outputs: int) -> Network:
     """A network with output 0 for every input; its policy is the base law alone."""
     zeros = (np.zeros((outputs, inputs)),)
-    return Network(mean=np.zeros(inputs), scale=np.ones(inputs), weights=zeros, biases=(np.zeros(outputs),))
+    return Network(
+        mean=np.zeros(inputs), scale=np.ones(inputs), weights=zeros, biases=(np.zeros(outputs),)
+    )

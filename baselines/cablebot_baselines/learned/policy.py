@@ -1,4 +1,5 @@
-"""Policy of a bundle: the network selects actions, and the action mapping applies them to the base law."""
+"""Policy of a bundle: the network selects actions, and the action mapping applies them to the base
+law."""
 
 from __future__ import annotations
 

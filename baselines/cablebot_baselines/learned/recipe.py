@@ -1,6 +1,8 @@
-"""The shipped settings for a training of your own with Stable-Baselines3 (SB3): environments, hyperparameters, export.
+"""The shipped settings for a training of your own with Stable-Baselines3 (SB3): environments,
+hyperparameters, export.
 
-The settings are those of ``cablebot train --algo ppo`` for the environment, from ``hyperparams/ppo.yaml``::
+The settings are those of ``cablebot train --algo ppo`` for the environment, from
+``hyperparams/ppo.yaml``::
 
     envs = make_training_envs("CableBot-Planar-v0", 256, seed=0)
     model = PPO("MlpPolicy", envs, seed=0, **ppo_settings("CableBot-Planar-v0", 256))
@@ -37,7 +39,8 @@ def find_config(env_id: str, algorithm: str = "ppo") -> Config:
 def ppo_settings(env_id: str, n_envs: int | None = None) -> dict[str, Any]:
     """The shipped hyperparameters of PPO for an environment, as keyword arguments of SB3's ``PPO``.
 
-    Without ``policy``, ``env`` and ``seed``. The CPU is faster than an accelerator for networks of this size.
+    Without ``policy``, ``env`` and ``seed``. The CPU is faster than an accelerator for networks of
+    this size.
 
     Args:
         env_id: as for :func:`make_training_envs`.
@@ -54,7 +57,8 @@ def ppo_settings(env_id: str, n_envs: int | None = None) -> dict[str, Any]:
 def make_training_envs(
     env_id: str, n_envs: int | None = None, *, seed: int = 0, config: Config | None = None
 ) -> VecNormalize:
-    """Makes the environments of a training: the learner steers a law, and heavier payloads follow its success.
+    """Makes the environments of a training: the learner steers a law, and heavier payloads follow
+    its success.
 
     Observations and rewards are normalised, and an episode ends at its first violation of a limit.
 
@@ -70,15 +74,20 @@ def make_training_envs(
     if config is None:
         config = find_config(env_id)
     count = config.n_envs if n_envs is None else n_envs
-    steered = make_steered_vec(env_id, count, wrappers=list(config.wrappers), seed=seed, **config.env_kwargs)
+    steered = make_steered_vec(
+        env_id, count, wrappers=list(config.wrappers), seed=seed, **config.env_kwargs
+    )
     try:
         return VecNormalize(VecMonitor(CableBotVecEnv(steered)), **config.normalize)
     except TypeError as error:
-        raise ValueError(f"normalize: VecNormalize rejects the settings ({error}): correct the file") from error
+        raise ValueError(
+            f"normalize: VecNormalize rejects the settings ({error}): correct the file"
+        ) from error
 
 
 def steered_env(model: BaseAlgorithm) -> SteeredVector:
-    """The environments of :func:`make_training_envs` without normalisation, from a model that has them.
+    """The environments of :func:`make_training_envs` without normalisation, from a model that has
+    them.
 
     Raises:
         ValueError: if the model has other environments.
@@ -86,14 +95,17 @@ def steered_env(model: BaseAlgorithm) -> SteeredVector:
     envs: Any = model.get_vec_normalize_env()
     steered = getattr(getattr(envs, "unwrapped", None), "env", None)
     if not isinstance(steered, SteeredVector):
-        raise ValueError("the model must have the environments that it was trained on, from make_training_envs")
+        raise ValueError(
+            "the model must have the environments that it was trained on, from make_training_envs"
+        )
     return steered
 
 
 def trained_policy(model: BaseAlgorithm) -> LearnedPolicy:
     """The policy of a model that was trained on :func:`make_training_envs`, without exploration.
 
-    ``trained_policy(model).bundle.save("mine.zip")`` stores it for ``cablebot dlcc ID --policy mine.zip``.
+    ``trained_policy(model).bundle.save("mine.zip")`` stores it for ``cablebot dlcc ID --policy
+    mine.zip``.
 
     Raises:
         ValueError: if the model has other environments, or its network cannot be exported.

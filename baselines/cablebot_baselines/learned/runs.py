@@ -1,10 +1,12 @@
-"""A training run, the same for all algorithms: its settings, folder, checkpoints, evaluations and best policy.
+"""A training run, the same for all algorithms: its settings, folder, checkpoints, evaluations and
+best policy.
 
 A run's folder contains:
 
-* ``run.json``, the settings and evaluations at the last checkpoint, and ``checkpoint``, the algorithm's state.
-* ``best.zip``, the policy with the largest DLCC in the evaluations, and ``last.zip``, the final policy; both are a
-  :class:`~cablebot_baselines.learned.bundle.Bundle`.
+* ``run.json``, the settings and evaluations at the last checkpoint, and ``checkpoint``, the
+  algorithm's state.
+* ``best.zip``, the policy with the largest DLCC in the evaluations, and ``last.zip``, the final
+  policy; both are a :class:`~cablebot_baselines.learned.bundle.Bundle`.
 * ``evaluations.csv``.
 
 This module does not need torch.
@@ -52,7 +54,16 @@ EVALUATIONS = "evaluations.csv"
 RESOLUTION = 0.05
 """Resolution of payloads in evaluations during training [kg]; ``evaluation`` may override it."""
 
-_OPTIONS = ("algorithm", "config_file", "seed", "timesteps", "eval_every", "checkpoint_every", "threads", "evaluation")
+_OPTIONS = (
+    "algorithm",
+    "config_file",
+    "seed",
+    "timesteps",
+    "eval_every",
+    "checkpoint_every",
+    "threads",
+    "evaluation",
+)
 _OPTION_NAMES = {"env_id": "ID", "algorithm": "--algo", "config_file": "--config"}
 _PACKAGES = ("numpy", "torch", "stable-baselines3", "sb3-contrib", "cablebot-gym")
 
@@ -100,7 +111,8 @@ class TrainingResult:
     out: Path
     """Folder of the run."""
     settings: dict[str, Any]
-    """Options of ``cablebot train``, the content of the configuration file (``config``) and its name."""
+    """Options of ``cablebot train``, the content of the configuration file (``config``) and its
+    name."""
     timesteps: int = 0
     """Number of timesteps."""
     wall_s: float = 0.0
@@ -122,7 +134,9 @@ class TrainingResult:
             ValueError: if there is none, or it is damaged.
         """
         if not (out / STATE).is_file():
-            raise ValueError(f"there is no run to resume in {str(out)!r}. Omit --resume to start one")
+            raise ValueError(
+                f"there is no run to resume in {str(out)!r}. Omit --resume to start one"
+            )
         with checkpoint_errors(out):
             data = json.loads(read_text(out / STATE))
             data["evaluations"] = [Evaluation(**item) for item in data["evaluations"]]
@@ -149,21 +163,29 @@ class TrainingResult:
 
     def __str__(self) -> str:
         base, best = kg(self.base_payload_kg), self.best
-        text = f"{self.timesteps} timesteps in {self.wall_s:.0f} s; DLCC of the base law alone: {base}"
-        return text + (f"; of the best policy: {kg(best.payload_kg)} ({self.out / BEST})" if best else "")
+        text = (
+            f"{self.timesteps} timesteps in {self.wall_s:.0f} s; DLCC of the base law alone: {base}"
+        )
+        return text + (
+            f"; of the best policy: {kg(best.payload_kg)} ({self.out / BEST})" if best else ""
+        )
 
 
-def open_run(out: Path, options: Mapping[str, Any], config: Path | None, *, resume: bool) -> TrainingResult:
+def open_run(
+    out: Path, options: Mapping[str, Any], config: Path | None, *, resume: bool
+) -> TrainingResult:
     """State of a new run, or of the run in ``out``. Writes no file.
 
     Args:
         out: folder of the run.
         options: options of ``cablebot train`` by name; None for those that were not given.
         config: YAML file, or the name of a shipped one; None for that of the algorithm.
-        resume: whether to resume the run in ``out``. Options must then equal those of the run, except ``timesteps``.
+        resume: whether to resume the run in ``out``. Options must then equal those of the run,
+            except ``timesteps``.
 
     Raises:
-        ValueError: if an option is invalid, ``out`` already contains a run, or there is no such run to resume.
+        ValueError: if an option is invalid, ``out`` already contains a run, or there is no such run
+            to resume.
     """
     check_writable_dir(out)
     given = {name: value for name, value in options.items() if value is not None}
@@ -173,10 +195,13 @@ def open_run(out: Path, options: Mapping[str, Any], config: Path | None, *, resu
     if not resume:
         for file in (STATE, BEST, LAST, EVALUATIONS):
             if (out / file).exists():
-                raise ValueError(f"{str(out)!r} already contains a run: add --resume, or choose another --out")
+                raise ValueError(
+                    f"{str(out)!r} already contains a run: add --resume, or choose another --out"
+                )
         given["config"] = read_yaml(given["env_id"], config or Path(given["algorithm"]))
         return TrainingResult(
-            out=out, settings={"seed": 0, "threads": 1, "config_file": config and config.name, **given}
+            out=out,
+            settings={"seed": 0, "threads": 1, "config_file": config and config.name, **given},
         )
     state = TrainingResult.load(out)
     if config is not None:
@@ -184,14 +209,21 @@ def open_run(out: Path, options: Mapping[str, Any], config: Path | None, *, resu
     for name, value in given.items():
         started = state.settings.get(name)
         if value != started and name != "timesteps":
-            other = "another --config" if name == "config" else f"{_option(name)} {started}, not {value}"
-            raise ValueError(f"the run in {str(out)!r} was started with {other}: omit it, or choose another --out")
+            other = (
+                "another --config"
+                if name == "config"
+                else f"{_option(name)} {started}, not {value}"
+            )
+            raise ValueError(
+                f"the run in {str(out)!r} was started with {other}: omit it, or choose another --out"
+            )
     state.settings |= given
     return state
 
 
 def read_yaml(env_id: str, path: Path) -> dict[str, Any]:
-    """Reads the unchecked configuration of an environment; the key ``default`` holds for environments without a key.
+    """Reads the unchecked configuration of an environment; the key ``default`` holds for
+    environments without a key.
 
     Args:
         env_id: id of the environment.
@@ -211,9 +243,13 @@ def read_yaml(env_id: str, path: Path) -> dict[str, Any]:
         text = f"--config: cannot read {str(path)!r} ({' '.join(str(error).split())})"
         raise ValueError(f"{text}; give a YAML file, or one of {', '.join(shipped)}") from error
     if not isinstance(data, dict) or not all(isinstance(value, dict) for value in data.values()):
-        raise ValueError(f"--config: {path.name} must map environments to hyperparameters: 'ID: {{n_envs: …}}'")
+        raise ValueError(
+            f"--config: {path.name} must map environments to hyperparameters: 'ID: {{n_envs: …}}'"
+        )
     if env_id not in data and "default" not in data:
-        raise ValueError(f"--config: {path.name} has no key {env_id} and no key default; it has {', '.join(data)}")
+        raise ValueError(
+            f"--config: {path.name} has no key {env_id} and no key default; it has {', '.join(data)}"
+        )
     return dict(data[env_id if env_id in data else "default"])
 
 
@@ -226,7 +262,8 @@ class Run:
         total: number of timesteps at the end.
         evaluation: keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc`.
         trained_on: training motions.
-        motions: keyword arguments of each motion; the payload of a policy is the mean over the motions.
+        motions: keyword arguments of each motion; the payload of a policy is the mean over the
+            motions.
         progress: function called with the progress.
         say: function called with messages for the user.
     """
@@ -272,26 +309,39 @@ class Run:
         self.report("starting", 0)  # the time left counts from here
 
     def evaluate(self, network: Network, **record: Any) -> float | None:
-        """Evaluates a network [kg]; writes ``evaluations.csv``, and ``best.zip`` if no earlier network was as good."""
+        """Evaluates a network [kg]; writes ``evaluations.csv``, and ``best.zip`` if no earlier
+        network was as good."""
         state, best = self.state, self.state.best
         self.report("evaluating", state.timesteps)
         payload = self._dlcc(replace(self._base, network=network))
         state.evaluations.append(
-            Evaluation(timesteps=state.timesteps, wall_s=round(self._wall_s(), 3), payload_kg=payload)
+            Evaluation(
+                timesteps=state.timesteps, wall_s=round(self._wall_s(), 3), payload_kg=payload
+            )
         )
         if best is None or rank(payload) > rank(best.payload_kg):
             self.bundle(network, **record).save(self.out / BEST)
-        rows = [",".join("" if value is None else str(value) for value in astuple(item)) for item in state.evaluations]
-        atomic_write_text(self.out / EVALUATIONS, "\n".join(["timesteps,wall_s,payload_kg", *rows, ""]))
+        rows = [
+            ",".join("" if value is None else str(value) for value in astuple(item))
+            for item in state.evaluations
+        ]
+        atomic_write_text(
+            self.out / EVALUATIONS, "\n".join(["timesteps,wall_s,payload_kg", *rows, ""])
+        )
         return payload
 
     def bundle(self, network: Network, **record: Any) -> Bundle:
         """A policy with its training record, to which ``record`` is added."""
         state, settings = self.state, self.state.settings
-        current = [item.payload_kg for item in state.evaluations if item.timesteps == state.timesteps]
+        current = [
+            item.payload_kg for item in state.evaluations if item.timesteps == state.timesteps
+        ]
         card = {
             "command": state.command(),
-            **{name: settings[name] for name in ("env_id", "algorithm", "config", "seed", "threads")},
+            **{
+                name: settings[name]
+                for name in ("env_id", "algorithm", "config", "seed", "threads")
+            },
             "timesteps": state.timesteps,
             "wall_s": round(self._wall_s(), 3),
             "versions": versions(),
@@ -318,7 +368,8 @@ class Run:
 
     @contextmanager
     def signals(self) -> Iterator[None]:
-        """Notes SIGINT or SIGTERM in :attr:`stopped`; a second SIGINT raises. Ignored signals stay ignored."""
+        """Notes SIGINT or SIGTERM in :attr:`stopped`; a second SIGINT raises. Ignored signals stay
+        ignored."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -330,7 +381,11 @@ class Run:
             if self._say:
                 self._say("stopping; Ctrl-C again stops immediately and keeps the last checkpoint")
 
-        handled = [one for one in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(one) is not signal.SIG_IGN]
+        handled = [
+            one
+            for one in (signal.SIGINT, signal.SIGTERM)
+            if signal.getsignal(one) is not signal.SIG_IGN
+        ]
         before = {number: signal.signal(number, note) for number in handled}
         try:
             yield
@@ -339,12 +394,18 @@ class Run:
                 signal.signal(number, handler)
 
     def _dlcc(self, bundle: Bundle) -> float | None:
-        """Mean DLCC of a bundle over the motions [kg], with 0 where it fails unloaded; None if it always does."""
+        """Mean DLCC of a bundle over the motions [kg], with 0 where it fails unloaded; None if it
+        always does."""
         policy = LearnedPolicy(bundle, find_robot(env_robot(bundle.env_id)))
         payloads = [
-            evaluate_dlcc(policy, bundle.env_id, **motion, **self._conditions).payload for motion in self._motions
+            evaluate_dlcc(policy, bundle.env_id, **motion, **self._conditions).payload
+            for motion in self._motions
         ]
-        return None if set(payloads) == {None} else float(np.mean([payload or 0.0 for payload in payloads]))
+        return (
+            None
+            if set(payloads) == {None}
+            else float(np.mean([payload or 0.0 for payload in payloads]))
+        )
 
     def _wall_s(self) -> float:
         return time.monotonic() - self._started
@@ -358,10 +419,13 @@ def shortest_dwell(trajectories: Sequence[Trajectory]) -> float:
 
 @contextmanager
 def checkpoint_errors(out: Path) -> Iterator[None]:
-    """Raises a ValueError in place of any error within the context, which reads the checkpoint in ``out``."""
+    """Raises a ValueError in place of any error within the context, which reads the checkpoint in
+    ``out``."""
     try:
         yield
-    except Exception as error:  # damaged files raise errors of zipfile, pickle, json, numpy and torch
+    except (
+        Exception
+    ) as error:  # damaged files raise errors of zipfile, pickle, json, numpy and torch
         raise ValueError(
             f"the checkpoint in {str(out)!r} cannot be resumed ({type(error).__name__}: {error}); no file was changed. "
             "Start a new run with another --out"

@@ -13,7 +13,8 @@ from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import choice
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""Folder of the shipped files: the bundles ``NAME-KIND.zip`` and their cards ``NAME-KIND.json``; see :func:`stem`."""
+"""Folder of the shipped files: the bundles ``NAME-KIND.zip`` and their cards ``NAME-KIND.json``;
+see :func:`stem`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,24 +51,30 @@ def load_shipped(name: str, robot: Robot, folder: Path = WEIGHTS) -> Policy:
         folder: folder of the weights.
 
     Raises:
-        ValueError: if the name is unknown, the weights for this kind of robot are missing or damaged, or the robot's
-            observation differs from the one that the policy was trained on.
+        ValueError: if the name is unknown, the weights for this kind of robot are missing or
+            damaged, or the robot's observation differs from the one that the policy was trained on.
     """
-    from cablebot_baselines.learned.bundle import Bundle  # imported here: listing policies does not need them
+    from cablebot_baselines.learned.bundle import (
+        Bundle,
+    )  # imported here: listing policies does not need them
     from cablebot_baselines.learned.policy import LearnedPolicy
 
     shipped = SHIPPED[choice("learned policy", name, SHIPPED)]
     env_id = fitting_env_id(robot)
     if env_id not in shipped.env_ids:
         others = ", ".join(other.name for other in SHIPPED.values() if env_id in other.env_ids)
-        raise ValueError(f"policy {name!r} is for {', '.join(shipped.env_ids)}, not for {env_id}: choose {others}")
+        raise ValueError(
+            f"policy {name!r} is for {', '.join(shipped.env_ids)}, not for {env_id}: choose {others}"
+        )
     return LearnedPolicy(Bundle.load(weights_file(name, env_id, folder)), robot)
 
 
 def _shipped(name: str) -> Shipped:
     paths = [weights_file(name, env_id) for env_id in DATA[name]["env_ids"]]
     factory = partial(load_shipped, name)
-    return Shipped(factory=factory, files=tuple(path for path in paths if path.is_file()), **DATA[name])
+    return Shipped(
+        factory=factory, files=tuple(path for path in paths if path.is_file()), **DATA[name]
+    )
 
 
 PPO_CIRCLE = _shipped("ppo-circle")

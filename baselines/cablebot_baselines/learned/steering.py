@@ -1,7 +1,9 @@
-"""Action mappings: a learner's actions shift the reference of a classical law, or add to the law's actions.
+"""Action mappings: a learner's actions shift the reference of a classical law, or add to the law's
+actions.
 
-This module computes one control period from an observation and an action, for one episode or a batch. The wrappers for
-training and the policies for evaluation both use it, so that a policy behaves the same in both.
+This module computes one control period from an observation and an action, for one episode or a
+batch. The wrappers for training and the policies for evaluation both use it, so that a policy
+behaves the same in both.
 """
 
 from __future__ import annotations
@@ -34,18 +36,21 @@ LONGEST_ACTION_PERIOD = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class Shift:
-    """Actions in [−1, 1]ⁿ shift the reference within the error bounds, along a smooth spline that a law can track.
+    """Actions in [−1, 1]ⁿ shift the reference within the error bounds, along a smooth spline that a
+    law can track.
 
-    Action k, taken at k · ``action_period``, is the k-th control point of a uniform B-spline. Its position is clipped
-    to the unit ball and scaled by the position bound; its rotation is scaled by the rotation bound; both are multiplied
-    by ``fraction``. The weight of a control point is zero when the action is taken, and largest
-    ``(degree + 1)/2 · action_period`` later. Before an episode all control points are the start pose of the task minus
-    the reference, so that the shifted motion starts at rest where the robot is. A spline stays in the convex hull of
-    its control points, so that the shift never exceeds the error bounds.
+    Action k, taken at k · ``action_period``, is the k-th control point of a uniform B-spline. Its
+    position is clipped to the unit ball and scaled by the position bound; its rotation is scaled by
+    the rotation bound; both are multiplied by ``fraction``. The weight of a control point is zero
+    when the action is taken, and largest ``(degree + 1)/2 · action_period`` later. Before an
+    episode all control points are the start pose of the task minus the reference, so that the
+    shifted motion starts at rest where the robot is. A spline stays in the convex hull of its
+    control points, so that the shift never exceeds the error bounds.
 
-    With a ``preview``, the spline replaces the reference: each control point is the reference at this time ahead, plus
-    the action. The motion's acceleration is then continuous where the reference's acceleration jumps. However, the
-    spline cuts corners, which can exceed the error bounds.
+    With a ``preview``, the spline replaces the reference: each control point is the reference at
+    this time ahead, plus the action. The motion's acceleration is then continuous where the
+    reference's acceleration jumps. However, the spline cuts corners, which can exceed the error
+    bounds.
 
     Raises:
         ValueError: if a number is out of its range.
@@ -56,7 +61,8 @@ class Shift:
     fraction: float = 0.95
     """Largest shift as a fraction of the bounds of position and rotation; in (0, 1]."""
     degree: int = 3
-    """Degree of the spline, 2 to 5. Torques depend on its second derivative, with joint springs on its fourth."""
+    """Degree of the spline, 2 to 5. Torques depend on its second derivative, with joint springs on
+    its fourth."""
     preview: float = 0.0
     """Preview time of the reference [s]: 0, or one of the observation's previews."""
 
@@ -65,7 +71,9 @@ class Shift:
         object.__setattr__(self, "degree", whole("degree", self.degree, least=2, most=5))
         object.__setattr__(self, "preview", number("preview", self.preview, unit="s"))
         if self.preview not in (0.0, *PREVIEWS):
-            raise ValueError(f"preview must be one of 0, {', '.join(map(str, PREVIEWS))} s, not {self.preview!r}")
+            raise ValueError(
+                f"preview must be one of 0, {', '.join(map(str, PREVIEWS))} s, not {self.preview!r}"
+            )
 
     def actions(self, robot: Robot) -> int:
         """Size of an action."""
@@ -94,10 +102,13 @@ class Shift:
         basis = BSpline.basis_element(np.arange(self.degree + 2.0), extrapolate=False)
         age = np.arange(self.degree, -1.0, -1.0)
         parameters = np.asarray(times)[..., None] / action_period + age
-        # A knot is evaluated on the piece before it, because the basis function ends at its last knot.
+        # A knot is evaluated on the piece before it, because the basis function ends at its last
+        # knot.
         parameters = np.minimum(parameters, np.nextafter(age + 1, 0))
         orders = [
-            np.nan_to_num(basis.derivative(order)(parameters) if order <= self.degree else 0 * parameters)
+            np.nan_to_num(
+                basis.derivative(order)(parameters) if order <= self.degree else 0 * parameters
+            )
             / action_period**order
             for order in range(5)
         ]
@@ -131,9 +142,17 @@ class Residual:
 
 
 def _check_period_and_fraction(action_mapping: Shift | Residual) -> None:
-    period = number("action_period", action_mapping.action_period, above=0.0, most=LONGEST_ACTION_PERIOD, unit="s")
+    period = number(
+        "action_period",
+        action_mapping.action_period,
+        above=0.0,
+        most=LONGEST_ACTION_PERIOD,
+        unit="s",
+    )
     object.__setattr__(action_mapping, "action_period", period)
-    object.__setattr__(action_mapping, "fraction", number("fraction", action_mapping.fraction, above=0.0, most=1.0))
+    object.__setattr__(
+        action_mapping, "fraction", number("fraction", action_mapping.fraction, above=0.0, most=1.0)
+    )
 
 
 _KINDS: dict[str, type[Shift] | type[Residual]] = {"shift": Shift, "residual": Residual}
@@ -142,13 +161,18 @@ _KINDS: dict[str, type[Shift] | type[Residual]] = {"shift": Shift, "residual": R
 def action_mapping_to_jsonable(action_mapping: Shift | Residual) -> dict[str, Any]:
     """An action mapping as JSON-able data, for :func:`find_action_mapping`."""
     return {
-        "kind": next(kind for kind, mapping in _KINDS.items() if isinstance(action_mapping, mapping)),
+        "kind": next(
+            kind for kind, mapping in _KINDS.items() if isinstance(action_mapping, mapping)
+        ),
         **asdict(action_mapping),
     }
 
 
-def find_action_mapping(action_mapping: Shift | Residual | str | Mapping[str, Any]) -> Shift | Residual:
-    """Returns an action mapping from an object, a kind, or a dict ``{"kind": …, "action_period": …}``.
+def find_action_mapping(
+    action_mapping: Shift | Residual | str | Mapping[str, Any],
+) -> Shift | Residual:
+    """Returns an action mapping from an object, a kind, or a dict ``{"kind": …, "action_period":
+    …}``.
 
     The kinds are ``"shift"`` and ``"residual"``.
 
@@ -160,7 +184,9 @@ def find_action_mapping(action_mapping: Shift | Residual | str | Mapping[str, An
     data = {"kind": action_mapping} if isinstance(action_mapping, str) else action_mapping
     known = {"kind", *Shift.__dataclass_fields__, *Residual.__dataclass_fields__}
     data = mapping("steering", data, sorted(known))
-    kind: type[Shift] | type[Residual] = _KINDS[choice("kind of steering", data.pop("kind", None), _KINDS)]
+    kind: type[Shift] | type[Residual] = _KINDS[
+        choice("kind of steering", data.pop("kind", None), _KINDS)
+    ]
     return record("steering", kind, data)
 
 
@@ -169,10 +195,11 @@ class Memory:
     """State between two control instants, of one episode or of a batch."""
 
     actions: Array
-    """Last actions, oldest first, (..., memory_length, size). Before the first action, those of a shift to the start
-    pose; 0 for a residual."""
+    """Last actions, oldest first, (..., memory_length, size). Before the first action, those of a
+    shift to the start pose; 0 for a residual."""
     anchors: Array
-    """Origins of the control points of a shift with a preview, (..., memory_length, n); otherwise empty."""
+    """Origins of the control points of a shift with a preview, (..., memory_length, n); otherwise
+    empty."""
     step: NDArray[np.int64]
     """Number of control instants since the episode's start, (...)."""
     law: Any
@@ -180,7 +207,8 @@ class Memory:
 
 
 class Steering:
-    """A base law with an action mapping: computes the learner's observation and the applied actions.
+    """A base law with an action mapping: computes the learner's observation and the applied
+    actions.
 
     Args:
         robot: nominal robot.
@@ -189,17 +217,24 @@ class Steering:
         features: observation of a learner, see :mod:`cablebot_baselines.learned.features`.
 
     Raises:
-        ValueError: if the law does not support the robot, a feature is unknown, or a residual is combined with
-            features of a shift or with a law that estimates the payload of a rigid robot.
+        ValueError: if the law does not support the robot, a feature is unknown, or a residual is
+            combined with features of a shift or with a law that estimates the payload of a rigid
+            robot.
     """
 
-    def __init__(self, robot: Robot, *, base: Base, action_mapping: Shift | Residual, features: Sequence[str]) -> None:
+    def __init__(
+        self, robot: Robot, *, base: Base, action_mapping: Shift | Residual, features: Sequence[str]
+    ) -> None:
         self.robot = robot
         self.base = base
         self.action_mapping = action_mapping
         self.features = check_features(features, robot)
-        if isinstance(action_mapping, Residual) and (odd := [name for name in self.features if name in SHIFT_FEATURES]):
-            raise ValueError(f"feature {odd[0]!r} requires steering of kind shift: remove it, or use shift")
+        if isinstance(action_mapping, Residual) and (
+            odd := [name for name in self.features if name in SHIFT_FEATURES]
+        ):
+            raise ValueError(
+                f"feature {odd[0]!r} requires steering of kind shift: remove it, or use shift"
+            )
         if isinstance(action_mapping, Residual) and base.estimates_payload and not robot.flexible:
             raise ValueError(
                 "a residual would bias the payload estimate of the base law: set estimates_payload to False, or use "
@@ -224,10 +259,12 @@ class Steering:
             phases = np.arange(self.periods) * period
             now = self.action_mapping.weights(phases, action_period)
             after = self.action_mapping.weights(phases + period, action_period)
-            # Torques are constant over a period, so that the law needs the period's mean acceleration.
+            # Torques are constant over a period, so that the law needs the period's mean
+            # acceleration.
             self._motion = now
             self._mean = (after[:, 1] - now[:, 1]) / period
-            # When an action is due, the oldest control point is about to be dropped, and the newest has zero weight.
+            # When an action is due, the oldest control point is about to be dropped, and the newest
+            # has zero weight.
             self._present = now[:, :2].copy()
             self._present[0] = np.roll(now[0, :2], 1, axis=-1)
 
@@ -235,16 +272,21 @@ class Steering:
         """Reads the error bounds, the control frequency and the start poses of the tasks.
 
         Raises:
-            ValueError: if the tasks differ in bounds or frequency, or a task's robot is not supported.
+            ValueError: if the tasks differ in bounds or frequency, or a task's robot is not
+                supported.
         """
         self.law.reset(tasks)
         conditions = {(task.error_bounds, task.control_frequency) for task in tasks}
         if len(conditions) != 1:
-            raise ValueError("a learned policy requires the same error bounds and control frequency in all episodes")
+            raise ValueError(
+                "a learned policy requires the same error bounds and control frequency in all episodes"
+            )
         ((error_bounds, frequency),) = conditions
         self._prepare(error_bounds, 1 / frequency)
         motions = {id(task.trajectory): task for task in tasks}
-        shifts = {key: task.start_pose - task.trajectory(0.0).position for key, task in motions.items()}
+        shifts = {
+            key: task.start_pose - task.trajectory(0.0).position for key, task in motions.items()
+        }
         starts = np.array([shifts[id(task.trajectory)] for task in tasks])
         self._start = starts if np.ptp(starts, axis=0).any() else starts[0]
 
@@ -256,7 +298,9 @@ class Steering:
         """
         return self.law.split(observation)
 
-    def reset_memory(self, blocks: dict[str, Array], memory: Memory | None, episode_start: Any) -> Memory:
+    def reset_memory(
+        self, blocks: dict[str, Array], memory: Memory | None, episode_start: Any
+    ) -> Memory:
         """Resets the memory of the episodes that start."""
         batch = blocks["pose"].shape[:-1]
         action_mapping = self.action_mapping
@@ -265,7 +309,9 @@ class Steering:
             return memory
         anchors = np.zeros((*batch, 0, self.robot.coordinates))
         if isinstance(action_mapping, Shift) and action_mapping.preview:
-            anchors = np.repeat(blocks["reference_pose"][..., None, :], action_mapping.memory_length, axis=-2)
+            anchors = np.repeat(
+                blocks["reference_pose"][..., None, :], action_mapping.memory_length, axis=-2
+            )
         actions = np.zeros((*batch, action_mapping.memory_length, self.actions))
         if isinstance(action_mapping, Shift):
             actions += np.expand_dims(self._start / self._bounds, -2)
@@ -299,7 +345,9 @@ class Steering:
         }
         shift = np.zeros_like(blocks["pose"])
         if isinstance(self.action_mapping, Shift):
-            position, velocity = np.moveaxis(self._spline(self._present[memory.step % self.periods], memory), -2, 0)
+            position, velocity = np.moveaxis(
+                self._spline(self._present[memory.step % self.periods], memory), -2, 0
+            )
             anchored = bool(self.action_mapping.preview)
             shift = position - anchored * blocks["reference_pose"]
             derived["shift"] = shift / self._bounds
@@ -311,11 +359,14 @@ class Steering:
     def respond(
         self, blocks: dict[str, Array], action: Array, memory: Memory, episode_start: Any = None
     ) -> tuple[Array, Memory]:
-        """Returns actions (..., m) and the next memory; ``action`` (..., size) is used where one is :meth:`due`."""
+        """Returns actions (..., m) and the next memory; ``action`` (..., size) is used where one is
+        :meth:`due`."""
         due = self.due(memory)
         actions, anchors = memory.actions, memory.anchors
         if np.any(due):
-            taken = np.concatenate([actions[..., 1:, :], self._clipped(action)[..., None, :]], axis=-2)
+            taken = np.concatenate(
+                [actions[..., 1:, :], self._clipped(action)[..., None, :]], axis=-2
+            )
             actions = np.where(due[..., None, None], taken, actions)
             if anchors.shape[-2]:
                 assert isinstance(self.action_mapping, Shift)
@@ -334,11 +385,14 @@ class Steering:
         action = np.clip(np.asarray(action, float), -1.0, 1.0)
         if isinstance(self.action_mapping, Shift):
             lines = min(self.actions, 3)
-            action[..., :lines] /= np.maximum(np.linalg.norm(action[..., :lines], axis=-1, keepdims=True), 1.0)
+            action[..., :lines] /= np.maximum(
+                np.linalg.norm(action[..., :lines], axis=-1, keepdims=True), 1.0
+            )
         return action
 
     def _spline(self, weights: Array, memory: Memory) -> Array:
-        """Spline (..., orders, n) from weights (..., orders, memory_length) and the control points."""
+        """Spline (..., orders, n) from weights (..., orders, memory_length) and the control
+        points."""
         points = memory.actions * self._bounds
         if memory.anchors.shape[-2]:
             points = points + memory.anchors
@@ -359,5 +413,7 @@ class Steering:
         for order, name in enumerate(DERIVATIVES):
             block = f"reference_{name}"
             if block in blocks:
-                moved[block] = motion[..., order, :] + (0.0 if self.action_mapping.preview else blocks[block])
+                moved[block] = motion[..., order, :] + (
+                    0.0 if self.action_mapping.preview else blocks[block]
+                )
         return blocks | moved

@@ -1,10 +1,11 @@
 """Training runs with Stable-Baselines3 (SB3): checkpoints, DLCC evaluations, best policy.
 
-In addition to the files in :mod:`cablebot_baselines.learned.runs`, a run's folder contains ``progress.csv``, SB3's log,
-and the same log in ``tensorboard`` if TensorBoard is installed. A run that was resumed after N timesteps continues in
-``progress_N.csv``. The folder ``checkpoint`` contains the files of SB3's own functions: ``model.zip``,
-``vecnormalize.pkl``, and ``replay_buffer.pkl`` with SAC and TQC. SB3 loads them with ``pickle``: resume only runs that
-you trust.
+In addition to the files in :mod:`cablebot_baselines.learned.runs`, a run's folder contains
+``progress.csv``, SB3's log, and the same log in ``tensorboard`` if TensorBoard is installed. A run
+that was resumed after N timesteps continues in ``progress_N.csv``. The folder ``checkpoint``
+contains the files of SB3's own functions: ``model.zip``, ``vecnormalize.pkl``, and
+``replay_buffer.pkl`` with SAC and TQC. SB3 loads them with ``pickle``: resume only runs that you
+trust.
 """
 
 from __future__ import annotations
@@ -17,11 +18,18 @@ from typing import Any
 try:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, make_output_format
+    from stable_baselines3.common.logger import (
+        KVWriter,
+        Logger,
+        TensorBoardOutputFormat,
+        make_output_format,
+    )
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
     from stable_baselines3.common.vec_env import VecNormalize
 except ImportError as error:
-    raise ImportError("training needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name) from error
+    raise ImportError(
+        "training needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name
+    ) from error
 
 from cablebot_baselines.learned import runs
 from cablebot_baselines.learned.config import Config, algorithm_class, make_config
@@ -55,8 +63,9 @@ def train(
 ) -> runs.TrainingResult:
     """Trains a learned policy with Stable-Baselines3.
 
-    The same seed and number of threads on the same machine give the same weights, unless the run is interrupted. SIGINT
-    and SIGTERM stop a run after the current rollout, with a checkpoint; a second SIGINT stops it immediately.
+    The same seed and number of threads on the same machine give the same weights, unless the run is
+    interrupted. SIGINT and SIGTERM stop a run after the current rollout, with a checkpoint; a
+    second SIGINT stops it immediately.
 
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
@@ -64,23 +73,28 @@ def train(
         algorithm: ``ppo``, ``sac`` or ``tqc``; None for ``ppo``.
         config: YAML file with RL-Zoo's keys; None for the shipped one.
         seed: seed of weights, exploration and environments; None for 0.
-        timesteps: number of actions over all environments; None for the configuration's ``n_timesteps``.
-        resume: whether to resume the run in ``out`` from its last checkpoint: the saved model, normalisation and replay
-            buffer, with new episodes. The result is therefore not that of an uninterrupted run. Arguments that are None
-            keep the values that the run was started with; other arguments must equal these values, except for
-            ``timesteps``, at whose new value linear schedules end.
-        eval_every: timesteps between two evaluations; None for 1/20 of all timesteps. A checkpoint follows each one.
+        timesteps: number of actions over all environments; None for the configuration's
+            ``n_timesteps``.
+        resume: whether to resume the run in ``out`` from its last checkpoint: the saved model,
+            normalisation and replay buffer, with new episodes. The result is therefore not that of
+            an uninterrupted run. Arguments that are None keep the values that the run was started
+            with; other arguments must equal these values, except for ``timesteps``, at whose new
+            value linear schedules end.
+        eval_every: timesteps between two evaluations; None for 1/20 of all timesteps. A checkpoint
+            follows each one.
         checkpoint_every: timesteps between two checkpoints; None for 1/20 of all timesteps.
-        threads: number of torch's threads; None for 1. For networks of this size, more threads are hardly faster, and
-            much slower if other processes use the cores.
-        evaluation: keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc` in addition to the
-            criterion ``task`` and ``RESOLUTION``, such as ``{"payload_known": False}``.
+        threads: number of torch's threads; None for 1. For networks of this size, more threads are
+            hardly faster, and much slower if other processes use the cores.
+        evaluation: keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc` in
+            addition to the criterion ``task`` and ``RESOLUTION``, such as ``{"payload_known":
+            False}``.
         progress: function called with the progress.
         say: function called with messages for the user.
 
     Raises:
-        ValueError: if an argument or the configuration is invalid, or ``out`` already contains a run. With ``resume``
-            also if ``out`` contains no run, a run with other settings, or a damaged checkpoint. No file is changed.
+        ValueError: if an argument or the configuration is invalid, or ``out`` already contains a
+            run. With ``resume`` also if ``out`` contains no run, a run with other settings, or a
+            damaged checkpoint. No file is changed.
         Interrupted: after a signal, when the checkpoint is written.
         cablebot_gym.policies.protocol.PolicyError: if an evaluation fails.
     """
@@ -99,12 +113,22 @@ def train(
     settings = state.settings
     hyperparameters = make_config(settings["config"])
     interval = max(1, settings.setdefault("timesteps", hyperparameters.timesteps) // PARTS)
-    state.settings = {"eval_every": interval, "checkpoint_every": interval, "evaluation": {}, **settings}
+    state.settings = {
+        "eval_every": interval,
+        "checkpoint_every": interval,
+        "evaluation": {},
+        **settings,
+    }
     if state.timesteps >= settings["timesteps"]:
         if say:
-            say(f"nothing to do: {state.timesteps} timesteps are done. Use --timesteps to train longer")
+            say(
+                f"nothing to do: {state.timesteps} timesteps are done. Use --timesteps to train longer"
+            )
         return state
-    with runs.torch_threads(settings["threads"]), closing(_environments(hyperparameters, state)) as envs:
+    with (
+        runs.torch_threads(settings["threads"]),
+        closing(_environments(hyperparameters, state)) as envs,
+    ):
         model = (_load if resume else _make)(state, hyperparameters, envs)
         network_from_sb3(model)  # fails before the training if the model cannot be exported
         total = state.settings["timesteps"]
@@ -129,7 +153,9 @@ def train(
 
 
 def _environments(config: Config, state: runs.TrainingResult) -> VecNormalize:
-    seed = state.settings["seed"] + state.timesteps  # a resumed run does not repeat its first episodes
+    seed = (
+        state.settings["seed"] + state.timesteps
+    )  # a resumed run does not repeat its first episodes
     return make_training_envs(state.settings["env_id"], seed=seed, config=config)
 
 
@@ -142,10 +168,15 @@ def _make(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> Bas
     name = state.settings["algorithm"]
     algorithm: Any = algorithm_class(name)
     try:
-        # The CPU is faster than an accelerator for networks of this size, and gives reproducible weights.
-        model: BaseAlgorithm = algorithm(env=envs, seed=state.settings["seed"], device="cpu", **config.model)
+        # The CPU is faster than an accelerator for networks of this size, and gives reproducible
+        # weights.
+        model: BaseAlgorithm = algorithm(
+            env=envs, seed=state.settings["seed"], device="cpu", **config.model
+        )
     except (TypeError, ValueError, AssertionError) as error:
-        raise ValueError(f"{name} rejects the hyperparameters ({error}): correct the file") from error
+        raise ValueError(
+            f"{name} rejects the hyperparameters ({error}): correct the file"
+        ) from error
     return model
 
 
@@ -158,7 +189,9 @@ def _load(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> Bas
     folder = state.checkpoint
     with runs.checkpoint_errors(state.out):
         normalize = VecNormalize.load(str(folder / _NORMALIZE), envs.venv)
-        model = algorithm_class(state.settings["algorithm"]).load(folder / _MODEL, env=normalize, device="cpu")
+        model = algorithm_class(state.settings["algorithm"]).load(
+            folder / _MODEL, env=normalize, device="cpu"
+        )
         if isinstance(model, OffPolicyAlgorithm):
             model.load_replay_buffer(folder / _REPLAY)
     model.set_random_seed(state.settings["seed"] + state.timesteps)
@@ -221,7 +254,10 @@ class _RunCallback(BaseCallback):
         evaluation_due = now // settings["eval_every"] > self._evaluated // settings["eval_every"]
         if evaluation_due:
             self.evaluate()
-        due = evaluation_due or now // settings["checkpoint_every"] > self._saved // settings["checkpoint_every"]
+        due = (
+            evaluation_due
+            or now // settings["checkpoint_every"] > self._saved // settings["checkpoint_every"]
+        )
         if due or (run.stopped and now > self._saved):
             self.save()
         if run.stopped:
@@ -229,7 +265,9 @@ class _RunCallback(BaseCallback):
 
     def _on_step(self) -> bool:
         best = self._run.state.best
-        self._run.report(f"training, best {runs.kg(best.payload_kg)}" if best else "training", self.num_timesteps)
+        self._run.report(
+            f"training, best {runs.kg(best.payload_kg)}" if best else "training", self.num_timesteps
+        )
         return True
 
 
@@ -241,7 +279,9 @@ def _learn(model: BaseAlgorithm, callback: _RunCallback, run: runs.Run) -> None:
         formats.append(TensorBoardOutputFormat(str(out / "tensorboard")))
     logger = Logger(str(out), formats)
     model.set_logger(logger)
-    off_policy = isinstance(model, OffPolicyAlgorithm)  # its log_interval counts episodes, not rollouts
+    off_policy = isinstance(
+        model, OffPolicyAlgorithm
+    )  # its log_interval counts episodes, not rollouts
     try:
         with run.signals():
             if not start:

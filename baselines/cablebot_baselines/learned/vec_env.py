@@ -1,4 +1,5 @@
-"""Adapter from Gymnasium's vector environment to Stable-Baselines3 (SB3), for training on one compiled batch."""
+"""Adapter from Gymnasium's vector environment to Stable-Baselines3 (SB3), for training on one
+compiled batch."""
 
 from __future__ import annotations
 
@@ -14,39 +15,56 @@ import cablebot_gym  # noqa: F401 - registers the ids
 from cablebot_gym.utils.checks import choice
 
 try:
-    from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
+    from stable_baselines3.common.vec_env.base_vec_env import (
+        VecEnv,
+        VecEnvIndices,
+        VecEnvObs,
+        VecEnvStepReturn,
+    )
 except ImportError as error:
-    raise ImportError("SB3's VecEnv needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name) from error
+    raise ImportError(
+        "SB3's VecEnv needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name
+    ) from error
 
 FINAL_KEYS = ("termination_reason", "payload", "episode", "is_success")
-"""Info keys that an ended episode always has if the environment provides them; SB3 itself reads the last two."""
+"""Info keys that an ended episode always has if the environment provides them; SB3 itself reads the
+last two."""
 
 
 class CableBotVecEnv(VecEnv):
-    """SB3's interface of a Gymnasium vector environment; its results equal those of SB3's ``DummyVecEnv`` bit by bit.
+    """SB3's interface of a Gymnasium vector environment; its results equal those of SB3's
+    ``DummyVecEnv`` bit by bit.
 
-    ``step`` returns observations (N, size) in the dtype of the observation space, rewards (N,) in float32, dones (N,)
-    and N dicts. When an episode ends, the returned observation is the first of the next episode, and the dict contains
-    the last observation as ``terminal_observation`` and the keys in :data:`FINAL_KEYS`. Every dict has
-    ``TimeLimit.truncated``, which is true if only the time limit ended the episode. Seeds and options apply once, at
-    the next ``reset``: environment i gets ``seed + i``.
+    ``step`` returns observations (N, size) in the dtype of the observation space, rewards (N,) in
+    float32, dones (N,) and N dicts. When an episode ends, the returned observation is the first of
+    the next episode, and the dict contains the last observation as ``terminal_observation`` and the
+    keys in :data:`FINAL_KEYS`. Every dict has ``TimeLimit.truncated``, which is true if only the
+    time limit ended the episode. Seeds and options apply once, at the next ``reset``: environment i
+    gets ``seed + i``.
 
     Args:
-        env: vector environment from ``gym.make_vec(id, num_envs=N, autoreset_mode=AutoresetMode.DISABLED)``, with or
-            without wrappers.
-        info_keys: further keys of ``info`` that each dict gets at each step. None selects all keys, which for 1024
-            environments takes three times as long as the physics.
+        env: vector environment from ``gym.make_vec(id, num_envs=N,
+            autoreset_mode=AutoresetMode.DISABLED)``, with or without wrappers.
+        info_keys: further keys of ``info`` that each dict gets at each step. None selects all keys,
+            which for 1024 environments takes three times as long as the physics.
 
     Raises:
         TypeError: if ``env`` is not a vector environment.
-        ValueError: if it has another autoreset mode. The first ``step`` raises it if one of ``info_keys`` is unknown.
+        ValueError: if it has another autoreset mode. The first ``step`` raises it if one of
+            ``info_keys`` is unknown.
     """
 
-    def __init__(self, env: VectorEnv[Any, Any, Any], *, info_keys: Sequence[str] | None = ()) -> None:
+    def __init__(
+        self, env: VectorEnv[Any, Any, Any], *, info_keys: Sequence[str] | None = ()
+    ) -> None:
         if not isinstance(env, VectorEnv):
-            raise TypeError(f"env must be a Gymnasium vector environment, from gym.make_vec, not {type(env).__name__}")
+            raise TypeError(
+                f"env must be a Gymnasium vector environment, from gym.make_vec, not {type(env).__name__}"
+            )
         if env.metadata.get("autoreset_mode") is not AutoresetMode.DISABLED:
-            raise ValueError("CableBotVecEnv needs gym.make_vec(…, autoreset_mode=AutoresetMode.DISABLED)")
+            raise ValueError(
+                "CableBotVecEnv needs gym.make_vec(…, autoreset_mode=AutoresetMode.DISABLED)"
+            )
         self.env = env
         """The vector environment."""
         self.spec = env.spec
@@ -64,17 +82,22 @@ class CableBotVecEnv(VecEnv):
             ValueError: if the options are a list, or contain ``reset_mask``.
         """
         if isinstance(options, (list, tuple)) or "reset_mask" in (options or {}):
-            raise ValueError("options must be one dict without reset_mask; its values may have a leading axis N")
+            raise ValueError(
+                "options must be one dict without reset_mask; its values may have a leading axis N"
+            )
         super().set_options(options)
 
     def reset(self) -> VecEnvObs:
-        """Resets every environment with the seeds and options set before; returns observations (N, size).
+        """Resets every environment with the seeds and options set before; returns observations (N,
+        size).
 
         Raises:
             ValueError: if a seed or an option is invalid; seeds and options then stay set.
         """
         # The base class's seeds increase by one per environment, as Gymnasium's do.
-        observation, info = self.env.reset(seed=self._seeds[0], options=dict(self._options[0] or {}) or None)
+        observation, info = self.env.reset(
+            seed=self._seeds[0], options=dict(self._options[0] or {}) or None
+        )
         self.reset_infos = self._dicts(info, self._selected_keys(info), self._all_indices)
         self._reset_seeds()
         self._reset_options()
@@ -85,11 +108,13 @@ class CableBotVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Steps every environment once; returns observations, rewards, dones and info dicts, see the class.
+        """Steps every environment once; returns observations, rewards, dones and info dicts, see
+        the class.
 
         Raises:
             RuntimeError: if no actions were set.
-            ValueError: if the actions are not (N, m) finite numbers, or one of ``info_keys`` is unknown.
+            ValueError: if the actions are not (N, m) finite numbers, or one of ``info_keys`` is
+                unknown.
         """
         if self._actions is None:
             raise RuntimeError("call step_async(actions) before step_wait()")
@@ -103,11 +128,15 @@ class CableBotVecEnv(VecEnv):
         infos = self._dicts(info, self._selected_keys(info), self._all_indices)
         if done.any():
             ended = np.flatnonzero(done)
-            for env_index, final in zip(ended.tolist(), self._dicts(info, FINAL_KEYS, ended), strict=True):
+            for env_index, final in zip(
+                ended.tolist(), self._dicts(info, FINAL_KEYS, ended), strict=True
+            ):
                 infos[env_index] |= final | {"terminal_observation": observation[env_index].copy()}
             first, info = self.env.reset(options={"reset_mask": done})
             observation[done] = first[done]
-            for env_index, one in zip(ended.tolist(), self._dicts(info, self._selected_keys(info), ended), strict=True):
+            for env_index, one in zip(
+                ended.tolist(), self._dicts(info, self._selected_keys(info), ended), strict=True
+            ):
                 self.reset_infos[env_index] = one
         for one, limit in zip(infos, (truncated & ~terminated).tolist(), strict=True):
             one["TimeLimit.truncated"] = limit
@@ -119,19 +148,23 @@ class CableBotVecEnv(VecEnv):
     def _dicts(
         self, info: Mapping[str, Any], keys: Iterable[str], env_indices: NDArray[np.int64]
     ) -> list[dict[str, Any]]:
-        """Splits a vector info into one dict per environment; the mask ``_key`` marks environments with a key."""
+        """Splits a vector info into one dict per environment; the mask ``_key`` marks environments
+        with a key."""
         dicts: list[dict[str, Any]] = [{} for _ in range(len(env_indices))]
         for key in keys:
             if key not in info:
                 continue
             present = info.get(f"_{key}", np.ones(self.num_envs, np.bool_))[env_indices].tolist()
-            for one, item, has_key in zip(dicts, self._items(info[key], env_indices), present, strict=True):
+            for one, item, has_key in zip(
+                dicts, self._items(info[key], env_indices), present, strict=True
+            ):
                 if has_key:
                     one[key] = item
         return dicts
 
     def _items(self, value: Any, env_indices: NDArray[np.int64]) -> list[Any]:
-        """Splits a value with N items, or a dict of these, into one per environment; any other value is repeated."""
+        """Splits a value with N items, or a dict of these, into one per environment; any other
+        value is repeated."""
         if isinstance(value, dict) and value:
             columns = [self._items(item, env_indices) for item in value.values()]
             return [dict(zip(value, row, strict=True)) for row in zip(*columns, strict=True)]
@@ -151,15 +184,24 @@ class CableBotVecEnv(VecEnv):
         yield layer
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """The attribute of each environment: one item each if the attribute has N items, otherwise the same value.
+        """The attribute of each environment: one item each if the attribute has N items, otherwise
+        the same value.
 
         Raises:
             AttributeError: if the vector environment has no such attribute.
         """
         # The vector environment's own spaces are those of the whole batch.
-        name = f"single_{attr_name}" if attr_name in ("action_space", "observation_space") else attr_name
-        layer = next((layer for layer in self._layers() if hasattr(layer, name)), self.env.unwrapped)
-        return self._items(getattr(layer, name), self._all_indices[list(self._get_indices(indices))])
+        name = (
+            f"single_{attr_name}"
+            if attr_name in ("action_space", "observation_space")
+            else attr_name
+        )
+        layer = next(
+            (layer for layer in self._layers() if hasattr(layer, name)), self.env.unwrapped
+        )
+        return self._items(
+            getattr(layer, name), self._all_indices[list(self._get_indices(indices))]
+        )
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Not available.
@@ -167,20 +209,29 @@ class CableBotVecEnv(VecEnv):
         Raises:
             NotImplementedError: always.
         """
-        raise NotImplementedError("the environments are one compiled batch: use keywords, or set_options()")
+        raise NotImplementedError(
+            "the environments are one compiled batch: use keywords, or set_options()"
+        )
 
     def env_method(
-        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: VecEnvIndices = None,
+        **method_kwargs: Any,
     ) -> list[Any]:
         """Not available.
 
         Raises:
             NotImplementedError: always.
         """
-        raise NotImplementedError("the environments are one compiled batch: call methods of the vector environment")
+        raise NotImplementedError(
+            "the environments are one compiled batch: call methods of the vector environment"
+        )
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
-        """Whether a ``wrapper_class`` wraps the batch; always false for wrappers of single environments."""
+        """Whether a ``wrapper_class`` wraps the batch; always false for wrappers of single
+        environments."""
         return [any(isinstance(layer, wrapper_class) for layer in self._layers())] * len(
             list(self._get_indices(indices))
         )
@@ -203,11 +254,12 @@ def make_sb3_vec_env(
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`, or another id with a vector environment.
         n_envs: number of environments N.
-        seed: environment i gets ``seed + i`` at the first reset, and the action space gets ``seed``; None for random
-            seeds.
+        seed: environment i gets ``seed + i`` at the first reset, and the action space gets
+            ``seed``; None for random seeds.
         info_keys: see :class:`CableBotVecEnv`.
-        keywords: keyword arguments of the environment, see ``help(gym.make(env_id).unwrapped)``, and
-            ``max_episode_steps``, control steps after which an episode is truncated if its motion is longer.
+        keywords: keyword arguments of the environment, see ``help(gym.make(env_id).unwrapped)``,
+            and ``max_episode_steps``, control steps after which an episode is truncated if its
+            motion is longer.
 
     Raises:
         gymnasium.error.Error: if the id is unknown.

@@ -1,6 +1,7 @@
 """Quadratic program of the receding-horizon controller.
 
-It plans the motion of the next 0.2 s as a spline within the error bounds that needs small motor actions.
+It plans the motion of the next 0.2 s as a spline within the error bounds that needs small motor
+actions.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ _TIME_SCALE = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Tuning:
-    """Discretisation and objective weights of a plan. Errors are in units of their bounds, actions in units of ±1."""
+    """Discretisation and objective weights of a plan. Errors are in units of their bounds, actions
+    in units of ±1."""
 
     intervals: int
     """Number of spline intervals."""
@@ -41,7 +43,8 @@ class Tuning:
     margins: Margins
     """Margins to the constraints, which the tracking law uses to correct errors."""
     action_exponent: float
-    """p ≥ 2 of the objective, the mean of aᵖ over motors and instants. A larger p penalises peaks more."""
+    """p ≥ 2 of the objective, the mean of aᵖ over motors and instants. A larger p penalises peaks
+    more."""
     error_weight: float
     """Weight of the mean square error."""
     end_error_weight: float
@@ -51,7 +54,8 @@ class Tuning:
     smoothness_weight: float
     """Weight of the sum of squared acceleration steps between instants, in bounds per (50 ms)²."""
     action_excess_weight: float = 100.0
-    """Weight of the largest constraint violation of actions, in units of ±1, and of tensions, in units of 10 N."""
+    """Weight of the largest constraint violation of actions, in units of ±1, and of tensions, in
+    units of 10 N."""
     error_excess_weight: float = 1000.0
     """Weight of the largest constraint violation of errors, in units of their bounds."""
 
@@ -61,12 +65,13 @@ class PlanningError(RuntimeError):
 
 
 class HorizonProgram:
-    """Plans X(t) for t from 0 to :data:`HORIZON` from a given state, as a cubic spline with evenly spaced knots.
+    """Plans X(t) for t from 0 to :data:`HORIZON` from a given state, as a cubic spline with evenly
+    spaced knots.
 
-    Each iteration linearises the robot about the last plan and solves one quadratic program for the control points. If
-    the robot has more cables than coordinates, the null-space tensions are free variables at each instant. Constraints
-    are soft with weights far above all others, so a plan exists from every state. The Gauss–Newton method treats aᵖ as
-    the square of a^(p/2).
+    Each iteration linearises the robot about the last plan and solves one quadratic program for the
+    control points. If the robot has more cables than coordinates, the null-space tensions are free
+    variables at each instant. Constraints are soft with weights far above all others, so a plan
+    exists from every state. The Gauss–Newton method treats aᵖ as the square of a^(p/2).
 
     Args:
         robot: rigid robot.
@@ -85,7 +90,9 @@ class HorizonProgram:
         """Minimum cable tension of the plans [N]."""
         knots = np.linspace(0.0, HORIZON, tuning.intervals + 1)
         self._knots = np.r_[np.zeros(_DEGREE), knots, np.full(_DEGREE, HORIZON)]
-        self._second_point_time = float(knots[1]) / _DEGREE  # Greville abscissa of the second control point [s]
+        self._second_point_time = (
+            float(knots[1]) / _DEGREE
+        )  # Greville abscissa of the second control point [s]
         self.instants = np.linspace(0.0, HORIZON, tuning.intervals * tuning.instants + 1)
         """Times at which the constraints apply, (K,) [s]."""
         self._bases = self.basis(self.instants)
@@ -107,13 +114,21 @@ class HorizonProgram:
         linear = ca.Function("linear", [arguments], [values, slope], *names, {"cse": True})
         self._linear = _BufferedFunction(linear.map(count))
         rows = 2 * m * count + (1 + 2 * n) * (count - 1)
-        dense = {"h": ca.Sparsity.dense(self._size, self._size), "a": ca.Sparsity.dense(rows, self._size)}
-        self._quadratic = _BufferedFunction(ca.conic("plan", "daqp", dense, {"error_on_fail": False}))
-        self._quadratic.inputs["lbx"][:-2] = -np.inf  # the last two variables, the excesses, are at least 0
+        dense = {
+            "h": ca.Sparsity.dense(self._size, self._size),
+            "a": ca.Sparsity.dense(rows, self._size),
+        }
+        self._quadratic = _BufferedFunction(
+            ca.conic("plan", "daqp", dense, {"error_on_fail": False})
+        )
+        self._quadratic.inputs["lbx"][
+            :-2
+        ] = -np.inf  # the last two variables, the excesses, are at least 0
         self._quadratic.inputs["ubx"][:] = np.inf
 
     def basis(self, times: Array | float) -> Array:
-        """Matrices from control points to pose, velocity and acceleration at times in the horizon, (3, ..., points)."""
+        """Matrices from control points to pose, velocity and acceleration at times in the horizon,
+        (3, ..., points)."""
         spline = BSpline(self._knots, np.eye(len(self._knots) - _DEGREE - 1), _DEGREE)
         return np.stack([spline(times), spline.derivative(1)(times), spline.derivative(2)(times)])
 
@@ -154,11 +169,17 @@ class HorizonProgram:
             plan[2:] += self._solution().reshape(-1, self.robot.coordinates)
         return plan
 
-    # The quadratic program minimises ½ z'Hz + g'z subject to low ≤ A z ≤ high. The variables z are the changes of the
-    # free control points, the null-space tensions, and the excesses of actions and errors over their limits.
+    # The quadratic program minimises ½ z'Hz + g'z subject to low ≤ A z ≤ high. The variables z are
+    # the changes of the free control points, the null-space tensions, and the excesses of actions
+    # and errors over their limits.
 
     def _write_program(
-        self, plan: Array, reference: Array, last_velocity: Array, mass: float, error_bounds: ErrorBounds
+        self,
+        plan: Array,
+        reference: Array,
+        last_velocity: Array,
+        mass: float,
+        error_bounds: ErrorBounds,
     ) -> None:
         """Writes the quadratic program, linearised about a plan, into the arrays of the solver."""
         tuning = self.tuning
@@ -168,35 +189,50 @@ class HorizonProgram:
         bases = self._bases
         count = len(self.instants)
         positions = self._positions
-        bounds = np.array([error_bounds.position] * positions + [error_bounds.rotation] * (n - positions))
+        bounds = np.array(
+            [error_bounds.position] * positions + [error_bounds.rotation] * (n - positions)
+        )
         poses, velocities, accelerations = bases @ plan
-        action, action_slope, tension, tension_slope = self._linearised(poses, velocities, accelerations, mass)
+        action, action_slope, tension, tension_slope = self._linearised(
+            poses, velocities, accelerations, mass
+        )
         errors = (poses - reference) / bounds
-        error_slope = self._slope(np.broadcast_to(np.eye(n, 3 * n) / bounds[:, None], (count, n, 3 * n)))
+        error_slope = self._slope(
+            np.broadcast_to(np.eye(n, 3 * n) / bounds[:, None], (count, n, 3 * n))
+        )
 
         inputs, row = self._quadratic.inputs, 0
 
         def add_constraint(slope: Array, excess: tuple[float, float], limit: Array) -> None:
-            """Adds slope z ≤ limit as the next rows of A; ``excess`` has the coefficients of the two excesses."""
+            """Adds slope z ≤ limit as the next rows of A; ``excess`` has the coefficients of the
+            two excesses."""
             nonlocal row
             rows = slice(row, row + len(slope))
             inputs["a"][rows, : slope.shape[1]], inputs["a"][rows, -2:] = slope, excess
             inputs["lba"][rows, 0], inputs["uba"][rows, 0], row = -np.inf, limit.ravel(), rows.stop
 
         add_constraint(action_slope, (-1, 0), 1 - margins.action - action)
-        # Null-space tensions can always be raised. Without a null space the tension constraints are soft, like those of
-        # the actions.
-        add_constraint(-tension_slope, (0 if self._null else -0.2, 0), tension - self.minimum_tension / TENSION)
-        # The initial state is given, so error constraints start at the second instant. ‖e‖ is linearised. Additional
-        # bounds on each coordinate limit the linearisation error.
+        # Null-space tensions can always be raised. Without a null space the tension constraints are
+        # soft, like those of the actions.
+        add_constraint(
+            -tension_slope, (0 if self._null else -0.2, 0), tension - self.minimum_tension / TENSION
+        )
+        # The initial state is given, so error constraints start at the second instant. ‖e‖ is
+        # linearised. Additional bounds on each coordinate limit the linearisation error.
         limits = np.r_[[1 - margins.position / error_bounds.position] * positions]
         limits = np.r_[limits, [1 - margins.rotation / error_bounds.rotation] * (n - positions)]
         length = np.linalg.norm(errors[1:, :positions], axis=1)
         direction = errors[1:, :positions] / np.maximum(length, 1e-9)[:, None]
         by_instant = error_slope.reshape(count, n, -1)[1:]
-        add_constraint(np.einsum("kl,klz->kz", direction, by_instant[:, :positions]), (0, -1), limits[0] - length)
+        add_constraint(
+            np.einsum("kl,klz->kz", direction, by_instant[:, :positions]),
+            (0, -1),
+            limits[0] - length,
+        )
         for sign in (1, -1):
-            add_constraint(sign * by_instant.reshape(-1, self._motion), (0, -1), limits - sign * errors[1:])
+            add_constraint(
+                sign * by_instant.reshape(-1, self._motion), (0, -1), limits - sign * errors[1:]
+            )
 
         hessian, gradient = inputs["h"], inputs["g"][:, 0]
         hessian[:], gradient[:] = 0.0, 0.0
@@ -211,9 +247,13 @@ class HorizonProgram:
         positive = np.maximum(action.ravel(), 0.05)  # the slope of a^(p/2) must not vanish
         half = tuning.action_exponent / 2
         weights = np.repeat(np.r_[np.ones(count - 1), 0.5] / count, m)
-        add_least_squares(half * positive[:, None] ** (half - 1) * action_slope, positive**half, weights)
+        add_least_squares(
+            half * positive[:, None] ** (half - 1) * action_slope, positive**half, weights
+        )
         add_least_squares(error_slope, errors, tuning.error_weight / count)
-        add_least_squares(error_slope.reshape(count, n, -1)[-1], errors[-1], tuning.end_error_weight)
+        add_least_squares(
+            error_slope.reshape(count, n, -1)[-1], errors[-1], tuning.end_error_weight
+        )
         unit = bounds / _TIME_SCALE
         end = np.kron(bases[1][-1, 2:], np.diag(1 / unit))
         add_least_squares(end, (velocities[-1] - last_velocity) / unit, tuning.end_velocity_weight)
@@ -228,35 +268,48 @@ class HorizonProgram:
     def _linearised(
         self, poses: Array, velocities: Array, accelerations: Array, mass: float
     ) -> tuple[Array, Array, Array, Array]:
-        """Actions (K, m) and their slope (K·m, variables), then tensions in units of ``TENSION`` and their slope."""
+        """Actions (K, m) and their slope (K·m, variables), then tensions in units of ``TENSION``
+        and their slope."""
         n = self.robot.coordinates
         m = self.robot.cables
         count = len(poses)
-        required = inverse_dynamics(self.robot, mass, poses, velocities, accelerations, minimum=self.minimum_tension)
+        required = inverse_dynamics(
+            self.robot, mass, poses, velocities, accelerations, minimum=self.minimum_tension
+        )
         tensions = required.tensions / TENSION
         masses = np.full((count, 1), mass)
-        self._linear.inputs["motion"][:] = np.concatenate([poses, velocities, accelerations, tensions, masses], 1).T
+        self._linear.inputs["motion"][:] = np.concatenate(
+            [poses, velocities, accelerations, tensions, masses], 1
+        ).T
         results = self._linear()
         action = results["values"][n:].T.copy()
         slope = results["slopes"].reshape(n + m, count, 3 * n + m).swapaxes(0, 1)
         by_motion, by_tension = np.split(slope, [3 * n], axis=2)
-        # The force balance gives the change of the tensions as a function of the motion, up to the null space.
-        inverse = np.linalg.pinv(by_tension[:, :n]) if self._null else np.linalg.inv(by_tension[:, :n])
+        # The force balance gives the change of the tensions as a function of the motion, up to the
+        # null space.
+        inverse = (
+            np.linalg.pinv(by_tension[:, :n]) if self._null else np.linalg.inv(by_tension[:, :n])
+        )
         tension_by_motion = -inverse @ by_motion[:, :n]
         action_slope = self._slope(by_motion[:, n:] + by_tension[:, n:] @ tension_by_motion)
         tension_slope = self._slope(tension_by_motion)
         if self._null:
             null_space = np.swapaxes(np.linalg.svd(by_tension[:, :n])[2][:, n:], 1, 2)
-            action_slope = np.hstack([action_slope, _block_diagonal(by_tension[:, n:] @ null_space)])
+            action_slope = np.hstack(
+                [action_slope, _block_diagonal(by_tension[:, n:] @ null_space)]
+            )
             tension_slope = np.hstack([tension_slope, _block_diagonal(null_space)])
         return action, action_slope, tensions, tension_slope
 
     def _slope(self, by_motion: Array) -> Array:
-        """Converts derivatives with respect to (X, Ẋ, Ẍ), (K, rows, 3n), to those for the free control points."""
+        """Converts derivatives with respect to (X, Ẋ, Ẍ), (K, rows, 3n), to those for the free
+        control points."""
         n = self.robot.coordinates
         derivatives = np.split(by_motion, [n, 2 * n], axis=2)
         pairs = zip(self._bases, derivatives, strict=True)
-        slope = sum(basis[:, None, 2:, None] * derivative[:, :, None, :] for basis, derivative in pairs)
+        slope = sum(
+            basis[:, None, 2:, None] * derivative[:, :, None, :] for basis, derivative in pairs
+        )
         return np.asarray(slope).reshape(-1, self._motion)
 
     def _solution(self) -> Array:
@@ -274,7 +327,8 @@ class HorizonProgram:
 
 
 class _BufferedFunction:
-    """CasADi function that reads and writes NumPy arrays in place. Matrix conversion would take longer than the solver.
+    """CasADi function that reads and writes NumPy arrays in place. Matrix conversion would take
+    longer than the solver.
 
     Args:
         function: CasADi function with dense arguments.
@@ -289,11 +343,15 @@ class _BufferedFunction:
             flat: Any = np.zeros(function.numel_in(index))
             if flat.size:
                 self._buffer.set_arg(index, memoryview(flat))
-                self.inputs[function.name_in(index)] = flat.reshape(function.size_in(index), order="F")
+                self.inputs[function.name_in(index)] = flat.reshape(
+                    function.size_in(index), order="F"
+                )
         for index in range(function.n_out()):
             flat = np.zeros(function.numel_out(index))
             self._buffer.set_res(index, memoryview(flat))
-            self._outputs[function.name_out(index)] = flat.reshape(function.size_out(index), order="F")
+            self._outputs[function.name_out(index)] = flat.reshape(
+                function.size_out(index), order="F"
+            )
 
     def __call__(self) -> dict[str, Array]:
         """Evaluates the function and returns the results by name. The next call overwrites them.

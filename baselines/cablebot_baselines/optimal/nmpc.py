@@ -61,7 +61,8 @@ _FIRST_ITERATIONS = 3
 """Number of quadratic programs for a plan without a previous plan as initial guess."""
 
 _STORED_POINTS = 4 * 24
-"""Number of stored points of the reference: slightly more than the previews of all plans of one horizon at 500 Hz."""
+"""Number of stored points of the reference: slightly more than the previews of all plans of one
+horizon at 500 Hz."""
 
 _MAX_ERROR_RATIO = 2.0
 """Tracking error beyond which the controller does not plan, as a multiple of the error bounds."""
@@ -78,7 +79,8 @@ class PlannerState:
     period: Array
     """Control period, (N,) [s]; 0 until it is known."""
     preview_times: Array
-    """Clock times of the previewed points of the reference, (N, _STORED_POINTS) [s]; NaN for unused entries."""
+    """Clock times of the previewed points of the reference, (N, _STORED_POINTS) [s]; NaN for unused
+    entries."""
     preview_points: Array
     """Previewed points of the reference, (N, _STORED_POINTS, n)."""
     plans: tuple[Array | None, ...]
@@ -92,15 +94,17 @@ class PlannerState:
 
 
 class NonlinearMPC(ClassicalLaw):
-    """Plans the next 0.2 s at every fifth control step and tracks the plan with the adaptive law at every step.
+    """Plans the next 0.2 s at every fifth control step and tracks the plan with the adaptive law at
+    every step.
 
-    A plan starts from the measured pose and velocity, stays within the error bounds and needs small motor actions, see
-    :class:`~cablebot_baselines.optimal.horizon.Tuning`. It uses the mass that the law estimates. The future reference
-    follows from the previews of the current and of earlier observations.
+    A plan starts from the measured pose and velocity, stays within the error bounds and needs small
+    motor actions, see :class:`~cablebot_baselines.optimal.horizon.Tuning`. It uses the mass that
+    the law estimates. The future reference follows from the previews of the current and of earlier
+    observations.
 
-    If the solver fails, the controller tracks the last plan until its end, and then the reference itself. If the
-    platform is too far from the reference to plan, the controller also tracks the reference. :attr:`fallbacks` counts
-    both cases.
+    If the solver fails, the controller tracks the last plan until its end, and then the reference
+    itself. If the platform is too far from the reference to plan, the controller also tracks the
+    reference. :attr:`fallbacks` counts both cases.
 
     Args:
         robot: nominal rigid robot.
@@ -114,23 +118,32 @@ class NonlinearMPC(ClassicalLaw):
 
     unsaturated_actions = False
 
-    def __init__(self, robot: Robot, *, tuning: Tuning | None = None, gains: tuple[float, float] | None = None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        tuning: Tuning | None = None,
+        gains: tuple[float, float] | None = None,
+    ) -> None:
         if robot.flexible:
             raise ValueError(f"nmpc needs a rigid robot, but {flexible_advice(robot)}")
         tuning = tuning or by_kind(TUNING, robot)
         self.program = HorizonProgram(robot, tuning)
         super().__init__(robot, minimum_tension=self.program.minimum_tension)
         law = FeedbackLinearization(
-            robot, gains=gains or by_kind(ADAPTIVE_GAINS, robot), minimum_tension=self.minimum_tension
+            robot,
+            gains=gains or by_kind(ADAPTIVE_GAINS, robot),
+            minimum_tension=self.minimum_tension,
         )
         self.law = Adaptive(law, estimator_prior_weight=ESTIMATOR_PRIOR_WEIGHT)
         self.fallbacks = 0
-        """Number of solver failures, and of times that a platform moved too far from its reference, since the last
-        :meth:`reset`."""
+        """Number of solver failures, and of times that a platform moved too far from its reference,
+        since the last :meth:`reset`."""
         self._error_bounds: tuple[ErrorBounds, ...] = (ErrorBounds(),)
 
     def reset(self, tasks: Sequence[Task]) -> None:
-        """Checks the robots of the tasks, reads their error bounds and sets :attr:`fallbacks` to zero.
+        """Checks the robots of the tasks, reads their error bounds and sets :attr:`fallbacks` to
+        zero.
 
         Raises:
             ValueError: if a task's robot differs from the law's robot in kind or anchors.
@@ -139,8 +152,11 @@ class NonlinearMPC(ClassicalLaw):
         self._error_bounds = tuple(task.error_bounds for task in tasks)
         self.fallbacks = 0
 
-    def respond(self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None) -> tuple[Array, Any]:
-        """Actions and the next state, a :class:`PlannerState`, from the blocks of an observation."""
+    def respond(
+        self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None
+    ) -> tuple[Array, Any]:
+        """Actions and the next state, a :class:`PlannerState`, from the blocks of an
+        observation."""
         if blocks["pose"].ndim == 1:
             batch = {name: block[None] for name, block in blocks.items()}
             action, state = self.respond(batch, state, episode_start)
@@ -153,8 +169,11 @@ class NonlinearMPC(ClassicalLaw):
         action, law = self.law.respond(self._planned_blocks(blocks, planner), planner.law, first)
         return action, replace(planner, law=law)
 
-    def _advance(self, blocks: dict[str, Array], before: PlannerState | None, first: NDArray[np.bool_]) -> PlannerState:
-        """The last state advanced by one control period, and a new state for environments that start an episode."""
+    def _advance(
+        self, blocks: dict[str, Array], before: PlannerState | None, first: NDArray[np.bool_]
+    ) -> PlannerState:
+        """The last state advanced by one control period, and a new state for environments that
+        start an episode."""
         count, n = blocks["pose"].shape
         clock, zeros = -blocks["time_to_go"][:, 0], np.zeros(count)
         if before is None:
@@ -179,14 +198,19 @@ class NonlinearMPC(ClassicalLaw):
             clock=clock,
             period=period,
             preview_times=np.where(first[:, None], np.nan, before.preview_times),
-            plans=tuple(plan if age <= HORIZON else None for plan, age in zip(before.plans, plan_age, strict=True)),
+            plans=tuple(
+                plan if age <= HORIZON else None
+                for plan, age in zip(before.plans, plan_age, strict=True)
+            ),
             plan_age=plan_age,
             out_of_range=before.out_of_range & ~first,
         )
 
     # Planning
 
-    def _replan(self, blocks: dict[str, Array], planner: PlannerState, env_indices: NDArray[Any]) -> PlannerState:
+    def _replan(
+        self, blocks: dict[str, Array], planner: PlannerState, env_indices: NDArray[Any]
+    ) -> PlannerState:
         """The state with new plans for the given environments."""
         planner = self._store_previews(blocks, planner, env_indices)
         model_mass = self.robot.mass + blocks["model_payload"][:, 0]
@@ -212,14 +236,21 @@ class NonlinearMPC(ClassicalLaw):
         return replace(planner, plans=tuple(plans), plan_age=plan_age, out_of_range=out_of_range)
 
     def _plan(
-        self, blocks: dict[str, Array], planner: PlannerState, env_index: int, mass: float, error_bounds: ErrorBounds
+        self,
+        blocks: dict[str, Array],
+        planner: PlannerState,
+        env_index: int,
+        mass: float,
+        error_bounds: ErrorBounds,
     ) -> Array:
         program = self.program
         previous = planner.plans[env_index]
         age = planner.plan_age[env_index]
         preview = self.preview(blocks, planner, env_index)
         guess = reference = preview(program.instants)
-        if previous is not None:  # beyond the end of the previous plan, its last error stays constant
+        if (
+            previous is not None
+        ):  # beyond the end of the previous plan, its last error stays constant
             times = np.minimum(program.instants, HORIZON - age)
             guess = program.basis(times + age)[0] @ previous + reference - preview(times)
         return program.plan(
@@ -233,7 +264,9 @@ class NonlinearMPC(ClassicalLaw):
             iterations=_FIRST_ITERATIONS if previous is None else 1,
         )
 
-    def _in_range(self, blocks: dict[str, Array], env_index: int, error_bounds: ErrorBounds) -> bool:
+    def _in_range(
+        self, blocks: dict[str, Array], env_index: int, error_bounds: ErrorBounds
+    ) -> bool:
         error = (blocks["pose"][env_index] - blocks["reference_pose"][env_index]) / _MAX_ERROR_RATIO
         d = self.robot.dimensions
         position = np.linalg.norm(error[:d])
@@ -242,7 +275,9 @@ class NonlinearMPC(ClassicalLaw):
 
     def _count_fallback(self, reason: str) -> None:
         if self.fallbacks == 0:
-            _LOGGER.warning("nmpc has no new plan and tracks the previous plan or the reference: %s", reason)
+            _LOGGER.warning(
+                "nmpc has no new plan and tracks the previous plan or the reference: %s", reason
+            )
         self.fallbacks += 1
 
     # Reference
@@ -261,11 +296,13 @@ class NonlinearMPC(ClassicalLaw):
         points[env_indices, : len(names)] = offsets + blocks["reference_pose"][env_indices, None]
         return replace(planner, preview_times=times, preview_points=points)
 
-    def preview(self, blocks: dict[str, Array], planner: PlannerState, env_index: int) -> CubicSpline:
+    def preview(
+        self, blocks: dict[str, Array], planner: PlannerState, env_index: int
+    ) -> CubicSpline:
         """Interpolates X_d of one environment over the horizon, through all previewed points.
 
-        On the paper's planar circle the interpolation error is at most 0.64 mm at the start, and less than 0.04 mm
-        from 0.1 s on.
+        On the paper's planar circle the interpolation error is at most 0.64 mm at the start, and
+        less than 0.04 mm from 0.1 s on.
         """
         pose = blocks["reference_pose"][env_index]
         velocity = blocks["reference_velocity"][env_index]

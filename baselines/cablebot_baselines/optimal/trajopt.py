@@ -24,7 +24,8 @@ from cablebot_gym.trajectories import Trajectory
 _LOGGER = logging.getLogger("cablebot_gym")
 
 INTERVALS_PER_SECOND = 50.0
-"""Spline intervals of a plan per second [1/s]. More of them hardly increase the DLCC and take longer to plan."""
+"""Spline intervals of a plan per second [1/s]. More of them hardly increase the DLCC and take
+longer to plan."""
 
 MINIMUM_INTERVALS, MAXIMUM_INTERVALS = 20, 240
 """Minimum and maximum number of spline intervals of a plan."""
@@ -32,7 +33,8 @@ MINIMUM_INTERVALS, MAXIMUM_INTERVALS = 20, 240
 INITIAL_ESTIMATE_WEIGHT = 0.05
 """Weight of the static mass estimate at the start of an episode [s].
 
-After this estimation time in motion, the dynamic estimate and the static estimate have equal weight.
+After this estimation time in motion, the dynamic estimate and the static estimate have equal
+weight.
 """
 
 
@@ -58,18 +60,26 @@ class TrajOptSettings:
     def margins(self, robot: Robot, error_bounds: ErrorBounds) -> Margins:
         """Margins of the plan for a robot and error bounds.
 
-        Coulomb friction changes within a control period when a motor turns around. Without springs it then changes the
-        tension of its cable, which needs a margin as well. With springs the margin is at most that of an episode's
-        start.
+        Coulomb friction changes within a control period when a motor turns around. Without springs
+        it then changes the tension of its cable, which needs a margin as well. With springs the
+        margin is at most that of an episode's start.
         """
         position = self.error_margin * error_bounds.position
         rotation = self.error_margin * error_bounds.rotation
         if robot.flexible:
             reserve = textbook.allocated_minimum(robot) - robot.minimum_tension
-            tension = min(self.tension_margin, reserve) if robot.cables > robot.coordinates else self.tension_margin
+            tension = (
+                min(self.tension_margin, reserve)
+                if robot.cables > robot.coordinates
+                else self.tension_margin
+            )
         else:
-            tension = self.tension_margin + float((robot.coulomb_friction / robot.pulley_radius).max())
-        return Margins(position=position, rotation=rotation, action=self.action_margin, tension=tension)
+            tension = self.tension_margin + float(
+                (robot.coulomb_friction / robot.pulley_radius).max()
+            )
+        return Margins(
+            position=position, rotation=rotation, action=self.action_margin, tension=tension
+        )
 
 
 TRAJOPT_SETTINGS = {
@@ -88,7 +98,8 @@ TRAJOPT_SETTINGS = {
         estimator_prior_weight=1e-4,
     ),
 }
-"""Settings of ``trajopt`` with small margins, for a robot with nominal parameters and any payload."""
+"""Settings of ``trajopt`` with small margins, for a robot with nominal parameters and any
+payload."""
 
 TRAJOPT_MARGIN_SETTINGS = {
     "rigid": TrajOptSettings(
@@ -121,9 +132,13 @@ class PlanLaw(ClassicalLaw):
         settings: parameters of the tracking law.
     """
 
-    def __init__(self, robot: Robot, plan: PlannedMotion, period: float, settings: TrajOptSettings) -> None:
+    def __init__(
+        self, robot: Robot, plan: PlannedMotion, period: float, settings: TrajOptSettings
+    ) -> None:
         super().__init__(robot, minimum_tension=robot.minimum_tension + settings.tension_margin)
-        self._follower = Follower(robot=robot, gains=settings.gains, motor_frequency=settings.motor_frequency)
+        self._follower = Follower(
+            robot=robot, gains=settings.gains, motor_frequency=settings.motor_frequency
+        )
         self._plan, self._period = plan, period
 
     def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
@@ -136,14 +151,18 @@ class PlanLaw(ClassicalLaw):
     def rotor_inertia(self) -> Array:
         """J of a rigid robot, J + J′ of a flexible robot [kg·m²], (m,)."""
         robot = self.robot
-        return robot.pulley_inertia + robot.motor_inertia if robot.flexible else robot.pulley_inertia
+        return (
+            robot.pulley_inertia + robot.motor_inertia if robot.flexible else robot.pulley_inertia
+        )
 
 
 class AdaptivePlanLaw(Adaptive):
-    """Tracks one planned motion and estimates the payload with the acceleration of the plan as weight.
+    """Tracks one planned motion and estimates the payload with the acceleration of the plan as
+    weight.
 
-    When the plan moves below the reference, it accelerates downward at g/2 or more. The reference acceleration does not
-    contain this motion. As a weight it would overrate the small remaining cable forces.
+    When the plan moves below the reference, it accelerates downward at g/2 or more. The reference
+    acceleration does not contain this motion. As a weight it would overrate the small remaining
+    cable forces.
 
     Args:
         robot: nominal robot.
@@ -152,12 +171,16 @@ class AdaptivePlanLaw(Adaptive):
         settings: parameters of the tracking law and of the estimator.
     """
 
-    def __init__(self, robot: Robot, plan: PlannedMotion, period: float, settings: TrajOptSettings) -> None:
+    def __init__(
+        self, robot: Robot, plan: PlannedMotion, period: float, settings: TrajOptSettings
+    ) -> None:
         law = PlanLaw(robot, plan, period, settings)
         super().__init__(law, estimator_prior_weight=settings.estimator_prior_weight)
         self._plan = plan
 
-    def respond(self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None) -> tuple[Array, Any]:
+    def respond(
+        self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None
+    ) -> tuple[Array, Any]:
         """Actions from the blocks of an observation, with the plan in place of the reference."""
         motion = self._plan(self._plan.duration - blocks["time_to_go"][..., 0])
         reference = {
@@ -187,22 +210,25 @@ class AdaptivePlanLaw(Adaptive):
         weight = INITIAL_ESTIMATE_WEIGHT * robot.gravity
         return replace(
             memory,
-            weighted_impulse=np.where(first, weight * wrench[..., vertical, :], memory.weighted_impulse),
+            weighted_impulse=np.where(
+                first, weight * wrench[..., vertical, :], memory.weighted_impulse
+            ),
             weighted_change=np.where(first, weight * robot.gravity, memory.weighted_change),
         )
 
 
 class TrajOpt:
-    """Plans one motion per task for the largest possible payload, and tracks it with the actual payload.
+    """Plans one motion per task for the largest possible payload, and tracks it with the actual
+    payload.
 
-    The plan begins at the start pose of the task and includes its dwells.
-    The plan is feasible with the largest payload and without payload, and therefore with every payload in between. The
-    policy tracks it with an estimate of the mass, so it corrects a wrong or unknown payload
-    (:class:`~cablebot_baselines.classical.adaptive.Adaptive`). The first planning of a task takes seconds. The plan is
-    then stored on disk.
+    The plan begins at the start pose of the task and includes its dwells. The plan is feasible with
+    the largest payload and without payload, and therefore with every payload in between. The policy
+    tracks it with an estimate of the mass, so it corrects a wrong or unknown payload
+    (:class:`~cablebot_baselines.classical.adaptive.Adaptive`). The first planning of a task takes
+    seconds. The plan is then stored on disk.
 
-    Without a plan, or without a call of :meth:`reset`, the policy tracks the reference itself with the adaptive law.
-    :attr:`fallbacks` counts these episodes, and a warning gives the reason.
+    Without a plan, or without a call of :meth:`reset`, the policy tracks the reference itself with
+    the adaptive law. :attr:`fallbacks` counts these episodes, and a warning gives the reason.
 
     Args:
         robot: nominal robot.
@@ -237,15 +263,23 @@ class TrajOpt:
         groups: dict[Any, list[int]] = {}
         for env_index, task in enumerate(tasks):
             # A trajectory that is not hashable is equal only to itself.
-            motion = task.trajectory if isinstance(task.trajectory, Hashable) else id(task.trajectory)
-            groups.setdefault((motion, task.error_bounds, task.control_frequency), []).append(env_index)
+            motion = (
+                task.trajectory if isinstance(task.trajectory, Hashable) else id(task.trajectory)
+            )
+            groups.setdefault((motion, task.error_bounds, task.control_frequency), []).append(
+                env_index
+            )
         self._groups = [
-            (np.array(indices), self._law(key, tasks[indices[0]], len(indices))) for key, indices in groups.items()
+            (np.array(indices), self._law(key, tasks[indices[0]], len(indices)))
+            for key, indices in groups.items()
         ]
 
     def _law(self, key: Any, task: Task, episodes: int) -> Adaptive:
         if key not in self._plans:
-            self._plans[key] = task.trajectory, self._plan(task)  # keeps the trajectory alive, because its id is a key
+            self._plans[key] = (
+                task.trajectory,
+                self._plan(task),
+            )  # keeps the trajectory alive, because its id is a key
         plan = self._plans[key][1]
         if isinstance(plan, str):
             return self._fall_back(episodes, plan)
@@ -267,11 +301,15 @@ class TrajOpt:
         except Infeasible as error:
             _LOGGER.debug("no plan for %r: %s", task.trajectory.name, error)
             return f"trajectory {task.trajectory.name!r} has no feasible motion within the error bounds"
-        return plan if plan.payload > 0 else f"trajectory {task.trajectory.name!r} allows no payload"
+        return (
+            plan if plan.payload > 0 else f"trajectory {task.trajectory.name!r} allows no payload"
+        )
 
     def _fall_back(self, episodes: int, reason: str) -> Adaptive:
         self.fallbacks += episodes
-        _LOGGER.warning("trajopt tracks the reference without a plan in %d episodes: %s", episodes, reason)
+        _LOGGER.warning(
+            "trajopt tracks the reference without a plan in %d episodes: %s", episodes, reason
+        )
         return self._reference_law
 
     def predict(
@@ -291,7 +329,9 @@ class TrajOpt:
         groups = self._groups
         if groups is None or (len(groups) > 1 and sum(len(rows) for rows, _ in groups) != count):
             if state is None:
-                self._fall_back(count, "the tasks of the batch are unknown; call reset(tasks) before predict()")
+                self._fall_back(
+                    count, "the tasks of the batch are unknown; call reset(tasks) before predict()"
+                )
             return self._reference_law.predict(observation, state, episode_start, deterministic)
         if len(groups) == 1:
             return groups[0][1].predict(observation, state, episode_start, deterministic)

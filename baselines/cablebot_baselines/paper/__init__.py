@@ -1,4 +1,5 @@
-"""Reproduction of the tables, figures and claims of the paper under a chosen interpretation: ``cablebot reproduce``."""
+"""Reproduction of the tables, figures and claims of the paper under a chosen interpretation:
+``cablebot reproduce``."""
 
 from cablebot_baselines.paper.interpretation import Interpretation
 

@@ -17,19 +17,25 @@ from cablebot_gym.utils.console import command_line, notes_console, progress
 def reproduce(
     only: Annotated[
         list[str] | None,
-        typer.Option("--only", help="Parts to run, for example fig10,interpretations,scan; all parts if not given."),
+        typer.Option(
+            "--only",
+            help="Parts to run, for example fig10,interpretations,scan; all parts if not given.",
+        ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Output folder for results.json, the page and the figures.")] = Path(
-        "reproduction"
-    ),
-    workers: Annotated[int | None, typer.Option(help="Number of processes; one per core if not given.")] = None,
+    out: Annotated[
+        Path, typer.Option(help="Output folder for results.json, the page and the figures.")
+    ] = Path("reproduction"),
+    workers: Annotated[
+        int | None, typer.Option(help="Number of processes; one per core if not given.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON.")] = False,
     **choices: Any,
 ) -> None:
-    """Reproduce the tables, figures and claims of the paper and compare them with the published values.
+    """Reproduce the tables, figures and claims of the paper and compare them with the published
+    values.
 
-    Writes one PNG and SVG per figure, results.json and the page (Markdown and HTML). The choices that the paper leaves
-    open are options of this command.
+    Writes one PNG and SVG per figure, results.json and the page (Markdown and HTML). The choices
+    that the paper leaves open are options of this command.
 
     Examples:
 
@@ -56,18 +62,26 @@ def reproduce(
             )
     except KeyboardInterrupt:
         parts = ",".join(missing(out, names))
-        command = command_line("reproduce", only=parts, out=out, workers=workers, **interpretation.changed())
+        command = command_line(
+            "reproduce", only=parts, out=out, workers=workers, **interpretation.changed()
+        )
         say(f"finished parts are in {out}; continue with: {command}")
         raise
     if as_json:
         print(json.dumps(results["rows"], indent=2, ensure_ascii=False))
         return
     for kind in ("result", "claim", "input"):
-        print(f"{kind}s of the paper: {tally([row for row in results['rows'] if row['kind'] == kind])}")
+        print(
+            f"{kind}s of the paper: {tally([row for row in results['rows'] if row['kind'] == kind])}"
+        )
     print(f"interpretation: {interpretation.text()}")
     if results["missing"]:
         print(f"not run: {', '.join(results['missing'])}")
-    print("wrote " + ", ".join(str(out / name) for name in (HTML, MARKDOWN, RESULTS)) + " and the figures")
+    print(
+        "wrote "
+        + ", ".join(str(out / name) for name in (HTML, MARKDOWN, RESULTS))
+        + " and the figures"
+    )
 
 
 def _option(name: str) -> inspect.Parameter:
@@ -75,11 +89,21 @@ def _option(name: str) -> inspect.Parameter:
     default = getattr(Interpretation, name)
     entry = OPTIONS[name]
     kind: Any = type(default)
-    annotation = Annotated[kind, typer.Option(help=entry["help"].format(choices=", ".join(entry["texts"])))]
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+    annotation = Annotated[
+        kind, typer.Option(help=entry["help"].format(choices=", ".join(entry["texts"])))
+    ]
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
+    )
 
 
 _only, _out, _workers, _json, _ = inspect.signature(reproduce, eval_str=True).parameters.values()
 reproduce.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-    [_only, _out, _workers, *map(_option, OPTIONS), _json.replace(kind=inspect.Parameter.KEYWORD_ONLY)]
+    [
+        _only,
+        _out,
+        _workers,
+        *map(_option, OPTIONS),
+        _json.replace(kind=inspect.Parameter.KEYWORD_ONLY),
+    ]
 )

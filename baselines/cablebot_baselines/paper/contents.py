@@ -35,8 +35,16 @@ _FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "fig11": (saturation.PLANAR.jobs, saturation.PLANAR.path, saturation.PLANAR.draw_path),
     "fig12": (saturation.SPATIAL.jobs, saturation.SPATIAL.torques, saturation.SPATIAL.draw_torques),
     "fig13": (saturation.SPATIAL.jobs, saturation.SPATIAL.path, saturation.SPATIAL.draw_path),
-    "fig14": (flexible_saturation.path_jobs, flexible_saturation.path_outcome, flexible_saturation.draw_path),
-    "fig15": (flexible_saturation.torque_jobs, flexible_saturation.torque_outcome, flexible_saturation.draw_torques),
+    "fig14": (
+        flexible_saturation.path_jobs,
+        flexible_saturation.path_outcome,
+        flexible_saturation.draw_path,
+    ),
+    "fig15": (
+        flexible_saturation.torque_jobs,
+        flexible_saturation.torque_outcome,
+        flexible_saturation.draw_torques,
+    ),
     "eq37": (algorithm.jobs, algorithm.outcome, algorithm.draw),
     "eq22": (eq22.jobs, eq22.outcome, eq22.draw),
     "claims": (claims.jobs, claims.outcome, None),
@@ -58,4 +66,5 @@ def _parts() -> Iterator[Part]:
 
 
 PARTS: tuple[Part, ...] = tuple(_parts())
-"""All parts: figures of the paper, its laws and claims, its interpretations, and a map beyond the paper."""
+"""All parts: figures of the paper, its laws and claims, its interpretations, and a map beyond the
+paper."""

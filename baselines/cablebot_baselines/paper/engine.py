@@ -23,7 +23,13 @@ from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.plotting.figures import DPI, import_matplotlib
 from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.code_hash import source_hash
-from cablebot_gym.utils.files import atomic_write, atomic_write_text, check_writable_dir, read_cached, read_text
+from cablebot_gym.utils.files import (
+    atomic_write,
+    atomic_write_text,
+    check_writable_dir,
+    read_cached,
+    read_text,
+)
 from cablebot_gym.utils.workers import check_workers
 
 RESULTS = "results.json"
@@ -32,13 +38,15 @@ HTML = "reproduction.html"
 """Names of the output files besides the figures."""
 
 Progress = Callable[[str, int, int], None]
-"""Progress callback with the current activity, the number of finished computations and their total number."""
+"""Progress callback with the current activity, the number of finished computations and their total
+number."""
 
 _ERRATA = "../errata.md"
 """Relative path of the list of misprints from docs/reproduction."""
 
 _DIGITS = 10
-"""Significant digits in results.json. Further digits are rounding errors that differ between machines."""
+"""Significant digits in results.json. Further digits are rounding errors that differ between
+machines."""
 
 
 def find_parts(names: Sequence[str]) -> tuple[Part, ...]:
@@ -66,9 +74,10 @@ def reproduce(
 ) -> dict[str, Any]:
     """Runs parts and writes their figures, ``results.json`` and the page to a folder.
 
-    Existing parts in the folder are kept until they are recomputed, if the code and the interpretation are the same.
-    With ``only``, a folder with results of other code or of another interpretation is rejected. After an interrupt the
-    finished parts are written, and a second call with ``only`` can compute the remaining parts.
+    Existing parts in the folder are kept until they are recomputed, if the code and the
+    interpretation are the same. With ``only``, a folder with results of other code or of another
+    interpretation is rejected. After an interrupt the finished parts are written, and a second call
+    with ``only`` can compute the remaining parts.
 
     Args:
         interpretation: interpretation of the paper.
@@ -82,8 +91,9 @@ def reproduce(
         Contents of results.json.
 
     Raises:
-        ValueError: if a part is unknown, if the folder is not writable, if ``only`` is given and the folder contains
-            results of another interpretation or of other code, or if ``workers`` is not positive.
+        ValueError: if a part is unknown, if the folder is not writable, if ``only`` is given and
+            the folder contains results of another interpretation or of other code, or if
+            ``workers`` is not positive.
         ImportError: if matplotlib is missing; the message names the installation command.
     """
     parts = find_parts(only)
@@ -105,7 +115,8 @@ def _ignore(*_: Any) -> None:
 
 
 def missing(out: Path, names: Sequence[str]) -> list[str]:
-    """Parts that the results in a folder do not contain, restricted to ``names`` unless it is empty."""
+    """Parts that the results in a folder do not contain, restricted to ``names`` unless it is
+    empty."""
     missing: list[str] = json.loads(read_text(out / RESULTS))["missing"]
     if not names:
         return missing
@@ -145,13 +156,15 @@ class _Output:
             )
 
     def _decoded(self, content: bytes) -> tuple[bool, dict[str, Number], dict[str, dict[str, Any]]]:
-        """Whether stored results are of the same code and interpretation; their numbers, and their parts by name."""
+        """Whether stored results are of the same code and interpretation; their numbers, and their
+        parts by name."""
         data = json.loads(content)
         is_same = all(data[name] == value for name, value in self._head.items())
         return is_same, dict(data["numbers"]), {part["name"]: part for part in data["parts"]}
 
     def add(self, part: Part, results: Results | str) -> None:
-        """Adds the outcome and the figure of a part, or the reason why the interpretation does not allow it."""
+        """Adds the outcome and the figure of a part, or the reason why the interpretation does not
+        allow it."""
         for key in self._numbers_of(part.name):
             del self._numbers[key]
         entry: dict[str, Any] = {
@@ -170,7 +183,9 @@ class _Output:
             self._numbers[f"{part.name}.{key}"] = json_number(value)
         for table in outcome.tables:
             cells = [[json_number(value) for value in row] for row in table.rows]
-            entry["tables"].append({"title": table.title, "header": list(table.header), "rows": cells})
+            entry["tables"].append(
+                {"title": table.title, "header": list(table.header), "rows": cells}
+            )
         if part.draw is not None:
             entry["figure"] = part.name
             save_figure(part.draw(self._interpretation, results), self._out / part.name)
@@ -205,7 +220,11 @@ class _Output:
             results["errata"] = _ERRATA
         results["rows"] = rows(self._interpretation, numbers, impossible)
         text = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        for name, content in ((RESULTS, text), (MARKDOWN, markdown(results)), (HTML, html(results))):
+        for name, content in (
+            (RESULTS, text),
+            (MARKDOWN, markdown(results)),
+            (HTML, html(results)),
+        ):
             atomic_write_text(self._out / name, content)
         return results
 
@@ -216,11 +235,14 @@ def save_figure(figure: Any, stem: Path) -> None:
 
     with rc_context({"svg.hashsalt": stem.name}):
         atomic_write(stem.with_suffix(".png"), partial(figure.savefig, format="png", dpi=DPI))
-        atomic_write(stem.with_suffix(".svg"), partial(figure.savefig, format="svg", metadata={"Date": None}))
+        atomic_write(
+            stem.with_suffix(".svg"), partial(figure.savefig, format="svg", metadata={"Date": None})
+        )
 
 
 def json_number(value: Any) -> Number:
-    """JSON value: a Python type, None for infinity and NaN, rounded to the digits on which machines agree."""
+    """JSON value: a Python type, None for infinity and NaN, rounded to the digits on which machines
+    agree."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):
@@ -239,7 +261,8 @@ def _computed(
     progress: Progress,
     say: Callable[[str], None],
 ) -> Iterator[tuple[Part, Results | str]]:
-    """Yields each part with its results, or with the reason why the interpretation does not allow it."""
+    """Yields each part with its results, or with the reason why the interpretation does not allow
+    it."""
     waiting: dict[str, tuple[Part, Jobs]] = {}
     for part in parts:
         try:
@@ -258,14 +281,18 @@ def _computed(
             progress(f"drawing {name}", len(results_by_key), len(all_jobs))
             del waiting[name]
             results = {name: results_by_key[job.key] for name, job in jobs.items()}
-            errors = [result for result in results.values() if isinstance(result, NoEquilibriumError)]
+            errors = [
+                result for result in results.values() if isinstance(result, NoEquilibriumError)
+            ]
             if errors:
                 yield part, str(errors[0])
             else:
                 yield part, results
 
     yield from finished()  # parts without computations
-    for key, result in run_jobs(all_jobs.values(), local(workers), say=say, returned=(NoEquilibriumError,)):
+    for key, result in run_jobs(
+        all_jobs.values(), local(workers), say=say, returned=(NoEquilibriumError,)
+    ):
         results_by_key[key] = result
         progress("computing", len(results_by_key), len(all_jobs))
         yield from finished()

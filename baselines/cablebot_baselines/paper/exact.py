@@ -1,6 +1,7 @@
 """Largest payloads without simulation under a chosen interpretation.
 
-The rigid robots use exact tracking. The flexible robot uses the state space of §3.3 of the paper (Eqs. 23–25).
+The rigid robots use exact tracking. The flexible robot uses the state space of §3.3 of the paper
+(Eqs. 23–25).
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 
 COARSE = 100.0
-"""Number of instants per second, each evaluated from both sides, for an exact payload accurate to 0.01 kg [Hz]."""
+"""Number of instants per second, each evaluated from both sides, for an exact payload accurate to
+0.01 kg [Hz]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,8 +41,8 @@ class LargestPayload:
     """A largest payload and its limiting motor."""
 
     payload: float
-    """Mass added to the platform [kg]. A negative value is the excess mass of the platform alone; -inf if no mass is
-    feasible."""
+    """Mass added to the platform [kg]. A negative value is the excess mass of the platform alone;
+    -inf if no mass is feasible."""
     motor: int | None
     """Motor whose torque or tension reaches its limit, counted from 1; None if no limit exists."""
     time: float | None
@@ -57,8 +59,12 @@ def exact_profile(interpretation: Interpretation, robot: Robot, payload: float) 
     times = _times(robot)
     motion = paper_circle(robot)(times)
     tensions = _tensions(interpretation, robot, robot.mass + payload, motion)
-    torques = textbook.required_torques(robot, tensions, motion.position, motion.velocity, motion.acceleration)
-    speed = interpretation.line_speed(robot) * textbook.pulley_speed(robot, motion.position, motion.velocity)
+    torques = textbook.required_torques(
+        robot, tensions, motion.position, motion.velocity, motion.acceleration
+    )
+    speed = interpretation.line_speed(robot) * textbook.pulley_speed(
+        robot, motion.position, motion.velocity
+    )
     lower, upper = textbook.torque_limits(robot, speed)
     return Profile(times=times, torques=torques, lower=lower, upper=upper)
 
@@ -79,14 +85,16 @@ def exact_limit(interpretation: Interpretation, robot: Robot) -> LargestPayload:
 def state_space_profile(interpretation: Interpretation, robot: Robot, payload: float) -> Profile:
     """Torques of Eq. 22 with joint springs, by the paper's own state space.
 
-    The platform is on the reference (Eq. 23). Eq. 24 gives the motor angles, starting from β̈′ = β̇′ = 0:
+    The platform is on the reference (Eq. 23). Eq. 24 gives the motor angles, starting from β̈′ =
+    β̇′ = 0:
 
         β̈′ = (κ + K (β − β′)) / J′,   κ = r T + J β̈.
 
-    The paper prints the divisor 1 + J′, but the units require J′. Eq. 22 gives the torques τ = κ + J′ β̈′. This
-    oscillation has no damping, so a jump of κ excites a permanent oscillation. The paper may have computed its figures
-    in this way, but no physical robot moves like this: by Eq. 4, Eq. 24 corresponds to τ = κ, and with τ from Eq. 22,
-    β̈′ cancels and no differential equation remains (docs/errata.md).
+    The paper prints the divisor 1 + J′, but the units require J′. Eq. 22 gives the torques τ = κ +
+    J′ β̈′. This oscillation has no damping, so a jump of κ excites a permanent oscillation. The
+    paper may have computed its figures in this way, but no physical robot moves like this: by Eq.
+    4, Eq. 24 corresponds to τ = κ, and with τ from Eq. 22, β̈′ cancels and no differential equation
+    remains (docs/errata.md).
 
     The solution is exact for κ + K β that is linear between the instants.
     """
@@ -104,7 +112,9 @@ def state_space_limit(interpretation: Interpretation, robot: Robot) -> LargestPa
     with np.errstate(divide="ignore", invalid="ignore"):
         payloads = np.where(slope > 0, reserve / slope, np.inf)
     k, motor, _ = np.unravel_index(np.argmin(payloads), payloads.shape)
-    return LargestPayload(payload=float(payloads[k, motor].min()), motor=int(motor) + 1, time=_rounded(empty.times[k]))
+    return LargestPayload(
+        payload=float(payloads[k, motor].min()), motor=int(motor) + 1, time=_rounded(empty.times[k])
+    )
 
 
 def _reserve(profile: Profile) -> Array:
@@ -113,7 +123,8 @@ def _reserve(profile: Profile) -> Array:
 
 
 def _times(robot: Robot) -> Array:
-    """Instants of the whole motion. The middle, where the acceleration of the circle jumps, appears from both sides."""
+    """Instants of the whole motion. The middle, where the acceleration of the circle jumps, appears
+    from both sides."""
     duration = paper_circle(robot).duration
     count = 2 * round(GRID * duration / 2)
     grid = np.arange(count) * (duration / count)
@@ -121,7 +132,9 @@ def _times(robot: Robot) -> Array:
     return np.insert(grid, middle + 1, grid[middle] + 1e-9 * duration)
 
 
-def _tensions(interpretation: Interpretation, robot: Robot, mass: float, motion: Reference) -> Array:
+def _tensions(
+    interpretation: Interpretation, robot: Robot, mass: float, motion: Reference
+) -> Array:
     """Tensions of exact tracking, shape (K, m) [N]; a planar robot uses the interpretation of α."""
     minimum = interpretation.minimum_tension
     if robot.planar and interpretation.alpha == "constant":
@@ -131,7 +144,8 @@ def _tensions(interpretation: Interpretation, robot: Robot, mass: float, motion:
 
 
 class _ConstantAlpha:
-    """Planar tensions ``T = M T_p + α N`` (Eq. 11) with the smallest constant α that keeps T_min at all instants."""
+    """Planar tensions ``T = M T_p + α N`` (Eq. 11) with the smallest constant α that keeps T_min at
+    all instants."""
 
     def __init__(self, robot: Robot, motion: Reference, minimum: float) -> None:
         structure = textbook.jacobian(robot, motion.position)
@@ -150,7 +164,8 @@ class _ConstantAlpha:
 
 
 def _searched(interpretation: Interpretation, robot: Robot) -> LargestPayload:
-    """Bisection for a constant α. The torque reserve of the motors is concave in the mass, but not affine."""
+    """Bisection for a constant α. The torque reserve of the motors is concave in the mass, but not
+    affine."""
     times = _times(robot)
     motion = paper_circle(robot)(times)
     state = (motion.position, motion.velocity)
@@ -182,7 +197,9 @@ def _searched(interpretation: Interpretation, robot: Robot) -> LargestPayload:
     return LargestPayload(payload=low - robot.mass, motor=int(motor) + 1, time=_rounded(times[k]))
 
 
-def _state_space(interpretation: Interpretation, robot: Robot, mass: float, times: Array) -> tuple[Array, Array]:
+def _state_space(
+    interpretation: Interpretation, robot: Robot, mass: float, times: Array
+) -> tuple[Array, Array]:
     """Torques, and speeds for the torque-speed line of the interpretation, each of shape (K, m)."""
     motion = paper_circle(robot)(times)
     state = (motion.position, motion.velocity, motion.acceleration)
@@ -200,7 +217,8 @@ def _state_space(interpretation: Interpretation, robot: Robot, mass: float, time
 
 
 def _oscillation(goal: Array, frequency: Array, times: Array) -> tuple[Array, Array]:
-    """Solves ẍ = ω² (g − x) from x = g and ẋ = 0 with g linear between the instants; returns x and ẋ, each (K, m)."""
+    """Solves ẍ = ω² (g − x) from x = g and ẋ = 0 with g linear between the instants; returns x and
+    ẋ, each (K, m)."""
     angle, speed = np.empty_like(goal), np.zeros_like(goal)
     angle[0] = goal[0]
     for k, step in enumerate(np.diff(times)):

@@ -1,4 +1,5 @@
-"""Findings: our value, the interpretation, a verdict and the evidence for each published number and claim."""
+"""Findings: our value, the interpretation, a verdict and the evidence for each published number and
+claim."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ _PAYLOAD_PARTS = ("fig10", "fig11", "fig12", "fig13", "fig14", "fig15")
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One published item, our value, and the verdict. Without a required part the run has no value and no verdict."""
+    """One published item, our value, and the verdict. Without a required part the run has no value
+    and no verdict."""
 
     key: str
     """Key of the published item."""
@@ -52,7 +54,9 @@ class Finding:
 
 
 def rows(
-    interpretation: Interpretation, numbers: Mapping[str, Number], impossible: Mapping[str, str] | None = None
+    interpretation: Interpretation,
+    numbers: Mapping[str, Number],
+    impossible: Mapping[str, str] | None = None,
 ) -> list[dict[str, Any]]:
     """Findings as rows of results.json: inputs, results and claims, each in the order of the paper.
 
@@ -92,7 +96,9 @@ def find(item: Published, run: Run, impossible: Mapping[str, str]) -> Finding:
             return finding
         reason = _absence(name, run.interpretation)
     interpretation = run.interpretation.text()
-    return replace(finding, ours="–", verdict="undecided", interpretation=interpretation, evidence=reason)
+    return replace(
+        finding, ours="–", verdict="undecided", interpretation=interpretation, evidence=reason
+    )
 
 
 def _input_finding(finding: Finding, item: Input, interpretation: Interpretation) -> Finding:
@@ -102,7 +108,9 @@ def _input_finding(finding: Finding, item: Input, interpretation: Interpretation
         option = option_text(item.option, getattr(interpretation, item.option))
     paths = [f"`{path}`" for path in item.sources]
     evidence = "; ".join(filter(None, [*paths, item.note]))
-    return replace(finding, ours=ours, value=value, verdict=verdict, interpretation=option, evidence=evidence)
+    return replace(
+        finding, ours=ours, value=value, verdict=verdict, interpretation=option, evidence=evidence
+    )
 
 
 def _judged(finding: Finding, item: Published, verdict: Verdict, run: Run) -> Finding:

@@ -1,4 +1,5 @@
-"""Inputs of the reproduction, read from the robots, motions, uncertainties and laws that use them."""
+"""Inputs of the reproduction, read from the robots, motions, uncertainties and laws that use
+them."""
 
 from __future__ import annotations
 
@@ -43,7 +44,8 @@ def judge_input(item: Input, interpretation: Interpretation) -> tuple[float | No
 def read(path: str, interpretation: Interpretation) -> Any:
     """Value of a path such as ``planar.mass``, ``planar_circle.radius`` or ``gains.spatial.0``.
 
-    The path consists of a robot, a quantity of a robot or another object, and of keys, indices or attributes.
+    The path consists of a robot, a quantity of a robot or another object, and of keys, indices or
+    attributes.
     """
     source, *steps = path.split(".")
     value = _source(source, interpretation)
@@ -142,7 +144,10 @@ _QUANTITIES: dict[str, Callable[[Interpretation, Robot], Any]] = {
     "sides": lambda _, robot: np.linalg.norm(robot.base - np.roll(robot.base, 1, axis=0), axis=1),
     "freedom": lambda _, robot: robot.coordinates + robot.cables,
     "states": lambda _, robot: {"platform": 2 * robot.coordinates, "motors": 2 * robot.cables},
-    # Free speed under the torque-speed line of the interpretation, if a motor can have this line [rpm].
-    "speed": lambda interpretation, robot: np.divide(interpretation.closed_loop_robot(robot).motors.free_speed, RPM),
+    # Free speed under the torque-speed line of the interpretation, if a motor can have this line
+    # [rpm].
+    "speed": lambda interpretation, robot: np.divide(
+        interpretation.closed_loop_robot(robot).motors.free_speed, RPM
+    ),
 }
 """Quantities of a robot."""

@@ -1,6 +1,8 @@
-"""Interpretation of the paper: the choices that the paper leaves open. All figures and numbers depend on them.
+"""Interpretation of the paper: the choices that the paper leaves open. All figures and numbers
+depend on them.
 
-The defaults are the choices that this project considers correct. They are not fitted to the published numbers.
+The defaults are the choices that this project considers correct. They are not fitted to the
+published numbers.
 """
 
 from __future__ import annotations
@@ -18,11 +20,14 @@ from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL, Robot
 from cablebot_gym.utils import checks
 
 Source = Literal["control", "payload"]
-"""Section that supplies a value if the sections differ: ``control`` is §4 (Tables 2, 4 and 5), ``payload`` is §5.2
-(Tables 7 to 9 and the text of §5.2.3)."""
+"""Section that supplies a value if the sections differ: ``control`` is §4 (Tables 2, 4 and 5),
+``payload`` is §5.2 (Tables 7 to 9 and the text of §5.2.3)."""
 
 AS_PRINTED: dict[str, dict[Source, float]] = {
-    "platform_mass": {"control": published_value("table4.m"), "payload": published_value("table8.m")},
+    "platform_mass": {
+        "control": published_value("table4.m"),
+        "payload": published_value("table8.m"),
+    },
     "stiffness": {"control": published_value("table5.K"), "payload": published_value("5.2.3.K")},
 }
 """Values of "as-printed" by section."""
@@ -46,7 +51,8 @@ class Interpretation:
     """
 
     payload: Literal["added", "total"] = "added"
-    """Meaning of "load capacity": the mass added to the platform, or the total mass of platform and load."""
+    """Meaning of "load capacity": the mass added to the platform, or the total mass of platform and
+    load."""
     line: Literal["physical", "pulley", "flat", "cable", "reversed"] = "physical"
     """q̇ of U± = ±k₁ − k₂ q̇ (Eq. 37).
 
@@ -57,31 +63,34 @@ class Interpretation:
     * ``reversed``: motor speed in rad/s, positive when unwinding.
     """
     platform_mass: Literal["as-printed", "10", "11"] = "as-printed"
-    """Platform mass of the spatial robot [kg]. The paper prints 11 in Tables 4 and 5 and 10 in Table 8."""
+    """Platform mass of the spatial robot [kg]. The paper prints 11 in Tables 4 and 5 and 10 in
+    Table 8."""
     triangles: Literal["inverted", "turned", "aligned"] = "inverted"
     """Orientation of the platform triangle and the base triangle.
 
-    * ``inverted``: the third corner of the base is on +y, and the platform triangle points in the opposite direction.
+    * ``inverted``: the third corner of the base is on +y, and the platform triangle points in the
+      opposite direction.
     * ``turned``: the same with both triangles rotated by 180° about z.
     * ``aligned``: both triangles point in the same direction.
     """
     sides: Literal["half-side", "circumradius"] = "half-side"
     """Meaning of a and b in Table 4, "half of the triangle"."""
     pulleys: Literal["table4", "table5"] = "table4"
-    """Source of J and c of the rigid spatial robot. The pulleys of Table 5 (robot with joint springs) have half the
-    inertia and no damping."""
+    """Source of J and c of the rigid spatial robot. The pulleys of Table 5 (robot with joint
+    springs) have half the inertia and no damping."""
     planar_apex: Literal["up", "left", "down", "right"] = "up"
     """Position of the third motor of the planar robot. The path starts on the right and goes up."""
     stiffness: Literal["as-printed", "2", "3"] = "as-printed"
     """Joint stiffness K [N·m/rad]. The paper prints 2 in Table 5 and 3 in §5.2.3."""
     minimum_tension: float = textbook.MINIMUM_TENSION
-    """Lower tension bound T_min of the planar robot [N]. The paper only requires positive tensions."""
+    """Lower tension bound T_min of the planar robot [N]. The paper only requires positive
+    tensions."""
     alpha: Literal["least", "constant"] = "least"
-    """α of Eq. 11: the smallest value at each instant that keeps T_min (``least``), or the smallest constant that keeps
-    T_min at all instants (``constant``)."""
+    """α of Eq. 11: the smallest value at each instant that keeps T_min (``least``), or the smallest
+    constant that keeps T_min at all instants (``constant``)."""
     eq24: Literal["corrected", "verbatim"] = "corrected"
-    """Divisor of Eqs. 24 and 25 for the motion of the motors behind their springs: J′, as the units require, or
-    "1 + J′" as printed. On a physical robot neither form is consistent with Eq. 22."""
+    """Divisor of Eqs. 24 and 25 for the motion of the motors behind their springs: J′, as the units
+    require, or "1 + J′" as printed. On a physical robot neither form is consistent with Eq. 22."""
     eq37: Literal["corrected", "literal"] = "corrected"
     """Form of the load coefficient in Eqs. 37–39."""
 
@@ -123,7 +132,9 @@ class Interpretation:
         if self.pulleys == "table4":
             return robot
         pulleys = FLEX_SPATIAL.transmission
-        transmission = robot.transmission.replace(pulley_inertia=pulleys.pulley_inertia, damping=pulleys.damping)
+        transmission = robot.transmission.replace(
+            pulley_inertia=pulleys.pulley_inertia, damping=pulleys.damping
+        )
         return robot.replace(transmission=transmission)
 
     def flexible(self, source: Source) -> Robot:
@@ -141,7 +152,9 @@ class Interpretation:
         base, platform = robot.base, robot.platform
         if self.triangles == "turned":
             base, platform = -base, -platform
-        if self.triangles == "aligned":  # same cable order; the platform corners are below those of the base
+        if (
+            self.triangles == "aligned"
+        ):  # same cable order; the platform corners are below those of the base
             platform = -np.roll(platform[::2], 1, axis=0)[list(_ALIGNED_RING)]
         try:
             return robot.replace(
@@ -170,8 +183,11 @@ class Interpretation:
 
     @property
     def closed_loop_possible(self) -> bool:
-        """Whether a motor of a rigid robot can have this torque-speed line. Closed loops require such a motor."""
-        return self.flexible_loop_possible or self.line == "pulley"  # the pulley of a rigid robot turns with its motor
+        """Whether a motor of a rigid robot can have this torque-speed line. Closed loops require
+        such a motor."""
+        return (
+            self.flexible_loop_possible or self.line == "pulley"
+        )  # the pulley of a rigid robot turns with its motor
 
     @property
     def flexible_loop_possible(self) -> bool:
@@ -198,7 +214,8 @@ class Interpretation:
         return robot
 
     def closed_loop_robot(self, robot: Robot) -> Robot:
-        """Robot for closed loops: with this torque-speed line if a motor can have it, otherwise unchanged."""
+        """Robot for closed loops: with this torque-speed line if a motor can have it, otherwise
+        unchanged."""
         if self._possible(robot):
             return self.motors(robot)
         return robot

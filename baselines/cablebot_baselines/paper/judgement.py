@@ -1,6 +1,7 @@
 """Verdicts on results and claims: what a verdict function reads, and what it returns.
 
-Each verdict function stands beside the part that computes its numbers. :func:`verdict` registers it.
+Each verdict function stands beside the part that computes its numbers. :func:`verdict` registers
+it.
 """
 
 from __future__ import annotations
@@ -36,8 +37,9 @@ class Run:
         """A number of the run, for example ``fig10.time_s``.
 
         Raises:
-            MissingNumberError: if the run did not compute it, or if it has no value. A payload and a motor may be None,
-                because a robot may fail unloaded and the limiting violation need not be a motor torque.
+            MissingNumberError: if the run did not compute it, or if it has no value. A payload and
+                a motor may be None, because a robot may fail unloaded and the limiting violation
+                need not be a motor torque.
         """
         value = self.numbers.get(name)
         may_be_none = name in self.numbers and name.endswith(("_kg", "motor"))
@@ -57,8 +59,9 @@ class Run:
     def sentence(self, template: str, **values: str) -> str:
         """A sentence with numbers of the run; empty if one of them is missing.
 
-        ``{fig10.time_s}`` is a number with the unit that its name ends with, ``{fig9.sum_reduction_1e-2:%}`` a number
-        in another unit, and ``{fig10.payload_kg:vs 5.2.1.payload}`` a number with its difference from a published one.
+        ``{fig10.time_s}`` is a number with the unit that its name ends with,
+        ``{fig9.sum_reduction_1e-2:%}`` a number in another unit, and ``{fig10.payload_kg:vs
+        5.2.1.payload}`` a number with its difference from a published one.
 
         Args:
             template: format string.
@@ -104,11 +107,16 @@ class _Quantity:
         if not spec.startswith("vs "):
             return quantity_text(self.value, spec or self.unit)
         text = quantity_text(self.value, self.unit)
-        return f"{text} ({relative_difference(self.value, published_value(spec[3:]))})" if self.value else text
+        return (
+            f"{text} ({relative_difference(self.value, published_value(spec[3:]))})"
+            if self.value
+            else text
+        )
 
 
 def quantity_text(value: Any, unit: str) -> str:
-    """Text of a value in a unit with three significant digits, as in the paper. Fractions are printed in percent."""
+    """Text of a value in a unit with three significant digits, as in the paper. Fractions are
+    printed in percent."""
     if unit == "kg":
         return kilograms(value)
     if isinstance(value, str):
@@ -125,9 +133,11 @@ class Judgement:
     value: Number
     """Our value; None if the robot fails unloaded, or if the finding is not a number."""
     is_reproduced: bool | None
-    """Whether our value reproduces the result or the claim; None if this project has no model for it."""
+    """Whether our value reproduces the result or the claim; None if this project has no model for
+    it."""
     evidence: Iterable[str] = ()
-    """Templates of sentences (:meth:`Run.sentence`). The page omits a sentence if one of its numbers is missing."""
+    """Templates of sentences (:meth:`Run.sentence`). The page omits a sentence if one of its
+    numbers is missing."""
     text: str = ""
     """Template of the text of our value, which is ``{ours}``; that text itself if empty."""
 
@@ -155,7 +165,8 @@ VERDICTS: dict[str, Verdict] = {}
 def verdict(
     key: str, *parts: str, unit: str = "", options: tuple[str, ...] = (), choice: str = ""
 ) -> Callable[[Callable[[Run], Judgement]], Callable[[Run], Judgement]]:
-    """Registers the verdict function of a published item; the arguments are the fields of :class:`Verdict`."""
+    """Registers the verdict function of a published item; the arguments are the fields of
+    :class:`Verdict`."""
 
     def register(judge: Callable[[Run], Judgement]) -> Callable[[Run], Judgement]:
         VERDICTS[key] = Verdict(judge=judge, parts=parts, unit=unit, options=options, choice=choice)

@@ -1,4 +1,5 @@
-"""Control laws that the paper mentions and that are of no practical use. They are not registered as policies."""
+"""Control laws that the paper mentions and that are of no practical use. They are not registered as
+policies."""
 
 from __future__ import annotations
 
@@ -11,6 +12,8 @@ class FeedForward(ClassicalLaw):
     def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
         """Torques of the reference motion [N·m] and current pulley speeds [rad/s]."""
         acceleration = blocks["reference_acceleration"]
-        required = self._inverse_dynamics(mass, blocks["reference_pose"], blocks["reference_velocity"], acceleration)
+        required = self._inverse_dynamics(
+            mass, blocks["reference_pose"], blocks["reference_velocity"], acceleration
+        )
         current = self._inverse_dynamics(mass, blocks["pose"], blocks["velocity"], acceleration)
         return required.torques, current.speeds

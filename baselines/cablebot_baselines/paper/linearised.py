@@ -1,4 +1,5 @@
-"""Growth rate of small deviations in the sampled loop of a flexible robot, computed from the eigenvalues.
+"""Growth rate of small deviations in the sampled loop of a flexible robot, computed from the
+eigenvalues.
 
 The paper argues with the Fourier transform instead.
 """
@@ -17,7 +18,8 @@ from cablebot_gym.physics.plant import Plant
 from cablebot_gym.robots import Motors, Robot
 
 _TURN = 0.05
-"""Maximum phase advance of the fastest mode per physics step [rad], small enough for RK4 to add no damping."""
+"""Maximum phase advance of the fastest mode per physics step [rad], small enough for RK4 to add no
+damping."""
 
 _DIFFERENCE = 1e-6
 """Half step of the central differences."""
@@ -34,10 +36,12 @@ def unsaturated_actions(robot: Robot) -> Robot:
 
 
 def growth_rate(law: Any, robot: Robot, *, control_frequency: float = 500.0) -> float:
-    """max Re(log z / h) of the loop sampled with a zero-order hold, linearised at rest at home [1/s].
+    """max Re(log z / h) of the loop sampled with a zero-order hold, linearised at rest at home
+    [1/s].
 
-    The state is (X, Ẋ, β′, β̇′) and the motor speeds of the previous sample, which a law may store. Cables transmit
-    compression. The linearisation uses central differences over one control period of the plant.
+    The state is (X, Ẋ, β′, β̇′) and the motor speeds of the previous sample, which a law may store.
+    Cables transmit compression. The linearisation uses central differences over one control period
+    of the plant.
 
     Args:
         law: control law built for the robot.
@@ -51,7 +55,9 @@ def growth_rate(law: Any, robot: Robot, *, control_frequency: float = 500.0) -> 
     states = np.concatenate([rest + step, rest - step])
     plant = _plant_at(robot, states)
     past_speed = states[:, -robot.cables :]
-    memory = np.column_stack([past_speed, np.full(2 * size, period)])  # the time in the observation is 0
+    memory = np.column_stack(
+        [past_speed, np.full(2 * size, period)]
+    )  # the time in the observation is 0
     action, _ = law.predict(_observation(robot, plant), state=memory)
     motor_speed = plant.motor_speed.copy()
     plant.set_action(action)
@@ -62,17 +68,22 @@ def growth_rate(law: Any, robot: Robot, *, control_frequency: float = 500.0) -> 
 
 
 def controllable_states(robot: Robot, *, period: float = 0.02) -> int:
-    """Rank of the controllability matrix of a flexible robot's plant, sampled and linearised at rest at home.
+    """Rank of the controllability matrix of a flexible robot's plant, sampled and linearised at
+    rest at home.
 
-    With m inputs and 2 (n + m) states, [B, AB, …] up to the fourth power is square if n = m. Each column is divided by
-    its norm and each row by its largest absolute entry, which removes the influence of the units.
+    With m inputs and 2 (n + m) states, [B, AB, …] up to the fourth power is square if n = m. Each
+    column is divided by its norm and each row by its largest absolute entry, which removes the
+    influence of the units.
 
     Args:
         robot: flexible robot.
         period: sampling period [s]; the platform should move within a few periods.
     """
     robot = unsaturated_actions(robot)
-    hold = textbook.static_torque(robot, robot.mass, robot.home, minimum=textbook.MINIMUM_TENSION) / robot.stall_torque
+    hold = (
+        textbook.static_torque(robot, robot.mass, robot.home, minimum=textbook.MINIMUM_TENSION)
+        / robot.stall_torque
+    )
     rest = np.concatenate([_rest(robot), hold])
     size = len(rest) - robot.cables
     step = np.full(len(rest), _DIFFERENCE)
@@ -95,7 +106,9 @@ def controllable_states(robot: Robot, *, period: float = 0.02) -> int:
 
 def _rest(robot: Robot) -> Array:
     """State (X, Ẋ, β′, β̇′) at rest at home."""
-    angle = textbook.static_motor_angle(robot, robot.mass, robot.home, minimum=textbook.MINIMUM_TENSION)
+    angle = textbook.static_motor_angle(
+        robot, robot.mass, robot.home, minimum=textbook.MINIMUM_TENSION
+    )
     return np.concatenate([robot.home, np.zeros(robot.coordinates), angle, np.zeros(robot.cables)])
 
 
@@ -111,7 +124,9 @@ def _plant_at(robot: Robot, states: Array) -> Plant:
 
 
 def _state(plant: Plant) -> Array:
-    return np.concatenate([plant.pose, plant.velocity, plant.motor_angle, plant.motor_speed], axis=1)
+    return np.concatenate(
+        [plant.pose, plant.velocity, plant.motor_angle, plant.motor_speed], axis=1
+    )
 
 
 def _observation(robot: Robot, plant: Plant) -> Array:
@@ -128,7 +143,8 @@ def _observation(robot: Robot, plant: Plant) -> Array:
 
 
 def _advance(plant: Plant, robot: Robot, period: float) -> None:
-    """Advances the plant by one control period in steps that are short enough not to damp the springs."""
+    """Advances the plant by one control period in steps that are short enough not to damp the
+    springs."""
     substeps = math.ceil(period * textbook.highest_frequency(robot) / _TURN)
     wrench = np.zeros((1, 1, robot.coordinates))
     plant.advance(wrench, np.zeros(1, np.int64), substeps=substeps, step=period / substeps)

@@ -1,15 +1,18 @@
 """The payload iteration of the paper (Section 5.1), as printed and corrected.
 
-The paper guesses a load m_e. It computes the motor torques τ_e with this load and τ_n without it. The payload is
-``m_load = C m_e`` with the load coefficient C of Eqs. 37-39. The variable m_e must therefore be the guess (m_l in the
-tables), not the mass m_n of the end-effector. If the torque is affine in the load, ``τ_e = τ_n + m_e s``, the product
-``m_e (U − τ_n)/(τ_e − τ_n)`` equals ``(U − τ_n)/s``, the true payload m*, for every guess. This is the corrected form.
-The printed form differs in three points:
+The paper guesses a load m_e. It computes the motor torques τ_e with this load and τ_n without it.
+The payload is ``m_load = C m_e`` with the load coefficient C of Eqs. 37-39. The variable m_e must
+therefore be the guess (m_l in the tables), not the mass m_n of the end-effector. If the torque is
+affine in the load, ``τ_e = τ_n + m_e s``, the product ``m_e (U − τ_n)/(τ_e − τ_n)`` equals ``(U −
+τ_n)/s``, the true payload m*, for every guess. This is the corrected form. The printed form differs
+in three points:
 
-* ``τ± = U± − τ_e``: C is then ``m*/m_e − 1``, and the fixed point C = 1 is **half** the true payload.
-* abs(): a motor that is overloaded without load counts as if it had the same amount of torque in reserve.
-* The sign of τ_e selects U⁺ or U⁻. The correct choice is the limit that the torque approaches: the sign of
-  ``τ_e − τ_n``.
+* ``τ± = U± − τ_e``: C is then ``m*/m_e − 1``, and the fixed point C = 1 is **half** the true
+  payload.
+* abs(): a motor that is overloaded without load counts as if it had the same amount of torque in
+  reserve.
+* The sign of τ_e selects U⁺ or U⁻. The correct choice is the limit that the torque approaches: the
+  sign of ``τ_e − τ_n``.
 
 In both forms "q̇" is the motor speed β̇, because otherwise k₂ = τ_s/ω_n has the wrong unit.
 :func:`~cablebot_gym.bounds.closed_form.exact_payload` computes the payload without a guess.
@@ -38,23 +41,27 @@ class LoadIteration:
     loads: tuple[float, ...]
     """All guesses m_e in order [kg]; the first one is the argument ``guess``."""
     payload: float
-    """``C m_e`` of the last guess [kg], the result if the iteration converged (step 7b); ``inf`` if no motor torque
-    depends on the load."""
+    """``C m_e`` of the last guess [kg], the result if the iteration converged (step 7b); ``inf`` if
+    no motor torque depends on the load."""
     converged: bool
-    """Whether the last guess and ``payload`` differ by at most the tolerance. False after ``max_iterations`` guesses
-    without convergence, or if the next guess would make the total mass zero or negative because the motion is too fast
-    for any payload."""
+    """Whether the last guess and ``payload`` differ by at most the tolerance. False after
+    ``max_iterations`` guesses without convergence, or if the next guess would make the total mass
+    zero or negative because the motion is too fast for any payload."""
     motor: int | None
-    """Motor with the smallest coefficient at the last guess, counted from 1; None if no torque depends on the load."""
+    """Motor with the smallest coefficient at the last guess, counted from 1; None if no torque
+    depends on the load."""
     time: float | None
     """Control instant of the smallest coefficient [s]; None if no torque depends on the load."""
 
 
-def load_coefficient(robot: Robot, full: ArrayLike, empty: ArrayLike, speed: ArrayLike, *, corrected: bool) -> Array:
-    """``(C_a)_i`` of Eq. 37, shape (..., m): largest load of each motor as a multiple of the guessed load.
+def load_coefficient(
+    robot: Robot, full: ArrayLike, empty: ArrayLike, speed: ArrayLike, *, corrected: bool
+) -> Array:
+    """``(C_a)_i`` of Eq. 37, shape (..., m): largest load of each motor as a multiple of the
+    guessed load.
 
-    The printed form is the absolute value of Eq. 38. The coefficient is ``inf`` if the torque does not depend on the
-    load.
+    The printed form is the absolute value of Eq. 38. The coefficient is ``inf`` if the torque does
+    not depend on the load.
 
     Args:
         robot: robot with these motors.
@@ -90,40 +97,48 @@ def iterate_load(
     frequency: float = 500.0,
     line_speed: ArrayLike = 1.0,
 ) -> LoadIteration:
-    """Runs the eight steps of the paper for exact tracking. The average of ``C m_e`` and m_e is the next guess (7a).
+    """Runs the eight steps of the paper for exact tracking. The average of ``C m_e`` and m_e is the
+    next guess (7a).
 
-    The iteration considers motor torques only and finds upper bounds of the payload only. If these limit the robot, the
-    corrected form agrees with :func:`~cablebot_gym.bounds.closed_form.exact_payload`, also for a negative payload. The
-    minimum tensions of a planar robot are only piecewise affine in the load. Then ``C m_e`` depends on the guess, and
-    the iteration may not converge.
+    The iteration considers motor torques only and finds upper bounds of the payload only. If these
+    limit the robot, the corrected form agrees with
+    :func:`~cablebot_gym.bounds.closed_form.exact_payload`, also for a negative payload. The minimum
+    tensions of a planar robot are only piecewise affine in the load. Then ``C m_e`` depends on the
+    guess, and the iteration may not converge.
 
     Args:
         robot: robot with a rigid transmission.
         trajectory: trajectory with the same number of coordinates.
         guess: first guess m_e [kg]; > 0.
         corrected: whether to use the corrected form instead of the printed one.
-        minimum_tension: lower tension bound of a planar robot [N]; has no effect on a spatial robot.
+        minimum_tension: lower tension bound of a planar robot [N]; has no effect on a spatial
+            robot.
         tolerance: difference between m_load and m_e at convergence (7b) [kg]; > 0.
         max_iterations: maximum number of guesses; ≥ 1.
         frequency: number of control instants of exact tracking per second [Hz].
         line_speed: factor of the pulley speed in the torque-speed line, as for exact tracking.
 
     Raises:
-        ValueError: if an argument is invalid, or if no tensions produce the accelerations of the motion.
+        ValueError: if an argument is invalid, or if no tensions produce the accelerations of the
+            motion.
     """
     guess = number("guess", guess, above=0, unit="kg")
     tolerance = number("tolerance", tolerance, above=0, unit="kg")
     max_iterations = whole("max_iterations", max_iterations, least=1)
     times, reference = control_instants(robot, trajectory, frequency)
-    speed = np.asarray(line_speed, float) * textbook.pulley_speed(robot, reference.position, reference.velocity)
+    speed = np.asarray(line_speed, float) * textbook.pulley_speed(
+        robot, reference.position, reference.velocity
+    )
     empty = _torques(robot, 0.0, reference, minimum_tension)
     loads: list[float] = []
     while True:
         loads.append(guess)
-        # Steps 5 and 6. The probe load must differ from zero. A torque that a negative load removes equals the torque
-        # that the corresponding positive load adds.
+        # Steps 5 and 6. The probe load must differ from zero. A torque that a negative load removes
+        # equals the torque that the corresponding positive load adds.
         probe = guess if abs(guess) > tolerance else math.copysign(tolerance, guess)
-        change = math.copysign(1.0, probe) * (_torques(robot, probe, reference, minimum_tension) - empty)
+        change = math.copysign(1.0, probe) * (
+            _torques(robot, probe, reference, minimum_tension) - empty
+        )
         coefficient = load_coefficient(robot, empty + change, empty, speed, corrected=corrected)
         k, motor = np.unravel_index(np.argmin(coefficient), coefficient.shape)  # Eq. 38 and 39
         payload = float(coefficient[k, motor]) * abs(probe)

@@ -73,7 +73,16 @@ _GROUPS = (
 _UNGROUPED = "Beyond the paper"
 """Heading for parts that belong to no group."""
 
-_COLUMNS = ("Where", "The paper", "Published", "Ours", "Interpretation", "Verdict", "Evidence", "Command")
+_COLUMNS = (
+    "Where",
+    "The paper",
+    "Published",
+    "Ours",
+    "Interpretation",
+    "Verdict",
+    "Evidence",
+    "Command",
+)
 
 _VERDICTS = {
     "reproduced": "good",
@@ -112,7 +121,9 @@ def html(results: Results) -> str:
             body.append(f'<h{block.level} id="{anchor}">{text}</h{block.level}>\n')
             if block.level == 2:
                 links.append(f'<li><a href="#{anchor}">{text}</a></li>')
-    frame = Template(files("cablebot_baselines.paper").joinpath("page.html").read_text(encoding="utf-8"))
+    frame = Template(
+        files("cablebot_baselines.paper").joinpath("page.html").read_text(encoding="utf-8")
+    )
     return frame.substitute(title=escape(TITLE), links="\n".join(links), body="".join(body))
 
 
@@ -161,7 +172,9 @@ def _head(results: Results) -> Iterator[Block]:
     choices = "the default choices"
     if changed:
         choices = "the following choices; bold choices differ from the default"
-    yield (f"The paper leaves some points open. Each choice is an option of this command. This page uses {choices}:")
+    yield (
+        f"The paper leaves some points open. Each choice is an option of this command. This page uses {choices}:"
+    )
     lines = []
     for subject, names in _SUBJECTS.items():
         texts = []
@@ -201,7 +214,9 @@ def _summary(results: Results) -> Iterator[Block]:
         rows = [row for row in results["rows"] if row["kind"] == kind]
         lines.append(f"* **{len(rows)} {kind}s**: {tally(rows)}.")
     yield "\n".join(lines)
-    run = Run(interpretation=Interpretation(**results["interpretation"]), numbers=results["numbers"])
+    run = Run(
+        interpretation=Interpretation(**results["interpretation"]), numbers=results["numbers"]
+    )
     judged = list(points(run, results["rows"]))
     for verdict, heading in HEADINGS.items():
         lines = [f"* {_escaped(text, bold=True)}" for result, text in judged if result == verdict]
@@ -303,7 +318,10 @@ def _as_html(table: Table, reader: MarkdownIt) -> str:
         return f"<{tag}{attributes}>{reader.renderInline(plain)}</{tag}>"
 
     styles = [' style="text-align:right"' if is_numeric else "" for is_numeric in table.numeric()]
-    heads = [cell("th", f' scope="col"{style}', name) for name, style in zip(table.header, styles, strict=True)]
+    heads = [
+        cell("th", f' scope="col"{style}', name)
+        for name, style in zip(table.header, styles, strict=True)
+    ]
     lines = []
     for row in table.rows:
         cells = []

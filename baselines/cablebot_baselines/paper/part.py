@@ -17,14 +17,16 @@ Number = float | int | str | bool | None
 """Value of a number in results.json."""
 
 Jobs = dict[str, Job]
-"""Computations of a part by name. A computation that several parts share has one key and runs once."""
+"""Computations of a part by name. A computation that several parts share has one key and runs
+once."""
 
 Results = Mapping[str, Any]
 """Results of the computations of a part by name."""
 
 
 def job(function: Callable[..., Any], **keywords: Any) -> Job:
-    """The call of a module-level function. Its keyword arguments can be pickled, and their ``repr`` identifies them."""
+    """The call of a module-level function. Its keyword arguments can be pickled, and their ``repr``
+    identifies them."""
     arguments = ", ".join(f"{name}={keywords[name]!r}" for name in sorted(keywords))
     return Job(
         key=f"{function.__module__}.{function.__qualname__}({arguments})",
@@ -50,7 +52,8 @@ class Outcome:
     """Numbers and tables of a part."""
 
     numbers: Mapping[str, Number] = field(default_factory=dict)
-    """Numbers by name. A name ends with the unit, if any: ``payload_kg``, ``motor``, ``peak_error_mm``."""
+    """Numbers by name. A name ends with the unit, if any: ``payload_kg``, ``motor``,
+    ``peak_error_mm``."""
     tables: tuple[Table, ...] = ()
     """Tables below the figure."""
 

@@ -9,11 +9,12 @@ from importlib.resources import files
 from typing import Any, Literal
 
 Kind = Literal["input", "result", "claim"]
-"""Input: a parameter, or a value that follows from the design of the robot. Result: a number that the paper computed.
-Claim: a sentence that is true or false."""
+"""Input: a parameter, or a value that follows from the design of the robot. Result: a number that
+the paper computed. Claim: a sentence that is true or false."""
 
 ABOUT = 0.05
-"""Maximum relative difference between our number and a published number that counts as reproduced."""
+"""Maximum relative difference between our number and a published number that counts as
+reproduced."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,8 +54,8 @@ class Input(Published):
     part: str
     """A part that uses the input."""
     sources: Sequence[str] = ()
-    """Paths of the values (:func:`~cablebot_baselines.paper.inputs.read`), which must be equal. Without a path the
-    reproduction reads the published value itself."""
+    """Paths of the values (:func:`~cablebot_baselines.paper.inputs.read`), which must be equal.
+    Without a path the reproduction reads the published value itself."""
     is_upper_bound: bool = False
     """Whether the published value is an upper bound of ours."""
     corrected: float | None = None
@@ -112,8 +113,12 @@ def published_value(key: str) -> float:
 
 _SECTIONS = {"planar": "5.2.1", "spatial": "5.2.2", "flexible": "5.2.3"}
 
-LOADS: dict[str, float] = {kind: published_value(f"{section}.payload") for kind, section in _SECTIONS.items()}
+LOADS: dict[str, float] = {
+    kind: published_value(f"{section}.payload") for kind, section in _SECTIONS.items()
+}
 """The published load capacities [kg]."""
 
-MOTORS: dict[str, float] = {kind: published_value(f"{section}.motor") for kind, section in _SECTIONS.items()}
+MOTORS: dict[str, float] = {
+    kind: published_value(f"{section}.motor") for kind, section in _SECTIONS.items()
+}
 """Number of the motor that saturates first, as published."""

@@ -1,4 +1,5 @@
-"""Summary of the reproduction: which findings of the paper are reproduced, which are not, and the reasons."""
+"""Summary of the reproduction: which findings of the paper are reproduced, which are not, and the
+reasons."""
 
 from __future__ import annotations
 
@@ -18,11 +19,13 @@ HEADINGS = {
 """Headings of the lists of points by verdict."""
 
 POINTS: list[dict[str, Any]] = load_table("summary.toml")["point"]
-"""``keys`` of published items, their common ``title``, and format strings of their sentences, ``text``."""
+"""``keys`` of published items, their common ``title``, and format strings of their sentences,
+``text``."""
 
 
 def points(run: Run, rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
-    """Yields the verdict on each point and the point in Markdown. Points that were not run are omitted."""
+    """Yields the verdict on each point and the point in Markdown. Points that were not run are
+    omitted."""
     rows_by_key = {row["key"]: row for row in rows}
     texts = _texts(run)
     for point in POINTS:

@@ -16,12 +16,13 @@ def command(interpretation: Interpretation, *only: str) -> str:
 
 
 OPTIONS = load_table("options.toml")
-"""Options of an interpretation in the order of the command: ``help``, and short ``texts`` of the choices."""
+"""Options of an interpretation in the order of the command: ``help``, and short ``texts`` of the
+choices."""
 
 
 def option_text(name: str, value: object, source: Source | None = None) -> str:
-    """Short text of a chosen option. ``source`` selects the value of "as-printed"; None lists the values of both
-    sections."""
+    """Short text of a chosen option. ``source`` selects the value of "as-printed"; None lists the
+    values of both sections."""
     if name == "minimum_tension":
         return f"T_min = {float(str(value)):g} N"
     if value == "as-printed" and source is not None:
@@ -34,7 +35,8 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def as_text(value: Number, digits: int = 4) -> str:
-    """Text of a value: significant digits for numbers, yes or no for truth values, a dash for None."""
+    """Text of a value: significant digits for numbers, yes or no for truth values, a dash for
+    None."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -66,4 +68,8 @@ def kilograms(value: float | None) -> str:
 
 def relative_difference(ours: float, published: float) -> str:
     """Relative difference between our number and a published number in percent."""
-    return f"{100 * (ours / published - 1):+.0f} %".replace("-", "−").replace("+0 %", "0 %").replace("−0 %", "0 %")
+    return (
+        f"{100 * (ours / published - 1):+.0f} %".replace("-", "−")
+        .replace("+0 %", "0 %")
+        .replace("−0 %", "0 %")
+    )

@@ -1,4 +1,5 @@
-"""Arithmetic of the kernel: sine and cosine, vectors, and symmetric matrices of three and six rows."""
+"""Arithmetic of the kernel: sine and cosine, vectors, and symmetric matrices of three and six
+rows."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from cablebot_gym.physics.inlining import inline
 
 
 def _fused(context, a, b, c):
-    """Explicit fused a b + c. Otherwise the compiler rounds differently for one lane and for a tile."""
+    """Explicit fused a b + c. Otherwise the compiler rounds differently for one lane and for a
+    tile."""
 
     def generate(context, builder, signature, arguments):
         return builder.fma(*arguments)
@@ -55,7 +57,8 @@ def store_vector(array, row, at, lanes, value):
 
 @inline
 def sincos(angle):
-    """Vectorisable sine and cosine: Cody–Waite reduction to ±π/4, then the minimax polynomials of fdlibm."""
+    """Vectorisable sine and cosine: Cody–Waite reduction to ±π/4, then the minimax polynomials of
+    fdlibm."""
     turns = np.floor(angle * 0.6366197723675814 + 0.5)
     x = angle - turns * 1.5707963267341256
     x = x - turns * 6.077100506506192e-11
@@ -140,7 +143,8 @@ def symmetric_times(a, x):
 
 @inline
 def factor_symmetric(a, b, c):
-    """Factors of the symmetric 6 × 6 matrix ((a, b), (bᵀ, c)) for :func:`solve_factored`: its Schur complement."""
+    """Factors of the symmetric 6 × 6 matrix ((a, b), (bᵀ, c)) for :func:`solve_factored`: its Schur
+    complement."""
     inverse = symmetric_inverse(a)
     column0 = (b[0][0], b[1][0], b[2][0])
     column1 = (b[0][1], b[1][1], b[2][1])
@@ -163,7 +167,11 @@ def factor_symmetric(a, b, c):
 def solve_factored(factors, f, g):
     """Both halves of the solution for the right side (f, g)."""
     inverse, e, complement = factors
-    half = symmetric_times(complement, (g[0] - dot(e[0], f), g[1] - dot(e[1], f), g[2] - dot(e[2], f)))
+    half = symmetric_times(
+        complement, (g[0] - dot(e[0], f), g[1] - dot(e[1], f), g[2] - dot(e[2], f))
+    )
     return add_scaled(
-        -half[0], e[0], add_scaled(-half[1], e[1], add_scaled(-half[2], e[2], symmetric_times(inverse, f)))
+        -half[0],
+        e[0],
+        add_scaled(-half[1], e[1], add_scaled(-half[2], e[2], symmetric_times(inverse, f))),
     ), half

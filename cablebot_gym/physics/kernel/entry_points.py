@@ -15,43 +15,65 @@ from cablebot_gym.physics.kernel.rows import Form
 class Compiled(NamedTuple):
     """Functions for one form of robots, which numba compiles at their first call.
 
-    Shapes: parameters (tiles, parameter_rows·lanes), record (tiles, record_rows·lanes), w (scratch_rows·lanes,), paths
-    (trajectories, lines, n): reference poses at physics steps, ends (trajectories,): last line of each path, path and
-    step (tiles·lanes,): index of its path and control step of each lane. Of the inverse dynamics: parameters
-    (parameter_rows,) of one robot, p (parameter_rows·lanes,) for a tile of copies, mass (N,), motion (3, N, n) =
-    (X, Ẋ, Ẍ), structure (N, m, n), load (N, n).
+    Shapes: parameters (tiles, parameter_rows·lanes), record (tiles, record_rows·lanes), w
+    (scratch_rows·lanes,), paths (trajectories, lines, n): reference poses at physics steps, ends
+    (trajectories,): last line of each path, path and step (tiles·lanes,): index of its path and
+    control step of each lane. Of the inverse dynamics: parameters (parameter_rows,) of one robot, p
+    (parameter_rows·lanes,) for a tile of copies, mass (N,), motion (3, N, n) = (X, Ẋ, Ẍ), structure
+    (N, m, n), load (N, n).
     """
 
     advance: Any
-    """``(unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h)``: one control period;
-    changes ``record`` and ``step``. ``lags`` and ``rubs``: whether some motor has a lag or Coulomb friction; without
-    them the code is faster."""
+    """``(unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h)``:
+    one control period; changes ``record`` and ``step``. ``lags`` and ``rubs``: whether some motor
+    has a lag or Coulomb friction; without them the code is faster."""
     evaluate: Any
-    """``(unilateral, parameters, record, w, acceleration)``: accelerations (tiles, n·lanes) and, in ``record``, the
-    tensions for the torques in ``record``."""
+    """``(unilateral, parameters, record, w, acceleration)``: accelerations (tiles, n·lanes) and, in
+    ``record``, the tensions for the torques in ``record``."""
     required: Any
-    """``(parameters, minimum, p, w, mass, motion, results)``: tensions, torques, pulley speeds and pulley accelerations
-    (4, N, m), in the order of TENSIONS to WINDINGS. As many cables as coordinates: the unique tensions; more cables,
-    only of point masses in a plane: the smallest tensions of at least ``minimum``."""
+    """``(parameters, minimum, p, w, mass, motion, results)``: tensions, torques, pulley speeds and
+    pulley accelerations (4, N, m), in the order of TENSIONS to WINDINGS. As many cables as
+    coordinates: the unique tensions; more cables, only of point masses in a plane: the smallest
+    tensions of at least ``minimum``."""
     demanded: Any
-    """``(parameters, p, w, mass, motion, structure, load, results)``: what a tension distribution needs, ``−Sᵀ T =
-    load``, and pulley speeds and pulley accelerations (2, N, m). The coordinates of S and load are those of y."""
+    """``(parameters, p, w, mass, motion, structure, load, results)``: what a tension distribution
+    needs, ``−Sᵀ T = load``, and pulley speeds and pulley accelerations (2, N, m). The coordinates
+    of S and load are those of y."""
     locate: Any
-    """``(parameters, iterations, tolerance, p, w, lengths, pose, squares, ended)``: poses (N, n), which are the guesses
-    before, of cable lengths (N, m); sums of the squared length errors and whether the last step was below the
-    tolerance, (N,). ``parameters`` have mass and inertia for the damping, no gravity, and J/r² = 1."""
+    """``(parameters, iterations, tolerance, p, w, lengths, pose, squares, ended)``: poses (N, n),
+    which are the guesses before, of cable lengths (N, m); sums of the squared length errors and
+    whether the last step was below the tolerance, (N,). ``parameters`` have mass and inertia for
+    the damping, no gravity, and J/r² = 1."""
 
 
 @cache
 def compiled(form: Form, lanes: int) -> Compiled:
-    """The functions for a form: one source, compiled for one lane and for a tile, for each kind and each number of
-    cables, whose loops are unrolled. Numba compiles for the form because the functions close over it."""
+    """The functions for a form: one source, compiled for one lane and for a tile, for each kind and
+    each number of cables, whose loops are unrolled. Numba compiles for the form because the
+    functions close over it."""
 
     compile_form = partial(entry_point, robot=form.robot_text)
 
     @compile_form
-    def advance(unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h):
-        advance_tiles(form, lanes, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h)
+    def advance(
+        unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
+    ):
+        advance_tiles(
+            form,
+            lanes,
+            unilateral,
+            lags,
+            rubs,
+            parameters,
+            record,
+            w,
+            paths,
+            ends,
+            path,
+            step,
+            substeps,
+            h,
+        )
 
     @compile_form
     def evaluate(unilateral, parameters, record, w, acceleration):
@@ -67,6 +89,8 @@ def compiled(form: Form, lanes: int) -> Compiled:
 
     @compile_form
     def locate(parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):
-        locate_tiles(form, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended)
+        locate_tiles(
+            form, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended
+        )
 
     return Compiled(advance, evaluate, required, demanded, locate)

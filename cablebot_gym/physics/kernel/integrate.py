@@ -60,20 +60,27 @@ def _note_tensions(form, period_starts, unilateral, w, record, lanes):
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
         for at in range(lanes):
             tension = w[(row + FREE_TENSION) * lanes + at]
-            slack = 1.0 - w[(row + TAUT) * lanes + at] if unilateral else (0.0 if tension > 0.0 else 1.0)
+            slack = (
+                1.0 - w[(row + TAUT) * lanes + at]
+                if unilateral
+                else (0.0 if tension > 0.0 else 1.0)
+            )
             tension = max(tension, 0.0) if unilateral else tension
             if period_starts:
                 record[(rec + TENSION) * lanes + at] = tension
                 record[(rec + LEAST_TENSION) * lanes + at] = tension
                 record[(rec + SLACK) * lanes + at] = slack
             else:
-                record[(rec + LEAST_TENSION) * lanes + at] = min(tension, record[(rec + LEAST_TENSION) * lanes + at])
+                record[(rec + LEAST_TENSION) * lanes + at] = min(
+                    tension, record[(rec + LEAST_TENSION) * lanes + at]
+                )
                 record[(rec + SLACK) * lanes + at] += slack
 
 
 @inline
 def _blend(stage, h, w, at, lanes, start, total, value, rate_row):
-    """RK4 update of one row: the value of the next stage or, after the last stage, the new state."""
+    """RK4 update of one row: the value of the next stage or, after the last stage, the new
+    state."""
     ahead = h if stage == 2 else 0.5 * h
     weight = 2.0 if stage in (1, 2) else 1.0
     rate = w[rate_row * lanes + at]
@@ -115,7 +122,17 @@ def _rk4(form, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
             for j in range(form.coordinates):
                 value = 6 * half + j
                 for at in range(lanes):
-                    _blend(stage, h, w, at, lanes, START + value, SUM + value, STAGE + value, rate_row + j)
+                    _blend(
+                        stage,
+                        h,
+                        w,
+                        at,
+                        lanes,
+                        START + value,
+                        SUM + value,
+                        STAGE + value,
+                        rate_row + j,
+                    )
         if form.flexible:
             for half in range(2):
                 rate_row = MOTOR_STAGE + 1 if half == 0 else MOTOR_RATE
@@ -140,7 +157,8 @@ def _rk4(form, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
 
 @inline
 def _note_errors(form, period_starts, w, record, at, lanes, paths, path, line):
-    """Updates the largest position and rotation error after a physics step, against a line of a path.
+    """Updates the largest position and rotation error after a physics step, against a line of a
+    path.
 
     A view of the line would count a reference.
     """
@@ -162,7 +180,8 @@ def _note_errors(form, period_starts, w, record, at, lanes, paths, path, line):
 
 @inline
 def _load_tile(form, record, w, lanes):
-    """Copies the state to the scratch memory. The search starts with the last known slack cables."""
+    """Copies the state to the scratch memory. The search starts with the last known slack
+    cables."""
     for j in range(form.coordinates):
         for at in range(lanes):
             w[(START + j) * lanes + at] = record[(POSE + j) * lanes + at]
@@ -186,13 +205,17 @@ def _load_tile(form, record, w, lanes):
         for i in range(form.cables):
             for half in range(2):
                 for at in range(lanes):
-                    value = record[(pulley_record_row(form.cables) + PULLEY_RECORDS * i + half) * lanes + at]
+                    value = record[
+                        (pulley_record_row(form.cables) + PULLEY_RECORDS * i + half) * lanes + at
+                    ]
                     w[(pulley_row(form, i) + PULLEY_START + half) * lanes + at] = value
                     w[(pulley_row(form, i) + PULLEY_STAGE + half) * lanes + at] = value
 
 
 @inline
-def advance_tiles(form, lanes, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, steps, h):
+def advance_tiles(
+    form, lanes, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, steps, h
+):
     """One control period of all tiles, see :class:`entry_points.Compiled`."""
     for tile in range(record.shape[0]):
         p, r = parameters[tile], record[tile]
@@ -220,11 +243,16 @@ def advance_tiles(form, lanes, unilateral, lags, rubs, parameters, record, w, pa
                 for half in range(2):
                     for at in range(lanes):
                         value = w[(pulley_row(form, i) + PULLEY_START + half) * lanes + at]
-                        r[(pulley_record_row(form.cables) + PULLEY_RECORDS * i + half) * lanes + at] = value
+                        r[
+                            (pulley_record_row(form.cables) + PULLEY_RECORDS * i + half) * lanes
+                            + at
+                        ] = value
             if form.flexible:
                 for half in range(2):
                     for at in range(lanes):
-                        r[(rec + MOTOR_ANGLE + half) * lanes + at] = w[(row + MOTOR_START + half) * lanes + at]
+                        r[(rec + MOTOR_ANGLE + half) * lanes + at] = w[
+                            (row + MOTOR_START + half) * lanes + at
+                        ]
             if lags:
                 for at in range(lanes):
                     lagged = w[(row + REQUEST) * lanes + at] + w[(row + GAP) * lanes + at]
@@ -241,7 +269,9 @@ def evaluate_tiles(form, lanes, unilateral, parameters, record, w, acceleration)
             row = FIRST_CABLE + CABLE_ROWS * i
             rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
-                w[(row + (MOTOR_TORQUE if form.flexible else DRIVE)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
+                w[(row + (MOTOR_TORQUE if form.flexible else DRIVE)) * lanes + at] = r[
+                    (rec + TORQUE) * lanes + at
+                ]
                 w[(row + TAUT) * lanes + at] = 1.0
         stage_kinematics(form, form.flexible, p, w, lanes)
         subtract_friction(form, p, w, lanes)

@@ -70,9 +70,11 @@ def _spatial_wrench(form, p, w, at, lanes):
 
 @inline
 def _spatial_tensions(w, at, lanes):
-    """Solves Σ row_i T_i = (f, g) for the tensions of six cables: T_i = row_i · (Σ row_i row_iᵀ)⁻¹ (f, g).
+    """Solves Σ row_i T_i = (f, g) for the tensions of six cables: T_i = row_i · (Σ row_i row_iᵀ)⁻¹
+    (f, g).
 
-    The matrix is the square of one that may be badly conditioned, hence a second pass with what the first one left.
+    The matrix is the square of one that may be badly conditioned, hence a second pass with what the
+    first one left.
     """
     f = load_vector(w, LOAD, at, lanes)
     g = load_vector(w, LOAD + 3, at, lanes)
@@ -99,7 +101,9 @@ def _add_tensions(factors, f, g, w, at, lanes):
     push, turn = solve_factored(factors, f, g)
     for i in range(6):
         row = FIRST_CABLE + CABLE_ROWS * i
-        part = dot(load_vector(w, row + ROW, at, lanes), push) + dot(load_vector(w, row + ROW + 3, at, lanes), turn)
+        part = dot(load_vector(w, row + ROW, at, lanes), push) + dot(
+            load_vector(w, row + ROW + 3, at, lanes), turn
+        )
         w[(row + RESULTS + TENSIONS) * lanes + at] += part
         f, g = add_pull(f, g, part, w, at, lanes, i)
     return f, g
@@ -141,7 +145,8 @@ def _two_tensions(w, at, lanes):
 
 @inline
 def _planar_tensions(form, minimum, w, lanes):
-    """Smallest T with Σ u_i T_i = f and T_i ≥ ``minimum``, pair by pair as :func:`textbook.tension_distribution`."""
+    """Smallest T with Σ u_i T_i = f and T_i ≥ ``minimum``, pair by pair as
+    :func:`textbook.tension_distribution`."""
     for at in range(lanes):
         fx, fy = w[LOAD * lanes + at], w[(LOAD + 1) * lanes + at]
         for i in range(form.cables):
@@ -160,14 +165,19 @@ def _planar_tensions(form, minimum, w, lanes):
         for at in range(lanes):
             one = w[PAIR * lanes + at]
             other = w[(PAIR + 1) * lanes + at]
-            pull = w[(PAIR + 2) * lanes + at] if one == i else (w[(PAIR + 3) * lanes + at] if other == i else 0.0)
+            pull = (
+                w[(PAIR + 2) * lanes + at]
+                if one == i
+                else (w[(PAIR + 3) * lanes + at] if other == i else 0.0)
+            )
             row = FIRST_CABLE + CABLE_ROWS * i + RESULTS + TENSIONS
             w[row * lanes + at] = minimum + max(pull, 0.0)
 
 
 @inline
 def _try_pair(w, at, lanes, i, j):
-    """Stores cables i and j and their tensions in PAIR if they give the force with the smallest sum so far."""
+    """Stores cables i and j and their tensions in PAIR if they give the force with the smallest sum
+    so far."""
     first_row = FIRST_CABLE + CABLE_ROWS * i + ROW
     second_row = FIRST_CABLE + CABLE_ROWS * j + ROW
     ax = w[first_row * lanes + at]
@@ -209,7 +219,8 @@ def _required_motor(form, p, w, at, lanes, i):
 
 @inline
 def _wrench(form, p, w, lanes):
-    """y and the wrench that the cables have to apply, Σ row_i T_i, in LOAD, for the motion of a tile."""
+    """y and the wrench that the cables have to apply, Σ row_i T_i, in LOAD, for the motion of a
+    tile."""
     stage_kinematics(form, False, p, w, lanes)
     if form.coordinates == 6:
         for at in range(lanes):
@@ -229,7 +240,11 @@ def _wrench(form, p, w, lanes):
             masses = three_masses(form, p, at, lanes)
             y = load_vector(w, UNKNOWNS, at, lanes)
             load = load_vector(w, LOAD, at, lanes)
-            rest = (load[0] - masses[0] * y[0], load[1] - masses[1] * y[1], load[2] - masses[2] * y[2])
+            rest = (
+                load[0] - masses[0] * y[0],
+                load[1] - masses[1] * y[1],
+                load[2] - masses[2] * y[2],
+            )
             store_vector(w, LOAD, at, lanes, rest)
         else:
             w[LOAD * lanes + at] = -mass * w[UNKNOWNS * lanes + at]
@@ -293,7 +308,9 @@ def demanded_tiles(form, lanes, parameters, p, w, mass, motion, structure, load,
             for at in range(min(lanes, count - first)):
                 per_radius = p[(par + PER_RADIUS) * lanes + at]
                 results[0, first + at, i] = -w[(row + LENGTH_RATE) * lanes + at] * per_radius
-                acceleration = length_acceleration(form, w, at, lanes, i) + w[(row + BIAS) * lanes + at]
+                acceleration = (
+                    length_acceleration(form, w, at, lanes, i) + w[(row + BIAS) * lanes + at]
+                )
                 results[1, first + at, i] = -acceleration * per_radius
                 for j in range(form.coordinates):
                     structure[first + at, i, j] = w[(row + ROW + j) * lanes + at]

@@ -19,17 +19,24 @@ from cablebot_gym.physics.kernel.rows import (
     TAUT,
     TRIAL,
 )
-from cablebot_gym.physics.kernel.stage import acceleration_row, copy_parameters, stage_accelerations, stage_kinematics
+from cablebot_gym.physics.kernel.stage import (
+    acceleration_row,
+    copy_parameters,
+    stage_accelerations,
+    stage_kinematics,
+)
 from cablebot_gym.physics.kernel.taut import solve_lane
 
 
 @inline
-def locate_tiles(form, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):
+def locate_tiles(
+    form, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended
+):
     """Poses of given cable lengths: Gauss-Newton steps of all lanes in tiles.
 
-    The dynamics at rest solve ``(m I₃, I) y = −Σ row_i (t_i + μ_i row_i·y)``. With the excess of the length as t_i,
-    μ_i = 1, and the damping as mass and inertia, y is the step. A step that increases the sum of the squares is halved.
-    A lane ends after a step below the tolerance.
+    The dynamics at rest solve ``(m I₃, I) y = −Σ row_i (t_i + μ_i row_i·y)``. With the excess of
+    the length as t_i, μ_i = 1, and the damping as mass and inertia, y is the step. A step that
+    increases the sum of the squares is halved. A lane ends after a step below the tolerance.
     """
     count = lengths.shape[0]
     copy_parameters(parameters, p, lanes)
@@ -66,19 +73,29 @@ def locate_tiles(form, lanes, parameters, iterations, tolerance, p, w, lengths, 
         for at in range(min(lanes, count - first)):
             for j in range(form.coordinates):
                 pose[first + at, j] = w[(START + j) * lanes + at]
-            squares[first + at], ended[first + at] = w[SQUARES * lanes + at], w[ENDED * lanes + at] == 1.0
+            squares[first + at], ended[first + at] = (
+                w[SQUARES * lanes + at],
+                w[ENDED * lanes + at] == 1.0,
+            )
 
 
 @inline
 def _take_step(form, tolerance, w, at, lanes):
-    """Accepts the pose of the stage or halves the step to it; returns whether the lane had ended before."""
+    """Accepts the pose of the stage or halves the step to it; returns whether the lane had ended
+    before."""
     before = w[ENDED * lanes + at]
-    better = (w[TRIAL * lanes + at] <= w[SQUARES * lanes + at] + 1e-24) | (before == 1.0)  # NaN is not better
+    better = (w[TRIAL * lanes + at] <= w[SQUARES * lanes + at] + 1e-24) | (
+        before == 1.0
+    )  # NaN is not better
     w[SQUARES * lanes + at] = w[TRIAL * lanes + at] if better else w[SQUARES * lanes + at]
     size = 0.0
     for j in range(form.coordinates):
         start = w[(STAGE + j) * lanes + at] if better else w[(START + j) * lanes + at]
-        step = w[(acceleration_row(form) + j) * lanes + at] if better else w[(SUM + j) * lanes + at] / 2
+        step = (
+            w[(acceleration_row(form) + j) * lanes + at]
+            if better
+            else w[(SUM + j) * lanes + at] / 2
+        )
         step = 0.0 if before == 1.0 else step
         size += abs(step)
         w[(START + j) * lanes + at], w[(SUM + j) * lanes + at] = start, step

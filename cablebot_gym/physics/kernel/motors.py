@@ -54,7 +54,8 @@ from cablebot_gym.physics.kernel.rows import (
 
 @inline
 def twist_springs(form, unilateral, p, w, lanes):
-    """Torque of the joint springs on the pulleys, κ = K (β′ − β), and the motors' accelerations (Eq. 4).
+    """Torque of the joint springs on the pulleys, κ = K (β′ − β), and the motors' accelerations
+    (Eq. 4).
 
     With unilateral cables κ = K max(β′ − β, 0): a negative twist is slack cable on the pulley.
     """
@@ -67,7 +68,9 @@ def twist_springs(form, unilateral, p, w, lanes):
             twist = w[(row + MOTOR_STAGE) * lanes + at] - angle
             twist = max(twist, 0.0) if unilateral else twist
             spring = p[(par + STIFFNESS) * lanes + at] * twist
-            friction = p[(par + MOTOR_DAMPING) * lanes + at] * w[(row + MOTOR_STAGE + 1) * lanes + at]
+            friction = (
+                p[(par + MOTOR_DAMPING) * lanes + at] * w[(row + MOTOR_STAGE + 1) * lanes + at]
+            )
             rest = w[(row + MOTOR_TORQUE) * lanes + at] - spring - friction
             w[(row + DRIVE) * lanes + at] = spring
             w[(row + MOTOR_RATE) * lanes + at] = rest * p[(par + PER_MOTOR_INERTIA) * lanes + at]
@@ -81,7 +84,8 @@ def pulley_row(form, i):
 
 @inline
 def stretch_cables(form, unilateral, p, w, lanes):
-    """Tensions of elastic cables, see :func:`textbook.cable_springs`, and the accelerations of pulleys and motors.
+    """Tensions of elastic cables, see :func:`textbook.cable_springs`, and the accelerations of
+    pulleys and motors.
 
     The joint springs push, too: cables that are slack do not hold their pulleys.
     """
@@ -111,11 +115,19 @@ def stretch_cables(form, unilateral, p, w, lanes):
             torque = w[(row + MOTOR_TORQUE) * lanes + at]
             per_inertia = p[(more + PER_PULLEY_INERTIA) * lanes + at]
             if form.jointed:
-                twist = p[(par + STIFFNESS) * lanes + at] * (w[(row + MOTOR_STAGE) * lanes + at] - angle)
-                w[(pulley_row(form, i) + PULLEY_RATE) * lanes + at] = (twist - pulling) * per_inertia
-                friction = p[(par + MOTOR_DAMPING) * lanes + at] * w[(row + MOTOR_STAGE + 1) * lanes + at]
+                twist = p[(par + STIFFNESS) * lanes + at] * (
+                    w[(row + MOTOR_STAGE) * lanes + at] - angle
+                )
+                w[(pulley_row(form, i) + PULLEY_RATE) * lanes + at] = (
+                    twist - pulling
+                ) * per_inertia
+                friction = (
+                    p[(par + MOTOR_DAMPING) * lanes + at] * w[(row + MOTOR_STAGE + 1) * lanes + at]
+                )
                 rest = torque - twist - friction
-                w[(row + MOTOR_RATE) * lanes + at] = rest * p[(par + PER_MOTOR_INERTIA) * lanes + at]
+                w[(row + MOTOR_RATE) * lanes + at] = (
+                    rest * p[(par + PER_MOTOR_INERTIA) * lanes + at]
+                )
             else:
                 w[(row + MOTOR_RATE) * lanes + at] = (torque - pulling) * per_inertia
 
@@ -130,7 +142,8 @@ def _motor_speed(form, p, w, at, lanes, i):
 
 @inline
 def request_torques(form, lags, h, p, w, record, lanes):
-    """Requested torques of a control period, from the actions within ±1 and the motor speeds at its start."""
+    """Requested torques of a control period, from the actions within ±1 and the motor speeds at its
+    start."""
     for i in range(form.cables):
         par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
         row = FIRST_CABLE + CABLE_ROWS * i
@@ -153,7 +166,8 @@ def request_torques(form, lags, h, p, w, record, lanes):
 
 @inline
 def drive_motors(form, lags, stage, p, w, lanes):
-    """Torques of a stage: the requested torque after its lag, clipped to U± at the present motor speed."""
+    """Torques of a stage: the requested torque after its lag, clipped to U± at the present motor
+    speed."""
     for i in range(form.cables):
         par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
         row = FIRST_CABLE + CABLE_ROWS * i
@@ -185,4 +199,6 @@ def subtract_friction(form, p, w, lanes):
     for i in range(form.cables):
         row = FIRST_CABLE + CABLE_ROWS * i + (MOTOR_TORQUE if form.flexible else DRIVE)
         for at in range(lanes):
-            w[row * lanes + at] -= coulomb_friction(p, at, lanes, i, _motor_speed(form, p, w, at, lanes, i))
+            w[row * lanes + at] -= coulomb_friction(
+                p, at, lanes, i, _motor_speed(form, p, w, at, lanes, i)
+            )

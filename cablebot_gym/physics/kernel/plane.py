@@ -54,7 +54,8 @@ def planar_cable(p, w, at, lanes, i):
 
 @inline
 def plane_platform(form, p, w, at, lanes):
-    """Sine and cosine of φ, motion of the centre of mass, and the terms without cables. Gravity acts along y."""
+    """Sine and cosine of φ, motion of the centre of mass, and the terms without cables. Gravity
+    acts along y."""
     sine, cosine = sincos(w[(STAGE + 2) * lanes + at])
     omega = w[(STAGE + 8) * lanes + at]
     row = body_row(form.cables) + CENTER
@@ -81,7 +82,12 @@ def plane_cable(p, w, at, lanes, i):
     omega = w[(STAGE + 8) * lanes + at]
     ax, ay = cosine * bx - sine * by, sine * bx + cosine * by
     dx = w[STAGE * lanes + at] + w[CENTRE * lanes + at] + ax - p[(par + BASE) * lanes + at]
-    dy = w[(STAGE + 1) * lanes + at] + w[(CENTRE + 1) * lanes + at] + ay - p[(par + BASE + 1) * lanes + at]
+    dy = (
+        w[(STAGE + 1) * lanes + at]
+        + w[(CENTRE + 1) * lanes + at]
+        + ay
+        - p[(par + BASE + 1) * lanes + at]
+    )
     vx = w[BODY_VELOCITY * lanes + at] - omega * ay
     vy = w[(BODY_VELOCITY + 1) * lanes + at] + omega * ax
     length = math.sqrt(dx * dx + dy * dy)
@@ -98,14 +104,16 @@ def plane_cable(p, w, at, lanes, i):
 
 @inline
 def three_masses(form, p, at, lanes):
-    """Diagonal of the mass matrix: (m, m, m) of a point mass, (m, m, I_zz) of a platform in a plane."""
+    """Diagonal of the mass matrix: (m, m, m) of a point mass, (m, m, I_zz) of a platform in a
+    plane."""
     mass = p[MASS * lanes + at]
     return mass, mass, p[(INERTIA + 2) * lanes + at] if form.dimensions == 2 else mass
 
 
 @inline
 def plane_acceleration(sign, row, target, w, at, lanes):
-    """Ẍ in ``target`` from y in ``row``, from the centre of mass to the origin of the frame; back with ``sign`` −1."""
+    """Ẍ in ``target`` from y in ``row``, from the centre of mass to the origin of the frame; back
+    with ``sign`` −1."""
     sx = w[CENTRE * lanes + at]
     sy = w[(CENTRE + 1) * lanes + at]
     omega = w[(STAGE + 8) * lanes + at]

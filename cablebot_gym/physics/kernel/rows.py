@@ -1,7 +1,8 @@
 """Rows of a tile's memory, and the form of a robot for which the kernel is compiled.
 
-Robots are stored in tiles of ``lanes`` lanes. Each tile is a flat array of rows, ``array[row * lanes + lane]``, so the
-innermost loops run over lanes and vectorise. An array with two indices would be three times slower.
+Robots are stored in tiles of ``lanes`` lanes. Each tile is a flat array of rows, ``array[row *
+lanes + lane]``, so the innermost loops run over lanes and vectorise. An array with two indices
+would be three times slower.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ from cablebot_gym.physics.inlining import compile_time_constant, inline
 LANES = 32
 """Robots per tile in a batch. The rows of a tile then fit into the first-level cache of a core."""
 
-# Rows of the parameters: platform, CABLE_PARAMETERS rows for each cable, and of lopsided robots, from body_parameter(m)
-# on, I_xy, I_xz, I_yz and the centre of mass. Other robots do without these rows: they would be 4 % slower, since rows
-# whose distance is a multiple of 4 KiB share a set of the first-level cache. From stretch_parameter(m, lopsided) on,
-# robots with elastic cables or swivel pulleys have STRETCH_PARAMETERS further rows for each cable.
+# Rows of the parameters: platform, CABLE_PARAMETERS rows for each cable, and of lopsided robots,
+# from body_parameter(m) on, I_xy, I_xz, I_yz and the centre of mass. Other robots do without these
+# rows: they would be 4 % slower, since rows whose distance is a multiple of 4 KiB share a set of
+# the first-level cache. From stretch_parameter(m, lopsided) on, robots with elastic cables or
+# swivel pulleys have STRETCH_PARAMETERS further rows for each cable.
 MASS = 0
 INERTIA = 1
 GRAVITY = 4
@@ -48,8 +50,9 @@ EXTRA_LENGTH = 5
 SWIVEL = 6
 STRETCH_PARAMETERS = 7
 
-# Rows of the record, which persists between calls: state, action, and peaks and flags of the last control period. With
-# joint springs and elastic cables, PULLEY_RECORDS rows for each pulley follow, angle and speed.
+# Rows of the record, which persists between calls: state, action, and peaks and flags of the last
+# control period. With joint springs and elastic cables, PULLEY_RECORDS rows for each pulley follow,
+# angle and speed.
 POSE = 0
 VELOCITY = 6
 POSITION_PEAK = 12
@@ -66,8 +69,8 @@ LEAST_TENSION = 7
 LAGGED = 8
 CABLE_RECORDS, PULLEY_RECORDS = 9, 2
 
-# Rows of the scratch memory, which is not used between calls. Some serve two kinds of robots. TRIG of a platform in a
-# plane: sine and cosine of φ.
+# Rows of the scratch memory, which is not used between calls. Some serve two kinds of robots. TRIG
+# of a platform in a plane: sine and cosine of φ.
 START, SUM, STAGE, RATE = 0, 12, 24, 36
 ROTATION = 42
 BODY_VELOCITY = 51
@@ -88,7 +91,8 @@ REQUEST = 8
 DRIVE = 9
 TAUT = 10
 FREE_TENSION = 11
-# Flexible robots: MOTOR_START, MOTOR_SUM and MOTOR_STAGE have two rows each, angle β′ and speed β̇′.
+# Flexible robots: MOTOR_START, MOTOR_SUM and MOTOR_STAGE have two rows each, angle β′ and speed
+# β̇′.
 LENGTH = 12
 MOTOR_START = 13
 MOTOR_SUM = 15
@@ -96,9 +100,14 @@ MOTOR_STAGE = 17
 MOTOR_RATE = 19
 MOTOR_TORQUE = 20
 RESULTS = 21
-GAP, DECAY, KNOWN = 25, 26, 27  # lagged minus requested torque, its decay in half a physics step, known tension
+GAP, DECAY, KNOWN = (
+    25,
+    26,
+    27,
+)  # lagged minus requested torque, its decay in half a physics step, known tension
 CABLE_ROWS = 28
-# Forward kinematics: START and SUM have the best pose and the step from there; their last rows serve sums and flags.
+# Forward kinematics: START and SUM have the best pose and the step from there; their last rows
+# serve sums and flags.
 SQUARES, TRIAL, ENDED = 9, 10, 11
 # The pulleys between joint springs and elastic cables, after all cables.
 PULLEY_START = 0
@@ -128,8 +137,8 @@ class Form(NamedTuple):
     swivel: bool
     """Whether the cables run over swivel pulleys."""
     lopsided: bool
-    """Whether a platform in space has products of inertia or a centre of mass that is not the origin of its frame. True
-    for every platform in a plane."""
+    """Whether a platform in space has products of inertia or a centre of mass that is not the
+    origin of its frame. True for every platform in a plane."""
 
     @property
     def flexible(self) -> bool:
@@ -146,8 +155,17 @@ class Form(NamedTuple):
         """The kind of robot in words, without the number of lanes."""
         body = "point mass" if self.coordinates == self.dimensions else "platform"
         place = "in space" if self.dimensions == 3 else "in a plane"
-        springs = [text for flag, text in ((self.jointed, "joint springs"), (self.elastic, "elastic cables")) if flag]
-        return " with ".join([f"{body} {place} on {self.cables} cables", *([" and ".join(springs)] if springs else [])])
+        springs = [
+            text
+            for flag, text in ((self.jointed, "joint springs"), (self.elastic, "elastic cables"))
+            if flag
+        ]
+        return " with ".join(
+            [
+                f"{body} {place} on {self.cables} cables",
+                *([" and ".join(springs)] if springs else []),
+            ]
+        )
 
 
 def body_parameter(cables: int) -> int:
@@ -173,12 +191,20 @@ def parameter_rows(form: Form) -> int:
 
 def record_rows(form: Form) -> int:
     """Number of record rows of a tile."""
-    return pulley_record(form.cables) + PULLEY_RECORDS * form.cables * (form.elastic and form.jointed)
+    return pulley_record(form.cables) + PULLEY_RECORDS * form.cables * (
+        form.elastic and form.jointed
+    )
 
 
 def scratch_rows(form: Form) -> int:
     """Number of rows of the scratch memory."""
-    return FIRST_CABLE + CABLE_ROWS * form.cables + PULLEY_ROWS * form.cables * (form.elastic and form.jointed)
+    return (
+        FIRST_CABLE
+        + CABLE_ROWS * form.cables
+        + PULLEY_ROWS * form.cables * (form.elastic and form.jointed)
+    )
 
 
-body_row, stretch_row, pulley_record_row = (inline(row) for row in (body_parameter, stretch_parameter, pulley_record))
+body_row, stretch_row, pulley_record_row = (
+    inline(row) for row in (body_parameter, stretch_parameter, pulley_record)
+)

@@ -53,12 +53,13 @@ from cablebot_gym.physics.kernel.rows import (
 
 @inline
 def _swivelled(lengths, radius, s, v):
-    """Direction, length and bend of a cable over a swivel pulley of the signed radius, from the anchors' difference s.
+    """Direction, length and bend of a cable over a swivel pulley of the signed radius, from the
+    anchors' difference s.
 
-    As :class:`kinematics._Swivelled`, in the base frame. The bend (v·n)²/f + (u_h/d)(v·e)² is the part of q̈ that comes
-    from the turning of the free length f: in the plane of the pulley, where n is normal to the cable, and with the
-    pulley about its axis, where d is the distance from the axis and e points sideways. The length is zero if
-    ``lengths`` is False.
+    As :class:`kinematics._Swivelled`, in the base frame. The bend (v·n)²/f + (u_h/d)(v·e)² is the
+    part of q̈ that comes from the turning of the free length f: in the plane of the pulley, where n
+    is normal to the cable, and with the pulley about its axis, where d is the distance from the
+    axis and e points sideways. The length is zero if ``lengths`` is False.
     """
     rho, side = abs(radius), -1.0 if radius < 0.0 else 1.0
     reach = math.sqrt(s[0] * s[0] + s[1] * s[1])
@@ -80,7 +81,8 @@ def _swivelled(lengths, radius, s, v):
 
 @inline
 def spatial_platform(form, p, w, at, lanes):
-    """Rotation, velocity in the platform frame and the terms without cables, from the state of the stage."""
+    """Rotation, velocity in the platform frame and the terms without cables, from the state of the
+    stage."""
     sx, cx = sincos(w[(STAGE + 3) * lanes + at])
     sy, cy = sincos(w[(STAGE + 4) * lanes + at])
     sz, cz = sincos(w[(STAGE + 5) * lanes + at])
@@ -105,7 +107,13 @@ def spatial_platform(form, p, w, at, lanes):
         turning = cross(omega, centre)
         body_velocity = add_scaled(1.0, turning, body_velocity)
         position = add_scaled(centre[2], third, load_vector(w, STAGE, at, lanes))
-        store_vector(w, CENTRE, at, lanes, add_scaled(centre[0], first, add_scaled(centre[1], second, position)))
+        store_vector(
+            w,
+            CENTRE,
+            at,
+            lanes,
+            add_scaled(centre[0], first, add_scaled(centre[1], second, position)),
+        )
     gyro = cross(momentum, omega)
     push = load_vector(p, FORCE, at, lanes)
     moment = load_vector(p, MOMENT, at, lanes)
@@ -144,7 +152,9 @@ def _to_base(vector, offset, w, at, lanes):
     first = load_vector(w, ROTATION, at, lanes)
     second = load_vector(w, ROTATION + 3, at, lanes)
     third = load_vector(w, ROTATION + 6, at, lanes)
-    return add_scaled(vector[0], first, add_scaled(vector[1], second, add_scaled(vector[2], third, offset)))
+    return add_scaled(
+        vector[0], first, add_scaled(vector[1], second, add_scaled(vector[2], third, offset))
+    )
 
 
 @inline
@@ -159,7 +169,9 @@ def spatial_cable(form, lengths, p, w, at, lanes, i):
     turning = cross(omega, b)
     point = (velocity[0] + turning[0], velocity[1] + turning[1], velocity[2] + turning[2])
     if form.swivel:
-        radius = p[(stretch_row(form.cables, form.lopsided) + STRETCH_PARAMETERS * i + SWIVEL) * lanes + at]
+        radius = p[
+            (stretch_row(form.cables, form.lopsided) + STRETCH_PARAMETERS * i + SWIVEL) * lanes + at
+        ]
         s = _to_base(b, d, w, at, lanes)
         v = _to_base(point, (0.0, 0.0, 0.0), w, at, lanes)
         u, length, bend = _swivelled(lengths, radius, s, v)
@@ -192,17 +204,21 @@ def spatial_cable(form, lengths, p, w, at, lanes, i):
 
 @inline
 def centre_to_origin(form, sign, y, turn, p, w, at, lanes):
-    """y₁ − ω̇ × c − ω × (ω × c), from the centre of mass to the origin of the frame; back with ``sign`` −1."""
+    """y₁ − ω̇ × c − ω × (ω × c), from the centre of mass to the origin of the frame; back with
+    ``sign`` −1."""
     if form.lopsided:
         centre = load_vector(p, body_row(form.cables) + CENTER, at, lanes)
         omega = load_vector(w, OMEGA, at, lanes)
-        y = add_scaled(-sign, cross(turn, centre), add_scaled(-sign, cross(omega, cross(omega, centre)), y))
+        y = add_scaled(
+            -sign, cross(turn, centre), add_scaled(-sign, cross(omega, cross(omega, centre)), y)
+        )
     return y
 
 
 @inline
 def spatial_acceleration(form, p, w, at, lanes):
-    """Ẍ from y: p̈ = R y₁ less the motion of the centre of mass about the origin, Θ̈ = P⁻¹(ω̇ − Ṗ Θ̇)."""
+    """Ẍ from y: p̈ = R y₁ less the motion of the centre of mass about the origin, Θ̈ = P⁻¹(ω̇ − Ṗ
+    Θ̇)."""
     first = load_vector(w, ROTATION, at, lanes)
     second = load_vector(w, ROTATION + 3, at, lanes)
     third = load_vector(w, ROTATION + 6, at, lanes)
@@ -219,7 +235,11 @@ def spatial_acceleration(form, p, w, at, lanes):
         RATE,
         at,
         lanes,
-        add_scaled(y[0], first, add_scaled(y[1], second, (third[0] * y[2], third[1] * y[2], third[2] * y[2]))),
+        add_scaled(
+            y[0],
+            first,
+            add_scaled(y[1], second, (third[0] * y[2], third[1] * y[2], third[2] * y[2])),
+        ),
     )
     store_vector(w, RATE + 3, at, lanes, (x + sy * yaw, cx * y_ - sx * z, yaw))
 
@@ -228,7 +248,13 @@ def spatial_acceleration(form, p, w, at, lanes):
 def point_load(p, w, at, lanes):
     """Weight and external force of a point mass in space."""
     push = load_vector(p, FORCE, at, lanes)
-    store_vector(w, LOAD, at, lanes, (push[0], push[1], fma(p[MASS * lanes + at], p[GRAVITY * lanes + at], push[2])))
+    store_vector(
+        w,
+        LOAD,
+        at,
+        lanes,
+        (push[0], push[1], fma(p[MASS * lanes + at], p[GRAVITY * lanes + at], push[2])),
+    )
 
 
 @inline

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from cablebot_gym.physics.inlining import inline
 from cablebot_gym.physics.kernel.motors import stretch_cables, twist_springs
-from cablebot_gym.physics.kernel.plane import planar_cable, plane_acceleration, plane_cable, plane_platform
+from cablebot_gym.physics.kernel.plane import (
+    planar_cable,
+    plane_acceleration,
+    plane_cable,
+    plane_platform,
+)
 from cablebot_gym.physics.kernel.rows import RATE, UNKNOWNS
 from cablebot_gym.physics.kernel.space import (
     point_cable,

@@ -63,7 +63,8 @@ def _known_tensions(form, p, w, at, lanes):
 
 @inline
 def _add_cable(a, b, c, f, g, p, w, at, lanes, i):
-    """Adds cable i to the left side ((a, b), (bᵀ, c)) and subtracts its known tension from the right side (f, g)."""
+    """Adds cable i to the left side ((a, b), (bᵀ, c)) and subtracts its known tension from the
+    right side (f, g)."""
     mu, known = cable_weights(p, w, at, lanes, i)
     a, b, c = add_row(a, b, c, mu, w, at, lanes, i)
     f, g = add_pull(f, g, known, w, at, lanes, i)
@@ -79,7 +80,15 @@ def add_row(a, b, c, weight, w, at, lanes, i):
     heavy = (weight * u[0], weight * u[1], weight * u[2])
     a = add_outer(a, heavy, u)
     c = add_outer(c, (weight * n[0], weight * n[1], weight * n[2]), n)
-    return a, (add_scaled(heavy[0], n, b[0]), add_scaled(heavy[1], n, b[1]), add_scaled(heavy[2], n, b[2])), c
+    return (
+        a,
+        (
+            add_scaled(heavy[0], n, b[0]),
+            add_scaled(heavy[1], n, b[1]),
+            add_scaled(heavy[2], n, b[2]),
+        ),
+        c,
+    )
 
 
 @inline
@@ -93,7 +102,8 @@ def add_pull(f, g, tension, w, at, lanes, i):
 
 @inline
 def _spatial_solve(form, p, w, at, lanes):
-    """y for the current set of taut cables. The cables are not in a loop: a loop that carries tuples is slower."""
+    """y for the current set of taut cables. The cables are not in a loop: a loop that carries
+    tuples is slower."""
     mass, zero = p[MASS * lanes + at], (0.0, 0.0, 0.0)
     a = (mass, 0.0, 0.0, mass, 0.0, mass)
     b = (zero, zero, zero)
@@ -156,7 +166,13 @@ def _three_solve(form, p, w, at, lanes):
         fx = fma(-known, ux, fx)
         fy = fma(-known, uy, fy)
         fz = fma(-known, uz, fz)
-    store_vector(w, UNKNOWNS, at, lanes, symmetric_times(symmetric_inverse((xx, xy, xz, yy, yz, zz)), (fx, fy, fz)))
+    store_vector(
+        w,
+        UNKNOWNS,
+        at,
+        lanes,
+        symmetric_times(symmetric_inverse((xx, xy, xz, yy, yz, zz)), (fx, fy, fz)),
+    )
 
 
 @inline
@@ -174,7 +190,8 @@ def length_acceleration(form, w, at, lanes, i):
 
 @inline
 def _free_tension(form, p, w, at, lanes, i):
-    """t_i: the tension if positive; otherwise the cable is slack and −r t_i is the take-up torque u."""
+    """t_i: the tension if positive; otherwise the cable is slack and −r t_i is the take-up torque
+    u."""
     mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
     known = w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at]
     tension = known + mu * length_acceleration(form, w, at, lanes, i)
@@ -190,10 +207,16 @@ def pulled_lane(form, p, w, at, lanes):
         f = load_vector(w, LOAD, at, lanes)
         g = load_vector(w, LOAD + 3, at, lanes)
         for i in range(form.cables):
-            f, g = add_pull(f, g, w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at], w, at, lanes, i)
+            f, g = add_pull(
+                f, g, w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at], w, at, lanes, i
+            )
         store_vector(w, UNKNOWNS, at, lanes, (f[0] / mass, f[1] / mass, f[2] / mass))
         store_vector(
-            w, UNKNOWNS + 3, at, lanes, symmetric_times(symmetric_inverse(inertia_tensor(form, p, at, lanes)), g)
+            w,
+            UNKNOWNS + 3,
+            at,
+            lanes,
+            symmetric_times(symmetric_inverse(inertia_tensor(form, p, at, lanes)), g),
         )
     elif form.coordinates == 3:
         masses = three_masses(form, p, at, lanes)
@@ -229,9 +252,11 @@ def solve_lane(form, p, w, at, lanes):
 
 @helper
 def _settle_lane(form, p, w, at, lanes):
-    """Finds the taut set of one lane. All wrong cables change sides; after too many trials, only the last one does.
+    """Finds the taut set of one lane. All wrong cables change sides; after too many trials, only
+    the last one does.
 
-    The second rule is Murty's least-index rule, which terminates for every P-matrix, such as that of this problem.
+    The second rule is Murty's least-index rule, which terminates for every P-matrix, such as that
+    of this problem.
     """
     for trial in range(10 + 2 ** min(form.cables, 20)):
         wrong = 0

@@ -12,7 +12,12 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import ArrayLike
 
 from cablebot_baselines.classical.law import Array
-from cablebot_baselines.learned.wrappers.layers import CURRICULUM, BatchWrapper, SingleWrapper, restart_mask
+from cablebot_baselines.learned.wrappers.layers import (
+    CURRICULUM,
+    BatchWrapper,
+    SingleWrapper,
+    restart_mask,
+)
 from cablebot_gym.bounds.robot_check import SAMPLES, payload_limit
 from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.envs.vector import VectorStep
@@ -23,8 +28,8 @@ HEAVY = 2 / 3
 
 
 EXACT_MULTIPLE = 4.0
-"""Default of ``heaviest``, as a multiple of the largest payload with which the motors can follow the motion exactly.
-The error bounds allow several times that payload."""
+"""Default of ``heaviest``, as a multiple of the largest payload with which the motors can follow
+the motion exactly. The error bounds allow several times that payload."""
 
 
 class PayloadCurriculumVector(BatchWrapper):
@@ -76,7 +81,9 @@ class PayloadCurriculumVector(BatchWrapper):
         """
         settings = self._plant.settings
         times = np.linspace(0.0, settings.trajectory.duration, SAMPLES)
-        exact = payload_limit(settings.robot, times, settings.trajectory(times), payload=0.0).largest
+        exact = payload_limit(
+            settings.robot, times, settings.trajectory(times), payload=0.0
+        ).largest
         if not exact > 0.0:
             raise ValueError(
                 f"heaviest must be given in kg: the motors of robot {settings.robot.name!r} cannot follow the motion "
@@ -84,8 +91,11 @@ class PayloadCurriculumVector(BatchWrapper):
             )
         return exact
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Starts episodes with drawn payloads, unless ``options`` contains a payload. An invalid call has no effect.
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Starts episodes with drawn payloads, unless ``options`` contains a payload. An invalid
+        call has no effect.
 
         Raises:
             ValueError: if a seed or an option is invalid.
@@ -95,7 +105,9 @@ class PayloadCurriculumVector(BatchWrapper):
         drawn = self._draw(seed, marked)
         given = "payload" in (options or {})
         try:
-            result = self.env.reset(seed=seed, options=options if given else {**(options or {}), "payload": drawn})
+            result = self.env.reset(
+                seed=seed, options=options if given else {**(options or {}), "payload": drawn}
+            )
         except Exception:
             self._streams.restore(before)
             raise
@@ -104,7 +116,8 @@ class PayloadCurriculumVector(BatchWrapper):
         return result
 
     def _draw(self, seed: Any, marked: Array) -> Array:
-        """Payloads of the next episodes of the marked environments, (N,) [kg]; 0 for the other environments.
+        """Payloads of the next episodes of the marked environments, (N,) [kg]; 0 for the other
+        environments.
 
         The environment rejects invalid seeds, which are ignored here.
         """
@@ -127,7 +140,8 @@ class PayloadCurriculumVector(BatchWrapper):
         return payload
 
     def step(self, actions: ArrayLike) -> VectorStep:
-        """One control period; an episode counts when it first ends. Then ``info["is_success"]`` tells its success."""
+        """One control period; an episode counts when it first ends. Then ``info["is_success"]``
+        tells its success."""
         observation, reward, terminated, truncated, info = self.env.step(actions)
         succeeded = truncated & ~terminated & ~info["violated"]
         ended = (terminated | truncated) & self._running
@@ -137,14 +151,21 @@ class PayloadCurriculumVector(BatchWrapper):
         return observation, reward, terminated, truncated, info | {"is_success": succeeded}
 
     def _count(self, payload: float, succeeded: bool) -> None:
-        """Counts an episode; raises the ceiling if enough recent heavy payloads succeeded, lowers it if too few did."""
+        """Counts an episode; raises the ceiling if enough recent heavy payloads succeeded, lowers
+        it if too few did."""
         if not payload >= HEAVY * self.ceiling:  # also skips NaN
             return
         self._recent.append(succeeded)
         if len(self._recent) < self._window:
             return
         fraction = sum(self._recent) / self._window
-        change = self._step if fraction >= self._success else -self._step if fraction < self._setback else 0.0
+        change = (
+            self._step
+            if fraction >= self._success
+            else -self._step
+            if fraction < self._setback
+            else 0.0
+        )
         if change:
             self.ceiling = min(max(self.ceiling + change, self._lowest), self._heaviest)
             self._recent.clear()
@@ -153,25 +174,28 @@ class PayloadCurriculumVector(BatchWrapper):
 class PayloadCurriculum(SingleWrapper):
     """Draws the payload of each episode; the largest payload (ceiling) follows the success rate.
 
-    Each reset draws ``ceiling · U^power`` [kg], with U uniform in [0, 1) from a separate stream that ``reset(seed=…)``
-    seeds, and passes it on as the option ``payload``. A payload in the caller's options replaces the draw for that
-    episode.
+    Each reset draws ``ceiling · U^power`` [kg], with U uniform in [0, 1) from a separate stream
+    that ``reset(seed=…)`` seeds, and passes it on as the option ``payload``. A payload in the
+    caller's options replaces the draw for that episode.
 
-    An episode is heavy if its payload is in the upper third of the ceiling. It succeeds if the motion ends without a
-    violation of a limit; ``info["is_success"]`` is true then. If at least the fraction ``success`` of the last
-    ``window`` heavy episodes succeeds, the ceiling rises by ``step · heaviest``. If less than the fraction ``setback``
-    succeeds, it falls by the same amount, but not below ``start``. After each change a new window begins.
+    An episode is heavy if its payload is in the upper third of the ceiling. It succeeds if the
+    motion ends without a violation of a limit; ``info["is_success"]`` is true then. If at least the
+    fraction ``success`` of the last ``window`` heavy episodes succeeds, the ceiling rises by ``step
+    · heaviest``. If less than the fraction ``setback`` succeeds, it falls by the same amount, but
+    not below ``start``. After each change a new window begins.
 
     Args:
         env: single environment of this package.
-        heaviest: largest ceiling [kg]; > 0. None for :data:`EXACT_MULTIPLE` times the largest payload with which the
-            motors can follow the motion exactly, which then is the default of ``start``.
+        heaviest: largest ceiling [kg]; > 0. None for :data:`EXACT_MULTIPLE` times the largest
+            payload with which the motors can follow the motion exactly, which then is the default
+            of ``start``.
         power: exponent; below 1, heavy payloads are more frequent; > 0.
         start: initial ceiling [kg]; None for ``heaviest``, which makes the distribution constant.
         step: change of the ceiling as a fraction of ``heaviest``; in (0, 1].
         success: fraction of successes that raises the ceiling, in [0, 1].
         window: number of episodes; ≥ 1.
-        setback: fraction of successes below which the ceiling falls; at most ``success``; 0 for never.
+        setback: fraction of successes below which the ceiling falls; at most ``success``; 0 for
+            never.
 
     Raises:
         TypeError: if the environment is not one of this package.

@@ -1,4 +1,5 @@
-"""Base class of the wrappers, their order, and the adapter that makes their single-environment form."""
+"""Base class of the wrappers, their order, and the adapter that makes their single-environment
+form."""
 
 from __future__ import annotations
 
@@ -18,13 +19,15 @@ from cablebot_gym.envs.vector import CableBotVectorEnv, VectorStep
 from cablebot_gym.task import Task
 
 CURRICULUM, STEERED = range(2)
-"""Levels of the wrappers: a wrapper may wrap lower levels and its own level; :data:`STEERED` is always outermost."""
+"""Levels of the wrappers: a wrapper may wrap lower levels and its own level; :data:`STEERED` is
+always outermost."""
 
 SingleStep = tuple[Array, float, bool, bool, dict[str, Any]]
 
 
 class OneRow(VectorEnv[Array, ArrayLike, Array]):
-    """A single environment of this package as a vector environment with one row and autoreset disabled.
+    """A single environment of this package as a vector environment with one row and autoreset
+    disabled.
 
     Raises:
         TypeError: if the environment is not one of this package.
@@ -35,7 +38,9 @@ class OneRow(VectorEnv[Array, ArrayLike, Array]):
 
     def __init__(self, env: gym.Env[Array, ArrayLike]) -> None:
         if not isinstance(env, gym.Env) or not isinstance(env.unwrapped, CableBotEnv):
-            raise TypeError(f"the wrapper needs an environment of this package, from gym.make, not {env!r}")
+            raise TypeError(
+                f"the wrapper needs an environment of this package, from gym.make, not {env!r}"
+            )
         self.env = env
         """The single environment, with its wrappers."""
         self.settings = env.unwrapped.settings
@@ -50,7 +55,9 @@ class OneRow(VectorEnv[Array, ArrayLike, Array]):
         """Task of the present episode."""
         return (self.env.get_wrapper_attr("task"),)
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
         """Starts an episode; seed and options as for the single environment."""
         observation, info = self.env.reset(seed=seed, options=options)
         return observation[None], _as_row(info)
@@ -65,13 +72,21 @@ class OneRow(VectorEnv[Array, ArrayLike, Array]):
 def _as_row(info: Mapping[str, Any]) -> dict[str, Any]:
     """Info with a leading axis; values that are neither arrays nor scalars stay as they are."""
     kinds = (np.ndarray, np.generic, bool, int, float, str)
-    return {name: np.asarray(value)[None] if isinstance(value, kinds) else value for name, value in info.items()}
+    return {
+        name: np.asarray(value)[None] if isinstance(value, kinds) else value
+        for name, value in info.items()
+    }
 
 
 def _from_row(info: Mapping[str, Any]) -> dict[str, Any]:
     """Info without the leading axis; scalars become Python objects."""
-    rows = {name: value[0] if isinstance(value, np.ndarray) else value for name, value in info.items()}
-    return {name: value.item() if isinstance(value, np.generic) else value for name, value in rows.items()}
+    rows = {
+        name: value[0] if isinstance(value, np.ndarray) else value for name, value in info.items()
+    }
+    return {
+        name: value.item() if isinstance(value, np.generic) else value
+        for name, value in rows.items()
+    }
 
 
 if TYPE_CHECKING:
@@ -95,13 +110,19 @@ class BatchWrapper(_Wrapper):
 
     def __init__(self, env: VectorEnv[Array, ArrayLike, Array]) -> None:
         name = type(self).__name__
-        if not isinstance(env, VectorEnv) or not isinstance(env.unwrapped, (CableBotVectorEnv, OneRow)):
-            raise TypeError(f"{name} needs a vector environment of this package, from gym.make_vec, not {env!r}")
+        if not isinstance(env, VectorEnv) or not isinstance(
+            env.unwrapped, (CableBotVectorEnv, OneRow)
+        ):
+            raise TypeError(
+                f"{name} needs a vector environment of this package, from gym.make_vec, not {env!r}"
+            )
         super().__init__(env)
         if env.metadata.get("autoreset_mode") is not AutoresetMode.DISABLED:
             raise ValueError(f"{name} needs gym.make_vec(…, autoreset_mode=AutoresetMode.DISABLED)")
         if any(level == STEERED or level > self.level for level in _levels(env)):
-            raise ValueError(f"{name} is outside a wrapper that must be outside it: Steered must be outermost")
+            raise ValueError(
+                f"{name} is outside a wrapper that must be outside it: Steered must be outermost"
+            )
         self._plant: CableBotVectorEnv | OneRow = env.unwrapped
 
 
@@ -141,7 +162,9 @@ class SingleWrapper(gym.Wrapper[Array, ArrayLike, Array, ArrayLike], RecordConst
         """Level in the order of the wrappers."""
         return int(self.vector.level)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
         """Starts an episode; seed and options as for the environment.
 
         Raises:
@@ -158,10 +181,17 @@ class SingleWrapper(gym.Wrapper[Array, ArrayLike, Array, ArrayLike], RecordConst
             ValueError: if the action is invalid.
         """
         observation, reward, terminated, truncated, info = self.batch.step(np.asarray(action)[None])
-        return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), _from_row(info)
+        return (
+            observation[0],
+            float(reward[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            _from_row(info),
+        )
 
 
 def restart_mask(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
-    """Mask of the environments that a reset with these options resets; all of them if its shape is invalid."""
+    """Mask of the environments that a reset with these options resets; all of them if its shape is
+    invalid."""
     mask = np.array((options or {}).get("reset_mask"), np.bool_)
     return mask if mask.shape == (count,) else np.ones(count, np.bool_)

@@ -18,8 +18,19 @@ from numpy.typing import ArrayLike
 import cablebot_gym  # noqa: F401 - registers the ids
 from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.base import Base, default_base, find_base
-from cablebot_baselines.learned.steering import Memory, Residual, Shift, Steering, find_action_mapping
-from cablebot_baselines.learned.wrappers.layers import STEERED, BatchWrapper, SingleWrapper, restart_mask
+from cablebot_baselines.learned.steering import (
+    Memory,
+    Residual,
+    Shift,
+    Steering,
+    find_action_mapping,
+)
+from cablebot_baselines.learned.wrappers.layers import (
+    STEERED,
+    BatchWrapper,
+    SingleWrapper,
+    restart_mask,
+)
 from cablebot_gym.envs.vector import VectorStep
 from cablebot_gym.utils.checks import number, numbers
 
@@ -30,8 +41,8 @@ ACTIONS = 40
 class SteeredVector(BatchWrapper):
     """Vector form of :class:`Steered` for N environments, with the same arguments.
 
-    If an episode ends within an action, the rest of the action has no effect on its results. Reset ended environments
-    with the option ``reset_mask`` before the next step.
+    If an episode ends within an action, the rest of the action has no effect on its results. Reset
+    ended environments with the option ``reset_mask`` before the next step.
 
     Raises:
         TypeError: if the environment is not a :class:`CableBotVectorEnv`.
@@ -51,7 +62,9 @@ class SteeredVector(BatchWrapper):
     ) -> None:
         super().__init__(env)
         if self._plant.settings.normalised_observation:
-            raise ValueError("Steered reads observations in physical units: leave out normalised_observation")
+            raise ValueError(
+                "Steered reads observations in physical units: leave out normalised_observation"
+            )
         if self._plant.settings.observation_dtype != "float64":
             raise ValueError("Steered reads observations in float64: leave out observation_dtype")
         self._effort = number("effort", effort, least=0.0)
@@ -61,7 +74,10 @@ class SteeredVector(BatchWrapper):
         if steering is None:
             steering = Shift(action_period=self._plant.settings.trajectory.duration / ACTIONS)
         self.steering = Steering(
-            robot, base=find_base(base), action_mapping=find_action_mapping(steering), features=features
+            robot,
+            base=find_base(base),
+            action_mapping=find_action_mapping(steering),
+            features=features,
         )
         """The steered base law."""
         self.single_observation_space = Box(-np.inf, np.inf, (self.steering.inputs,), np.float32)
@@ -73,8 +89,11 @@ class SteeredVector(BatchWrapper):
         self._start, self._ended = (np.zeros(self.num_envs, np.bool_) for _ in range(2))
         self._first = np.zeros((self.num_envs, self._plant.layout.size))
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Starts episodes; seeds and options as for the environment, except ``error_bounds`` for several environments.
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Starts episodes; seeds and options as for the environment, except ``error_bounds`` for
+        several environments.
 
         Raises:
             ValueError: if a seed or an option is invalid.
@@ -106,7 +125,9 @@ class SteeredVector(BatchWrapper):
             ValueError: if the actions are not (N, size) finite numbers.
         """
         if self._memory is None or self._ended.any():
-            raise ResetNeeded("an episode has ended or was never started: call reset(), with reset_mask for some")
+            raise ResetNeeded(
+                "an episode has ended or was never started: call reset(), with reset_mask for some"
+            )
         steering = self.steering
         memory = self._memory
         blocks = self._blocks
@@ -142,8 +163,16 @@ class SteeredVector(BatchWrapper):
                 break
             observation = _with_rows(observation, its_observation, env_indices)
             memory = replace(memory, step=_with_rows(memory.step, its_step, env_indices))
-            info = {name: _with_rows(value, its_info[name], env_indices) for name, value in info.items()}
-        return self._observe(steering.split(observation), memory), total, terminated, truncated, info
+            info = {
+                name: _with_rows(value, its_info[name], env_indices) for name, value in info.items()
+            }
+        return (
+            self._observe(steering.split(observation), memory),
+            total,
+            terminated,
+            truncated,
+            info,
+        )
 
 
 def _with_rows(values: Array, other: Array, env_indices: Array) -> Array:
@@ -154,28 +183,32 @@ def _with_rows(values: Array, other: Array, env_indices: Array) -> Array:
 
 
 class Steered(SingleWrapper):
-    """A learner's action steers a classical law: it shifts the law's reference, or adds to the law's actions.
+    """A learner's action steers a classical law: it shifts the law's reference, or adds to the
+    law's actions.
 
-    A step is one action, which lasts ``Steering.periods`` control periods. Their rewards are summed, and the step ends
-    early if the episode ends. ``info`` is that of the last control period; wrappers that need every control period go
-    inside. Actions are clipped to [−1, 1]. The observation, float32, consists of ``features``, see
-    :mod:`cablebot_baselines.learned.features`. A :class:`cablebot_baselines.learned.bundle.Bundle` with the same
-    ``base``, ``steering`` and ``features`` stores a trained policy.
+    A step is one action, which lasts ``Steering.periods`` control periods. Their rewards are
+    summed, and the step ends early if the episode ends. ``info`` is that of the last control
+    period; wrappers that need every control period go inside. Actions are clipped to [−1, 1]. The
+    observation, float32, consists of ``features``, see :mod:`cablebot_baselines.learned.features`.
+    A :class:`cablebot_baselines.learned.bundle.Bundle` with the same ``base``, ``steering`` and
+    ``features`` stores a trained policy.
 
     Args:
         env: single environment of this package, optionally with other wrappers.
-        base: base law as a name, a dict ``{"law": …, "gains": …}`` or a :class:`Base`; None for that of the robot, see
-            :func:`~cablebot_baselines.learned.base.default_base`.
-        steering: action mapping: ``"shift"``, ``"residual"``, a dict ``{"kind": "shift", "action_period": 0.04, …}``, a
-            :class:`Shift` or a :class:`Residual`; None for a shift with :data:`ACTIONS` actions in the motion.
+        base: base law as a name, a dict ``{"law": …, "gains": …}`` or a :class:`Base`; None for
+            that of the robot, see :func:`~cablebot_baselines.learned.base.default_base`.
+        steering: action mapping: ``"shift"``, ``"residual"``, a dict ``{"kind": "shift",
+            "action_period": 0.04, …}``, a :class:`Shift` or a :class:`Residual`; None for a shift
+            with :data:`ACTIONS` actions in the motion.
         features: names of the features, in the order of the observation.
-        effort: penalty factor of the mean square of each action; ≥ 0. At the end of an episode, actions have no
-            consequence; without this penalty they drift to the edge of their range, where the gradient vanishes.
+        effort: penalty factor of the mean square of each action; ≥ 0. At the end of an episode,
+            actions have no consequence; without this penalty they drift to the edge of their range,
+            where the gradient vanishes.
 
     Raises:
         TypeError: if the environment is not one of this package.
-        ValueError: if an argument is invalid, the law does not support the robot, the observation is normalised, or the
-            environment is already steered.
+        ValueError: if an argument is invalid, the law does not support the robot, the observation
+            is normalised, or the environment is already steered.
     """
 
     vector: ClassVar[type[Any]] = SteeredVector
@@ -195,29 +228,35 @@ def make_steered_vec(
     seed: int | None = None,
     **keywords: Any,
 ) -> SteeredVector:
-    """Makes N environments of one id as one compiled batch, with the vector forms of the given wrappers.
+    """Makes N environments of one id as one compiled batch, with the vector forms of the given
+    wrappers.
 
     Stable-Baselines3 trains on ``CableBotVecEnv(make_steered_vec(…))``. Autoreset is disabled.
 
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         n_envs: number of environments N.
-        wrappers: wrapper classes and their arguments, innermost first; the last one is :class:`Steered`.
-        seed: environment i is reset with ``seed + i``, and the action space is seeded; later resets continue the
-            random streams.
-        keywords: keyword arguments of the environment, see ``help(gym.make(env_id).unwrapped)``, and
-            ``max_episode_steps``.
+        wrappers: wrapper classes and their arguments, innermost first; the last one is
+            :class:`Steered`.
+        seed: environment i is reset with ``seed + i``, and the action space is seeded; later resets
+            continue the random streams.
+        keywords: keyword arguments of the environment, see ``help(gym.make(env_id).unwrapped)``,
+            and ``max_episode_steps``.
 
     Raises:
         gymnasium.error.Error: if the id is unknown.
-        ValueError: if the last wrapper is not :class:`Steered`, the order is wrong, a wrapper has no vector form, or an
-            argument is unknown, missing or invalid.
+        ValueError: if the last wrapper is not :class:`Steered`, the order is wrong, a wrapper has
+            no vector form, or an argument is unknown, missing or invalid.
     """
-    env: Any = gym.make_vec(env_id, num_envs=n_envs, autoreset_mode=AutoresetMode.DISABLED, **keywords)
+    env: Any = gym.make_vec(
+        env_id, num_envs=n_envs, autoreset_mode=AutoresetMode.DISABLED, **keywords
+    )
     for wrapper, arguments in wrappers:
         vector = getattr(wrapper, "vector", None)
         if vector is None:
-            raise ValueError(f"wrappers: {wrapper.__name__} has no vector form (attribute 'vector')")
+            raise ValueError(
+                f"wrappers: {wrapper.__name__} has no vector form (attribute 'vector')"
+            )
         try:
             inspect.signature(vector).bind(env, **arguments)
         except TypeError as error:

@@ -62,9 +62,14 @@ def true_payload(*, interpretation: Interpretation, robot: Robot) -> float:
 def jobs(interpretation: Interpretation) -> Jobs:
     """Iterations in both forms, and true payloads."""
     jobs = {}
-    for kind, robot in (("planar", interpretation.planar), ("spatial", interpretation.spatial("payload"))):
+    for kind, robot in (
+        ("planar", interpretation.planar),
+        ("spatial", interpretation.spatial("payload")),
+    ):
         jobs[f"{kind} true"] = job(true_payload, interpretation=interpretation, robot=robot)
-        iterate = partial(job, iterations, interpretation=interpretation, robot=robot, guesses=GUESSES[kind])
+        iterate = partial(
+            job, iterations, interpretation=interpretation, robot=robot, guesses=GUESSES[kind]
+        )
         jobs[f"{kind} literal"] = iterate(corrected=False)
         jobs[f"{kind} corrected"] = iterate(corrected=True)
     return jobs
@@ -88,10 +93,20 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
             numbers[f"{stem}{form}_spread_kg"] = float(np.ptp([run.payload for run in runs]))
             for run in runs:
                 ratio = _ratio(run.payload, true)
-                rows.append((kind, name, run.loads[0], run.payload, ratio, len(run.loads), run.converged))
+                rows.append(
+                    (kind, name, run.loads[0], run.payload, ratio, len(run.loads), run.converged)
+                )
         numbers[f"{stem}literal_over_true"] = _ratio(results[f"{kind} literal"][0].payload, true)
         numbers[f"{stem}chosen_payload_kg"] = numbers[f"{stem}{interpretation.eq37}_payload_kg"]
-    header = ("robot", "Eqs. 37–39", "first guess [kg]", "result [kg]", "result / true payload", "guesses", "converges")
+    header = (
+        "robot",
+        "Eqs. 37–39",
+        "first guess [kg]",
+        "result [kg]",
+        "result / true payload",
+        "guesses",
+        "converges",
+    )
     title = "Results of the algorithm, exact tracking at 500 Hz"
     return Outcome(numbers=numbers, tables=(Table(title=title, header=header, rows=tuple(rows)),))
 
@@ -111,14 +126,31 @@ def draw(interpretation: Interpretation, results: Results) -> Figure:
         for form, colour, style in (("corrected", BLUE, "-"), ("literal", VERMILLION, "--")):
             label = _FORMS[form] + (" (chosen)" if form == interpretation.eq37 else "")
             for run in results[f"{kind} {form}"]:
-                axes.plot(range(1, len(run.loads) + 1), run.loads, style, color=colour, marker=".", label=label)
+                axes.plot(
+                    range(1, len(run.loads) + 1),
+                    run.loads,
+                    style,
+                    color=colour,
+                    marker=".",
+                    label=label,
+                )
                 label = "_"  # no further entry in the legend
         true = results[f"{kind} true"]
         axes.axhline(true, color="black", linewidth=1.0, label="true payload, closed form")
-        axes.axhline(true / 2, color=GREY, linewidth=1.0, linestyle=":", label="half of the true payload")
-        axes.set(xlabel="guess number", ylabel="load mₑ [kg]", title=f"{kind} robot", ylim=(0, None), xlim=(0.5, 16.5))
+        axes.axhline(
+            true / 2, color=GREY, linewidth=1.0, linestyle=":", label="half of the true payload"
+        )
+        axes.set(
+            xlabel="guess number",
+            ylabel="load mₑ [kg]",
+            title=f"{kind} robot",
+            ylim=(0, None),
+            xlim=(0.5, 16.5),
+        )
     add_legend(figure, panels[0])
-    set_title(figure, "Guesses of the algorithm of the paper (steps 4 to 8) from three first guesses")
+    set_title(
+        figure, "Guesses of the algorithm of the paper (steps 4 to 8) from three first guesses"
+    )
     return figure
 
 
@@ -148,4 +180,6 @@ def result_is_the_payload(run: Run) -> Judgement:
         "{eq37.exact_payload_kg} in closed form.",
         "The printed τ± is the torque reserve with load; correct is the reserve without load.",
     )
-    return Judgement(ratio, within(ratio, 1.0), evidence, "{eq37.literal_over_true} times the payload")
+    return Judgement(
+        ratio, within(ratio, 1.0), evidence, "{eq37.literal_over_true} times the payload"
+    )

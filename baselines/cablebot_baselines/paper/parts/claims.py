@@ -1,4 +1,5 @@
-"""Claims of the text about the controller: payloads and errors with and without feedback, poles, affine torques."""
+"""Claims of the text about the controller: payloads and errors with and without feedback, poles,
+affine torques."""
 
 from __future__ import annotations
 
@@ -60,19 +61,23 @@ _LOOPS = {
 
 
 def affinity(*, robot: Robot, minimum_tension: float) -> float:
-    """Largest ratio of the second to the first difference of τ in the mass for exact tracking; 0 if τ is affine."""
+    """Largest ratio of the second to the first difference of τ in the mass for exact tracking; 0 if
+    τ is affine."""
     motion = paper_circle(robot)(np.arange(500) / 500)
     state = (motion.position, motion.velocity, motion.acceleration)
     torques = []
     for count in (1, 2, 3):
-        tensions = textbook.required_tensions(robot, count * robot.mass, *state, minimum=minimum_tension)
+        tensions = textbook.required_tensions(
+            robot, count * robot.mass, *state, minimum=minimum_tension
+        )
         torques.append(textbook.required_torques(robot, tensions, *state))
     second = torques[2] - 2 * torques[1] + torques[0]
     return float(np.abs(second).max() / np.abs(torques[1] - torques[0]).max())
 
 
 def decay_error(rollout: Rollout, gains: tuple[float, float]) -> float:
-    """Largest deviation from ë + K_D ė + K_P e = 0 after an initial error, as a fraction of this error."""
+    """Largest deviation from ë + K_D ė + K_P e = 0 after an initial error, as a fraction of this
+    error."""
     stiffness, damping = gains
     time = rollout.arrays["time"]
     poles = np.roots([1.0, damping, stiffness])
@@ -97,25 +102,45 @@ def jobs(interpretation: Interpretation) -> Jobs:
     return jobs
 
 
-def _rigid_jobs(interpretation: Interpretation, kind: str, env_id: str, robot: Robot, law: Law) -> Jobs:
+def _rigid_jobs(
+    interpretation: Interpretation, kind: str, env_id: str, robot: Robot, law: Law
+) -> Jobs:
     """Jobs of one rigid robot."""
     jobs = {}
     robot = interpretation.closed_loop_robot(robot)
     laws: dict[str, Law] = {"fl": law, "open loop": FeedForward}
     for criterion in _CRITERIA:
         for name, loop in _LOOPS.items():
-            keywords: dict[str, Any] = {"law": laws[loop.law], "name": loop.law, "criterion": criterion}
+            keywords: dict[str, Any] = {
+                "law": laws[loop.law],
+                "name": loop.law,
+                "criterion": criterion,
+            }
             if not loop.payload_known:
                 keywords["payload_known"] = False
-            jobs[f"{kind} {name} {criterion}"] = job(largest_payload, env_id=env_id, robot=robot, **keywords)
+            jobs[f"{kind} {name} {criterion}"] = job(
+                largest_payload, env_id=env_id, robot=robot, **keywords
+            )
     draws = {"payload": robot.mass / 10, "uncertainty": "table6", "draws": _DRAWS}
-    jobs[f"{kind} errors"] = job(compared, env_id=env_id, robot=robot, laws=tuple(laws.items()), **draws)
+    jobs[f"{kind} errors"] = job(
+        compared, env_id=env_id, robot=robot, laws=tuple(laws.items()), **draws
+    )
     dwell = {"name": f"dwell-{kind}", "duration": 0.5}
     offset = (_OFFSET,) + (0.0,) * (robot.coordinates - 1)
-    decay = partial(job, closed_loop, env_id=env_id, robot=robot, law=law, trajectory=dwell, initial_error=offset)
+    decay = partial(
+        job,
+        closed_loop,
+        env_id=env_id,
+        robot=robot,
+        law=law,
+        trajectory=dwell,
+        initial_error=offset,
+    )
     jobs[f"{kind} decay"] = decay(control_frequency=FAST)
     jobs[f"{kind} sampled decay"] = decay(control_frequency=CONTROL_FREQUENCY)
-    jobs[f"{kind} affine"] = job(affinity, robot=robot, minimum_tension=interpretation.minimum_tension)
+    jobs[f"{kind} affine"] = job(
+        affinity, robot=robot, minimum_tension=interpretation.minimum_tension
+    )
     return jobs
 
 
@@ -132,7 +157,9 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
                     number = "open_loop_planar" if name == "open loop" else f"planar_{number}"
                 numbers[f"{number}{suffix}_kg"] = result.payload
                 violation = violation_text(result.violation)
-                rows.append((kind, loop.law, loop.payload_known, criterion, result.payload, violation))
+                rows.append(
+                    (kind, loop.law, loop.payload_known, criterion, result.payload, violation)
+                )
             numbers[f"closed_loop_{kind}{suffix}_kg"] = results[f"{kind} fl {criterion}"].payload
         numbers[f"closed_loop_{kind}_error_mm"] = _mean_error(results[f"{kind} errors"], 0)
         numbers[f"open_loop_{kind}_error_mm"] = _mean_error(results[f"{kind} errors"], 1)
@@ -214,14 +241,20 @@ def feedback_increases_the_payload(run: Run) -> Judgement:
 
 def _error_is_smaller(run: Run) -> bool:
     """Whether feedback reduces the mean errors of both robots."""
-    planar = run.number("claims.closed_loop_planar_error_mm") < run.number("claims.open_loop_planar_error_mm")
-    spatial = run.number("claims.closed_loop_spatial_error_mm") < run.number("claims.open_loop_spatial_error_mm")
+    planar = run.number("claims.closed_loop_planar_error_mm") < run.number(
+        "claims.open_loop_planar_error_mm"
+    )
+    spatial = run.number("claims.closed_loop_spatial_error_mm") < run.number(
+        "claims.open_loop_spatial_error_mm"
+    )
     return bool(planar and spatial)
 
 
 def _payload_is_larger(run: Run, suffix: str) -> bool:
     """Whether feedback increases the payloads of both robots under a criterion."""
-    planar = run.payload(f"claims.closed_loop_planar{suffix}_kg") > run.payload(f"claims.open_loop_planar{suffix}_kg")
+    planar = run.payload(f"claims.closed_loop_planar{suffix}_kg") > run.payload(
+        f"claims.open_loop_planar{suffix}_kg"
+    )
     spatial = run.payload(f"claims.closed_loop_spatial{suffix}_kg") > run.payload(
         f"claims.open_loop_spatial{suffix}_kg"
     )
@@ -293,7 +326,8 @@ def accuracy_can_be_neglected(run: Run) -> Judgement:
 
 @verdict("6.uncertainty", "claims", unit="mm")
 def uncertainty_affects_tracking(run: Run) -> Judgement:
-    """The uncertainty of Table 6 increases the mean error of the robot with joint springs by more than 5 %."""
+    """The uncertainty of Table 6 increases the mean error of the robot with joint springs by more
+    than 5 %."""
     uncertain = run.number("claims.flex_composite_error_table6_mm")
     nominal = run.number("claims.flex_composite_error_nominal_mm")
     evidence = (

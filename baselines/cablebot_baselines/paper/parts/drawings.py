@@ -1,4 +1,5 @@
-"""Figs. 1 to 3: robots and elastic joint, drawn with the geometry and the parameters of the plants."""
+"""Figs. 1 to 3: robots and elastic joint, drawn with the geometry and the parameters of the
+plants."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ BASE_CORNERS = ("A1", "A2", "A2", "A3", "A3", "A1")
 """Corners at which cables 1 to 6 end (ring of Fig. 2)."""
 
 _AZIMUTH, _ELEVATION = np.radians((-72.0, 30.0))
-"""View direction of the spatial robot with z down: slightly to the right of +y and from above [rad]."""
+"""View direction of the spatial robot with z down: slightly to the right of +y and from above
+[rad]."""
 
 _COUNT = 201
 """Number of instants of a drawn path."""
@@ -42,11 +44,12 @@ def path(robot: Robot) -> tuple[Array, Reference]:
 
 
 def spring_modes(robot: Robot) -> Array:
-    """Frequencies of the oscillation of the motors against pulleys and platform at home, ascending [Hz].
+    """Frequencies of the oscillation of the motors against pulleys and platform at home, ascending
+    [Hz].
 
-    These are the modes of the motion that :func:`~cablebot_gym.physics.textbook.highest_frequency` describes. The twist
-    δ = β′ − β of the free robot satisfies δ̈ = −(1/J′ + (S/r) M⁻¹ (S/r)ᵀ) K δ with the mass matrix M of platform and
-    pulleys.
+    These are the modes of the motion that :func:`~cablebot_gym.physics.textbook.highest_frequency`
+    describes. The twist δ = β′ − β of the free robot satisfies δ̈ = −(1/J′ + (S/r) M⁻¹ (S/r)ᵀ) K δ
+    with the mass matrix M of platform and pulleys.
     """
     turning = textbook.jacobian(robot, robot.home) / robot.pulley_radius[:, None]
     pulleys = turning.T @ (robot.pulley_inertia[:, None] * turning)
@@ -104,7 +107,12 @@ def _arrow(axes: Axes, start: Array, end: Array, style: str = "-|>", colour: str
 
 
 def _box(colour: str = "white") -> dict[str, Any]:
-    return {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": colour, "linewidth": 0.8}
+    return {
+        "boxstyle": "round,pad=0.15",
+        "facecolor": "white",
+        "edgecolor": colour,
+        "linewidth": 0.8,
+    }
 
 
 # Fig. 1
@@ -139,7 +147,9 @@ def _draw_plane(axes: Axes, robot: Robot) -> None:
 
     _, motion = path(robot)
     start = motion.position[0]
-    axes.add_patch(Polygon(robot.base, closed=True, facecolor="none", edgecolor=GREY, linewidth=1.0))
+    axes.add_patch(
+        Polygon(robot.base, closed=True, facecolor="none", edgecolor=GREY, linewidth=1.0)
+    )
     axes.plot(*motion.position.T, "--", color="black", linewidth=1.0)
     lowest = int(np.argmin(motion.position[:, 1]))
     _arrow(axes, motion.position[lowest - 1], motion.position[lowest + 1])
@@ -157,7 +167,9 @@ def _draw_motor(axes: Axes, robot: Robot, motor: int, start: Array) -> None:
     anchor, colour = robot.base[motor], MOTORS[motor]
     outward = anchor - robot.base.mean(axis=0)
     outward = outward / np.linalg.norm(outward)
-    axes.add_patch(Circle(anchor, robot.pulley_radius[motor], facecolor=SHADE, edgecolor=colour, linewidth=1.4))
+    axes.add_patch(
+        Circle(anchor, robot.pulley_radius[motor], facecolor=SHADE, edgecolor=colour, linewidth=1.4)
+    )
     axes.plot(*np.stack([anchor, start]).T, color=colour, linewidth=1.8)
     label = anchor + outward * (0.17, 0.13)
     if abs(outward[1]) < 0.1:
@@ -168,7 +180,15 @@ def _draw_motor(axes: Axes, robot: Robot, motor: int, start: Array) -> None:
     across, along = start - anchor
     angle = float(np.degrees(np.arctan2(along, across)))
     axes.add_patch(
-        Arc(anchor, 0.32, 0.32, theta1=min(0.0, angle), theta2=max(0.0, angle), color="black", linewidth=1.0)
+        Arc(
+            anchor,
+            0.32,
+            0.32,
+            theta1=min(0.0, angle),
+            theta2=max(0.0, angle),
+            color="black",
+            linewidth=1.0,
+        )
     )
     half = np.radians(angle / 2)
     label = anchor + 0.215 * np.array([np.cos(half), np.sin(half)])
@@ -198,7 +218,13 @@ def spatial_outcome(interpretation: Interpretation, results: Results) -> Outcome
         rows.append((cable + 1, base, platform, float(length.min()), float(length.max())))
     table = Table(
         title="Ends of the cables and their lengths on the path.",
-        header=("cable", "base corner", "platform corner", "minimum length [m]", "maximum length [m]"),
+        header=(
+            "cable",
+            "base corner",
+            "platform corner",
+            "minimum length [m]",
+            "maximum length [m]",
+        ),
         rows=tuple(rows),
     )
     return Outcome(
@@ -250,7 +276,9 @@ def draw_spatial(interpretation: Interpretation, results: Results) -> Figure:
         _arrow(view, corner, corner + 0.17 * direction)
         _write(view, corner + 0.215 * direction, name, fontsize=11, style="italic")
     view.set_axis_off()
-    view.set_title("oblique view from above, to scale: base triangle at z = 0, z points down", fontsize=10)
+    view.set_title(
+        "oblique view from above, to scale: base triangle at z = 0, z points down", fontsize=10
+    )
     _draw_hanging(below, robot, _from_below, pad=(0.14, 0.14))
     below.set(xlabel="x [m]", ylabel="y [m]")
     below.set_title("view from below: z points towards the reader", fontsize=10)
@@ -260,11 +288,18 @@ def draw_spatial(interpretation: Interpretation, results: Results) -> Figure:
     _, _, z, angle, *_ = motion.position[0]
     pose = f"start of the path: z = {z:g} m, ψ = θ = φ = {angle:g} rad"
     title = f"Spatial robot (Tables 3 and 4): {sides}, m = {robot.mass:g} kg; motor i winds cable i"
-    add_title(figure, interpretation, title, f"{pose}; dashed: path of the platform's centre, dot: its start")
+    add_title(
+        figure,
+        interpretation,
+        title,
+        f"{pose}; dashed: path of the platform's centre, dot: its start",
+    )
     return figure
 
 
-def _draw_hanging(axes: Axes, robot: Robot, project: Callable[[Array], Array], *, pad: tuple[float, float]) -> None:
+def _draw_hanging(
+    axes: Axes, robot: Robot, project: Callable[[Array], Array], *, pad: tuple[float, float]
+) -> None:
     """Draws base, platform at the start of the path, cables and path in a projection."""
     from matplotlib.patches import Polygon
 
@@ -272,14 +307,25 @@ def _draw_hanging(axes: Axes, robot: Robot, project: Callable[[Array], Array], *
     ends = robot.base + cable_vectors(robot.base, robot.platform, motion.position[0])
     base, platform = project(robot.base), project(ends)
     axes.add_patch(Polygon(base[::2], closed=True, facecolor="none", edgecolor=GREY, linewidth=1.2))
-    axes.add_patch(Polygon(platform[::2], closed=True, facecolor=SKY, edgecolor="black", linewidth=1.2, alpha=0.9))
+    axes.add_patch(
+        Polygon(
+            platform[::2], closed=True, facecolor=SKY, edgecolor="black", linewidth=1.2, alpha=0.9
+        )
+    )
     centre = project(motion.position[:, :3])
     axes.plot(*centre.T, "--", color="black", linewidth=1.0)
     axes.plot(*centre[0], "o", color="black", markersize=5, zorder=6)
     for cable, colour in enumerate(MOTORS):
         start, end = base[cable], platform[cable]
         axes.plot(*np.stack([start, end]).T, color=colour, linewidth=1.8)
-        _write(axes, start + 0.42 * (end - start), str(cable + 1), color=colour, bbox=_box(colour), zorder=7)
+        _write(
+            axes,
+            start + 0.42 * (end - start),
+            str(cable + 1),
+            color=colour,
+            bbox=_box(colour),
+            zorder=7,
+        )
     _name_corners(axes, BASE_CORNERS, base, 0.08)
     _name_corners(axes, PLATFORM_CORNERS, platform, 0.05)
     _set_limits(axes, np.concatenate([base, platform]), pad)
@@ -326,9 +372,15 @@ def draw_joint(interpretation: Interpretation, results: Results) -> Figure:
     turn = np.degrees(np.unwrap(np.arctan2(y, x)))
     curves(twists, turn, wound, [f"motor {motor + 1}" for motor in range(robot.cables)])
     twists.set(xlim=(0, 360), xticks=range(0, 361, 90), ylim=(0, 1.3 * wound.max()))
-    twists.set(xlabel="position on the path, angle from +x [°]", ylabel="static twist β′ − β = r T/K [rad]")
+    twists.set(
+        xlabel="position on the path, angle from +x [°]", ylabel="static twist β′ − β = r T/K [rad]"
+    )
     twists.legend(**LEGEND, ncols=3, loc="upper center")
-    add_title(figure, interpretation, f"Elastic joint (Table 5), one per cable; platform m = {robot.mass:g} kg")
+    add_title(
+        figure,
+        interpretation,
+        f"Elastic joint (Table 5), one per cable; platform m = {robot.mass:g} kg",
+    )
     return figure
 
 
@@ -340,9 +392,13 @@ def _draw_shaft(axes: Axes, robot: Robot) -> None:
         axes.plot([left, right], [0, 0], color="black", linewidth=1.6)  # shaft
     axes.plot([5.8, 5.8], [-0.3, 0.3], color="black", linewidth=2.5)  # bearing
     for x, y, width, height, colour in ((-0.9, -0.75, 1.2, 1.5, SHADE), (4.2, -1.2, 1.0, 2.4, SKY)):
-        axes.add_patch(Rectangle((x, y), width, height, facecolor=colour, edgecolor="black", linewidth=1.2))
+        axes.add_patch(
+            Rectangle((x, y), width, height, facecolor=colour, edgecolor="black", linewidth=1.2)
+        )
     windings = np.linspace(1.1, 3.3, 221)
-    axes.plot(windings, 0.32 * np.sin((windings - 1.1) / 2.2 * 12 * np.pi), color="black", linewidth=1.4)
+    axes.plot(
+        windings, 0.32 * np.sin((windings - 1.1) / 2.2 * 12 * np.pi), color="black", linewidth=1.4
+    )
     _arrow(axes, np.array([4.7, -1.2]), np.array([4.7, -2.95]), colour=BLUE)  # cable
     _arrow(axes, np.array([5.45, 0.0]), np.array([5.45, -1.2]), "<->", GREY)
     texts = (
@@ -371,5 +427,7 @@ def spring_constrains_the_motion(run: Run) -> Judgement:
     """The springs leave fewer free coordinates than platform and motors have."""
     robot = run.interpretation.flexible("control")
     free = robot.coordinates + robot.cables
-    evidence = ("A spring exerts a torque and does not constrain the motion. All coordinates of Eq. 8 remain free.",)
+    evidence = (
+        "A spring exerts a torque and does not constrain the motion. All coordinates of Eq. 8 remain free.",
+    )
     return Judgement(free, free < 12, evidence, "{ours} free coordinates")

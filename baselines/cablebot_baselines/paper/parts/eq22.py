@@ -12,7 +12,11 @@ from cablebot_baselines.classical import PaperFlexible
 from cablebot_baselines.classical.outer_loop import PAPER_GAINS
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.judgement import Judgement, Run, verdict
-from cablebot_baselines.paper.linearised import controllable_states, growth_rate, unsaturated_actions
+from cablebot_baselines.paper.linearised import (
+    controllable_states,
+    growth_rate,
+    unsaturated_actions,
+)
 from cablebot_baselines.paper.part import Jobs, Outcome, Results, Table, job
 from cablebot_baselines.paper.runs import CONTROL_FREQUENCY
 from cablebot_gym.plotting.figures import new_figure, set_title
@@ -35,7 +39,11 @@ _GAINS = PAPER_GAINS["spatial"]
 
 
 def growth(
-    *, robot: Robot, stiffness: float, friction: float = 0.0, control_frequency: float = CONTROL_FREQUENCY
+    *,
+    robot: Robot,
+    stiffness: float,
+    friction: float = 0.0,
+    control_frequency: float = CONTROL_FREQUENCY,
 ) -> float:
     """Growth rate of the loop with Eq. 22 [1/s]. The law knows the motor friction."""
     springs = robot.transmission.replace(stiffness=stiffness, motor_damping=friction)
@@ -45,7 +53,10 @@ def growth(
 
 def growth_curve(*, robot: Robot, control_frequency: float) -> list[float]:
     """Growth rate for each of :data:`STIFFNESSES` [1/s]."""
-    return [growth(robot=robot, stiffness=value, control_frequency=control_frequency) for value in STIFFNESSES]
+    return [
+        growth(robot=robot, stiffness=value, control_frequency=control_frequency)
+        for value in STIFFNESSES
+    ]
 
 
 def friction_curve(*, robot: Robot, stiffness: float) -> list[float]:
@@ -54,7 +65,8 @@ def friction_curve(*, robot: Robot, stiffness: float) -> list[float]:
 
 
 def printed_lyapunov_is_definite(*, gains: tuple[float, float]) -> bool:
-    """Whether AᵀP + PA = −I has a solution P > 0 for A of one coordinate as printed in Eq. 36, with +k_p and +k_d."""
+    """Whether AᵀP + PA = −I has a solution P > 0 for A of one coordinate as printed in Eq. 36, with
+    +k_p and +k_d."""
     printed = np.array([[0.0, 1.0], [gains[0], gains[1]]])
     solution = solve_continuous_lyapunov(printed.T, -np.eye(2))
     return bool(np.linalg.eigvalsh((solution + solution.T) / 2)[0] > 0)
@@ -85,7 +97,9 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
     friction = float(np.interp(0.0, -rates, FRICTIONS)) if rates.min() <= 0 else None
     header = ("K [N·m/rad]", "sampled at 500 Hz", "sampled at 50 kHz")
     rows = zip(STIFFNESSES, results["sampled"], results["continuous"], strict=True)
-    title = f"Growth rate of the loop with Eq. 22 [1/s], {robot.mass:g} kg, no friction; stable below 0"
+    title = (
+        f"Growth rate of the loop with Eq. 22 [1/s], {robot.mass:g} kg, no friction; stable below 0"
+    )
     return Outcome(
         numbers={
             "max_growth_K2": results["K2"],
@@ -105,19 +119,37 @@ def draw(interpretation: Interpretation, results: Results) -> Figure:
     """Growth rate versus stiffness and versus motor friction."""
     figure = new_figure(4.2)
     left, right = figure.subplots(1, 2)
-    left.semilogx(STIFFNESSES, results["continuous"], "o-", color=BLUE, markersize=4, label="nearly continuous, 50 kHz")
-    left.semilogx(STIFFNESSES, results["sampled"], "s--", color=VERMILLION, markersize=4, label="500 Hz")
+    left.semilogx(
+        STIFFNESSES,
+        results["continuous"],
+        "o-",
+        color=BLUE,
+        markersize=4,
+        label="nearly continuous, 50 kHz",
+    )
+    left.semilogx(
+        STIFFNESSES, results["sampled"], "s--", color=VERMILLION, markersize=4, label="500 Hz"
+    )
     left.axhline(_GAINS[1] / 2, color=GREY, linestyle=":", label="K_D/2")
     left.set(xlabel="K [N·m/rad]", ylabel="growth rate [1/s]", title="without friction")
     for name, colour in (("K2", BLUE), ("K3", VERMILLION)):
-        right.plot(FRICTIONS, results[f"friction {name}"], ".-", color=colour, label=f"K = {_KS[name]:g} N·m/rad")
+        right.plot(
+            FRICTIONS,
+            results[f"friction {name}"],
+            ".-",
+            color=colour,
+            label=f"K = {_KS[name]:g} N·m/rad",
+        )
     rule = _GAINS[1] * float(interpretation.flexible("control").motor_inertia[0])
     right.axvline(rule, color=GREY, linestyle=":", label="c′ = K_D J′")
     right.set(xlabel="motor friction c′ [N·m·s/rad]", title="with friction known to the law")
     for axes, position in ((left, "center left"), (right, "upper right")):
         axes.axhline(0.0, color="black", linewidth=1.0)
         axes.legend(fontsize=9, frameon=False, loc=position)
-    set_title(figure, "Eq. 22 on the robot with joint springs: growth rate of small deviations; unstable above 0")
+    set_title(
+        figure,
+        "Eq. 22 on the robot with joint springs: growth rate of small deviations; unstable above 0",
+    )
     return figure
 
 
@@ -129,7 +161,10 @@ _GROWTH = "Growth rate of small deviations: {eq22.max_growth_K2:1/s} for K = 2, 
 @verdict("abstract.stability", "eq22", unit="1/s")
 def gains_place_the_poles(run: Run) -> Judgement:
     """Both sets of gains have stable poles."""
-    slowest = max(np.roots([1.0, damping, stiffness]).real.max() for stiffness, damping in PAPER_GAINS.values())
+    slowest = max(
+        np.roots([1.0, damping, stiffness]).real.max()
+        for stiffness, damping in PAPER_GAINS.values()
+    )
     evidence = (
         "Poles of both sets of gains for the rigid robots.",
         "With joint springs the law of the paper does not place the poles: growth rate {eq22.max_growth_K3:1/s}.",
@@ -202,5 +237,12 @@ def robot_is_uncontrollable(run: Run) -> Judgement:
 @verdict("3.4.lyapunov", "eq22", choice="signs as printed")
 def lyapunov_equation_has_a_solution(run: Run) -> Judgement:
     """Eq. 35 has a positive definite solution for the printed A."""
-    evidence = ("A must contain −k_p and −k_d. The printed A has plus signs and is unstable, so no such P exists.",)
-    return Judgement(None, run.number("eq22.lyapunov_printed_definite"), evidence, "{eq22.lyapunov_printed_definite}")
+    evidence = (
+        "A must contain −k_p and −k_d. The printed A has plus signs and is unstable, so no such P exists.",
+    )
+    return Judgement(
+        None,
+        run.number("eq22.lyapunov_printed_definite"),
+        evidence,
+        "{eq22.lyapunov_printed_definite}",
+    )

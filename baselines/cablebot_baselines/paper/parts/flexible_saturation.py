@@ -11,7 +11,12 @@ import numpy as np
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flex_eq22 import PaperFlexible
 from cablebot_baselines.classical.flexible import Composite, FourthOrder, MotorPD
-from cablebot_baselines.paper.exact import exact_limit, paper_circle, state_space_limit, state_space_profile
+from cablebot_baselines.paper.exact import (
+    exact_limit,
+    paper_circle,
+    state_space_limit,
+    state_space_profile,
+)
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.judgement import Judgement, Run, verdict
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, job
@@ -24,7 +29,14 @@ from cablebot_baselines.paper.runs import FLEX, SPATIAL, Law, closed_loop, large
 from cablebot_gym.benchmark.engine import Job
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
-from cablebot_gym.plotting.figures import TravelledPath, add_legend, draw_plane, mark_bound, new_figure, torques_height
+from cablebot_gym.plotting.figures import (
+    TravelledPath,
+    add_legend,
+    draw_plane,
+    mark_bound,
+    new_figure,
+    torques_height,
+)
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
@@ -51,7 +63,8 @@ _METHODS = {
 
 
 def with_friction(interpretation: Interpretation, robot: Robot) -> Robot:
-    """The robot with the damping c of Table 4 as motor friction c′, for which the paper prints no value."""
+    """The robot with the damping c of Table 4 as motor friction c′, for which the paper prints no
+    value."""
     friction = tuple(interpretation.spatial("payload").damping.tolist())
     return robot.replace(transmission=robot.transmission.replace(motor_damping=friction))
 
@@ -117,7 +130,10 @@ def draw_path(interpretation: Interpretation, results: Results) -> Figure:
     robot = interpretation.flexible("payload")
     if not interpretation.flexible_loop_possible:
         still = profiles.on_reference(paper_circle(robot), name="state space")
-        title = ["Robot with joint springs, no closed loop", "the path equals the reference by assumption"]
+        title = [
+            "Robot with joint springs, no closed loop",
+            "the path equals the reference by assumption",
+        ]
         return _draw_errors(interpretation, [still], [np.zeros_like(still.pose)], title)
     shown = _shown(results)
     summary = PayloadSummary.simulated(results["fl4"])
@@ -128,8 +144,14 @@ def draw_path(interpretation: Interpretation, results: Results) -> Figure:
         (results["eq22_friction"].arrays, friction, GREY),
     )
     paths = [profiles.travelled(run, name=name, color=color) for run, name, color in runs]
-    title = ["Robot with joint springs in closed loop", "blue, fl4: " + summary.sentence(robot), *shown.end_reason]
-    return _draw_errors(interpretation, paths, [_errors(interpretation, run) for run, _, _ in runs], title)
+    title = [
+        "Robot with joint springs in closed loop",
+        "blue, fl4: " + summary.sentence(robot),
+        *shown.end_reason,
+    ]
+    return _draw_errors(
+        interpretation, paths, [_errors(interpretation, run) for run, _, _ in runs], title
+    )
 
 
 def _shown(results: Results) -> profiles.Shown:
@@ -137,9 +159,13 @@ def _shown(results: Results) -> profiles.Shown:
 
 
 def _draw_errors(
-    interpretation: Interpretation, paths: Sequence[TravelledPath], errors: Sequence[Array], title: Sequence[str]
+    interpretation: Interpretation,
+    paths: Sequence[TravelledPath],
+    errors: Sequence[Array],
+    title: Sequence[str],
 ) -> Figure:
-    """Draws the plane, the position error, and the errors of the other coordinates with their bounds."""
+    """Draws the plane, the position error, and the errors of the other coordinates with their
+    bounds."""
     bounds = ErrorBounds()
     trajectory = paper_circle(interpretation.flexible("payload"))
     figure = new_figure(7.4)
@@ -175,7 +201,9 @@ def _draw_errors(
 def _errors(interpretation: Interpretation, run: Mapping[str, Array]) -> Array:
     """Pose minus reference at the end of each step, shape (K, n)."""
     times = run["action_time"] + run["action_time"][1]
-    return np.asarray(run["pose"] - paper_circle(interpretation.flexible("payload"))(times).position)
+    return np.asarray(
+        run["pose"] - paper_circle(interpretation.flexible("payload"))(times).position
+    )
 
 
 def torque_jobs(interpretation: Interpretation) -> Jobs:
@@ -221,12 +249,16 @@ def torque_outcome(interpretation: Interpretation, results: Results) -> Outcome:
         for name, description in _METHODS.items():
             rows[description] = robot, PayloadSummary.simulated(results[name])
         for name in ("motor_pd", "composite", "task", "eq22", "eq22_friction"):
-            numbers |= PayloadSummary.simulated(results[name]).numbers(interpretation, robot, f"{name}_")
+            numbers |= PayloadSummary.simulated(results[name]).numbers(
+                interpretation, robot, f"{name}_"
+            )
     numbers |= springs.numbers(interpretation, robot)
     numbers |= stiff.numbers(interpretation, rigid, "rigid_")
     numbers["simulated"] = interpretation.flexible_loop_possible
     numbers["drop_fraction"] = _drop(numbers, "counted_kg", "rigid_counted_kg")
-    numbers["state_space_drop_fraction"] = _drop(numbers, "state_space_counted_kg", "rigid_exact_counted_kg")
+    numbers["state_space_drop_fraction"] = _drop(
+        numbers, "state_space_counted_kg", "rigid_exact_counted_kg"
+    )
     table = profiles.payload_table("Largest payloads with and without joint springs.", rows)
     return Outcome(numbers=numbers, tables=(table,))
 
@@ -255,9 +287,13 @@ def draw_torques(interpretation: Interpretation, results: Results) -> Figure:
         rigid = results["rigid"].payload
         stiff = "fails unloaded" if rigid is None else f"{rigid:.3f} kg"
         comparison = f"rigid robot with fl, paper criterion: {stiff}"
-        add_title(panels[0], interpretation, title, summary.sentence(robot), *shown.end_reason, comparison)
+        add_title(
+            panels[0], interpretation, title, summary.sentence(robot), *shown.end_reason, comparison
+        )
     summary = PayloadSummary.computed(results["state_space"])
-    profile = profiles.computed_profile(state_space_profile(interpretation, robot, summary.payload or 0.0))
+    profile = profiles.computed_profile(
+        state_space_profile(interpretation, robot, summary.payload or 0.0)
+    )
     profiles.draw_panels(panels[-1], profile, profiles.first_saturation(profile, summary))
     title = "Robot with joint springs, state space of Eqs. 23–25, no closed loop"
     add_title(panels[-1], interpretation, title, summary.sentence(robot))
@@ -279,7 +315,8 @@ def payload_with_springs(run: Run) -> Judgement:
         "The paper may have computed its number from Eqs. 23–25, but no physical robot moves like this.",
         "DLCC of Eq. 22 on the robot: {fig15.eq22_counted_kg}.",
         run.sentence_if(
-            "fig15.simulated", "DLCC of the stable law `fl4`: {fig15.counted_kg:vs 5.2.3.payload}; see Interpretations."
+            "fig15.simulated",
+            "DLCC of the stable law `fl4`: {fig15.counted_kg:vs 5.2.3.payload}; see Interpretations.",
         ),
         *evidence_of_combinations(run, "flexible"),
     )
@@ -320,7 +357,9 @@ def payload_drops(run: Run) -> Judgement:
 def payload_is_considerably_less(run: Run) -> Judgement:
     """Joint springs reduce the payload by more than 5 %."""
     drop = run.number("fig15.state_space_drop_fraction")
-    return Judgement(drop, drop > ABOUT, ("See §6: reduction of the payload by joint springs.",), "{ours} less")
+    return Judgement(
+        drop, drop > ABOUT, ("See §6: reduction of the payload by joint springs.",), "{ours} less"
+    )
 
 
 @verdict("5.2.3.path", "fig14", unit="mm", options=("stiffness", "platform_mass"), choice="Eq. 22")
@@ -331,4 +370,6 @@ def path_with_springs(run: Run) -> Judgement:
         "With the friction of Table 4 at the motors: {fig14.eq22_friction_peak_error_mm}.",
         "With `fl4`: {fig14.peak_error_mm}.",
     )
-    return Judgement(run.number("fig14.eq22_peak_error_mm"), run.number("fig14.eq22_within"), evidence)
+    return Judgement(
+        run.number("fig14.eq22_peak_error_mm"), run.number("fig14.eq22_within"), evidence
+    )

@@ -9,7 +9,12 @@ from typing import Any
 
 from cablebot_baselines.classical import Composite, FeedbackLinearization, FourthOrder, MotorPD
 from cablebot_baselines.paper.exact import LargestPayload, exact_limit, state_space_limit
-from cablebot_baselines.paper.interpretation import AS_PRINTED, Interpretation, NoEquilibriumError, choices_of
+from cablebot_baselines.paper.interpretation import (
+    AS_PRINTED,
+    Interpretation,
+    NoEquilibriumError,
+    choices_of,
+)
 from cablebot_baselines.paper.judgement import Run
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, Table, job
 from cablebot_baselines.paper.parts.profiles import saturated_motor, violation_text
@@ -20,7 +25,9 @@ from cablebot_gym.evaluation import DLCCResult
 
 _CHOICES = choices_of()
 _LINES = _CHOICES["line"]
-_RIGID_LINES = tuple(line for line in _LINES if line != "pulley")  # a rigid pulley turns with its motor
+_RIGID_LINES = tuple(
+    line for line in _LINES if line != "pulley"
+)  # a rigid pulley turns with its motor
 
 VARIED: dict[str, dict[str, tuple[Any, ...]]] = {
     "spatial": {
@@ -55,19 +62,20 @@ _BRANCHES: dict[str, dict[str, Any]] = {
     "first": {},
     "second": {"trajectory": {"name": "paper-spatial", "duration": 1.0 - 1e-9}},
 }
-"""Branch of Table 3 at the control instant 0.5 s. The first branch is the printed one, "t ≤ 0.5". A motion that is 1 ns
-shorter selects the second branch."""
+"""Branch of Table 3 at the control instant 0.5 s. The first branch is the printed one, "t ≤ 0.5". A
+motion that is 1 ns shorter selects the second branch."""
 
 _NEAR = 0.015
 """Relative difference below which a payload matches a published one within rounding."""
 
 PayloadLimits = dict[Interpretation, LargestPayload | None]
-"""Largest payload by interpretation; None if the robot has no equilibrium with positive tensions."""
+"""Largest payload by interpretation; None if the robot has no equilibrium with positive
+tensions."""
 
 
 def limits(*, interpretation: Interpretation, kind: str) -> PayloadLimits:
-    """Payloads of exact tracking for a rigid robot, or of the state space of Eqs. 23–25 for the flexible one, for all
-    combinations of the options that affect them."""
+    """Payloads of exact tracking for a rigid robot, or of the state space of Eqs. 23–25 for the
+    flexible one, for all combinations of the options that affect them."""
     choices = VARIED[kind]
     payloads = {}
     for values in product(*choices.values()):
@@ -110,7 +118,9 @@ def jobs(interpretation: Interpretation) -> Jobs:
             jobs[f"planar_{name}"] = payload(env_id=PLANAR, law=law, robot=robot, name="fl")
         if options <= VARIED["spatial"].keys() and _has_equilibrium(variant):
             robot = variant.motors(variant.spatial("payload"))
-            jobs[f"spatial_{name}"] = payload(env_id=SPATIAL, law=FeedbackLinearization, robot=robot, name="fl")
+            jobs[f"spatial_{name}"] = payload(
+                env_id=SPATIAL, law=FeedbackLinearization, robot=robot, name="fl"
+            )
     if interpretation.flexible_loop_possible and _has_equilibrium(interpretation):
         robot = interpretation.motors(interpretation.flexible("payload"))
         for name, flexible_law in _FLEXIBLE_LAWS.items():
@@ -140,7 +150,9 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
             law, branch = option.rsplit("_", 1)
             flexible_rows.append((law, branch, result.payload, violation))
         else:
-            rigid_rows.append((kind, _CHANGES[option]["text"], result.payload, result.total_mass, violation))
+            rigid_rows.append(
+                (kind, _CHANGES[option]["text"], result.payload, result.total_mass, violation)
+            )
     rigid = Table(
         title="Closed loop: `fl` at 500 Hz under the paper criterion, one option changed at a time",
         header=("robot", "option", "payload [kg]", "total mass [kg]", "limiting violation"),
@@ -212,7 +224,9 @@ def evidence_of_combinations(run: Run, kind: str) -> list[str]:
     closest = closest_payload(run, kind)
     if closest:
         sentences.append(f"Closest combination of options with the published motor: {closest}.")
-    closest_total = kind == "planar" and closest_payload(run, kind, platform=run.interpretation.planar.mass)
+    closest_total = kind == "planar" and closest_payload(
+        run, kind, platform=run.interpretation.planar.mass
+    )
     if closest_total:
         sentences.append(f"Closest total mass of platform and load: {closest_total}.")
     count = f"{{interpretations.{kind}_within_5pct}} of {{interpretations.{kind}_total}}"
@@ -220,10 +234,11 @@ def evidence_of_combinations(run: Run, kind: str) -> list[str]:
 
 
 def closest_payload(run: Run, kind: str, *, platform: float = 0.0) -> str:
-    """Payloads closest to a published one, with their differences and options; empty without combinations.
+    """Payloads closest to a published one, with their differences and options; empty without
+    combinations.
 
-    Only combinations with the published motor count. All payloads that match within rounding are listed, or only the
-    closest payload if none matches. ``platform`` is added to the payloads [kg].
+    Only combinations with the published motor count. All payloads that match within rounding are
+    listed, or only the closest payload if none matches. ``platform`` is added to the payloads [kg].
     """
     prefix, target = f"interpretations.{kind}_", LOADS[kind]
     payloads = {}
@@ -238,7 +253,9 @@ def closest_payload(run: Run, kind: str, *, platform: float = 0.0) -> str:
     texts = []
     for name in near or ordered[:1]:
         difference = relative_difference(payloads[name], target)
-        texts.append(f"{kilograms(payloads[name])} ({difference}) with {_combination_text(kind, name)}")
+        texts.append(
+            f"{kilograms(payloads[name])} ({difference}) with {_combination_text(kind, name)}"
+        )
     return ", or ".join(texts)
 
 

@@ -1,4 +1,5 @@
-"""Map beyond the paper: payload of exact tracking versus radius and depth of the circle, in closed form.
+"""Map beyond the paper: payload of exact tracking versus radius and depth of the circle, in closed
+form.
 
 Maps of closed loops are a suite of the benchmark, ``paper-maps``.
 """
@@ -47,7 +48,9 @@ def exact_map(*, robot: Robot, line_speed: Array) -> list[list[ExactPayload]]:
     for height in HEIGHTS:
         row = []
         for radius in RADII:
-            circle = PaperCircle(name="circle", radius=radius, center=(0.0, 0.0, height, 0.1, 0.1, 0.1))
+            circle = PaperCircle(
+                name="circle", radius=radius, center=(0.0, 0.0, height, 0.1, 0.1, 0.1)
+            )
             row.append(exact_payload(robot, circle, line_speed=line_speed, grid=COARSE))
         rows.append(row)
     return rows
@@ -60,7 +63,8 @@ def jobs(interpretation: Interpretation) -> Jobs:
 
 
 def payloads(results: Results) -> tuple[Array, Array]:
-    """Payloads (NaN if the robot fails unloaded), and a mask of the circles for which the motors are too weak."""
+    """Payloads (NaN if the robot fails unloaded), and a mask of the circles for which the motors
+    are too weak."""
     exact: list[list[ExactPayload]] = results["exact"]
     payload = np.array([[circle.payload for circle in row] for row in exact])
     lowest = np.array([[circle.lowest for circle in row] for row in exact])
@@ -94,9 +98,13 @@ def draw(interpretation: Interpretation, results: Results) -> Figure:
     figure = new_figure(4.6)
     axes = figure.subplots()
     grid = (RADII, HEIGHTS)
-    axes.pcolormesh(*grid, weak, cmap=ListedColormap([SHADE, SKY]), shading="nearest", rasterized=True)
+    axes.pcolormesh(
+        *grid, weak, cmap=ListedColormap([SHADE, SKY]), shading="nearest", rasterized=True
+    )
     if np.isfinite(payload).any():
-        image = axes.pcolormesh(*grid, payload, vmin=0.0, cmap="viridis", shading="nearest", rasterized=True)
+        image = axes.pcolormesh(
+            *grid, payload, vmin=0.0, cmap="viridis", shading="nearest", rasterized=True
+        )
         figure.colorbar(image, ax=axes, label="payload [kg]")
         lowest, highest = np.nanmin(payload), np.nanmax(payload)
         levels = [level for level in _CONTOURS if lowest < level < highest]

@@ -22,7 +22,12 @@ COORDINATES = ("x", "y", "z", "ψ", "θ", "φ")
 STYLES = ("-", "--", "-.")
 """Line styles of the coordinates of a position or a rotation."""
 
-LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "handlelength": 1.6, "columnspacing": 1.0}
+LEGEND: dict[str, Any] = {
+    "frameon": False,
+    "fontsize": 9,
+    "handlelength": 1.6,
+    "columnspacing": 1.0,
+}
 """Style of a legend inside a panel."""
 
 
@@ -41,7 +46,9 @@ def add_loop_title(figure: FigureBase, interpretation: Interpretation, *lines: s
         line = f"no motor can have the line {interpretation.line!r}"
         texts.append(f"{line}: the limits show this line, the loop uses the physical line")
     if interpretation.alpha == "constant":
-        texts.append("a planar loop uses the smallest α at each instant; a constant α applies to exact tracking only")
+        texts.append(
+            "a planar loop uses the smallest α at each instant; a constant α applies to exact tracking only"
+        )
     add_title(figure, interpretation, *texts)
 
 
@@ -52,7 +59,8 @@ def curves(axes: Axes, x: Array, columns: Array, labels: Sequence[str]) -> None:
 
 
 def coordinate_curves(axes: Axes, x: Array, columns: Array, offset: int) -> None:
-    """Draws three or fewer coordinates with a line at zero; ``offset`` is the index of the first coordinate."""
+    """Draws three or fewer coordinates with a line at zero; ``offset`` is the index of the first
+    coordinate."""
     for index, column in enumerate(columns.T):
         name = COORDINATES[offset + index]
         axes.plot(x, column, STYLES[index], color=MOTORS[index], linewidth=1.4, label=name)

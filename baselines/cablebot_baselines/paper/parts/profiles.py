@@ -1,4 +1,5 @@
-"""Common code of the saturation figures: payload summaries, torque profiles with limits, first saturation."""
+"""Common code of the saturation figures: payload summaries, torque profiles with limits, first
+saturation."""
 
 from __future__ import annotations
 
@@ -38,7 +39,8 @@ class PayloadSummary:
     payload: float | None
     """Mass added to the platform [kg]; None if the robot fails unloaded or no limit exists."""
     motor: int | None
-    """Motor that saturates, counted from 1; None if the limiting violation is not a motor torque."""
+    """Motor that saturates, counted from 1; None if the limiting violation is not a motor
+    torque."""
     time: float | None
     """Time of the limiting violation [s]; None if it is unknown for zero payload."""
     violation: str
@@ -62,7 +64,9 @@ class PayloadSummary:
         if not 0 <= largest.payload < math.inf:
             # The time belongs to a negative payload, not to zero payload.
             return cls(payload=None, motor=largest.motor, time=None, violation=violation)
-        return cls(payload=largest.payload, motor=largest.motor, time=largest.time, violation=violation)
+        return cls(
+            payload=largest.payload, motor=largest.motor, time=largest.time, violation=violation
+        )
 
     def total_mass(self, robot: Robot) -> float | None:
         """Mass of platform and payload [kg]."""
@@ -70,7 +74,9 @@ class PayloadSummary:
             return None
         return robot.mass + self.payload
 
-    def numbers(self, interpretation: Interpretation, robot: Robot, prefix: str = "") -> dict[str, Number]:
+    def numbers(
+        self, interpretation: Interpretation, robot: Robot, prefix: str = ""
+    ) -> dict[str, Number]:
         """Numbers for results.json."""
         counted = None
         if self.payload is not None:
@@ -100,13 +106,16 @@ def payload_table(title: str, rows: Mapping[str, tuple[Robot, PayloadSummary]]) 
     header = ("method", "added payload [kg]", "total mass [kg]", "limiting violation", "time [s]")
     cells = []
     for method, (robot, summary) in rows.items():
-        cells.append((method, summary.payload, summary.total_mass(robot), summary.violation, summary.time))
+        cells.append(
+            (method, summary.payload, summary.total_mass(robot), summary.violation, summary.time)
+        )
     return Table(title=title, header=header, rows=tuple(cells))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """The drawn episode: at the largest payload, or the whole unloaded one if the robot fails unloaded."""
+    """The drawn episode: at the largest payload, or the whole unloaded one if the robot fails
+    unloaded."""
 
     result: DLCCResult
     """The evaluation."""
@@ -161,7 +170,9 @@ def on_reference(trajectory: Trajectory, *, name: str) -> TravelledPath:
     times = np.linspace(0.0, trajectory.duration, _POINTS)
     pose = trajectory(times).position
     zero = np.zeros(len(times))
-    return TravelledPath(times=times, pose=pose, position_error=zero, rotation_error=_rotation(pose, zero), name=name)
+    return TravelledPath(
+        times=times, pose=pose, position_error=zero, rotation_error=_rotation(pose, zero), name=name
+    )
 
 
 def _rotation(pose: Array, error: Array) -> Array | None:
@@ -177,24 +188,29 @@ def simulated_profile(robot: Robot, run: Mapping[str, Array]) -> TorqueProfile:
     if np.abs(action).max() > 1:
         requested = (upper + lower) / 2 + (upper - lower) / 2 * action
     end = float(times[-1] + times[1])
-    return TorqueProfile(times=times, torques=run["torques"], lower=lower, upper=upper, requested=requested, end=end)
+    return TorqueProfile(
+        times=times, torques=run["torques"], lower=lower, upper=upper, requested=requested, end=end
+    )
 
 
 def computed_profile(profile: Profile) -> TorqueProfile:
     """Torques without simulation."""
-    return TorqueProfile(**vars(profile), end=round(float(profile.times[-1]), 2), name="required torque")
+    return TorqueProfile(
+        **vars(profile), end=round(float(profile.times[-1]), 2), name="required torque"
+    )
 
 
 def first_saturation(profile: TorqueProfile, summary: PayloadSummary) -> Mark:
     """Instant to mark in the figure.
 
-    This is the instant of ``summary`` if the figure shows its payload. Otherwise it is the first instant with |a| ≥ 1
-    at zero payload, or the instant of the largest |a|.
+    This is the instant of ``summary`` if the figure shows its payload. Otherwise it is the first
+    instant with |a| ≥ 1 at zero payload, or the instant of the largest |a|.
     """
     torques = profile.torques if profile.requested is None else profile.requested
     action = np.abs(2 * torques - profile.upper - profile.lower) / (profile.upper - profile.lower)
     if summary.payload is not None and summary.motor is not None and summary.time is not None:
-        # The acceleration of the circle has two values at half time; use the value with the larger |a|.
+        # The acceleration of the circle has two values at half time; use the value with the larger
+        # |a|.
         distance = np.abs(profile.times - summary.time)
         motor = summary.motor - 1
         near = np.flatnonzero(distance <= distance.min() + 1e-6)
@@ -204,7 +220,9 @@ def first_saturation(profile: TorqueProfile, summary: PayloadSummary) -> Mark:
         motor = int(np.argmax(action[step]))
     if action[step, motor] >= _SATURATED:
         return Mark(step=step, motor=motor, name="first saturation", note="first saturation")
-    return Mark(step=step, motor=motor, name="largest |a|", note=f"{1 - action[step, motor]:.1%} margin")
+    return Mark(
+        step=step, motor=motor, name="largest |a|", note=f"{1 - action[step, motor]:.1%} margin"
+    )
 
 
 def draw_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark) -> None:

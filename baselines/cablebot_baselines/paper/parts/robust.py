@@ -1,4 +1,5 @@
-"""Figs. 8 and 9: robust control of the paper under its uncertainty (Table 6), and effect of the boundary layer."""
+"""Figs. 8 and 9: robust control of the paper under its uncertainty (Table 6), and effect of the
+boundary layer."""
 
 from __future__ import annotations
 
@@ -15,7 +16,13 @@ from cablebot_baselines.paper.exact import paper_circle
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.judgement import Judgement, Run, verdict
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, Table, job
-from cablebot_baselines.paper.parts.plotting import LEGEND, MOTORS, add_headroom, add_loop_title, coordinate_curves
+from cablebot_baselines.paper.parts.plotting import (
+    LEGEND,
+    MOTORS,
+    add_headroom,
+    add_loop_title,
+    coordinate_curves,
+)
 from cablebot_baselines.paper.published import published_value
 from cablebot_baselines.paper.runs import FLEX, SPATIAL, Law, closed_loop, compared
 from cablebot_gym.benchmark.engine import Job
@@ -58,7 +65,8 @@ _CURVES = {"plain": ("ordinary", "-", VERMILLION), "robust": ("robust", ":", MOT
 
 @dataclass(frozen=True, kw_only=True)
 class Reduction:
-    """Error reduction of a robust law relative to the ordinary law over the same draws of Table 6."""
+    """Error reduction of a robust law relative to the ordinary law over the same draws of Table
+    6."""
 
     layer: float
     """Boundary layer ε."""
@@ -71,19 +79,29 @@ class Reduction:
 
 
 def reductions(
-    *, env_id: str, plain: Law, robust: Callable[..., Any], robot: Robot, layers: tuple[float, ...], draws: int
+    *,
+    env_id: str,
+    plain: Law,
+    robust: Callable[..., Any],
+    robot: Robot,
+    layers: tuple[float, ...],
+    draws: int,
 ) -> tuple[Reduction, ...]:
     """Reductions for each ε at zero payload. The laws know the nominal platform mass."""
     laws: list[tuple[str, Law]] = [("plain", plain)]
     for layer in layers:
         laws.append((f"robust {layer:g}", partial(robust, boundary_layer=layer)))
-    comparison = compared(env_id=env_id, laws=tuple(laws), robot=robot, uncertainty="table6", draws=draws)
+    comparison = compared(
+        env_id=env_id, laws=tuple(laws), robot=robot, uncertainty="table6", draws=draws
+    )
     lost = [float(metrics.ended.mean()) for metrics in comparison.metrics]
     reductions = []
     for index, layer in enumerate(layers, 1):
         total = comparison.reduction(index, "mean_error")
         largest = comparison.reduction(index, "max_error")
-        reductions.append(Reduction(layer=layer, total=total, largest=largest, lost=(lost[0], lost[index])))
+        reductions.append(
+            Reduction(layer=layer, total=total, largest=largest, lost=(lost[0], lost[index]))
+        )
     return tuple(reductions)
 
 
@@ -202,16 +220,25 @@ def draw_term(interpretation: Interpretation, results: Results) -> Figure:
 
 
 def tracking_jobs(interpretation: Interpretation) -> Jobs:
-    """Episodes and reductions of Fig. 9. The prefix ``eq22`` is the law of the paper with joint springs."""
+    """Episodes and reductions of Fig. 9. The prefix ``eq22`` is the law of the paper with joint
+    springs."""
     jobs, robots = {}, _robots(interpretation)
     for env_id, robot in robots.items():
         plain, robust = _LAWS[env_id]
         jobs[f"{env_id} plain"] = _episode(env_id, plain, robot)
         jobs[f"{env_id} robust"] = _episode(env_id, robust, robot)
         jobs[f"{env_id} layers"] = job(
-            reductions, env_id=env_id, plain=plain, robust=robust, robot=robot, layers=LAYERS, draws=DRAWS
+            reductions,
+            env_id=env_id,
+            plain=plain,
+            robust=robust,
+            robot=robot,
+            layers=LAYERS,
+            draws=DRAWS,
         )
-    jobs["eq22 plain"] = _episode(FLEX, partial(classical.PaperFlexible, as_printed=True), robots[FLEX])
+    jobs["eq22 plain"] = _episode(
+        FLEX, partial(classical.PaperFlexible, as_printed=True), robots[FLEX]
+    )
     jobs["eq22 robust"] = _episode(FLEX, robust_eq22, robots[FLEX])
     return jobs
 
@@ -241,7 +268,9 @@ def tracking_outcome(interpretation: Interpretation, results: Results) -> Outcom
         numbers[f"{prefix}draw_plain_peak_mm"] = _peak_mm(plain)
         numbers[f"{prefix}draw_robust_peak_mm"] = _peak_mm(robust)
         difference = plain.arrays["pose"] - plain.arrays["reference_pose"]
-        numbers[f"{prefix}draw_plain_peak_xy_mm"] = 1e3 * float(np.linalg.norm(difference[:, :2], axis=1).max())
+        numbers[f"{prefix}draw_plain_peak_xy_mm"] = 1e3 * float(
+            np.linalg.norm(difference[:, :2], axis=1).max()
+        )
         for reduction in results[f"{env_id} layers"]:
             row: list[Number] = [_robot_title(interpretation, env_id), reduction.layer]
             for name, fraction in (("sum", reduction.total), ("max", reduction.largest)):
@@ -249,7 +278,10 @@ def tracking_outcome(interpretation: Interpretation, results: Results) -> Outcom
                 numbers[key] = fraction.mean
                 numbers[f"{key}_low"] = fraction.low
                 numbers[f"{key}_high"] = fraction.high
-                row += [100 * fraction.mean, f"{100 * fraction.low:.1f} to {100 * fraction.high:.1f}"]
+                row += [
+                    100 * fraction.mean,
+                    f"{100 * fraction.low:.1f} to {100 * fraction.high:.1f}",
+                ]
             rows.append((*row, *reduction.lost))
     numbers["eq22_draw_plain_peak_mm"] = _peak_mm(results["eq22 plain"])
     numbers["eq22_draw_robust_peak_mm"] = _peak_mm(results["eq22 robust"])
@@ -335,11 +367,15 @@ def _draw_layers(axes: Axes, points: tuple[Reduction, ...]) -> None:
     axes.legend(**LEGEND, loc="lower right")
 
 
-def _draw_reduction(axes: Axes, points: tuple[Reduction, ...], name: str, *, color: str, **style: Any) -> None:
+def _draw_reduction(
+    axes: Axes, points: tuple[Reduction, ...], name: str, *, color: str, **style: Any
+) -> None:
     """Draws a reduction with its confidence interval versus the boundary layer."""
     layers = [point.layer for point in points]
     fractions: list[Estimate] = [getattr(point, name) for point in points]
-    low, mean, high = 100 * np.array([(fraction.low, fraction.mean, fraction.high) for fraction in fractions]).T
+    low, mean, high = (
+        100 * np.array([(fraction.low, fraction.mean, fraction.high) for fraction in fractions]).T
+    )
     axes.fill_between(layers, low, high, color=color, alpha=0.25, linewidth=0)
     axes.plot(layers, mean, marker="o", markersize=4, color=color, linewidth=1.6, **style)
 

@@ -106,20 +106,32 @@ class Rigid:
             shown = _shown(results)
             profile = profiles.simulated_profile(interpretation.motors(robot), shown.arrays)
             end_reason = shown.end_reason
-            description = "in closed loop with fl, paper criterion: |a| ≤ 1 at every control instant"
+            description = (
+                "in closed loop with fl, paper criterion: |a| ≤ 1 at every control instant"
+            )
         else:
             summary = PayloadSummary.computed(results["exact"])
-            profile = profiles.computed_profile(exact_profile(interpretation, robot, summary.payload or 0.0))
+            profile = profiles.computed_profile(
+                exact_profile(interpretation, robot, summary.payload or 0.0)
+            )
             description = "exact tracking, no closed loop"
         profiles.draw_panels(figure, profile, profiles.first_saturation(profile, summary))
-        add_title(figure, interpretation, f"{self.name}, {description}", summary.sentence(robot), *end_reason)
+        add_title(
+            figure,
+            interpretation,
+            f"{self.name}, {description}",
+            summary.sentence(robot),
+            *end_reason,
+        )
         return figure
 
     def path(self, interpretation: Interpretation, results: Results) -> Outcome:
         """Numbers of Figs. 11 and 13."""
         bounds = ErrorBounds()
         if not self.closed_loop_possible(interpretation):
-            return Outcome(numbers={"peak_error_mm": None, "bound_mm": 1e3 * bounds.position, "within": None})
+            return Outcome(
+                numbers={"peak_error_mm": None, "bound_mm": 1e3 * bounds.position, "within": None}
+            )
         shown = _shown(results)
         position, rotation = shown.peaks
         numbers: dict[str, Number] = {
@@ -139,16 +151,30 @@ class Rigid:
         if self.closed_loop_possible(interpretation):
             shown = _shown(results)
             summary = PayloadSummary.simulated(results["paper"])
-            title = [f"{self.name} in closed loop with fl", f"blue: {summary.sentence(robot)}", *shown.end_reason]
+            title = [
+                f"{self.name} in closed loop with fl",
+                f"blue: {summary.sentence(robot)}",
+                *shown.end_reason,
+            ]
             label = f"{summary.payload or 0.0:.3f} kg, payload known, paper criterion"
             paths = [profiles.travelled(shown.arrays, name=label)]
-            for key, color, known in (("task", VERMILLION, "known"), ("payload_unknown", GREY, "unknown")):
+            for key, color, known in (
+                ("task", VERMILLION, "known"),
+                ("payload_unknown", GREY, "unknown"),
+            ):
                 task = PayloadSummary.simulated(results[key])
                 if task.payload is not None:
-                    label = f"{task.payload:.3f} kg, payload {known}, task criterion: {task.violation}"
-                    paths.append(profiles.travelled(results[key].rollout.arrays, name=label, color=color))
+                    label = (
+                        f"{task.payload:.3f} kg, payload {known}, task criterion: {task.violation}"
+                    )
+                    paths.append(
+                        profiles.travelled(results[key].rollout.arrays, name=label, color=color)
+                    )
         else:
-            title = [f"{self.name}, exact tracking, no closed loop", "the path equals the reference by assumption"]
+            title = [
+                f"{self.name}, exact tracking, no closed loop",
+                "the path equals the reference by assumption",
+            ]
             paths = [profiles.on_reference(paper_circle(robot), name="exact tracking")]
         figure = new_figure(_PATH_HEIGHT)
         rotation = bounds.rotation if self.kind == "spatial" else None
@@ -222,7 +248,10 @@ def spatial_motor(run: Run) -> Judgement:
 
 def _first_motor(run: Run, figure: str, published: float) -> Judgement:
     motor = run.number(f"{figure}.motor")
-    evidence = ("Paper criterion.", f"Exact tracking: motor {{{figure}.exact_motor}} at {{{figure}.exact_time_s}}.")
+    evidence = (
+        "Paper criterion.",
+        f"Exact tracking: motor {{{figure}.exact_motor}} at {{{figure}.exact_time_s}}.",
+    )
     if run.payload(f"{figure}.payload_kg") < 0:  # the robot fails unloaded
         return Judgement(None, False, evidence)
     text = f"motor {{{figure}.motor}} at {{{figure}.time_s}}"

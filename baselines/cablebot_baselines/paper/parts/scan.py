@@ -24,17 +24,25 @@ if TYPE_CHECKING:
 ROUNDING = 0.06
 """Maximum difference from the published payload that counts as a match [kg]."""
 
-SIZES = {"half side": 1.0, "circumradius": np.sqrt(3) / 2, "inradius": np.sqrt(3), "half altitude": 2 / np.sqrt(3)}
-"""Possible meanings of "half of the triangle", with the resulting size of the triangle relative to the first."""
+SIZES = {
+    "half side": 1.0,
+    "circumradius": np.sqrt(3) / 2,
+    "inradius": np.sqrt(3),
+    "half altitude": 2 / np.sqrt(3),
+}
+"""Possible meanings of "half of the triangle", with the resulting size of the triangle relative to
+the first."""
 
 BASE_TURNS = np.radians(np.arange(0, 120, 10))
-"""Rotations of the base triangle about z [rad]. Larger angles give the same shapes with other motor numbers."""
+"""Rotations of the base triangle about z [rad]. Larger angles give the same shapes with other motor
+numbers."""
 
 PLATFORM_TURNS = np.radians(np.arange(-60, 60, 5))
 """Rotations of the platform triangle relative to the inverted base triangle [rad]."""
 
 PLANAR_TURNS = np.radians(np.arange(0, 121, 2))
-"""Rotations of the planar triangle [rad]. Larger angles give the same triangles with other motor numbers."""
+"""Rotations of the planar triangle [rad]. Larger angles give the same triangles with other motor
+numbers."""
 
 
 class Geometry(NamedTuple):
@@ -46,18 +54,22 @@ class Geometry(NamedTuple):
 
 
 def geometries(*, interpretation: Interpretation, base_size: str) -> list[Geometry]:
-    """All geometries with one base size. Geometries without equilibrium in the home pose are omitted."""
+    """All geometries with one base size. Geometries without equilibrium in the home pose are
+    omitted."""
     results = []
     trajectory = paper_circle(SPATIAL)
     for platform_size, base_turn, platform_turn in product(SIZES, BASE_TURNS, PLATFORM_TURNS):
         try:
             robot = SPATIAL.replace(
                 base_anchors=SIZES[base_size] * _turned(SPATIAL.base, base_turn),
-                platform_anchors=SIZES[platform_size] * _turned(SPATIAL.platform, base_turn + platform_turn),
+                platform_anchors=SIZES[platform_size]
+                * _turned(SPATIAL.platform, base_turn + platform_turn),
             )
         except ValueError:
             continue
-        limit = exact_payload(robot, trajectory, line_speed=interpretation.line_speed(robot), grid=COARSE)
+        limit = exact_payload(
+            robot, trajectory, line_speed=interpretation.line_speed(robot), grid=COARSE
+        )
         results.append(Geometry(limit.payload if limit.lowest <= 0 else -np.inf, limit.motor or 0))
     return results
 
@@ -82,9 +94,13 @@ def _turned(points: Array, angle: float) -> Array:
 
 def jobs(interpretation: Interpretation) -> Jobs:
     """The scan for each base size, and of the planar robot."""
-    line = Interpretation(line=interpretation.line)  # all other options are scanned or have no effect
+    line = Interpretation(
+        line=interpretation.line
+    )  # all other options are scanned or have no effect
     sizes = {f"base {size}": job(geometries, interpretation=line, base_size=size) for size in SIZES}
-    return sizes | {"planar": job(planar_turns, interpretation=interpretation.replace(alpha="least"))}
+    return sizes | {
+        "planar": job(planar_turns, interpretation=interpretation.replace(alpha="least"))
+    }
 
 
 def _geometries(results: Results) -> tuple[Array, Array]:
@@ -134,7 +150,9 @@ _PUBLISHED: dict[str, Any] = {"color": VERMILLION, "alpha": 0.5, "linewidth": 0}
 
 def _draw_spatial(axes: Axes, payload: Array) -> None:
     bins = np.arange(0, payload.max(initial=0.25) + 0.25, 0.25).tolist()
-    axes.hist(payload[payload > 0], bins=bins, color=BLUE, label="geometries with a positive payload")
+    axes.hist(
+        payload[payload > 0], bins=bins, color=BLUE, label="geometries with a positive payload"
+    )
     load = LOADS["spatial"]
     label = f"published: {load:g} ± {ROUNDING:g} kg"
     axes.axvspan(load - ROUNDING, load + ROUNDING, label=label, **_PUBLISHED)
@@ -145,9 +163,16 @@ def _draw_spatial(axes: Axes, payload: Array) -> None:
 def _draw_planar(axes: Axes, payload: Array, platform: float) -> None:
     degrees = np.degrees(PLANAR_TURNS)
     axes.plot(degrees, payload, color=BLUE, label="added to the platform")
-    axes.plot(degrees, payload + platform, "--", color=GREY, label="total mass of platform and load")
+    axes.plot(
+        degrees, payload + platform, "--", color=GREY, label="total mass of platform and load"
+    )
     load = LOADS["planar"]
     axes.axhspan(0.95 * load, 1.05 * load, label=f"published: {load:g} kg ± 5 %", **_PUBLISHED)
-    axes.set(xlabel="rotation of the planar triangle [°]", ylabel="mass [kg]", xlim=(0, 120), ylim=(0, None))
+    axes.set(
+        xlabel="rotation of the planar triangle [°]",
+        ylabel="mass [kg]",
+        xlim=(0, 120),
+        ylim=(0, None),
+    )
     axes.set_title("planar: rotation of the triangle")
     axes.legend(loc="lower right", fontsize=9)

@@ -33,7 +33,8 @@ JUMP = 0.5
 """Time of the jump in the acceleration of Tables 1 and 3 [s]."""
 
 WINDOW = 0.2
-"""Duration of the windows before the jump, after it and at the end for the ripple of the torques [s]."""
+"""Duration of the windows before the jump, after it and at the end for the ripple of the torques
+[s]."""
 
 _SMOOTH, _RINGING = 0.01, 0.004
 """Time steps of the drawn torque limits, large enough to keep the figure files small [s]."""
@@ -99,7 +100,9 @@ def _draw_loop(interpretation: Interpretation, robot: Robot, loop: Rollout, titl
     panels = motor_panels(above, robot)
     times = loop.arrays["action_time"]
     torques = loop.arrays["torques"]
-    lower, upper = textbook.torque_limits(robot, interpretation.line_speed(robot) * loop.arrays["motor_speeds"])
+    lower, upper = textbook.torque_limits(
+        robot, interpretation.line_speed(robot) * loop.arrays["motor_speeds"]
+    )
     limit_panels(panels, times, lower, upper)
     for motor, axes in enumerate(panels):
         axes.plot(times, torques[:, motor], color=plotting.MOTORS[motor], linewidth=1.8)
@@ -113,7 +116,11 @@ def _draw_loop(interpretation: Interpretation, robot: Robot, loop: Rollout, titl
     _draw_position_error(below, grid, loop, slice(0, 2 if robot.planar else 3))
     if not robot.planar:
         _draw_rotation_error(below, grid, loop)
-    reason = [f"the episode ends at {loop.arrays['time'][-1]:.3f} s: {loop.reason}"] if loop.reason else []
+    reason = (
+        [f"the episode ends at {loop.arrays['time'][-1]:.3f} s: {loop.reason}"]
+        if loop.reason
+        else []
+    )
     plotting.add_loop_title(figure, interpretation, title, *reason)
     return figure
 
@@ -122,10 +129,17 @@ def motor_panels(figure: Figure | SubFigure, robot: Robot) -> list[Axes]:
     """One panel for each motor, three per row, with shared axes."""
     grid = figure.subplots(robot.cables // 3, 3, sharex=True, sharey=True, squeeze=False)
     for motor, axes in enumerate(grid.flat):
-        axes.set_title(f"motor {motor + 1}", fontsize=11, color=plotting.MOTORS[motor], weight="bold")
-        axes.locator_params(axis="x", nbins=5, prune="upper")  # otherwise the last label touches the next panel
+        axes.set_title(
+            f"motor {motor + 1}", fontsize=11, color=plotting.MOTORS[motor], weight="bold"
+        )
+        axes.locator_params(
+            axis="x", nbins=5, prune="upper"
+        )  # otherwise the last label touches the next panel
         axes.label_outer()
-        axes.set(xlabel="time [s]" if axes in grid[-1] else "", ylabel="" if motor % 3 else "torque [N·m]")
+        axes.set(
+            xlabel="time [s]" if axes in grid[-1] else "",
+            ylabel="" if motor % 3 else "torque [N·m]",
+        )
     grid[0, 0].set_xlim(0, 1)
     return list(grid.flat)
 
@@ -147,7 +161,9 @@ def limit_panels(
     lower = lower[drawn]
     upper = upper[drawn]
     for motor, axes in enumerate(panels):
-        axes.fill_between(times, upper[:, motor], far, color=SHADE, linewidth=0, label="beyond the torque limits")
+        axes.fill_between(
+            times, upper[:, motor], far, color=SHADE, linewidth=0, label="beyond the torque limits"
+        )
         axes.fill_between(times, -far, lower[:, motor], color=SHADE, linewidth=0)
         axes.plot(times, upper[:, motor], color=colour, linewidth=1.0, label=label)
         axes.plot(times, lower[:, motor], color=colour, linewidth=1.0)
@@ -172,7 +188,9 @@ def _draw_tensions(axes: Axes, loop: Rollout, minimum: float) -> None:
     axes.legend(**plotting.LEGEND, ncols=2, loc="upper left")
 
 
-def _draw_position_error(figure: SubFigure, grid: GridSpec, loop: Rollout, coordinates: slice) -> None:
+def _draw_position_error(
+    figure: SubFigure, grid: GridSpec, loop: Rollout, coordinates: slice
+) -> None:
     bound = 1e3 * ErrorBounds().position
     above, below = _error_panels(figure, grid[0, 1], grid[1, 1], loop, coordinates)
     above.set_title("position errors X_d − X", fontsize=10)
@@ -190,7 +208,9 @@ def _draw_rotation_error(figure: SubFigure, grid: GridSpec, loop: Rollout) -> No
     below.set_ylabel("max |e| [mrad]")
 
 
-def _error_panels(figure: SubFigure, upper: Any, lower: Any, loop: Rollout, coordinates: slice) -> tuple[Axes, Axes]:
+def _error_panels(
+    figure: SubFigure, upper: Any, lower: Any, loop: Rollout, coordinates: slice
+) -> tuple[Axes, Axes]:
     """Panel of the errors of some coordinates, and an empty panel of their norm."""
     times = loop.arrays["time"]
     errors = -1e3 * (loop.arrays["pose"] - loop.arrays["reference_pose"])
@@ -222,13 +242,18 @@ def flexible_jobs(interpretation: Interpretation) -> Jobs:
     return {
         "rigid": _rigid_loop(interpretation),
         "rigid_exact": job(exact_profile, interpretation=interpretation, robot=rigid, payload=0.0),
-        "state_space": job(state_space_profile, interpretation=interpretation, robot=robot, payload=0.0),
-        "loop": job(closed_loop, env_id=FLEX, law=law, robot=interpretation.closed_loop_robot(robot)),
+        "state_space": job(
+            state_space_profile, interpretation=interpretation, robot=robot, payload=0.0
+        ),
+        "loop": job(
+            closed_loop, env_id=FLEX, law=law, robot=interpretation.closed_loop_robot(robot)
+        ),
     }
 
 
 def ripple(flexible: Profile, rigid: Profile, start: float) -> float:
-    """RMS difference of the torques over all motors in the window that begins at ``start`` [s], in N·m."""
+    """RMS difference of the torques over all motors in the window that begins at ``start`` [s], in
+    N·m."""
     inside = (flexible.times > start) & (flexible.times <= start + WINDOW)
     difference = flexible.torques[inside] - rigid.torques[inside]
     return float(np.sqrt(np.mean(difference**2)))
@@ -245,7 +270,9 @@ def flexible_outcome(interpretation: Interpretation, results: Results) -> Outcom
         divisor = 1 + divisor
     error = loop.arrays["tracking_error_peak"]
     times = loop.arrays["time"]
-    margin = np.minimum(state_space.upper - state_space.torques, state_space.torques - state_space.lower)
+    margin = np.minimum(
+        state_space.upper - state_space.torques, state_space.torques - state_space.lower
+    )
     lost = np.flatnonzero(error > ErrorBounds().position)
     return Outcome(
         numbers={
@@ -277,7 +304,9 @@ def draw_flexible(interpretation: Interpretation, results: Results) -> Figure:
     drawn = np.union1d(_thinned(space.times, 1e-3), [jump, jump + 1])
     times, torques = space.times[drawn], space.torques[drawn]
     limits = {"lower": space.lower[drawn], "upper": space.upper[drawn]}
-    limit_panels(panels, times, **limits, step=_RINGING, colour=GREY, label="limits U± of the blue curve")
+    limit_panels(
+        panels, times, **limits, step=_RINGING, colour=GREY, label="limits U± of the blue curve"
+    )
     curves: tuple[tuple[Array, Array, dict[str, Any]], ...] = (
         (times, torques, {"color": BLUE, "linewidth": 1.2, "label": "with springs, Eqs. 22–25"}),
         (
@@ -285,7 +314,11 @@ def draw_flexible(interpretation: Interpretation, results: Results) -> Figure:
             loop["torques"],
             {"color": VERMILLION, "linewidth": 0.6, "label": "Eq. 22 as printed, closed loop"},
         ),
-        (rigid["action_time"], rigid["torques"], {"color": "black", "linewidth": 1.4, "label": "rigid (Table 4)"}),
+        (
+            rigid["action_time"],
+            rigid["torques"],
+            {"color": "black", "linewidth": 1.4, "label": "rigid (Table 4)"},
+        ),
     )
     for motor, axes in enumerate(panels):
         for instants, values, style in curves:
@@ -296,7 +329,9 @@ def draw_flexible(interpretation: Interpretation, results: Results) -> Figure:
     plotting.add_headroom(panels[0], above=0.15, below=0.1)
     add_legend(figure, panels[0])
     springs = f"joint springs K = {robot.stiffness[0]:g} N·m/rad (Table 5)"
-    plotting.add_loop_title(figure, interpretation, f"Spatial robot with {springs}, total mass {robot.mass:g} kg")
+    plotting.add_loop_title(
+        figure, interpretation, f"Spatial robot with {springs}, total mass {robot.mass:g} kg"
+    )
     return figure
 
 
@@ -347,7 +382,8 @@ def elasticity_matters_in_joints_and_cables(run: Run) -> Judgement:
 
 @verdict("4.3.vibration", "fig7", unit="N·m", options=("stiffness", "eq24"))
 def torques_vibrate_only_when_the_input_changes(run: Run) -> Judgement:
-    """The torques of both robots differ by more than 5 % of the largest rigid torque after the jump only."""
+    """The torques of both robots differ by more than 5 % of the largest rigid torque after the jump
+    only."""
     late = run.number("fig7.ripple_late_Nm")
     before = run.number("fig7.ripple_before_Nm")
     after = run.number("fig7.ripple_after_Nm")
@@ -364,7 +400,8 @@ def torques_vibrate_only_when_the_input_changes(run: Run) -> Judgement:
 
 @verdict("6.torque", "fig7", unit="N·m", options=("stiffness", "eq24"))
 def elasticity_changes_the_torques(run: Run) -> Judgement:
-    """After the jump the torques of both robots differ by more than 5 % of the largest rigid torque."""
+    """After the jump the torques of both robots differ by more than 5 % of the largest rigid
+    torque."""
     after = run.number("fig7.ripple_after_Nm")
     threshold = ABOUT * run.number("fig7.rigid_peak_Nm")
     evidence = (
