@@ -177,11 +177,12 @@ def print_comparison(comparison: Comparison) -> None:
 
 def _title(comparison: Comparison, payload: str = "") -> str:
     from cablebot_gym.envs import described
-    from cablebot_gym.task import payload_model_text
 
-    model = payload_model_text(comparison.payload_known, comparison.model_payload_factor)
-    uncertainty = f"{options.counted(comparison.draws, 'draw')} of {comparison.uncertainty or 'no uncertainty'}"
-    return f"{described(comparison.env_id, comparison.task.robot.name)}{payload}, {model}, {uncertainty}"
+    conditions = comparison.conditions
+    robot = described(conditions.env_id, comparison.task.robot.name)
+    draws = options.counted(comparison.draws, "draw")
+    uncertainty = conditions.uncertainty_name or "no uncertainty"
+    return f"{robot}{payload}, {conditions.payload_model}, {draws} of {uncertainty}"
 
 
 def _cells(metrics: PolicyMetrics, columns: Sequence[tuple[str, str, float]]) -> list[str]:

@@ -143,7 +143,7 @@ def dlcc(
             continue
         print_payloads(results, inapplicable)
         for result in results:
-            if result.violation_seed is not None and not result.stochastic:
+            if result.details.violation_seed is not None and not result.details.stochastic:
                 print(f"{result.criterion}: this command repeats the failure:")
                 print(f"  {_failure_command(result, loaded.name, episode)}")
     if as_json:
@@ -160,12 +160,12 @@ def _failure_command(result: DLCCResult, policy: str, episode: dict[str, Any]) -
     """The command line that repeats and records the episode with the limiting violation."""
     return options.command_again(
         "rollout",
-        result.env_id,
+        result.conditions.env_id,
         policy=policy,
         payload=repr(result.failed_payload or 0.0),
         criterion=None if result.criterion == "task" else result.criterion,
         out="failure.csv",
-        episode=episode | {"seed": result.violation_seed},
+        episode=episode | {"seed": result.details.violation_seed},
     )
 
 
@@ -177,25 +177,30 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
         inapplicable: names of the criteria that do not apply to the policy.
     """
     from cablebot_gym.envs import described
-    from cablebot_gym.task import payload_model_text
 
     first = results[0]
-    words = [described(first.env_id, first.task.robot.name), first.policy]
-    words += [first.environment["trajectory"].get("name", "")]
-    words += [payload_model_text(first.payload_known, first.model_payload_factor)]
-    words += [f"behind {', '.join(first.wrappers)}"] if first.wrappers else []
-    words += [first.uncertainty] if first.uncertainty is not None else []
-    words += ["stochastic policy"] if first.stochastic else []
+    words = [described(first.conditions.env_id, first.rollout.task.robot.name), first.policy]
+    words += [first.details.environment["trajectory"].get("name", "")]
+    words += [first.conditions.payload_model]
+    words += [f"behind {', '.join(first.details.wrappers)}"] if first.details.wrappers else []
+    words += (
+        [first.conditions.uncertainty_name] if first.conditions.uncertainty_name is not None else []
+    )
+    words += ["stochastic policy"] if first.details.stochastic else []
     words += [] if first.ranked else ["unranked"]
     draws = "" if first.assured is None else f", {options.counted(first.draws, 'draw')}"
     rows = [["criterion", "payload", "total mass", "limiting violation", "margins at that payload"]]
     for result in results:
-        failures = ", ".join(f"{kind} in {number}" for kind, number in result.failures.items())
+        failures = ", ".join(
+            f"{kind} in {number}" for kind, number in result.details.failures.items()
+        )
         violation = result.violation_text
         if failures:
             violation = f"{failures} of {result.draws} draws; {violation}"
         if result.payload is None:
-            intervals = ", ".join(f"{low:.2f}–{high:.2f} kg" for low, high in result.feasible)
+            intervals = ", ".join(
+                f"{low:.2f}–{high:.2f} kg" for low, high in result.details.feasible
+            )
             rest = [
                 f"fails unloaded{draws}",
                 "–",
@@ -206,7 +211,10 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
             total = f"{result.total_mass:.3f} kg"
             rest = [f"{result.payload:.3f} kg{draws}", total, violation, _margins_text(result)]
         rows.append(
-            [f"{result.criterion} (declared)" if result.declared else result.criterion, *rest]
+            [
+                f"{result.criterion} (declared)" if result.details.declared else result.criterion,
+                *rest,
+            ]
         )
     for criterion in inapplicable:
         rows.append(
@@ -227,16 +235,16 @@ def _notes(results: list[DLCCResult]) -> list[str]:
     from cablebot_gym.evaluation.statistics import fewest_draws
 
     first = results[0]
-    bounds = f"error bounds: position {1e3 * (first.error_bounds['position'] or 0.0):g} mm"
+    bounds = f"error bounds: position {1e3 * (first.details.error_bounds['position'] or 0.0):g} mm"
     rotations = [
-        result.error_bounds["rotation"]
+        result.details.error_bounds["rotation"]
         for result in results
-        if result.error_bounds["rotation"] is not None
+        if result.details.error_bounds["rotation"] is not None
     ]
     notes = [f"{bounds}, rotation {1e3 * rotations[0]:g} mrad (task only)" if rotations else bounds]
     if (resolution := max(result.resolution for result in results)) > 0:
         size = float(f"{resolution * 1e3:.2g}")
-        checked = "without" if first.discretisation is None else "with"
+        checked = "without" if first.details.discretisation is None else "with"
         notes.append(
             f"resolution {size:g} g, {checked} the discretisation error of the physics steps"
         )
@@ -252,12 +260,14 @@ def _notes(results: list[DLCCResult]) -> list[str]:
             _unloaded(result) for result in results if result.payload is None and result.draws > 1
         ]
     if first.assured is False:
-        fewest = fewest_draws(first.probability or 0.95, first.confidence or 0.95)
+        fewest = fewest_draws(first.details.probability or 0.95, first.details.confidence or 0.95)
         notes.append(f"a lower tolerance bound needs at least {fewest} draws")
-    if any(result.declared for result in results):
+    if any(result.details.declared for result in results):
         notes.append("declared: only the policy itself says that its actions are not saturated")
     if any(result.scan_ended for result in results):
-        notes.append(f"the scan ended at {first.payload_max:g} kg: try a larger --payload-max")
+        notes.append(
+            f"the scan ended at {first.details.payload_max:g} kg: try a larger --payload-max"
+        )
     return notes
 
 
@@ -265,17 +275,17 @@ def _unloaded(result: DLCCResult) -> str:
     from cablebot_gym.evaluation.statistics import required_successes
 
     needed, _ = required_successes(
-        result.draws, result.probability or 0.95, result.confidence or 0.95
+        result.draws, result.details.probability or 0.95, result.details.confidence or 0.95
     )
-    failed = sum(result.failures.values())
+    failed = sum(result.details.failures.values())
     return f"{result.criterion}: fails unloaded in {failed} of {result.draws} draws; {needed} have to succeed"
 
 
 def _margins_text(result: DLCCResult) -> str:
-    torque = result.margins["torque"]
-    position = result.margins["position"]
+    torque = result.details.margins["torque"]
+    position = result.details.margins["position"]
     parts = [f"torque {torque:.1%}" if torque >= 0 else f"torque {-torque:.1%} beyond the limit"]
     parts += [f"position {position:.1%}"]
-    if "rotation" in result.margins:
-        parts.append(f"rotation {result.margins['rotation']:.1%}")
-    return ", ".join([*parts, f"tension ≥ {result.margins['tension']:.1f} N"])
+    if "rotation" in result.details.margins:
+        parts.append(f"rotation {result.details.margins['rotation']:.1%}")
+    return ", ".join([*parts, f"tension ≥ {result.details.margins['tension']:.1f} N"])
