@@ -18,6 +18,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from cablebot_gym.cli.records import GroupedOptions, with_options
 from cablebot_gym.utils.console import notes_console
 from cablebot_gym.utils.streams import output_problem, protect_streams
 from cablebot_gym.utils.user_code import sentence_of_user_code
@@ -130,7 +131,7 @@ def add_commands(points: Mapping[str, EntryPoint]) -> None:
     present = {item.name for item in app.registered_commands}
     for name, point in points.items():
         if name not in present:
-            app.command(name=name)(point.load())
+            app.command(name=name, cls=GroupedOptions)(with_options(point.load()))
 
 
 def main() -> None:
