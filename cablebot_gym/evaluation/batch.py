@@ -428,9 +428,8 @@ def run_episodes(
             time=step / env.settings.control_frequency,
             ignored=over,
         )
-        observation, reward, start, _, info = env.step(
-            action
-        )  # the environment restarts terminated episodes
+        # the environment restarts terminated episodes
+        observation, reward, start, _, info = env.step(action)
         judge.observe(info, start)
         if observer is not None:
             observer.step(observation, reward, info, ~over)
