@@ -33,7 +33,7 @@ HIDDEN = Suite(
     name="hidden",
     summary="hidden motions",
     env_ids=(PLANAR,),
-    blocks=(Block(motion="hidden", conditions=CHANGES), Block(changes=CHANGES)),
+    blocks=(Block(motion="hidden", conditions=CHANGES), Block(conditions=CHANGES)),
     best_known=False,
 )
 CARD = (
