@@ -111,7 +111,7 @@ class _Parameter:
     """Properties of one uncertain parameter."""
 
     attribute: str
-    """Name of the attribute of :class:`~cablebot_gym.robots.Robot`."""
+    """Name of the attribute of :class:`~cablebot_gym.robots.record.Robot`."""
     unit: str
     """SI unit."""
     positive: bool
@@ -500,7 +500,7 @@ def _checked_delay(delay: Any) -> int | tuple[int, int]:
 
 
 class RobotBatch:
-    """N robots: the attributes of the nominal :class:`~cablebot_gym.robots.Robot`, and values with
+    """N robots: the attributes of the nominal :class:`~cablebot_gym.robots.record.Robot`, and values with
     a leading axis N.
 
     Args:

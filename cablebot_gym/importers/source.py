@@ -88,7 +88,7 @@ class ImportedRobot:
     """What else the file has, and why it is left out."""
 
     def to_toml(self) -> str:
-        """The robot as a TOML file for :func:`~cablebot_gym.robots.load_robot`."""
+        """The robot as a TOML file for :func:`~cablebot_gym.robots.names.load_robot`."""
         data = self.robot.to_dict()
         parts = {name: data.pop(name) for name in ("motors", "transmission")}
         lines = ["# SI units and radians; z points down. Check it with `cablebot robot check`."]

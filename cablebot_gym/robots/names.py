@@ -43,11 +43,11 @@ def _library_robot(name: str) -> Robot:
 
 
 def load_robot(path: str | Path) -> Robot:
-    """A robot from a TOML file with the fields of :class:`Robot`, and with the optional table
-    :class:`Defaults`.
+    """A robot from a TOML file with the fields of :class:`~cablebot_gym.robots.record.Robot`, and
+    with the optional table :class:`~cablebot_gym.robots.parts.Defaults`.
 
-    A ``.json`` file has the data of :meth:`Robot.to_dict`. A default motion ``file.py:name`` or
-    ``file.csv`` is relative to the folder of the file.
+    A ``.json`` file has the data of :meth:`~cablebot_gym.robots.record.Robot.to_dict`. A default
+    motion ``file.py:name`` or ``file.csv`` is relative to the folder of the file.
 
     Raises:
         ValueError: if the file cannot be read or does not describe a physical robot. The message
@@ -80,8 +80,9 @@ def _with_motion_beside(defaults: Defaults, folder: Path) -> Defaults:
 
 
 def find_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
-    """A robot from a name, from a TOML or JSON file, from :meth:`Robot.to_dict` data, or from a
-    :class:`Robot`.
+    """A robot from a name, from a TOML or JSON file, from the data of
+    :meth:`~cablebot_gym.robots.record.Robot.to_dict`, or from a
+    :class:`~cablebot_gym.robots.record.Robot`.
 
     Names are those of :func:`robot_names`. ``cogiro`` is the robot of the library with rigid
     cables, ``flex-cogiro`` the same robot with elastic cables, as its file describes it.
