@@ -90,21 +90,14 @@ class ImportedRobot:
     def to_toml(self) -> str:
         """The robot as a TOML file for :func:`~cablebot_gym.robots.names.load_robot`."""
         data = self.robot.to_dict()
-        parts = {name: data.pop(name) for name in ("motors", "transmission")}
+        motors, transmission = data.pop("motors"), data.pop("transmission")
         lines = ["# SI units and radians; z points down. Check it with `cablebot robot check`."]
-        lines += list(
-            _toml_lines({name: value for name, value in data.items() if value not in (None, ())})
-        )
-        for name, part in parts.items():
-            lines += ["", f"[{name}]"]
-            lines += list(
-                _toml_lines({key: value for key, value in part.items() if value not in (None, 0.0)})
-            )
+        lines += _toml_lines(data, unused=(None, ()))
+        lines += ["", "[motors]", *_toml_lines(motors, unused=(None, 0.0))]
+        lines += ["", "[transmission]", *_toml_lines(transmission, unused=(None, 0.0))]
         lines += ["", "[sources]"]
-        lines += [
-            f"{json.dumps(name)} = {json.dumps(text, ensure_ascii=False)}"
-            for name, text in self.sources.items()
-        ]
+        for name, text in self.sources.items():
+            lines.append(f"{json.dumps(name)} = {_toml_value(text)}")
         return "\n".join(lines) + "\n"
 
     @property
@@ -113,8 +106,11 @@ class ImportedRobot:
         return self.robot.sources
 
 
-def _toml_lines(values: Mapping[str, Any]) -> Iterator[str]:
+def _toml_lines(values: Mapping[str, Any], unused: tuple[Any, ...]) -> Iterator[str]:
+    """Lines of the values, except for those that have no effect."""
     for name, value in values.items():
+        if value in unused:
+            continue
         if isinstance(value, tuple) and isinstance(value[0], tuple):
             rows = "".join(f"  {_toml_value(row)},\n" for row in value)
             yield f"{name} = [\n{rows}]"
@@ -191,10 +187,9 @@ def completed(source: Source) -> ImportedRobot:
         )
     sources["transmission.damping"] = "assumed: no friction"
     torques = tuple(_rounded(tensions * radius))
-    fields["motors"] = Motors(
-        stall_torque=torques[0] if len(set(torques)) == 1 else torques,
-        free_speed=_rounded(speed / radius),
-    )
+    if len(set(torques)) == 1:
+        torques = torques[0]
+    fields["motors"] = Motors(stall_torque=torques, free_speed=_rounded(speed / radius))
     fields["transmission"] = Transmission(pulley_radius=radius, pulley_inertia=_rounded(inertia))
     notes = list(source.notes)
     robot = _at_home(source, fields, sources, notes)

@@ -526,7 +526,7 @@ def _in_equilibrium(robot: Robot, jacobian: Array, *, upside_down: bool = False)
     center = robot.mass_center[None]
     above = cable_vectors(np.zeros_like(center), center, robot.home)
     above[:, -1] -= 1.0
-    weight = robot.mass * (0.0 if robot.weightless else robot.gravity)
+    weight = robot.mass * float(robot.gravity_vector[-1])
     if upside_down:
         weight = -weight
     return checks.is_balanced(jacobian, weight * structure_jacobian(above, center, robot.home)[0])
