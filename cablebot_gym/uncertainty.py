@@ -73,6 +73,7 @@ class ParameterDistribution:
             raise ValueError("a normal distribution needs std and a uniform one has none")
         if self.std is not None:
             object.__setattr__(self, "std", number("std", self.std, above=0))
+            # Farther out, the cumulative distribution function has no digits left.
             if not self.low < self.mean + 8 * self.std or not self.high > self.mean - 8 * self.std:
                 raise ValueError(
                     "low and high must lie within eight std of the mean; change them, mean or std"
@@ -395,7 +396,7 @@ class Uncertainty:
             if name in self.parameters:
                 distribution = self.parameters[name]
                 columns = uniform[:, start : start + math.prod(shape)]
-                if not distribution.each:
+                if not distribution.each:  # the other columns of the parameter are unused
                     columns = np.broadcast_to(columns[:, :1], columns.shape)
                 deviations[name] = distribution.deviation(columns.reshape(len(uniform), *shape))
         return self._true_robots(robot, payload, deviations)
@@ -440,13 +441,13 @@ def _check_inertia(moments: Array, distribution: ParameterDistribution) -> None:
     """Checks that no moment can exceed the sum of the other two, for nominal moments (3,)."""
     least = distribution.applied(moments, np.asarray(distribution.low))
     largest = distribution.applied(moments, np.asarray(distribution.high))
-    # Each pair has moments, and one moment of a body in which the other two are those.
-    pairs = [(least, least), (largest, largest)]
-    if distribution.each:  # the moments deviate independently
-        pairs = [(least, largest)]
-    for moments_of_others, moment in pairs:
-        sums = np.sum(moments_of_others) - moments_of_others
-        if np.any(sums < moment * (1 - 1e-9)):
+    extremes = [(least, least), (largest, largest)]
+    if distribution.each:  # one moment can be the largest while the other two are the least
+        extremes = [(least, largest)]
+    for pair_moments, moments in extremes:
+        sums_of_pairs = np.sum(pair_moments) - pair_moments
+        # The moments of a thin plate have equality, up to rounding.
+        if np.any(sums_of_pairs < moments * (1 - 1e-9)):
             raise ValueError(
                 "platform_inertia: one moment can exceed the sum of the other two; use a relative deviation "
                 "with each=False, or move low and high closer together"

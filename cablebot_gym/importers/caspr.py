@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from cablebot_gym.importers.source import FRAME, Source, read_xml
+from cablebot_gym.importers.source import FRAME, Source, child_of, read_xml
 from cablebot_gym.kinematics import Array, rotation_matrix
 from cablebot_gym.utils.checks import choice
 
@@ -84,7 +84,7 @@ def read(path: Path, cable_set: str | None) -> Source:
         raise ValueError(
             f"it has {len(links)} bodies. Only robots with one rigid body are imported"
         )
-    element = _child(links[0], "joint")
+    element = child_of(links[0], "joint")
     joint = JOINTS.get(element.get("type", ""))
     if joint is None:
         raise ValueError(
@@ -116,13 +116,6 @@ def _files(path: Path) -> tuple[Path, Path]:
     return bodies, cables
 
 
-def _child(element: Element, tag: str) -> Element:
-    child = element.find(tag)
-    if child is None:
-        raise ValueError(f"<{element.tag}> has no <{tag}>")
-    return child
-
-
 def _numbers(text: str | None, count: int, what: str) -> Array:
     """Finite numbers of a text."""
     try:
@@ -136,21 +129,21 @@ def _numbers(text: str | None, count: int, what: str) -> Array:
 
 
 def _value(element: Element, tag: str) -> float:
-    return float(_numbers(_child(element, tag).text, 1, f"<{tag}>")[0])
+    return float(_numbers(child_of(element, tag).text, 1, f"<{tag}>")[0])
 
 
 def _vector(element: Element, tag: str) -> Array:
-    return _numbers(_child(element, tag).text, 3, f"<{tag}>")
+    return _numbers(child_of(element, tag).text, 3, f"<{tag}>")
 
 
 def _center(link: Element) -> Array:
     """Centre of mass from the joint in the source's frame [m]."""
-    return _vector(_child(link, "physical"), "com_location")
+    return _vector(child_of(link, "physical"), "com_location")
 
 
 def _body(name: str, link: Element, element: Element, joint: _Joint) -> Source:
     """The body of a robot without its cables."""
-    physical = _child(link, "physical")
+    physical = child_of(link, "physical")
     label = f"CASPR, {name}_bodies.xml"
     no_cables = np.empty((0, len(joint.axes)))
     source = Source(
@@ -185,7 +178,7 @@ def _home(link: Element, element: Element, joint: _Joint) -> Array:
     axes = len(frame)
     angles = 3 if joint.spatial else int(joint.turns)
     pose = _numbers(element.get("q_initial"), axes + angles, "q_initial")
-    signs = frame.sum(axis=1)
+    signs = frame.sum(axis=1)  # each row of the frame has one entry, ± 1
     offset = np.zeros(3)
     parent = link.find("parent")
     if parent is not None:
@@ -200,7 +193,7 @@ def _home(link: Element, element: Element, joint: _Joint) -> Array:
 
 def _inertia(physical: Element) -> Array:
     """Inertia tensor about the centre of mass, along the source's axes [kg·m²]."""
-    element = _child(physical, "inertia")
+    element = child_of(physical, "inertia")
     xx, yy, zz, xy, xz, yz = (
         _value(element, name) for name in ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
     )
@@ -254,7 +247,7 @@ def _add_cables(source: Source, cables: Element, joint: _Joint, label: str, cent
         bases.append(frame @ base)
         anchors.append(frame @ anchor)
         radii.append(radius)
-        properties = _child(cable, "properties")
+        properties = child_of(cable, "properties")
         forces.append([_value(properties, "force_min"), _value(properties, "force_max")])
         if cable.tag != "cable_ideal" and not any("springs" in note for note in source.notes):
             source.notes.append(
@@ -292,7 +285,7 @@ def _ends(cable: Element, name: str, center: Array) -> tuple[Array, Array, float
     [m]."""
     points: dict[int, Array] = {}
     radius = 0.0
-    attachments = list(_child(cable, "attachments"))
+    attachments = list(child_of(cable, "attachments"))
     for attachment in attachments:
         if attachment.tag == "base_rotating_pulley":
             entry = _vector(attachment, "cable_entry_vector")

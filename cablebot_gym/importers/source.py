@@ -1,5 +1,5 @@
-"""What a file of another program says about a robot, and the robot that follows with assumptions
-for the rest."""
+"""Values of a robot in a file of another program, and the robot that they give with assumptions for
+missing values."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Source:
     sources: dict[str, str] = field(default_factory=dict)
     """Source of each value that the file has, by the field of the robot."""
     notes: list[str] = field(default_factory=list)
-    """What else the file has, and why it is left out."""
+    """Further content of the file, with the reason why it is left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ class ImportedRobot:
     """The robot. Its ``sources`` say where each value comes from; those of assumed values start
     with ``assumed``."""
     notes: tuple[str, ...]
-    """What else the file has, and why it is left out."""
+    """Further content of the file, with the reason why it is left out."""
 
     def to_toml(self) -> str:
         """The robot as a TOML file for :func:`~cablebot_gym.robots.names.load_robot`."""
@@ -143,6 +143,18 @@ def read_xml(path: Path) -> ElementTree.Element:
         return ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise ValueError(f"it is not valid XML: {error}") from error
+
+
+def child_of(element: ElementTree.Element, tag: str) -> ElementTree.Element:
+    """The first child with a tag.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    child = element.find(tag)
+    if child is None:
+        raise ValueError(f"<{element.tag}> has no <{tag}>")
+    return child
 
 
 def completed(source: Source) -> ImportedRobot:

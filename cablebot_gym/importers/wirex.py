@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from cablebot_gym.importers.source import FRAME, Source
+from cablebot_gym.importers.source import FRAME, Source, child_of
 from cablebot_gym.kinematics import Array
 
 ROOT = "models"
@@ -41,14 +41,14 @@ def read(root: Element, path: Path, cable_set: str | None) -> Source:
     """
     if cable_set is not None:
         raise ValueError("a .wcrfx file has no cable sets: remove --cable-set")
-    robot = _child(root, "robot")
+    robot = child_of(root, "robot")
     pattern = robot.get("motionpattern", "")
     if pattern not in ("3R3T", "3T"):
         raise ValueError(f"its motion pattern is {pattern!r}. Only 3R3T and 3T are imported")
-    chains = list(_child(robot, "geometry").iter("chain"))
+    chains = list(child_of(robot, "geometry").iter("chain"))
     base = _anchors(chains, "base")
     platform = _anchors(chains, "platform")
-    body = _child(robot, "platform")
+    body = child_of(robot, "platform")
     label = f"WireX, {path.name}"
     source = Source(
         name=path.stem,
@@ -63,7 +63,7 @@ def read(root: Element, path: Path, cable_set: str | None) -> Source:
     else:  # the anchors of a body that does not turn shift the base
         source.base = base - platform
         source.platform = None
-    radii = {_number(_child(chain, "base"), "radius", 0.0) for chain in chains}
+    radii = {_number(child_of(chain, "base"), "radius", 0.0) for chain in chains}
     if any(radii):
         text = ", ".join(f"{radius:g} m" for radius in sorted(radii))
         source.notes.append(
@@ -76,14 +76,7 @@ def read(root: Element, path: Path, cable_set: str | None) -> Source:
 
 def _anchors(chains: list[Element], tag: str) -> Array:
     """Ends of the cables at base or platform, shape (m, 3)."""
-    return np.array([_vector(_child(chain, tag)) for chain in chains]).reshape(-1, 3)
-
-
-def _child(element: Element, tag: str) -> Element:
-    child = element.find(tag)
-    if child is None:
-        raise ValueError(f"<{element.tag}> has no <{tag}>")
-    return child
+    return np.array([_vector(child_of(chain, tag)) for chain in chains]).reshape(-1, 3)
 
 
 def _number(element: Element, name: str, default: float | None = None) -> float:

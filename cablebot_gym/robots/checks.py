@@ -59,6 +59,7 @@ def check_inertia(inertia: tuple[Any, ...], tensor: Array) -> None:
     moments = np.linalg.eigvalsh(tensor)
     if moments.min() <= 0:
         raise ValueError(f"inertia {inertia}: all principal moments must be greater than 0")
+    # A thin plate has moments with equality, up to rounding.
     if 2 * moments.max() > moments.sum() + 1e-9 * moments.max():
         raise ValueError(
             f"inertia {inertia}: no principal moment may exceed the sum of the other two; products of "
@@ -84,13 +85,14 @@ def is_surrounded(jacobian: Array) -> bool:
     """Whether cables surround a point in a plane: no open half plane is free of them."""
     angles = np.sort(np.arctan2(jacobian[:, 1], jacobian[:, 0]))
     gaps = np.diff(np.append(angles, angles[0] + 2 * math.pi))
+    # Two opposite cables leave a gap of exactly π, up to rounding.
     return bool(gaps.max() < math.pi - 1e-9)
 
 
 def is_balanced(jacobian: Array, wrench: Array) -> bool:
     """Whether positive tensions T give ``Sᵀ T = wrench``, for S of shape (m, n)."""
     cables, coordinates = jacobian.shape
-    if cables == coordinates:
+    if cables == coordinates:  # the tensions are unique
         return bool(np.linalg.solve(jacobian.T, wrench).min() > _SMALLEST_TENSION)
     from scipy.optimize import linprog  # slow to import
 

@@ -215,6 +215,7 @@ class Robot:
         if self.workspace:
             return _frozen(np.transpose(self.workspace))
         low, high = self.base.min(axis=0), self.base.max(axis=0)
+        # A suspended platform hangs below its anchors, which then bound its workspace from above.
         has_depth = not (self.planar and self.weightless)
         if has_depth and self.home_pose[self.dimensions - 1] >= high[-1]:
             depth = float(np.linalg.norm((high - low)[:-1]))
@@ -474,11 +475,12 @@ def _check_home(robot: Robot) -> None:
         )
     with np.errstate(invalid="ignore"):  # inside a swivel pulley
         lengths = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)
-    if not np.all(lengths >= 1e-6):
+    if not np.all(lengths >= 1e-6):  # NaN counts as too short
         raise ValueError(
             "a cable has zero length at home_pose; move the pose away from its base anchor"
         )
     jacobian = structure_jacobian(robot.base, robot.platform, robot.home, robot.swivel)
+    # The rows of S begin with unit vectors, so the tolerance needs no scale.
     rank = np.linalg.matrix_rank(jacobian, tol=1e-9)
     if rank < robot.coordinates:
         free = checks.free_coordinate(robot.kind, jacobian)

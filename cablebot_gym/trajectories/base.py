@@ -92,6 +92,7 @@ BLEND = np.polynomial.Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
 whose first four derivatives are zero at both ends."""
 
 
+# Coefficients are padded with zeros, so that one call evaluates all orders.
 _BLEND_DERIVATIVES = np.zeros((10, 5))
 for _order in range(5):
     _coefficients = BLEND.deriv(_order).coef
@@ -132,6 +133,7 @@ class Motion:
         """The motion at ``times`` [s], see :class:`Trajectory`."""
         times = checked_times(times)
         derivatives = self._derivatives(np.clip(times, 0.0, self.duration))
+        # A motion may end with a velocity; the protocol wants rest after the end, not at it.
         derivatives[1:, times > self.duration] = 0.0
         return Reference(**dict(zip(ORDERS, derivatives, strict=True)))
 

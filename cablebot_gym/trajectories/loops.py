@@ -98,6 +98,7 @@ class RandomLoop(Motion):
         fraction, sizes, offset, waves = np.split(numbers, np.cumsum([1, len(groups), n]))
         waves = (2 * waves.reshape(2, HARMONICS, n) - 1) / _ORDERS[:, None] ** 2
         center = np.array(self.center)
+        # Size and offset share the reach, so that the curve stays within it.
         series = _series(waves, np.linspace(0, 2 * np.pi, _SAMPLES))[0]
         for group, reach, size in zip(groups, self.reach, 0.5 + 0.5 * sizes, strict=True):
             waves[..., group] *= size * reach / np.linalg.norm(series[:, group], axis=1).max()
@@ -142,6 +143,7 @@ _SAMPLES = 1001
 def _uniform(seed: int, count: int) -> Array:
     """Numbers in [0, 1) that depend on the seed only. numpy keeps the raw bits stable, but not its
     distributions."""
+    # 53 bits fill the mantissa of a float.
     bits = np.random.Philox(np.random.SeedSequence(seed)).random_raw(count)
     return (bits >> np.uint64(11)).astype(float) / 2.0**53
 

@@ -75,6 +75,7 @@ class BetweenDwells:
         """The motion at ``times`` [s], see :class:`~cablebot_gym.trajectories.base.Trajectory`."""
         since = checked_times(times) - self.dwell
         reference = self.motion(np.clip(since, 0.0, self.motion.duration))
+        # Both ends belong to the motion: a jump of acceleration there is part of the reference.
         moves = ((since >= 0) & (since <= self.motion.duration))[..., None]
         rates = {order: np.where(moves, getattr(reference, order), 0.0) for order in RATES}
         return Reference(position=reference.position, **rates)
@@ -144,6 +145,7 @@ class Chain:
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s], see :class:`~cablebot_gym.trajectories.base.Trajectory`."""
         times = checked_times(times)
+        # A time at which two motions meet belongs to the later one; both are at rest there.
         index = np.searchsorted(self._starts, times, side="right") - 1
         index = np.clip(index, 0, len(self.motions) - 1)
         shape = (*times.shape, self.coordinates)

@@ -81,6 +81,7 @@ class Waypoints(Motion):
             inner = np.concatenate([inner[0] * thirds, inner, inner[-1] + (1 - inner[-1]) * thirds])
         else:
             inner = np.linspace(0.0, 1.0, 6)[1:-1]
+        # A clamped spline repeats the knots at both ends once more than its degree.
         ends = np.ones(SPLINE_DEGREE + 1)
         knots = np.concatenate([0 * ends, inner, ends])
         return make_interp_spline(

@@ -68,6 +68,7 @@ def source_files(*modules: str) -> dict[str, Path]:
             continue
         files[name] = path
         pending += _parsed(path, name)[1]
+        # Importing a module runs the __init__ of its packages.
         if "." in name:
             pending.append(name.rpartition(".")[0])
     return files
