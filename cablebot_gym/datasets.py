@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from datetime import date
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,6 +94,12 @@ a version too, and an environment with another behaviour gets another id.
 """
 
 
+_CONTEXT = files("cablebot_gym") / "croissant_context.json"
+"""The JSON-LD context of Croissant 1.1."""
+
+_FILE = "main_data.hdf5"
+"""File with the episodes of a Minari dataset."""
+
 _REQUIRED = (
     "author",
     "author_email",
@@ -125,226 +132,101 @@ def describe_dataset(
             code or requirements.
     """
     env = dataset.recover_environment()
-    plain = env.unwrapped
-    if not isinstance(plain, CableBotEnv) or dataset.observation_space.shape != (
-        plain.layout.size,
-    ):
+    _check_dataset(dataset, env.unwrapped)
+    file = Path(dataset.spec.data_path) / _FILE
+    facts = _facts(dataset, env.unwrapped, file)
+    env.close()
+    facts |= {"license": license, "purpose": purpose}
+    sheet = file.parents[1] / "DATASHEET.md"
+    croissant = file.parents[1] / "croissant.json"
+    atomic_write_text(sheet, _DATASHEET.format(**facts))
+    description = _croissant(dataset, env.unwrapped, facts, file, published)
+    atomic_write_text(croissant, json.dumps(description, indent=1, ensure_ascii=False) + "\n")
+    return sheet, croissant
+
+
+def _check_dataset(dataset: MinariDataset, env: Any) -> None:
+    """Checks that a dataset has the observations of an environment and all metadata."""
+    shape = dataset.observation_space.shape
+    if not isinstance(env, CableBotEnv) or shape != (env.layout.size,):
         raise ValueError(
             f"dataset {dataset.id!r} does not have the observations of an environment of cablebot_gym: record it "
             "without wrappers that change observations"
         )
-    data: dict[str, Any] = dict(dataset.storage.metadata)
-    if missing := [name for name in _REQUIRED if not data.get(name)]:
+    metadata = dataset.storage.metadata
+    missing = [name for name in _REQUIRED if not metadata.get(name)]
+    if missing:
         raise ValueError(
             f"dataset {dataset.id!r} lacks {', '.join(missing)}: give them to create_dataset()"
         )
-    author = ", ".join(data["author"])
-    email = ", ".join(data["author_email"])
-    file = Path(dataset.spec.data_path) / "main_data.hdf5"
+
+
+def _facts(dataset: MinariDataset, env: CableBotEnv, file: Path) -> dict[str, Any]:
+    """Values for the templates."""
+    metadata: dict[str, Any] = dict(dataset.storage.metadata)
+    normalised = ""
+    if env.settings.normalised_observation:
+        normalised = ", which are normalised: (value − centre)/scale"
+    env_id, keywords = "", {}
+    if env.spec is not None:
+        env_id, keywords = env.spec.id, env.spec.kwargs
     facts = {
         "id": dataset.id,
-        "author": author,
-        "email": email,
-        "description": data["description"],
-        "purpose": purpose,
-        "license": license,
+        "author": ", ".join(metadata["author"]),
+        "email": ", ".join(metadata["author_email"]),
+        "description": metadata["description"],
         "episodes": dataset.total_episodes,
         "steps": dataset.total_steps,
         "size": file.stat().st_size / 1e6,
-        "components": plain.layout.size,
-        "motors": plain.task.robot.cables,
-        "normalised": ", which are normalised: (value − centre)/scale"
-        if plain.settings.normalised_observation
-        else "",
+        "components": env.layout.size,
+        "motors": env.task.robot.cables,
+        "normalised": normalised,
         "table": "\n".join(_episodes(dataset)),
-        "layout": plain.layout.table(),
-        "algorithm": data["algorithm_name"],
-        "env_id": plain.spec.id if plain.spec else "",
-        "kwargs": json.dumps(plain.spec.kwargs if plain.spec else {}),
-        "motion": plain.task.trajectory.name,
-        "frequency": plain.task.control_frequency,
+        "layout": env.layout.table(),
+        "algorithm": metadata["algorithm_name"],
+        "env_id": env_id,
+        "kwargs": json.dumps(keywords),
+        "motion": env.task.trajectory.name,
+        "frequency": env.task.control_frequency,
         "minari": dataset.minari_version,
-        "requirements": ", ".join(data["requirements"]),
-        "code": data["code_permalink"],
+        "requirements": ", ".join(metadata["requirements"]),
+        "code": metadata["code_permalink"],
     }
-    env.close()
-    texts = {
-        "collection": _COLLECTION.format(**facts),
-        "uses": _USES,
-        "limitations": limitations(plain.task.robot),
-    }
-    texts = {name: " ".join(text.split()) for name, text in texts.items()}
-    sheet = file.parents[1] / "DATASHEET.md"
-    croissant = file.parents[1] / "croissant.json"
-    atomic_write_text(sheet, _DATASHEET.format(**facts, **texts))
-    described = _croissant(dataset, plain, facts, texts, file=file, published=published)
-    atomic_write_text(croissant, json.dumps(described, indent=1, ensure_ascii=False) + "\n")
-    return sheet, croissant
+    facts["collection"] = _one_line(_COLLECTION.format(**facts))
+    facts["uses"] = _one_line(_USES)
+    facts["limitations"] = _one_line(limitations(env.task.robot))
+    return facts
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
 
 
 def _episodes(dataset: MinariDataset) -> list[str]:
+    """Rows of the table of episodes."""
     rows = []
-    for episode, kept in zip(
-        dataset, dataset.storage.get_episode_metadata(dataset.episode_indices), strict=True
-    ):
-        ended = (
-            "termination"
-            if episode.terminations[-1]
-            else "truncation"
-            if episode.truncations[-1]
-            else "recording"
+    metadata = dataset.storage.get_episode_metadata(dataset.episode_indices)
+    for episode, stored in zip(dataset, metadata, strict=True):
+        ended = "recording"
+        if episode.terminations[-1]:
+            ended = "termination"
+        elif episode.truncations[-1]:
+            ended = "truncation"
+        options = json.dumps(stored.get("options") or {}, default=float)
+        reward = episode.rewards.sum()
+        rows.append(
+            f"| {episode.id} | {stored.get('seed')} | `{options}` | {len(episode)} | {reward:.1f} | {ended} |"
         )
-        options = f"`{json.dumps(kept.get('options') or {}, default=float)}`"
-        row = (
-            episode.id,
-            kept.get("seed"),
-            options,
-            len(episode),
-            f"{episode.rewards.sum():.1f}",
-            ended,
-        )
-        rows.append(f"| {' | '.join(map(str, row))} |")
     return rows
 
 
-_TERMS = (
-    *(
-        "arrayShape",
-        "citeAs",
-        "column",
-        "containedIn",
-        "equivalentProperty",
-        "extract",
-        "field",
-        "fileObject",
-    ),
-    *(
-        "fileProperty",
-        "fileSet",
-        "format",
-        "includes",
-        "isArray",
-        "isLiveDataset",
-        "jsonPath",
-        "key",
-        "md5",
-    ),
-    *(
-        "parentField",
-        "path",
-        "recordSet",
-        "references",
-        "regex",
-        "repeated",
-        "replace",
-        "samplingRate",
-        "separator",
-    ),
-    *("source", "subField", "transform"),
-)
-"""Terms of Croissant 1.1 that its context names one by one."""
-
-
-def _context() -> dict[str, Any]:
-    return {
-        "@language": "en",
-        "@vocab": "https://schema.org/",
-        "sc": "https://schema.org/",
-        "cr": "http://mlcommons.org/croissant/",
-        "rai": "http://mlcommons.org/croissant/RAI/",
-        "dct": "http://purl.org/dc/terms/",
-        "conformsTo": "dct:conformsTo",
-        "name": {"@container": "@language"},
-        "description": {"@container": "@language"},
-        "data": {"@id": "cr:data", "@type": "@json"},
-        "examples": {"@id": "cr:examples", "@type": "@json"},
-        "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-        **{term: f"cr:{term}" for term in _TERMS},
-    }
-
-
 def _croissant(
-    dataset: MinariDataset,
-    env: CableBotEnv,
-    facts: dict[str, Any],
-    texts: dict[str, str],
-    *,
-    file: Path,
-    published: date,
+    dataset: MinariDataset, env: CableBotEnv, facts: dict[str, Any], file: Path, published: date
 ) -> dict[str, Any]:
     """Croissant 1.1: the file, the arrays of an episode, and the columns of its observations by
     block."""
-    version = f"{dataset.spec.version or 0}.0.0"
-
-    def record(name: str, description: str, fields: list[dict[str, Any]]) -> dict[str, Any]:
-        return {
-            "@type": "cr:RecordSet",
-            "@id": name,
-            "name": name,
-            "description": description,
-            "field": fields,
-        }
-
-    def field(name: str, path: str, dtype: str, shape: str, description: str) -> dict[str, Any]:
-        return {
-            "@type": "cr:Field",
-            "@id": name,
-            "name": name,
-            "description": description,
-            "dataType": {"bool": "sc:Boolean"}.get(dtype, f"cr:{dtype.capitalize()}"),
-            "isArray": True,
-            "arrayShape": shape,
-            "source": {"fileObject": {"@id": file.name}, "extract": {"column": path}},
-        }
-
-    observations = str(dataset.observation_space.dtype)
-    actions = str(dataset.action_space.dtype)
-    size, motors = facts["components"], facts["motors"]
-    arrays = [
-        field(
-            "episode/observations",
-            "episode_*/observations",
-            observations,
-            f"-1,{size}",
-            "One row more than actions.",
-        ),
-        field(
-            "episode/actions",
-            "episode_*/actions",
-            actions,
-            f"-1,{motors}",
-            "Normalised action of each motor.",
-        ),
-        field("episode/rewards", "episode_*/rewards", "float64", "-1", "Reward of each step."),
-        field(
-            "episode/terminations",
-            "episode_*/terminations",
-            "bool",
-            "-1",
-            "Whether the step ended a failed episode.",
-        ),
-        field(
-            "episode/truncations",
-            "episode_*/truncations",
-            "bool",
-            "-1",
-            "Whether the step ended the motion.",
-        ),
-    ]
-    blocks = []
-    for block in env.layout.blocks:
-        unit = (
-            "normalised"
-            if env.settings.normalised_observation
-            else block.unit.replace("–", "no unit")
-        )
-        path = f"episode_*/observations[:, {block.start}:{block.start + block.size}]"
-        text = f"{block.meaning} [{unit}]"
-        blocks.append(
-            field(f"observation/{block.name}", path, observations, f"-1,{block.size}", text)
-        )
     return {
-        "@context": _context(),
+        "@context": json.loads(_CONTEXT.read_text(encoding="utf-8")),
         "@type": "sc:Dataset",
         "conformsTo": [
             "http://mlcommons.org/croissant/1.1",
@@ -354,30 +236,96 @@ def _croissant(
         "description": f"{facts['description']}. {facts['purpose']}",
         "url": facts["code"],
         "license": facts["license"],
-        "version": version,
+        "version": f"{dataset.spec.version or 0}.0.0",
         "datePublished": published.isoformat(),
         "creator": {"@type": "sc:Person", "name": facts["author"], "email": facts["email"]},
         "citeAs": f"{facts['author']}: {dataset.id}, {published.year}. {facts['code']}",
-        "rai:dataCollection": texts["collection"],
-        "rai:dataUseCases": texts["uses"],
-        "rai:dataLimitations": texts["limitations"],
+        "rai:dataCollection": facts["collection"],
+        "rai:dataUseCases": facts["uses"],
+        "rai:dataLimitations": facts["limitations"],
         "rai:personalSensitiveInformation": "None. The data are simulated.",
-        "distribution": [
-            {
-                "@type": "cr:FileObject",
-                "@id": file.name,
-                "name": file.name,
-                "description": "All episodes, in Minari's layout: the group episode_N has the arrays of episode N.",
-                "contentUrl": f"data/{file.name}",
-                "contentSize": f"{file.stat().st_size} B",
-                "encodingFormat": "application/x-hdf5",
-                "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
-            }
+        "distribution": [_file_object(file)],
+        "recordSet": [_episode_arrays(dataset, facts), _observation_blocks(dataset, env)],
+    }
+
+
+def _file_object(file: Path) -> dict[str, Any]:
+    return {
+        "@type": "cr:FileObject",
+        "@id": _FILE,
+        "name": _FILE,
+        "description": "All episodes, in Minari's layout: the group episode_N has the arrays of episode N.",
+        "contentUrl": f"data/{_FILE}",
+        "contentSize": f"{file.stat().st_size} B",
+        "encodingFormat": "application/x-hdf5",
+        "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
+    }
+
+
+def _episode_arrays(dataset: MinariDataset, facts: dict[str, Any]) -> dict[str, Any]:
+    """Record set of the arrays of each episode."""
+    observations = str(dataset.observation_space.dtype)
+    actions = str(dataset.action_space.dtype)
+    columns = f"-1,{facts['components']}"
+    motors = f"-1,{facts['motors']}"
+    failed = "Whether the step ended a failed episode."
+    complete = "Whether the step ended the motion."
+    return _record_set(
+        "episode",
+        "Arrays of each episode, with one row for each control period.",
+        [
+            _array("observations", observations, columns, "One row more than actions."),
+            _array("actions", actions, motors, "Normalised action of each motor."),
+            _array("rewards", "float64", "-1", "Reward of each step."),
+            _array("terminations", "bool", "-1", failed),
+            _array("truncations", "bool", "-1", complete),
         ],
-        "recordSet": [
-            record(
-                "episode", "Arrays of each episode, with one row for each control period.", arrays
-            ),
-            record("observation", "Blocks of the observations of each episode.", blocks),
-        ],
+    )
+
+
+def _observation_blocks(dataset: MinariDataset, env: CableBotEnv) -> dict[str, Any]:
+    """Record set of the blocks of the observations."""
+    dtype = str(dataset.observation_space.dtype)
+    fields = []
+    for block in env.layout.blocks:
+        unit = block.unit.replace("–", "no unit")
+        if env.settings.normalised_observation:
+            unit = "normalised"
+        columns = f"observations[:, {block.start}:{block.start + block.size}]"
+        text = f"{block.meaning} [{unit}]"
+        fields.append(_field(f"observation/{block.name}", columns, dtype, f"-1,{block.size}", text))
+    return _record_set("observation", "Blocks of the observations of each episode.", fields)
+
+
+def _record_set(name: str, description: str, fields: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "@type": "cr:RecordSet",
+        "@id": name,
+        "name": name,
+        "description": description,
+        "field": fields,
+    }
+
+
+def _array(name: str, dtype: str, shape: str, description: str) -> dict[str, Any]:
+    return _field(f"episode/{name}", name, dtype, shape, description)
+
+
+def _field(name: str, column: str, dtype: str, shape: str, description: str) -> dict[str, Any]:
+    """A field of a record set: an array of each episode, or columns of one."""
+    data_type = f"cr:{dtype.capitalize()}"
+    if dtype == "bool":
+        data_type = "sc:Boolean"
+    return {
+        "@type": "cr:Field",
+        "@id": name,
+        "name": name,
+        "description": description,
+        "dataType": data_type,
+        "isArray": True,
+        "arrayShape": shape,
+        "source": {
+            "fileObject": {"@id": _FILE},
+            "extract": {"column": f"episode_*/{column}"},
+        },
     }

@@ -238,7 +238,8 @@ def to_jsonable(value: Any) -> Any:
     """A value, such as a trajectory, as JSON-able data.
 
     A dataclass becomes a dict of its fields. A motion between dwells becomes that of the motion
-    with the key ``dwell``, so that :func:`~cablebot_gym.trajectories.find_trajectory` accepts a
+    with the key ``dwell``, so that
+    :func:`~cablebot_gym.trajectories.names.find_trajectory` accepts a
     named motion's data. Any other trajectory becomes a dict of its name, duration and coordinates.
     """
     if isinstance(value, BetweenDwells):

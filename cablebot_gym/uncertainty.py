@@ -11,8 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from types import MappingProxyType
+from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.typing import ArrayLike
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.robots import Robot
+from cablebot_gym.robots.parts import as_tuples
 from cablebot_gym.utils.checks import all_finite, choice, mapping, number, numbers, record, whole
 from cablebot_gym.utils.files import JSON_FORM, check_not_a_file
 
@@ -73,6 +73,7 @@ class ParameterDistribution:
             raise ValueError("a normal distribution needs std and a uniform one has none")
         if self.std is not None:
             object.__setattr__(self, "std", number("std", self.std, above=0))
+            # Farther out, the cumulative distribution function has no digits left.
             if not self.low < self.mean + 8 * self.std or not self.high > self.mean - 8 * self.std:
                 raise ValueError(
                     "low and high must lie within eight std of the mean; change them, mean or std"
@@ -91,11 +92,10 @@ class ParameterDistribution:
         from scipy.special import ndtr, ndtri  # slow to import
 
         bounds = (np.array([self.low, self.high]) - self.mean) / self.std
-        side = (
-            -1.0 if bounds[0] > 0 else 1.0
-        )  # the upper tail is mirrored: ndtr loses digits near 1
-        first, last = ndtr(side * bounds)
-        drawn = self.mean + self.std * side * ndtri(first + (last - first) * uniform)
+        # The upper tail is mirrored: ndtr loses digits near 1.
+        side = -1.0 if bounds[0] > 0 else 1.0
+        start, end = ndtr(side * bounds)
+        drawn = self.mean + self.std * side * ndtri(start + (end - start) * uniform)
         return np.asarray(np.clip(drawn, self.low, self.high))
 
     def applied(self, nominal: Array, deviation: Array) -> Array:
@@ -103,18 +103,21 @@ class ParameterDistribution:
         ``high``."""
         all_finite("nominal", nominal)
         all_finite("deviation", deviation)
-        return nominal * (1 + deviation) if self.relative else nominal + deviation
+        if self.relative:
+            return nominal * (1 + deviation)
+        return nominal + deviation
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class _Parameter:
     """Properties of one uncertain parameter."""
 
     attribute: str
-    """Name of the attribute of :class:`~cablebot_gym.robots.Robot`."""
+    """Name of the attribute of :class:`~cablebot_gym.robots.record.Robot`."""
     unit: str
     """SI unit."""
-    positive: bool
+    _: dataclasses.KW_ONLY
+    positive: bool = False
     """Whether the value must be greater than 0."""
     jointed: bool = False
     """Whether only robots with joint springs have the parameter."""
@@ -133,42 +136,26 @@ class _Parameter:
         return not lacking and not (self.turns and robot.point_mass)
 
 
-PARAMETERS: Mapping[str, _Parameter] = MappingProxyType(
-    {
-        "platform_mass": _Parameter(
-            attribute="mass", unit="kg", positive=True, lowers_frequency=True
-        ),
-        "payload": _Parameter(attribute="payload", unit="kg", positive=False),
-        "platform_inertia": _Parameter(
-            attribute="moments", unit="kg·m²", positive=True, turns=True, lowers_frequency=True
-        ),
-        "pulley_inertia": _Parameter(
-            attribute="pulley_inertia", unit="kg·m²", positive=False, lowers_frequency=True
-        ),
-        "damping": _Parameter(attribute="damping", unit="N·m·s/rad", positive=False),
-        "stiffness": _Parameter(attribute="stiffness", unit="N·m/rad", positive=True, jointed=True),
-        "motor_inertia": _Parameter(
-            attribute="motor_inertia",
-            unit="kg·m²",
-            positive=True,
-            jointed=True,
-            lowers_frequency=True,
-        ),
-        "motor_damping": _Parameter(
-            attribute="motor_damping", unit="N·m·s/rad", positive=False, jointed=True
-        ),
-        "motor_strength": _Parameter(attribute="stall_torque", unit="N·m", positive=True),
-        "base_anchors": _Parameter(attribute="base", unit="m", positive=False, position=True),
-        "platform_anchors": _Parameter(
-            attribute="platform", unit="m", positive=False, turns=True, position=True
-        ),
-        "motor_lag": _Parameter(attribute="motor_lag", unit="s", positive=False),
-        "coulomb_friction": _Parameter(attribute="coulomb_friction", unit="N·m", positive=False),
-        "axial_stiffness": _Parameter(
-            attribute="axial_stiffness", unit="N", positive=True, elastic=True
-        ),
-    }
-)
+PARAMETERS: Mapping[str, _Parameter] = {
+    "platform_mass": _Parameter("mass", "kg", positive=True, lowers_frequency=True),
+    "payload": _Parameter("payload", "kg"),
+    "platform_inertia": _Parameter(
+        "moments", "kg·m²", positive=True, turns=True, lowers_frequency=True
+    ),
+    "pulley_inertia": _Parameter("pulley_inertia", "kg·m²", lowers_frequency=True),
+    "damping": _Parameter("damping", "N·m·s/rad"),
+    "stiffness": _Parameter("stiffness", "N·m/rad", positive=True, jointed=True),
+    "motor_inertia": _Parameter(
+        "motor_inertia", "kg·m²", positive=True, jointed=True, lowers_frequency=True
+    ),
+    "motor_damping": _Parameter("motor_damping", "N·m·s/rad", jointed=True),
+    "motor_strength": _Parameter("stall_torque", "N·m", positive=True),
+    "base_anchors": _Parameter("base", "m", position=True),
+    "platform_anchors": _Parameter("platform", "m", turns=True, position=True),
+    "motor_lag": _Parameter("motor_lag", "s"),
+    "coulomb_friction": _Parameter("coulomb_friction", "N·m"),
+    "axial_stiffness": _Parameter("axial_stiffness", "N", positive=True, elastic=True),
+}
 """The parameters that may be uncertain. ``motor_strength`` scales the stall torque; the free speed
 does not change."""
 
@@ -199,28 +186,24 @@ class ExternalWrench:
     """(low, high) of a uniform factor, which is drawn once per episode for each component."""
 
     def __post_init__(self) -> None:
+        shapes = [(), (2,), (3,)]
+        form = "one number or one per axis"
         for name in ("force_mean", "force_std", "moment_mean", "moment_std"):
             least = 0.0 if name.endswith("std") else -math.inf
-            form = "one number or one per axis"
-            values = numbers(
-                name, getattr(self, name), shapes=[(), (2,), (3,)], form=form, least=least
-            ).tolist()
-            object.__setattr__(self, name, tuple(values) if isinstance(values, list) else values)
-        object.__setattr__(
-            self,
-            "correlation_time",
-            number("correlation_time", self.correlation_time, above=0, unit="s"),
-        )
+            values = numbers(name, getattr(self, name), shapes=shapes, form=form, least=least)
+            object.__setattr__(self, name, as_tuples(values))
+        time = number("correlation_time", self.correlation_time, above=0, unit="s")
         low, high = numbers("factor", self.factor, shapes=[(2,)], form="(low, high)").tolist()
         if low > high:
             raise ValueError(f"factor must be (low, high) with low ≤ high, not {self.factor!r}")
+        object.__setattr__(self, "correlation_time", time)
         object.__setattr__(self, "factor", (low, high))
 
     @property
     def random(self) -> bool:
         """Whether two draws can differ."""
-        varies = any(np.any(np.asarray(std) > 0) for std in (self.force_std, self.moment_std))
-        return varies or self.factor[0] < self.factor[1]
+        low, high = self.factor
+        return bool(np.any(self.force_std) or np.any(self.moment_std) or low < high)
 
     def statistics(self, robot: Robot) -> tuple[Array, Array]:
         """Mean and standard deviation of the components (force, then moment), each of shape (n,).
@@ -228,20 +211,19 @@ class ExternalWrench:
         Raises:
             ValueError: if the length of a tuple is not the number of axes of the robot.
         """
-        sizes = {"force": robot.dimensions, "moment": robot.coordinates - robot.dimensions}
+        forces, moments = robot.dimensions, robot.coordinates - robot.dimensions
 
-        def components(statistic: str) -> Array:
-            values = []
-            for kind, axes in sizes.items():
-                value = np.asarray(getattr(self, f"{kind}_{statistic}"))
-                if axes and value.shape not in ((), (axes,)):
-                    raise ValueError(
-                        f"wrench: {kind}_{statistic} needs {axes} components for {robot.name!r}"
-                    )
-                values.append(np.broadcast_to(value if axes else 0.0, (axes,)))
-            return np.concatenate(values)
+        def components(name: str, axes: int) -> Array:
+            value = np.asarray(getattr(self, name))
+            if not axes:  # a point mass takes no moment, whatever its value
+                return np.empty(0)
+            if value.shape not in ((), (axes,)):
+                raise ValueError(f"wrench: {name} needs {axes} components for {robot.name!r}")
+            return np.broadcast_to(value, (axes,))
 
-        return components("mean"), components("std")
+        mean = [components("force_mean", forces), components("moment_mean", moments)]
+        std = [components("force_std", forces), components("moment_std", moments)]
+        return np.concatenate(mean), np.concatenate(std)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,18 +261,20 @@ class SensorNoise:
     """Standard deviation of the specific force of an IMU [m/s²]; ≥ 0."""
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            object.__setattr__(
-                self, item.name, number(f"sensors.{item.name}", getattr(self, item.name), least=0)
-            )
+        for name, value in vars(self).copy().items():
+            object.__setattr__(self, name, number(f"sensors.{name}", value, least=0))
+
+    @property
+    def random(self) -> bool:
+        """Whether two draws can differ."""
+        return any(vars(self).values())
 
     def deviations(self, robot: Robot, measurement: Measurement = POSE) -> Array:
         """Standard deviations of the components of the measured blocks of the observation."""
-        positions = robot.dimensions
         rotations = robot.coordinates - robot.dimensions
         values: dict[str, ArrayLike] = {
-            "pose": [self.position] * positions + [self.rotation] * rotations,
-            "velocity": [self.velocity] * positions + [self.rotation_rate] * rotations,
+            "pose": [self.position] * robot.dimensions + [self.rotation] * rotations,
+            "velocity": [self.velocity] * robot.dimensions + [self.rotation_rate] * rotations,
             "motor_angle": self.motor_angle,
             "motor_speed": self.motor_speed,
             "tensions": self.tension,
@@ -329,46 +313,41 @@ class Uncertainty:
 
     def __post_init__(self) -> None:
         parameters = mapping("parameters", self.parameters, PARAMETERS)
-        for name, given in parameters.items():
-            parameters[name] = record(f"distribution of {name}", ParameterDistribution, given)
-            if PARAMETERS[name].position and parameters[name].relative:
+        for name, value in parameters.items():
+            distribution = record(f"distribution of {name}", ParameterDistribution, value)
+            parameters[name] = distribution
+            if PARAMETERS[name].position and distribution.relative:
                 raise ValueError(
                     f"{name}: a position has no relative deviation; give it in m with relative=False"
                 )
         object.__setattr__(self, "parameters", parameters)
-        if self.wrench is not None:
-            object.__setattr__(self, "wrench", record("wrench", ExternalWrench, self.wrench))
-        for name in ("sensors", "sensor_bias"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, record(name, SensorNoise, getattr(self, name)))
+        for name, kind in _RECORDS.items():
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, record(name, kind, value))
         object.__setattr__(self, "delay", _checked_delay(self.delay))
 
     def __hash__(self) -> int:
-        return hash(
-            (
-                frozenset(self.parameters.items()),
-                self.wrench,
-                self.sensors,
-                self.sensor_bias,
-                self.delay,
-            )
-        )
+        parameters = frozenset(self.parameters.items())
+        return hash((parameters, self.wrench, self.sensors, self.sensor_bias, self.delay))
 
     @property
     def delay_range(self) -> tuple[int, int]:
         """Least and largest delay [control steps]."""
-        return self.delay if isinstance(self.delay, tuple) else (self.delay, self.delay)
+        if isinstance(self.delay, tuple):
+            return self.delay
+        return self.delay, self.delay
 
     @property
     def random(self) -> bool:
         """Whether two episodes can differ."""
-        varies = any(
-            distribution.low < distribution.high for distribution in self.parameters.values()
-        )
-        sensors = [one for one in (self.sensors, self.sensor_bias) if one is not None]
-        noisy = any(getattr(one, item.name) > 0 for one in sensors for item in fields(SensorNoise))
-        late = self.delay_range[0] < self.delay_range[1]
-        return varies or noisy or late or (self.wrench is not None and self.wrench.random)
+        least_delay, largest_delay = self.delay_range
+        if least_delay < largest_delay:
+            return True
+        if any(item.low < item.high for item in self.parameters.values()):
+            return True
+        disturbances = (self.wrench, self.sensors, self.sensor_bias)
+        return any(item is not None and item.random for item in disturbances)
 
     def check(self, robot: Robot) -> None:
         """Checks that the uncertainty is possible for a robot.
@@ -388,38 +367,15 @@ class Uncertainty:
                     number("low of payload", distribution.low, least=-1)
             elif not parameter.position:
                 nominal = np.asarray(getattr(robot, parameter.attribute))
-                least = float(np.min(distribution.applied(nominal, np.asarray(distribution.low))))
+                smallest = np.min(distribution.applied(nominal, np.asarray(distribution.low)))
                 divides = name == "pulley_inertia" and robot.elastic
                 above = 0.0 if parameter.positive or divides else -math.inf
-                number(
-                    f"smallest {name} of {robot.name!r}",
-                    least,
-                    above=above,
-                    least=0.0,
-                    unit=parameter.unit,
-                )
-        if "platform_inertia" in self.parameters:
-            self._check_inertia(robot, self.parameters["platform_inertia"])
+                label = f"smallest {name} of {robot.name!r}"
+                number(label, float(smallest), above=above, least=0.0, unit=parameter.unit)
+        if "platform_inertia" in self.parameters and not robot.planar:
+            _check_inertia(robot.moments, self.parameters["platform_inertia"])
         if self.wrench is not None:
             self.wrench.statistics(robot)
-
-    def _check_inertia(self, robot: Robot, distribution: ParameterDistribution) -> None:
-        if robot.planar:
-            return
-        moments = robot.moments
-        least, most = (
-            distribution.applied(moments, np.asarray(end))
-            for end in (distribution.low, distribution.high)
-        )
-        # With each=False, all three moments have the same deviation.
-        for others, own in (
-            ((least, most),) if distribution.each else ((least, least), (most, most))
-        ):
-            if np.any(np.sum(others) - others < own * (1 - 1e-9)):
-                raise ValueError(
-                    "platform_inertia: one moment can exceed the sum of the other two; use a relative deviation "
-                    "with each=False, or move low and high closer together"
-                )
 
     def draw(self, robot: Robot, payload: Array, uniform: Array) -> RobotBatch:
         """Draws the true robots of N episodes.
@@ -438,22 +394,20 @@ class Uncertainty:
         deviations = {}
         for name, (start, shape) in _columns(robot).items():
             if name in self.parameters:
-                distribution, size = self.parameters[name], math.prod(shape)
-                numbers = uniform[:, start : start + (size if distribution.each else 1)]
-                numbers = np.broadcast_to(numbers, (len(uniform), size)).reshape(
-                    len(uniform), *shape
-                )
-                deviations[name] = distribution.deviation(numbers)
+                distribution = self.parameters[name]
+                columns = uniform[:, start : start + math.prod(shape)]
+                if not distribution.each:  # the other columns of the parameter are unused
+                    columns = np.broadcast_to(columns[:, :1], columns.shape)
+                deviations[name] = distribution.deviation(columns.reshape(len(uniform), *shape))
         return self._true_robots(robot, payload, deviations)
 
     def fastest(self, robot: Robot) -> RobotBatch:
         """The possible robot with the fastest motor dynamics. It determines the physics step."""
         deviations = {}
         for name, distribution in self.parameters.items():
-            if name != "payload" and not PARAMETERS[name].position:
-                deviation = (
-                    distribution.low if PARAMETERS[name].lowers_frequency else distribution.high
-                )
+            parameter = PARAMETERS[name]
+            if name != "payload" and not parameter.position:
+                deviation = distribution.low if parameter.lowers_frequency else distribution.high
                 deviations[name] = np.full((1, *_columns(robot)[name][1]), deviation)
         return self._true_robots(robot, np.zeros(1), deviations)
 
@@ -465,18 +419,39 @@ class Uncertainty:
         for name, parameter in PARAMETERS.items():
             if not parameter.belongs_to(robot):
                 continue
-            nominal = payload
+            value = payload
             if name != "payload":
-                value = np.asarray(getattr(robot, parameter.attribute), float)
-                nominal = np.broadcast_to(value, (count, *value.shape))
+                nominal = np.asarray(getattr(robot, parameter.attribute), float)
+                value = np.broadcast_to(nominal, (count, *nominal.shape))
             if name in deviations:
-                nominal = self.parameters[name].applied(nominal, deviations[name])
-            values[parameter.attribute] = nominal
+                value = self.parameters[name].applied(value, deviations[name])
+            values[parameter.attribute] = value
         values["payload"] = np.maximum(values["payload"], 0.0)
         values["speed_slope"] = robot.speed_slope * values["stall_torque"] / robot.stall_torque
         if not robot.point_mass:
             values["inertia_tensor"] = _scaled_tensor(robot, values["moments"])
         return RobotBatch(robot, values)
+
+
+_RECORDS = {"wrench": ExternalWrench, "sensors": SensorNoise, "sensor_bias": SensorNoise}
+"""Fields of :class:`Uncertainty` that may be given as a mapping."""
+
+
+def _check_inertia(moments: Array, distribution: ParameterDistribution) -> None:
+    """Checks that no moment can exceed the sum of the other two, for nominal moments (3,)."""
+    least = distribution.applied(moments, np.asarray(distribution.low))
+    largest = distribution.applied(moments, np.asarray(distribution.high))
+    extremes = [(least, least), (largest, largest)]
+    if distribution.each:  # one moment can be the largest while the other two are the least
+        extremes = [(least, largest)]
+    for pair_moments, moments in extremes:
+        sums_of_pairs = np.sum(pair_moments) - pair_moments
+        # The moments of a thin plate have equality, up to rounding.
+        if np.any(sums_of_pairs < moments * (1 - 1e-9)):
+            raise ValueError(
+                "platform_inertia: one moment can exceed the sum of the other two; use a relative deviation "
+                "with each=False, or move low and high closer together"
+            )
 
 
 def _scaled_tensor(robot: Robot, moments: Array) -> Array:
@@ -500,7 +475,7 @@ def _checked_delay(delay: Any) -> int | tuple[int, int]:
 
 
 class RobotBatch:
-    """N robots: the attributes of the nominal :class:`~cablebot_gym.robots.Robot`, and values with
+    """N robots: the attributes of the nominal :class:`~cablebot_gym.robots.record.Robot`, and values with
     a leading axis N.
 
     Args:
@@ -532,95 +507,87 @@ def draw_size(robot: Robot) -> int:
 
 def _columns(robot: Robot) -> dict[str, tuple[int, tuple[int, ...]]]:
     """First column of the uniform numbers and shape of each parameter."""
-    shapes: dict[str, tuple[int, ...]] = {}
+    columns = {}
+    start = 0
     for name, parameter in PARAMETERS.items():
-        if name == "payload":
-            shapes[name] = ()
-        elif name == "platform_inertia" and robot.point_mass:
-            shapes[name] = (3,)
+        if parameter.elastic and not robot.elastic:
+            continue
+        shape: tuple[int, ...] = ()
+        if name == "platform_inertia" and robot.point_mass:
+            shape = (3,)
         elif parameter.jointed and not robot.jointed:
-            shapes[name] = (robot.cables,)
-        elif robot.elastic or not parameter.elastic:
-            shapes[name] = np.shape(getattr(robot, parameter.attribute))
-    columns, start = {}, 0
-    for name, shape in shapes.items():
+            shape = (robot.cables,)
+        elif name != "payload":
+            shape = np.shape(getattr(robot, parameter.attribute))
         columns[name] = (start, shape)
         start += math.prod(shape)
     return columns
 
 
+_TENTH = ParameterDistribution(low=-0.1, high=0.1, each=False)
+
+
 def _table6(robot: Robot) -> Uncertainty:
-    tenth = ParameterDistribution(low=-0.1, high=0.1, each=False)
-    flexible = {"stiffness": tenth} if robot.jointed else {}
+    parameters = {"platform_mass": _TENTH}
+    if robot.jointed:
+        parameters["stiffness"] = _TENTH
     wrench = ExternalWrench(
         force_mean=0.5, force_std=math.sqrt(0.2), correlation_time=0.01, factor=(0.9, 1.1)
     )
-    return Uncertainty(parameters={"platform_mass": tenth, **flexible}, wrench=wrench)
+    return Uncertainty(parameters=parameters, wrench=wrench)
 
 
 def _table6_load(robot: Robot) -> Uncertainty:
     paper = _table6(robot)
-    load = ParameterDistribution(low=-0.1, high=0.1, each=False)
-    return dataclasses.replace(paper, parameters={**paper.parameters, "payload": load})
+    return dataclasses.replace(paper, parameters={**paper.parameters, "payload": _TENTH})
+
+
+_NOISE = SensorNoise(
+    position=1e-4, rotation=2e-4, velocity=2e-3, rotation_rate=4e-3, motor_speed=1e-2
+)
 
 
 def _hardware(robot: Robot) -> Uncertainty:
-    def within(
-        low: float, high: float, *, relative: bool = True, each: bool = True
-    ) -> ParameterDistribution:
-        return ParameterDistribution(low=low, high=high, relative=relative, each=each)
+    def within(deviation: float, *, each: bool = True) -> ParameterDistribution:
+        return ParameterDistribution(low=-deviation, high=deviation, each=each)
+
+    def between(low: float, high: float, *, each: bool = True) -> ParameterDistribution:
+        return ParameterDistribution(low=low, high=high, relative=False, each=each)
 
     stall = float(robot.stall_torque.min())
     parameters = {
-        "platform_mass": within(-0.03, 0.03),
-        "payload": within(-0.03, 0.03),
-        "motor_strength": within(-0.03, 0.03),
-        "motor_lag": within(1e-3, 2e-3, relative=False, each=False),
-        "coulomb_friction": within(0.005 * stall, 0.015 * stall, relative=False),
-        "pulley_inertia": within(-0.1, 0.1),
-        "base_anchors": within(-1.5e-3, 1.5e-3, relative=False),
+        "platform_mass": within(0.03),
+        "payload": within(0.03),
+        "motor_strength": within(0.03),
+        "motor_lag": between(1e-3, 2e-3, each=False),
+        "coulomb_friction": between(0.005 * stall, 0.015 * stall),
+        "pulley_inertia": within(0.1),
+        "base_anchors": between(-1.5e-3, 1.5e-3),
     }
-    viscous = within(0.0, 1.3e-3, relative=False)
+    viscous = between(0.0, 1.3e-3)
     if robot.jointed:
-        spring = within(-0.05, 0.05)  # with 10 % it would dominate: FlexPlanar laws fail unloaded
-        parameters |= {
-            "motor_damping": viscous,
-            "motor_inertia": within(-0.1, 0.1),
-            "stiffness": spring,
-        }
+        parameters["motor_damping"] = viscous
+        parameters["motor_inertia"] = within(0.1)
+        # With 10 % the springs would dominate: laws of FlexPlanar fail unloaded.
+        parameters["stiffness"] = within(0.05)
     else:
         parameters["damping"] = viscous
     if robot.elastic:
-        parameters["axial_stiffness"] = within(-0.3, 0.3, each=False)
+        parameters["axial_stiffness"] = within(0.3, each=False)
     if not robot.point_mass:
-        parameters["platform_inertia"] = within(-0.1, 0.1, each=False)
-        parameters["platform_anchors"] = within(-0.5e-3, 0.5e-3, relative=False)
+        parameters["platform_inertia"] = within(0.1, each=False)
+        parameters["platform_anchors"] = between(-0.5e-3, 0.5e-3)
     return Uncertainty(
         parameters=parameters,
         wrench=ExternalWrench(force_std=0.5, moment_std=0.05, correlation_time=0.1),
-        sensors=SensorNoise(
-            position=1e-4,
-            rotation=2e-4,
-            velocity=2e-3,
-            rotation_rate=4e-3,
-            motor_angle=2e-4,
-            motor_speed=1e-2,
-        ),
+        sensors=dataclasses.replace(_NOISE, motor_angle=2e-4),
         sensor_bias=SensorNoise(position=1.5e-4, rotation=3.5e-4),
         delay=(0, 1),
     )
 
 
 def _sensors(robot: Robot) -> Uncertainty:
-    noise = SensorNoise(
-        position=1e-4,
-        rotation=2e-4,
-        velocity=2e-3,
-        rotation_rate=4e-3,
-        motor_angle=1e-3,
-        motor_speed=1e-2,
-    )
-    return Uncertainty(sensors=noise)
+    return Uncertainty(sensors=dataclasses.replace(_NOISE, motor_angle=1e-3))
 
 
 UNCERTAINTIES = {
@@ -661,25 +628,23 @@ def find_uncertainty(
     """
     if uncertainty is None:
         return Uncertainty()
-    result = _joined(uncertainty, robot) if isinstance(uncertainty, str) else uncertainty
-    result = record("uncertainty", Uncertainty, result)
-    result.check(robot)
-    return result
+    if isinstance(uncertainty, str):
+        uncertainty = _joined(uncertainty, robot)
+    uncertainty = record("uncertainty", Uncertainty, uncertainty)
+    uncertainty.check(robot)
+    return uncertainty
 
 
 def _joined(names: str, robot: Robot) -> Uncertainty:
+    """The uncertainty of names joined by ``+``, which must not define a field twice."""
     merged: dict[str, Any] = {}
     check_not_a_file("uncertainty", names, JSON_FORM)
     for name in names.split("+"):
-        one = UNCERTAINTIES[choice("uncertainty", name, UNCERTAINTIES, ", or join several by '+'")](
-            robot
-        )
-        given = {
-            item.name: getattr(one, item.name) for item in fields(one) if getattr(one, item.name)
-        }
-        if twice := set(given) & set(merged):
-            raise ValueError(
-                f"uncertainty {names!r} defines {sorted(twice)[0]} twice; leave one name out"
-            )
-        merged |= given
+        choice("uncertainty", name, UNCERTAINTIES, ", or join several by '+'")
+        for key, value in vars(UNCERTAINTIES[name](robot)).items():
+            if not value:
+                continue
+            if key in merged:
+                raise ValueError(f"uncertainty {names!r} defines {key} twice; leave one name out")
+            merged[key] = value
     return Uncertainty(**merged)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -56,8 +56,9 @@ def read_waypoints(path: Path, kinds: Sequence[str]) -> tuple[Array | None, Arra
         ) from error
     rows = {}
     for number, row in enumerate(csv.reader(lines), 1):
-        if any(cell.strip() for cell in row):
-            rows[number] = [cell.strip() for cell in row]
+        cells = [cell.strip() for cell in row]
+        if any(cells):
+            rows[number] = cells
     try:
         return _parsed(rows, kinds)
     except ValueError as error:
@@ -72,13 +73,12 @@ def _parsed(rows: dict[int, list[str]], kinds: Sequence[str]) -> tuple[Array | N
             f"it is empty. Its first line must be {valid}, and each further line a waypoint"
         )
     header = rows.pop(min(rows))
-    symbols = _chosen_kind(header, kinds, valid)
+    symbols = _matching_kind(header, kinds, valid)
     if len(rows) < 2:
         raise ValueError("it needs at least two waypoints")
     table = np.array([_numbers(number, row, header) for number, row in rows.items()])
-    names = [_LETTERS.get(name, name) for name in symbols]
-    columns = {_LETTERS.get(name, name): table[:, index] for index, name in enumerate(header)}
-    poses = np.stack([columns[name] for name in names], axis=1)
+    columns = dict(zip(_letters(header), table.T, strict=True))
+    poses = np.stack([columns[name] for name in _letters(symbols)], axis=1)
     lengths = [index for index, name in enumerate(symbols) if name in "xyz"]
     largest = np.max(np.abs(poses[:, lengths]))
     if largest > LONGEST_LENGTH:
@@ -98,15 +98,20 @@ def _parsed(rows: dict[int, list[str]], kinds: Sequence[str]) -> tuple[Array | N
 
 def _header_text(symbols: str) -> str:
     """The header of a file in letters, such as ``t,x,y,phi``."""
-    return ",".join([_TIME, *(_LETTERS.get(name, name) for name in symbols)])
+    return ",".join([_TIME, *_letters(symbols)])
 
 
-def _chosen_kind(header: list[str], kinds: Sequence[str], valid: str) -> str:
+def _letters(names: Iterable[str]) -> list[str]:
+    """Names of columns in letters."""
+    return [_LETTERS.get(name, name) for name in names]
+
+
+def _matching_kind(header: list[str], kinds: Sequence[str], valid: str) -> str:
     """The symbols of the coordinates whose columns the header names."""
-    given = [_LETTERS.get(name, name) for name in header]
+    columns = sorted(_letters(header))
     for symbols in kinds:
-        required = [_LETTERS.get(name, name) for name in symbols]
-        if sorted(given) in (sorted(required), sorted([_TIME, *required])):
+        required = _letters(symbols)
+        if columns in (sorted(required), sorted([_TIME, *required])):
             return symbols
     if any(";" in name for name in header):
         raise ValueError(

@@ -42,7 +42,7 @@ class Setting:
     """Environment id."""
     trajectory: Mapping[str, Any]
     """Reference motion, ``{"name": …}`` and its fields; see
-    :func:`~cablebot_gym.trajectories.find_trajectory`."""
+    :func:`~cablebot_gym.trajectories.names.find_trajectory`."""
     error_bounds: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_ERROR_BOUNDS))
     """Error bounds: ``position`` [m] and ``rotation`` [rad]."""
     control_frequency: float = 500.0
@@ -50,7 +50,8 @@ class Setting:
     robot_name: str | None = None
     """Name of the robot; None for that of the environment id."""
     robot_changes: Mapping[str, Any] = field(default_factory=dict)
-    """Changed values of the robot, nested as in :meth:`~cablebot_gym.robots.Robot.to_dict`, such as
+    """Changed values of the robot, nested as in
+    :meth:`~cablebot_gym.robots.record.Robot.to_dict`, such as
     ``{"transmission": {"stiffness": 10.0}}``."""
 
     @property

@@ -215,7 +215,8 @@ def check_motion(
     Args:
         robot: the robot.
         payload: payload [kg]; None for the least one of the robot's payload range, else 0.
-        trajectory: motion, as for :func:`~cablebot_gym.trajectories.find_trajectory`; None for the
+        trajectory: motion, as for
+            :func:`~cablebot_gym.trajectories.names.find_trajectory`; None for the
             robot's default.
 
     Raises:

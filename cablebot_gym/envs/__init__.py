@@ -106,7 +106,7 @@ def fitting_env_id(robot: Any) -> str:
 def check_robot(env_id: str, robot: Any) -> None:
     """Checks that an environment id exists and that a robot is of the kind of the id.
 
-    Kinds are those of :attr:`~cablebot_gym.robots.Robot.kind`, rigid or flexible.
+    Kinds are those of :attr:`~cablebot_gym.robots.record.Robot.kind`, rigid or flexible.
 
     Raises:
         ValueError: if the id is unknown or the robot does not fit. The message lists the valid ids,

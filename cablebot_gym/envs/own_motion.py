@@ -27,7 +27,7 @@ _SAMPLES = 101
 
 def own_motion(robot: Robot) -> dict[str, Any]:
     """Data of the default motion of a robot that has none, for
-    :func:`~cablebot_gym.trajectories.find_trajectory`.
+    :func:`~cablebot_gym.trajectories.names.find_trajectory`.
 
     It is the widest lemniscate of :data:`FRACTIONS` on which the motors hold half of the payload
     that they hold at the home pose, in the shortest of :data:`DURATIONS` in which they move half of

@@ -115,7 +115,7 @@ def default_payload_max(robot: Robot, trajectory: Trajectory, error_bounds: Erro
     """Default end of the scan of a robot [kg]: the end of its payload range, or slightly more than
     its motors hold.
 
-    For the paper's robots it is :data:`~cablebot_gym.robots.PAPER_PAYLOAD_MAX`.
+    For the paper's robots it is :data:`~cablebot_gym.robots.paper.PAPER_PAYLOAD_MAX`.
     """
     if robot.defaults.payload_range is not None:
         return robot.defaults.payload_range[1]

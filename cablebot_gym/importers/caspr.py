@@ -9,9 +9,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from cablebot_gym.importers.source import FRAME, Source, read_xml
+from cablebot_gym.importers.source import FRAME, Source, child_of, read_xml
 from cablebot_gym.kinematics import Array, rotation_matrix
-from cablebot_gym.robots import Plane
 from cablebot_gym.utils.checks import choice
 
 ROOTS = ("bodies_system", "cables")
@@ -48,6 +47,11 @@ class _Joint:
         return matrix
 
     @property
+    def turns(self) -> bool:
+        """Whether the body turns."""
+        return self.spatial or self.turn is not None
+
+    @property
     def vertical(self) -> bool:
         """Whether gravity acts in the plane of the joint."""
         return len(self.axes) == 2 and self.axes[-1] == 2
@@ -74,13 +78,13 @@ def read(path: Path, cable_set: str | None) -> Source:
         ValueError: if a file is missing, or the robot has several bodies, another joint or cables
             over several points.
     """
-    bodies, cables = (read_xml(file) for file in _both(path))
+    bodies, cables = map(read_xml, _files(path))
     links = list(bodies.iter("link_rigid"))
     if len(links) != 1:
         raise ValueError(
             f"it has {len(links)} bodies. Only robots with one rigid body are imported"
         )
-    element = _child(links[0], "joint")
+    element = child_of(links[0], "joint")
     joint = JOINTS.get(element.get("type", ""))
     if joint is None:
         raise ValueError(
@@ -88,42 +92,28 @@ def read(path: Path, cable_set: str | None) -> Source:
         )
     name = path.stem.rpartition("_")[0]
     source = _body(name, links[0], element, joint)
-    chosen = _cable_set(cables, cable_set)
-    _add_cables(
-        source,
-        chosen,
-        joint,
-        f"CASPR, {name}_cables.xml, set {chosen.get('id')}",
-        _center(links[0]),
-    )
+    cables = _cable_set(cables, cable_set)
+    label = f"CASPR, {name}_cables.xml, set {cables.get('id')}"
+    _add_cables(source, cables, joint, label, _center(links[0]))
     source.notes.append(
         "q_min and q_max are not read: without `workspace`, it is the box of the base anchors"
     )
     return source
 
 
-def _both(path: Path) -> tuple[Path, Path]:
+def _files(path: Path) -> tuple[Path, Path]:
     """The files of the bodies and of the cables."""
-    name, _, part = path.stem.rpartition("_")
-    if part not in ("bodies", "cables"):
+    name, _, content = path.stem.rpartition("_")
+    if content not in ("bodies", "cables"):
         raise ValueError(
             "its name must end in _bodies.xml or _cables.xml, with the other file beside it"
         )
-    files = (
-        path.with_name(f"{name}_bodies{path.suffix}"),
-        path.with_name(f"{name}_cables{path.suffix}"),
-    )
-    for file in files:
+    bodies = path.with_name(f"{name}_bodies{path.suffix}")
+    cables = path.with_name(f"{name}_cables{path.suffix}")
+    for file in (bodies, cables):
         if not file.is_file():
             raise ValueError(f"{file.name} is missing beside it")
-    return files
-
-
-def _child(element: Element, tag: str) -> Element:
-    child = element.find(tag)
-    if child is None:
-        raise ValueError(f"<{element.tag}> has no <{tag}>")
-    return child
+    return bodies, cables
 
 
 def _numbers(text: str | None, count: int, what: str) -> Array:
@@ -133,78 +123,77 @@ def _numbers(text: str | None, count: int, what: str) -> Array:
     except ValueError:
         values = []
     if len(values) != count or not all(map(math.isfinite, values)):
-        raise ValueError(
-            f"{what} must be {count} finite number{'s' if count > 1 else ''}, not {text!r}"
-        )
+        form = "1 finite number" if count == 1 else f"{count} finite numbers"
+        raise ValueError(f"{what} must be {form}, not {text!r}")
     return np.array(values)
 
 
 def _value(element: Element, tag: str) -> float:
-    return float(_numbers(_child(element, tag).text, 1, f"<{tag}>")[0])
+    return float(_numbers(child_of(element, tag).text, 1, f"<{tag}>")[0])
 
 
 def _vector(element: Element, tag: str) -> Array:
-    return _numbers(_child(element, tag).text, 3, f"<{tag}>")
+    return _numbers(child_of(element, tag).text, 3, f"<{tag}>")
 
 
 def _center(link: Element) -> Array:
     """Centre of mass from the joint in the source's frame [m]."""
-    return _vector(_child(link, "physical"), "com_location")
+    return _vector(child_of(link, "physical"), "com_location")
 
 
-def _body(name: str, link: Element, joint: Element, kind: _Joint) -> Source:
+def _body(name: str, link: Element, element: Element, joint: _Joint) -> Source:
     """The body of a robot without its cables."""
-    physical = _child(link, "physical")
+    physical = child_of(link, "physical")
     label = f"CASPR, {name}_bodies.xml"
-    frame = kind.frame
-    turns = kind.spatial or kind.turn is not None
-    given = _numbers(joint.get("q_initial"), 6 if kind.spatial else len(frame) + turns, "q_initial")
-    offset = (
-        _vector(_child(link, "parent"), "location")
-        if link.find("parent") is not None
-        else np.zeros(3)
-    )
-    home = np.concatenate(
-        [_signs(frame) * given[: len(frame)] + frame @ offset, given[len(frame) :]]
-    )
-    if kind.spatial:
-        home[3:] = _euler_angles(frame @ _rotation_of_source(given[3:]) @ frame.T)
-    elif kind.turn is not None:
-        home[2] *= kind.turn
-    plane: Plane = "vertical" if kind.vertical else "horizontal"
+    no_cables = np.empty((0, len(joint.axes)))
     source = Source(
         name=name,
-        base=np.empty((0, len(frame))),
-        platform=np.empty((0, len(frame))) if turns else None,
+        base=no_cables,
+        platform=no_cables,
         mass=_value(physical, "mass"),
-        home=home,
-        plane=plane,
+        home=_home(link, element, joint),
+        plane="vertical" if joint.vertical else "horizontal",
         sources={"mass": label, "home_pose": f"{label}: q_initial"},
     )
-    if turns:
-        center, tensor = _center(link), _inertia(physical)
-        source.center_of_mass, source.sources["center_of_mass"] = frame @ center, label
-        source.inertia = (
-            frame @ tensor @ frame.T
-            if kind.spatial
-            else tensor[kind.moment, kind.moment].reshape(1)
-        )
-        source.sources["inertia"] = (
-            f"{label}; the entries are those of the tensor, as CASPR uses them"
-        )
-        if kind.spatial and not np.any(source.inertia - np.diag(np.diag(source.inertia))):
-            source.inertia = np.diag(source.inertia)
+    if not joint.turns:
+        source.platform = None
+        return source
+    frame = joint.frame
+    tensor = _inertia(physical)
+    source.center_of_mass = frame @ _center(link)
+    source.sources["center_of_mass"] = label
+    source.inertia = tensor[joint.moment, joint.moment].reshape(1)
+    if joint.spatial:
+        source.inertia = frame @ tensor @ frame.T
+        diagonal = np.diag(source.inertia)
+        if not np.any(source.inertia - np.diag(diagonal)):
+            source.inertia = diagonal
+    source.sources["inertia"] = f"{label}; the entries are those of the tensor, as CASPR uses them"
     return source
 
 
-def _signs(frame: Array) -> Array:
-    """Signs of the coordinates of the position."""
-    return np.asarray(frame.sum(axis=1))
+def _home(link: Element, element: Element, joint: _Joint) -> Array:
+    """Home pose from the initial coordinates of the joint and its offset."""
+    frame = joint.frame
+    axes = len(frame)
+    angles = 3 if joint.spatial else int(joint.turns)
+    pose = _numbers(element.get("q_initial"), axes + angles, "q_initial")
+    signs = frame.sum(axis=1)  # each row of the frame has one entry, ± 1
+    offset = np.zeros(3)
+    parent = link.find("parent")
+    if parent is not None:
+        offset = _vector(parent, "location")
+    rotation = pose[axes:]
+    if joint.spatial:
+        rotation = _euler_angles(frame @ _rotation_of_source(rotation) @ frame.T)
+    elif joint.turn is not None:
+        rotation = joint.turn * rotation
+    return np.concatenate([signs * pose[:axes] + frame @ offset, rotation])
 
 
 def _inertia(physical: Element) -> Array:
     """Inertia tensor about the centre of mass, along the source's axes [kg·m²]."""
-    element = _child(physical, "inertia")
+    element = child_of(physical, "inertia")
     xx, yy, zz, xy, xz, yz = (
         _value(element, name) for name in ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
     )
@@ -236,29 +225,29 @@ def _cable_set(cables: Element, name: str | None) -> Element:
     sets = {element.get("id", ""): element for element in cables.iter("cable_set")}
     if not sets:
         raise ValueError("it has no cable set")
-    default = cables.get("default_cable_set", "")
-    if name is None and default not in sets:
-        default = next(iter(sets))
-    return sets[choice("cable set", default if name is None else name, sets)]
+    if name is None:
+        name = cables.get("default_cable_set", "")
+        if name not in sets:
+            name = next(iter(sets))
+    return sets[choice("cable set", name, sets)]
 
 
 def _add_cables(source: Source, cables: Element, joint: _Joint, label: str, center: Array) -> None:
     """Anchors and tensions of the cables of a set."""
     frame = joint.frame
+    across = [axis for axis in range(3) if axis not in joint.axes]
     bases, anchors, radii, forces = [], [], [], []
     for index, cable in enumerate(cables, 1):
         name = cable.get("name") or f"cable {index}"
         if "passive" in cable.tag:
             raise ValueError(f"{name!r} is a passive spring. Only cables with a motor are imported")
         base, anchor, radius = _ends(cable, name, center)
-        if np.any(
-            np.abs(base - anchor)[[axis for axis in range(3) if axis not in joint.axes]] > 1e-9
-        ):
+        if np.any(np.abs(base - anchor)[across] > 1e-9):
             raise ValueError(f"{name!r} leaves the plane in which the body moves")
         bases.append(frame @ base)
         anchors.append(frame @ anchor)
         radii.append(radius)
-        properties = _child(cable, "properties")
+        properties = child_of(cable, "properties")
         forces.append([_value(properties, "force_min"), _value(properties, "force_max")])
         if cable.tag != "cable_ideal" and not any("springs" in note for note in source.notes):
             source.notes.append(
@@ -266,26 +255,25 @@ def _add_cables(source: Source, cables: Element, joint: _Joint, label: str, cent
             )
     if not forces:
         raise ValueError(f"cable set {cables.get('id')!r} has no cables")
-    change = (
-        f"; {FRAME}"
-        if joint.axes == (0, 1, 2)
-        else "; the second axis points down" * joint.vertical
-    )
-    least, largest = np.array(forces).T
-    if source.platform is None:  # a body that does not turn: the anchors shift the base
-        source.base = np.array(bases) - np.array(anchors)
-    else:
-        source.base = np.array(bases)
+    anchor_label = label
+    if joint.axes == (0, 1, 2):
+        anchor_label += f"; {FRAME}"
+    elif joint.vertical:
+        anchor_label += "; the second axis points down"
+    source.base = np.array(bases)
+    source.sources["base_anchors"] = anchor_label
+    if joint.turns:
         source.platform = np.array(anchors)
-        source.sources["platform_anchors"] = label + change
-    source.sources["base_anchors"] = label + change
+        source.sources["platform_anchors"] = anchor_label
+    else:  # the anchors of a body that does not turn shift the base
+        source.base -= np.array(anchors)
     if any(radii):
-        source.swivel_radius, source.sources["swivel_radius"] = tuple(radii), label
+        source.swivel_radius = tuple(radii)
+        source.sources["swivel_radius"] = label
+    least, largest = np.array(forces).T
     if least.max() > SMALLEST_FORCE:
-        source.least_tension, source.sources["minimum_tension"] = (
-            float(least.max()),
-            f"{label}: force_min",
-        )
+        source.least_tension = float(least.max())
+        source.sources["minimum_tension"] = f"{label}: force_min"
     source.largest_tensions = largest
     source.sources["motors.stall_torque"] = (
         f"assumed: the torque of force_max at the assumed drum ({label})"
@@ -297,7 +285,7 @@ def _ends(cable: Element, name: str, center: Array) -> tuple[Array, Array, float
     [m]."""
     points: dict[int, Array] = {}
     radius = 0.0
-    attachments = list(_child(cable, "attachments"))
+    attachments = list(child_of(cable, "attachments"))
     for attachment in attachments:
         if attachment.tag == "base_rotating_pulley":
             entry = _vector(attachment, "cable_entry_vector")
@@ -305,10 +293,8 @@ def _ends(cable: Element, name: str, center: Array) -> tuple[Array, Array, float
                 raise ValueError(
                     f"{name!r} does not reach its pulley from below: choose another --cable-set"
                 )
-            points[0], radius = (
-                _vector(attachment, "fixed_location"),
-                _value(attachment, "pulley_radius"),
-            )
+            points[0] = _vector(attachment, "fixed_location")
+            radius = _value(attachment, "pulley_radius")
         elif attachment.tag == "attachment":
             points[int(_value(attachment, "link"))] = _vector(attachment, "location")
         else:
@@ -317,5 +303,7 @@ def _ends(cable: Element, name: str, center: Array) -> tuple[Array, Array, float
             )
     if len(attachments) != 2 or sorted(points) != [0, 1]:
         raise ValueError(f"{name!r} does not run from the base straight to the body")
-    anchor = points[1] + center if cable.get("attachment_reference") == "com" else points[1]
+    anchor = points[1]
+    if cable.get("attachment_reference") == "com":
+        anchor = anchor + center
     return points[0], anchor, radius

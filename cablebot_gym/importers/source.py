@@ -1,5 +1,5 @@
-"""What a file of another program says about a robot, and the robot that follows with assumptions
-for the rest."""
+"""Values of a robot in a file of another program, and the robot that they give with assumptions for
+missing values."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Source:
     sources: dict[str, str] = field(default_factory=dict)
     """Source of each value that the file has, by the field of the robot."""
     notes: list[str] = field(default_factory=list)
-    """What else the file has, and why it is left out."""
+    """Further content of the file, with the reason why it is left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,26 +85,19 @@ class ImportedRobot:
     """The robot. Its ``sources`` say where each value comes from; those of assumed values start
     with ``assumed``."""
     notes: tuple[str, ...]
-    """What else the file has, and why it is left out."""
+    """Further content of the file, with the reason why it is left out."""
 
     def to_toml(self) -> str:
-        """The robot as a TOML file for :func:`~cablebot_gym.robots.load_robot`."""
+        """The robot as a TOML file for :func:`~cablebot_gym.robots.names.load_robot`."""
         data = self.robot.to_dict()
-        parts = {name: data.pop(name) for name in ("motors", "transmission")}
+        motors, transmission = data.pop("motors"), data.pop("transmission")
         lines = ["# SI units and radians; z points down. Check it with `cablebot robot check`."]
-        lines += list(
-            _toml_lines({name: value for name, value in data.items() if value not in (None, ())})
-        )
-        for name, part in parts.items():
-            lines += ["", f"[{name}]"]
-            lines += list(
-                _toml_lines({key: value for key, value in part.items() if value not in (None, 0.0)})
-            )
+        lines += _toml_lines(data, unused=(None, ()))
+        lines += ["", "[motors]", *_toml_lines(motors, unused=(None, 0.0))]
+        lines += ["", "[transmission]", *_toml_lines(transmission, unused=(None, 0.0))]
         lines += ["", "[sources]"]
-        lines += [
-            f"{json.dumps(name)} = {json.dumps(text, ensure_ascii=False)}"
-            for name, text in self.sources.items()
-        ]
+        for name, text in self.sources.items():
+            lines.append(f"{json.dumps(name)} = {_toml_value(text)}")
         return "\n".join(lines) + "\n"
 
     @property
@@ -113,8 +106,11 @@ class ImportedRobot:
         return self.robot.sources
 
 
-def _toml_lines(values: Mapping[str, Any]) -> Iterator[str]:
+def _toml_lines(values: Mapping[str, Any], unused: tuple[Any, ...]) -> Iterator[str]:
+    """Lines of the values, except for those that have no effect."""
     for name, value in values.items():
+        if value in unused:
+            continue
         if isinstance(value, tuple) and isinstance(value[0], tuple):
             rows = "".join(f"  {_toml_value(row)},\n" for row in value)
             yield f"{name} = [\n{rows}]"
@@ -147,6 +143,18 @@ def read_xml(path: Path) -> ElementTree.Element:
         return ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise ValueError(f"it is not valid XML: {error}") from error
+
+
+def child_of(element: ElementTree.Element, tag: str) -> ElementTree.Element:
+    """The first child with a tag.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    child = element.find(tag)
+    if child is None:
+        raise ValueError(f"<{element.tag}> has no <{tag}>")
+    return child
 
 
 def completed(source: Source) -> ImportedRobot:
@@ -191,10 +199,9 @@ def completed(source: Source) -> ImportedRobot:
         )
     sources["transmission.damping"] = "assumed: no friction"
     torques = tuple(_rounded(tensions * radius))
-    fields["motors"] = Motors(
-        stall_torque=torques[0] if len(set(torques)) == 1 else torques,
-        free_speed=_rounded(speed / radius),
-    )
+    if len(set(torques)) == 1:
+        torques = torques[0]
+    fields["motors"] = Motors(stall_torque=torques, free_speed=_rounded(speed / radius))
     fields["transmission"] = Transmission(pulley_radius=radius, pulley_inertia=_rounded(inertia))
     notes = list(source.notes)
     robot = _at_home(source, fields, sources, notes)

@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from cablebot_gym.importers.source import FRAME, Source
+from cablebot_gym.importers.source import FRAME, Source, child_of
 from cablebot_gym.kinematics import Array
 
 ROOT = "models"
@@ -27,6 +27,8 @@ DEFAULTS = {
 DEFAULT_CENTER = (0.0, 1.0, 0.2)
 """Centre of gravity that WireX writes if it knows none [m], which is beside most platforms."""
 
+_MOMENTS = ("Ixx", "Iyy", "Izz")
+
 _UP_TO_DOWN = np.array([1.0, -1.0, -1.0])
 
 
@@ -39,29 +41,31 @@ def read(root: Element, path: Path, cable_set: str | None) -> Source:
     """
     if cable_set is not None:
         raise ValueError("a .wcrfx file has no cable sets: remove --cable-set")
-    robot = _child(root, "robot")
+    robot = child_of(root, "robot")
     pattern = robot.get("motionpattern", "")
     if pattern not in ("3R3T", "3T"):
         raise ValueError(f"its motion pattern is {pattern!r}. Only 3R3T and 3T are imported")
-    chains = list(_child(robot, "geometry").iter("chain"))
-    base = np.array([_vector(_child(chain, "base")) for chain in chains]).reshape(-1, 3)
-    platform = np.array([_vector(_child(chain, "platform")) for chain in chains]).reshape(-1, 3)
-    body = _child(robot, "platform")
+    chains = list(child_of(robot, "geometry").iter("chain"))
+    base = _anchors(chains, "base")
+    platform = _anchors(chains, "platform")
+    body = child_of(robot, "platform")
     label = f"WireX, {path.name}"
-    turns = pattern == "3R3T"
     source = Source(
         name=path.stem,
-        base=base if turns else base - platform,
-        platform=platform if turns else None,
+        base=base,
+        platform=platform,
         mass=_number(body, "mass"),
         sources={"base_anchors": f"{label}; {FRAME}", "mass": label + _doubt(body, "mass")},
     )
-    if turns:
+    if pattern == "3R3T":
         source.sources["platform_anchors"] = f"{label}; {FRAME}"
-        _add_inertia(source, body, label)
-    radii = sorted({_number(_child(chain, "base"), "radius", 0.0) for chain in chains})
+        _add_inertia(source, body, label, platform)
+    else:  # the anchors of a body that does not turn shift the base
+        source.base = base - platform
+        source.platform = None
+    radii = {_number(child_of(chain, "base"), "radius", 0.0) for chain in chains}
     if any(radii):
-        text = ", ".join(f"{radius:g} m" for radius in radii)
+        text = ", ".join(f"{radius:g} m" for radius in sorted(radii))
         source.notes.append(
             f"swivel pulleys of {text} are left out, as WireX does by default: see swivel_radius"
         )
@@ -70,15 +74,15 @@ def read(root: Element, path: Path, cable_set: str | None) -> Source:
     return source
 
 
-def _child(element: Element, tag: str) -> Element:
-    child = element.find(tag)
-    if child is None:
-        raise ValueError(f"<{element.tag}> has no <{tag}>")
-    return child
+def _anchors(chains: list[Element], tag: str) -> Array:
+    """Ends of the cables at base or platform, shape (m, 3)."""
+    return np.array([_vector(child_of(chain, tag)) for chain in chains]).reshape(-1, 3)
 
 
 def _number(element: Element, name: str, default: float | None = None) -> float:
-    text = element.get(name, "" if default is None else str(default))
+    if default is not None and name not in element.attrib:
+        return default
+    text = element.get(name, "")
     try:
         value = float(text)
     except ValueError:
@@ -95,38 +99,33 @@ def _vector(element: Element) -> Array:
 
 def _doubt(element: Element, name: str) -> str:
     """Remark for a value that many files share."""
-    return (
-        "; WireX's default, probably not measured"
-        if _number(element, name) == DEFAULTS[name]
-        else ""
-    )
+    if _number(element, name) == DEFAULTS[name]:
+        return "; WireX's default, probably not measured"
+    return ""
 
 
-def _add_inertia(source: Source, body: Element, label: str) -> None:
+def _add_inertia(source: Source, body: Element, label: str, anchors: Array) -> None:
     """Centre of mass and inertia; assumed where the file has what WireX writes for every robot."""
-    center = body.find("centerofgravity")
-    point = None if center is None else _vector(center)
-    if point is None or np.allclose(point, _UP_TO_DOWN * DEFAULT_CENTER):
-        source.sources["center_of_mass"] = (
-            "assumed: the origin of the platform frame; the file has WireX's default"
-        )
-    else:
-        source.center_of_mass, source.sources["center_of_mass"] = point, f"{label}; {FRAME}"
+    source.sources["center_of_mass"] = (
+        "assumed: the origin of the platform frame; the file has WireX's default"
+    )
+    element = body.find("centerofgravity")
+    if element is not None:
+        center = _vector(element)
+        if not np.allclose(center, _UP_TO_DOWN * DEFAULT_CENTER):
+            source.center_of_mass = center
+            source.sources["center_of_mass"] = f"{label}; {FRAME}"
     tensor = body.find("inertiatensor")
-    moments = [] if tensor is None else [tensor.get(name) for name in ("Ixx", "Iyy", "Izz")]
-    if tensor is not None and all(moments):
-        source.inertia = np.diag([_number(tensor, name) for name in ("Ixx", "Iyy", "Izz")])
+    if tensor is not None and all(tensor.get(name) for name in _MOMENTS):
+        source.inertia = np.diag([_number(tensor, name) for name in _MOMENTS])
         for index, name in ((0, 1), "Ixy"), ((0, 2), "Ixz"), ((1, 2), "Iyz"):
             sign = _UP_TO_DOWN[index[0]] * _UP_TO_DOWN[index[1]]
             source.inertia[index] = source.inertia[index[::-1]] = sign * _number(tensor, name, 0.0)
         source.sources["inertia"] = f"{label}; {FRAME}"
         return
-    anchors = source.platform
-    assert anchors is not None
     sides = np.maximum(np.ptp(anchors, axis=0), np.ptp(anchors) / 10) ** 2
-    source.inertia = np.diag(
-        [float(f"{source.mass * (sides.sum() - side) / 12:.4g}") for side in sides]
-    )
+    moments = source.mass * (sides.sum() - sides) / 12
+    source.inertia = np.diag([float(f"{moment:.4g}") for moment in moments])
     source.sources["inertia"] = (
         "assumed: a homogeneous box around the platform anchors; the file has only Ixx"
     )

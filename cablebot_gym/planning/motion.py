@@ -51,7 +51,7 @@ class Margins:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedMotion:
     """A planned motion as a spline. It implements
-    :class:`~cablebot_gym.trajectories.Trajectory`."""
+    :class:`~cablebot_gym.trajectories.base.Trajectory`."""
 
     name: str
     """Name of the reference motion."""

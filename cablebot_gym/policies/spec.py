@@ -250,7 +250,7 @@ def load(
 
 
 def as_robot(robot: Robot | str) -> Robot:
-    """The robot of an environment id; otherwise as :func:`~cablebot_gym.robots.find_robot`.
+    """The robot of an environment id; otherwise as :func:`~cablebot_gym.robots.names.find_robot`.
 
     Raises:
         ValueError: if the name is unknown.

@@ -105,21 +105,20 @@ def numbers(
             wrong.
     """
     try:
-        given = np.array(value)
+        array = np.array(value)
     except ValueError:  # rows of different lengths
-        given = np.array(None)
-    if given.dtype.kind not in "iuf":
+        array = np.array(None)
+    if array.dtype.kind not in "iuf":
         raise ValueError(f"{name} must be {form or 'numbers'}, not {value!r}")
-    if shapes and given.shape not in shapes:
+    if shapes and array.shape not in shapes:
         valid = form or "an array of shape " + " or ".join(map(str, shapes))
-        raise ValueError(f"{name} must be {valid}, not an array of shape {given.shape}")
-    inside = (
-        np.isfinite(given) & (above < given) & (given < below) & (least <= given) & (given <= most)
-    )
-    if not inside.all():
+        raise ValueError(f"{name} must be {valid}, not an array of shape {array.shape}")
+    above_low = (above < array) & (least <= array)
+    below_high = (array < below) & (array <= most)
+    if not np.all(np.isfinite(array) & above_low & below_high):
         bounds = _bounds_text(above, least, below, most, unit)
         raise ValueError(f"{name} must be finite{bounds and ' and'}{bounds}, not {value!r}")
-    return given.astype(np.float64)
+    return array.astype(np.float64)
 
 
 def all_finite(name: str, values: Any) -> None:
@@ -171,14 +170,12 @@ def record(name: str, kind: type[_T], value: Any) -> _T:
     if isinstance(value, kind):
         return value
     known = dataclasses.fields(kind)  # type: ignore[arg-type]  # mypy has no type for the classes of dataclasses
-    given = mapping(name, value, [field.name for field in known])
+    values = mapping(name, value, [field.name for field in known])
     for field in known:
-        if (
-            field.default is field.default_factory is dataclasses.MISSING
-            and field.name not in given
-        ):
+        is_required = field.default is field.default_factory is dataclasses.MISSING
+        if is_required and field.name not in values:
             raise ValueError(f"{name} needs the key {field.name!r}")
-    return kind(**given)
+    return kind(**values)
 
 
 def choice(kind: str, value: Any, valid: Iterable[str], otherwise: str = "") -> str:
@@ -234,16 +231,22 @@ def unexpected_keyword_error(name: str, names: Iterable[str]) -> UnexpectedKeywo
 
 def _choices_text(name: object, names: Iterable[str], otherwise: str) -> str:
     known = {valid.lower(): valid for valid in names}
-    close = get_close_matches(str(name).strip().lower(), known, 1)
-    suggestion = f"; did you mean {known[close[0]]!r}?" if close else ""
-    return f"choose one of {', '.join(known.values())}{otherwise}{suggestion}"
+    text = f"choose one of {', '.join(known.values())}{otherwise}"
+    for close in get_close_matches(str(name).strip().lower(), known, 1):
+        text += f"; did you mean {known[close]!r}?"
+    return text
 
 
 def _bounds_text(above: float, least: float, below: float, most: float, unit: str) -> str:
-    unit = f" {unit}" if unit else ""
-    low = (
-        f"greater than {above:g}" if above > -INF else f"at least {least:g}" if least > -INF else ""
-    )
-    high = f"less than {below:g}" if below < INF else f"at most {most:g}" if most < INF else ""
-    text = " and ".join(part for part in (low, high) if part)
-    return f" {text}{unit}" if text else ""
+    bounds = []
+    if above > -INF:
+        bounds.append(f"greater than {above:g}")
+    elif least > -INF:
+        bounds.append(f"at least {least:g}")
+    if below < INF:
+        bounds.append(f"less than {below:g}")
+    elif most < INF:
+        bounds.append(f"at most {most:g}")
+    if not bounds:
+        return ""
+    return f" {' and '.join(bounds)} {unit}".rstrip()

@@ -42,22 +42,21 @@ def file_digest(*modules: str, data: tuple[Path, ...] = ()) -> str:
     digest = hashlib.sha256()
     for name, path in sorted(source_files(*modules).items()):
         digest.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
-    for content in sorted(
-        f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n" for path in data
-    ):
-        digest.update(content.encode())
+    contents = [f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n" for path in data]
+    digest.update("".join(sorted(contents)).encode())
     return digest.hexdigest()
 
 
 def source_files(*modules: str) -> dict[str, Path]:
     """Files by name of the modules, of their imports from their own packages and from
     ``cablebot_gym``."""
-    packages = frozenset({"cablebot_gym", *(name.partition(".")[0] for name in modules)})
-    folders = frozenset(
-        path.parent
-        for name in modules
-        if (path := module_file(name)) is not None and "." not in name
-    )
+    packages = {"cablebot_gym"}
+    folders = set()
+    for name in modules:
+        packages.add(name.partition(".")[0])
+        path = module_file(name)
+        if path is not None and "." not in name:
+            folders.add(path.parent)
     files: dict[str, Path] = {}
     pending = list(modules)
     while pending:
@@ -68,24 +67,28 @@ def source_files(*modules: str) -> dict[str, Path]:
         if name.partition(".")[0] not in packages and not _in_folders(name, folders):
             continue
         files[name] = path
-        parent = name.rpartition(".")[0]
-        pending += [*_parsed(path, name)[1], *([parent] if parent else [])]
+        pending += _parsed(path, name)[1]
+        # Importing a module runs the __init__ of its packages.
+        if "." in name:
+            pending.append(name.rpartition(".")[0])
     return files
 
 
-def _in_folders(module: str, folders: frozenset[Path]) -> bool:
+def _in_folders(module: str, folders: set[Path]) -> bool:
     """Whether a module or its top-level package is in one of these folders."""
     path = module_file(module.partition(".")[0])
     if path is None:
         return False
-    folder = path.parent.parent if path.name == "__init__.py" else path.parent
+    folder = path.parent
+    if path.name == "__init__.py":
+        folder = folder.parent
     return folder in folders and folder.name not in ("site-packages", "dist-packages")
 
 
 @cache
 def module_file(module: str) -> Path | None:
     """Source file of a module, found without importing it; None if it has no source."""
-    top, *rest = module.split(".")
+    top, *submodules = module.split(".")
     try:
         spec = importlib.util.find_spec(top)
     except (ImportError, ValueError):
@@ -93,11 +96,11 @@ def module_file(module: str) -> Path | None:
     if spec is None:
         return None
     if not spec.submodule_search_locations:
-        return (
-            Path(spec.origin) if not rest and spec.origin and spec.origin.endswith(".py") else None
-        )
+        if submodules or spec.origin is None or not spec.origin.endswith(".py"):
+            return None
+        return Path(spec.origin)
     for root in spec.submodule_search_locations:
-        stem = Path(root, *rest)
+        stem = Path(root, *submodules)
         for path in (stem / "__init__.py", stem.with_suffix(".py")):
             if path.is_file():
                 return path
@@ -109,17 +112,20 @@ def _parsed(path: Path, module: str) -> tuple[str, frozenset[str]]:
     """Syntax tree of a module without comments and docstrings, and the names of modules that it may
     import."""
     tree = ast.parse(path.read_bytes())
-    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    package = module.split(".")
+    if path.name != "__init__.py":
+        package = package[:-1]
     names: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            above = (
-                package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
-            )
-            base = ".".join([*above, *([node.module] if node.module else [])])
-            names |= {base, *(f"{base}.{alias.name}" for alias in node.names)}
+            base = node.module or ""
+            if node.level:
+                above = package[: len(package) - node.level + 1]
+                base = ".".join([*above, base]).rstrip(".")
+            names.add(base)
+            names |= {f"{base}.{alias.name}" for alias in node.names}
         elif (
             isinstance(node, ast.Constant)
             and isinstance(node.value, str)
@@ -134,8 +140,6 @@ class _DocstringRemover(ast.NodeTransformer):
 
     def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
         """Drops the statement if it is a string."""
-        return (
-            None
-            if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-            else node
-        )
+        if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            return None
+        return node

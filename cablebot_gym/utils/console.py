@@ -15,7 +15,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:  # rich is imported on first use, because start-up time counts
-    from rich.console import Console
+    from rich.console import Console, JustifyMethod
 
 _PLAIN_WIDTH = 170
 """Number of columns if the output is not a terminal."""
@@ -91,7 +91,8 @@ def print_table(
     head, *body = rows
     table = Table(**options)
     for index, name in enumerate(head):
-        table.add_column(name, justify="right" if right and index else "left", overflow="fold")
+        justify: JustifyMethod = "right" if right and index else "left"
+        table.add_column(name, justify=justify, overflow="fold")
     for row in body:
         table.add_row(*row)
     console = results_console()
@@ -127,7 +128,8 @@ class Preparation:
     @property
     def worked(self) -> float:
         """Time without preparations, from an arbitrary zero [s]."""
-        return (self._since if self._depth else time.monotonic()) - self._spent
+        end = self._since if self._depth else time.monotonic()
+        return end - self._spent
 
 
 PREPARATION = Preparation()
@@ -160,15 +162,16 @@ class _Clock:
     def left(self) -> str:
         """Text of the time left; empty while it is unknown."""
         finished = self._done - self._first
-        rest = self._expected - self._done
+        remaining = self._expected - self._done
         now = PREPARATION.worked
-        if min(rest, finished) <= 0 or (
-            finished <= LEAST * (finished + rest) and now - self._since < LEAST_WORK
-        ):
+        if min(remaining, finished) <= 0:
+            return ""
+        is_early = finished <= LEAST * (finished + remaining)
+        if is_early and now - self._since < LEAST_WORK:
             return ""
         # The next unit is expected at the mean pace; if it is late, as if it were finished now.
-        in_time = (self._last - self._since) * rest / finished - (now - self._last)
-        late = (now - self._since) * (rest - 1) / (finished + 1)
+        in_time = (self._last - self._since) * remaining / finished - (now - self._last)
+        late = (now - self._since) * (remaining - 1) / (finished + 1)
         return f"{_duration(max(in_time, late))} left"
 
 
@@ -201,25 +204,26 @@ def progress(text: str, unit: str = "%") -> Iterator[Step]:
                 description = text or description
                 clock.update(done, expected)
                 if done < expected:
-                    count = (
-                        f"{done / expected:.0%}"
-                        if unit == "%"
-                        else f"{done:,.0f} of {expected:,.0f} {unit}"
-                    )
+                    count = f"{done:,.0f} of {expected:,.0f} {unit}"
+                    if unit == "%":
+                        count = f"{done / expected:.0%}"
                     say(f"{description}: {count}")
 
             yield report
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    count = (
-        "{task.percentage:3.0f} %"
-        if unit == "%"
-        else f"{{task.completed:,.0f}} of {{task.total:,.0f}} {unit}"
+    count = f"{{task.completed:,.0f}} of {{task.total:,.0f}} {unit}"
+    if unit == "%":
+        count = "{task.percentage:3.0f} %"
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn(count),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
     )
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn(count))
-    left = (TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
-    with Progress(*columns, *left, console=console, transient=True) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(text, total=1.0, left="")
 
         def step(done: float, expected: float, text: str = "") -> None:
@@ -277,14 +281,10 @@ def _lines(clock: _Clock, write: Callable[[str], None]) -> Iterator[_Say]:
     def write_line() -> None:
         nonlocal due
         elapsed = clock.elapsed
-        due = elapsed + min(
-            max(FIRST_LINE, (LINE_GROWTH - 1) * elapsed), max(FIRST_LINE, LONGEST_SILENCE)
-        )
-        write(
-            ", ".join(
-                part for part in (present, f"{_duration(elapsed)} elapsed", clock.left) if part
-            )
-        )
+        pause = max(FIRST_LINE, (LINE_GROWTH - 1) * elapsed)
+        due = elapsed + min(pause, max(FIRST_LINE, LONGEST_SILENCE))
+        texts = (present, f"{_duration(elapsed)} elapsed", clock.left)
+        write(", ".join(filter(None, texts)))
 
     def say(text: str, *, at_once: bool = False) -> None:
         nonlocal present
@@ -318,17 +318,16 @@ def command_line(command: str, *arguments: object, **options: Any) -> str:
             becomes JSON, and a list repeats the option. None, False and empty values are left out.
     """
     words = ["cablebot", command, *map(str, arguments)]
-    for name, given in options.items():
-        for value in given if isinstance(given, list) else [given]:
+    for name, option in options.items():
+        values = option if isinstance(option, list) else [option]
+        for value in values:
             if value is None or value is False or value in ("", {}):
                 continue
             words.append(f"--{name.replace('_', '-')}")
-            if value is not True:
-                words.append(
-                    json.dumps(value, ensure_ascii=False)
-                    if isinstance(value, Mapping)
-                    else str(value)
-                )
+            if isinstance(value, Mapping):
+                words.append(json.dumps(value, ensure_ascii=False))
+            elif value is not True:
+                words.append(str(value))
     return shlex.join(words)
 
 
@@ -337,4 +336,6 @@ def _duration(seconds: float) -> str:
         return f"{max(1.0, seconds):.0f} s"
     if seconds < 600:
         return f"{seconds / 60:.1f} min"
-    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+    if seconds < 6000:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

@@ -20,8 +20,9 @@ _Value = TypeVar("_Value")
 
 def cache_folder() -> Path:
     """Cache folder: ``$CABLEBOT_CACHE``, or ``cablebot_gym`` in the user's cache folder."""
-    if named := os.environ.get(CACHE_VARIABLE):
-        return Path(named)
+    folder = os.environ.get(CACHE_VARIABLE)
+    if folder:
+        return Path(folder)
     user_cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     if user_cache.startswith("~"):  # a user without home, as in containers
         user_cache = tempfile.gettempdir()
@@ -82,8 +83,8 @@ def check_not_a_file(kind: str, name: object, forms: str) -> None:
         ValueError: if there is such a file or folder.
     """
     if isinstance(name, (str, Path)) and os.path.exists(name):
-        found = "folder" if os.path.isdir(name) else "file"
-        raise ValueError(f"{found} {str(name)!r} has no form of a {kind}; use {forms}")
+        form = "folder" if os.path.isdir(name) else "file"
+        raise ValueError(f"{form} {str(name)!r} has no form of a {kind}; use {forms}")
 
 
 def check_writable_dir(folder: Path) -> None:
@@ -94,9 +95,8 @@ def check_writable_dir(folder: Path) -> None:
         ValueError: if files cannot be written.
     """
     existing = folder.absolute()
-    while (
-        not os.path.exists(existing) and existing != existing.parent
-    ):  # Path.exists raises in closed folders
+    # Path.exists raises in closed folders.
+    while not os.path.exists(existing) and existing != existing.parent:
         existing = existing.parent
     try:
         with tempfile.TemporaryFile(dir=existing):
@@ -140,9 +140,8 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     temporary = Path(name)
     try:
         write(temporary)
-        os.chmod(
-            temporary, 0o666 & ~_umask()
-        )  # the mode of an ordinary new file; temporary files are private
+        # The mode of an ordinary new file: temporary files are private.
+        os.chmod(temporary, 0o666 & ~_umask())
         os.replace(temporary, path)
     except BaseException as error:
         temporary.unlink(missing_ok=True)
@@ -153,11 +152,7 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
 
 def atomic_write_text(path: Path, text: str) -> None:
     """Writes ``text`` to ``path`` in UTF-8, see :func:`atomic_write`."""
-
-    def write(temporary: Path) -> None:
-        temporary.write_text(text, encoding="utf-8")
-
-    atomic_write(path, write)
+    atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _umask() -> int:

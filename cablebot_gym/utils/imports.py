@@ -24,13 +24,14 @@ def import_object(text: str) -> Any:
     module_name, attribute = split_name(text)
     module = importlib.import_module(module_name)
     if not hasattr(module, attribute):
-        own = [
-            name
-            for name, value in vars(module).items()
-            if getattr(value, "__module__", "") == module_name and not name.startswith("_")
-        ]
-        others = f"; it has {', '.join(own[:MOST_NAMES])}" if own else ""
-        raise ValueError(f"module {module_name!r} has no attribute {attribute!r}{others}")
+        names = []
+        for name, value in vars(module).items():
+            if getattr(value, "__module__", "") == module_name and not name.startswith("_"):
+                names.append(name)
+        message = f"module {module_name!r} has no attribute {attribute!r}"
+        if names:
+            message += f"; it has {', '.join(names[:MOST_NAMES])}"
+        raise ValueError(message)
     return getattr(module, attribute)
 
 
@@ -43,29 +44,33 @@ def split_name(text: str) -> tuple[str, str]:
     Raises:
         ValueError: if the name is missing, the file does not exist, or another module hides it.
     """
-    place, _, attribute = text.rpartition(":") if not text.endswith(".py") else (text, "", "")
-    if not place.endswith(".py"):
-        return place, attribute
-    path = Path(place).absolute()
+    source, attribute = text, ""
+    if not text.endswith(".py"):
+        source, _, attribute = text.rpartition(":")
+    if not source.endswith(".py"):
+        return source, attribute
+    path = Path(source).absolute()
     if not path.is_file():
-        raise ValueError(f"file {place!r} does not exist")
+        raise ValueError(f"file {source!r} does not exist")
     if not attribute:
-        defined = _defined(path)
-        makers = [name for name, made in defined.items() if made]
+        public = _public_names(path)
+        makers = [name for name, is_maker in public.items() if is_maker]
         if len(makers) != 1:
-            found = ", ".join(f"{place}:{name}" for name in defined) or "no function or class yet"
-            raise ValueError(f"{place!r} needs the name of an object in this file. It has {found}")
+            names = ", ".join(f"{source}:{name}" for name in public)
+            raise ValueError(
+                f"{source!r} needs the name of an object in this file. It has {names or 'no function or class yet'}"
+            )
         attribute = makers[0]
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))
         importlib.invalidate_caches()
     spec = importlib.util.find_spec(path.stem)
     if spec is None or spec.origin is None or not path.samefile(spec.origin):
-        raise ValueError(f"another module is named {path.stem!r}: rename {place!r}")
+        raise ValueError(f"another module is named {path.stem!r}: rename {source!r}")
     return path.stem, attribute
 
 
-def _defined(path: Path) -> dict[str, bool]:
+def _public_names(path: Path) -> dict[str, bool]:
     """Public names at the top of a file; True for functions and classes, False for constants."""
     try:
         body = ast.parse(path.read_bytes()).body
@@ -79,4 +84,4 @@ def _defined(path: Path) -> dict[str, bool]:
             names[node.name] = True
         elif isinstance(node, ast.Assign):
             names |= {target.id: False for target in node.targets if isinstance(target, ast.Name)}
-    return {name: made for name, made in names.items() if not name.startswith("_")}
+    return {name: is_maker for name, is_maker in names.items() if not name.startswith("_")}

@@ -1,9 +1,14 @@
 """Colours of figures and pictures: greys and the palette of Okabe and Ito, which is safe for
 colour-blind readers."""
 
-from __future__ import annotations
-
-BLUE, VERMILLION, GREEN, PURPLE, ORANGE, DEEP_SKY, YELLOW, BLACK = (
-    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000"),
-)
-SKY, GREY, SHADE = "#CFE8F7", "#767676", "#E8E8E8"
+BLUE = "#0072B2"
+VERMILLION = "#D55E00"
+GREEN = "#009E73"
+PURPLE = "#CC79A7"
+ORANGE = "#E69F00"
+DEEP_SKY = "#56B4E9"
+YELLOW = "#F0E442"
+BLACK = "#000000"
+SKY = "#CFE8F7"
+GREY = "#767676"
+SHADE = "#E8E8E8"

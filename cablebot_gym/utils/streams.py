@@ -31,11 +31,11 @@ class _Output(io.RawIOBase):
 
     Args:
         raw: stream of the operating system.
-        other: stream for the bytes after an error; None to drop them.
+        fallback: stream for the bytes after an error; None to drop them.
     """
 
-    def __init__(self, raw: Any, other: Any) -> None:
-        self._raw, self._other = raw, other
+    def __init__(self, raw: Any, fallback: Any) -> None:
+        self._raw, self._fallback = raw, fallback
         self._is_broken = False
         self.problem = ""
         """Error message of the operating system; empty if there is none, or if the reader has
@@ -54,10 +54,9 @@ class _Output(io.RawIOBase):
         while not self._is_broken:
             try:
                 count = self._raw.write(data)
-            except (
-                BrokenPipeError
-            ):  # as in `| head`: nobody wants the rest, but the command may still write files
-                self._is_broken, self._other = True, None
+            except BrokenPipeError:
+                # As in `| head`: nobody reads on, but the command may still write files.
+                self._is_broken, self._fallback = True, None
             except OSError as error:
                 self._is_broken = True
                 self.problem = error.strerror or str(error)
@@ -65,10 +64,10 @@ class _Output(io.RawIOBase):
                 if count is not None:
                     return int(count)
                 select.select([], [self._raw], [])  # a full pipe that does not block
-        if self._other is not None:
+        if self._fallback is not None:
             with suppress(OSError):
-                self._other.write(data)
-                self._other.flush()
+                self._fallback.write(data)
+                self._fallback.flush()
         return len(data)
 
 
@@ -81,12 +80,12 @@ def protect_streams() -> None:
     sys.stdout = _protected(sys.stdout, sys.__stdout__, getattr(sys.stderr, "buffer", None))
 
 
-def _protected(stream: Any, original: Any, other: Any) -> Any:
+def _protected(stream: Any, original: Any, fallback: Any) -> Any:
     if stream is None:
         return open(os.devnull, "w", encoding="utf-8")
     if stream is not original:
         return stream
-    output = _Output(getattr(stream.buffer, "raw", stream.buffer), other)
+    output = _Output(getattr(stream.buffer, "raw", stream.buffer), fallback)
     return io.TextIOWrapper(
         io.BufferedWriter(output),
         encoding=stream.encoding,
@@ -100,4 +99,6 @@ def output_problem() -> str:
     closed the pipe."""
     sys.stdout.flush()
     raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
-    return raw.problem if isinstance(raw, _Output) else ""
+    if isinstance(raw, _Output):
+        return raw.problem
+    return ""

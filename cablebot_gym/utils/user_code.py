@@ -28,17 +28,22 @@ def raised(error: BaseException, verb: str = "it raised", where: str = "") -> st
         verb: words before the type of the error.
         where: words after the type of the error.
     """
-    text, frames = _message(error), _frames(error)
-    line = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{verb} {type(error).__name__}{where}{': ' if text else ''}{text}{line}"
+    text = f"{verb} {type(error).__name__}{where}"
+    message = _message(error)
+    if message:
+        text += f": {message}"
+    frames = _frames(error)
+    if frames:
+        text += f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+    return text
 
 
 def sentence_of_user_code(error: BaseException) -> str:
     """The error as one sentence if it passed through code that is neither installed nor of this
     project, else empty."""
     baselines = getattr(sys.modules.get("cablebot_baselines"), "__path__", [])
-    own = tuple(str(path) + os.sep for path in baselines)
-    if any(not frame.filename.startswith(own) for frame in _frames(error)):
+    folders = tuple(str(path) + os.sep for path in baselines)
+    if any(not frame.filename.startswith(folders) for frame in _frames(error)):
         return raised(error, "your code raised")
     return str(getattr(error, _SENTENCE, ""))
 
@@ -57,7 +62,9 @@ def _message(error: BaseException) -> str:
         raise
     except BaseException:
         return "its message cannot be shown"
-    return text if len(text) <= LONGEST_MESSAGE else f"{text[:LONGEST_MESSAGE]}…"
+    if len(text) <= LONGEST_MESSAGE:
+        return text
+    return f"{text[:LONGEST_MESSAGE]}…"
 
 
 def _frames(error: BaseException) -> list[FrameSummary]:

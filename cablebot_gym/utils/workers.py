@@ -14,7 +14,7 @@ import threading
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -41,7 +41,9 @@ class WorkerDied(RuntimeError):
 
 def cores() -> int:
     """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def check_workers(workers: int | None) -> int:
@@ -80,14 +82,17 @@ def run(
         returned: exception types that are yielded in place of a result, such as
             :class:`WorkerDied`. Other exceptions are raised.
     """
-    sequential = workers == 1 or not tasks
-    pool = None if sequential else _Pool(min(workers, len(tasks)), say)
-    for key, failure, result in (
-        pool.results(tasks, leaders_first(tasks, kind)) if pool else _sequential(tasks)
-    ):
-        if failure is not None and not isinstance(failure, returned):
+    results = _sequential
+    if workers > 1 and tasks:
+        results = _Pool(min(workers, len(tasks)), leaders_first(tasks, kind), say).results
+    # The loop alone refers to the iterator, which therefore ends the processes at any error.
+    for key, failure, result in results(tasks):
+        if failure is None:
+            yield key, result
+        elif isinstance(failure, returned):
+            yield key, failure
+        else:
             raise failure
-        yield key, result if failure is None else failure
 
 
 def _outcome(task: Callable[[], Any]) -> tuple[Exception | None, Any]:
@@ -143,16 +148,18 @@ class _Worker:
 
 
 class _Pool:
-    def __init__(self, size: int, say: Callable[[str], None]) -> None:
-        self._size, self._say = size, say
+    """Processes that share computations, in the order of ``keys``."""
+
+    def __init__(self, size: int, keys: list[str], say: Callable[[str], None]) -> None:
+        self._size = size
+        self._keys = keys
+        self._say = say
         self._reported: set[str] = set()
         self._workers: list[_Worker] = []
 
-    def results(
-        self, tasks: Mapping[str, Task], order: list[str]
-    ) -> Iterator[tuple[str, Exception | None, Any]]:
+    def results(self, tasks: Mapping[str, Task]) -> Iterator[tuple[str, Exception | None, Any]]:
         """Key, error and result of each computation in the order of completion."""
-        queue, deaths = deque(order), Counter[str]()
+        queue, deaths = deque(self._keys), Counter[str]()
 
         def submit_next(worker: _Worker) -> None:
             worker.key = None
@@ -165,9 +172,10 @@ class _Pool:
                 with _interrupts_deferred():
                     self._workers.append(_Worker())
                 submit_next(self._workers[-1])
-            while busy := {
-                worker.pipe: worker for worker in self._workers if worker.key is not None
-            }:
+            while True:
+                busy = {worker.pipe: worker for worker in self._workers if worker.key is not None}
+                if not busy:
+                    return
                 for worker in [busy[pipe] for pipe in cast(list[Connection], wait(list(busy)))]:
                     key, outcome = worker.key or "", self._receive(worker)
                     if isinstance(outcome, WorkerDied):
@@ -200,7 +208,9 @@ class _Pool:
                 self._reported.add(content)
                 self._say(content)
             return None
-        return (content, None) if kind == "error" else (None, content)
+        if kind == "error":
+            return content, None
+        return None, content
 
     def _replace(self, dead: _Worker) -> _Worker:
         with _interrupts_deferred():
@@ -213,26 +223,23 @@ def _interrupts_deferred() -> Iterator[None]:
     """Defers interrupts of all threads until the end. A process that is started meanwhile never
     receives any."""
     received: list[int] = []
-    handler = (
-        signal.getsignal(signal.SIGINT)
-        if threading.current_thread() is threading.main_thread()
-        else None
-    )
-    if handler is not None:  # runs in this thread even if another thread receives the signal
-        signal.signal(signal.SIGINT, lambda number, frame: received.append(number))
-    masks = hasattr(signal, "pthread_sigmask")  # child processes inherit the mask
-    if masks:
-        resource_tracker.ensure_running()  # its start removes the mask
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
-    try:
-        yield
-    finally:
-        if masks:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        if handler is not None:
-            signal.signal(signal.SIGINT, handler)
+
+    def interrupt() -> None:
         if received:
             signal.raise_signal(signal.SIGINT)
+
+    handler = signal.getsignal(signal.SIGINT)
+    with ExitStack() as stack:  # ends in reverse: mask, handler, deferred interrupt
+        stack.callback(interrupt)
+        if handler is not None and threading.current_thread() is threading.main_thread():
+            # Runs in this thread even if another thread receives the signal.
+            signal.signal(signal.SIGINT, lambda number, frame: received.append(number))
+            stack.callback(signal.signal, signal.SIGINT, handler)
+        if hasattr(signal, "pthread_sigmask"):  # child processes inherit the mask
+            resource_tracker.ensure_running()  # its start removes the mask
+            mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
+        yield
 
 
 def _serve(pipe: Connection) -> None:
@@ -248,9 +255,9 @@ def _serve(pipe: Connection) -> None:
             except EOFError:
                 return
             failure, reply = _outcome(partial(_pickled_result, data))
-            pipe.send_bytes(
-                reply if failure is None else pickle.dumps(("error", _portable(failure)))
-            )
+            if failure is not None:
+                reply = pickle.dumps(("error", _portable(failure)))
+            pipe.send_bytes(reply)
 
 
 def _pickled_result(data: bytes) -> bytes:
@@ -261,13 +268,13 @@ def _pickled_result(data: bytes) -> bytes:
 def _portable(error: Exception) -> Exception:
     """The error, or a RuntimeError with its message if it cannot be pickled. The traceback is
     attached as a note."""
+    portable = error
     try:
         copy = pickle.loads(pickle.dumps(error))
     except Exception:
         copy = None
-    portable = (
-        error if type(copy) is type(error) else RuntimeError(f"{type(error).__name__}: {error}")
-    )
+    if type(copy) is not type(error):
+        portable = RuntimeError(f"{type(error).__name__}: {error}")
     keep_sentence(portable, sentence_of_user_code(error))
     portable.add_note("".join(traceback.format_exception(error)))
     return portable

@@ -37,7 +37,7 @@ PAGES = (
     *(
         "generated/environments/CableBot-Spatial-v0",
         "generated/policies/fl",
-        "generated/api/gym/cablebot_gym.robots",
+        "generated/api/gym/cablebot_gym.robots.record",
     ),
 )
 """One page of every kind, and those with much code."""

@@ -63,7 +63,7 @@ def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfi
     default is the default motion of the environment:
 
     * ``loops``: a number N, for the random loops with training seeds 0 to N − 1.
-    * ``named``: a list of trajectories for :func:`cablebot_gym.trajectories.find_trajectory`.
+    * ``named``: a list of trajectories for :func:`cablebot_gym.trajectories.names.find_trajectory`.
 
     Raises:
         ValueError: if a key is unknown or missing, or a value is invalid.

@@ -1,0 +1,160 @@
+"""Random loops and their seeds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cablebot_gym.kinematics import Array
+from cablebot_gym.trajectories.base import Motion, unit_blend
+from cablebot_gym.trajectories.derivatives import composed, sine_derivatives
+from cablebot_gym.utils.checks import whole
+
+TRAINING_SEEDS = range(10_000)
+"""Seeds of :class:`RandomLoop` for training and tuning."""
+
+FIRST_HELD_OUT_SEED = TRAINING_SEEDS.stop
+"""First held-out seed. No policy may be trained, tuned or selected with this seed or a larger
+one."""
+
+
+def held_out_seeds(count: int) -> range:
+    """The first ``count`` held-out seeds.
+
+    Raises:
+        ValueError: if ``count`` is not a whole number of at least 1.
+    """
+    return range(FIRST_HELD_OUT_SEED, FIRST_HELD_OUT_SEED + whole("count", count, least=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomLoop(Motion):
+    """A random closed curve, traversed once from rest to rest; the motion is C⁴. The seed
+    determines the curve.
+
+    All coordinates are Fourier series of one phase φ, which goes from 0 to 2π along
+    :data:`~cablebot_gym.trajectories.base.BLEND`:
+
+        X(φ) = c + Σ_k (a_k cos kφ + b_k sin kφ),   k = 1 … :data:`HARMONICS`.
+
+    The components of a_k and b_k are uniform in ± 1/k². The coordinates form groups: (x, y), z and
+    (ψ, θ, φ), or (x, y) and φ in a plane.
+
+    * Size: each group is scaled so that the largest norm of its series is 50 to 100 % of its
+      ``reach``.
+    * Center: the offset of c from ``center`` uses at most the rest of ``reach``, so the curve stays
+      within ``reach``.
+    * Duration: the shortest one, rounded up to 10 ms, for which no group exceeds a random fraction
+      (60 to 100 %) of its ``acceleration``. The speed then stays below √(2 · reach · acceleration)
+      by Landau's inequality.
+
+    The random numbers are raw bits of numpy's Philox generator. They do not change between versions
+    of numpy, so a seed always gives the same curve. Norms and accelerations are sampled; their
+    peaks are accurate to 0.1 %.
+
+    Raises:
+        ValueError: if the seed is not a whole number of at least 0, or another value is invalid.
+    """
+
+    seed: int = 0
+    """Seed of the curve; ≥ 0. :data:`TRAINING_SEEDS` are for training, seeds from
+    :data:`FIRST_HELD_OUT_SEED` on for scores only."""
+    center: tuple[float, ...]
+    """Center pose of the curve, shape (n,)."""
+    reach: tuple[float, ...]
+    """Largest distance of the curve from ``center``, one norm per group; > 0: one each for (x, y)
+    [m], z [m] and (ψ, θ, φ) [rad], or for (x, y) [m] and φ [rad] in a plane."""
+    acceleration: tuple[float, ...]
+    """Bound of the norm of the acceleration [m/s², rad/s²], one per group as in ``reach``; > 0."""
+    duration: float = None  # type: ignore[assignment]  # __post_init__ replaces None
+    """Duration of the motion [s]; > 0. None: computed from the seed and ``acceleration``.
+    ``dataclasses.replace`` keeps the computed value; pass ``duration=None`` to compute it again."""
+    name: str = "loop"
+    """Name shown in tables and error messages."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "seed", whole("seed", self.seed))
+        is_computed = self.duration is None
+        if is_computed:
+            object.__setattr__(self, "duration", 1.0)  # any valid one, until the curve is known
+        super().__post_init__()
+        groups = len(_GROUPS[self.coordinates])
+        for field in ("reach", "acceleration"):
+            self._set_numbers(
+                field, shapes=[(groups,)], form=f"{groups} numbers, one per group", above=0
+            )
+        if is_computed:
+            object.__setattr__(self, "duration", self._shortest_duration())
+
+    @cached_property
+    def _curve(self) -> tuple[float, Array, Array]:
+        """Fraction of the acceleration, c of shape (n,), and (a, b) of shape (2, HARMONICS, n)."""
+        n, groups = self.coordinates, _GROUPS[self.coordinates]
+        # Changing the order of the numbers would change the curve of every seed.
+        numbers = _uniform(self.seed, 1 + len(groups) + n + 2 * HARMONICS * n)
+        fraction, sizes, offset, waves = np.split(numbers, np.cumsum([1, len(groups), n]))
+        waves = (2 * waves.reshape(2, HARMONICS, n) - 1) / _ORDERS[:, None] ** 2
+        center = np.array(self.center)
+        # Size and offset share the reach, so that the curve stays within it.
+        series = _series(waves, np.linspace(0, 2 * np.pi, _SAMPLES))[0]
+        for group, reach, size in zip(groups, self.reach, 0.5 + 0.5 * sizes, strict=True):
+            waves[..., group] *= size * reach / np.linalg.norm(series[:, group], axis=1).max()
+            dimensions = group.stop - group.start
+            center[group] += (1 - size) * reach * (2 * offset[group] - 1) / math.sqrt(dimensions)
+        return 0.6 + 0.4 * float(fraction[0]), center, waves
+
+    def _shortest_duration(self) -> float:
+        fraction, _, waves = self._curve
+        phase = 2 * np.pi * unit_blend(np.linspace(0, 1, _SAMPLES))
+        acceleration = composed(_series(waves, phase[0]), phase[..., None])[2]
+        shortest = 0.0
+        for group, bound in zip(_GROUPS[self.coordinates], self.acceleration, strict=True):
+            largest = np.linalg.norm(acceleration[:, group], axis=1).max()
+            shortest = max(shortest, math.sqrt(largest / (fraction * bound)))
+        return math.ceil(100 * shortest) / 100
+
+    def _derivatives(self, time: Array) -> Array:
+        _, center, waves = self._curve
+        phase = 2 * np.pi * self._blend(time)
+        derivatives = composed(_series(waves, phase[0]), phase[..., None])
+        derivatives[0] += center
+        return derivatives
+
+
+HARMONICS = 3
+"""Number of harmonics of a :class:`RandomLoop`."""
+
+_ORDERS = np.arange(1.0, HARMONICS + 1)
+
+_GROUPS = {
+    2: (slice(0, 2),),
+    3: (slice(0, 2), slice(2, 3)),
+    6: (slice(0, 2), slice(2, 3), slice(3, 6)),
+}
+"""Groups of coordinates of :class:`RandomLoop` that share a bound, by number of coordinates."""
+
+_SAMPLES = 1001
+"""Number of times or phases at which :class:`RandomLoop` samples its peaks."""
+
+
+def _uniform(seed: int, count: int) -> Array:
+    """Numbers in [0, 1) that depend on the seed only. numpy keeps the raw bits stable, but not its
+    distributions."""
+    # 53 bits fill the mantissa of a float.
+    bits = np.random.Philox(np.random.SeedSequence(seed)).random_raw(count)
+    return (bits >> np.uint64(11)).astype(float) / 2.0**53
+
+
+def _series(waves: Array, phase: Array) -> Array:
+    """Derivatives 0 to 4 of ``Σ_k (a_k cos kφ + b_k sin kφ)`` with respect to the phase φ (...),
+    shape (5, ..., n)."""
+    sines = sine_derivatives(phase[..., None] * _ORDERS)
+    derivatives = []
+    for order in range(5):
+        factor = _ORDERS**order
+        cosines = (factor * sines[order + 1]) @ waves[0]
+        derivatives.append(cosines + (factor * sines[order]) @ waves[1])
+    return np.stack(derivatives)

@@ -1,0 +1,357 @@
+"""Motions by name, from files and from data."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from functools import cache, partial
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cablebot_gym.robots import COORDINATE_NAMES, Kind
+from cablebot_gym.trajectories.base import (
+    COORDINATES,
+    ORDERS,
+    Trajectory,
+    is_trajectory,
+    sampled,
+)
+from cablebot_gym.trajectories.loops import RandomLoop
+from cablebot_gym.trajectories.motions import (
+    Dwell,
+    Lemniscate,
+    PaperCircle,
+    PointToPoint,
+    SmoothCircle,
+)
+from cablebot_gym.trajectories.sequences import DWELL, BetweenDwells, Chain
+from cablebot_gym.trajectories.spline import Waypoints
+from cablebot_gym.utils.checks import mapping, number, unknown_name_error
+from cablebot_gym.utils.files import check_not_a_file
+from cablebot_gym.utils.imports import import_object
+from cablebot_gym.utils.user_code import raised
+from cablebot_gym.waypoints import is_waypoint_file, read_waypoints
+
+
+def _between_dwells(make: Callable[..., Trajectory], **fields: Any) -> Callable[..., BetweenDwells]:
+    """Factory of a motion between dwells. It accepts ``dwell`` and the fields of the motion as
+    optional keywords."""
+    make = partial(make, **fields)
+
+    def between_dwells(*, dwell: float = DWELL, **fields: Any) -> BetweenDwells:
+        return BetweenDwells(motion=make(**fields), dwell=dwell)
+
+    # _fields_of reads the valid keywords from the signature.
+    parameters = [*inspect.signature(make).parameters.values()]
+    dwell = inspect.signature(between_dwells).parameters["dwell"]
+    between_dwells.__signature__ = inspect.Signature([*parameters, dwell])  # type: ignore[attr-defined]
+    return between_dwells
+
+
+def _chain(kind: Kind, *motions: Any) -> Callable[..., BetweenDwells]:
+    """Factory of a chain between dwells. Named motions in it have no dwells of their own unless
+    ``dwell`` is given."""
+
+    def resolved(motion: Any) -> Any:
+        if isinstance(motion, Real):
+            return motion
+        if isinstance(motion, Mapping) and "dwell" in _fields_of(motion.get("name")):
+            motion = {"dwell": 0.0, **motion}
+        return find_trajectory(motion, kind)
+
+    def chain(*, motions: Any = motions, name: str = f"chain-{kind}") -> Chain:
+        if isinstance(motions, (list, tuple)):
+            motions = tuple(map(resolved, motions))
+        return Chain(motions=motions, name=name)
+
+    return _between_dwells(chain)
+
+
+def _fields_of(name: Any) -> set[str]:
+    """Fields of a named motion; empty if there is none of this name."""
+    if is_waypoint_file(name):
+        return {"duration", "dwell", "times", "poses"}
+    if name not in TRAJECTORIES:
+        return set()
+    return set(inspect.signature(TRAJECTORIES[name]).parameters) - {"name"}
+
+
+def _motions_of(
+    kind: Kind,
+    *,
+    center: tuple[float, ...],
+    size: float,
+    out: tuple[float, ...],
+    reach: tuple[float, ...],
+    pace: float,
+) -> dict[str, Callable[..., Trajectory]]:
+    """Named motions of a kind about a center: half width ``size`` [m] and duration about ``pace``
+    [s].
+
+    Lines run from ``center − (size, size/2) − out`` to the opposite pose. Loops take about as long
+    as other motions.
+    """
+    across = np.array(out) + np.pad([size, size / 2], (0, len(out) - 2))
+    start = tuple((center - across).tolist())
+    end = tuple((center + across).tolist())
+    acceleration = tuple(30.0 * value / pace**2 for value in reach)
+    motions: dict[str, Callable[..., Trajectory]] = {}
+
+    def add(motion: str, make: Callable[..., Trajectory], **fields: Any) -> None:
+        name = f"{motion}-{kind}"
+        motions[name] = _between_dwells(make, name=name, **fields)
+
+    add("circle", PaperCircle, radius=size, center=center, duration=pace)
+    add("smooth-circle", SmoothCircle, radius=size, center=center, duration=2 * pace)
+    add("line", PointToPoint, start=start, end=end, duration=pace)
+    amplitude = (size, size / 2)
+    add("lemniscate", Lemniscate, amplitude=amplitude, center=center, duration=2 * pace)
+    add("loop", RandomLoop, center=center, reach=reach, acceleration=acceleration)
+    back = {"name": f"line-{kind}", "start": end, "end": start}
+    motions[f"chain-{kind}"] = _chain(kind, {"name": f"line-{kind}"}, DWELL, back)
+    motions[f"dwell-{kind}"] = partial(Dwell, name=f"dwell-{kind}", pose=center)
+    return motions
+
+
+_PLANAR_CIRCLE: dict[str, Any] = {"radius": 0.2165, "center": (0.0, 0.0)}  # Table 1
+_SPATIAL_CIRCLE: dict[str, Any] = {
+    "radius": 0.1,
+    "center": (0.0, 0.0, 0.1, 0.1, 0.1, 0.1),
+}  # Table 3
+
+TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
+    "circle-planar": _between_dwells(PaperCircle, name="circle-planar", **_PLANAR_CIRCLE),
+    "circle-spatial": _between_dwells(PaperCircle, name="circle-spatial", **_SPATIAL_CIRCLE),
+    "paper-planar": partial(PaperCircle, name="paper-planar", **_PLANAR_CIRCLE),
+    "paper-spatial": partial(PaperCircle, name="paper-spatial", **_SPATIAL_CIRCLE),
+    "smooth-circle-planar": _between_dwells(
+        SmoothCircle, name="smooth-circle-planar", **_PLANAR_CIRCLE
+    ),
+    "smooth-circle-spatial": _between_dwells(
+        SmoothCircle, name="smooth-circle-spatial", **_SPATIAL_CIRCLE
+    ),
+    "dwell-planar": partial(Dwell, name="dwell-planar", pose=(0.0, 0.0)),
+    "dwell-spatial": partial(Dwell, name="dwell-spatial", pose=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)),
+    "line-planar": _between_dwells(
+        PointToPoint, name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.15)
+    ),
+    "line-spatial": _between_dwells(
+        PointToPoint,
+        name="line-spatial",
+        start=(-0.05, -0.05, 0.1, 0.0, 0.0, 0.0),
+        end=(0.05, 0.05, 0.15, 0.05, 0.05, 0.05),
+    ),
+    "lemniscate-planar": _between_dwells(
+        Lemniscate, name="lemniscate-planar", amplitude=(0.2, 0.1), center=(0.0, 0.0)
+    ),
+    "lemniscate-spatial": _between_dwells(
+        Lemniscate,
+        name="lemniscate-spatial",
+        amplitude=(0.1, 0.05),
+        center=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0),
+    ),
+    # The loops stay within the radii of the paper's circles, about the same centers. At z = 0.1 m
+    # the tensions change fast with depth and tilt, so the reach in these coordinates is small. The
+    # accelerations are below those of the circles (35 and 16 m/s²). With them the first 2000
+    # training seeds and the first 2000 held-out seeds have an exact-tracking payload of at least
+    # 0.6 kg (planar) and 1.2 kg (spatial) on all robots of the paper, with all tensions above 5 N.
+    "loop-planar": _between_dwells(
+        RandomLoop, name="loop-planar", center=(0.0, 0.0), reach=(0.2165,), acceleration=(32.0,)
+    ),
+    "loop-spatial": _between_dwells(
+        RandomLoop,
+        name="loop-spatial",
+        center=(0.0, 0.0, 0.1, 0.1, 0.1, 0.1),
+        reach=(0.1, 0.01, 0.03),
+        acceleration=(9.0, 2.5, 3.0),
+    ),
+    # Pick, dwell and place: out and back along the named lines.
+    "chain-planar": _chain(
+        "planar",
+        {"name": "line-planar", "duration": 1.0},
+        DWELL,
+        {"name": "line-planar", "start": (0.1, 0.15), "end": (-0.1, -0.1), "duration": 1.0},
+    ),
+    "chain-spatial": _chain(
+        "spatial",
+        {"name": "line-spatial", "duration": 1.0},
+        DWELL,
+        {
+            "name": "line-spatial",
+            "start": (0.05, 0.05, 0.15, 0.05, 0.05, 0.05),
+            "end": (-0.05, -0.05, 0.1, 0.0, 0.0, 0.0),
+            "duration": 1.0,
+        },
+    ),
+    # Sized for the robots of the environments, stadium-camera and ttk4900.
+    **_motions_of(
+        "point",
+        center=(0.0, 0.0, -12.0),
+        size=10.0,
+        out=(0.0, 0.0, -2.0),
+        reach=(10.0, 2.0),
+        pace=10.0,
+    ),
+    **_motions_of(
+        "planar-platform",
+        center=(0.0, 0.0, 0.0),
+        size=0.15,
+        out=(0.0, 0.0, 0.05),
+        reach=(0.15, 0.05),
+        pace=4.0,
+    ),
+}
+"""Factories of the named motions. Each accepts the fields of its class as optional keywords, and
+``dwell`` if the motion is :class:`~cablebot_gym.trajectories.sequences.BetweenDwells`: all except
+``paper-…``, the paper's circles as printed, and ``dwell-…``."""
+
+
+def trajectory_names(kind: Kind | int | None = None) -> list[str]:
+    """Names in :data:`TRAJECTORIES`.
+
+    Args:
+        kind: restricts the names to this kind of robot, or to robots with this number of
+            coordinates; None for all.
+    """
+    if kind is None:
+        return list(TRAJECTORIES)
+    kinds = _kinds(kind)
+    return [name for name in TRAJECTORIES if not _kinds_of(name).isdisjoint(kinds)]
+
+
+def _kinds_of(name: str) -> set[Kind]:
+    """Kinds of robots of a named motion: the longest kind that ends its name, else those with its
+    coordinates."""
+    endings = [kind for kind in COORDINATES if name.endswith(f"-{kind}")]
+    if endings:
+        return {max(endings, key=len)}
+    return set(_kinds(TRAJECTORIES[name]().coordinates))
+
+
+def _kinds(kind: Kind | int) -> list[Kind]:
+    """The kind, or the kinds with this number of coordinates."""
+    return [name for name, n in COORDINATES.items() if kind in (name, n)]
+
+
+def find_trajectory(
+    trajectory: str | Path | Mapping[str, Any] | Trajectory, kind: Kind | int
+) -> Trajectory:
+    """A trajectory for a robot from a name, from a dict with a name and fields, or from a
+    trajectory object.
+
+    Args:
+        trajectory: a name of :func:`trajectory_names`, JSON-able data such as ``{"name":
+            "circle-spatial", "duration": 1.5, "dwell": 0.5}``, where ``duration`` is that of the
+            motion between the dwells, an object that satisfies
+            :class:`~cablebot_gym.trajectories.base.Trajectory`, or the place of one:
+            ``file.py:name`` or ``package.module:name``. The object there may also be a
+            function or a class that makes the trajectory without arguments. ``file.csv`` has
+            waypoints, see :class:`~cablebot_gym.trajectories.spline.Waypoints`, with dwells as the
+            named motions; its columns are ``t`` [s] and the coordinates [m, rad]. Without ``t`` it
+            needs a duration: ``{"name": "file.csv", "duration": 4.0}``.
+        kind: the robot's kind, or its number of coordinates n.
+
+    Raises:
+        ValueError: if the name, a field or a value is invalid, or the trajectory is for another
+            kind of robot.
+    """
+    kinds = _kinds(kind)
+    coordinates = COORDINATES[kinds[0]]
+    if isinstance(trajectory, Path):
+        trajectory = str(trajectory)
+    if isinstance(trajectory, str) and (":" in trajectory or trajectory.endswith(".py")):
+        trajectory = _imported(trajectory)
+    elif isinstance(trajectory, str):
+        trajectory = {"name": trajectory}
+    if isinstance(trajectory, Mapping):
+        trajectory = _named(dict(trajectory), kinds)
+    elif not is_trajectory(trajectory):
+        forms = ", a dict with one of these as 'name', or pass a Trajectory"
+        raise unknown_name_error("trajectory", trajectory, trajectory_names(kind), forms)
+    number("duration", trajectory.duration, above=0, unit="s")
+    if trajectory.coordinates != coordinates:
+        raise ValueError(
+            f"{trajectory.name!r} has {trajectory.coordinates} coordinates and the robot has {coordinates}"
+        )
+    return trajectory
+
+
+def _named(fields: dict[str, Any], kinds: list[Kind]) -> Trajectory:
+    """The motion with the name and the fields in a dict, for one of the kinds.
+
+    Raises:
+        ValueError: if the name, a field or a value is invalid, or the motion is for another kind.
+    """
+    name = fields.pop("name", None)
+    if is_waypoint_file(name):
+        mapping("trajectory", fields, sorted(_fields_of(name)))
+        return _between_waypoints(str(name), kinds, **fields)
+    if isinstance(name, str) and name in TRAJECTORIES and not _kinds_of(name).isdisjoint(kinds):
+        mapping("trajectory", fields, sorted(_fields_of(name)))
+        motion = TRAJECTORIES[name](**fields)
+        if motion.coordinates == COORDINATES[kinds[0]]:
+            return motion
+    check_not_a_file(
+        "trajectory", name, "file.py:name, or a .csv file; of a .json file, pass the data in Python"
+    )
+    names = dict.fromkeys(valid for kind in kinds for valid in trajectory_names(kind))
+    raise unknown_name_error("trajectory", name, names)
+
+
+def _between_waypoints(
+    name: str,
+    kinds: list[Kind],
+    *,
+    duration: float | None = None,
+    dwell: float = DWELL,
+    times: Any = None,
+    poses: Any = None,
+) -> BetweenDwells:
+    """The spline through the waypoints of a file between dwells, or through ``poses``, so that
+    stored data suffice.
+
+    The duration scales the times of the file.
+    """
+    if poses is None:
+        times, poses = read_waypoints(Path(name), [COORDINATE_NAMES[kind] for kind in kinds])
+        if times is None and duration is None:
+            raise ValueError(
+                f'trajectory file {name!r} has no column t. Add it, or give a duration: {{"name": "{name}", '
+                '"duration": 4}'
+            )
+        if duration is not None:
+            fractions = np.linspace(0.0, 1.0, len(poses))
+            if times is not None:
+                fractions = times / times[-1]
+            times = fractions * number("duration", duration, above=0, unit="s")
+    spline = Waypoints(name=Path(name).name, times=times, poses=poses)
+    return BetweenDwells(motion=spline, dwell=dwell)
+
+
+@cache
+def _imported(name: str) -> Trajectory:
+    """The trajectory at ``file.py:name`` or ``package.module:name``; the same object in all calls.
+
+    Raises:
+        ValueError: if there is no such object, its code raises, or it neither is nor makes a
+            trajectory.
+    """
+    try:
+        trajectory = import_object(name)
+        if callable(trajectory) and not is_trajectory(trajectory):
+            trajectory = trajectory()
+    except (ValueError, ImportError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        remedy = "Name a Trajectory, or a function without arguments that returns one"
+        raise ValueError(f"trajectory {name!r}: {raised(error)}. {remedy}") from error
+    if not is_trajectory(trajectory):
+        raise ValueError(
+            f"trajectory {name!r} gives {trajectory!r}, which is no Trajectory: an object with name, duration, "
+            "coordinates and a call that returns a Reference"
+        )
+    sampled(trajectory, np.array([0.0, trajectory.duration]), ORDERS[:3])
+    return trajectory
