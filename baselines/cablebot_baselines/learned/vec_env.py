@@ -3,15 +3,16 @@ compiled batch."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 import cablebot_gym  # noqa: F401 - registers the ids
+from cablebot_baselines.learned.wrappers.layers import layers
 from cablebot_gym.utils.checks import choice
 
 try:
@@ -175,14 +176,6 @@ class CableBotVecEnv(VecEnv):
             return value[env_indices].tolist() if value.ndim == 1 else list(value[env_indices])
         return [value[env_index] for env_index in env_indices]
 
-    def _layers(self) -> Iterator[VectorEnv[Any, Any, Any]]:
-        """The environment and the environments that it wraps, from the outside in."""
-        layer = self.env
-        while isinstance(layer, VectorWrapper):
-            yield layer
-            layer = layer.env
-        yield layer
-
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The attribute of each environment: one item each if the attribute has N items, otherwise
         the same value.
@@ -197,7 +190,7 @@ class CableBotVecEnv(VecEnv):
             else attr_name
         )
         layer = next(
-            (layer for layer in self._layers() if hasattr(layer, name)), self.env.unwrapped
+            (layer for layer in layers(self.env) if hasattr(layer, name)), self.env.unwrapped
         )
         return self._items(
             getattr(layer, name), self._all_indices[list(self._get_indices(indices))]
@@ -232,7 +225,7 @@ class CableBotVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """Whether a ``wrapper_class`` wraps the batch; always false for wrappers of single
         environments."""
-        return [any(isinstance(layer, wrapper_class) for layer in self._layers())] * len(
+        return [any(isinstance(layer, wrapper_class) for layer in layers(self.env))] * len(
             list(self._get_indices(indices))
         )
 
