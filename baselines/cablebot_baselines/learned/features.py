@@ -93,9 +93,12 @@ def feature_values(
         derived: ``time_since_start`` (..., 1) [s], ``error`` and ``actions``; with a shift also
             ``shift`` and ``shift_velocity``.
     """
-    values = [
-        _DERIVED[name](blocks, derived) if name in _DERIVED else blocks[name] for name in names
-    ]
+    values = []
+    for name in names:
+        if name in _DERIVED:
+            values.append(_DERIVED[name](blocks, derived))
+        else:
+            values.append(blocks[name])
     return np.concatenate(values, axis=-1)
 
 
@@ -117,13 +120,15 @@ def feature_symmetry(names: Sequence[str], robot: Robot, transform: Array) -> Ar
         "time_to_go_decays": len(TIME_CONSTANTS),
         "rbf_progress": RBF_COUNT,
     }
-    vectors = [
-        name
-        for name in observation_layout(robot).slices()
-        if name.startswith(("reference_", "preview_"))
-    ]
-    if other := [name for name in names if name not in times and name not in vectors]:
-        raise ValueError(
-            f"feature {other[0]!r} is invalid with symmetric: remove the feature, or remove symmetric"
-        )
-    return block_diag(*(transform if name in vectors else np.eye(times[name]) for name in names))
+    known = observation_layout(robot).slices()
+    matrices = []
+    for name in names:
+        if name in times:
+            matrices.append(np.eye(times[name]))
+        elif name in known and name.startswith(("reference_", "preview_")):
+            matrices.append(transform)
+        else:
+            raise ValueError(
+                f"feature {name!r} is invalid with symmetric: remove the feature, or remove symmetric"
+            )
+    return block_diag(*matrices)

@@ -64,20 +64,14 @@ class Network:
     def __post_init__(self) -> None:
         for name, known in (("activation", ACTIVATIONS), ("squash", SQUASHES)):
             choice(name, getattr(self, name), known)
-        size = len(self.mean)
-        fits = (
-            self.scale.shape == self.mean.shape == (size,)
-            and len(self.weights) == len(self.biases) > 0
-        )
-        for weight, bias in zip(self.weights, self.biases, strict=False):
-            fits = (
-                fits
-                and weight.ndim == 2
-                and weight.shape[1] == size
-                and bias.shape == (weight.shape[0],)
-            )
-            size = weight.shape[0]
-        if not fits:
+        sizes = (self.mean.size, *(bias.size for bias in self.biases))
+        vectors = (self.mean, *self.biases)
+        if (
+            not self.biases
+            or self.scale.shape != self.mean.shape
+            or [vector.shape for vector in vectors] != [(size,) for size in sizes]
+            or [weight.shape for weight in self.weights] != [*zip(sizes[1:], sizes, strict=False)]
+        ):
             raise ValueError("the shapes of the network's layers are inconsistent")
         arrays = (self.mean, self.scale, *self.weights, *self.biases)
         if not all(np.all(np.isfinite(array)) for array in arrays) or not np.all(self.scale > 0):

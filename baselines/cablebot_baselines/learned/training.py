@@ -99,7 +99,6 @@ def train(
         options: see :class:`TrainingOptions`.
 
     Raises:
-        TypeError: if an option is unknown.
         ValueError: if an argument or the configuration is invalid, or ``out`` already contains a
             run. With ``resume`` also if ``out`` contains no run, a run with other settings, or a
             damaged checkpoint. No file is changed.
@@ -115,7 +114,8 @@ def train(
             )
         return state
     threads = runs.torch_threads(state.settings["threads"])
-    with threads, closing(_environments(config, state)) as envs:
+    seed = state.settings["seed"] + state.timesteps  # a resumed run does not repeat its episodes
+    with threads, closing(make_training_envs(env_id, seed=seed, config=config)) as envs:
         model = (_load if resume else _make)(state, config, envs)
         network_from_sb3(model)  # fails before the training if the model cannot be exported
         steered = steered_env(model)
@@ -155,13 +155,6 @@ def _open_run(
     return state, config
 
 
-def _environments(config: Config, state: runs.TrainingResult) -> VecNormalize:
-    seed = (
-        state.settings["seed"] + state.timesteps
-    )  # a resumed run does not repeat its first episodes
-    return make_training_envs(state.settings["env_id"], seed=seed, config=config)
-
-
 def _make(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> BaseAlgorithm:
     """Makes a new model.
 
@@ -170,12 +163,11 @@ def _make(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> Bas
     """
     name = state.settings["algorithm"]
     algorithm: Any = algorithm_class(name)
+    model: BaseAlgorithm
     try:
         # The CPU is faster than an accelerator for networks of this size, and gives reproducible
         # weights.
-        model: BaseAlgorithm = algorithm(
-            env=envs, seed=state.settings["seed"], device="cpu", **config.model
-        )
+        model = algorithm(env=envs, seed=state.settings["seed"], device="cpu", **config.model)
     except (TypeError, ValueError, AssertionError) as error:
         raise ValueError(
             f"{name} rejects the hyperparameters ({error}): correct the file"

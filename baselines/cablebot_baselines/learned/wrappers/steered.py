@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -255,10 +254,9 @@ def make_steered_vec(
                 f"wrappers: {wrapper.__name__} has no vector form (attribute 'vector')"
             )
         try:
-            inspect.signature(vector).bind(env, **arguments)
+            env = vector(env, **arguments)
         except TypeError as error:
             raise ValueError(f"wrappers: {wrapper.__name__}: {error}") from None
-        env = vector(env, **arguments)
     if not isinstance(env, SteeredVector):
         raise ValueError("the last (outermost) wrapper must be Steered")
     if seed is not None:
