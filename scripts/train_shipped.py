@@ -314,12 +314,10 @@ def _env_id(task: partial[str]) -> str:
 
 def _train(name: str, env_id: str, seed: int, folder: Path, quiet: bool) -> str:
     """Runs one training as `cablebot train` does, and returns its result as text."""
-    from cablebot_baselines.learned import gradient_run, training
+    from cablebot_baselines.learned.training import find_trainer
 
     shipped = SHIPPED[name]
-    train: Any = gradient_run.train_gradient
-    if shipped.algorithm != gradient_run.ALGORITHM:
-        train = partial(training.train, algorithm=shipped.algorithm)
+    train = find_trainer(shipped.algorithm)
     options: dict[str, Any] = {
         "out": folder,
         "seed": seed,

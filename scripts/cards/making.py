@@ -118,70 +118,47 @@ def make_card(
             bundles.
         RuntimeError: if an evaluation failed; the message contains the reason.
     """
-    finished = _FinishedRuns.load(shipped, env_id, runs)
-    card = _evaluated_card(finished, evaluate, command, protocol)
-    card = _with_held_out(card, finished.policies, protocol.held_out, evaluate)
+    bundle, *_ = [Bundle.load(run / BEST) for run in runs]
+    records = [Bundle.load(run / LAST).card for run in runs]
+    _check_runs(shipped, env_id, runs, records)
+    policies = {record["seed"]: run / BEST for record, run in zip(records, runs, strict=True)}
+    base = runs[0].parent / f"{stem(shipped.name, env_id)}-base.zip"
+    bundle.base_alone.save(base)
+    laws = (str(base), reference_law(env_id))
+    card = _evaluated_card(shipped, bundle, policies, laws, records, evaluate, protocol)
+    card = _with_held_out(replace(card, command=command), policies, protocol.held_out, evaluate)
     if protocol.searched and has_loops(card.motions):
         count = min(protocol.searched, protocol.held_out)
         best_known = _search(env_id, count, best_known, evaluate) | {**best_known}
-    return with_best_known(card, best_known), finished.policies[card.shipped_seed]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _FinishedRuns:
-    """Finished runs of one policy in one environment, one for each training seed."""
-
-    shipped: Shipped
-    env_id: str
-    folder: Path
-    """Folder of the runs."""
-    policies: Mapping[int, Path]
-    """Path of the best policy by seed."""
-    bundle: Bundle
-    """The best policy of the first run."""
-    records: Sequence[Mapping[str, Any]]
-    """Training records."""
-
-    @classmethod
-    def load(cls, shipped: Shipped, env_id: str, runs: Sequence[Path]) -> _FinishedRuns:
-        """Loads and checks runs.
-
-        Raises:
-            ValueError: if they belong to another policy or to different configurations, or are not
-                bundles.
-        """
-        bundles = [Bundle.load(run / BEST) for run in runs]
-        records = [Bundle.load(run / LAST).card for run in runs]
-        _check_runs(shipped, env_id, runs, records)
-        return cls(
-            shipped=shipped,
-            env_id=env_id,
-            folder=runs[0].parent,
-            policies={
-                int(record["seed"]): run / BEST for record, run in zip(records, runs, strict=True)
-            },
-            bundle=bundles[0],
-            records=records,
-        )
+    return with_best_known(card, best_known), policies[card.shipped_seed]
 
 
 def _evaluated_card(
-    finished: _FinishedRuns, evaluate: Evaluate, command: str, protocol: Protocol
+    shipped: Shipped,
+    bundle: Bundle,
+    policies: Mapping[int, Path],
+    laws: tuple[str, str],
+    records: Sequence[Mapping[str, Any]],
+    evaluate: Evaluate,
+    protocol: Protocol,
 ) -> Card:
-    """The card without held-out motions and best known payloads."""
-    shipped, env_id, bundle, records = (
-        finished.shipped,
-        finished.env_id,
-        finished.bundle,
-        finished.records,
-    )
-    base = finished.folder / f"{stem(shipped.name, env_id)}-base.zip"
-    bundle.base_alone.save(base)
-    law = reference_law(env_id)
+    """The card without held-out motions, best known payloads and command.
+
+    Args:
+        shipped: policy of the runs.
+        bundle: policy of one run.
+        policies: policies of all runs by seed.
+        laws: the base law alone and the reference law.
+        records: training records of the runs.
+        evaluate: function that computes cells.
+        protocol: sizes of the evaluation.
+    """
+    env_id = bundle.env_id
+    law = laws[1]
     conditions = CONDITIONS[shipped.name]
     cells = [_cell(law, env_id, condition, protocol) for condition in conditions]
-    policies = [*map(str, finished.policies.values()), str(base), law]
-    *payloads, base_payloads, law_payloads = _payload_rows(policies, cells, evaluate)
+    names = [*map(str, policies.values()), *laws]
+    *payloads, base_payloads, law_payloads = _payload_rows(names, cells, evaluate)
     seed_runs = tuple(map(_seed_run, records, payloads))
     shipped_seed = median_seed({run.seed: run.in_training for run in seed_runs})
     return Card(
@@ -189,7 +166,7 @@ def _evaluated_card(
         env_id=env_id,
         algorithm=shipped.algorithm,
         config=shipped.config,
-        command=command,
+        command="",
         base=asdict(bundle.base),
         base_text=base_text(bundle.base, env_id),
         steering=action_mapping_to_jsonable(bundle.action_mapping),
@@ -203,7 +180,7 @@ def _evaluated_card(
         draws=protocol.draws,
         probability=protocol.probability,
         shipped_seed=shipped_seed,
-        sha256=hashlib.sha256(finished.policies[shipped_seed].read_bytes()).hexdigest(),
+        sha256=hashlib.sha256(policies[shipped_seed].read_bytes()).hexdigest(),
         base_in_training=records[0]["base_payload_kg"],
         base_payloads=base_payloads,
         law=law,

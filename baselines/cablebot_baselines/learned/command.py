@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.console import command_line, notes_console, progress
-
-if TYPE_CHECKING:
-    from cablebot_baselines.learned.runs import TrainingResult
-
 
 EnvId = Annotated[
     str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0.")
@@ -90,22 +85,33 @@ def train(
 
     cablebot train CableBot-Planar-v0 --algo gradient --out runs/planar
     """
+    from cablebot_baselines.learned.gradient_run import ALGORITHM
     from cablebot_baselines.learned.runs import Interrupted, TrainingResult
+    from cablebot_baselines.learned.training import find_trainer
 
     if algo is None:
         algo = TrainingResult.load(out).settings["algorithm"] if resume else "ppo"
-    common = {"out": out, "config": config, "seed": seed, "resume": resume, "threads": threads}
-    sb3_options = {
+    run_training = find_trainer(algo)
+    options: dict[str, Any] = {
         "timesteps": timesteps,
         "evaluation": _evaluation(evaluation),
         "eval_every": eval_every,
         "checkpoint_every": checkpoint_every,
     }
+    options = {name: value for name, value in options.items() if value is not None}
+    if algo == ALGORITHM and options:
+        option = next(iter(options)).replace("_", "-")
+        raise ValueError(
+            f"--{option} is for ppo, sac and tqc: for gradient, set it in the --config file"
+        )
+    options |= {"config": config, "seed": seed, "threads": threads, "resume": resume}
+    say = notes_console().print
     try:
-        result = _run_training(env_id, algo, common, sb3_options)
+        with progress("training", "timesteps") as step:
+            result = run_training(env_id, out=out, progress=step, say=say, **options)
     except Interrupted as stop:
         again = command_line("train", env_id, out=out, resume=True)
-        notes_console().print(f"stopped after {stop.timesteps} timesteps; to resume: {again}")
+        say(f"stopped after {stop.timesteps} timesteps; to resume: {again}")
         raise
     print(json.dumps(result.to_dict(), indent=2) if as_json else result)
 
@@ -120,30 +126,3 @@ def _evaluation(text: str | None) -> dict[str, Any] | None:
         raise ValueError(
             f'--evaluation must be a JSON object, {{"keyword": value}}: {error}'
         ) from error
-
-
-def _run_training(
-    env_id: str, algo: str, common: dict[str, Any], sb3_options: dict[str, Any]
-) -> TrainingResult:
-    """Trains with the trainer of an algorithm.
-
-    Args:
-        env_id: id of the environment.
-        algo: algorithm.
-        common: options of both trainers.
-        sb3_options: options of the algorithms of Stable-Baselines3; None if not given.
-    """
-    from cablebot_baselines.learned import gradient_run, training
-    from cablebot_baselines.learned.config import ALGORITHMS
-
-    choice("algorithm", algo, (*ALGORITHMS, gradient_run.ALGORITHM))
-    with progress("training", "timesteps") as step:
-        common |= {"progress": step, "say": notes_console().print}
-        if algo != gradient_run.ALGORITHM:
-            return training.train(env_id, algorithm=algo, **common, **sb3_options)
-        for name, value in sb3_options.items():
-            if value is not None:
-                raise ValueError(
-                    f"--{name.replace('_', '-')} is for ppo, sac and tqc: for gradient, set it in the --config file"
-                )
-        return gradient_run.train_gradient(env_id, **common)

@@ -274,14 +274,13 @@ class GradientTraining:
 
     def _actions(self, inputs: Tensor) -> Tensor:
         values = ((inputs - self._mean) / self._scale).clamp(-Network.CUT, Network.CUT)
-        weights = self._layers.weights()
-        for index, (weight, bias) in enumerate(weights):
-            values = nn.functional.linear(values, weight, bias)
-            if index < len(weights) - 1:
-                values = torch.tanh(values)
-        size = min(3, values.shape[-1])
-        position = values[..., :size]
-        angles = values[..., size:]
+        *hidden, (weight, bias) = self._layers.weights()
+        for hidden_weight, hidden_bias in hidden:
+            values = torch.tanh(nn.functional.linear(values, hidden_weight, hidden_bias))
+        values = nn.functional.linear(values, weight, bias)
+        # The squash "ball" of the network.
+        position = values[..., :3]
+        angles = values[..., 3:]
         square = position.square().sum(-1, keepdim=True)
         return torch.cat(
             [position / (1 + square).sqrt(), angles / (1 + angles.square()).sqrt()], dim=-1

@@ -14,9 +14,8 @@ from cablebot_gym.utils.checks import choice
 def _ball(values: Array) -> Array:
     """Squashes the first (at most three) numbers as one vector, x/√(1 + |x|²), and each other
     number on its own."""
-    lines = min(3, values.shape[-1])
     square = values**2
-    square[..., :lines] = np.sum(square[..., :lines], axis=-1, keepdims=True)
+    square[..., :3] = np.sum(square[..., :3], axis=-1, keepdims=True)
     squashed: Array = values / np.sqrt(1 + square)
     return squashed
 
@@ -92,12 +91,10 @@ class Network:
     def __call__(self, values: Array) -> Array:
         """Outputs (..., outputs) for inputs (..., inputs)."""
         values = np.clip((values - self.mean) / self.scale, -self.CUT, self.CUT)
-        last = len(self.weights) - 1
-        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            values = values @ weight.T + bias
-            if index < last:
-                values = ACTIVATIONS[self.activation](values)
-        return SQUASHES[self.squash](values)
+        *hidden, (weight, bias) = zip(self.weights, self.biases, strict=True)
+        for hidden_weight, hidden_bias in hidden:
+            values = ACTIVATIONS[self.activation](values @ hidden_weight.T + hidden_bias)
+        return SQUASHES[self.squash](values @ weight.T + bias)
 
     def to_arrays(self) -> dict[str, Array]:
         """The network as arrays by name, for :meth:`from_arrays`."""

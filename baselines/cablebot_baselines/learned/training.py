@@ -10,8 +10,9 @@ trust.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
@@ -31,13 +32,13 @@ except ImportError as error:
         "training needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name
     ) from error
 
-from cablebot_baselines.learned import runs
-from cablebot_baselines.learned.config import Config, algorithm_class, make_config
+from cablebot_baselines.learned import gradient_run, runs
+from cablebot_baselines.learned.config import ALGORITHMS, Config, algorithm_class, make_config
 from cablebot_baselines.learned.export import network_from_sb3
 from cablebot_baselines.learned.recipe import make_training_envs, steered_env
 from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, SteeredVector
 from cablebot_baselines.learned.wrappers.layers import layers
-from cablebot_gym.utils.checks import unexpected_keyword_error
+from cablebot_gym.utils.checks import choice, unexpected_keyword_error
 
 PARTS = 20
 """Default number of evaluations and of checkpoints in a run."""
@@ -90,10 +91,9 @@ def train(
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         out: folder of the run.
-        resume: whether to resume the run in ``out`` from its last checkpoint: the saved model,
-            normalisation and replay buffer, with new episodes. The result is therefore not that of
-            an uninterrupted run. Options must equal those that the run was started with, except for
-            ``timesteps``, at whose new value linear schedules end.
+        resume: whether to resume the run in ``out`` from its last checkpoint with new episodes. The
+            result is therefore not that of an uninterrupted run. Options must equal those that the
+            run was started with, except for ``timesteps``, at whose new value linear schedules end.
         progress: function called with the progress.
         say: function called with messages for the user.
         options: see :class:`TrainingOptions`.
@@ -133,6 +133,19 @@ def train(
             run.start()
         _learn(model, _RunCallback(run, _curriculum(steered)), run)
     return state
+
+
+def find_trainer(algorithm: str) -> Callable[..., runs.TrainingResult]:
+    """The function that trains with an algorithm: :func:`train` or
+    :func:`~cablebot_baselines.learned.gradient_run.train_gradient`.
+
+    Raises:
+        ValueError: if the algorithm is unknown.
+    """
+    choice("algorithm", algorithm, (*ALGORITHMS, gradient_run.ALGORITHM))
+    if algorithm == gradient_run.ALGORITHM:
+        return gradient_run.train_gradient
+    return partial(train, algorithm=algorithm)
 
 
 def _open_run(
@@ -238,11 +251,10 @@ class _RunCallback(BaseCallback):
         if isinstance(self.model, OffPolicyAlgorithm):
             self.model.save_replay_buffer(folder / _REPLAY)
 
-    def _is_due(self, setting: str, last: int) -> bool:
-        """Whether a multiple of an interval has been passed since the timestep ``last``."""
-        interval = self._run.state.settings[setting]
-        passed: bool = self.model.num_timesteps // interval > last // interval
-        return passed
+    def _is_due(self, setting: str, since: int) -> bool:
+        """Whether a multiple of an interval has been passed since a timestep."""
+        interval: int = self._run.state.settings[setting]
+        return self.model.num_timesteps // interval > since // interval
 
     def _on_rollout_start(self) -> None:
         """Evaluates and saves if due.
