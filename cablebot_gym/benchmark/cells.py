@@ -160,9 +160,8 @@ class PolicyCell(Setting):
         """JSON-able keyword arguments of
         :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc`."""
         names = ("criterion", "payload_max", "resolution", "probability", "seed")
-        draws = (
-            self.draws if self.draws > 1 else None
-        )  # a stochastic policy has draws without uncertainty
+        # a stochastic policy has draws without uncertainty
+        draws = self.draws if self.draws > 1 else None
         return self.env_options() | {name: getattr(self, name) for name in names} | {"draws": draws}
 
     def compute(self) -> dict[str, Any]:
