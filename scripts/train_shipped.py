@@ -17,15 +17,22 @@ import json
 import sys
 import zipfile
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, has_loops, read_cards
+from cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, Card, has_loops, read_cards
 from cards.figure import draw_curves
-from cards.making import Evaluate, make_card, read_best_known, with_best_known, with_search_results
+from cards.making import (
+    STANDARD,
+    Evaluate,
+    Protocol,
+    make_card,
+    read_best_known,
+    with_best_known,
+    with_search_results,
+)
 from cards.page import card_markdown
 
 from cablebot_baselines.learned.bundle import Bundle
@@ -75,70 +82,26 @@ _errors = notes_console()
 
 def main() -> None:
     """Command line; errors exit with status 2, an interrupt with status 130."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0] if __doc__ else None)
-    parser.add_argument("--policy", help=f"{', '.join(SHIPPED)} (default: all)")
-    parser.add_argument(
-        "--id", dest="env_id", help="environment, such as CableBot-Spatial-v0 (default: all)"
-    )
-    parser.add_argument(
-        "--seeds",
-        type=int,
-        default=LEAST_SEEDS,
-        help="number of training seeds, from 0 on (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--runs", type=Path, default=Path("runs"), help="folder of the runs (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--draws",
-        type=int,
-        default=DRAWS,
-        help="fresh draws that confirm a payload under uncertainty (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--held-out",
-        type=int,
-        default=HELD_OUT,
-        help="number of held-out motions (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--searched",
-        type=int,
-        default=HELD_OUT,
-        help="number of these with a search for the best known payload (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--jobs",
-        type=int,
-        default=1,
-        help="number of parallel trainings or evaluations (default: %(default)s)",
-    )
-    parser.add_argument("--page", action="store_true", help="only render page and figure again")
-    parser.add_argument(
-        "--search",
-        action="store_true",
-        help="only search for the best known payloads that are missing in the cards",
-    )
-    given = parser.parse_args()
+    arguments = _parser().parse_args()
     try:
         import_matplotlib()
-        chosen = (
-            [SHIPPED[choice("learned policy", given.policy, SHIPPED)]]
-            if given.policy
-            else list(SHIPPED.values())
-        )
-        pairs = select_pairs(chosen, given.env_id)
-        if given.search:
-            search_missing(pairs, runs=given.runs, jobs=given.jobs)
-        elif not given.page:
+        policies = list(SHIPPED.values())
+        if arguments.policy:
+            policies = [SHIPPED[choice("learned policy", arguments.policy, SHIPPED)]]
+        pairs = select_pairs(policies, arguments.env_id)
+        if arguments.search:
+            search_missing(pairs, runs=arguments.runs, jobs=arguments.jobs)
+        elif not arguments.page:
             ship_all(
                 pairs,
-                seeds=given.seeds,
-                runs=given.runs,
-                draws=given.draws,
-                held_out=given.held_out,
-                searched=given.searched,
-                jobs=given.jobs,
+                seeds=arguments.seeds,
+                runs=arguments.runs,
+                protocol=Protocol(
+                    draws=arguments.draws,
+                    held_out=arguments.held_out,
+                    searched=arguments.searched,
+                ),
+                jobs=arguments.jobs,
             )
         write_page(WEIGHTS, ROOT / "docs")
     except (ValueError, ImportError, OSError, RuntimeError) as error:
@@ -149,15 +112,50 @@ def main() -> None:
         sys.exit(130)
 
 
-def select_pairs(chosen: Sequence[Shipped], env_id: str | None) -> list[tuple[Shipped, str]]:
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
+
+    def add_number(option: str, default: int, text: str) -> None:
+        parser.add_argument(
+            option, type=int, default=default, help=f"{text} (default: %(default)s)"
+        )
+
+    parser.add_argument("--policy", help=f"{', '.join(SHIPPED)} (default: all)")
+    parser.add_argument(
+        "--id", dest="env_id", help="environment, such as CableBot-Spatial-v0 (default: all)"
+    )
+    add_number("--seeds", LEAST_SEEDS, "number of training seeds, from 0 on")
+    parser.add_argument(
+        "--runs", type=Path, default=Path("runs"), help="folder of the runs (default: %(default)s)"
+    )
+    add_number("--draws", DRAWS, "fresh draws that confirm a payload under uncertainty")
+    add_number("--held-out", HELD_OUT, "number of held-out motions")
+    add_number("--searched", HELD_OUT, "number of these with a search for the best known payload")
+    add_number("--jobs", 1, "number of parallel trainings or evaluations")
+    parser.add_argument("--page", action="store_true", help="only render page and figure again")
+    parser.add_argument(
+        "--search",
+        action="store_true",
+        help="only search for the best known payloads that are missing in the cards",
+    )
+    return parser
+
+
+def select_pairs(policies: Sequence[Shipped], env_id: str | None) -> list[tuple[Shipped, str]]:
     """Selects pairs of a policy and an environment.
 
     Raises:
         ValueError: if none of the policies is shipped for the environment.
     """
-    pairs = [(one, other) for one in chosen for other in one.env_ids if env_id in (None, other)]
+    pairs = []
+    for policy in policies:
+        for shipped_id in policy.env_ids:
+            if env_id in (None, shipped_id):
+                pairs.append((policy, shipped_id))
     if not pairs:
-        available = "; ".join(f"{one.name} for {', '.join(one.env_ids)}" for one in chosen)
+        available = "; ".join(
+            f"{policy.name} for {', '.join(policy.env_ids)}" for policy in policies
+        )
         raise ValueError(
             f"--id {env_id}: no shipped policy for this environment. Available: {available}"
         )
@@ -169,9 +167,7 @@ def ship_all(
     *,
     seeds: int,
     runs: Path,
-    draws: int = DRAWS,
-    held_out: int = HELD_OUT,
-    searched: int = HELD_OUT,
+    protocol: Protocol = STANDARD,
     jobs: int = 1,
     weights: Path = WEIGHTS,
     results: Path = RESULTS,
@@ -182,10 +178,7 @@ def ship_all(
         pairs: policies and environments.
         seeds: number of training seeds.
         runs: folder of the runs.
-        draws: number of fresh draws that confirm a payload under an uncertainty.
-        held_out: number of held-out motions.
-        searched: number of held-out motions with a search for the best known payload, for training
-            on random loops.
+        protocol: sizes of the evaluation.
         jobs: number of parallel trainings or evaluations.
         weights: folder for weights and cards.
         results: results of the leaderboard, for the best known payloads.
@@ -199,45 +192,36 @@ def ship_all(
         raise ValueError(
             f"--seeds must be at least {LEAST_SEEDS} for a meaningful interval, not {seeds}"
         )
-    if draws < 1 or held_out < 1 or searched < 0:
+    if protocol.draws < 1 or protocol.held_out < 1 or protocol.searched < 0:
         text = "--draws and --held-out must be at least 1, --searched at least 0"
-        raise ValueError(f"{text}, not {draws}, {held_out} and {searched}")
+        raise ValueError(
+            f"{text}, not {protocol.draws}, {protocol.held_out} and {protocol.searched}"
+        )
     check_workers(jobs)
     check_writable_dir(runs / EVALUATIONS)
     check_writable_dir(weights)
     best_known = read_best_known(results)
     train_missing(pairs, seeds=seeds, runs=runs, jobs=jobs)
     for shipped, env_id in pairs:
-        name = stem(shipped.name, env_id)
-        command = f"python scripts/train_shipped.py --policy {shipped.name} --id {env_id}"
-        command += f" --seeds {seeds} --draws {draws} --held-out {held_out}"
-        command += "" if searched == HELD_OUT else f" --searched {searched}"
         card, best = make_card(
             shipped,
             env_id,
             [run_folder(runs, shipped, env_id, seed) for seed in range(seeds)],
-            evaluate=_make_evaluate(name, runs, jobs),
+            evaluate=_make_evaluate(stem(shipped.name, env_id), runs, jobs),
             best_known=best_known,
-            command=command,
-            draws=draws,
-            held_out=held_out,
-            searched=searched,
+            command=_command(shipped, env_id, seeds, protocol),
+            protocol=protocol,
         )
-        sb3 = weights / f"{name}-sb3.zip"
-        model = sb3_model(best)
-        if model is not None and len(model) > LARGEST:
-            _errors.print(
-                f"{name}: its SB3 model is not shipped; {len(model)} bytes exceed the limit {LARGEST}"
-            )
-            model = None
-        if model is None:
-            sb3.unlink(missing_ok=True)
-        else:
-            _write_bytes(sb3, model)
-        _write_bytes(weights / f"{name}.zip", best.read_bytes())
-        replace(card, sb3=model is not None).save(weights)
-        payload = card.shipped.payloads[0] or 0
-        _errors.print(f"{name}: shipping seed {card.shipped_seed} of {seeds} with {payload:.2f} kg")
+        _write_files(card, best, weights)
+
+
+def _command(shipped: Shipped, env_id: str, seeds: int, protocol: Protocol) -> str:
+    """Command line that makes a card."""
+    command = f"python scripts/train_shipped.py --policy {shipped.name} --id {env_id}"
+    command += f" --seeds {seeds} --draws {protocol.draws} --held-out {protocol.held_out}"
+    if protocol.searched != HELD_OUT:
+        command += f" --searched {protocol.searched}"
+    return command
 
 
 def search_missing(
@@ -292,9 +276,8 @@ def train_missing(
             else:
                 tasks[folder.name] = partial(_train, shipped.name, env_id, seed, folder, jobs > 1)
     _errors.print(f"trainings: {len(pairs) * seeds - len(tasks)} finished, {len(tasks)} to do")
-    for done, (key, text) in enumerate(
-        run_tasks(tasks, workers=jobs, kind=_env_id, say=_errors.print), 1
-    ):
+    results = run_tasks(tasks, workers=jobs, kind=_env_id, say=_errors.print)
+    for done, (key, text) in enumerate(results, 1):
         _errors.print(f"trained {done} of {len(tasks)}: {key}: {text}")
 
 
@@ -331,21 +314,21 @@ def _env_id(task: partial[str]) -> str:
 
 def _train(name: str, env_id: str, seed: int, folder: Path, quiet: bool) -> str:
     """Runs one training as `cablebot train` does, and returns its result as text."""
-    from cablebot_baselines.learned import gradient_run, training
+    from cablebot_baselines.learned.training import find_trainer
 
     shipped = SHIPPED[name]
-    common: dict[str, Any] = {"out": folder, "seed": seed, "resume": (folder / STATE).is_file()}
-    common["config"] = None if shipped.config is None else Path(shipped.config)
-    say = None if quiet else _errors.print
+    train = find_trainer(shipped.algorithm)
+    options: dict[str, Any] = {
+        "out": folder,
+        "seed": seed,
+        "resume": (folder / STATE).is_file(),
+        "config": shipped.config and Path(shipped.config),
+    }
     try:
-        with nullcontext() if quiet else progress(folder.name, "steps") as step:
-            if shipped.algorithm == gradient_run.ALGORITHM:
-                return str(gradient_run.train_gradient(env_id, progress=step, say=say, **common))
-            return str(
-                training.train(
-                    env_id, algorithm=shipped.algorithm, progress=step, say=say, **common
-                )
-            )
+        if quiet:
+            return str(train(env_id, **options))
+        with progress(folder.name, "steps") as step:
+            return str(train(env_id, progress=step, say=_errors.print, **options))
     except ValueError as error:
         raise ValueError(
             f"{error}. In {str(folder)!r}: remove this folder, or choose another --runs"
@@ -373,6 +356,27 @@ def _make_evaluate(name: str, runs: Path, jobs: int) -> Evaluate:
 # -------------------------------------------------------------------------------------------------------------- writing
 
 
+def _write_files(card: Card, best: Path, weights: Path) -> None:
+    """Writes the bundle, the card and, if it is small enough, the model of Stable-Baselines3."""
+    sb3 = weights / f"{card.stem}-sb3.zip"
+    model = sb3_model(best)
+    if model is not None and len(model) > LARGEST:
+        _errors.print(
+            f"{card.stem}: its SB3 model is not shipped; {len(model)} bytes exceed the limit {LARGEST}"
+        )
+        model = None
+    if model is None:
+        sb3.unlink(missing_ok=True)
+    else:
+        _write_bytes(sb3, model)
+    _write_bytes(weights / f"{card.stem}.zip", best.read_bytes())
+    replace(card, sb3=model is not None).save(weights)
+    payload = card.shipped.payloads[0] or 0
+    _errors.print(
+        f"{card.stem}: shipping seed {card.shipped_seed} of {len(card.seeds)} with {payload:.2f} kg"
+    )
+
+
 def sb3_model(best: Path) -> bytes | None:
     """The model in the checkpoint next to a run's best bundle, with the bundle's actor and without
     environments.
@@ -396,13 +400,14 @@ def sb3_model(best: Path) -> bytes | None:
         ):
             layer.weight.copy_(torch.as_tensor(weight))
             layer.bias.copy_(torch.as_tensor(bias))
-    saved, small = io.BytesIO(), io.BytesIO()
+    saved = io.BytesIO()
+    compressed = io.BytesIO()
     model.save(saved, exclude=list(_EPISODE_STATE))
-    with zipfile.ZipFile(saved) as file, zipfile.ZipFile(small, "w", zipfile.ZIP_DEFLATED) as out:
-        for name in file.namelist():
+    with zipfile.ZipFile(saved) as source, zipfile.ZipFile(compressed, "w") as target:
+        for name in source.namelist():
             if name != "system_info.txt":  # it describes the machine of the training
-                out.writestr(zipfile.ZipInfo(name), file.read(name), zipfile.ZIP_DEFLATED)
-    return small.getvalue()
+                target.writestr(zipfile.ZipInfo(name), source.read(name), zipfile.ZIP_DEFLATED)
+    return compressed.getvalue()
 
 
 def write_page(weights: Path, docs: Path, results: Path = RESULTS) -> None:

@@ -85,7 +85,7 @@ class SeedRun:
     def in_training(self) -> float | None:
         """DLCC of the run's best policy in the evaluations during training, a mean over their
         motions [kg]."""
-        return max((one["payload_kg"] for one in self.curve), key=rank, default=None)
+        return max((row["payload_kg"] for row in self.curve), key=rank, default=None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,24 +166,19 @@ class Card:
     too."""
 
     def __post_init__(self) -> None:
-        numbers = [
-            len(self.base_payloads),
-            len(self.law_payloads),
-            *(len(run.payloads) for run in self.seeds),
-        ]
-        if not self.conditions or set(numbers) != {len(self.conditions)}:
+        rows = [self.base_payloads, self.law_payloads, *(run.payloads for run in self.seeds)]
+        if not self.conditions or {*map(len, rows)} != {len(self.conditions)}:
             raise ValueError("a card must have one payload for each condition")
         seeds = [run.seed for run in self.seeds]
         if len({*seeds}) != len(seeds) or self.shipped_seed not in seeds:
             raise ValueError(
                 f"the seeds of a card must be distinct and include the shipped one, not {seeds}"
             )
-
-        counts = {len(run.held_out) for run in self.seeds if run.held_out or run is self.shipped}
-        if counts != {len(self.held_out)}:
-            raise ValueError(
-                "the shipped run of a card must have one payload for each held-out motion"
-            )
+        for run in (*self.evaluated_runs, self.shipped):
+            if len(run.held_out) != len(self.held_out):
+                raise ValueError(
+                    "the shipped run of a card must have one payload for each held-out motion"
+                )
 
     @property
     def stem(self) -> str:
@@ -207,10 +202,11 @@ class Card:
 
     def fractions(self, run: SeedRun) -> list[float]:
         """DLCC as a fraction of the best known payload, on the held-out motions that have one."""
-        pairs = zip(run.held_out, self.held_out, strict=True)
-        return [
-            (payload or 0.0) / motion.best_known for payload, motion in pairs if motion.best_known
-        ]
+        fractions = []
+        for payload, motion in zip(run.held_out, self.held_out, strict=True):
+            if motion.best_known:
+                fractions.append((payload or 0.0) / motion.best_known)
+        return fractions
 
     def payloads(self, index: int) -> list[float]:
         """DLCCs of all seeds under condition ``index`` [kg]; 0 if the policy fails unloaded."""
@@ -222,14 +218,14 @@ class Card:
 
     def to_json(self) -> str:
         """The card as JSON text, including ``summaries``, which :meth:`from_json` ignores."""
-        summaries = [asdict(self.summary(index)) for index in range(len(self.conditions))]
+        data = asdict(self)
+        data["summaries"] = [asdict(self.summary(index)) for index in range(len(self.conditions))]
         lines = []
-        for name, value in (asdict(self) | {"summaries": summaries}).items():
-            text = json.dumps(value, ensure_ascii=False, allow_nan=False)
+        for name, value in data.items():
+            text = _json(value)
             if isinstance(value, (list, tuple)) and value and isinstance(value[0], dict):
-                rows = (json.dumps(row, ensure_ascii=False, allow_nan=False) for row in value)
-                text = "[\n  " + ",\n  ".join(rows) + "\n ]"
-            lines.append(f" {json.dumps(name)}: {text}")
+                text = "[\n  " + ",\n  ".join(map(_json, value)) + "\n ]"
+            lines.append(f" {_json(name)}: {text}")
         return "{\n" + ",\n".join(lines) + "\n}\n"
 
     @classmethod
@@ -240,21 +236,20 @@ class Card:
             ValueError: if the text is not that of a card.
         """
         try:
-            data = {name: value for name, value in json.loads(text).items() if name != "summaries"}
-            runs = [
-                SeedRun(
-                    **{
-                        **run,
-                        **{name: tuple(run[name]) for name in ("payloads", "curve", "held_out")},
-                    }
-                )
-                for run in data.pop("seeds")
-            ]
+            data = json.loads(text)
+            data.pop("summaries", None)
             for name in ("features", "base_payloads", "law_payloads"):
                 data[name] = tuple(data[name])
-            conditions = tuple(Condition(**condition) for condition in data.pop("conditions"))
-            held_out = tuple(HeldOut(**motion) for motion in data.pop("held_out"))
-            return cls(seeds=tuple(runs), conditions=conditions, held_out=held_out, **data)
+            for run in data["seeds"]:
+                for name in ("payloads", "curve", "held_out"):
+                    run[name] = tuple(run[name])
+            for name, kind in (
+                ("seeds", SeedRun),
+                ("conditions", Condition),
+                ("held_out", HeldOut),
+            ):
+                data[name] = tuple(kind(**item) for item in data[name])
+            return cls(**data)
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(
                 f"the text is not a card of a policy ({type(error).__name__}: {error})"
@@ -262,9 +257,13 @@ class Card:
 
     def save(self, folder: Path) -> Path:
         """Writes ``NAME-KIND.json`` atomically."""
-        path, text = folder / f"{self.stem}.json", self.to_json()
-        atomic_write_text(path, text)
+        path = folder / f"{self.stem}.json"
+        atomic_write_text(path, self.to_json())
         return path
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
 def has_loops(motions: Mapping[str, Any]) -> bool:
@@ -303,7 +302,8 @@ def read_cards(folder: Path = WEIGHTS) -> list[Card]:
     """
     cards = []
     for name in SHIPPED:
-        for path in (folder / f"{stem(name, env_id)}.json" for env_id in PAPER_ENV_IDS):
+        for env_id in PAPER_ENV_IDS:
+            path = folder / f"{stem(name, env_id)}.json"
             if not path.is_file():
                 continue
             try:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cablebot_baselines.learned.shipped import short_id
 from cablebot_gym.plotting.figures import add_legend, new_figure, set_title
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
-from cards.card import Card, Condition, has_loops
+from cards.card import Card, Condition, SeedRun, has_loops
 from cards.statistics import scores
 
 if TYPE_CHECKING:
@@ -34,15 +34,9 @@ def draw_curves(cards: Sequence[Card]) -> Figure:
         _curves(axes, card)
     for axes in list(panels)[len(cards) :]:
         axes.set_axis_off()
-    shown = next(
-        (
-            index
-            for index, card in enumerate(cards)
-            if not has_loops(card.motions) and card.best_known
-        ),
-        0,
-    )
-    add_legend(figure, figure.axes[shown])
+    # The panel of a circle has all labels.
+    complete = [bool(card.best_known) and not has_loops(card.motions) for card in cards]
+    add_legend(figure, figure.axes[complete.index(True) if True in complete else 0])
     set_title(
         figure, "Payload during training, on the motions that select the best policy of a run"
     )
@@ -50,18 +44,13 @@ def draw_curves(cards: Sequence[Card]) -> Figure:
 
 
 def _curves(axes: Axes, card: Card) -> None:
-    others = [run for run in card.seeds if run.seed != card.shipped_seed]
-    for index, run in enumerate([*others, card.shipped]):  # the shipped run is drawn on top
-        ships = run.seed == card.shipped_seed
-        axes.plot(
-            [row["wall_s"] for row in run.curve],
-            scores([row["payload_kg"] for row in run.curve]),
-            marker=".",
-            color=VERMILLION if ships else BLUE,
-            linewidth=1.8 if ships else 1.0,
-            label="shipped seed" if ships else "_" if index else "other seeds",
-        )
-    where = "circle"
+    label = "other seeds"
+    for run in card.seeds:
+        if run.seed != card.shipped_seed:
+            _curve(axes, run, color=BLUE, linewidth=1.0, label=label)
+            label = "_"  # one entry of the legend for all
+    _curve(axes, card.shipped, color=VERMILLION, linewidth=1.8, label="shipped seed")
+    motion = "circle"
     if not has_loops(card.motions):
         if card.best_known:
             axes.axhline(
@@ -73,15 +62,22 @@ def _curves(axes: Axes, card: Card) -> None:
             )
         known = card.evaluation.get("payload_known", True)
         uncertainty = card.evaluation.get("uncertainty")
-        if (same := Condition(payload_known=known, uncertainty=uncertainty)) in card.conditions:
-            (law,) = scores([card.law_payloads[card.conditions.index(same)]])
+        condition = Condition(payload_known=known, uncertainty=uncertainty)
+        if condition in card.conditions:
+            (law,) = scores([card.law_payloads[card.conditions.index(condition)]])
             axes.axhline(law, color=GREY, linestyle="-.", linewidth=1.0, label="classical law")
     else:
-        where = "loops, mean"
+        motion = "loops, mean"
     (base,) = scores([card.base_in_training])
     axes.axhline(base, color=GREY, linestyle=":", linewidth=1.0, label="base law alone")
-    axes.set_title(f"{card.policy}, {short_id(card.env_id)}: {where}", fontsize=10)
+    axes.set_title(f"{card.policy}, {short_id(card.env_id)}: {motion}", fontsize=10)
     axes.margins(y=0.08)
     axes.set_ylim(bottom=0)
     axes.set_xlim(left=0)
     axes.set(xlabel="wall time [s]", ylabel="payload [kg]")
+
+
+def _curve(axes: Axes, run: SeedRun, **style: Any) -> None:
+    times = [row["wall_s"] for row in run.curve]
+    payloads = scores([row["payload_kg"] for row in run.curve])
+    axes.plot(times, payloads, marker=".", **style)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,25 @@ def reference_law(env_id: str) -> str:
     return "composite-tuned" if env_id in FLEXIBLE_ENV_IDS else "fl"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Protocol:
+    """Sizes of the evaluation of a card."""
+
+    draws: int = DRAWS
+    """Number of fresh draws that confirm a payload under an uncertainty."""
+    probability: float = PROBABILITY
+    """Required success rate under an uncertainty."""
+    held_out: int = HELD_OUT
+    """Number of held-out motions."""
+    searched: int = HELD_OUT
+    """Number of held-out motions with a search for the best known payload, for training on random
+    loops."""
+
+
+STANDARD = Protocol()
+"""Sizes of the evaluation of the shipped cards."""
+
+
 def read_best_known(path: Path) -> dict[str, float]:
     """Reads the best known payloads from a benchmark's ``results.json``.
 
@@ -54,15 +73,15 @@ def read_best_known(path: Path) -> dict[str, float]:
     Raises:
         OSError, ValueError, KeyError: if the file cannot be read.
     """
-    return _known(Results.from_json(path.read_text(encoding="utf-8")).records)
+    return _best_known(Results.from_json(path.read_text(encoding="utf-8")).records)
 
 
-def _known(records: Sequence[Record]) -> dict[str, float]:
-    return {
-        key: best.payload
-        for key, best in best_known_payloads(records).items()
-        if best.payload is not None
-    }
+def _best_known(records: Sequence[Record]) -> dict[str, float]:
+    payloads = {}
+    for key, best in best_known_payloads(records).items():
+        if best.payload is not None:
+            payloads[key] = best.payload
+    return payloads
 
 
 def make_card(
@@ -73,10 +92,7 @@ def make_card(
     evaluate: Evaluate,
     best_known: Mapping[str, float],
     command: str,
-    draws: int = DRAWS,
-    probability: float = PROBABILITY,
-    held_out: int = HELD_OUT,
-    searched: int = HELD_OUT,
+    protocol: Protocol = STANDARD,
 ) -> tuple[Card, Path]:
     """Evaluates the policies of finished runs, one run for each training seed, and makes a card.
 
@@ -92,11 +108,7 @@ def make_card(
         evaluate: function that computes cells.
         best_known: best known payloads from :func:`read_best_known`.
         command: command line that makes the card.
-        draws: number of fresh draws that confirm a payload under an uncertainty.
-        probability: required success rate under an uncertainty.
-        held_out: number of held-out motions.
-        searched: number of held-out motions with a search for the best known payload, for training
-            on random loops.
+        protocol: sizes of the evaluation.
 
     Returns:
         The card, and the path of the bundle to ship.
@@ -106,70 +118,97 @@ def make_card(
             bundles.
         RuntimeError: if an evaluation failed; the message contains the reason.
     """
-    bundles = [Bundle.load(run / BEST) for run in runs]
+    bundle, *_ = [Bundle.load(run / BEST) for run in runs]
     records = [Bundle.load(run / LAST).card for run in runs]
     _check_runs(shipped, env_id, runs, records)
-    first = bundles[0]
-    seeds = [int(card["seed"]) for card in records]
-    motions = _motions(records[0]["config"], env_id)
+    policies = {record["seed"]: run / BEST for record, run in zip(records, runs, strict=True)}
     base = runs[0].parent / f"{stem(shipped.name, env_id)}-base.zip"
-    first.base_alone.save(base)
-    law = reference_law(env_id)
+    bundle.base_alone.save(base)
+    laws = (str(base), reference_law(env_id))
+    card = _evaluated_card(shipped, bundle, policies, laws, records, evaluate, protocol)
+    card = _with_held_out(replace(card, command=command), policies, protocol.held_out, evaluate)
+    if protocol.searched and has_loops(card.motions):
+        count = min(protocol.searched, protocol.held_out)
+        best_known = _search(env_id, count, best_known, evaluate) | {**best_known}
+    return with_best_known(card, best_known), policies[card.shipped_seed]
+
+
+def _evaluated_card(
+    shipped: Shipped,
+    bundle: Bundle,
+    policies: Mapping[int, Path],
+    laws: tuple[str, str],
+    records: Sequence[Mapping[str, Any]],
+    evaluate: Evaluate,
+    protocol: Protocol,
+) -> Card:
+    """The card without held-out motions, best known payloads and command.
+
+    Args:
+        shipped: policy of the runs.
+        bundle: policy of one run.
+        policies: policies of all runs by seed.
+        laws: the base law alone and the reference law.
+        records: training records of the runs.
+        evaluate: function that computes cells.
+        protocol: sizes of the evaluation.
+    """
+    env_id = bundle.env_id
+    law = laws[1]
     conditions = CONDITIONS[shipped.name]
-
-    def cells(policy: str) -> list[PolicyCell]:
-        return [_cell(policy, env_id, condition, draws, probability) for condition in conditions]
-
-    policies = [*(str(run / BEST) for run in runs), str(base), law]
-    payloads = _payloads([cell for policy in policies for cell in cells(policy)], evaluate)
-    count = len(conditions)
-    rows = [tuple(payloads[count * index : count * (index + 1)]) for index in range(len(policies))]
-    trainings = tuple(_seed_run(card, row) for card, row in zip(records, rows, strict=False))
-    chosen = median_seed({run.seed: run.in_training for run in trainings})
-    evaluated = (
-        seeds if has_loops(motions) else [chosen]
-    )  # a policy for one motion is not made for others
-    names = {
-        seed: str(run / BEST) for seed, run in zip(seeds, runs, strict=True) if seed in evaluated
-    }
-    unseen, motions_held_out = _held_out(
-        names, law, env_id, conditions[0].payload_known, held_out, evaluate
-    )
-    best = runs[seeds.index(chosen)] / BEST
-    card = Card(
+    cells = [_cell(law, env_id, condition, protocol) for condition in conditions]
+    names = [*map(str, policies.values()), *laws]
+    *payloads, base_payloads, law_payloads = _payload_rows(names, cells, evaluate)
+    seed_runs = tuple(map(_seed_run, records, payloads))
+    shipped_seed = median_seed({run.seed: run.in_training for run in seed_runs})
+    return Card(
         policy=shipped.name,
         env_id=env_id,
         algorithm=shipped.algorithm,
         config=shipped.config,
-        command=command,
-        base=asdict(first.base),
-        base_text=base_text(first.base, env_id),
-        steering=action_mapping_to_jsonable(first.action_mapping),
-        features=first.features,
-        parameters=sum(array.size for array in (*first.network.weights, *first.network.biases)),
-        motions=motions,
+        command="",
+        base=asdict(bundle.base),
+        base_text=base_text(bundle.base, env_id),
+        steering=action_mapping_to_jsonable(bundle.action_mapping),
+        features=bundle.features,
+        parameters=sum(array.size for array in (*bundle.network.weights, *bundle.network.biases)),
+        motions=_motions(records[0]["config"], env_id),
         evaluation=records[0]["evaluation"],
-        planner_output_used=any(card["planner_output_used"] for card in records),
-        dwell=min(card["dwell"] for card in records),
+        planner_output_used=any(record["planner_output_used"] for record in records),
+        dwell=min(record["dwell"] for record in records),
         conditions=conditions,
-        draws=draws,
-        probability=probability,
-        shipped_seed=chosen,
-        sha256=hashlib.sha256(best.read_bytes()).hexdigest(),
+        draws=protocol.draws,
+        probability=protocol.probability,
+        shipped_seed=shipped_seed,
+        sha256=hashlib.sha256(policies[shipped_seed].read_bytes()).hexdigest(),
         base_in_training=records[0]["base_payload_kg"],
-        base_payloads=rows[-2],
+        base_payloads=base_payloads,
         law=law,
-        law_payloads=rows[-1],
+        law_payloads=law_payloads,
         best_known=None,
-        seeds=tuple(replace(run, held_out=unseen.get(run.seed, ())) for run in trainings),
-        held_out=motions_held_out,
+        seeds=seed_runs,
+        held_out=(),
     )
-    if searched and has_loops(card.motions):
-        best_known = {
-            **_search(env_id, min(searched, held_out), best_known, evaluate),
-            **best_known,
-        }
-    return with_best_known(card, best_known), best
+
+
+def _with_held_out(
+    card: Card, policies: Mapping[int, Path], count: int, evaluate: Evaluate
+) -> Card:
+    """The card with DLCCs of the law and of its policies, by seed, on held-out motions."""
+    if not has_loops(card.motions):  # a policy for one motion is not made for others
+        policies = {card.shipped_seed: policies[card.shipped_seed]}
+    motion_seeds = held_out_seeds(count)
+    condition = Condition(payload_known=card.conditions[0].payload_known)
+    cells = []
+    for seed in motion_seeds:
+        cells.append(_cell(card.law, card.env_id, condition, motion=_loop(card.env_id, seed)))
+    *rows, law_payloads = _payload_rows([*map(str, policies.values()), card.law], cells, evaluate)
+    payloads = dict(zip(policies, rows, strict=True))
+    motions = []
+    for seed, payload in zip(motion_seeds, law_payloads, strict=True):
+        motions.append(HeldOut(seed=seed, law_payload=payload, best_known=None))
+    runs = (replace(run, held_out=payloads.get(run.seed, ())) for run in card.seeds)
+    return replace(card, seeds=tuple(runs), held_out=tuple(motions))
 
 
 def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
@@ -202,14 +241,12 @@ def with_search_results(card: Card, evaluate: Evaluate, best_known: Mapping[str,
     Raises:
         RuntimeError: if a search failed; the message contains the reason.
     """
-    own = {
-        motion_key(_best_known_cell(card.env_id, motion.seed)): motion.best_known
-        for motion in card.held_out
-    }
-    known = {key: value for key, value in own.items() if value is not None} | {**best_known}
-    return with_best_known(
-        card, _search(card.env_id, len(card.held_out), known, evaluate) | {**best_known}
-    )
+    known = {}
+    for motion in card.held_out:
+        if motion.best_known is not None:
+            known[motion_key(_best_known_cell(card.env_id, motion.seed))] = motion.best_known
+    searched = _search(card.env_id, len(card.held_out), known | {**best_known}, evaluate)
+    return with_best_known(card, searched | {**best_known})
 
 
 def _best_known_cell(env_id: str, seed: int) -> BestKnownCell:
@@ -220,13 +257,18 @@ def _search(
     env_id: str, count: int, known: Mapping[str, float], evaluate: Evaluate
 ) -> dict[str, float]:
     """Searches for the best known payload on held-out motions without one."""
-    cells = [_best_known_cell(env_id, seed) for seed in held_out_seeds(count)]
-    records = evaluate({cell.key: cell for cell in cells if motion_key(cell) not in known})
-    if failed := [record for record in records if record.error is not None and not record.final]:
-        raise RuntimeError(
-            f"the search for the best known payload on {env_id} failed: {failed[0].error}"
-        )
-    return _known(records)
+    cells: dict[str, Cell] = {}
+    for seed in held_out_seeds(count):
+        cell = _best_known_cell(env_id, seed)
+        if motion_key(cell) not in known:
+            cells[cell.key] = cell
+    records = evaluate(cells)
+    for record in records:
+        if record.error is not None and not record.final:
+            raise RuntimeError(
+                f"the search for the best known payload on {env_id} failed: {record.error}"
+            )
+    return _best_known(records)
 
 
 def _check_runs(
@@ -249,76 +291,61 @@ def _check_runs(
 
 
 def _seed_run(card: Mapping[str, Any], payloads: tuple[float | None, ...]) -> SeedRun:
-    names = ("seed", "command", "timesteps", "wall_s", "threads", "versions")
     return SeedRun(
-        payloads=payloads, curve=tuple(card["curve"]), **{name: card[name] for name in names}
+        seed=card["seed"],
+        command=card["command"],
+        timesteps=card["timesteps"],
+        wall_s=card["wall_s"],
+        threads=card["threads"],
+        versions=card["versions"],
+        payloads=payloads,
+        curve=tuple(card["curve"]),
     )
-
-
-def _held_out(
-    policies: Mapping[int, str],
-    law: str,
-    env_id: str,
-    payload_known: bool,
-    count: int,
-    evaluate: Evaluate,
-) -> tuple[dict[int, tuple[float | None, ...]], tuple[HeldOut, ...]]:
-    """DLCCs on held-out motions of ``policies``, by training seed, and of the law."""
-    seeds = held_out_seeds(count)
-    condition = Condition(payload_known=payload_known)
-    names = [*policies.values(), law]
-    cells = [
-        _cell(name, env_id, condition, motion=_loop(env_id, seed))
-        for name in names
-        for seed in seeds
-    ]
-    payloads = _payloads(cells, evaluate)
-    rows = [tuple(payloads[count * index : count * (index + 1)]) for index in range(len(names))]
-    motions = (
-        HeldOut(seed=seed, law_payload=other, best_known=None)
-        for seed, other in zip(seeds, rows[-1], strict=True)
-    )
-    return dict(zip(policies, rows, strict=False)), tuple(motions)
 
 
 def _loop(env_id: str, seed: int) -> dict[str, Any]:
-    return {"name": f"loop-{_kind(env_id)}", "seed": seed}
-
-
-def _kind(env_id: str) -> str:
-    return "planar" if find_robot(env_robot(env_id)).planar else "spatial"
+    return {"name": f"loop-{find_robot(env_robot(env_id)).kind}", "seed": seed}
 
 
 def _cell(
     policy: str,
     env_id: str,
     condition: Condition,
-    draws: int = 1,
-    probability: float = PROBABILITY,
+    protocol: Protocol = STANDARD,
     motion: Mapping[str, Any] | None = None,
 ) -> PolicyCell:
     return PolicyCell(
         env_id=env_id,
-        trajectory={"name": _default_motion(env_id)} if motion is None else motion,
+        trajectory=motion or {"name": _default_motion(env_id)},
         policy=policy,
         payload_known=condition.payload_known,
         uncertainty=condition.uncertainty,
-        draws=1 if condition.uncertainty is None else draws,
-        probability=probability,
+        draws=protocol.draws if condition.uncertainty else 1,
+        probability=protocol.probability,
     )
 
 
-def _payloads(cells: Sequence[PolicyCell], evaluate: Evaluate) -> list[float | None]:
-    """DLCC of each cell [kg].
+def _payload_rows(
+    policies: Sequence[str], cells: Sequence[PolicyCell], evaluate: Evaluate
+) -> list[tuple[float | None, ...]]:
+    """DLCC of each policy in each cell [kg]; the policies of ``cells`` do not count.
 
     Raises:
         RuntimeError: if an evaluation failed.
     """
-    records = {record.cell.key: record for record in evaluate({cell.key: cell for cell in cells})}
-    for cell in cells:
-        if (error := records[cell.key].error) is not None:
-            raise RuntimeError(f"the evaluation of {cell.policy} on {cell.env_id} failed: {error}")
-    return [records[cell.key].result["payload"] for cell in cells]
+    rows = [[replace(cell, policy=policy) for cell in cells] for policy in policies]
+    records = {}
+    for record in evaluate({cell.key: cell for row in rows for cell in row}):
+        records[record.cell.key] = record
+    payloads = []
+    for row in rows:
+        for cell in row:
+            if error := records[cell.key].error:
+                raise RuntimeError(
+                    f"the evaluation of {cell.policy} on {cell.env_id} failed: {error}"
+                )
+        payloads.append(tuple(records[cell.key].result["payload"] for cell in row))
+    return payloads
 
 
 def _motions(config: Mapping[str, Any], env_id: str) -> Mapping[str, Any]:
@@ -338,7 +365,7 @@ def base_text(base: Base, env_id: str) -> str:
     law: Any = base.make(robot)
     inner = getattr(law, "law", law)
     if base.law == "motor-pd":
-        frequency = _default(MotorPD, "frequency") if base.frequency is None else base.frequency
+        frequency = base.frequency or _default(MotorPD, "frequency")
         gains = f"ω = {frequency:g} rad/s, ζ = {_default(MotorPD, 'damping_ratio'):g}"
     elif base.law == "fl4":
         gains = f"poles {', '.join(f'{pole:g}' for pole in _default(FourthOrder, 'poles'))} 1/s"
@@ -347,12 +374,14 @@ def base_text(base: Base, env_id: str) -> str:
         gains = f"K_P = {stiffness:g} 1/s², K_D = {damping:g} 1/s"
         if base.law == "composite":
             gains += f", K_v ≤ {_default(Composite, 'spring_damping'):g} √(K J′)"
-    parts = [f"`{base.law}` with {gains}"]
-    parts += [f"minimum tension {base.minimum_tension:g} N"] if robot.planar else []
+    text = f"`{base.law}` with {gains}"
+    if robot.planar:
+        text += f", minimum tension {base.minimum_tension:g} N"
     if base.estimates_payload:
-        parts.append(f"payload estimator with prior weight {base.estimator_prior_weight:g} s")
-    parts += ["allocation of the available motor torques"] if base.allocates else []
-    return ", ".join(parts)
+        text += f", payload estimator with prior weight {base.estimator_prior_weight:g} s"
+    if base.allocates:
+        text += ", allocation of the available motor torques"
+    return text
 
 
 def _default(law: Any, name: str) -> Any:

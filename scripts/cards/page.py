@@ -72,15 +72,18 @@ def card_markdown(cards: Sequence[Card]) -> str:
     """
     drawn = ""
     for card in cards:
-        if names := list(
-            dict.fromkeys(one.uncertainty for one in card.conditions if one.uncertainty)
-        ):
-            drawn = f".\n  Under {', '.join(f'`{name}`' for name in names)} they are lower tolerance bounds: with 95% "
+        conditions = [condition for condition in card.conditions if condition.uncertainty]
+        if conditions:
+            names = dict.fromkeys(f"`{condition.uncertainty}`" for condition in conditions)
+            drawn = f".\n  Under {', '.join(names)} they are lower tolerance bounds: with 95% "
             drawn += f"confidence,\n  {card.probability:.0%} of the episodes succeed, by {card.draws} fresh draws"
     text = _HEAD.format(
         drawn=drawn, confidence=CONFIDENCE, resamples=RESAMPLES, held_out=FIRST_HELD_OUT_SEED
     )
-    text += _table([_COLUMNS, *(row for card in cards for row in _rows(card))], left=3)
+    rows: list[Sequence[str]] = [_COLUMNS]
+    for card in cards:
+        rows += _rows(card)
+    text += _table(rows, left_columns=3)
     text += "\n![Payload versus wall time during training](learned.png)\n"
     for name in dict.fromkeys(card.policy for card in cards):
         text += _section([card for card in cards if card.policy == name])
@@ -88,25 +91,19 @@ def card_markdown(cards: Sequence[Card]) -> str:
 
 
 def _rows(card: Card) -> list[list[str]]:
-    seeds, rows = str(len(card.seeds)), []
+    """Rows of a card: conditions, number of seeds, payloads. The first row names the card."""
+    count = str(len(card.seeds))
+    rows = []
     if has_loops(card.motions):
         summary = summarize(scores([run.in_training for run in card.seeds]))
-        rows.append(
-            [
-                "payload known, in training",
-                seeds,
-                *_iqm_cells(summary),
-                _kg(card.base_in_training),
-                "–",
-                "–",
-            ]
-        )
+        base = _kg(card.base_in_training)
+        rows.append(["payload known, in training", count, *_iqm_cells(summary), base, "–", "–"])
     for index, condition in enumerate(card.conditions):
         summary = card.summary(index)
         rows.append(
             [
                 _title(card, condition),
-                seeds,
+                count,
                 *_iqm_cells(summary),
                 _kg(card.base_payloads[index]),
                 f"`{card.law}` {_kg(card.law_payloads[index])}",
@@ -114,8 +111,8 @@ def _rows(card: Card) -> list[list[str]]:
             ]
         )
     time = _time(median(run.wall_s for run in card.seeds))
-    first = [f"`{card.policy}`", short_id(card.env_id), *rows[0], *_held_out_cells(card), time]
-    return [first, *(["", "", *row, "", "", ""] for row in rows[1:])]
+    named = [f"`{card.policy}`", short_id(card.env_id), *rows[0], *_held_out_cells(card), time]
+    return [named, *(["", "", *row, "", "", ""] for row in rows[1:])]
 
 
 def _of_best_known(card: Card, condition: Condition, summary: Summary) -> str:
@@ -131,10 +128,10 @@ def _iqm_cells(summary: Summary) -> tuple[str, str]:
 
 def _held_out_cells(card: Card) -> tuple[str, str]:
     fractions = [card.fractions(run) for run in card.evaluated_runs]
-    fraction = (
-        f"{median(map(median, fractions)):.0%} on {len(fractions[0])}" if fractions[0] else "–"
-    )
-    return _above(card, *card.evaluated_runs), fraction
+    text = "–"
+    if fractions[0]:
+        text = f"{median(map(median, fractions)):.0%} on {len(fractions[0])}"
+    return _above(card, *card.evaluated_runs), text
 
 
 def _above(card: Card, *runs: SeedRun) -> str:
@@ -144,38 +141,38 @@ def _above(card: Card, *runs: SeedRun) -> str:
 def _held_out(card: Card, run: SeedRun) -> str:
     if run not in card.evaluated_runs:
         return "–"
-    fractions = card.fractions(run)
-    return _above(card, run) + (f", {median(fractions):.0%}" if fractions else "")
+    text = _above(card, run)
+    if fractions := card.fractions(run):
+        text += f", {median(fractions):.0%}"
+    return text
 
 
 def _section(cards: Sequence[Card]) -> str:
-    first = cards[0]
-    text = f"\n## `{first.policy}`\n\n{_sentence(SHIPPED[first.policy].summary)}.\n\n```sh\n"
+    name = cards[0].policy
+    text = f"\n## `{name}`\n\n{_sentence(SHIPPED[name].summary)}.\n\n```sh\n"
     text += "".join(f"{card.command}\n" for card in cards) + "```\n"
-    known = [(card, card.best_known) for card in cards if card.best_known]
-    if len(known) > 1 and len(known) == len(cards):
-        fractions = [np.array(card.payloads(0)) / best for card, best in known]
+    fractions = []
+    for card in cards:
+        if card.best_known:
+            fractions.append(np.array(card.payloads(0)) / card.best_known)
+    if 1 < len(fractions) == len(cards):
         low, high = iqm_interval(fractions)
         mean = float(iqm(np.concatenate(fractions)))
-        condition = _title(first, first.conditions[0])
+        condition = _title(cards[0], cards[0].conditions[0])
         text += f"\nOver its {len(cards)} environments ({condition}), "
         text += "the IQM of the fraction of the best known payload "
         text += f"is {mean:.1%} [{low:.1%}, {high:.1%}].\n"
-    return text + "".join(_details(card) for card in cards)
+    return text + "".join(map(_details, cards))
 
 
 def _details(card: Card) -> str:
-    versions = "; ".join(
-        dict.fromkeys(
-            ", ".join(f"{name} {number}" for name, number in run.versions.items())
-            for run in card.seeds
-        )
-    )
-    planner = (
-        "The training used a planner's output."
-        if card.planner_output_used
-        else "The training used no planner."
-    )
+    versions = {}  # in the order of the seeds, without repetitions
+    for run in card.seeds:
+        text = ", ".join(f"{name} {number}" for name, number in run.versions.items())
+        versions[text] = None
+    planner = "The training used no planner."
+    if card.planner_output_used:
+        planner = "The training used a planner's output."
     text = f"\n### {short_id(card.env_id)}\n\n"
     text += f"* Base law: {card.base_text}.\n"
     text += f"* Action mapping: {_steering(card.steering)}. Network: {card.parameters} parameters; inputs "
@@ -187,34 +184,34 @@ def _details(card: Card) -> str:
         text += f"* `{card.stem}-sb3.zip` contains the same actor as a model of Stable-Baselines3, for further "
         text += "training. Its inputs are the features, normalised with the bundle's `mean` and `scale` and clipped at "
         text += "±10.\n"
-    text += f"* Versions: {versions}\n\n"
+    text += f"* Versions: {'; '.join(versions)}\n\n"
     conditions = [_title(card, condition) for condition in card.conditions]
     rows = [["seed", "steps", "wall time", "in training", *conditions, "held-out", ""]]
     for run in card.seeds:
         numbers = [_kg(run.in_training), *map(_kg, run.payloads), _held_out(card, run)]
-        ships = "ships" if run.seed == card.shipped_seed else ""
+        ships = "ships" if run is card.shipped else ""
         rows.append([str(run.seed), str(run.timesteps), _time(run.wall_s), *numbers, ships])
-    return text + _table(rows, left=0)
+    return text + _table(rows, left_columns=0)
 
 
 def _steering(action_mapping: Mapping[str, Any]) -> str:
-    numbers = {
-        name: value
-        for name, value in action_mapping.items()
-        if name != "kind" and (value or name != "preview")
-    }
     units = {"action_period": " s", "preview": " s"}
-    return f"{action_mapping['kind']}, " + ", ".join(
-        f"{name} {value:g}{units.get(name, '')}" for name, value in numbers.items()
-    )
+    words = [action_mapping["kind"]]
+    for name, value in action_mapping.items():
+        if name != "kind" and (value or name != "preview"):
+            words.append(f"{name} {value:g}{units.get(name, '')}")
+    return ", ".join(words)
 
 
 def _trained_on(motions: Mapping[str, Any]) -> str:
-    loops = (
-        [f"random loops, training seeds 0 to {motions['loops'] - 1}"] if has_loops(motions) else []
-    )
-    named = [one if isinstance(one, str) else json.dumps(one) for one in motions.get("named", [])]
-    return ", ".join([*loops, *(f"`{one}`" for one in named)])
+    words = []
+    if has_loops(motions):
+        words.append(f"random loops, training seeds 0 to {motions['loops'] - 1}")
+    for motion in motions.get("named", []):
+        if not isinstance(motion, str):
+            motion = json.dumps(motion)
+        words.append(f"`{motion}`")
+    return ", ".join(words)
 
 
 def _title(card: Card, condition: Condition) -> str:
@@ -231,18 +228,23 @@ def _title(card: Card, condition: Condition) -> str:
 
 
 def _kg(payload: float | None) -> str:
-    return "fails unloaded" if payload is None else f"{payload:.2f}"
+    if payload is None:
+        return "fails unloaded"
+    return f"{payload:.2f}"
 
 
 def _time(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min"
 
 
 def _sentence(text: str) -> str:
     return text[0].upper() + text[1:]
 
 
-def _table(rows: Sequence[Sequence[str]], *, left: int) -> str:
-    """A Markdown table; the first ``left`` columns are left-aligned, the others right-aligned."""
-    rule = ["---" if index < left else "---:" for index in range(len(rows[0]))]
-    return "".join(f"| {' | '.join(row)} |\n" for row in (rows[0], rule, *rows[1:]))
+def _table(rows: Sequence[Sequence[str]], *, left_columns: int) -> str:
+    """A Markdown table; the first columns are left-aligned, the others right-aligned."""
+    head, *body = rows
+    rule = ["---"] * left_columns + ["---:"] * (len(head) - left_columns)
+    return "".join(f"| {' | '.join(row)} |\n" for row in (head, rule, *body))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import train_shipped as script
 from cards.card import read_cards
+from cards.making import Protocol
 
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.gradient_run import ALGORITHM, make_gradient_config
@@ -75,7 +76,12 @@ def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
 def ship(runs, weights, **keywords):
     """Ships ``apg-circle`` on the planar robot and returns its card."""
     script.ship_all(
-        [(APG_CIRCLE, PLANAR_ID)], seeds=5, runs=runs, weights=weights, held_out=4, **keywords
+        [(APG_CIRCLE, PLANAR_ID)],
+        seeds=5,
+        runs=runs,
+        weights=weights,
+        protocol=Protocol(held_out=4),
+        **keywords,
     )
     (card,) = read_cards(weights)
     return card

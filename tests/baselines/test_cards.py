@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cards.card import Card
-from cards.making import make_card, with_best_known, with_search_results
+from cards.making import Protocol, make_card, with_best_known, with_search_results
 from cards.statistics import iqm, iqm_interval, median_seed
 from scipy.stats import trim_mean
 from shipping import APG_CIRCLE, BEST_KNOWN, PLANAR_ID, save_run, ship
@@ -115,10 +115,9 @@ def test_best_known_payloads_of_held_out_loops_are_searched(runs):
     folders = [save_run(runs / f"loops-{seed}", seed, config=motions) for seed in range(5)]
 
     def make(search, count):
-        keywords = {"best_known": BEST_KNOWN, "command": "", "held_out": 6}
-        card, _ = make_card(
-            APG_CIRCLE, PLANAR_ID, folders, searched=count, evaluate=search, **keywords
-        )
+        protocol = Protocol(held_out=6, searched=count)
+        keywords = {"best_known": BEST_KNOWN, "command": "", "protocol": protocol}
+        card, _ = make_card(APG_CIRCLE, PLANAR_ID, folders, evaluate=search, **keywords)
         return card
 
     search = Search()

@@ -15,10 +15,10 @@ def load_bundle(path: Path, robot: Robot) -> Policy | None:
         ValueError: if the bundle is damaged, or its policy was trained on an observation other than
             the robot's.
     """
-    from cablebot_baselines.learned.bundle import (
-        Bundle,
-        is_bundle,
-    )  # imported here: training does not need them
+    # Imported here: training does not need them.
+    from cablebot_baselines.learned.bundle import Bundle, is_bundle
     from cablebot_baselines.learned.policy import LearnedPolicy
 
-    return LearnedPolicy(Bundle.load(path), robot) if is_bundle(path) else None
+    if not is_bundle(path):
+        return None
+    return LearnedPolicy(Bundle.load(path), robot)

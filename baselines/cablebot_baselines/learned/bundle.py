@@ -61,13 +61,13 @@ class Bundle:
     """Training record, JSON-able: command, seed, steps, wall time, versions."""
 
     def __post_init__(self) -> None:
-        steering = self.steering(_trained_on(self.env_id))
+        steering = self.steering(_training_robot(self.env_id))
         object.__setattr__(self, "features", steering.features)
-        sizes = (self.network.inputs, self.network.outputs)
-        needed = (steering.inputs, steering.actions)
-        if sizes != needed:
+        network_sizes = (self.network.inputs, self.network.outputs)
+        steering_sizes = (steering.inputs, steering.actions)
+        if network_sizes != steering_sizes:
             raise ValueError(
-                f"the network has inputs and outputs {sizes}, but features and actions have {needed}"
+                f"the network has inputs and outputs {network_sizes}, but features and actions have {steering_sizes}"
             )
 
     def steering(self, robot: Robot) -> Steering:
@@ -77,9 +77,8 @@ class Bundle:
             ValueError: if the robot's observation differs from the one that the policy was trained
                 on.
         """
-        _compare(
-            self.env_id, _layout(_trained_on(self.env_id)), f"robot {robot.name!r}", _layout(robot)
-        )
+        training_layout = _layout(_training_robot(self.env_id))
+        _check_layout(self.env_id, training_layout, f"robot {robot.name!r}", robot)
         return Steering(
             robot, base=self.base, action_mapping=self.action_mapping, features=self.features
         )
@@ -105,16 +104,14 @@ class Bundle:
         data = {
             "format": FORMAT,
             "env_id": self.env_id,
-            "observation": _layout(_trained_on(self.env_id)),
+            "observation": _layout(_training_robot(self.env_id)),
             "base": asdict(self.base),
             "steering": action_mapping_to_jsonable(self.action_mapping),
             "features": list(self.features),
             "card": dict(self.card),
         }
-        arrays: dict[str, Any] = {
-            _MEMBER: np.array(json.dumps(data, ensure_ascii=False)),
-            **self.network.to_arrays(),
-        }
+        text = json.dumps(data, ensure_ascii=False)
+        arrays: dict[str, Any] = {_MEMBER: np.array(text), **self.network.to_arrays()}
 
         def write(temporary: Path) -> None:
             with temporary.open("wb") as file:
@@ -135,7 +132,8 @@ class Bundle:
         try:
             data, arrays = _read(path)
             env_id = data["env_id"]
-            _compare(env_id, data["observation"], "its environment", _layout(_trained_on(env_id)))
+            robot = _training_robot(env_id)
+            _check_layout(env_id, data["observation"], "its environment", robot)
             return cls(
                 env_id=env_id,
                 base=find_base(data["base"]),
@@ -148,9 +146,8 @@ class Bundle:
             raise ValueError(
                 f"policy bundle {str(path)!r} cannot be used: {error} is missing"
             ) from error
-        except (
-            Exception
-        ) as error:  # damaged files raise errors of zipfile, its decompressors, numpy and json
+        # Damaged files raise errors of zipfile, its decompressors, numpy and json.
+        except Exception as error:
             raise ValueError(
                 f"policy bundle {str(path)!r} cannot be used: {' '.join(str(error).split())}"
             ) from error
@@ -163,8 +160,8 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
         Exception: of any type if the file is damaged.
     """
     with zipfile.ZipFile(path) as archive:
-        if broken := archive.testzip():
-            raise ValueError(f"its member {broken!r} is damaged")
+        if member := archive.testzip():
+            raise ValueError(f"its member {member!r} is damaged")
     with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     data = json.loads(str(arrays.pop(_MEMBER)))
@@ -184,7 +181,7 @@ def is_bundle(path: Path) -> bool:
         return False
 
 
-def _trained_on(env_id: str) -> Robot:
+def _training_robot(env_id: str) -> Robot:
     return find_robot(env_robot(env_id))
 
 
@@ -192,12 +189,12 @@ def _layout(robot: Robot) -> list[list[Any]]:
     return [[block.name, block.size] for block in observation_layout(robot).blocks]
 
 
-def _compare(env_id: str, read: Any, other: str, present: list[list[Any]]) -> None:
-    """Checks that the present observation begins with the blocks of the training; new blocks are
+def _check_layout(env_id: str, training_layout: Any, subject: str, robot: Robot) -> None:
+    """Checks that the robot's observation begins with the blocks of the training; new blocks are
     appended."""
-    if read == present[: len(read)]:
-        return
-    raise ValueError(
-        f"the policy was trained on {env_id} with observation {read}, but {other} has {present}: evaluate it on the "
-        "environment that it was trained on"
-    )
+    layout = _layout(robot)
+    if training_layout != layout[: len(training_layout)]:
+        raise ValueError(
+            f"the policy was trained on {env_id} with observation {training_layout}, but {subject} has {layout}: "
+            "evaluate it on the environment that it was trained on"
+        )

@@ -27,7 +27,7 @@ ALGORITHMS = ("ppo", "sac", "tqc")
 """Names for ``--algo``; each has a file of the same name in
 :data:`~cablebot_baselines.learned.runs.HYPERPARAMS`."""
 
-_OWN = ("n_timesteps", "n_envs", "policy", "normalize", "env_wrapper", "env_kwargs")
+_NOT_OF_THE_MODEL = ("n_timesteps", "n_envs", "policy", "normalize", "env_wrapper", "env_kwargs")
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
 
 
@@ -65,7 +65,9 @@ def algorithm_class(name: str) -> type[BaseAlgorithm]:
                 "tqc needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name
             ) from error
         return TQC
-    return PPO if name == "ppo" else SAC
+    if name == "sac":
+        return SAC
+    return PPO
 
 
 def make_config(plain: Mapping[str, Any]) -> Config:
@@ -78,29 +80,28 @@ def make_config(plain: Mapping[str, Any]) -> Config:
     """
     if missing := [name for name in ("n_timesteps", "policy", "env_wrapper") if name not in plain]:
         raise ValueError(f"hyperparameters: {', '.join(missing)} must be given")
-    model = {name: _model_value(name, value) for name, value in plain.items() if name not in _OWN}
+    model = {
+        name: _model_value(name, value)
+        for name, value in plain.items()
+        if name not in _NOT_OF_THE_MODEL
+    }
     normalize = plain.get("normalize")
+    if isinstance(normalize, bool):
+        normalize = {"norm_obs": normalize}
     return Config(
         timesteps=_count("n_timesteps", plain["n_timesteps"]),
         n_envs=_count("n_envs", plain.get("n_envs", 1)),
         env_kwargs=_keywords("env_kwargs", plain.get("env_kwargs", {})),
         wrappers=_wrappers(plain["env_wrapper"]),
-        normalize={
-            "gamma": model.get("gamma", 0.99),
-            **(
-                {"norm_obs": bool(normalize)}
-                if isinstance(normalize, bool)
-                else _keywords("normalize", normalize)
-            ),
-        },
+        normalize={"gamma": model.get("gamma", 0.99), **_keywords("normalize", normalize)},
         model={"policy": plain["policy"], **model},
     )
 
 
 def _count(name: str, value: Any) -> int:
-    return whole(
-        name, int(value) if isinstance(value, float) and value.is_integer() else value, least=1
-    )
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    return whole(name, value, least=1)
 
 
 def _model_value(name: str, value: Any) -> Any:
@@ -117,12 +118,11 @@ def _model_value(name: str, value: Any) -> Any:
 
 def _keywords(name: str, value: Any) -> dict[str, Any]:
     """A mapping, also from RL-Zoo's text ``dict(…)``, which is parsed and not executed."""
+    keywords = value
     try:
-        return dict(
-            _literal(ast.parse(value.strip(), mode="eval").body)
-            if isinstance(value, str)
-            else value
-        )
+        if isinstance(value, str):
+            keywords = _literal(ast.parse(value.strip(), mode="eval").body)
+        return dict(keywords)
     except (AttributeError, SyntaxError, TypeError, ValueError) as error:
         raise ValueError(
             f"{name} must be a mapping or text such as 'dict(net_arch=[64])', not {value!r}"
@@ -144,13 +144,16 @@ def _wrappers(value: Any) -> tuple[tuple[type[Any], Mapping[str, Any]], ...]:
     """Classes and keyword arguments of ``env_wrapper``: a dotted name, ``{name: keywords}``, or a
     list of these."""
     wrappers = []
-    for entry in value if isinstance(value, list) else [value]:
+    entries = value if isinstance(value, list) else [value]
+    for entry in entries:
         try:
-            ((name, keywords),) = ({entry: {}} if isinstance(entry, str) else entry).items()
+            if isinstance(entry, str):
+                name, keywords = entry, {}
+            else:
+                ((name, keywords),) = entry.items()
             module_name, _, class_name = name.rpartition(".")
-            wrappers.append(
-                (getattr(importlib.import_module(module_name), class_name), dict(keywords))
-            )
+            wrapper = getattr(importlib.import_module(module_name), class_name)
+            wrappers.append((wrapper, dict(keywords)))
         except (AttributeError, ImportError, TypeError, ValueError) as error:
             text = "env_wrapper must be a list of 'package.module.Class: {keyword: value}'"
             raise ValueError(f"{text}, not {entry!r} ({error})") from error

@@ -57,7 +57,7 @@ def required_actuation(
         _tensions_and_torques, robot, mass=mass, minimum=minimum, softness=softness
     )
     tensions, torque = tensions_and_torques(motion[:3])
-    pose, velocity, acceleration = (_objects(value) for value in motion[:3])
+    pose, velocity, acceleration = map(_objects, motion[:3])
     speed = _tensor(textbook.pulley_speed(robot, pose, velocity))
     if robot.flexible:
         names = [item.name for item in fields(Motion)]
@@ -66,12 +66,10 @@ def required_actuation(
         pulley_acceleration = _tensor(
             textbook.pulley_acceleration(robot, pose, velocity, acceleration)
         )
-        before, after = (
-            tensions_and_torques(cast(Any, series.after(time)))[1] for time in (-step, step)
-        )
-        stiffness, inertia = (
-            torch.tensor(value) for value in (robot.stiffness, robot.motor_inertia)
-        )
+        _, before = tensions_and_torques(cast(Any, series.after(-step)))
+        _, after = tensions_and_torques(cast(Any, series.after(step)))
+        stiffness = torch.tensor(robot.stiffness)
+        inertia = torch.tensor(robot.motor_inertia)
         speed = speed + (after - before) / (2 * step) / stiffness
         motor_acceleration = (
             pulley_acceleration + (after - 2 * torque + before) / step**2 / stiffness
@@ -90,7 +88,7 @@ def _tensions_and_torques(
 ) -> tuple[Tensor, Tensor]:
     """Tensions T from ``−Sᵀ T = D Ẍ + h`` (Eq. 16), and torques r T + J β̈ + c β̇ (of the springs
     if flexible)."""
-    pose, velocity, acceleration = (_objects(value) for value in motion)
+    pose, velocity, acceleration = map(_objects, motion)
     lines = textbook.jacobian(robot, pose)
     structure = _tensor(lines)
     load = _tensor(
@@ -145,14 +143,15 @@ def _least_action_tensions(
     count, m, n = structure.shape
     with torch.no_grad():
         arrays = structure.numpy(), load.numpy(), minimum, slope.numpy(), offset.numpy()
-        found = torch.tensor(least_largest_action(*arrays).tensions)
-        actions = slope * found + offset
+        tensions = torch.tensor(least_largest_action(*arrays).tensions)
+        actions = slope * tensions + offset
         largest = actions.abs().amax(dim=1, keepdim=True)
-        at_minimum = (found - minimum <= 1e-7 * (1 + found.amax(dim=1, keepdim=True))).double()
+        tolerance = 1e-7 * (1 + tensions.amax(dim=1, keepdim=True))
+        at_minimum = (tensions - minimum <= tolerance).double()
         at_largest = torch.where(actions.abs() >= (1 - 1e-7) * largest, actions.sign(), 0.0)
     # Unknowns are T and t in units of the mean slope, so that all are tensions.
     unit = float(slope.mean())
-    one = torch.eye(m, dtype=torch.float64)
+    identity = torch.eye(m, dtype=torch.float64)
     hessian = torch.diag(
         torch.cat([2 * SMOOTHING * (slope / unit) ** 2, torch.full((1,), 2.0, dtype=torch.float64)])
     )
@@ -160,9 +159,9 @@ def _least_action_tensions(
     rows = torch.cat(
         [
             torch.cat([-structure.mT, column[:, :n]], dim=2),
-            torch.cat([at_minimum[:, :, None] * one, column], dim=2),
+            torch.cat([at_minimum[:, :, None] * identity, column], dim=2),
             torch.cat(
-                [at_largest[:, :, None] * (slope / unit * one), -at_largest.abs()[:, :, None]],
+                [at_largest[:, :, None] * (slope / unit * identity), -at_largest.abs()[:, :, None]],
                 dim=2,
             ),
         ],

@@ -30,19 +30,20 @@ def network_from_sb3(model: BaseAlgorithm) -> Network:
     """
     policy: Any = model.policy
     if hasattr(policy, "actor"):
-        layers = list(policy.actor.latent_pi)
+        layers = policy.actor.latent_pi
         head = policy.actor.mu
         squash = "tanh"
     else:
-        layers = list(policy.mlp_extractor.policy_net)
+        layers = policy.mlp_extractor.policy_net
         head = policy.action_net
         squash = "none"
     linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
-    between = [type(layer) for layer in layers if not isinstance(layer, nn.Linear)]
-    regular = len(between) == len(linear) and len({*between}) <= 1 and isinstance(head, nn.Linear)
+    functions = [type(layer) for layer in layers if not isinstance(layer, nn.Linear)]
+    activation = functions[0] if functions else nn.Tanh
     if (
-        not regular
-        or any(kind not in _ACTIVATIONS for kind in between)
+        not isinstance(head, nn.Linear)
+        or functions != [activation] * len(linear)
+        or activation not in _ACTIVATIONS
         or (squash == "none" and policy.squash_output)
     ):
         raise ValueError(
@@ -58,7 +59,7 @@ def network_from_sb3(model: BaseAlgorithm) -> Network:
         scale=np.sqrt(normalize.obs_rms.var + normalize.epsilon),
         weights=tuple(_array(layer.weight) for layer in (*linear, head)),
         biases=tuple(_array(layer.bias) for layer in (*linear, head)),
-        activation=_ACTIVATIONS[between[0]] if between else "tanh",
+        activation=_ACTIVATIONS[activation],
         squash=squash,
     )
 

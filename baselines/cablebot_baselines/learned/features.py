@@ -31,17 +31,14 @@ def _rbf_progress(time: Array, time_to_go: Array) -> Array:
     return np.exp(-0.5 * (progress * (RBF_COUNT - 1) - np.arange(RBF_COUNT)) ** 2)
 
 
-_DERIVED: dict[str, Callable[[Mapping[str, Array], Mapping[str, Array]], Array]] = {
-    "shift": lambda blocks, derived: derived["shift"],
-    "shift_velocity": lambda blocks, derived: derived["shift_velocity"],
-    "actions": lambda blocks, derived: derived["actions"],
-    "error": lambda blocks, derived: derived["error"],
-    "time_since_start": lambda blocks, derived: _decays(derived["time_since_start"]),
-    "rbf_progress": lambda blocks, derived: _rbf_progress(
-        derived["time_since_start"], blocks["time_to_go"]
-    ),
-    "time_to_go_decays": lambda blocks, derived: _decays(blocks["time_to_go"]),
+_COMPUTED: dict[str, Callable[[Mapping[str, Array]], Array]] = {
+    "time_since_start": lambda values: _decays(values["time_since_start"]),
+    "time_to_go_decays": lambda values: _decays(values["time_to_go"]),
+    "rbf_progress": lambda values: _rbf_progress(values["time_since_start"], values["time_to_go"]),
 }
+"""Features that are functions of times."""
+
+_DERIVED = ("shift", "shift_velocity", "actions", "error", *_COMPUTED)
 """Features that are not blocks of the observation.
 
 * ``shift``, ``shift_velocity``: shift of the reference, in units of its bounds and of its bounds
@@ -93,10 +90,14 @@ def feature_values(
         derived: ``time_since_start`` (..., 1) [s], ``error`` and ``actions``; with a shift also
             ``shift`` and ``shift_velocity``.
     """
-    values = [
-        _DERIVED[name](blocks, derived) if name in _DERIVED else blocks[name] for name in names
-    ]
-    return np.concatenate(values, axis=-1)
+    values = {**blocks, **derived}
+    features = []
+    for name in names:
+        if name in _COMPUTED:
+            features.append(_COMPUTED[name](values))
+        else:
+            features.append(values[name])
+    return np.concatenate(features, axis=-1)
 
 
 def feature_symmetry(names: Sequence[str], robot: Robot, transform: Array) -> Array:
@@ -117,13 +118,15 @@ def feature_symmetry(names: Sequence[str], robot: Robot, transform: Array) -> Ar
         "time_to_go_decays": len(TIME_CONSTANTS),
         "rbf_progress": RBF_COUNT,
     }
-    vectors = [
-        name
-        for name in observation_layout(robot).slices()
-        if name.startswith(("reference_", "preview_"))
-    ]
-    if other := [name for name in names if name not in times and name not in vectors]:
-        raise ValueError(
-            f"feature {other[0]!r} is invalid with symmetric: remove the feature, or remove symmetric"
-        )
-    return block_diag(*(transform if name in vectors else np.eye(times[name]) for name in names))
+    known = observation_layout(robot).slices()
+    matrices = []
+    for name in names:
+        if name in times:
+            matrices.append(np.eye(times[name]))
+        elif name in known and name.startswith(("reference_", "preview_")):
+            matrices.append(transform)
+        else:
+            raise ValueError(
+                f"feature {name!r} is invalid with symmetric: remove the feature, or remove symmetric"
+            )
+    return block_diag(*matrices)

@@ -55,6 +55,20 @@ HISTORY = 50
 SHORTEST = 5
 """Number of evaluations; a search that ends sooner has converged."""
 
+_STATE_FEATURES = (
+    "shift",
+    "shift_velocity",
+    "actions",
+    "error",
+    "pose",
+    "velocity",
+    "motor_angle",
+    "motor_speed",
+    "model_payload",
+    "payload_known",
+)
+"""Features that are not known before an episode."""
+
 _EDGE = 1e-9
 """Inset of a decision's first and last instant, as a fraction of it: a spline's derivatives jump at
 its knots."""
@@ -162,22 +176,34 @@ class GradientTraining:
         return self.robot.cables > self.robot.coordinates
 
     def __post_init__(self) -> None:
-        own = (
-            "shift",
-            "shift_velocity",
-            "actions",
-            "error",
-            "pose",
-            "velocity",
-            "motor_angle",
-            "motor_speed",
-        )
-        if wrong := [
-            name for name in self.features if name in (*own, "model_payload", "payload_known")
-        ]:
-            raise ValueError(
-                f"features must depend on the reference and time alone: remove {wrong[0]!r}"
-            )
+        self._check()
+        torch.manual_seed(self.seed)
+        robot = self.robot
+        mapping = self.action_mapping
+        error_bounds = find_error_bounds(None, robot)
+        self._order = 4 if robot.flexible else 2
+        self._bounds = torch.tensor(mapping.bounds(error_bounds, robot))
+        self._within = mapping.action_period * np.linspace(_EDGE, 1 - _EDGE, self.settings.instants)
+        weights = mapping.weights(self._within, mapping.action_period)
+        self._weights = torch.tensor(weights[:, : self._order + 1])
+        start_shifts = []
+        for trajectory in self.trajectories:
+            start = start_pose(robot, trajectory, error_bounds)
+            start_shifts.append(start - trajectory(0.0).position)
+        self._start_shifts = np.array(start_shifts)  # (M, n)
+        self._motions = self._tabulated()
+        self._make_layers()
+        self._payloads = torch.ones(len(self.trajectories), dtype=torch.float64, requires_grad=True)
+        self.evaluations = 0
+        """Evaluations of the objective in the current round."""
+        self._softness = 0.0
+
+    def _check(self) -> None:
+        for name in self.features:
+            if name in _STATE_FEATURES:
+                raise ValueError(
+                    f"features must depend on the reference and time alone: remove {name!r}"
+                )
         tension = self.minimum_tension if self._redundant else self.settings.tension
         least = self.robot.minimum_tension
         if tension < least:
@@ -188,74 +214,46 @@ class GradientTraining:
             raise ValueError(
                 f"softness is for planar robots with three cables, not for {self.robot.name!r}: remove it"
             )
-        torch.manual_seed(self.seed)
-        n = self.robot.coordinates
-        self._order = 4 if self.robot.flexible else 2
-        bounds = find_error_bounds(None, self.robot)
-        self._bounds = torch.tensor(self.action_mapping.bounds(bounds, self.robot))
-        within = self.action_mapping.action_period * np.linspace(
-            _EDGE, 1 - _EDGE, self.settings.instants
+
+    def _make_layers(self) -> None:
+        transforms = np.eye(self.robot.coordinates)[None]
+        if self.settings.symmetric:
+            transforms = symmetries(self.robot)
+        input_transforms = np.array(
+            [feature_symmetry(self.features, self.robot, transform) for transform in transforms]
         )
-        self._within = within
-        self._weights = torch.tensor(
-            self.action_mapping.weights(within, self.action_mapping.action_period)[
-                :, : self._order + 1
-            ]
-        )
-        self._motions = self._tabulated()
+        self._layers = SymmetricLayers(input_transforms, transforms, self.settings.hidden)
+        self._variables = list(self._layers.layers.parameters())
         inputs = self._motions.inputs[self._motions.inside[..., 0]]
-        transforms = symmetries(self.robot) if self.settings.symmetric else np.eye(n)[None]
-        input_transforms = [
-            feature_symmetry(self.features, self.robot, transform) for transform in transforms
-        ]
-        self._layers = SymmetricLayers(np.array(input_transforms), transforms, self.settings.hidden)
         self._mean, scale = self._layers.statistics(inputs)
         self._scale = torch.where(scale > 1e-9, scale, 1.0)
-        last = self._layers.layers[-1]
-        start = torch.tensor(self._start_shifts().mean(0)) / self._bounds
+        start = torch.tensor(self._start_shifts.mean(0)) / self._bounds
+        *_, weight, bias = self._variables
         with torch.no_grad():
-            last.weight.normal_(std=self.settings.spread)
-            last.bias.copy_(
-                start / (1 - start.square()).sqrt()
-            )  # the first motions stay where they start
-        self._variables = [
-            parameter for layer in self._layers.layers for parameter in layer.parameters()
-        ]
-        self._payloads = torch.ones(len(self.trajectories), dtype=torch.float64, requires_grad=True)
-        self.evaluations = 0
-        """Evaluations of the objective in the current round."""
-        self._softness = 0.0
-
-    def _start_shifts(self) -> Array:
-        """Start pose minus reference pose of each motion, (M, n)."""
-        bounds = find_error_bounds(None, self.robot)
-        return np.array(
-            [start_pose(self.robot, one, bounds) - one(0.0).position for one in self.trajectories]
-        )
+            weight.normal_(std=self.settings.spread)
+            # The first motions stay where they start: this is the inverse of the squash.
+            bias.copy_(start / (1 - start.square()).sqrt())
 
     def _tabulated(self) -> _Motions:
         action_period = self.action_mapping.action_period
         degree = self.action_mapping.degree
-        n = self.robot.coordinates
-        most = max(
-            math.ceil(trajectory.duration / action_period - 1e-9)
-            for trajectory in self.trajectories
-        )
-        decisions = np.arange(most) * action_period
+        preview = self.action_mapping.preview
+        longest = max(trajectory.duration for trajectory in self.trajectories)
+        count = math.ceil(longest / action_period - 1e-9)
+        decisions = np.arange(count) * action_period
         instants = decisions[:, None] + self._within
         inputs, anchors, references, inside = [], [], [], []
-        for trajectory, start in zip(self.trajectories, self._start_shifts(), strict=True):
+        for trajectory, start_shift in zip(self.trajectories, self._start_shifts, strict=True):
             blocks = observed_reference(trajectory, decisions, to_snap=self.robot.flexible)
             inputs.append(
                 feature_values(self.features, blocks, {"time_since_start": decisions[:, None]})
             )
-            origins = np.zeros(
-                (degree + most, n)
-            )  # without a preview the spline is the shift alone
-            if self.action_mapping.preview:
+            # Without a preview the spline is the shift alone.
+            origins = np.zeros((degree + count, self.robot.coordinates))
+            if preview:
                 origins[:degree] = trajectory(0.0).position
-                origins[degree:] = trajectory(decisions + self.action_mapping.preview).position
-            origins[:degree] += start
+                origins[degree:] = trajectory(decisions + preview).position
+            origins[:degree] += start_shift
             anchors.append(origins)
             motion = trajectory(instants)
             derivatives = (
@@ -276,16 +274,16 @@ class GradientTraining:
 
     def _actions(self, inputs: Tensor) -> Tensor:
         values = ((inputs - self._mean) / self._scale).clamp(-Network.CUT, Network.CUT)
-        weights = self._layers.weights()
-        for index, (weight, bias) in enumerate(weights):
-            values = nn.functional.linear(values, weight, bias)
-            if index < len(weights) - 1:
-                values = torch.tanh(values)
-        lines = min(3, values.shape[-1])
-        square = values[..., :lines].square().sum(-1, keepdim=True)
-        rest = values[..., lines:]
+        *hidden, (weight, bias) = self._layers.weights()
+        for hidden_weight, hidden_bias in hidden:
+            values = torch.tanh(nn.functional.linear(values, hidden_weight, hidden_bias))
+        values = nn.functional.linear(values, weight, bias)
+        # The squash "ball" of the network.
+        position = values[..., :3]
+        angles = values[..., 3:]
+        square = position.square().sum(-1, keepdim=True)
         return torch.cat(
-            [values[..., :lines] / (1 + square).sqrt(), rest / (1 + rest.square()).sqrt()], dim=-1
+            [position / (1 + square).sqrt(), angles / (1 + angles.square()).sqrt()], dim=-1
         )
 
     def motion(self) -> Tensor:
@@ -305,36 +303,30 @@ class GradientTraining:
         settings = self.settings
         robot = self.robot
         inside = self._motions.inside
-        flat = self.motion()[inside]
+        motion = self.motion()[inside]
         payloads = self._payloads[:, None, None].expand(inside.shape)[inside]
         light = torch.full_like(payloads, robot.mass * (1 - settings.lighter))
         required = required_actuation(
             robot if settings.stretch else robot.with_rigid_cables(),
-            [level.repeat(2, 1) for level in flat.unbind(1)],
+            [derivative.repeat(2, 1) for derivative in motion.unbind(1)],
             torch.cat([light, robot.mass + payloads]),
             minimum=self.minimum_tension,
             softness=self._softness,
         )
         violations = [torch.relu(required.action.abs() - settings.action_limit)]
-        if (
-            robot.kind != "planar"
-        ):  # between the cables of a point in a plane, the distribution keeps the minimum
+        # Between the cables of a point in a plane, the distribution keeps the minimum.
+        if robot.kind != "planar":
             least = self.minimum_tension if self._redundant else settings.tension
             violations.append(torch.relu(least - required.tensions) / settings.tension_scale)
-        if (
-            self.action_mapping.preview
-        ):  # without a preview the shift stays within the error bounds by construction
-            error = (
-                (flat - self._motions.reference[inside])[:, 0]
-                / self._bounds
-                * self.action_mapping.fraction
-            )
+        # Without a preview the shift stays within the error bounds by construction.
+        if self.action_mapping.preview:
+            fraction = self.action_mapping.fraction
+            shift = motion - self._motions.reference[inside]
+            error = shift[:, 0] / self._bounds * fraction
             d = robot.dimensions
-            violations.append(
-                torch.relu(torch.linalg.norm(error[:, :d], dim=1) - self.action_mapping.fraction)
-            )
-            violations.append(torch.relu(error[:, d:].abs() - self.action_mapping.fraction))
-        return [value.flatten() for value in violations]
+            violations.append(torch.relu(torch.linalg.norm(error[:, :d], dim=1) - fraction))
+            violations.append(torch.relu(error[:, d:].abs() - fraction))
+        return [violation.flatten() for violation in violations]
 
     def round(self, index: int, report: Callable[[], None] = lambda: None) -> None:
         """Runs round ``index``, counted from 0, and calls ``report`` after each evaluation of the
@@ -346,70 +338,69 @@ class GradientTraining:
         variables = [*self._variables, self._payloads]
         weight = self.settings.rounds[index]
         self.evaluations = 0
-        self._softness = self.settings.softness[index] if self.settings.softness else 0.0
+        if self.settings.softness:
+            self._softness = self.settings.softness[index]
 
         def objective() -> Tensor:
             for variable in variables:
                 variable.grad = None
             violations = torch.cat(self._violations())
-            loss = (
-                VIOLATION_WEIGHT * weight * violations.square().mean()
-                - self._payloads.mean() / PAYLOAD_SCALE
-            )
-            loss = loss + self.settings.decay * sum(
-                value.square().sum() for value in self._variables
-            )
+            penalty = VIOLATION_WEIGHT * weight * violations.square().mean()
+            squares = sum(variable.square().sum() for variable in self._variables)
+            loss = penalty - self._payloads.mean() / PAYLOAD_SCALE
+            loss = loss + self.settings.decay * squares
             torch.autograd.backward(loss)
             self.evaluations += 1
             report()
             return loss
 
         while self.evaluations < self.settings.iterations:
-            before = self.evaluations
+            evaluations_before = self.evaluations
+            remaining = self.settings.iterations - self.evaluations
             optimiser: Any = torch.optim.LBFGS(
                 variables,
-                max_iter=self.settings.iterations - before,
-                max_eval=self.settings.iterations - before,
+                max_iter=remaining,
+                max_eval=remaining,
                 history_size=HISTORY,
                 line_search_fn="strong_wolfe",
                 tolerance_grad=1e-9,
                 tolerance_change=1e-12,
             )
             optimiser.step(objective)
-            if self.evaluations - before < SHORTEST:
+            if self.evaluations - evaluations_before < SHORTEST:
                 break
 
     def state(self) -> dict[str, Array]:
         """State of the training as arrays by name, for :meth:`restore`."""
-        values = {
-            f"variable{index}": value.detach().numpy().copy()
-            for index, value in enumerate(self._variables)
-        }
-        return values | {"payloads": self.payloads}
+        arrays = {"payloads": self.payloads}
+        for index, variable in enumerate(self._variables):
+            arrays[f"variable{index}"] = _array(variable)
+        return arrays
 
     def restore(self, arrays: Mapping[str, Array]) -> None:
         """Restores a state of the same configuration."""
         with torch.no_grad():
-            for index, value in enumerate(self._variables):
-                value.copy_(torch.tensor(arrays[f"variable{index}"]))
+            for index, variable in enumerate(self._variables):
+                variable.copy_(torch.tensor(arrays[f"variable{index}"]))
             self._payloads.copy_(torch.tensor(arrays["payloads"]))
 
     @property
     def payloads(self) -> Array:
         """Optimised payload of each motion [kg]."""
-        return self._payloads.detach().numpy().copy()
+        return _array(self._payloads)
 
     @property
     def network(self) -> Network:
         """The network as plain arrays."""
-        layers = [
-            tuple(value.detach().numpy().copy() for value in layer)
-            for layer in self._layers.weights()
-        ]
+        weights, biases = zip(*self._layers.weights(), strict=True)
         return Network(
-            mean=self._mean.numpy().copy(),
-            scale=self._scale.numpy().copy(),
-            weights=tuple(weight for weight, _ in layers),
-            biases=tuple(bias for _, bias in layers),
+            mean=_array(self._mean),
+            scale=_array(self._scale),
+            weights=tuple(map(_array, weights)),
+            biases=tuple(map(_array, biases)),
             squash="ball",
         )
+
+
+def _array(values: Tensor) -> Array:
+    return values.detach().numpy().copy()

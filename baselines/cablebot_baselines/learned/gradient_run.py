@@ -32,7 +32,9 @@ ALGORITHM = "gradient"
 VALIDATION = TRAINING_SEEDS[-8:]
 """Seeds of the random loops that select the best round of a run; they are never trained on."""
 
-_OWN = ("motions", "base", "steering", "features", "evaluation")
+_SETUP = ("motions", "base", "steering", "features", "evaluation")
+"""Keys of a configuration besides the fields of :class:`GradientSettings`."""
+
 _ARRAYS = "training.npz"
 
 
@@ -69,16 +71,16 @@ def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfi
         ValueError: if a key is unknown or missing, or a value is invalid.
     """
     robot = find_robot(env_robot(env_id))
-    mapping("hyperparameters", plain, [*_OWN, *(item.name for item in fields(GradientSettings))])
+    optimisation = [item.name for item in fields(GradientSettings)]
+    mapping("hyperparameters", plain, [*_SETUP, *optimisation])
     if missing := [name for name in ("base", "steering", "features") if name not in plain]:
         raise ValueError(f"hyperparameters: {', '.join(missing)} must be given")
     shift = find_action_mapping(plain["steering"])
     if not isinstance(shift, Shift):
         raise ValueError(f"steering must be of kind shift for {ALGORITHM}, not residual")
-    settings = {name: value for name, value in plain.items() if name not in _OWN}
-    settings |= {
-        name: tuple(settings[name]) for name in ("hidden", "rounds", "softness") if name in settings
-    }
+    settings = {name: plain[name] for name in optimisation if name in plain}
+    for name in {"hidden", "rounds", "softness"} & settings.keys():
+        settings[name] = tuple(settings[name])
     trajectories, validation = _motions(plain.get("motions"), robot)
     return GradientConfig(
         trajectories=trajectories,
@@ -94,27 +96,29 @@ def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfi
 
 def _motions(value: Any, robot: Robot) -> tuple[tuple[Trajectory, ...], tuple[Trajectory, ...]]:
     """Training motions and validation motions."""
-    given = mapping(
-        "motions",
-        {"named": [default_trajectory(robot)]} if value is None else value,
-        ["loops", "named"],
-    )
+    if value is None:
+        value = {"named": [default_trajectory(robot)]}
+    motions = mapping("motions", value, ["loops", "named"])
     most = len(TRAINING_SEEDS) - len(VALIDATION)
-    count = whole("loops", given["loops"], least=1, most=most) if "loops" in given else 0
-    named = given.get("named", [])
-    if not isinstance(named, list) or not (named or count):
+    count = 0
+    if "loops" in motions:
+        count = whole("loops", motions["loops"], least=1, most=most)
+    names = motions.get("named", [])
+    if not isinstance(names, list) or not (names or count):
         raise ValueError(
             f"motions must be {{loops: N}}, {{named: [TRAJECTORY, …]}} or both, not {value!r}"
         )
-    others = tuple(find_trajectory(one, robot.kind) for one in named)
-    moving = [one.motion if isinstance(one, BetweenDwells) else one for one in others]
-    if any(isinstance(one, RandomLoop) and one.seed not in TRAINING_SEEDS[:most] for one in moving):
-        raise ValueError(
-            f"motions: other seeds are reserved for evaluation: train with seeds from 0 to {most - 1}"
-        )
-    return (*_loops(TRAINING_SEEDS[:count], robot), *others), _loops(
-        VALIDATION, robot
-    ) if count else others
+    named = tuple(find_trajectory(name, robot.kind) for name in names)
+    for trajectory in named:
+        if isinstance(trajectory, BetweenDwells):
+            trajectory = trajectory.motion
+        if isinstance(trajectory, RandomLoop) and trajectory.seed not in TRAINING_SEEDS[:most]:
+            raise ValueError(
+                f"motions: other seeds are reserved for evaluation: train with seeds from 0 to {most - 1}"
+            )
+    if not count:
+        return named, named
+    return (*_loops(TRAINING_SEEDS[:count], robot), *named), _loops(VALIDATION, robot)
 
 
 def _loops(seeds: Sequence[int], robot: Robot) -> tuple[Trajectory, ...]:
@@ -156,37 +160,41 @@ def train_gradient(
             damaged checkpoint. No file is changed.
         Interrupted: after SIGINT or SIGTERM; the checkpoint is that of the last finished round.
     """
-    options = {"env_id": env_id, "algorithm": ALGORITHM, "seed": seed, "threads": threads}
-    state = runs.open_run(out, options, config, resume=resume)
-    made = make_gradient_config(env_id, state.settings["config"])
-    steering = made.steering
+    options = {"algorithm": ALGORITHM, "config": config, "seed": seed, "threads": threads}
+    state = runs.open_run(out, env_id, options, resume=resume)
+    checked = make_gradient_config(env_id, state.settings["config"])
     with runs.torch_threads(state.settings["threads"]):
-        training = GradientTraining(
-            robot=steering.robot,
-            trajectories=made.trajectories,
-            action_mapping=made.shift,
-            features=steering.features,
-            seed=state.settings["seed"],
-            settings=made.settings,
-            minimum_tension=steering.base.make(steering.robot).minimum_tension,
-        )
+        training = _make_training(checked, state.settings["seed"])
         if resume:
             # The file is opened here because np.load does not close a damaged file that it opened.
             with runs.checkpoint_errors(out), (state.checkpoint / _ARRAYS).open("rb") as file:
                 training.restore(np.load(file, allow_pickle=False))
         run = runs.Run(
             state,
-            steering,
-            total=made.settings.iterations * len(made.settings.rounds),
-            evaluation=made.evaluation,
-            trained_on=made.trajectories,
-            motions=[{"trajectory": motion} for motion in made.validation],
+            checked.steering,
+            total=checked.settings.iterations * len(checked.settings.rounds),
+            evaluation=checked.evaluation,
+            trained_on=checked.trajectories,
+            motions=[{"trajectory": motion} for motion in checked.validation],
             progress=progress,
             say=say,
         )
         with run.signals():
             _train(run, training, resume)
     return state
+
+
+def _make_training(config: GradientConfig, seed: int) -> GradientTraining:
+    steering = config.steering
+    return GradientTraining(
+        robot=steering.robot,
+        trajectories=config.trajectories,
+        action_mapping=config.shift,
+        features=steering.features,
+        seed=seed,
+        settings=config.settings,
+        minimum_tension=steering.base.make(steering.robot).minimum_tension,
+    )
 
 
 def _train(run: runs.Run, training: GradientTraining, resume: bool) -> None:
@@ -206,15 +214,16 @@ def _train(run: runs.Run, training: GradientTraining, resume: bool) -> None:
         if run.stopped:
             raise runs.Interrupted(state.timesteps)
 
+    def notes() -> dict[str, float]:
+        return {"payload_by_equations_kg": float(np.mean(training.payloads))}
+
     if not resume:
         run.start()
         run.save(write)
     while state.rounds < len(training.settings.rounds):
         training.round(state.rounds, report)
-        state.timesteps = state.timesteps + training.evaluations
-        state.rounds = state.rounds + 1
-        run.evaluate(training.network, payload_by_equations_kg=float(np.mean(training.payloads)))
+        state.timesteps += training.evaluations
+        state.rounds += 1
+        run.evaluate(training.network, **notes())
         run.save(write)
-    run.bundle(training.network, payload_by_equations_kg=float(np.mean(training.payloads))).save(
-        run.out / runs.LAST
-    )
+    run.finish(training.network, **notes())

@@ -14,9 +14,8 @@ from cablebot_gym.utils.checks import choice
 def _ball(values: Array) -> Array:
     """Squashes the first (at most three) numbers as one vector, x/√(1 + |x|²), and each other
     number on its own."""
-    lines = min(3, values.shape[-1])
     square = values**2
-    square[..., :lines] = np.sum(square[..., :lines], axis=-1, keepdims=True)
+    square[..., :3] = np.sum(square[..., :3], axis=-1, keepdims=True)
     squashed: Array = values / np.sqrt(1 + square)
     return squashed
 
@@ -64,20 +63,14 @@ class Network:
     def __post_init__(self) -> None:
         for name, known in (("activation", ACTIVATIONS), ("squash", SQUASHES)):
             choice(name, getattr(self, name), known)
-        size = len(self.mean)
-        fits = (
-            self.scale.shape == self.mean.shape == (size,)
-            and len(self.weights) == len(self.biases) > 0
-        )
-        for weight, bias in zip(self.weights, self.biases, strict=False):
-            fits = (
-                fits
-                and weight.ndim == 2
-                and weight.shape[1] == size
-                and bias.shape == (weight.shape[0],)
-            )
-            size = weight.shape[0]
-        if not fits:
+        sizes = (self.mean.size, *(bias.size for bias in self.biases))
+        vectors = (self.mean, *self.biases)
+        if (
+            not self.biases
+            or self.scale.shape != self.mean.shape
+            or [vector.shape for vector in vectors] != [(size,) for size in sizes]
+            or [weight.shape for weight in self.weights] != [*zip(sizes[1:], sizes, strict=False)]
+        ):
             raise ValueError("the shapes of the network's layers are inconsistent")
         arrays = (self.mean, self.scale, *self.weights, *self.biases)
         if not all(np.all(np.isfinite(array)) for array in arrays) or not np.all(self.scale > 0):
@@ -98,12 +91,10 @@ class Network:
     def __call__(self, values: Array) -> Array:
         """Outputs (..., outputs) for inputs (..., inputs)."""
         values = np.clip((values - self.mean) / self.scale, -self.CUT, self.CUT)
-        last = len(self.weights) - 1
-        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            values = values @ weight.T + bias
-            if index < last:
-                values = ACTIVATIONS[self.activation](values)
-        return SQUASHES[self.squash](values)
+        *hidden, (weight, bias) = zip(self.weights, self.biases, strict=True)
+        for hidden_weight, hidden_bias in hidden:
+            values = ACTIVATIONS[self.activation](values @ hidden_weight.T + hidden_bias)
+        return SQUASHES[self.squash](values @ weight.T + bias)
 
     def to_arrays(self) -> dict[str, Array]:
         """The network as arrays by name, for :meth:`from_arrays`."""

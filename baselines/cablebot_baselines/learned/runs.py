@@ -14,6 +14,8 @@ This module does not need torch.
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import platform
 import shutil
@@ -22,7 +24,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, astuple, dataclass, field, replace
+from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -54,17 +56,21 @@ EVALUATIONS = "evaluations.csv"
 RESOLUTION = 0.05
 """Resolution of payloads in evaluations during training [kg]; ``evaluation`` may override it."""
 
-_OPTIONS = (
-    "algorithm",
-    "config_file",
-    "seed",
-    "timesteps",
-    "eval_every",
-    "checkpoint_every",
-    "threads",
-    "evaluation",
-)
-_OPTION_NAMES = {"env_id": "ID", "algorithm": "--algo", "config_file": "--config"}
+_OPTIONS = {
+    "algorithm": "--algo",
+    "config_file": "--config",
+    "seed": "--seed",
+    "timesteps": "--timesteps",
+    "eval_every": "--eval-every",
+    "checkpoint_every": "--checkpoint-every",
+    "threads": "--threads",
+    "evaluation": "--evaluation",
+}
+"""Options of ``cablebot train`` by the name of the setting, in the order of :meth:`command`."""
+
+_LEAST = {"seed": 0, "timesteps": 1, "eval_every": 1, "checkpoint_every": 1, "threads": 1}
+"""Least values of the options that are whole numbers."""
+
 _PACKAGES = ("numpy", "torch", "stable-baselines3", "sb3-contrib", "cablebot-gym")
 
 Progress = Callable[[int, int, str], None]
@@ -158,28 +164,28 @@ class TrainingResult:
 
     def command(self) -> str:
         """The command line that repeats the run, without ``--out``."""
-        options = {_option(name).removeprefix("--"): self.settings.get(name) for name in _OPTIONS}
+        options = {
+            option.removeprefix("--"): self.settings.get(name) for name, option in _OPTIONS.items()
+        }
         return command_line("train", self.settings["env_id"], **options)
 
     def __str__(self) -> str:
-        base, best = kg(self.base_payload_kg), self.best
         text = (
-            f"{self.timesteps} timesteps in {self.wall_s:.0f} s; DLCC of the base law alone: {base}"
+            f"{self.timesteps} timesteps in {self.wall_s:.0f} s; "
+            f"DLCC of the base law alone: {kg(self.base_payload_kg)}"
         )
-        return text + (
-            f"; of the best policy: {kg(best.payload_kg)} ({self.out / BEST})" if best else ""
-        )
+        if self.best:
+            text += f"; of the best policy: {kg(self.best.payload_kg)} ({self.out / BEST})"
+        return text
 
 
-def open_run(
-    out: Path, options: Mapping[str, Any], config: Path | None, *, resume: bool
-) -> TrainingResult:
+def open_run(out: Path, env_id: str, options: Mapping[str, Any], *, resume: bool) -> TrainingResult:
     """State of a new run, or of the run in ``out``. Writes no file.
 
     Args:
         out: folder of the run.
-        options: options of ``cablebot train`` by name; None for those that were not given.
-        config: YAML file, or the name of a shipped one; None for that of the algorithm.
+        env_id: id of the environment.
+        options: the options of the training, with ``algorithm`` for a new run.
         resume: whether to resume the run in ``out``. Options must then equal those of the run,
             except ``timesteps``.
 
@@ -188,36 +194,40 @@ def open_run(
             to resume.
     """
     check_writable_dir(out)
-    given = {name: value for name, value in options.items() if value is not None}
-    for name in ("seed", "timesteps", "eval_every", "checkpoint_every", "threads"):
-        if name in given:
-            whole(_option(name), given[name], least=0 if name == "seed" else 1)
-    if not resume:
-        for file in (STATE, BEST, LAST, EVALUATIONS):
-            if (out / file).exists():
-                raise ValueError(
-                    f"{str(out)!r} already contains a run: add --resume, or choose another --out"
-                )
-        given["config"] = read_yaml(given["env_id"], config or Path(given["algorithm"]))
-        return TrainingResult(
-            out=out,
-            settings={"seed": 0, "threads": 1, "config_file": config and config.name, **given},
-        )
+    settings: dict[str, Any] = {"env_id": env_id}
+    settings |= {name: value for name, value in options.items() if value is not None}
+    for name, least in _LEAST.items():
+        if name in settings:
+            whole(_OPTIONS[name], settings[name], least=least)
+    config = settings.pop("config", None)
+    if resume:
+        return _resumed(out, settings, config)
+    for file in (STATE, BEST, LAST, EVALUATIONS):
+        if (out / file).exists():
+            raise ValueError(
+                f"{str(out)!r} already contains a run: add --resume, or choose another --out"
+            )
+    settings["config"] = read_yaml(env_id, config or Path(settings["algorithm"]))
+    settings["config_file"] = config and config.name
+    return TrainingResult(out=out, settings={"seed": 0, "threads": 1, **settings})
+
+
+def _resumed(out: Path, settings: dict[str, Any], config: Path | None) -> TrainingResult:
+    """State of the run in ``out``, which must have been started with these settings."""
     state = TrainingResult.load(out)
     if config is not None:
-        given["config"] = read_yaml(given["env_id"], config)
-    for name, value in given.items():
+        settings["config"] = read_yaml(settings["env_id"], config)
+    for name, value in settings.items():
         started = state.settings.get(name)
-        if value != started and name != "timesteps":
-            other = (
-                "another --config"
-                if name == "config"
-                else f"{_option(name)} {started}, not {value}"
-            )
-            raise ValueError(
-                f"the run in {str(out)!r} was started with {other}: omit it, or choose another --out"
-            )
-    state.settings |= given
+        if name == "timesteps" or value == started:
+            continue
+        difference = f"{_OPTIONS.get(name, 'ID')} {started}, not {value}"
+        if name == "config":
+            difference = "another --config"
+        raise ValueError(
+            f"the run in {str(out)!r} was started with {difference}: omit it, or choose another --out"
+        )
+    state.settings |= settings
     return state
 
 
@@ -280,7 +290,8 @@ class Run:
         progress: Progress | None = None,
         say: Say | None = None,
     ) -> None:
-        self.out, self.state = state.out, state
+        self.out = state.out
+        self.state = state
         self.stopped = False
         """Whether a signal has arrived within :meth:`signals`."""
         self._total = total
@@ -294,7 +305,8 @@ class Run:
             network=zero_network(steering.inputs, steering.actions),
         )
         self._conditions = {"criterion": "task", "resolution": RESOLUTION, **evaluation}
-        self._progress, self._say = progress, say
+        self._progress = progress
+        self._say = say
         self._started = time.monotonic() - state.wall_s
 
     def report(self, text: str, done: int) -> None:
@@ -308,63 +320,64 @@ class Run:
         self.state.base_payload_kg = self._dlcc(self._base.base_alone)
         self.report("starting", 0)  # the time left counts from here
 
-    def evaluate(self, network: Network, **record: Any) -> float | None:
+    def evaluate(self, network: Network, **notes: Any) -> float | None:
         """Evaluates a network [kg]; writes ``evaluations.csv``, and ``best.zip`` if no earlier
-        network was as good."""
-        state, best = self.state, self.state.best
+        network was as good. ``notes`` are added to the card."""
+        state = self.state
+        best = state.best
         self.report("evaluating", state.timesteps)
         payload = self._dlcc(replace(self._base, network=network))
         state.evaluations.append(
-            Evaluation(
-                timesteps=state.timesteps, wall_s=round(self._wall_s(), 3), payload_kg=payload
-            )
+            Evaluation(timesteps=state.timesteps, wall_s=self._wall_s(), payload_kg=payload)
         )
         if best is None or rank(payload) > rank(best.payload_kg):
-            self.bundle(network, **record).save(self.out / BEST)
-        rows = [
-            ",".join("" if value is None else str(value) for value in astuple(item))
-            for item in state.evaluations
-        ]
-        atomic_write_text(
-            self.out / EVALUATIONS, "\n".join(["timesteps,wall_s,payload_kg", *rows, ""])
-        )
+            self._bundle(network, notes).save(self.out / BEST)
+        table = io.StringIO()
+        writer = csv.writer(table, lineterminator="\n")
+        writer.writerow(item.name for item in fields(Evaluation))
+        writer.writerows(map(astuple, state.evaluations))
+        atomic_write_text(self.out / EVALUATIONS, table.getvalue())
         return payload
 
-    def bundle(self, network: Network, **record: Any) -> Bundle:
-        """A policy with its training record, to which ``record`` is added."""
-        state, settings = self.state, self.state.settings
-        current = [
-            item.payload_kg for item in state.evaluations if item.timesteps == state.timesteps
-        ]
-        card = {
-            "command": state.command(),
-            **{
-                name: settings[name]
-                for name in ("env_id", "algorithm", "config", "seed", "threads")
-            },
+    def finish(self, network: Network, **notes: Any) -> None:
+        """Writes the final policy. ``notes`` are added to its card."""
+        self._bundle(network, notes).save(self.out / LAST)
+
+    def _bundle(self, network: Network, notes: dict[str, Any]) -> Bundle:
+        """A policy with its training record."""
+        state = self.state
+        card: dict[str, Any] = {"command": state.command()}
+        for name in ("env_id", "algorithm", "config", "seed", "threads"):
+            card[name] = state.settings[name]
+        payload = None
+        if state.evaluations and state.evaluations[-1].timesteps == state.timesteps:
+            payload = state.evaluations[-1].payload_kg
+        card |= {
             "timesteps": state.timesteps,
-            "wall_s": round(self._wall_s(), 3),
+            "wall_s": self._wall_s(),
             "versions": versions(),
-            "payload_kg": current[-1] if current else None,
+            "payload_kg": payload,
             "evaluation": self._conditions,
             "base_payload_kg": state.base_payload_kg,
             "planner_output_used": False,
             "dwell": self._dwell,
             "curve": [asdict(item) for item in state.evaluations],
         }
-        return replace(self._base, network=network, card=card | record)
+        return replace(self._base, network=network, card=card | notes)
 
     def save(self, write: Callable[[Path], None]) -> None:
         """Writes a checkpoint; ``write`` is called with the folder for the algorithm's state."""
-        self.state.wall_s = round(self._wall_s(), 3)
+        self.state.wall_s = self._wall_s()
         folder = self.state.checkpoint
         folder.mkdir(parents=True, exist_ok=True)
         write(folder)
-        data = {name: value for name, value in asdict(self.state).items() if name != "out"}
+        data = asdict(self.state)
+        del data["out"]
         atomic_write_text(self.out / STATE, json.dumps(data, ensure_ascii=False))
-        for other in folder.parent.iterdir():  # run.json names this checkpoint now
-            if other != folder:
-                shutil.rmtree(other)
+        # Only now does run.json name this checkpoint.
+        for checkpoint in folder.parent.iterdir():
+            if checkpoint != folder:
+                shutil.rmtree(checkpoint)
 
     @contextmanager
     def signals(self) -> Iterator[None]:
@@ -381,40 +394,42 @@ class Run:
             if self._say:
                 self._say("stopping; Ctrl-C again stops immediately and keeps the last checkpoint")
 
-        handled = [
-            one
-            for one in (signal.SIGINT, signal.SIGTERM)
-            if signal.getsignal(one) is not signal.SIG_IGN
-        ]
-        before = {number: signal.signal(number, note) for number in handled}
+        handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        for number, handler in handlers.items():
+            if handler is not signal.SIG_IGN:
+                signal.signal(number, note)
         try:
             yield
         finally:
-            for number, handler in before.items():
+            for number, handler in handlers.items():
                 signal.signal(number, handler)
 
     def _dlcc(self, bundle: Bundle) -> float | None:
         """Mean DLCC of a bundle over the motions [kg], with 0 where it fails unloaded; None if it
         always does."""
         policy = LearnedPolicy(bundle, find_robot(env_robot(bundle.env_id)))
-        payloads = [
-            evaluate_dlcc(policy, bundle.env_id, **motion, **self._conditions).payload
-            for motion in self._motions
-        ]
-        return (
-            None
-            if set(payloads) == {None}
-            else float(np.mean([payload or 0.0 for payload in payloads]))
-        )
+        payloads = []
+        for motion in self._motions:
+            result = evaluate_dlcc(policy, bundle.env_id, **motion, **self._conditions)
+            payloads.append(result.payload)
+        if set(payloads) == {None}:
+            return None
+        return float(np.mean([payload or 0.0 for payload in payloads]))
 
     def _wall_s(self) -> float:
-        return time.monotonic() - self._started
+        return round(time.monotonic() - self._started, 3)
 
 
 def shortest_dwell(trajectories: Sequence[Trajectory]) -> float:
     """Shortest dwell at the ends of motions [s]; 0 if one of them has none."""
-    dwells = {BetweenDwells: "dwell", Dwell: "duration"}
-    return min(float(getattr(one, dwells.get(type(one), ""), 0.0)) for one in trajectories)
+    dwells = []
+    for trajectory in trajectories:
+        match trajectory:
+            case BetweenDwells(dwell=duration) | Dwell(duration=duration):
+                dwells.append(float(duration))
+            case _:
+                return 0.0
+    return min(dwells)
 
 
 @contextmanager
@@ -452,7 +467,3 @@ def versions() -> dict[str, str]:
         with suppress(PackageNotFoundError):
             numbers[name] = version(name)
     return numbers
-
-
-def _option(name: str) -> str:
-    return _OPTION_NAMES.get(name, f"--{name.replace('_', '-')}")

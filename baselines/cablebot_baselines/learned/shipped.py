@@ -54,26 +54,26 @@ def load_shipped(name: str, robot: Robot, folder: Path = WEIGHTS) -> Policy:
         ValueError: if the name is unknown, the weights for this kind of robot are missing or
             damaged, or the robot's observation differs from the one that the policy was trained on.
     """
-    from cablebot_baselines.learned.bundle import (
-        Bundle,
-    )  # imported here: listing policies does not need them
+    # Imported here: listing policies does not need them.
+    from cablebot_baselines.learned.bundle import Bundle
     from cablebot_baselines.learned.policy import LearnedPolicy
 
     shipped = SHIPPED[choice("learned policy", name, SHIPPED)]
     env_id = fitting_env_id(robot)
     if env_id not in shipped.env_ids:
-        others = ", ".join(other.name for other in SHIPPED.values() if env_id in other.env_ids)
+        fitting = ", ".join(entry.name for entry in SHIPPED.values() if env_id in entry.env_ids)
         raise ValueError(
-            f"policy {name!r} is for {', '.join(shipped.env_ids)}, not for {env_id}: choose {others}"
+            f"policy {name!r} is for {', '.join(shipped.env_ids)}, not for {env_id}: choose {fitting}"
         )
     return LearnedPolicy(Bundle.load(weights_file(name, env_id, folder)), robot)
 
 
 def _shipped(name: str) -> Shipped:
-    paths = [weights_file(name, env_id) for env_id in DATA[name]["env_ids"]]
-    factory = partial(load_shipped, name)
+    files = [weights_file(name, env_id) for env_id in DATA[name]["env_ids"]]
     return Shipped(
-        factory=factory, files=tuple(path for path in paths if path.is_file()), **DATA[name]
+        factory=partial(load_shipped, name),
+        files=tuple(file for file in files if file.is_file()),
+        **DATA[name],
     )
 
 
@@ -82,5 +82,5 @@ APG_CIRCLE = _shipped("apg-circle")
 APG_CIRCLE_MARGIN = _shipped("apg-circle-margin")
 APG_LOOPS = _shipped("apg-loops")
 
-SHIPPED = {one.name: one for one in (PPO_CIRCLE, APG_CIRCLE, APG_CIRCLE_MARGIN, APG_LOOPS)}
+SHIPPED = {entry.name: entry for entry in (PPO_CIRCLE, APG_CIRCLE, APG_CIRCLE_MARGIN, APG_LOOPS)}
 """Shipped policies by name."""

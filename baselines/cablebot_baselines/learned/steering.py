@@ -9,8 +9,8 @@ behaves the same in both.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,8 @@ class Shift:
     Raises:
         ValueError: if a number is out of its range.
     """
+
+    kind: ClassVar[str] = "shift"
 
     action_period: float = 0.04
     """Time between two actions [s]; > 0. It is rounded to whole control periods."""
@@ -105,14 +107,11 @@ class Shift:
         # A knot is evaluated on the piece before it, because the basis function ends at its last
         # knot.
         parameters = np.minimum(parameters, np.nextafter(age + 1, 0))
-        orders = [
-            np.nan_to_num(
-                basis.derivative(order)(parameters) if order <= self.degree else 0 * parameters
-            )
-            / action_period**order
-            for order in range(5)
-        ]
-        return np.stack(orders, axis=-2)
+        weights = np.zeros((*parameters.shape[:-1], 5, self.degree + 1))
+        for order in range(min(4, self.degree) + 1):
+            derivative = basis.derivative(order)(parameters)
+            weights[..., order, :] = np.nan_to_num(derivative) / action_period**order
+        return weights
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,6 +121,9 @@ class Residual:
     Raises:
         ValueError: if a number is out of its range.
     """
+
+    kind: ClassVar[str] = "residual"
+    preview: ClassVar[float] = 0.0
 
     action_period: float = 0.02
     """Time between two actions [s]; > 0. It is rounded to whole control periods."""
@@ -155,17 +157,12 @@ def _check_period_and_fraction(action_mapping: Shift | Residual) -> None:
     )
 
 
-_KINDS: dict[str, type[Shift] | type[Residual]] = {"shift": Shift, "residual": Residual}
+_KINDS: dict[str, type[Shift] | type[Residual]] = {Shift.kind: Shift, Residual.kind: Residual}
 
 
 def action_mapping_to_jsonable(action_mapping: Shift | Residual) -> dict[str, Any]:
     """An action mapping as JSON-able data, for :func:`find_action_mapping`."""
-    return {
-        "kind": next(
-            kind for kind, mapping in _KINDS.items() if isinstance(action_mapping, mapping)
-        ),
-        **asdict(action_mapping),
-    }
+    return {"kind": action_mapping.kind, **asdict(action_mapping)}
 
 
 def find_action_mapping(
@@ -184,10 +181,8 @@ def find_action_mapping(
     data = {"kind": action_mapping} if isinstance(action_mapping, str) else action_mapping
     known = {"kind", *Shift.__dataclass_fields__, *Residual.__dataclass_fields__}
     data = mapping("steering", data, sorted(known))
-    kind: type[Shift] | type[Residual] = _KINDS[
-        choice("kind of steering", data.pop("kind", None), _KINDS)
-    ]
-    return record("steering", kind, data)
+    kind = choice("kind of steering", data.pop("kind", None), _KINDS)
+    return record("steering", _KINDS[kind], data)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -229,17 +224,17 @@ class Steering:
         self.base = base
         self.action_mapping = action_mapping
         self.features = check_features(features, robot)
-        if isinstance(action_mapping, Residual) and (
-            odd := [name for name in self.features if name in SHIFT_FEATURES]
-        ):
-            raise ValueError(
-                f"feature {odd[0]!r} requires steering of kind shift: remove it, or use shift"
-            )
-        if isinstance(action_mapping, Residual) and base.estimates_payload and not robot.flexible:
-            raise ValueError(
-                "a residual would bias the payload estimate of the base law: set estimates_payload to False, or use "
-                "steering of kind shift"
-            )
+        if isinstance(action_mapping, Residual):
+            for name in self.features:
+                if name in SHIFT_FEATURES:
+                    raise ValueError(
+                        f"feature {name!r} requires steering of kind shift: remove it, or use shift"
+                    )
+            if base.estimates_payload and not robot.flexible:
+                raise ValueError(
+                    "a residual would bias the payload estimate of the base law: set estimates_payload to False, or "
+                    "use steering of kind shift"
+                )
         self.law = base.make(robot)
         self.actions = action_mapping.actions(robot)
         """Size of an action."""
@@ -283,12 +278,14 @@ class Steering:
             )
         ((error_bounds, frequency),) = conditions
         self._prepare(error_bounds, 1 / frequency)
-        motions = {id(task.trajectory): task for task in tasks}
-        shifts = {
-            key: task.start_pose - task.trajectory(0.0).position for key, task in motions.items()
-        }
-        starts = np.array([shifts[id(task.trajectory)] for task in tasks])
-        self._start = starts if np.ptp(starts, axis=0).any() else starts[0]
+        shifts: dict[int, Array] = {}  # few motions, many tasks
+        for task in tasks:
+            if id(task.trajectory) not in shifts:
+                start_shift = task.start_pose - task.trajectory(0.0).position
+                shifts[id(task.trajectory)] = start_shift
+        self._start = np.array([shifts[id(task.trajectory)] for task in tasks])
+        if not np.ptp(self._start, axis=0).any():
+            self._start = self._start[0]
 
     def split(self, observation: Any) -> dict[str, Array]:
         """The blocks of an observation by name, each (..., size).
@@ -304,30 +301,24 @@ class Steering:
         """Resets the memory of the episodes that start."""
         batch = blocks["pose"].shape[:-1]
         action_mapping = self.action_mapping
-        first = first_steps(memory, episode_start, batch)
-        if memory is not None and not np.any(first):
+        starts = first_steps(memory, episode_start, batch)
+        if memory is not None and not np.any(starts):
             return memory
+        length = action_mapping.memory_length
+        actions = np.zeros((*batch, length, self.actions))
         anchors = np.zeros((*batch, 0, self.robot.coordinates))
-        if isinstance(action_mapping, Shift) and action_mapping.preview:
-            anchors = np.repeat(
-                blocks["reference_pose"][..., None, :], action_mapping.memory_length, axis=-2
-            )
-        actions = np.zeros((*batch, action_mapping.memory_length, self.actions))
         if isinstance(action_mapping, Shift):
             actions += np.expand_dims(self._start / self._bounds, -2)
-        fresh = Memory(
-            actions=actions,
-            anchors=anchors,
-            step=np.zeros(batch, np.int64),
-            law=None,
-        )
+        if action_mapping.preview:
+            anchors = np.repeat(blocks["reference_pose"][..., None, :], length, axis=-2)
         if memory is None:
-            return fresh
-        started = first[..., None, None]
+            step = np.zeros(batch, np.int64)
+            return Memory(actions=actions, anchors=anchors, step=step, law=None)
+        rows = starts[..., None, None]
         return Memory(
-            actions=np.where(started, fresh.actions, memory.actions),
-            anchors=np.where(started, fresh.anchors, memory.anchors),
-            step=np.where(first, 0, memory.step),
+            actions=np.where(rows, actions, memory.actions),
+            anchors=np.where(rows, anchors, memory.anchors),
+            step=np.where(starts, 0, memory.step),
             law=memory.law,
         )
 
@@ -337,22 +328,19 @@ class Steering:
 
     def observe(self, blocks: dict[str, Array], memory: Memory) -> Array:
         """The observation of a learner before its action, (..., features)."""
-        derived = {
-            "time_since_start": (memory.step * self._period)[..., None],
-            "actions": memory.actions[..., 1:, :].reshape(*memory.step.shape, -1)
-            if isinstance(self.action_mapping, Shift)
-            else memory.actions[..., 0, :],
-        }
+        # The oldest action of a shift no longer affects the spline.
+        actions = memory.actions[..., 0, :]
         shift = np.zeros_like(blocks["pose"])
+        derived = {"time_since_start": (memory.step * self._period)[..., None]}
         if isinstance(self.action_mapping, Shift):
-            position, velocity = np.moveaxis(
-                self._spline(self._present[memory.step % self.periods], memory), -2, 0
-            )
+            actions = memory.actions[..., 1:, :].reshape(*memory.step.shape, -1)
+            spline = self._spline(self._present[memory.step % self.periods], memory)
             anchored = bool(self.action_mapping.preview)
-            shift = position - anchored * blocks["reference_pose"]
+            shift = spline[..., 0, :] - anchored * blocks["reference_pose"]
+            rate = spline[..., 1, :] - anchored * blocks["reference_velocity"]
             derived["shift"] = shift / self._bounds
-            rate = velocity - anchored * blocks["reference_velocity"]
             derived["shift_velocity"] = rate * self.periods * self._period / self._bounds
+        derived["actions"] = actions
         derived["error"] = blocks["reference_pose"] + shift - blocks["pose"]
         return feature_values(self.features, blocks, derived)
 
@@ -362,39 +350,41 @@ class Steering:
         """Returns actions (..., m) and the next memory; ``action`` (..., size) is used where one is
         :meth:`due`."""
         due = self.due(memory)
-        actions, anchors = memory.actions, memory.anchors
         if np.any(due):
-            taken = np.concatenate(
-                [actions[..., 1:, :], self._clipped(action)[..., None, :]], axis=-2
-            )
-            actions = np.where(due[..., None, None], taken, actions)
-            if anchors.shape[-2]:
-                assert isinstance(self.action_mapping, Shift)
-                ahead = blocks["reference_pose"] + blocks[preview_name(self.action_mapping.preview)]
-                moved = np.concatenate([anchors[..., 1:, :], ahead[..., None, :]], axis=-2)
-                anchors = np.where(due[..., None, None], moved, anchors)
-        now = Memory(actions=actions, anchors=anchors, step=memory.step, law=memory.law)
-        start = episode_start if memory.law is not None else None
-        applied, law = self.law.respond(self._shifted_reference(blocks, now), memory.law, start)
+            memory = self._with_action(blocks, action, memory, due[..., None, None])
+        if memory.law is None:
+            episode_start = None
+        applied, law = self.law.respond(
+            self._shifted_reference(blocks, memory), memory.law, episode_start
+        )
         if isinstance(self.action_mapping, Residual):
-            applied = applied + self.action_mapping.fraction * actions[..., 0, :]
-        return applied, Memory(actions=actions, anchors=anchors, step=memory.step + 1, law=law)
+            applied = applied + self.action_mapping.fraction * memory.actions[..., 0, :]
+        return applied, replace(memory, step=memory.step + 1, law=law)
+
+    def _with_action(
+        self, blocks: dict[str, Array], action: Array, memory: Memory, due: NDArray[np.bool_]
+    ) -> Memory:
+        """The memory with another action, and its anchor, in the episodes that are due."""
+        actions = _appended(memory.actions, self._clipped(action), due)
+        anchors = memory.anchors
+        if self.action_mapping.preview:
+            ahead = blocks["reference_pose"] + blocks[preview_name(self.action_mapping.preview)]
+            anchors = _appended(anchors, ahead, due)
+        return replace(memory, actions=actions, anchors=anchors)
 
     def _clipped(self, action: Array) -> Array:
         """Clips an action to ±1, and the position of a shift to the unit ball."""
         action = np.clip(np.asarray(action, float), -1.0, 1.0)
         if isinstance(self.action_mapping, Shift):
-            lines = min(self.actions, 3)
-            action[..., :lines] /= np.maximum(
-                np.linalg.norm(action[..., :lines], axis=-1, keepdims=True), 1.0
-            )
+            position = action[..., :3]
+            position /= np.maximum(np.linalg.norm(position, axis=-1, keepdims=True), 1.0)
         return action
 
     def _spline(self, weights: Array, memory: Memory) -> Array:
         """Spline (..., orders, n) from weights (..., orders, memory_length) and the control
         points."""
         points = memory.actions * self._bounds
-        if memory.anchors.shape[-2]:
+        if self.action_mapping.preview:
             points = points + memory.anchors
         result: Array = weights @ points
         return result
@@ -409,11 +399,18 @@ class Steering:
             weights = weights.copy()
             weights[..., 2, :] = self._mean[phase]
         motion = self._spline(weights, memory)
-        moved = {}
+        shifted = dict(blocks)
         for order, name in enumerate(DERIVATIVES):
             block = f"reference_{name}"
             if block in blocks:
-                moved[block] = motion[..., order, :] + (
-                    0.0 if self.action_mapping.preview else blocks[block]
-                )
-        return blocks | moved
+                origin: Array | float = 0.0
+                if not self.action_mapping.preview:
+                    origin = blocks[block]
+                shifted[block] = motion[..., order, :] + origin
+        return shifted
+
+
+def _appended(values: Array, newest: Array, rows: NDArray[np.bool_]) -> Array:
+    """Values (..., length, size) without the oldest and with the newest, in the marked rows."""
+    moved = np.concatenate([values[..., 1:, :], newest[..., None, :]], axis=-2)
+    return np.where(rows, moved, values)

@@ -11,6 +11,7 @@ network.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -56,34 +57,33 @@ def symmetries(robot: Robot) -> Array:
     motors = [getattr(robot, name) for name in names]
     if robot.flexible:
         motors += [robot.stiffness, robot.motor_inertia, robot.motor_damping]
-    cables, kinds = robot.base, np.stack(motors, axis=1)
+    anchors = robot.base
+    parameters = np.stack(motors, axis=1)
+    tolerance = _TOLERANCE * np.abs(anchors).max()
     transforms = {}
-    for permutation in _permutations(cables):
+    for permutation in _permutations(anchors):
         permuted = list(permutation)
-        left, _, right = np.linalg.svd(
-            cables[permuted].T @ cables
-        )  # the closest orthogonal transform
-        transform = left @ right
-        same_anchors = np.allclose(
-            cables @ transform.T, cables[permuted], rtol=0, atol=_TOLERANCE * np.abs(cables).max()
-        )
-        if same_anchors and np.allclose(kinds, kinds[permuted], rtol=_TOLERANCE, atol=0):
+        # The closest orthogonal transform.
+        left_vectors, _, right_vectors = np.linalg.svd(anchors[permuted].T @ anchors)
+        transform = left_vectors @ right_vectors
+        same_anchors = np.allclose(anchors @ transform.T, anchors[permuted], rtol=0, atol=tolerance)
+        if same_anchors and np.allclose(parameters, parameters[permuted], rtol=_TOLERANCE, atol=0):
             transforms[permutation] = transform
     return np.array([transforms[permutation] for permutation in sorted(transforms)])
 
 
-def _permutations(cables: Array) -> Iterator[tuple[int, ...]]:
+def _permutations(anchors: Array) -> Iterator[tuple[int, ...]]:
     """Permutations of the anchors by the transforms that move the outermost anchor onto some
     anchor."""
-    angles = np.arctan2(cables[:, 1], cables[:, 0])
-    radii = np.linalg.norm(cables, axis=1)
+    angles = np.arctan2(anchors[:, 1], anchors[:, 0])
+    radii = np.linalg.norm(anchors, axis=1)
     outermost = int(np.argmax(radii))
     for angle in angles:
-        for transformed in (angles - angles[outermost] + angle, angles[outermost] - angles + angle):
-            moved = radii[:, None] * np.stack([np.cos(transformed), np.sin(transformed)], axis=1)
-            indices = np.linalg.norm(moved[:, None] - cables, axis=-1).argmin(axis=1)
-            if len(set(indices.tolist())) == len(cables):
-                yield tuple(indices.tolist())
+        for turned in (angles - angles[outermost] + angle, angles[outermost] - angles + angle):
+            images = radii[:, None] * np.stack([np.cos(turned), np.sin(turned)], axis=1)
+            indices = np.linalg.norm(images[:, None] - anchors, axis=-1).argmin(axis=1).tolist()
+            if len(set(indices)) == len(anchors):
+                yield tuple(indices)
 
 
 class SymmetricLayers:
@@ -102,20 +102,18 @@ class SymmetricLayers:
     ) -> None:
         group = len(output_transforms)
         quotients = np.einsum("gji,kjl->gkil", output_transforms, output_transforms)  # g⁻¹ k
-        indices = (
-            np.abs(quotients[:, :, None] - output_transforms).sum(axis=(-1, -2)).argmin(axis=-1)
-        )
-        swaps = np.eye(group)[indices]  # h maps block h⁻¹ k to block k
-        between = [np.array([np.kron(swap, np.eye(units)) for swap in swaps]) for units in hidden]
-        self._input_transforms = [
-            torch.tensor(transforms) for transforms in (input_transforms, *between)
-        ]
+        differences = np.abs(quotients[:, :, None] - output_transforms).sum(axis=(-1, -2))
+        swaps = np.eye(group)[differences.argmin(axis=-1)]  # h maps block h⁻¹ k to block k
         self._output_transforms = torch.tensor(output_transforms)
-        sizes = zip(self._input_transforms, (*hidden, output_transforms.shape[-1]), strict=True)
-        self.layers = [
-            nn.Linear(transforms.shape[-1], size, dtype=torch.float64) for transforms, size in sizes
-        ]
+        self._input_transforms = [torch.tensor(input_transforms)]
+        for units in hidden:
+            blocks = np.array([np.kron(swap, np.eye(units)) for swap in swaps])
+            self._input_transforms.append(torch.tensor(blocks))
+        self.layers: Any = nn.ModuleList()
         """Weights and biases of one image."""
+        sizes = (*hidden, output_transforms.shape[-1])
+        for transforms, size in zip(self._input_transforms, sizes, strict=True):
+            self.layers.append(nn.Linear(transforms.shape[-1], size, dtype=torch.float64))
 
     def statistics(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation of inputs (count, inputs) and all their images, each
@@ -126,12 +124,10 @@ class SymmetricLayers:
     def weights(self) -> list[tuple[Tensor, Tensor]]:
         """Weights (out, in) and biases (out,) of the equivariant layers."""
         # Block g of the units, and the output for image g, use the inputs transformed by g⁻¹.
-        pairs = zip(self.layers, self._input_transforms, strict=True)
-        blocks = [layer.weight @ transforms.mT for layer, transforms in pairs]
-        biases: list[Tensor] = [layer.bias for layer in self.layers]
-        hidden = [
-            (block.flatten(0, 1), bias.repeat(len(block)))
-            for block, bias in zip(blocks[:-1], biases[:-1], strict=True)
-        ]
+        derived = []
+        for layer, transforms in zip(self.layers, self._input_transforms, strict=True):
+            derived.append((layer.weight @ transforms.mT, layer.bias))
+        hidden = [(blocks.flatten(0, 1), bias.repeat(len(blocks))) for blocks, bias in derived[:-1]]
+        blocks, bias = derived[-1]
         outputs = self._output_transforms
-        return [*hidden, ((outputs @ blocks[-1]).mean(0), outputs.mean(0) @ biases[-1])]
+        return [*hidden, ((outputs @ blocks).mean(0), outputs.mean(0) @ bias)]

@@ -10,10 +10,11 @@ trust.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 try:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -31,11 +32,13 @@ except ImportError as error:
         "training needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name
     ) from error
 
-from cablebot_baselines.learned import runs
-from cablebot_baselines.learned.config import Config, algorithm_class, make_config
+from cablebot_baselines.learned import gradient_run, runs
+from cablebot_baselines.learned.config import ALGORITHMS, Config, algorithm_class, make_config
 from cablebot_baselines.learned.export import network_from_sb3
 from cablebot_baselines.learned.recipe import make_training_envs, steered_env
 from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, SteeredVector
+from cablebot_baselines.learned.wrappers.layers import layers
+from cablebot_gym.utils.checks import choice, unexpected_keyword_error
 
 PARTS = 20
 """Default number of evaluations and of checkpoints in a run."""
@@ -45,21 +48,39 @@ _NORMALIZE = "vecnormalize.pkl"
 _REPLAY = "replay_buffer.pkl"
 
 
+class TrainingOptions(TypedDict, total=False):
+    """Options of :func:`train`. An option that is missing or None has its default, or in a resumed
+    run the value that the run was started with."""
+
+    algorithm: str | None
+    """``ppo``, ``sac`` or ``tqc``; by default ``ppo``."""
+    config: Path | None
+    """YAML file with RL-Zoo's keys; by default the shipped one."""
+    seed: int | None
+    """Seed of weights, exploration and environments; by default 0."""
+    timesteps: int | None
+    """Number of actions over all environments; by default the configuration's ``n_timesteps``."""
+    eval_every: int | None
+    """Timesteps between two evaluations; by default 1/20 of all timesteps. A checkpoint follows
+    each one."""
+    checkpoint_every: int | None
+    """Timesteps between two checkpoints; by default 1/20 of all timesteps."""
+    threads: int | None
+    """Number of torch's threads; by default 1. For networks of this size, more threads are hardly
+    faster, and much slower if other processes use the cores."""
+    evaluation: Mapping[str, Any] | None
+    """Keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc` in addition to
+    the criterion ``task`` and ``RESOLUTION``, such as ``{"payload_known": False}``."""
+
+
 def train(
     env_id: str,
     *,
     out: Path,
-    algorithm: str | None = None,
-    config: Path | None = None,
-    seed: int | None = None,
-    timesteps: int | None = None,
     resume: bool = False,
-    eval_every: int | None = None,
-    checkpoint_every: int | None = None,
-    threads: int | None = None,
-    evaluation: Mapping[str, Any] | None = None,
     progress: runs.Progress | None = None,
     say: runs.Say | None = None,
+    **options: Unpack[TrainingOptions],
 ) -> runs.TrainingResult:
     """Trains a learned policy with Stable-Baselines3.
 
@@ -70,26 +91,12 @@ def train(
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         out: folder of the run.
-        algorithm: ``ppo``, ``sac`` or ``tqc``; None for ``ppo``.
-        config: YAML file with RL-Zoo's keys; None for the shipped one.
-        seed: seed of weights, exploration and environments; None for 0.
-        timesteps: number of actions over all environments; None for the configuration's
-            ``n_timesteps``.
-        resume: whether to resume the run in ``out`` from its last checkpoint: the saved model,
-            normalisation and replay buffer, with new episodes. The result is therefore not that of
-            an uninterrupted run. Arguments that are None keep the values that the run was started
-            with; other arguments must equal these values, except for ``timesteps``, at whose new
-            value linear schedules end.
-        eval_every: timesteps between two evaluations; None for 1/20 of all timesteps. A checkpoint
-            follows each one.
-        checkpoint_every: timesteps between two checkpoints; None for 1/20 of all timesteps.
-        threads: number of torch's threads; None for 1. For networks of this size, more threads are
-            hardly faster, and much slower if other processes use the cores.
-        evaluation: keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc` in
-            addition to the criterion ``task`` and ``RESOLUTION``, such as ``{"payload_known":
-            False}``.
+        resume: whether to resume the run in ``out`` from its last checkpoint with new episodes. The
+            result is therefore not that of an uninterrupted run. Options must equal those that the
+            run was started with, except for ``timesteps``, at whose new value linear schedules end.
         progress: function called with the progress.
         say: function called with messages for the user.
+        options: see :class:`TrainingOptions`.
 
     Raises:
         ValueError: if an argument or the configuration is invalid, or ``out`` already contains a
@@ -98,65 +105,67 @@ def train(
         Interrupted: after a signal, when the checkpoint is written.
         cablebot_gym.policies.protocol.PolicyError: if an evaluation fails.
     """
-    options: dict[str, Any] = {
-        "env_id": env_id,
-        "algorithm": algorithm or (None if resume else "ppo"),
-        "seed": seed,
-        "timesteps": timesteps,
-        "eval_every": eval_every,
-        "checkpoint_every": checkpoint_every,
-        "threads": threads,
-        "evaluation": None if evaluation is None else dict(evaluation),
-    }
-    algorithm_class(algorithm or "ppo")
-    state = runs.open_run(out, options, config, resume=resume)
-    settings = state.settings
-    hyperparameters = make_config(settings["config"])
-    interval = max(1, settings.setdefault("timesteps", hyperparameters.timesteps) // PARTS)
-    state.settings = {
-        "eval_every": interval,
-        "checkpoint_every": interval,
-        "evaluation": {},
-        **settings,
-    }
-    if state.timesteps >= settings["timesteps"]:
+    state, config = _open_run(env_id, out, resume, options)
+    timesteps = state.settings["timesteps"]
+    if state.timesteps >= timesteps:
         if say:
             say(
                 f"nothing to do: {state.timesteps} timesteps are done. Use --timesteps to train longer"
             )
         return state
-    with (
-        runs.torch_threads(settings["threads"]),
-        closing(_environments(hyperparameters, state)) as envs,
-    ):
-        model = (_load if resume else _make)(state, hyperparameters, envs)
+    threads = runs.torch_threads(state.settings["threads"])
+    seed = state.settings["seed"] + state.timesteps  # a resumed run does not repeat its episodes
+    with threads, closing(make_training_envs(env_id, seed=seed, config=config)) as envs:
+        model = (_load if resume else _make)(state, config, envs)
         network_from_sb3(model)  # fails before the training if the model cannot be exported
-        total = state.settings["timesteps"]
-        evaluation = state.settings["evaluation"]
         steered = steered_env(model)
-        plain: Any = steered.unwrapped
+        plant: Any = steered.unwrapped
         run = runs.Run(
             state,
             steered.steering,
-            total=total,
-            evaluation=evaluation,
-            trained_on=[plain.settings.trajectory],
+            total=timesteps,
+            evaluation=state.settings["evaluation"],
+            trained_on=[plant.settings.trajectory],
             progress=progress,
             say=say,
         )
-        callback = _RunCallback(run, _curriculum(steered))
-        callback.init_callback(model)
         if not resume:
             run.start()
-        _learn(model, callback, run)
+        _learn(model, _RunCallback(run, _curriculum(steered)), run)
     return state
 
 
-def _environments(config: Config, state: runs.TrainingResult) -> VecNormalize:
-    seed = (
-        state.settings["seed"] + state.timesteps
-    )  # a resumed run does not repeat its first episodes
-    return make_training_envs(state.settings["env_id"], seed=seed, config=config)
+def find_trainer(algorithm: str) -> Callable[..., runs.TrainingResult]:
+    """The function that trains with an algorithm: :func:`train` or
+    :func:`~cablebot_baselines.learned.gradient_run.train_gradient`.
+
+    Raises:
+        ValueError: if the algorithm is unknown.
+    """
+    choice("algorithm", algorithm, (*ALGORITHMS, gradient_run.ALGORITHM))
+    if algorithm == gradient_run.ALGORITHM:
+        return gradient_run.train_gradient
+    return partial(train, algorithm=algorithm)
+
+
+def _open_run(
+    env_id: str, out: Path, resume: bool, options: TrainingOptions
+) -> tuple[runs.TrainingResult, Config]:
+    """State of the run, with defaults of the options that are not given, and its configuration."""
+    for name in options:
+        if name not in TrainingOptions.__annotations__:
+            raise unexpected_keyword_error(name, TrainingOptions.__annotations__)
+    algorithm = options.get("algorithm") or "ppo"
+    algorithm_class(algorithm)
+    if not resume:
+        options["algorithm"] = algorithm
+    state = runs.open_run(out, env_id, options, resume=resume)
+    config = make_config(state.settings["config"])
+    timesteps = state.settings.setdefault("timesteps", config.timesteps)
+    interval = max(1, timesteps // PARTS)
+    defaults = {"eval_every": interval, "checkpoint_every": interval, "evaluation": {}}
+    state.settings = defaults | state.settings
+    return state, config
 
 
 def _make(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> BaseAlgorithm:
@@ -167,12 +176,11 @@ def _make(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> Bas
     """
     name = state.settings["algorithm"]
     algorithm: Any = algorithm_class(name)
+    model: BaseAlgorithm
     try:
         # The CPU is faster than an accelerator for networks of this size, and gives reproducible
         # weights.
-        model: BaseAlgorithm = algorithm(
-            env=envs, seed=state.settings["seed"], device="cpu", **config.model
-        )
+        model = algorithm(env=envs, seed=state.settings["seed"], device="cpu", **config.model)
     except (TypeError, ValueError, AssertionError) as error:
         raise ValueError(
             f"{name} rejects the hyperparameters ({error}): correct the file"
@@ -202,10 +210,10 @@ def _load(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> Bas
 
 
 def _curriculum(steered: SteeredVector) -> PayloadCurriculumVector | None:
-    layer: Any = steered
-    while layer is not None and not isinstance(layer, PayloadCurriculumVector):
-        layer = getattr(layer, "env", None)
-    return layer
+    for layer in layers(steered):
+        if isinstance(layer, PayloadCurriculumVector):
+            return layer
+    return None
 
 
 class _RunCallback(BaseCallback):
@@ -213,8 +221,10 @@ class _RunCallback(BaseCallback):
 
     def __init__(self, run: runs.Run, curriculum: PayloadCurriculumVector | None) -> None:
         super().__init__()
-        self._run, self._curriculum = run, curriculum
-        self._saved = self._evaluated = run.state.timesteps
+        self._run = run
+        self._curriculum = curriculum
+        self._saved = run.state.timesteps
+        self._evaluated = run.state.timesteps
 
     def evaluate(self) -> None:
         """Evaluates the model, unless this has just been done."""
@@ -229,7 +239,8 @@ class _RunCallback(BaseCallback):
         """Writes a checkpoint."""
         state = self._run.state
         state.timesteps = self._saved = self.model.num_timesteps
-        state.payload_ceiling = None if self._curriculum is None else self._curriculum.ceiling
+        if self._curriculum is not None:
+            state.payload_ceiling = self._curriculum.ceiling
         self._run.save(self._write)
 
     def _write(self, folder: Path) -> None:
@@ -240,48 +251,51 @@ class _RunCallback(BaseCallback):
         if isinstance(self.model, OffPolicyAlgorithm):
             self.model.save_replay_buffer(folder / _REPLAY)
 
+    def _is_due(self, setting: str, since: int) -> bool:
+        """Whether a multiple of an interval has been passed since a timestep."""
+        interval: int = self._run.state.settings[setting]
+        return self.model.num_timesteps // interval > since // interval
+
     def _on_rollout_start(self) -> None:
         """Evaluates and saves if due.
 
         Raises:
             Interrupted: after a signal.
         """
-        run = self._run
-        settings = self._run.state.settings
-        now = self.model.num_timesteps
         if self._curriculum is not None:
             self.logger.record("rollout/payload_ceiling", self._curriculum.ceiling)
-        evaluation_due = now // settings["eval_every"] > self._evaluated // settings["eval_every"]
+        evaluation_due = self._is_due("eval_every", self._evaluated)
         if evaluation_due:
             self.evaluate()
-        due = (
-            evaluation_due
-            or now // settings["checkpoint_every"] > self._saved // settings["checkpoint_every"]
-        )
-        if due or (run.stopped and now > self._saved):
+        stopped = self._run.stopped
+        unsaved = self.model.num_timesteps > self._saved
+        if evaluation_due or self._is_due("checkpoint_every", self._saved) or (stopped and unsaved):
             self.save()
-        if run.stopped:
-            raise runs.Interrupted(now)
+        if stopped:
+            raise runs.Interrupted(self.model.num_timesteps)
 
     def _on_step(self) -> bool:
-        best = self._run.state.best
-        self._run.report(
-            f"training, best {runs.kg(best.payload_kg)}" if best else "training", self.num_timesteps
-        )
+        text = "training"
+        if best := self._run.state.best:
+            text = f"training, best {runs.kg(best.payload_kg)}"
+        self._run.report(text, self.num_timesteps)
         return True
 
 
 def _learn(model: BaseAlgorithm, callback: _RunCallback, run: runs.Run) -> None:
     """Trains to the end."""
-    start, out = model.num_timesteps, run.out
-    formats: list[KVWriter] = [make_output_format("csv", str(out), f"_{start}" if start else "")]
+    start = model.num_timesteps
+    out = run.out
+    callback.init_callback(model)
+    suffix = f"_{start}" if start else ""
+    formats: list[KVWriter] = [make_output_format("csv", str(out), suffix)]
     with suppress(AssertionError):  # SB3 raises it if TensorBoard is not installed
         formats.append(TensorBoardOutputFormat(str(out / "tensorboard")))
     logger = Logger(str(out), formats)
     model.set_logger(logger)
-    off_policy = isinstance(
-        model, OffPolicyAlgorithm
-    )  # its log_interval counts episodes, not rollouts
+    log_interval = 1
+    if isinstance(model, OffPolicyAlgorithm):  # it counts episodes, not rollouts
+        log_interval = 4 * model.n_envs
     try:
         with run.signals():
             if not start:
@@ -289,11 +303,11 @@ def _learn(model: BaseAlgorithm, callback: _RunCallback, run: runs.Run) -> None:
             model.learn(
                 run.state.settings["timesteps"] - start,
                 callback=callback,
-                log_interval=4 * model.n_envs if off_policy else 1,
+                log_interval=log_interval,
                 reset_num_timesteps=not start,
             )
             callback.evaluate()
-        run.bundle(network_from_sb3(model)).save(out / runs.LAST)
+        run.finish(network_from_sb3(model))
         callback.save()
     finally:
         logger.close()

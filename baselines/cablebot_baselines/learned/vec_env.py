@@ -3,15 +3,16 @@ compiled batch."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 import cablebot_gym  # noqa: F401 - registers the ids
+from cablebot_baselines.learned.wrappers.layers import layers
 from cablebot_gym.utils.checks import choice
 
 try:
@@ -69,7 +70,7 @@ class CableBotVecEnv(VecEnv):
         """The vector environment."""
         self.spec = env.spec
         """The environment's spec; SB3's ``VecMonitor`` reads its name."""
-        self._info_keys = None if info_keys is None else tuple(info_keys)
+        self._info_keys = info_keys
         self._checked = False
         self._actions: NDArray[Any] | None = None
         self._all_indices = np.arange(env.num_envs)
@@ -95,9 +96,8 @@ class CableBotVecEnv(VecEnv):
             ValueError: if a seed or an option is invalid; seeds and options then stay set.
         """
         # The base class's seeds increase by one per environment, as Gymnasium's do.
-        observation, info = self.env.reset(
-            seed=self._seeds[0], options=dict(self._options[0] or {}) or None
-        )
+        options = dict(self._options[0] or {}) or None
+        observation, info = self.env.reset(seed=self._seeds[0], options=options)
         self.reset_infos = self._dicts(info, self._selected_keys(info), self._all_indices)
         self._reset_seeds()
         self._reset_options()
@@ -118,7 +118,8 @@ class CableBotVecEnv(VecEnv):
         """
         if self._actions is None:
             raise RuntimeError("call step_async(actions) before step_wait()")
-        actions, self._actions = self._actions, None
+        actions = self._actions
+        self._actions = None
         observation, reward, terminated, truncated, info = self.env.step(actions)
         if not self._checked:
             for key in self._info_keys or ():
@@ -128,38 +129,39 @@ class CableBotVecEnv(VecEnv):
         infos = self._dicts(info, self._selected_keys(info), self._all_indices)
         if done.any():
             ended = np.flatnonzero(done)
-            for env_index, final in zip(
-                ended.tolist(), self._dicts(info, FINAL_KEYS, ended), strict=True
-            ):
-                infos[env_index] |= final | {"terminal_observation": observation[env_index].copy()}
-            first, info = self.env.reset(options={"reset_mask": done})
-            observation[done] = first[done]
-            for env_index, one in zip(
-                ended.tolist(), self._dicts(info, self._selected_keys(info), ended), strict=True
-            ):
-                self.reset_infos[env_index] = one
-        for one, limit in zip(infos, (truncated & ~terminated).tolist(), strict=True):
-            one["TimeLimit.truncated"] = limit
+            endings = self._dicts(info, FINAL_KEYS, ended)
+            for env_index, ending in zip(ended, endings, strict=True):
+                infos[env_index] |= ending
+                infos[env_index]["terminal_observation"] = observation[env_index].copy()
+            start, info = self.env.reset(options={"reset_mask": done})
+            observation[done] = start[done]
+            start_infos = self._dicts(info, self._selected_keys(info), ended)
+            for env_index, start_info in zip(ended, start_infos, strict=True):
+                self.reset_infos[env_index] = start_info
+        at_limit = (truncated & ~terminated).tolist()
+        for env_info, is_truncated in zip(infos, at_limit, strict=True):
+            env_info["TimeLimit.truncated"] = is_truncated
         return observation, reward.astype(np.float32), done, infos
 
-    def _selected_keys(self, info: Mapping[str, Any]) -> tuple[str, ...]:
-        return _names(info) if self._info_keys is None else self._info_keys
+    def _selected_keys(self, info: Mapping[str, Any]) -> Sequence[str]:
+        if self._info_keys is None:
+            return _names(info)
+        return self._info_keys
 
     def _dicts(
         self, info: Mapping[str, Any], keys: Iterable[str], env_indices: NDArray[np.int64]
     ) -> list[dict[str, Any]]:
         """Splits a vector info into one dict per environment; the mask ``_key`` marks environments
         with a key."""
-        dicts: list[dict[str, Any]] = [{} for _ in range(len(env_indices))]
+        dicts: list[dict[str, Any]] = [{} for _ in env_indices]
         for key in keys:
             if key not in info:
                 continue
-            present = info.get(f"_{key}", np.ones(self.num_envs, np.bool_))[env_indices].tolist()
-            for one, item, has_key in zip(
-                dicts, self._items(info[key], env_indices), present, strict=True
-            ):
+            values = self._items(info[key], env_indices)
+            present = info.get(f"_{key}", np.ones(self.num_envs, np.bool_))[env_indices]
+            for env_info, value, has_key in zip(dicts, values, present.tolist(), strict=True):
                 if has_key:
-                    one[key] = item
+                    env_info[key] = value
         return dicts
 
     def _items(self, value: Any, env_indices: NDArray[np.int64]) -> list[Any]:
@@ -168,20 +170,14 @@ class CableBotVecEnv(VecEnv):
         if isinstance(value, dict) and value:
             columns = [self._items(item, env_indices) for item in value.values()]
             return [dict(zip(value, row, strict=True)) for row in zip(*columns, strict=True)]
-        array = isinstance(value, np.ndarray) and value.ndim > 0
-        if not (array or isinstance(value, (list, tuple))) or len(value) != self.num_envs:
+        is_array = isinstance(value, np.ndarray) and value.ndim > 0
+        if not (is_array or isinstance(value, (list, tuple))) or len(value) != self.num_envs:
             return [value] * len(env_indices)
-        if array:
-            return value[env_indices].tolist() if value.ndim == 1 else list(value[env_indices])
-        return [value[env_index] for env_index in env_indices]
-
-    def _layers(self) -> Iterator[VectorEnv[Any, Any, Any]]:
-        """The environment and the environments that it wraps, from the outside in."""
-        layer = self.env
-        while isinstance(layer, VectorWrapper):
-            yield layer
-            layer = layer.env
-        yield layer
+        if not is_array:
+            return [value[env_index] for env_index in env_indices]
+        if value.ndim == 1:
+            return value[env_indices].tolist()  # Python's scalars
+        return list(value[env_indices])
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The attribute of each environment: one item each if the attribute has N items, otherwise
@@ -191,17 +187,13 @@ class CableBotVecEnv(VecEnv):
             AttributeError: if the vector environment has no such attribute.
         """
         # The vector environment's own spaces are those of the whole batch.
-        name = (
-            f"single_{attr_name}"
-            if attr_name in ("action_space", "observation_space")
-            else attr_name
-        )
-        layer = next(
-            (layer for layer in self._layers() if hasattr(layer, name)), self.env.unwrapped
-        )
-        return self._items(
-            getattr(layer, name), self._all_indices[list(self._get_indices(indices))]
-        )
+        if attr_name in ("action_space", "observation_space"):
+            attr_name = f"single_{attr_name}"
+        env_indices = self._all_indices[list(self._get_indices(indices))]
+        for layer in layers(self.env):
+            if hasattr(layer, attr_name):
+                return self._items(getattr(layer, attr_name), env_indices)
+        raise AttributeError(f"{self.env.unwrapped!r} has no attribute {attr_name!r}")
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Not available.
@@ -232,9 +224,8 @@ class CableBotVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """Whether a ``wrapper_class`` wraps the batch; always false for wrappers of single
         environments."""
-        return [any(isinstance(layer, wrapper_class) for layer in self._layers())] * len(
-            list(self._get_indices(indices))
-        )
+        is_wrapped = any(isinstance(layer, wrapper_class) for layer in layers(self.env))
+        return [is_wrapped for _ in self._get_indices(indices)]
 
     def close(self) -> None:
         """Closes the vector environment."""

@@ -12,12 +12,7 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import ArrayLike
 
 from cablebot_baselines.classical.law import Array
-from cablebot_baselines.learned.wrappers.layers import (
-    CURRICULUM,
-    BatchWrapper,
-    SingleWrapper,
-    restart_mask,
-)
+from cablebot_baselines.learned.wrappers.layers import BatchWrapper, SingleWrapper, restart_mask
 from cablebot_gym.bounds.robot_check import SAMPLES, payload_limit
 from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.envs.vector import VectorStep
@@ -25,7 +20,6 @@ from cablebot_gym.utils.checks import number, whole
 
 HEAVY = 2 / 3
 """Fraction of the ceiling above which a payload counts as heavy."""
-
 
 EXACT_MULTIPLE = 4.0
 """Default of ``heaviest``, as a multiple of the largest payload with which the motors can follow
@@ -37,8 +31,6 @@ class PayloadCurriculumVector(BatchWrapper):
 
     Arguments and errors are the same. Environment i is seeded with ``seed + i``.
     """
-
-    level: ClassVar[int] = CURRICULUM
 
     def __init__(
         self,
@@ -56,11 +48,13 @@ class PayloadCurriculumVector(BatchWrapper):
         if heaviest is None:
             exact = self._exact_payload()
             heaviest = EXACT_MULTIPLE * exact
-            start = exact if start is None else start
+            if start is None:
+                start = exact
         self._heaviest = number("heaviest", heaviest, above=0.0, unit="kg")
         self._power = number("power", power, above=0.0)
-        lowest = self._heaviest if start is None else start
-        self._lowest = number("start", lowest, least=0.0, most=self._heaviest, unit="kg")
+        if start is None:
+            start = self._heaviest
+        self._lowest = number("start", start, least=0.0, most=self._heaviest, unit="kg")
         self._step = number("step", step, above=0.0, most=1.0) * self._heaviest
         self._success = number("success", success, least=0.0, most=1.0)
         self._setback = number("setback", setback, least=0.0, most=self._success)
@@ -101,19 +95,21 @@ class PayloadCurriculumVector(BatchWrapper):
             ValueError: if a seed or an option is invalid.
         """
         marked = restart_mask(options, self.num_envs)
-        before = self._streams.state()
-        drawn = self._draw(seed, marked)
-        given = "payload" in (options or {})
+        streams_before = self._streams.state()
+        payload = self._draw(seed, marked)
+        options = options or {}
+        if "payload" in options:
+            payload[:] = np.nan  # the episode does not count
+        else:
+            options = {**options, "payload": payload}
         try:
-            result = self.env.reset(
-                seed=seed, options=options if given else {**(options or {}), "payload": drawn}
-            )
+            observation, info = self.env.reset(seed=seed, options=options)
         except Exception:
-            self._streams.restore(before)
+            self._streams.restore(streams_before)
             raise
-        self._payload[marked] = np.nan if given else drawn[marked]
+        self._payload[marked] = payload[marked]
         self._running[marked] = self._started = True
-        return result
+        return observation, info
 
     def _draw(self, seed: Any, marked: Array) -> Array:
         """Payloads of the next episodes of the marked environments, (N,) [kg]; 0 for the other
@@ -121,18 +117,21 @@ class PayloadCurriculumVector(BatchWrapper):
 
         The environment rejects invalid seeds, which are ignored here.
         """
-        env_indices, count = np.flatnonzero(marked), self.num_envs
+        env_indices = np.flatnonzero(marked)
+        count = self.num_envs
         if not self._started:
             entropy = np.random.SeedSequence().generate_state(count, np.uint64)
             self._streams.seed(np.arange(count), entropy.tolist())
-        seeds: list[Any]
         if isinstance(seed, Integral):
-            seeds = [int(seed) + env_index for env_index in range(count)]
-        else:
-            several = isinstance(seed, (Sequence, np.ndarray)) and len(seed) == count
-            seeds = list(seed) if several else [None] * count
-        valid = [int(one) if isinstance(one, Integral) and int(one) >= 0 else None for one in seeds]
-        self._streams.seed(env_indices, [valid[env_index] for env_index in env_indices])
+            seed = range(int(seed), int(seed) + count)
+        elif not isinstance(seed, (Sequence, np.ndarray)) or len(seed) != count:
+            seed = [None] * count
+        seeds: list[int | None] = []
+        for env_index in env_indices:
+            value = seed[env_index]
+            is_valid = isinstance(value, Integral) and int(value) >= 0
+            seeds.append(int(value) if is_valid else None)
+        self._streams.seed(env_indices, seeds)
         self._streams.start_episode(env_indices)
         payload = np.zeros(count)
         uniform = self._streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
@@ -159,16 +158,13 @@ class PayloadCurriculumVector(BatchWrapper):
         if len(self._recent) < self._window:
             return
         fraction = sum(self._recent) / self._window
-        change = (
-            self._step
-            if fraction >= self._success
-            else -self._step
-            if fraction < self._setback
-            else 0.0
-        )
-        if change:
-            self.ceiling = min(max(self.ceiling + change, self._lowest), self._heaviest)
-            self._recent.clear()
+        if fraction >= self._success:
+            self.ceiling = min(self.ceiling + self._step, self._heaviest)
+        elif fraction < self._setback:
+            self.ceiling = max(self.ceiling - self._step, self._lowest)
+        else:
+            return
+        self._recent.clear()
 
 
 class PayloadCurriculum(SingleWrapper):

@@ -1,16 +1,14 @@
-"""Base class of the wrappers, their order, and the adapter that makes their single-environment
-form."""
+"""Base classes of the wrappers: their form for a batch, and their form for a single environment."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.classical.law import Array
@@ -18,81 +16,18 @@ from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.envs.vector import CableBotVectorEnv, VectorStep
 from cablebot_gym.task import Task
 
-CURRICULUM, STEERED = range(2)
-"""Levels of the wrappers: a wrapper may wrap lower levels and its own level; :data:`STEERED` is
-always outermost."""
-
-SingleStep = tuple[Array, float, bool, bool, dict[str, Any]]
-
-
-class OneRow(VectorEnv[Array, ArrayLike, Array]):
-    """A single environment of this package as a vector environment with one row and autoreset
-    disabled.
-
-    Raises:
-        TypeError: if the environment is not one of this package.
-    """
-
-    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012 - Gymnasium's
-    num_envs = 1
-
-    def __init__(self, env: gym.Env[Array, ArrayLike]) -> None:
-        if not isinstance(env, gym.Env) or not isinstance(env.unwrapped, CableBotEnv):
-            raise TypeError(
-                f"the wrapper needs an environment of this package, from gym.make, not {env!r}"
-            )
-        self.env = env
-        """The single environment, with its wrappers."""
-        self.settings = env.unwrapped.settings
-        self.layout = env.unwrapped.layout
-        self.single_observation_space = env.observation_space
-        self.single_action_space = env.action_space
-        self.observation_space = batch_space(env.observation_space, 1)
-        self.action_space = batch_space(env.action_space, 1)
-
-    @property
-    def tasks(self) -> tuple[Task, ...]:
-        """Task of the present episode."""
-        return (self.env.get_wrapper_attr("task"),)
-
-    def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
-        """Starts an episode; seed and options as for the single environment."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        return observation[None], _as_row(info)
-
-    def step(self, actions: ArrayLike) -> VectorStep:
-        """One step with actions (1, m)."""
-        observation, reward, terminated, truncated, info = self.env.step(np.asarray(actions)[0])
-        results = np.array([float(reward)]), np.array([terminated]), np.array([truncated])
-        return observation[None], *results, _as_row(info)
-
-
-def _as_row(info: Mapping[str, Any]) -> dict[str, Any]:
-    """Info with a leading axis; values that are neither arrays nor scalars stay as they are."""
-    kinds = (np.ndarray, np.generic, bool, int, float, str)
-    return {
-        name: np.asarray(value)[None] if isinstance(value, kinds) else value
-        for name, value in info.items()
-    }
-
-
-def _from_row(info: Mapping[str, Any]) -> dict[str, Any]:
-    """Info without the leading axis; scalars become Python objects."""
-    rows = {
-        name: value[0] if isinstance(value, np.ndarray) else value for name, value in info.items()
-    }
-    return {
-        name: value.item() if isinstance(value, np.generic) else value
-        for name, value in rows.items()
-    }
-
-
 if TYPE_CHECKING:
     _Wrapper = VectorWrapper[Array, ArrayLike, Array, ArrayLike, Array]
 else:  # Gymnasium's class is generic from 1.4 on
     _Wrapper = VectorWrapper
+
+
+def layers(env: Any) -> Iterator[Any]:
+    """A vector environment and the environments that it wraps, from the outside in."""
+    while isinstance(env, VectorWrapper):
+        yield env
+        env = env.env
+    yield env
 
 
 class BatchWrapper(_Wrapper):
@@ -100,18 +35,21 @@ class BatchWrapper(_Wrapper):
 
     Raises:
         TypeError: if the environment is not a :class:`CableBotVectorEnv`.
-        ValueError: if it has another autoreset mode, or the order of the wrappers is wrong.
+        ValueError: if it has another autoreset mode, or is already steered.
     """
-
-    level: ClassVar[int]
-    """Level in the order of the wrappers."""
 
     env: Any
 
     def __init__(self, env: VectorEnv[Array, ArrayLike, Array]) -> None:
         name = type(self).__name__
+        plant: Any = getattr(env, "unwrapped", None)
+        is_steered = any(hasattr(layer, "steering") for layer in layers(env))
+        if isinstance(plant, OneRow):
+            (single,) = plant.envs
+            is_steered = single.has_wrapper_attr("steering")
+            plant = single.unwrapped
         if not isinstance(env, VectorEnv) or not isinstance(
-            env.unwrapped, (CableBotVectorEnv, OneRow)
+            plant, (CableBotVectorEnv, CableBotEnv)
         ):
             raise TypeError(
                 f"{name} needs a vector environment of this package, from gym.make_vec, not {env!r}"
@@ -119,19 +57,37 @@ class BatchWrapper(_Wrapper):
         super().__init__(env)
         if env.metadata.get("autoreset_mode") is not AutoresetMode.DISABLED:
             raise ValueError(f"{name} needs gym.make_vec(…, autoreset_mode=AutoresetMode.DISABLED)")
-        if any(level == STEERED or level > self.level for level in _levels(env)):
+        if is_steered:
             raise ValueError(
                 f"{name} is outside a wrapper that must be outside it: Steered must be outermost"
             )
-        self._plant: CableBotVectorEnv | OneRow = env.unwrapped
+        self._plant = plant
+
+    @property
+    def tasks(self) -> Sequence[Task]:
+        """Tasks of the present episodes."""
+        if isinstance(self._plant, CableBotEnv):
+            return (self._plant.task,)
+        return self._plant.tasks
 
 
-def _levels(env: Any) -> Iterator[int]:
-    """Levels of an environment's wrappers; wrappers of other packages are skipped."""
-    while env is not None:
-        if isinstance(env, (BatchWrapper, SingleWrapper)):
-            yield env.level
-        env = getattr(env, "env", None)
+class OneRow(SyncVectorEnv):
+    """A single environment as a vector environment. After the end of an episode it steps on, as
+    the environments of this package do; Gymnasium's step refuses that."""
+
+    def __init__(self, env: gym.Env[Array, ArrayLike]) -> None:
+        super().__init__([lambda: env], autoreset_mode=AutoresetMode.DISABLED)
+
+    def step(self, actions: ArrayLike) -> VectorStep:
+        """One step with actions (1, m)."""
+        observation, reward, terminated, truncated, info = self.envs[0].step(np.asarray(actions)[0])
+        return (
+            observation[None],
+            np.array([reward], float),
+            np.array([terminated]),
+            np.array([truncated]),
+            self._add_info({}, info, 0),
+        )
 
 
 class SingleWrapper(gym.Wrapper[Array, ArrayLike, Array, ArrayLike], RecordConstructorArgs):
@@ -143,7 +99,7 @@ class SingleWrapper(gym.Wrapper[Array, ArrayLike, Array, ArrayLike], RecordConst
 
     Raises:
         TypeError: if the environment is not one of this package.
-        ValueError: if an argument is invalid, or the order of the wrappers is wrong.
+        ValueError: if an argument is invalid, or the environment is already steered.
     """
 
     vector: ClassVar[type[Any]]
@@ -151,16 +107,15 @@ class SingleWrapper(gym.Wrapper[Array, ArrayLike, Array, ArrayLike], RecordConst
 
     def __init__(self, env: gym.Env[Array, ArrayLike], **arguments: Any) -> None:
         RecordConstructorArgs.__init__(self, **arguments)
+        if not isinstance(env, gym.Env) or not isinstance(env.unwrapped, CableBotEnv):
+            raise TypeError(
+                f"the wrapper needs an environment of this package, from gym.make, not {env!r}"
+            )
         self.batch = self.vector(OneRow(env), **arguments)
         """The vector form around the environment."""
         gym.Wrapper.__init__(self, env)
         self.observation_space = self.batch.single_observation_space
         self.action_space = self.batch.single_action_space
-
-    @property
-    def level(self) -> int:
-        """Level in the order of the wrappers."""
-        return int(self.vector.level)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -170,10 +125,10 @@ class SingleWrapper(gym.Wrapper[Array, ArrayLike, Array, ArrayLike], RecordConst
         Raises:
             ValueError: if the seed or an option is invalid.
         """
-        observation, info = self.batch.reset(seed=seed, options=options)
-        return observation[0], _from_row(info)
+        observation, info = self.batch.reset(seed=[seed], options=options)
+        return observation[0], _first_row(info)
 
-    def step(self, action: ArrayLike) -> SingleStep:
+    def step(self, action: ArrayLike) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """One step of the vector form.
 
         Raises:
@@ -186,12 +141,30 @@ class SingleWrapper(gym.Wrapper[Array, ArrayLike, Array, ArrayLike], RecordConst
             float(reward[0]),
             bool(terminated[0]),
             bool(truncated[0]),
-            _from_row(info),
+            _first_row(info),
         )
+
+
+def _first_row(info: Mapping[str, Any]) -> dict[str, Any]:
+    """Info of the first environment, without the masks of a vector info; scalars are Python
+    objects."""
+    row: dict[str, Any] = {}
+    for name, values in info.items():
+        if name.startswith("_"):
+            continue
+        if isinstance(values, dict):
+            row[name] = _first_row(values)
+            continue
+        row[name] = values[0]
+        if isinstance(values[0], np.generic):
+            row[name] = values[0].item()
+    return row
 
 
 def restart_mask(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
     """Mask of the environments that a reset with these options resets; all of them if its shape is
     invalid."""
     mask = np.array((options or {}).get("reset_mask"), np.bool_)
-    return mask if mask.shape == (count,) else np.ones(count, np.bool_)
+    if mask.shape != (count,):
+        return np.ones(count, np.bool_)
+    return mask

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -25,12 +24,7 @@ from cablebot_baselines.learned.steering import (
     Steering,
     find_action_mapping,
 )
-from cablebot_baselines.learned.wrappers.layers import (
-    STEERED,
-    BatchWrapper,
-    SingleWrapper,
-    restart_mask,
-)
+from cablebot_baselines.learned.wrappers.layers import BatchWrapper, SingleWrapper, restart_mask
 from cablebot_gym.envs.vector import VectorStep
 from cablebot_gym.utils.checks import number, numbers
 
@@ -49,8 +43,6 @@ class SteeredVector(BatchWrapper):
         ValueError: as :class:`Steered`, or if its autoreset is not disabled.
     """
 
-    level: ClassVar[int] = STEERED
-
     def __init__(
         self,
         env: VectorEnv[Array, ArrayLike, Array],
@@ -61,18 +53,19 @@ class SteeredVector(BatchWrapper):
         effort: float = 0.0,
     ) -> None:
         super().__init__(env)
-        if self._plant.settings.normalised_observation:
+        plant_settings = self._plant.settings
+        if plant_settings.normalised_observation:
             raise ValueError(
                 "Steered reads observations in physical units: leave out normalised_observation"
             )
-        if self._plant.settings.observation_dtype != "float64":
+        if plant_settings.observation_dtype != "float64":
             raise ValueError("Steered reads observations in float64: leave out observation_dtype")
         self._effort = number("effort", effort, least=0.0)
-        robot = self._plant.settings.robot
+        robot = plant_settings.robot
         if base is None:
             base = default_base(robot)
         if steering is None:
-            steering = Shift(action_period=self._plant.settings.trajectory.duration / ACTIONS)
+            steering = Shift(action_period=plant_settings.trajectory.duration / ACTIONS)
         self.steering = Steering(
             robot,
             base=find_base(base),
@@ -86,8 +79,9 @@ class SteeredVector(BatchWrapper):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._memory: Memory | None = None
         self._blocks: dict[str, Array] = {}
-        self._start, self._ended = (np.zeros(self.num_envs, np.bool_) for _ in range(2))
-        self._first = np.zeros((self.num_envs, self._plant.layout.size))
+        self._start = np.zeros(self.num_envs, np.bool_)
+        self._ended = np.zeros(self.num_envs, np.bool_)
+        self._start_observation = np.zeros((self.num_envs, self._plant.layout.size))
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
@@ -106,8 +100,8 @@ class SteeredVector(BatchWrapper):
         observation, info = self.env.reset(seed=seed, options=options)
         marked = restart_mask(options, self.num_envs)
         if marked.all() or "trajectory" in (options or {}):
-            self.steering.reset(self._plant.tasks)
-        self._first[marked] = observation[marked]
+            self.steering.reset(self.tasks)
+        self._start_observation[marked] = observation[marked]
         self._blocks = self.steering.split(observation)
         self._memory = self.steering.reset_memory(self._blocks, self._memory, marked)
         self._start = self._start | marked
@@ -135,7 +129,9 @@ class SteeredVector(BatchWrapper):
         form = f"{steering.actions} numbers in [−1, 1] for each environment"
         actions = numbers("action", actions, shapes=[(self.num_envs, steering.actions)], form=form)
         total = -self._effort * np.mean(np.clip(actions, -1.0, 1.0) ** 2, axis=-1)
-        terminated, truncated, ended = (np.zeros(self.num_envs, np.bool_) for _ in range(3))
+        terminated = np.zeros(self.num_envs, np.bool_)
+        truncated = np.zeros(self.num_envs, np.bool_)
+        ended = np.zeros(self.num_envs, np.bool_)
         ends = []
         for _ in range(steering.periods):
             applied, memory = steering.respond(blocks, actions, memory, start)
@@ -151,7 +147,7 @@ class SteeredVector(BatchWrapper):
                 if ended.all():
                     break
             # The law must not be evaluated at the state of an ended plant, which may be anywhere.
-            blocks = steering.split(np.where(ended[:, None], self._first, observation))
+            blocks = steering.split(np.where(ended[:, None], self._start_observation, observation))
         self._memory = memory
         self._blocks = blocks
         self._start = start
@@ -175,10 +171,10 @@ class SteeredVector(BatchWrapper):
         )
 
 
-def _with_rows(values: Array, other: Array, env_indices: Array) -> Array:
+def _with_rows(values: Array, replacement: Array, env_indices: Array) -> Array:
     """A copy of an array with some rows of another."""
     merged = values.copy()
-    merged[env_indices] = other[env_indices]
+    merged[env_indices] = replacement[env_indices]
     return merged
 
 
@@ -258,10 +254,9 @@ def make_steered_vec(
                 f"wrappers: {wrapper.__name__} has no vector form (attribute 'vector')"
             )
         try:
-            inspect.signature(vector).bind(env, **arguments)
+            env = vector(env, **arguments)
         except TypeError as error:
             raise ValueError(f"wrappers: {wrapper.__name__}: {error}") from None
-        env = vector(env, **arguments)
     if not isinstance(env, SteeredVector):
         raise ValueError("the last (outermost) wrapper must be Steered")
     if seed is not None:
