@@ -1,8 +1,6 @@
 """Results that pages state in words: uncertainty.md, robot.md, and the paper's claim about its
 robust law."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import fields, replace

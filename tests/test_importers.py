@@ -1,8 +1,6 @@
 """Robots from files of CASPR and WireX, against a computation in the frame of the files, where z
 points up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,8 +1,6 @@
 """The library of real robots: complete files, cited values, and motions that the robots can
 follow."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tomllib
@@ -14,7 +12,6 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, feasible
 from cablebot_gym.robots import (
     ELASTIC,
-    Robot,
     find_robot,
     library,
     load_robot,
@@ -26,7 +23,7 @@ from cablebot_gym.trajectories import find_trajectory
 every_robot = pytest.mark.parametrize("name", library())
 
 
-def cited_fields(data: dict, part: str = "") -> set[str]:
+def cited_fields(data, part=""):
     """Names of the fields of a file that need a source."""
     tables = {"motors", "transmission", "defaults"}
     names = {f"{part}{name}" for name in data if name not in {*tables, "name", "sources"}}
@@ -34,7 +31,7 @@ def cited_fields(data: dict, part: str = "") -> set[str]:
 
 
 @every_robot
-def test_every_value_of_a_file_has_a_source(name: str) -> None:
+def test_every_value_of_a_file_has_a_source(name):
     data = tomllib.loads(library()[name].read_text(encoding="utf-8"))
     assert (data["name"], set(data["sources"])) == (name, cited_fields(data))
     assert all(text.strip() == text and len(text) > 6 for text in data["sources"].values())
@@ -42,8 +39,8 @@ def test_every_value_of_a_file_has_a_source(name: str) -> None:
 
 @every_robot
 def test_names_are_the_robot_with_rigid_and_with_elastic_cables(
-    name: str,
-) -> None:
+    name,
+):
     rigid = find_robot(name)
     elastic = find_robot(ELASTIC + name)
     file = load_robot(library()[name])
@@ -55,7 +52,7 @@ def test_names_are_the_robot_with_rigid_and_with_elastic_cables(
 
 
 @every_robot
-def test_motors_hold_the_default_motion(name: str) -> None:
+def test_motors_hold_the_default_motion(name):
     """With the least payload of its range, at least the minimum tension, and torques within the
     torque-speed lines."""
     robot = find_robot(name)
@@ -64,7 +61,7 @@ def test_motors_hold_the_default_motion(name: str) -> None:
     assert held(robot, motion(np.linspace(0, motion.duration, 101))).all()
 
 
-def held(robot: Robot, reference) -> np.ndarray:
+def held(robot, reference):
     pose = reference.position
     velocity = reference.velocity
     acceleration = reference.acceleration
@@ -80,6 +77,6 @@ def held(robot: Robot, reference) -> np.ndarray:
     return feasible(structure, load, np.maximum(low, robot.minimum_tension), high).status == HELD
 
 
-def test_library_is_read_on_first_use() -> None:
+def test_library_is_read_on_first_use():
     code = "import cablebot_gym.robots as r; assert not r.library.cache_info().currsize; r.find_robot('fast')"
     subprocess.run([sys.executable, "-c", code], check=True)

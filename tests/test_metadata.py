@@ -1,7 +1,5 @@
 """The metadata of the project agree in all files."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

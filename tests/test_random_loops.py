@@ -1,10 +1,7 @@
 """Random loops: curves from seeds, smooth, at rest at the ends, within their bounds and
 feasible."""
 
-from __future__ import annotations
-
 import json
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from cablebot_gym.bounds.closed_form import exact_payload
-from cablebot_gym.robots import PLANAR, SPATIAL, Robot
+from cablebot_gym.robots import PLANAR, SPATIAL
 from cablebot_gym.task import to_jsonable
 from cablebot_gym.trajectories import (
     FIRST_HELD_OUT_SEED,
@@ -32,18 +29,18 @@ names = st.sampled_from(["loop-planar", "loop-spatial", "loop-point"])
 seeds = st.integers(0, 2 * FIRST_HELD_OUT_SEED) | st.integers(0, 10**40)
 
 
-def loop(name: str, seed: int, **fields: Any) -> RandomLoop:
+def loop(name, seed, **fields):
     """A named loop without its dwells."""
-    between: Any = TRAJECTORIES[name](seed=seed, **fields)
+    between = TRAJECTORIES[name](seed=seed, **fields)
     assert isinstance(between.motion, RandomLoop)
     return between.motion
 
 
-def stacked(motion: RandomLoop, times: Any) -> np.ndarray:
+def stacked(motion, times):
     return np.stack([getattr(motion(times), order) for order in ORDERS])
 
 
-def norms(motion: RandomLoop, values: np.ndarray) -> np.ndarray:
+def norms(motion, values):
     """Norms by groups, (..., groups)."""
     groups = GROUPS[motion.coordinates]
     return np.stack(
@@ -74,9 +71,7 @@ GOLDEN = [
 
 
 @pytest.mark.parametrize(("name", "seed", "duration", "pose"), GOLDEN)
-def test_seed_gives_the_recorded_curve(
-    name: str, seed: int, duration: float, pose: list[float]
-) -> None:
+def test_seed_gives_the_recorded_curve(name, seed, duration, pose):
     motion = loop(name, seed)
     assert motion.duration == duration
     assert_allclose(motion(0.4 * duration).position, pose, rtol=0, atol=1e-13)
@@ -87,7 +82,7 @@ def test_seed_gives_the_recorded_curve(
 
 @settings(max_examples=20)
 @given(name=names, seed=seeds, fraction=st.floats(0.01, 0.99))
-def test_derivatives_are_the_slopes(name: str, seed: int, fraction: float) -> None:
+def test_derivatives_are_the_slopes(name, seed, fraction):
     motion = loop(name, seed)
     step = 2e-4 * motion.duration
     values = stacked(motion, fraction * motion.duration + step * np.arange(-2, 3))
@@ -98,7 +93,7 @@ def test_derivatives_are_the_slopes(name: str, seed: int, fraction: float) -> No
 
 @settings(max_examples=20)
 @given(name=names, seed=seeds)
-def test_curve_is_closed_smooth_and_within_its_bounds(name: str, seed: int) -> None:
+def test_curve_is_closed_smooth_and_within_its_bounds(name, seed):
     """Each group uses its reach, and one of them its acceleration."""
     motion = loop(name, seed)
     reach = np.array(motion.reach)
@@ -123,7 +118,7 @@ def test_curve_is_closed_smooth_and_within_its_bounds(name: str, seed: int) -> N
     assert between == BetweenDwells(motion=motion)
 
 
-def test_seeds_and_fields_determine_the_curve() -> None:
+def test_seeds_and_fields_determine_the_curve():
     seeds = [*TRAINING_SEEDS[:2], 9999, *held_out_seeds(2), 2**64, 2**128, 2**200]
     assert seeds == [0, 1, 9999, 10000, 10001, 2**64, 2**128, 2**200]
     motions = [loop("loop-spatial", seed) for seed in seeds]
@@ -145,7 +140,7 @@ SAMPLE = [*range(0, 4), *held_out_seeds(4), 1066, 1290, 10425, 10674, 11355, 114
 
 
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: robot.name)
-def test_rigid_robots_of_the_paper_can_follow_the_loops(robot: Robot) -> None:
+def test_rigid_robots_of_the_paper_can_follow_the_loops(robot):
     name = f"loop-{robot.name}"
     payloads = []
     for seed in SAMPLE:
@@ -163,7 +158,7 @@ def test_rigid_robots_of_the_paper_can_follow_the_loops(robot: Robot) -> None:
 
 
 @pytest.mark.parametrize("value", [True, -1, 3.0])
-def test_invalid_seed_or_count_raises(value: Any) -> None:
+def test_invalid_seed_or_count_raises(value):
     with pytest.raises(ValueError, match=r"seed must be an integer of at least 0, not "):
         find_trajectory({"name": "loop-planar", "seed": value}, 2)
     with pytest.raises(ValueError, match="count must be an integer of at least 1"):
@@ -182,6 +177,6 @@ def test_invalid_seed_or_count_raises(value: Any) -> None:
         ({"speed": 2}, "speed"),
     ],
 )
-def test_unphysical_field_raises(fields: dict[str, Any], message: str) -> None:
+def test_unphysical_field_raises(fields, message):
     with pytest.raises(ValueError, match=message):
         find_trajectory({"name": "loop-spatial", **fields}, 6)

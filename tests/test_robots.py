@@ -1,8 +1,6 @@
 """The robots as data: the paper's values verbatim, and errors for robots that are not physically
 possible."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import json

@@ -1,12 +1,8 @@
 """The reference motions against the paper's tables, symbolic differentiation, and the rules of the
 protocol."""
 
-from __future__ import annotations
-
 import json
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,9 +21,7 @@ from cablebot_gym.trajectories import (
     Lemniscate,
     PaperCircle,
     PointToPoint,
-    Reference,
     SmoothCircle,
-    Trajectory,
     find_trajectory,
     trajectory_names,
 )
@@ -37,11 +31,11 @@ END = tuple(-2 * value + 0.1 for value in POSE)
 every_name = pytest.mark.parametrize("name", TRAJECTORIES)
 
 
-def stacked(reference: Reference) -> np.ndarray:
+def stacked(reference):
     return np.stack([getattr(reference, order) for order in ORDERS])
 
 
-def without_dwells(name: str, **fields: Any) -> Trajectory:
+def without_dwells(name, **fields):
     """A named motion without its dwells."""
     motion = TRAJECTORIES[name](**fields)
     return motion.motion if isinstance(motion, BetweenDwells) else motion
@@ -54,9 +48,7 @@ def without_dwells(name: str, **fields: Any) -> Trajectory:
     ("robot", "radius", "rest"),
     [("planar", 0.2165, []), ("spatial", 0.1, [0.1] * 4)],
 )
-def test_paper_circle_is_that_of_tables_1_and_3(
-    robot: str, radius: float, rest: list[float]
-) -> None:
+def test_paper_circle_is_that_of_tables_1_and_3(robot, radius, rest):
     t = np.linspace(0, 1, 501)
     speeding_up = 4 * np.pi * t**2
     slowing_down = 4 * np.pi * (1 - t) ** 2
@@ -72,7 +64,7 @@ def test_paper_circle_is_that_of_tables_1_and_3(
         find_trajectory({"name": f"paper-{robot}", "dwell": 0.3}, robot)
 
 
-def test_first_branch_of_the_paper_circle_holds_at_half_time() -> None:
+def test_first_branch_of_the_paper_circle_holds_at_half_time():
     """The tangential acceleration at (−R, 0) is along −y while speeding up, along +y while slowing
     down."""
     motion = PaperCircle(radius=0.3, center=(0.0, 0.0), duration=1.7)
@@ -100,7 +92,7 @@ TURN = 2 * sympy.pi * BLEND
 PAPER = PaperCircle(radius=0.3, center=POSE, duration=1.7)
 
 
-def circle(angle: sympy.Expr) -> list[Any]:
+def circle(angle):
     return [
         POSE[0] + 0.3 * sympy.cos(angle),
         POSE[1] + 0.3 * sympy.sin(angle),
@@ -108,7 +100,7 @@ def circle(angle: sympy.Expr) -> list[Any]:
     ]
 
 
-MOTIONS: dict[str, tuple[Trajectory, list[Any], tuple[float, float]]] = {
+MOTIONS = {
     "paper, first half": (
         PAPER,
         circle(4 * sympy.pi * (T / DURATION) ** 2),
@@ -144,7 +136,7 @@ MOTIONS: dict[str, tuple[Trajectory, list[Any], tuple[float, float]]] = {
 
 @pytest.mark.parametrize("order", range(5), ids=ORDERS)
 @pytest.mark.parametrize("case", MOTIONS)
-def test_derivatives_are_the_symbolic_ones(case: str, order: int) -> None:
+def test_derivatives_are_the_symbolic_ones(case, order):
     motion, formula, (start, end) = MOTIONS[case]
     times = np.linspace(start, end, 41)
     expected = np.empty((41, 6))
@@ -163,9 +155,7 @@ def test_derivatives_are_the_symbolic_ones(case: str, order: int) -> None:
     case=st.sampled_from(sorted(MOTIONS)),
     fraction=st.floats(-0.5, 1.5),
 )
-def test_motion_between_dwells_is_shifted_and_rests_at_its_ends(
-    dwell: float, case: str, fraction: float
-) -> None:
+def test_motion_between_dwells_is_shifted_and_rests_at_its_ends(dwell, case, fraction):
     motion = MOTIONS[case][0]
     between = BetweenDwells(motion=motion, dwell=dwell)
     assert between.duration == pytest.approx(motion.duration + 2 * dwell, rel=1e-15)
@@ -184,7 +174,7 @@ def test_motion_between_dwells_is_shifted_and_rests_at_its_ends(
 
 
 @every_name
-def test_named_motion_dwells_except_the_printed_circle(name: str) -> None:
+def test_named_motion_dwells_except_the_printed_circle(name):
     dwells = 0.0 if name.startswith(("paper", "dwell")) else 0.6
     assert TRAJECTORIES[name]().duration - without_dwells(name).duration == pytest.approx(dwells)
 
@@ -192,7 +182,7 @@ def test_named_motion_dwells_except_the_printed_circle(name: str) -> None:
 # --- chains -------------------------------------------------------------------------------------------------------
 
 
-def test_chain_derivatives_equal_finite_differences() -> None:
+def test_chain_derivatives_equal_finite_differences():
     """At the joints too, where the parts and a dwell meet."""
     motion = TRAJECTORIES["chain-spatial"]()
     times = np.concatenate(
@@ -207,7 +197,7 @@ def test_chain_derivatives_equal_finite_differences() -> None:
     assert_allclose(slope / scale, values / scale, atol=1e-4)  # the next derivative jumps
 
 
-def test_number_in_a_chain_is_a_dwell_where_the_robot_is() -> None:
+def test_number_in_a_chain_is_a_dwell_where_the_robot_is():
     line = PointToPoint(start=(0.0, 0.0), end=(0.2, 0.1), duration=0.5)
     back = PointToPoint(start=line.end, end=line.start, duration=1.0)
     chain = Chain(motions=(line, 0.25, back))
@@ -235,9 +225,7 @@ def broken():
 """
 
 
-def test_motion_of_a_file_is_an_object_class_or_function(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_motion_of_a_file_is_an_object_class_or_function(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path])
     path = tmp_path / "own_motion_of_a_test.py"
     path.write_text(FILE, encoding="utf-8")
@@ -261,8 +249,8 @@ def test_motion_of_a_file_is_an_object_class_or_function(
 
 @pytest.mark.parametrize("name", [name for name in TRAJECTORIES if not name.startswith("paper")])
 def test_smooth_motions_have_no_jump_up_to_snap_at_either_end(
-    name: str,
-) -> None:
+    name,
+):
     motion = TRAJECTORIES[name]()
     peak = np.abs(stacked(motion(np.linspace(0, motion.duration, 201)))).max(axis=(1, 2))
     edge = 1e-6 * motion.duration
@@ -277,7 +265,7 @@ def test_smooth_motions_have_no_jump_up_to_snap_at_either_end(
 
 
 @every_name
-def test_motion_rests_outside_its_duration(name: str) -> None:
+def test_motion_rests_outside_its_duration(name):
     """The last instant still belongs to the motion: the paper's circle brakes at t = 1 s, with −8π
     rad/s² at (R, 0)."""
     motion = TRAJECTORIES[name]()
@@ -290,7 +278,7 @@ def test_motion_rests_outside_its_duration(name: str) -> None:
 
 
 @every_name
-def test_batches_of_times_equal_single_times(name: str) -> None:
+def test_batches_of_times_equal_single_times(name):
     motion = TRAJECTORIES[name]()
     times = motion.duration * np.array([[-0.5, 0.0, 0.2], [0.5, 1.0, 1.5]])
     batch = stacked(motion(times.tolist()))
@@ -307,18 +295,18 @@ def test_batches_of_times_equal_single_times(name: str) -> None:
 
 
 @every_name
-def test_motion_survives_json(name: str) -> None:
-    fields: dict[str, Any] = {"duration": 1.25}
+def test_motion_survives_json(name):
+    fields = {"duration": 1.25}
     if "chain" in name:
         fields = {"motions": [{"name": "line-" + name.partition("-")[2]}, 1.25]}
-    motion: Any = TRAJECTORIES[name](**fields)
+    motion = TRAJECTORIES[name](**fields)
     data = json.loads(json.dumps(to_jsonable(motion)))
     again = find_trajectory(data, motion.coordinates)
     assert (again, hash(again)) == (motion, hash(motion))
     assert data["name"] == name  # the caller's dict is unchanged
 
 
-def test_added_factory_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_added_factory_is_found(monkeypatch):
     monkeypatch.setitem(
         TRAJECTORIES,
         "mine",
@@ -341,7 +329,7 @@ def test_added_factory_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 LINE = {"name": "line-planar", "start": [0.0, 0.0], "end": [0.1, 0.0]}
 
 
-def chain(*motions: Any) -> dict[str, Any]:
+def chain(*motions):
     return {"name": "chain-planar", "motions": list(motions)}
 
 
@@ -406,7 +394,7 @@ def chain(*motions: Any) -> dict[str, Any]:
         ),
     ],
 )
-def test_wrong_request_raises(trajectory: Any, kind: Any, message: str) -> None:
+def test_wrong_request_raises(trajectory, kind, message):
     with pytest.raises(ValueError, match=message):
         find_trajectory(trajectory, kind)
 
@@ -451,6 +439,6 @@ def test_wrong_request_raises(trajectory: Any, kind: Any, message: str) -> None:
         ),
     ],
 )
-def test_unphysical_field_raises(make: Any, fields: dict[str, Any], message: str) -> None:
+def test_unphysical_field_raises(make, fields, message):
     with pytest.raises(ValueError, match=message):
         make(**fields)

@@ -1,15 +1,12 @@
 """Uncertainty as data: the distributions, the drawn robots, impossible uncertainties, and the forms
 of the data."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
 import pickle
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -243,7 +240,7 @@ def tenth(low=-0.1, high=0.1, **more):
 
 
 FLAT_BALL = SPATIAL.replace(inertia=(0.5, 0.5, 0.5))
-IMPOSSIBLE_PARAMETERS: list[tuple[Any, str, Any, str]] = [
+IMPOSSIBLE_PARAMETERS = [
     (
         SPATIAL,
         "platform_mass",
@@ -294,7 +291,7 @@ IMPOSSIBLE_PARAMETERS: list[tuple[Any, str, Any, str]] = [
         "distribution of platform_mass must be a dict with the keys low, high",
     ),
 ]
-IMPOSSIBLE: list[tuple[Any, Any, str]] = [
+IMPOSSIBLE = [
     *(
         (robot, {"parameters": {name: value}}, message)
         for robot, name, value, message in IMPOSSIBLE_PARAMETERS

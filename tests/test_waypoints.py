@@ -1,7 +1,5 @@
 """Motions through the waypoints of a CSV file."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from itertools import pairwise

@@ -3,8 +3,6 @@
 Each factory is a policy for ``--policy cheats:name``. The docstring is its line in docs/attacks.md.
 """
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,22 +12,22 @@ from scipy.optimize import linprog
 
 from cablebot_gym.bounds.closed_form import control_instants, exact_payload
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors, Robot
-from cablebot_gym.trajectories import Dwell, PointToPoint, Reference, Trajectory, find_trajectory
+from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors
+from cablebot_gym.trajectories import Dwell, PointToPoint, find_trajectory
 
 HOME_RISE = 0.1 / math.sqrt(0.1**2 + 0.47**2 + ((2 * 0.148 - 0.47) / math.sqrt(3)) ** 2)
 """Vertical part of each cable's direction in the spatial home pose, from A1 (-a, -a/√3, 0) to P1
 (0, -2b/√3, 0.1)."""
 
 
-def with_motors(robot: Robot, **changes: Any) -> Robot:
+def with_motors(robot, **changes):
     return robot.replace(motors=dataclasses.replace(robot.motors, **changes))
 
 
 # --- by hand ------------------------------------------------------------------------------------------------------
 
 
-def test_static_hang_is_limited_by_the_weakest_motor() -> None:
+def test_static_hang_is_limited_by_the_weakest_motor():
     robot = with_motors(SPATIAL, stall_torque=(10.0, 10.0, 10.0, 3.0, 10.0, 10.0))
     result = exact_payload(robot, find_trajectory("dwell-spatial", 6))
     assert result.payload == pytest.approx(6 * (3 / 0.05) * HOME_RISE / 9.81 - 10, rel=1e-12)
@@ -41,7 +40,7 @@ def test_static_hang_is_limited_by_the_weakest_motor() -> None:
 
 
 @pytest.mark.parametrize("minimum", [5.0, 70.0])
-def test_minimum_tension_needs_ballast(minimum: float) -> None:
+def test_minimum_tension_needs_ballast(minimum):
     result = exact_payload(SPATIAL, find_trajectory("dwell-spatial", 6), minimum_tension=minimum)
     assert result.lowest == pytest.approx(6 * minimum * HOME_RISE / 9.81 - 10, rel=1e-12)
 
@@ -49,7 +48,7 @@ def test_minimum_tension_needs_ballast(minimum: float) -> None:
 @pytest.mark.parametrize(
     ("robot", "minimum"), [(SPATIAL, 200.1), (PLANAR, 100.1)]
 )  # τ_s / r is 200 and 100 N
-def test_minimum_tension_beyond_the_motors_is_infeasible(robot: Robot, minimum: float) -> None:
+def test_minimum_tension_beyond_the_motors_is_infeasible(robot, minimum):
     trajectory = find_trajectory(f"dwell-{robot.name}", robot.coordinates)
     result = exact_payload(robot, trajectory, minimum_tension=minimum)
     assert result.payload == -math.inf
@@ -58,7 +57,7 @@ def test_minimum_tension_beyond_the_motors_is_infeasible(robot: Robot, minimum: 
     assert result.line == "upper"
 
 
-def test_planar_dwell_is_unlimited() -> None:
+def test_planar_dwell_is_unlimited():
     result = exact_payload(PLANAR, find_trajectory("dwell-planar", 2), minimum_tension=40.0)
     assert result.payload == result.total_mass == math.inf
     assert result.motor is None
@@ -78,14 +77,14 @@ class Jolted:
     duration: float = 1.0
     name: str = "jolted"
 
-    def __call__(self, times: Any) -> Reference:
+    def __call__(self, times):
         reference = Dwell(pose=(0.0, 0.0), duration=self.duration)(times)
         reference.acceleration[np.isclose(times, self.at, rtol=0, atol=1e-9), 0] = self.acceleration
         return reference
 
 
 @pytest.mark.parametrize("at", [0.0, 0.998])
-def test_acceleration_matches_the_triangle_of_forces(at: float) -> None:
+def test_acceleration_matches_the_triangle_of_forces(at):
     # Towards −x cables 1 (210°) and 3 (90°) pull: T_1 cos 30° = M a and T_3 = T_1 / 2. The pulley
     # of cable 1 needs J a cos 30° / r too.
     robot = PLANAR
@@ -98,7 +97,7 @@ def test_acceleration_matches_the_triangle_of_forces(at: float) -> None:
     assert result.line == "upper"
 
 
-def test_lower_torque_limit_counts() -> None:
+def test_lower_torque_limit_counts():
     # Towards +x pulley 1 runs out with −J a cos 30° / r, against which its slack cable does
     # nothing.
     robot = PLANAR.replace(
@@ -113,7 +112,7 @@ def test_lower_torque_limit_counts() -> None:
 
 
 @pytest.mark.parametrize(("mass", "below"), [(1.0, True), (3.0, False)])
-def test_interval_around_zero_payload_is_chosen(mass: float, below: bool) -> None:
+def test_interval_around_zero_payload_is_chosen(mass, below):
     # Seven cables, at 150°, 90°, 30° and about -50°. The force left over from 10 N in each points
     # to the left; a growing mass turns it over cable 2, whose tension has a peak on the way that
     # its weak motor cannot hold.
@@ -151,9 +150,7 @@ def test_interval_around_zero_payload_is_chosen(mass: float, below: bool) -> Non
         (PLANAR, 5.0, 2.07),
     ],
 )
-def test_mass_on_the_papers_circle_matches_independent_runs(
-    robot: Robot, minimum: float, total: float
-) -> None:
+def test_mass_on_the_papers_circle_matches_independent_runs(robot, minimum, total):
     # Before the jump of acceleration at 0.5 s for the planar robot, after it for the spatial:
     # control instants alone would miss one of them.
     trajectory = find_trajectory(f"paper-{robot.name}", robot.coordinates)
@@ -166,7 +163,7 @@ def test_mass_on_the_papers_circle_matches_independent_runs(
 
 
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: str(robot.name))
-def test_more_instants_lower_the_payload(robot: Robot) -> None:
+def test_more_instants_lower_the_payload(robot):
     trajectory = find_trajectory(f"paper-{robot.name}", robot.coordinates)
     frequencies = (500.0, 1000.0, 5000.0, None)
     coarse, fine, finest, infimum = (
@@ -176,7 +173,7 @@ def test_more_instants_lower_the_payload(robot: Robot) -> None:
     assert coarse == pytest.approx(finest, abs=0.05)
 
 
-def test_motion_that_needs_a_pushing_cable_is_infeasible() -> None:
+def test_motion_that_needs_a_pushing_cable_is_infeasible():
     # The platform does not turn, so all tensions are proportional to the mass.
     result = exact_payload(
         SPATIAL, find_trajectory({"name": "smooth-circle-spatial", "duration": 0.97}, 6)
@@ -196,7 +193,7 @@ FREQUENCY = 40.0
 KINDS = ["spatial", "planar-3", "planar-4", "planar-5"]
 
 
-def random_case(kind: str, rng: np.random.Generator) -> tuple[Robot, Trajectory, float]:
+def random_case(kind, rng):
     """A robot with random anchors, mass and drives, a circle, and a minimum tension."""
     if kind == "spatial":
         robot = SPATIAL
@@ -231,9 +228,7 @@ def random_case(kind: str, rng: np.random.Generator) -> tuple[Robot, Trajectory,
     return robot, motion, float(rng.choice([0.0, rng.uniform(0, 40)]))
 
 
-def feasible(
-    robot: Robot, trajectory: Trajectory, minimum: float, total_masses: np.ndarray
-) -> np.ndarray:
+def feasible(robot, trajectory, minimum, total_masses):
     """Whether exact tracking respects the limits with each total mass."""
     reference = trajectory(np.arange(round(trajectory.duration * FREQUENCY)) / FREQUENCY)
     shape = (len(total_masses), *reference.position.shape)
@@ -249,11 +244,11 @@ def feasible(
     return np.all((np.abs(action) <= 1) & (tension >= minimum), axis=(1, 2))
 
 
-def bisected(robot: Robot, trajectory: Trajectory, minimum: float) -> tuple[float, float]:
+def bisected(robot, trajectory, minimum):
     """Ends (lowest, largest) of the interval of feasible payloads at or nearest to zero, from a
     scan up to 60 kg."""
 
-    def edge(good: float, bad: float) -> float:
+    def edge(good, bad):
         for _ in range(40):
             middle = (good + bad) / 2
             carried = feasible(robot, trajectory, minimum, np.array([middle]))[0]
@@ -280,7 +275,7 @@ def bisected(robot: Robot, trajectory: Trajectory, minimum: float) -> tuple[floa
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("kind", KINDS)
-def test_closed_form_matches_bisection(kind: str, seed: int) -> None:
+def test_closed_form_matches_bisection(kind, seed):
     robot, trajectory, minimum = random_case(kind, np.random.default_rng(seed))
     result = exact_payload(robot, trajectory, minimum_tension=minimum, frequency=FREQUENCY)
     assert (result.lowest, result.payload) == pytest.approx(
@@ -289,7 +284,7 @@ def test_closed_form_matches_bisection(kind: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_named_motor_is_the_only_one_that_raises_the_payload(kind: str) -> None:
+def test_named_motor_is_the_only_one_that_raises_the_payload(kind):
     robot, trajectory, minimum = random_case(kind, np.random.default_rng(1))
     result = exact_payload(robot, trajectory, minimum_tension=minimum, frequency=FREQUENCY)
     assert result.kind == "torque"
@@ -309,14 +304,14 @@ def test_named_motor_is_the_only_one_that_raises_the_payload(kind: str) -> None:
     ("arguments", "named"),
     [({"minimum_tension": math.nan}, "minimum_tension"), ({"frequency": 0.2}, "frequency")],
 )
-def test_bad_argument_is_rejected(arguments: dict[str, float], named: str) -> None:
+def test_bad_argument_is_rejected(arguments, named):
     with pytest.raises(ValueError, match=named):
         exact_payload(PLANAR, find_trajectory("paper-planar", 2), **arguments)
     with pytest.raises(ValueError, match="6 coordinates"):
         exact_payload(PLANAR, find_trajectory("paper-spatial", 6))
 
 
-def test_redundant_cables_have_the_best_tensions() -> None:
+def test_redundant_cables_have_the_best_tensions():
     """A linear program finds tensions within both limits just below the payload, and none just
     above it."""
     start = (0.2, 0.1, 4.0, 0.0, 0.0, 0.0)
@@ -332,7 +327,7 @@ def test_redundant_cables_have_the_best_tensions() -> None:
     )
     structure = textbook.jacobian(CRANE, reference.position)
 
-    def held(payload: float) -> list[bool]:
+    def held(payload):
         load = textbook.load(CRANE, CRANE.mass + payload, *motion)
         return [
             linprog(

@@ -1,9 +1,5 @@
 """Questions about values in a wrong unit."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -34,7 +30,7 @@ HANGING = Robot(
 """A point mass on four cables, of the size of a laboratory."""
 
 
-def changed(robot: Robot, name: str, value: Any) -> Robot:
+def changed(robot, name, value):
     """The robot with one field replaced; a number multiplies it if it starts with ×."""
     group, _, field = name.rpartition(".")
     owner = getattr(robot, group) if group else robot

@@ -1,7 +1,5 @@
 """Checks of a robot: payload along the motion, workspace, modes, sag, and questions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

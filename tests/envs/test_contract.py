@@ -1,7 +1,5 @@
 """What Gymnasium, Stable-Baselines3 and the class docstring promise."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 import re

@@ -4,7 +4,6 @@ actions."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +26,6 @@ from oracles.episodes import (
 from scipy import stats
 
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference
 from cablebot_gym.uncertainty import (
     PARAMETERS,
@@ -44,7 +42,7 @@ def has(env_id, name):
     return PARAMETERS[name].belongs_to(ROBOTS[env_id])
 
 
-def make_lasting(env_id, count, **keywords) -> Any:
+def make_lasting(env_id, count, **keywords):
     """Vector environment whose episodes do not end."""
     wide = [
         (-9.0, 9.0),
@@ -81,7 +79,7 @@ def spread_of(name):
     return ParameterDistribution(low=0.05, high=0.1, each=name != "platform_inertia")
 
 
-def robot_with(robot: Robot, truth) -> Robot:
+def robot_with(robot, truth):
     """The robot whose nominal values are the true ones, with the nominal free speed."""
     names = ("stiffness", "motor_inertia", "motor_damping", "axial_stiffness")
     springs = {name: tuple(truth[name]) for name in names if name in truth}

@@ -1,7 +1,5 @@
 """Blocks of the observation beyond state and reference, its layout, and the normalised form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode

@@ -40,7 +40,7 @@ class Case:
     action: float = 0.3
     steps: int = 2
 
-    def of(self, env_id: str) -> Any:
+    def of(self, env_id):
         return self.value(ROBOTS[env_id]) if callable(self.value) else self.value
 
 

@@ -1,8 +1,6 @@
 """Defaults of a robot that brings none: motion, error bounds, end of the scan; and a start that is
 not held."""
 
-from __future__ import annotations
-
 import warnings
 
 import gymnasium as gym

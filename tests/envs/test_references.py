@@ -1,7 +1,5 @@
 """Checks of trajectories of the user: warnings and errors."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``render()`` of both environments."""
 
-from __future__ import annotations
-
 import os
 import sys
 

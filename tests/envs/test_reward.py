@@ -1,9 +1,5 @@
 """The reward, the limits that it rewards, and the order of returns: success before failure."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -27,7 +23,7 @@ from cablebot_gym.policies import load_policy, policy_entries
 from cablebot_gym.trajectories import held_out_seeds
 
 
-def make(env_id, **keywords) -> Any:
+def make(env_id, **keywords):
     """An environment whose reference is at rest."""
     return make_any(
         env_id,

@@ -1,7 +1,5 @@
 """Random streams: seeds determine all draws, and draws of different purposes are independent."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

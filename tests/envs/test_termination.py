@@ -1,10 +1,7 @@
 """Termination and info: a constructed case for each reason and quantity."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +13,7 @@ from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.physics import textbook
 
 
-def make(env_id, **keywords) -> Any:
+def make(env_id, **keywords):
     """An environment whose reference is at rest."""
     return make_any(env_id, **{"trajectory": f"dwell-{ROBOTS[env_id].kind}"} | keywords)
 

@@ -1,10 +1,7 @@
 """The vector environment against single ones, bit by bit, in every autoreset mode."""
 
-from __future__ import annotations
-
 import pickle
 import random
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -27,7 +24,7 @@ MODES = [
 # Start errors close to a tight radius: under random actions some episodes end early, the others at
 # the time limit.
 LIMIT = 7
-RUGGED: dict[str, dict[str, Any]] = {
+RUGGED = {
     PLANAR: {
         "payload_range": (0.0, 2.0),
         "initial_error_range": [0.02, 0.02],
@@ -48,7 +45,7 @@ RUGGED: dict[str, dict[str, Any]] = {
 }
 
 
-def make(env_id=PLANAR, count=3, **keywords) -> Any:
+def make(env_id=PLANAR, count=3, **keywords):
     return make_vector(env_id, count, **keywords)
 
 
@@ -133,7 +130,7 @@ def test_every_environment_equals_the_single_one(env_id, mode, count):
     assert count == 1 or ("slack" in reasons and truncations > 0)
 
 
-LATE: dict[str, Any] = {
+LATE = {
     "parameters": {
         "platform_mass": {"low": -0.2, "high": 0.2},
         "payload": {"low": -0.5, "high": 0.5},

@@ -1,7 +1,5 @@
 """Sensors of winches and platform in place of pose and velocity."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env

@@ -1,7 +1,5 @@
 """Compiled code on disk: where it is stored, and when it is compiled again."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 

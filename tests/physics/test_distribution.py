@@ -1,8 +1,6 @@
 """Tensions of redundant cables against linear and quadratic programs, and the proofs that none
 exist."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

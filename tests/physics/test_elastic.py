@@ -1,8 +1,6 @@
 """Elastic cables and swivel pulleys in the compiled plant: a Python loop over the textbook, energy
 and episodes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

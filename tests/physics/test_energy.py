@@ -1,8 +1,6 @@
 """The plant against what no equation of it states: energy and power, and the order of convergence
 of its steps."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The flexible transmission: the paper's values, its frequencies, and the number of physics steps
 that they need."""
 
-from __future__ import annotations
-
 import re
 
 import gymnasium as gym

@@ -1,8 +1,6 @@
 """The compiled inverse dynamics against the textbook, and the textbook's pulley accelerations
 against Eq. 6."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

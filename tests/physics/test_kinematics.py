@@ -1,7 +1,5 @@
 """Angles of pulleys and of the platform against finite differences and SciPy's rotations."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles.plants import QUAD, differentiated, each_of

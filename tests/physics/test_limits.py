@@ -1,7 +1,5 @@
 """Limits of stiff springs and stiff cables: the flexible plant approaches the rigid one."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

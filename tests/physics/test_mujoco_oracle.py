@@ -1,7 +1,5 @@
 """The plant against MuJoCo, which knows bodies and tendons but none of the paper's equations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,8 +1,6 @@
 """The compiled plant against itself in other batch sizes, the textbook, and a Python loop over its
 steps."""
 
-from __future__ import annotations
-
 import math
 import re
 

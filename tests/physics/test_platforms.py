@@ -1,8 +1,6 @@
 """Kinematics and equations of motion of every kind of platform, against differences and Lagrange's
 equations."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.testing import assert_allclose
 from oracles.plants import differentiated, each_of

@@ -1,8 +1,6 @@
 """Tensions, torques and accelerations of the textbook equations against linear programs, statics
 and themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings

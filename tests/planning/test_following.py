@@ -1,9 +1,6 @@
 """Torques that follow a plan, against the plants of the textbook and of the environment."""
 
-from __future__ import annotations
-
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +24,7 @@ pytest.importorskip("casadi")
 NO_GAINS = (0.0, 0.0)
 MARGINS = Margins(position=0.001, rotation=0.001, action=0.1, tension=2.0)
 
-CASES: dict[str, tuple[Any, str, int]] = {
+CASES = {
     "planar": (PLANAR, "CableBot-Planar-v0", 40),
     "spatial": (SPATIAL, "CableBot-Spatial-v0", 20),
     "flexible planar": (FLEX_PLANAR, "CableBot-FlexPlanar-v0", 40),
@@ -36,7 +33,7 @@ CASES: dict[str, tuple[Any, str, int]] = {
 
 
 @cache
-def plan(name: str) -> PlannedMotion:
+def plan(name):
     robot, _, intervals = CASES[name]
     motion = {
         "name": "line-planar" if robot.planar else "line-spatial",
@@ -53,7 +50,7 @@ def plan(name: str) -> PlannedMotion:
     ).solve()
 
 
-def follow(name: str, gains: tuple[float, float], *, error: float = 0.0) -> np.ndarray:
+def follow(name, gains, *, error=0.0):
     """Distance of the platform from the plan after every control period, in the environment's
     plant."""
     robot, env_id, _ = CASES[name]
@@ -82,7 +79,7 @@ def follow(name: str, gains: tuple[float, float], *, error: float = 0.0) -> np.n
 
 
 @pytest.mark.parametrize("name", ["planar", "flexible planar"])
-def test_actions_request_the_torques_of_each_row_of_a_batch(name: str) -> None:
+def test_actions_request_the_torques_of_each_row_of_a_batch(name):
     robot = CASES[name][0]
     motion = plan(name)
     times = np.array([0.1, 0.3])
@@ -92,7 +89,7 @@ def test_actions_request_the_torques_of_each_row_of_a_batch(name: str) -> None:
         angle, speed, _ = motion.motor_motion(times, payload)
     follower = Follower(robot=robot, gains=(100.0, 10.0))
 
-    def state(rows: Any) -> State:
+    def state(rows):
         motors = {"motor_angle": angle[rows], "motor_speed": speed[rows]} if robot.flexible else {}
         return State(
             time=times[rows],
@@ -115,7 +112,7 @@ def test_actions_request_the_torques_of_each_row_of_a_batch(name: str) -> None:
         assert_allclose(together[k], alone, rtol=1e-9, atol=1e-12)
 
 
-def test_last_period_that_ends_late_by_rounding_does_not_brake() -> None:
+def test_last_period_that_ends_late_by_rounding_does_not_brake():
     """829 periods and one more are 1.6600000000000001 s, where a plan of 1.66 s rests."""
     period = 0.002
     steps = 830
@@ -134,7 +131,7 @@ def test_last_period_that_ends_late_by_rounding_does_not_brake() -> None:
     )
     follower = Follower(robot=PLANAR, gains=NO_GAINS)
 
-    def torques(time: float) -> np.ndarray:
+    def torques(time):
         x = drift(time)
         state = State(time=np.asarray(time), pose=x.position, velocity=x.velocity)
         return follower.torques(drift, state, np.asarray(1.0), period)[0]
@@ -153,7 +150,7 @@ def test_last_period_that_ends_late_by_rounding_does_not_brake() -> None:
         pytest.param("spatial", marks=pytest.mark.slow),
     ],
 )
-def test_plan_is_followed_and_an_initial_error_corrected(name: str) -> None:
+def test_plan_is_followed_and_an_initial_error_corrected(name):
     if CASES[name][0].flexible:
         assert follow(name, (100.0, 10.0)).max() < 3e-5
         gains = 100.0, 20.0
@@ -171,6 +168,6 @@ def test_plan_is_followed_and_an_initial_error_corrected(name: str) -> None:
     "arguments",
     [{"gains": (-1.0, 1.0)}, {"motor_frequency": 0.0}, {"motor_damping": 0.0}],
 )
-def test_invalid_gains_raise(arguments: dict[str, Any]) -> None:
+def test_invalid_gains_raise(arguments):
     with pytest.raises(ValueError, match="must be"):
         Follower(**({"robot": FLEX_PLANAR, "gains": (1.0, 1.0)} | arguments))

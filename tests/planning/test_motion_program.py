@@ -1,8 +1,6 @@
 """The nonlinear program: its equations, its derivatives, and optima that are known in closed
 form."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading
@@ -29,7 +27,6 @@ from cablebot_gym.robots import (
     FLEX_SPATIAL,
     PLANAR,
     SPATIAL,
-    Robot,
     find_robot,
 )
 from cablebot_gym.task import ErrorBounds, start_pose
@@ -42,7 +39,7 @@ CIRCLE = find_trajectory("paper-planar", 2)
 LINE = find_trajectory("line-planar", 2)
 
 
-def random_state(robot: Robot) -> tuple[np.ndarray, ...]:
+def random_state(robot):
     """A pose near home, a velocity and an acceleration, each (1, n)."""
     shape = (1, robot.coordinates)
     rng = np.random.default_rng(0)
@@ -56,12 +53,12 @@ def random_state(robot: Robot) -> tuple[np.ndarray, ...]:
 # --- one instant ------------------------------------------------------------------------------------------------------
 
 
-def rubbing(robot: Robot) -> Robot:
+def rubbing(robot):
     """A robot whose motors have Coulomb friction."""
     return with_transmission(robot, coulomb_friction=0.1)
 
 
-def check_actions(robot, actions, torque, speed, acceleration, tolerance) -> None:
+def check_actions(robot, actions, torque, speed, acceleration, tolerance):
     """Actions of the torque at the motor speeds of both ends of a period of 4 ms."""
     for side, action in zip((-0.002, 0.002), actions, strict=True):
         expected = textbook.normalised_action(robot, torque, speed + side * acceleration)
@@ -74,7 +71,7 @@ def check_actions(robot, actions, torque, speed, acceleration, tolerance) -> Non
     rubbing(find_robot("cogiro")),
     rubbing(find_robot("ttk4900")),
 )
-def test_rigid_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
+def test_rigid_stage_agrees_with_inverse_dynamics(robot):
     x, v, a = random_state(robot)
     mass = robot.mass + 1.7
     period = 0.004
@@ -96,7 +93,7 @@ def test_rigid_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
 
 
 @each_of(rubbing(FLEX_PLANAR), rubbing(FLEX_SPATIAL))
-def test_flexible_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
+def test_flexible_stage_agrees_with_inverse_dynamics(robot):
     x, v, a = random_state(robot)
     mass = robot.mass + 1.7
     m = robot.cables
@@ -117,7 +114,7 @@ def test_flexible_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
 
 
 @pytest.mark.parametrize("name", ["stadium-camera", "ttk4900", "cogiro"])
-def test_elastic_stage_agrees_with_inverse_dynamics(name: str) -> None:
+def test_elastic_stage_agrees_with_inverse_dynamics(name):
     robot = find_robot(f"flex-{name}")
     x, v, a = random_state(robot)
     mass = robot.mass + 1.7
@@ -153,8 +150,8 @@ SPRING_CAMERA = with_transmission(find_robot("stadium-camera"), stiffness=200.0,
 
 @each_of(FLEX_SPATIAL, find_robot("flex-stadium-camera"), SPRING_CAMERA)
 def test_start_of_a_flexible_robot_is_that_of_the_environment(
-    robot: Robot,
-) -> None:
+    robot,
+):
     """The tensions of redundant cables at rest are not linear in the payload."""
     env = gym.make(fitting_env_id(robot), robot=robot, payload=3.1)
     observation, _ = env.reset(seed=0)
@@ -184,7 +181,7 @@ def test_start_of_a_flexible_robot_is_that_of_the_environment(
     ],
     ids=lambda value: getattr(value, "name", str(value)),
 )
-def test_assembled_derivatives_equal_casadis_own(robot: Robot, lightest: float | None) -> None:
+def test_assembled_derivatives_equal_casadis_own(robot, lightest):
     reference = find_trajectory(default_trajectory(robot), robot.kind)
     margins = Margins(position=1e-3, rotation=1e-3, action=0.1, tension=1.0)
     program = MotionProgram(
@@ -222,9 +219,7 @@ def test_assembled_derivatives_equal_casadis_own(robot: Robot, lightest: float |
     ("inertia", "free_speed", "damping"),
     [(0.0, 1e9, 0.0), (0.0, 100.0, 0.0), (0.02, 100.0, 0.05)],
 )
-def test_motion_in_one_dimension_has_the_payload_in_closed_form(
-    inertia: float, free_speed: float, damping: float
-) -> None:
+def test_motion_in_one_dimension_has_the_payload_in_closed_form(inertia, free_speed, damping):
     drive = {"inertia": inertia, "free_speed": free_speed, "damping": damping}
     robot = one_dimension.line_robot(**drive)
     bounds = ErrorBounds(position=one_dimension.BOUND)
@@ -235,7 +230,7 @@ def test_motion_in_one_dimension_has_the_payload_in_closed_form(
 # --- solving ----------------------------------------------------------------------------------------------------------
 
 
-def test_optimum_does_not_depend_on_the_initial_guess() -> None:
+def test_optimum_does_not_depend_on_the_initial_guess():
     coarse = MotionProgram(PLANAR, CIRCLE, BOUNDS, intervals=20)
     plan = coarse.solve()
     assert_array_equal(coarse.solve().poses, plan.poses)
@@ -248,7 +243,7 @@ def test_optimum_does_not_depend_on_the_initial_guess() -> None:
     assert warm == pytest.approx(plan.payload, rel=0.03)
 
 
-def test_resolving_with_other_margins_has_the_same_optimum() -> None:
+def test_resolving_with_other_margins_has_the_same_optimum():
     margins = Margins(position=1e-3, action=0.05, tension=2.0)
     problem = (PLANAR, CIRCLE, BOUNDS)
     fresh = MotionProgram(*problem, intervals=30, margins=margins).solve()
@@ -261,7 +256,7 @@ def test_resolving_with_other_margins_has_the_same_optimum() -> None:
     assert again.payload < free.payload - 0.1
 
 
-def test_robot_with_motor_lag_is_rejected() -> None:
+def test_robot_with_motor_lag_is_rejected():
     """A plan that ignores the lag would fail in the environment."""
     robot = PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01))
     with pytest.raises(
@@ -272,7 +267,7 @@ def test_robot_with_motor_lag_is_rejected() -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-def test_ctrl_c_interrupts_the_solver(interrupted_solver: None) -> None:
+def test_ctrl_c_interrupts_the_solver(interrupted_solver):
     """CasADi alone takes it for a failed evaluation and goes on."""
     program = MotionProgram(PLANAR, LINE, BOUNDS, intervals=10)
     with pytest.raises(KeyboardInterrupt):
@@ -280,8 +275,8 @@ def test_ctrl_c_interrupts_the_solver(interrupted_solver: None) -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_solver_runs_outside_the_main_thread() -> None:
-    payloads: list[float] = []
+def test_solver_runs_outside_the_main_thread():
+    payloads = []
     program = MotionProgram(PLANAR, LINE, BOUNDS, intervals=10)
     thread = threading.Thread(target=lambda: payloads.append(program.solve().payload))
     thread.start()
