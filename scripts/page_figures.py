@@ -116,5 +116,5 @@ def _scan(axes: Axes, known: bool) -> None:
 
 
 if __name__ == "__main__":
-    argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
+    argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0]).parse_args()
     write(FOLDER)

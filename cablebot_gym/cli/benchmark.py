@@ -120,8 +120,7 @@ def benchmark(
 
     cablebot benchmark --suite smoke --out results
 
-    cablebot benchmark --suite standard --policies fl,mypackage.mine:make_policy --workers 8 --out
-    results
+    cablebot benchmark --suite standard --policies fl,mypackage.mine:make_policy --workers 8 --out results
 
     cablebot benchmark --suite library --out robots
 

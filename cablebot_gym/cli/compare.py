@@ -68,11 +68,9 @@ def compare(
 
     Examples:
 
-    cablebot compare CableBot-Spatial-v0 --policies fl,robust --uncertainty table6 --payload 1 --out
-    results
+    cablebot compare CableBot-Spatial-v0 --policies fl,robust --uncertainty table6 --payload 1 --out results
 
-    cablebot compare CableBot-Spatial-v0 --policies fl,robust,adaptive --payloads 0:9:0.5 --out
-    results
+    cablebot compare CableBot-Spatial-v0 --policies fl,robust,adaptive --payloads 0:9:0.5 --out results
     """
     from cablebot_gym.evaluation.comparison import (
         PayloadComparison,

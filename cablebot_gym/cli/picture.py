@@ -35,8 +35,7 @@ def picture(
 
     cablebot picture CableBot-Spatial-v0 start.png
 
-    cablebot picture CableBot-Spatial-v0 both.png --policies fl,trajopt --payload 6 --time 1.1
-    --size 480x360
+    cablebot picture CableBot-Spatial-v0 both.png --policies fl,trajopt --payload 6 --time 1.1 --size 480x360
     """
     from cablebot_gym.video.recording import check_picture, note, write_picture
 
