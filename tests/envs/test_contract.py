@@ -17,7 +17,6 @@ from oracles.episodes import (
     PLANAR,
     ROBOTS,
     check_equal,
-    different_results,
     each_id,
     make,
     make_vector,
@@ -127,24 +126,6 @@ def test_step_that_completes_the_motion_truncates(frequency, trajectory, steps):
         limited = gym.make(PLANAR, max_episode_steps=limit, **keywords)
         episode = rollout(limited, np.zeros((end, 3)), seed=0)
         assert np.flatnonzero(episode.truncated).tolist() == [end - 1]
-
-
-@pytest.mark.parametrize("delay", [0, 2])
-@two_ids
-def test_action_out_of_bounds_acts_like_the_bound(env_id, delay):
-    """As Gymnasium's own tests demand. Only the record of the raw action and the reward differ."""
-    keywords = {
-        "uncertainty": {"delay": delay},
-        "termination_radius": 9.0,
-        "slack_time": 9.0,
-    }
-    raw, clipped = (make_vector(env_id, 2, **keywords) for _ in range(2))
-    actions = random_actions(raw, 60, -1.8, 3.0)
-    ours = rollout(raw, actions, seed=0)
-    theirs = rollout(clipped, np.clip(actions, -1, 1), seed=0)
-    recorded = {"commanded_action", "torque_margin", "reward_saturation"}
-    assert different_results(ours, theirs) == recorded | {"rewards"}
-    assert_array_equal(ours.info["commanded_action"][-1], actions[-1 - delay])
 
 
 # --- results ------------------------------------------------------------------------------------------------------

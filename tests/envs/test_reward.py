@@ -70,18 +70,6 @@ def test_reward_is_the_sum_of_its_weighted_terms(env_id, weight):
     assert_allclose(episode.rewards, total, atol=1e-12)
 
 
-@pytest.mark.parametrize(("name", "coordinate"), [("position", 0), ("rotation", 4)])
-def test_error_terms_have_a_slope_at_ten_bounds(name, coordinate):
-    """A constant term beyond the bound would not lead a failed policy back."""
-    env = make(SPATIAL, termination_radius=9.0)
-    terms = []
-    for error in (0.099, 0.1, 0.101):
-        start = {"initial_error": error * np.eye(6)[coordinate]}
-        terms.append(rollout(env, [np.full(6, 0.43)], options=start).info[f"reward_{name}"][1])
-    assert -np.diff(terms).max() > 1e-5
-    assert terms[1] == pytest.approx(0.05 / 11, rel=0.02)
-
-
 # --- violation ----------------------------------------------------------------------------------------------------
 
 
@@ -91,16 +79,6 @@ def violations(env, actions, **options):
     info = rollout(env, actions, options=options).info
     assert np.all(np.diff(info["violated"].astype(int)) >= 0)
     return info["violated"][0], np.flatnonzero(info["reward_violation"][1:]).tolist(), info
-
-
-@rigid_ids
-def test_start_error_beyond_its_bound_violates_at_the_start(env_id):
-    """The first step yields the violation term, once."""
-    env = make(env_id)
-    actions = np.full((2, *env.action_space.shape), 0.43 if env_id == SPATIAL else 0.1)
-    for direction in np.eye(ROBOTS[env_id].coordinates)[[0, -1]]:
-        assert violations(env, actions, initial_error=0.0101 * direction)[:2] == (True, [0])
-        assert violations(env, actions, initial_error=0.0099 * direction)[:2] == (False, [])
 
 
 def test_tension_below_the_minimum_violates_without_slack():
