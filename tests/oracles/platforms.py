@@ -89,5 +89,6 @@ CRANE = Robot(
 )
 """Suspended platform with eight cables, a tilted inertia and a centre of mass above the origin."""
 
+SWIVELLED = CRANE.replace(name="swivelled", swivel_radius=0.05)
 PLATFORMS = {robot.name: robot for robot in (HANGING, FLAT, TURNING, CAMERA, CRANE)}
 """The robots by name."""

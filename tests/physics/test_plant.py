@@ -11,7 +11,6 @@ from oracles.one_dimension import line_robot
 from oracles.plants import (
     FLEX_UNEQUAL,
     NINE,
-    QUAD,
     UNEQUAL,
     State,
     both_cables,
@@ -425,23 +424,3 @@ def test_reset_leaves_nothing_of_the_earlier_run(robot):
     plant.set_state(np.arange(5), state.pose, state.velocity)
     assert_array_equal(record_of(plant), fresh)
     assert_array_equal(records(), first_run)
-
-
-@each_of(QUAD, FLEX_UNEQUAL)
-def test_torques_end_at_the_torque_speed_lines(robot):
-    """Actions beyond ± 1 give exactly U⁺ and U⁻, those between exactly the request; the raw action
-    is recorded."""
-    state, _ = random_states(robot, 40, seed=9)
-    choices = [-3.0, -1.0, -0.4, 0.0, 0.7, 1.0, 1.5]
-    actions = np.random.default_rng(1).choice(choices, (40, robot.cables))
-    plant = loaded_plant(robot, state, "unilateral")
-    plant.set_action(actions)
-    plant.advance(*no_reference(robot), substeps=2, step=1e-4)
-    speed = plant.per_cable(kernel.SPEED)
-    assert_allclose(speed, drive_speed(robot, state), rtol=1e-12, atol=1e-12)
-    drop = robot.speed_slope * speed
-    assert np.abs(drop).max() > 0.3
-    assert_array_equal(
-        plant.per_cable(kernel.TORQUE), robot.stall_torque * np.clip(actions, -1, 1) - drop
-    )
-    assert_array_equal(plant.per_cable(kernel.DEMAND), actions)
