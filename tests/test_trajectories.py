@@ -22,6 +22,7 @@ from cablebot_gym.trajectories import (
     PaperCircle,
     PointToPoint,
     SmoothCircle,
+    Waypoints,
     find_trajectory,
     trajectory_names,
 )
@@ -35,12 +36,6 @@ def stacked(reference):
     return np.stack([getattr(reference, order) for order in ORDERS])
 
 
-def without_dwells(name, **fields):
-    """A named motion without its dwells."""
-    motion = TRAJECTORIES[name](**fields)
-    return motion.motion if isinstance(motion, BetweenDwells) else motion
-
-
 # --- the paper's tables -------------------------------------------------------------------------------------------
 
 
@@ -50,10 +45,9 @@ def without_dwells(name, **fields):
 )
 def test_paper_circle_is_that_of_tables_1_and_3(robot, radius, rest):
     t = np.linspace(0, 1, 501)
-    speeding_up = 4 * np.pi * t**2
-    slowing_down = 4 * np.pi * (1 - t) ** 2
-    x = np.where(t <= 0.5, np.cos(speeding_up), np.cos(slowing_down))
-    y = np.where(t <= 0.5, np.sin(speeding_up), -np.sin(slowing_down))
+    first = t <= 0.5
+    angle = 4 * np.pi * np.where(first, t, 1 - t) ** 2
+    x, y = np.cos(angle), np.where(first, 1, -1) * np.sin(angle)
     circle = TRAJECTORIES[f"paper-{robot}"]()
     position = circle(t).position
     assert_allclose(position[:, :2], radius * np.stack([x, y], axis=1), rtol=0, atol=1e-15)
@@ -68,14 +62,10 @@ def test_first_branch_of_the_paper_circle_holds_at_half_time():
     """The tangential acceleration at (−R, 0) is along −y while speeding up, along +y while slowing
     down."""
     motion = PaperCircle(radius=0.3, center=(0.0, 0.0), duration=1.7)
-    middle = motion(0.85)
-    after = motion(0.85 * (1 + 1e-15))
+    middle, after = (motion(0.85 * (1 + shift)) for shift in (0.0, 1e-15))
     jump = 0.3 * 8 * np.pi / 1.7**2
-    assert_allclose(
-        [middle.acceleration[1], after.acceleration[1]],
-        [-jump, jump],
-        rtol=1e-9,
-    )
+    accelerations = middle.acceleration[1], after.acceleration[1]
+    assert_allclose(accelerations, [-jump, jump], rtol=1e-9)
     assert_allclose(middle.position, after.position, atol=1e-12)
     assert_allclose(middle.velocity, after.velocity, atol=1e-9)
 
@@ -93,45 +83,57 @@ PAPER = PaperCircle(radius=0.3, center=POSE, duration=1.7)
 
 
 def circle(angle):
-    return [
-        POSE[0] + 0.3 * sympy.cos(angle),
-        POSE[1] + 0.3 * sympy.sin(angle),
-        *POSE[2:],
-    ]
+    x, y = sympy.cos(angle), sympy.sin(angle)
+    return [POSE[0] + 0.3 * x, POSE[1] + 0.3 * y, *POSE[2:]]
+
+
+WHOLE = (0.0, 1.7)
 
 
 MOTIONS = {
-    "paper, first half": (
-        PAPER,
-        circle(4 * sympy.pi * (T / DURATION) ** 2),
-        (0.0, 0.85),
-    ),
-    "paper, second half": (
-        PAPER,
-        circle(-4 * sympy.pi * (1 - T / DURATION) ** 2),
-        (0.86, 1.7),
-    ),
-    "circle": (
-        SmoothCircle(radius=0.3, center=POSE, duration=1.7),
-        circle(TURN),
-        (0.0, 1.7),
-    ),
-    "dwell": (Dwell(pose=POSE, duration=1.7), list(POSE), (0.0, 1.7)),
+    "paper, first half": (PAPER, circle(4 * sympy.pi * (T / DURATION) ** 2), (0.0, 0.85)),
+    "paper, second half": (PAPER, circle(-4 * sympy.pi * (1 - T / DURATION) ** 2), (0.86, 1.7)),
+    "circle": (SmoothCircle(radius=0.3, center=POSE, duration=1.7), circle(TURN), WHOLE),
+    "dwell": (Dwell(pose=POSE, duration=1.7), list(POSE), WHOLE),
     "line": (
         PointToPoint(start=POSE, end=END, duration=1.7),
         [a + (b - a) * BLEND for a, b in zip(POSE, END, strict=True)],
-        (0.0, 1.7),
+        WHOLE,
     ),
     "lemniscate": (
         Lemniscate(amplitude=(0.3, 0.2), center=POSE, duration=1.7),
-        [
-            POSE[0] + 0.3 * sympy.sin(TURN),
-            POSE[1] + 0.2 * sympy.sin(2 * TURN),
-            *POSE[2:],
-        ],
-        (0.0, 1.7),
+        [POSE[0] + 0.3 * sympy.sin(TURN), POSE[1] + 0.2 * sympy.sin(2 * TURN), *POSE[2:]],
+        WHOLE,
     ),
 }
+
+
+SPLINE = Waypoints(times=(0.0, 1.0, 2.5, 3.0), poses=((0, 0), (0.1, 0.1), (0.1, -0.1), (0, 0)))
+
+
+SMOOTH = [
+    SPLINE,
+    *(find_trajectory({"name": "loop-point", "seed": seed}, 3) for seed in (0, 7, 10_425)),
+    *(TRAJECTORIES[name]() for name in TRAJECTORIES if not name.startswith("paper")),
+]
+
+
+each_smooth = pytest.mark.parametrize("motion", SMOOTH, ids=lambda motion: motion.name)
+each_without_jumps = pytest.mark.parametrize(
+    "motion",
+    [motion for motion in SMOOTH if not motion.name.startswith("circle")],
+    ids=lambda motion: motion.name,
+)
+"""The circle of the paper is smooth at its ends only."""
+
+
+@each_without_jumps
+def test_derivatives_are_slopes_also_where_parts_meet(motion):
+    times = np.linspace(0, motion.duration, 2001)
+    values = stacked(motion(times))[1:]
+    slope = (stacked(motion(times + 1e-5)) - stacked(motion(times - 1e-5)))[:-1] / 2e-5
+    scale = np.abs(values).max(axis=(1, 2), keepdims=True) + 1e-9
+    assert_allclose(slope / scale, values / scale, atol=1e-3)  # the next derivative jumps
 
 
 @pytest.mark.parametrize("order", range(5), ids=ORDERS)
@@ -164,37 +166,14 @@ def test_motion_between_dwells_is_shifted_and_rests_at_its_ends(dwell, case, fra
     if time < dwell:
         expected[1:] = 0.0
     assert_array_equal(stacked(between(time)), expected)
-    for times, end in (
-        ([-1.0, 0.0, dwell / 2], 0.0),
-        ([dwell * 1.5 + motion.duration, 99.0], motion.duration),
-    ):
+    after = [dwell * 1.5 + motion.duration, 99.0]
+    for times, end in (([-1.0, 0.0, dwell / 2], 0.0), (after, motion.duration)):
         values = stacked(between(times))
         assert_array_equal(values[0], [motion(end).position] * len(times))
         assert dwell == 0 or not values[1:].any()
 
 
-@every_name
-def test_named_motion_dwells_except_the_printed_circle(name):
-    dwells = 0.0 if name.startswith(("paper", "dwell")) else 0.6
-    assert TRAJECTORIES[name]().duration - without_dwells(name).duration == pytest.approx(dwells)
-
-
 # --- chains -------------------------------------------------------------------------------------------------------
-
-
-def test_chain_derivatives_equal_finite_differences():
-    """At the joints too, where the parts and a dwell meet."""
-    motion = TRAJECTORIES["chain-spatial"]()
-    times = np.concatenate(
-        [
-            np.linspace(0, motion.duration + 0.2, 501),
-            0.3 + np.array([0, 1.0, 1.3, 2.3]),
-        ]
-    )
-    values = stacked(motion(times))[1:]
-    slope = (stacked(motion(times + 1e-5)) - stacked(motion(times - 1e-5)))[:-1] / 2e-5
-    scale = np.abs(values).max(axis=(1, 2), keepdims=True)
-    assert_allclose(slope / scale, values / scale, atol=1e-4)  # the next derivative jumps
 
 
 def test_number_in_a_chain_is_a_dwell_where_the_robot_is():
@@ -202,10 +181,8 @@ def test_number_in_a_chain_is_a_dwell_where_the_robot_is():
     back = PointToPoint(start=line.end, end=line.start, duration=1.0)
     chain = Chain(motions=(line, 0.25, back))
     assert chain.duration == 1.75
-    assert_array_equal(
-        stacked(chain([0.5, 0.6, 0.75])),
-        stacked(Dwell(pose=line.end)([0.0, 0.1, 0.2])),
-    )
+    dwell = Dwell(pose=line.end)
+    assert_array_equal(stacked(chain([0.5, 0.6, 0.75])), stacked(dwell([0.0, 0.1, 0.2])))
     assert_array_equal(stacked(chain([0.2, 0.3])), stacked(line([0.2, 0.3])))
     assert_array_equal(chain(1.25).position, [0.1, 0.05])
 
@@ -247,17 +224,11 @@ def test_motion_of_a_file_is_an_object_class_or_function(tmp_path, monkeypatch):
 # --- the ends -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [name for name in TRAJECTORIES if not name.startswith("paper")])
-def test_smooth_motions_have_no_jump_up_to_snap_at_either_end(
-    name,
-):
-    motion = TRAJECTORIES[name]()
+@each_smooth
+def test_smooth_motions_have_no_jump_up_to_snap_at_either_end(motion):
     peak = np.abs(stacked(motion(np.linspace(0, motion.duration, 201)))).max(axis=(1, 2))
     edge = 1e-6 * motion.duration
-    for outside, inside in (
-        (0.0, edge),
-        (2 * motion.duration, motion.duration - edge),
-    ):
+    for outside, inside in ((0.0, edge), (2 * motion.duration, motion.duration - edge)):
         resting = stacked(motion(outside))
         jump = np.abs(stacked(motion(inside)) - resting).max(axis=1)
         assert np.all(jump <= 1e-4 * peak)
@@ -286,8 +257,8 @@ def test_batches_of_times_equal_single_times(name):
     for index in np.ndindex(times.shape):
         single = motion(float(times[index]))
         assert_allclose(batch[:, *index], stacked(single), rtol=1e-14, atol=1e-12)
-        for order in ORDERS:
-            getattr(single, order)[:] = 9.0  # writing into a reference does not change the motion
+        for values in vars(single).values():
+            values[:] = 9.0  # writing into a reference does not change the motion
     assert_array_equal(batch, stacked(motion(times)))
 
 
@@ -307,20 +278,16 @@ def test_motion_survives_json(name):
 
 
 def test_added_factory_is_found(monkeypatch):
-    monkeypatch.setitem(
-        TRAJECTORIES,
-        "mine",
-        lambda height=0.2: Dwell(name="mine", pose=(0, 0, height, 0, 0, 0)),
-    )
+    def mine(height=0.2):
+        return Dwell(name="mine", pose=(0, 0, height, 0, 0, 0))
+
+    monkeypatch.setitem(TRAJECTORIES, "mine", mine)
     assert trajectory_names(6)[-1] == "mine"
     assert "mine" not in trajectory_names(2)
     motion = find_trajectory({"name": "mine", "height": 0.3}, 6)
     assert motion(0.0).position[2] == 0.3
     assert find_trajectory(motion, 6) is motion
-    with pytest.raises(
-        ValueError,
-        match="unknown key of trajectory 'hight'; choose one of height",
-    ):
+    with pytest.raises(ValueError, match="unknown key of trajectory 'hight'; choose one of height"):
         find_trajectory({"name": "mine", "hight": 0.3}, 6)
 
 
