@@ -73,45 +73,45 @@ def test_replay_verifies_the_actions(line):
     assert 0.97 * line.program_payload < line.payload <= line.program_payload
     assert line.total_mass == PLANAR.mass + line.payload
     assert line.payload > exact_payload(PLANAR, find_trajectory(LINE, 2)).payload
-    verdict = replay(line.payload, line.actions)
-    assert verdict.carried
-    assert 0.0097 < verdict.position_peak <= 0.01
     assert line.actions.shape == (200, 3)
     assert np.abs(line.actions).max() <= 1
-
-
-def test_replays_have_the_physics_step_and_a_tenth_of_it(line):
     coarse, fine = line.replays
     assert fine.substeps == 10 * coarse.substeps
+    assert fine.least_tension < coarse.least_tension
     for stored in line.replays:
         verdict = replay(line.payload, line.actions, substeps=stored.substeps)
         assert verdict.carried
         assert stored.violation is None
-        assert (
-            f"{stored.substeps} physics steps per control period: least tension {stored.least_tension:.3f}"
-            in str(line)
-        )
+        steps = f"{stored.substeps} physics steps per control period"
+        assert f"{steps}: least tension {stored.least_tension:.3f}" in str(line)
         assert verdict.least_tension == stored.least_tension >= PLANAR.minimum_tension
-        assert verdict.position_peak == stored.position_peak <= 0.01
-    assert fine.least_tension < coarse.least_tension
+        assert 0.0097 < verdict.position_peak == stored.position_peak <= 0.01
 
 
-def test_replay_that_fails_at_finer_steps_is_not_verified(monkeypatch, line):
-    case = best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0)
+@pytest.fixture
+def case():
+    return best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0)
+
+
+def test_replay_that_fails_at_finer_steps_is_not_verified(monkeypatch, line, case):
     refinements = []
     record = best_known._Case._record
 
     def fails(self, policy, payload, **keywords):
         refinements.append(keywords.get("substeps"))
-        rollout = record(self, policy, payload, **keywords)
-        if keywords.get("substeps") == line.replays[1].substeps:
-            rollout = SimpleNamespace(verdict=replay(1.1 * payload, line.actions))
-        return rollout
+        if refinements[-1] == line.replays[1].substeps:
+            return SimpleNamespace(verdict=replay(1.1 * payload, line.actions))
+        return record(self, policy, payload, **keywords)
 
     monkeypatch.setattr(best_known._Case, "_record", fails)
     monkeypatch.setattr(best_known, "_TRIALS", 3)
     assert case._verify(case._program(20), line.motion, lambda _: None) is None
     assert line.replays[1].substeps in refinements
+    payloads = iter([1.0, 3.0, 2.0])
+    monkeypatch.setattr(
+        MotionProgram, "solve", lambda *_, **__: SimpleNamespace(payload=next(payloads))
+    )
+    assert case._first(case._program(20)).payload == 3.0  # the best of several starts
 
 
 def test_replay_fails_beyond_the_limits(line):
@@ -172,29 +172,19 @@ def test_flexible_joints_reduce_the_payload(line):
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_arguments_reach_the_program(line):
-    options = {
-        "trajectory": LINE,
-        "control_frequency": 200.0,
-        "error_bounds": {"position": 0.12},
-    }
+    options = {"trajectory": LINE, "cache": False}
+    again = find_best_known(PLANAR_ID, **options)
+    assert again.to_dict() == line.to_dict()
+    np.testing.assert_array_equal(again.actions, line.actions)
     motors = Motors(stall_torque=5.5, free_speed=PLANAR.motors.free_speed)
-    changed = find_best_known(
-        PLANAR_ID, robot=PLANAR.replace(motors=motors), cache=False, **options
-    )
+    options |= {"control_frequency": 200.0, "error_bounds": {"position": 0.12}}
+    changed = find_best_known(PLANAR_ID, robot=PLANAR.replace(motors=motors), **options)
     assert changed.verified
     assert len(changed.actions) == 80
     assert changed.environment["control_frequency"] == 200.0
     assert changed.environment["robot"]["motors"]["stall_torque"] == 5.5
     assert changed.error_bounds["position"] == 0.12
     assert changed.payload > 1.05 * line.payload
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("quick")
-def test_result_is_reproducible(line):
-    again = find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
-    assert again.to_dict() == line.to_dict()
-    np.testing.assert_array_equal(again.actions, line.actions)
 
 
 @pytest.mark.slow
@@ -218,15 +208,6 @@ def test_failed_fine_mesh_is_skipped(
     assert not result.verified
     assert "not verified" in str(result)
     assert "; fails: " in str(result)
-
-
-def test_best_of_several_starts_is_kept(monkeypatch):
-    payloads = iter([1.0, 3.0, 2.0])
-    monkeypatch.setattr(
-        MotionProgram, "solve", lambda *_, **__: SimpleNamespace(payload=next(payloads))
-    )
-    case = best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0)
-    assert case._first(case._program(20)).payload == 3.0
 
 
 # --- the cache --------------------------------------------------------------------------------------------------------

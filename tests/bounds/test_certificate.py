@@ -110,32 +110,33 @@ def test_multiplier_bounds_the_force_in_the_tube():
     rng = np.random.default_rng(0)
     times = rng.uniform(multiplier.start, multiplier.end, 20000)
     angle = rng.uniform(0, 2 * np.pi, times.shape)
-    radius = np.sqrt(rng.uniform(0, 1, times.shape))
-    error = 0.01 * radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    radius = 0.01 * np.sqrt(rng.uniform(0, 1, times.shape))
+    error = (radius * np.stack([np.cos(angle), np.sin(angle)])).T
     towards = -textbook.jacobian(PLANAR, CIRCLE(times).position + error)
     (w, _, _), (phi, _, _) = multiplier(times)
-    assert np.all(phi >= np.maximum(np.einsum("tij,tj->ti", towards, w), 0.0))
-    assert (
-        np.abs(phi - np.einsum("tij,tj->ti", towards, w)).min() < 1e-4 * phi.max()
-    )  # and it is used
+    pull = np.einsum("tij,tj->ti", towards, w)
+    assert np.all(phi >= np.maximum(pull, 0.0))
+    assert np.abs(phi - pull).min() < 1e-4 * phi.max()  # and it is used
 
 
 def left_side(mass, multiplier, error):
     """M ∫ w·p̈ − T₀ ∫ w·D − Σ ∫ φ_i (s_i + k_i q̇_i + μ_i q̈_i) of a motion ``p_d + error``, before
     any integration by parts."""
     times, step = fine_times(multiplier)
-    reference = CIRCLE(times)
-    e, v, a = error(times)
-    position = reference.position + e
-    velocity = reference.velocity + v
-    acceleration = reference.acceleration + a
+    x = CIRCLE(times)
+    motion = [
+        order + change
+        for order, change in zip(
+            (x.position, x.velocity, x.acceleration), error(times), strict=True
+        )
+    ]
     (w, _, _), (phi, _, _) = multiplier(times)
-    length_rate = -RADIUS * textbook.pulley_speed(PLANAR, position, velocity)
-    length_second = -RADIUS * textbook.pulley_acceleration(PLANAR, position, velocity, acceleration)
+    length_rate = -RADIUS * textbook.pulley_speed(PLANAR, *motion[:2])
+    length_second = -RADIUS * textbook.pulley_acceleration(PLANAR, *motion)
     most = PULL + SLOPE * length_rate + INERTIA * length_second
-    together = -textbook.jacobian(PLANAR, position).sum(axis=1)
+    together = -textbook.jacobian(PLANAR, motion[0]).sum(axis=1)
     least = PLANAR.minimum_tension * np.sum(w * together)
-    return float(mass * np.sum(w * acceleration) - least - np.sum(phi * most)) * step
+    return float(mass * np.sum(w * motion[2]) - least - np.sum(phi * most)) * step
 
 
 @pytest.mark.parametrize("speed", [-40.0, 3.0, 40.0])
@@ -146,34 +147,30 @@ def test_proof_excludes_motions_in_the_tube(speed):
     def path(t):
         """An error that starts at rest at zero and then circles."""
         size = 0.01 * (1 - np.exp(-((20 * t) ** 3)))
-        return size[:, None] * np.stack([np.cos(speed * t), np.sin(speed * t)], axis=-1)
+        return (size * np.stack([np.cos(speed * t), np.sin(speed * t)])).T
 
     def error(times, h=1e-5):
-        before = path(times - h)
-        now = path(times)
-        after = path(times + h)
+        before, now, after = (path(times + shift) for shift in (-h, 0.0, h))
         return now, (after - before) / (2 * h), (after - 2 * now + before) / h**2
 
-    for mass in (certificate().total_mass, 1.5 * certificate().total_mass):
-        assert left_side(mass, proof(), error) > 0
+    for factor in (1.0, 1.5):
+        assert left_side(factor * certificate().total_mass, proof(), error) > 0
 
 
 def test_proved_mass_is_the_zero_of_h_by_quadrature():
     multiplier = proof()
     times, step = fine_times(multiplier)
     position = CIRCLE(times).position
-    away = textbook.jacobian(PLANAR, position)
-    length = np.linalg.norm(position[:, None] - PLANAR.base, axis=-1)
+    length = textbook.cable_lengths(PLANAR, position)
     (w, _, w_second), (_, phi_rate, phi_second) = multiplier(times)
     fanning = np.sum(np.linalg.norm(w, axis=-1) * np.sum(0.01 / (length - 0.01), axis=-1))
     b = INERTIA * phi_second - SLOPE * phi_rate
     bulge = np.sum(np.maximum(b, 0) * (length - np.sqrt(length**2 - 1e-4)))
+    away = np.einsum("ti,tij->tj", b, textbook.jacobian(PLANAR, position))
 
     def surplus(mass):
-        psi = mass * w_second - np.einsum("ti,tij->tj", b, away)
-        tube = step * (
-            0.01 * np.linalg.norm(psi, axis=-1).sum() + bulge + PLANAR.minimum_tension * fanning
-        )
+        psi = 0.01 * np.linalg.norm(mass * w_second - away, axis=-1).sum()
+        tube = step * (psi + bulge + PLANAR.minimum_tension * fanning)
         return left_side(mass, multiplier, lambda t: np.zeros((3, len(t), 2))) - tube
 
     zero = brentq(surplus, 1.0, 10.0)
@@ -202,9 +199,7 @@ def test_invalid_multiplier_proves_nothing(breach):
 
 
 @pytest.mark.parametrize("robot", [SPATIAL, FLEX_SPATIAL], ids=lambda robot: robot.name)
-def test_spatial_bound_is_the_payload_held_at_the_start(
-    robot,
-):
+def test_spatial_bound_is_the_payload_held_at_the_start(robot):
     motion = find_trajectory("circle-spatial", 6)
     bounds = ErrorBounds(position=0.02)
     bound = upper_bound(robot, motion, bounds)
@@ -212,10 +207,10 @@ def test_spatial_bound_is_the_payload_held_at_the_start(
     torque = textbook.static_torque(robot, bound.total_mass, lowered)
     assert (torque / robot.stall_torque).max() == pytest.approx(1.0, abs=1e-12)
     assert bound.payload > upper_bound(robot, motion, ErrorBounds(position=0.01)).payload + 0.5
-    env_id = f"CableBot-{'Flex' if robot.flexible else ''}Spatial-v0"
-    for payload, held in ((bound.payload - 1e-6, True), (bound.payload + 1e-6, False)):
-        env = gym.make(env_id, payload=payload, error_bounds=bounds)
-        assert bool(env.reset(seed=0)[1]["torque_margin"].min() >= 0) is held
+    env = gym.make(f"CableBot-{'Flex' if robot.flexible else ''}Spatial-v0", error_bounds=bounds)
+    for beyond in (-1e-6, 1e-6):
+        info = env.reset(seed=0, options={"payload": bound.payload + beyond})[1]
+        assert (info["torque_margin"].min() >= 0) == (beyond < 0)
 
 
 def test_hold_bounds_nothing_without_weight_or_rest():
