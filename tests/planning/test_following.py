@@ -35,19 +35,12 @@ CASES = {
 @cache
 def plan(name):
     robot, _, intervals = CASES[name]
-    motion = {
-        "name": "line-planar" if robot.planar else "line-spatial",
-        "duration": 0.5 if robot.planar else 0.4,
-    }
-    reference = find_trajectory(motion, robot.coordinates)
-    return MotionProgram(
-        robot,
-        reference,
-        ErrorBounds(),
-        intervals=intervals,
-        margins=MARGINS,
-        period=0.002,
-    ).solve()
+    line = {"name": f"line-{robot.kind}", "duration": 0.5 if robot.planar else 0.4}
+    reference = find_trajectory(line, robot.coordinates)
+    program = MotionProgram(
+        robot, reference, ErrorBounds(), intervals=intervals, margins=MARGINS, period=0.002
+    )
+    return program.solve()
 
 
 def follow(name, gains, *, error=0.0):
@@ -55,20 +48,14 @@ def follow(name, gains, *, error=0.0):
     plant."""
     robot, env_id, _ = CASES[name]
     motion = plan(name)
-    period = 1 / 500
     follower = Follower(robot=robot, gains=gains, motor_frequency=200.0)
     start_error = error * np.eye(robot.coordinates)[0]
-    env = make(
-        env_id,
-        trajectory=motion,
-        payload=motion.payload,
-        initial_error=start_error,
-    )
+    env = make(env_id, trajectory=motion, payload=motion.payload, initial_error=start_error)
     observation, _ = env.reset(seed=0)
     distances = []
-    for step in range(round(motion.duration / period)):
-        state = State.of(env.layout.split(observation), np.asarray(step * period))
-        action = follower.action(motion, state, np.asarray(motion.payload), period)
+    for step in range(round(motion.duration * 500)):
+        state = State.of(env.layout.split(observation), np.asarray(step / 500))
+        action = follower.action(motion, state, np.asarray(motion.payload), 1 / 500)
         observation, _, terminated, _, info = env.step(np.clip(action, -1, 1))
         assert not terminated
         distances.append(float(info["tracking_error"]))
@@ -85,30 +72,18 @@ def test_actions_request_the_torques_of_each_row_of_a_batch(name):
     times = np.array([0.1, 0.3])
     payload = np.full(2, motion.payload)
     x = motion(times)
+    values = {"time": times, "pose": x.position + 1e-3, "velocity": x.velocity}
     if robot.flexible:
-        angle, speed, _ = motion.motor_motion(times, payload)
+        values["motor_angle"], values["motor_speed"], _ = motion.motor_motion(times, payload)
     follower = Follower(robot=robot, gains=(100.0, 10.0))
-
-    def state(rows):
-        motors = {"motor_angle": angle[rows], "motor_speed": speed[rows]} if robot.flexible else {}
-        return State(
-            time=times[rows],
-            pose=x.position[rows] + 1e-3,
-            velocity=x.velocity[rows],
-            **motors,
-        )
-
-    together = follower.action(motion, state(...), payload, 0.002)
-    torques, speeds = follower.torques(motion, state(...), payload, 0.002)
+    together = follower.action(motion, State(**values), payload, 0.002)
+    torques, speeds = follower.torques(motion, State(**values), payload, 0.002)
     low, high = textbook.torque_limits(robot, speeds)
-    assert_allclose(
-        (high - low) / 2 * together + (high + low) / 2,
-        torques,
-        rtol=1e-9,
-        atol=1e-9,
-    )
+    requested = (high - low) / 2 * together + (high + low) / 2
+    assert_allclose(requested, torques, rtol=1e-9, atol=1e-9)
     for k in range(2):
-        alone = follower.action(motion, state(k), payload[k], 0.002)
+        state = State(**{block: array[k] for block, array in values.items()})
+        alone = follower.action(motion, state, payload[k], 0.002)
         assert_allclose(together[k], alone, rtol=1e-9, atol=1e-12)
 
 
