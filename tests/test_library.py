@@ -1,8 +1,6 @@
 """The library of real robots: complete files, cited values, and motions that the robots can
 follow."""
 
-import subprocess
-import sys
 import tomllib
 
 import numpy as np
@@ -75,8 +73,3 @@ def held(robot, reference):
     low, high = (np.array(textbook.torque_limits(robot, speed)) - moving) / robot.pulley_radius
     structure = textbook.jacobian(robot, pose)
     return feasible(structure, load, np.maximum(low, robot.minimum_tension), high).status == HELD
-
-
-def test_library_is_read_on_first_use():
-    code = "import cablebot_gym.robots as r; assert not r.library.cache_info().currsize; r.find_robot('fast')"
-    subprocess.run([sys.executable, "-c", code], check=True)

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles.plants import each_of, with_transmission
 from scipy import stats
@@ -40,6 +38,7 @@ ELASTIC = with_transmission(FLEX_SPATIAL, axial_stiffness=5e4)
     ("low", "high", "mean", "std"),
     [
         (-0.1, 0.3, None, None),
+        (0.2, 0.2, None, None),
         (-0.3, 0.2, 0.05, 0.1),
         (0.1, 0.15, 0.0, 0.05),
         (0.37, 0.4, 0.0, 0.05),
@@ -54,9 +53,13 @@ def test_distribution_is_uniform_or_truncated_normal(low, high, mean, std):
         fields = {"distribution": "normal", "mean": mean, "std": std}
         law = stats.truncnorm((low - mean) / std, (high - mean) / std, loc=mean, scale=std)
     distribution = ParameterDistribution(low=low, high=high, **fields)
-    deviation = distribution.deviation(np.random.default_rng(2).random(20_000))
-    assert stats.kstest(deviation, law.cdf).pvalue > 0.01
-    assert len(set(deviation)) > 19_900
+    numbers = np.append(np.random.default_rng(2).random(20_000), [0.0, 1 - 2.0**-53])
+    deviation = distribution.deviation(np.sort(numbers))
+    assert np.all((deviation >= low) & (deviation <= high))
+    assert np.all(np.diff(deviation) >= -1e-12)
+    if low < high:
+        assert stats.kstest(deviation, law.cdf).pvalue > 0.01
+        assert len(set(deviation)) > 19_900
 
 
 def tenth_of(name, width=0.1):
@@ -80,20 +83,6 @@ def values_of(draws, name):
 
 
 # --- a distribution -----------------------------------------------------------------------------------------------
-
-
-@settings(max_examples=60, derandomize=True)
-@given(
-    low=st.floats(-3, 3),
-    width=st.floats(0, 3),
-    law=st.sampled_from([{}, {"distribution": "normal", "mean": -0.5, "std": 0.6}]),
-)
-def test_deviations_stay_within_the_bounds_and_rise(low, width, law):
-    distribution = ParameterDistribution(low=low, high=low + width, **law)
-    numbers = np.sort(np.append(np.random.default_rng(0).random(200), [0.0, 1 - 2.0**-53]))
-    deviation = distribution.deviation(numbers)
-    assert np.all((deviation >= distribution.low) & (deviation <= distribution.high))
-    assert np.all(np.diff(deviation) >= -1e-12)
 
 
 def test_wide_normal_bounds_give_finite_draws():

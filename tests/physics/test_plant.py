@@ -18,7 +18,6 @@ from oracles.plants import (
     each_of,
     evaluated,
     every_kind,
-    holding_state,
     loaded_plant,
     no_reference,
     pulley_torques,
@@ -31,11 +30,10 @@ from oracles.plants import (
     worst_relative_error,
 )
 
-from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.physics.kernel.arithmetic import atan2, sincos
 from cablebot_gym.physics.plant import Plant, pack_parameters
-from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
+from cablebot_gym.robots import PLANAR
 
 # --- one lane and a tile of lanes ---------------------------------------------------------------------------------
 
@@ -140,34 +138,6 @@ def test_tensions_and_take_up_torques_are_complementary(robot):
 
 
 # --- integration --------------------------------------------------------------------------------------------------
-
-
-@each_of(SPATIAL, FLEX_SPATIAL)
-def test_default_step_is_accurate_under_bang_bang(robot):
-    """Against 1/20 of the step, 0.2 s of random full torques; with limits once per step the errors
-    were 0.4 to 5 mm.
-
-    The kinks where motors saturate and springs become slack remain. Reached: 1e-8 m, flexible 3e-5
-    m.
-    """
-    settings = make_settings(robot=robot, count=1)
-    start, _ = holding_state(robot, robot.home, minimum=20.0)
-    lanes = np.zeros(16, int)
-    actions = np.random.default_rng(0).choice([-1.0, 1.0], (10, len(lanes), robot.cables))
-
-    def path(substeps):
-        plant = loaded_plant(robot, start[lanes], "unilateral")
-        positions = []
-        for action in np.repeat(actions, 10, axis=0):
-            plant.set_action(action)
-            plant.advance(*no_reference(robot), substeps=substeps, step=2e-3 / substeps)
-            positions.append(plant.pose[:, :3])
-        return np.array(positions)
-
-    fine = path(20 * settings.substeps)
-    assert np.abs(fine - robot.home[:3]).max() > 0.05
-    error = np.linalg.norm(path(settings.substeps) - fine, axis=-1).max()
-    assert error < (1e-4 if robot.flexible else 1e-7)
 
 
 def python_period(robot, mass, state, action, lagged, substeps, step, cable):
