@@ -35,7 +35,11 @@ def coarse_search():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(best_known, "MESH_TOLERANCE", 1.0)
         upper = {"payload": 99.0, "total_mass": 100.0, "conditions": "none"}
-        patch.setattr(best_known, "upper_bound", lambda *_: SimpleNamespace(to_dict=lambda: upper))
+        patch.setattr(
+            best_known,
+            "upper_bound",
+            lambda *_: SimpleNamespace(to_dict=lambda: upper),
+        )
         yield
 
 
@@ -90,7 +94,13 @@ def test_replay_verifies_the_actions(line):
 
 @pytest.fixture
 def case():
-    return best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0)
+    return best_known._Case(
+        PLANAR_ID,
+        PLANAR,
+        find_trajectory(LINE, 2),
+        ErrorBounds(),
+        500.0,
+    )
 
 
 def test_replay_that_fails_at_finer_steps_is_not_verified(monkeypatch, line, case):
@@ -118,7 +128,11 @@ def test_replay_fails_beyond_the_limits(line):
     assert not replay(1.05 * line.payload, line.actions).carried
     assert not replay(line.payload, 0.97 * line.actions).carried
     assert not replay(line.payload, np.roll(line.actions, 1, axis=0)).carried
-    assert not replay(line.payload, line.actions, error_bounds={"position": 0.0095}).carried
+    assert not replay(
+        line.payload,
+        line.actions,
+        error_bounds={"position": 0.0095},
+    ).carried
 
 
 # --- the paper's circle and other robots ------------------------------------------------------------------------------
@@ -131,7 +145,12 @@ def test_circle_lies_between_policies_and_certificate(circle):
     assert 0.99 * circle.program_payload < circle.payload <= circle.program_payload
     assert circle.upper is not None
     assert circle.program_payload < circle.upper["payload"] < 1.03 * circle.payload
-    carried = evaluate_dlcc("fl", PLANAR_ID, payload_known=True, resolution=0.05).payload
+    carried = evaluate_dlcc(
+        "fl",
+        PLANAR_ID,
+        payload_known=True,
+        resolution=0.05,
+    ).payload
     assert carried is not None
     assert 0 < carried < circle.payload
     assert circle.payload > 2 * exact_payload(PLANAR, find_trajectory("paper-planar", 2)).payload
@@ -153,7 +172,12 @@ def test_meshes_are_refined_until_the_payload_is_stable(circle):
 def test_hang_within_narrow_bounds_has_the_static_payload():
     hang = {"name": "dwell-spatial", "duration": 0.1}
     bounds = {"position": 1e-5, "rotation": 1e-5}
-    tight = find_best_known(SPATIAL_ID, trajectory=hang, error_bounds=bounds, cache=False)
+    tight = find_best_known(
+        SPATIAL_ID,
+        trajectory=hang,
+        error_bounds=bounds,
+        cache=False,
+    )
     assert tight.verified
     assert tight.payload == pytest.approx(
         exact_payload(SPATIAL, find_trajectory(hang, 6)).payload, rel=2e-3

@@ -206,7 +206,15 @@ def test_spatial_bound_is_the_payload_held_at_the_start(robot):
     lowered = motion(0.0).position + 0.01 * np.eye(6)[2]
     torque = textbook.static_torque(robot, bound.total_mass, lowered)
     assert (torque / robot.stall_torque).max() == pytest.approx(1.0, abs=1e-12)
-    assert bound.payload > upper_bound(robot, motion, ErrorBounds(position=0.01)).payload + 0.5
+    assert (
+        bound.payload
+        > upper_bound(
+            robot,
+            motion,
+            ErrorBounds(position=0.01),
+        ).payload
+        + 0.5
+    )
     env = gym.make(f"CableBot-{'Flex' if robot.flexible else ''}Spatial-v0", error_bounds=bounds)
     for beyond in (-1e-6, 1e-6):
         info = env.reset(seed=0, options={"payload": bound.payload + beyond})[1]

@@ -31,7 +31,11 @@ def with_motors(robot, **changes):
 def test_static_hang_is_limited_by_the_weakest_motor(minimum):
     """And a minimum tension needs ballast."""
     robot = with_motors(SPATIAL, stall_torque=(10.0, 10.0, 10.0, 5.0, 10.0, 10.0))
-    result = exact_payload(robot, find_trajectory("dwell-spatial", 6), minimum_tension=minimum)
+    result = exact_payload(
+        robot,
+        find_trajectory("dwell-spatial", 6),
+        minimum_tension=minimum,
+    )
     assert result.payload == pytest.approx(6 * (5 / 0.05) * HOME_RISE / 9.81 - 10, rel=1e-12)
     assert result.total_mass == pytest.approx(result.payload + 10)
     assert (result.time, result.motor, result.kind, result.line) == (0.0, 4, "torque", "upper")
@@ -70,7 +74,15 @@ class Jolted:
 
     def __call__(self, times):
         reference = Dwell(pose=(0.0, 0.0), duration=self.duration)(times)
-        reference.acceleration[np.isclose(times, self.at, rtol=0, atol=1e-9), 0] = self.acceleration
+        reference.acceleration[
+            np.isclose(
+                times,
+                self.at,
+                rtol=0,
+                atol=1e-9,
+            ),
+            0,
+        ] = self.acceleration
         return reference
 
 
@@ -112,7 +124,11 @@ def test_interval_around_zero_payload_is_chosen(mass, below):
     force_x, force_y = -10 * anchors.sum(axis=0)
     # Between cables 1 and 2, T_2 = 10 + w_y + w_x / √3, between 2 and 3 it is 10 + w_y - w_x / √3.
     low_mass, high_mass = ((side * math.sqrt(3) * (5 - force_y) - force_x) / 10 for side in (1, -1))
-    result = exact_payload(robot, Jolted(at=0.5, acceleration=10.0), minimum_tension=10.0)
+    result = exact_payload(
+        robot,
+        Jolted(at=0.5, acceleration=10.0),
+        minimum_tension=10.0,
+    )
     if below:
         assert (result.lowest, result.payload) == pytest.approx((-mass, low_mass - mass), abs=1e-9)
         assert (result.motor, result.time, result.line) == (2, 0.5, "upper")
@@ -179,7 +195,14 @@ def random_case(kind, rng):
         base = rng.uniform(0.7, 1.0, (cables, 1)) * base
     torques = robot.stall_torque.max() * rng.uniform(0.8, 1.8, len(base))
     drums = robot.transmission.replace(
-        pulley_inertia=tuple(rng.uniform(0, 2e-3, len(base))), damping=float(rng.uniform(0, 0.02))
+        pulley_inertia=tuple(
+            rng.uniform(
+                0,
+                2e-3,
+                len(base),
+            )
+        ),
+        damping=float(rng.uniform(0, 0.02)),
     )
     robot = robot.replace(
         base_anchors=base,
@@ -233,7 +256,12 @@ def bisected(robot, trajectory, minimum):
 @pytest.mark.parametrize("kind", KINDS)
 def test_closed_form_matches_bisection(kind, seed):
     robot, trajectory, minimum = random_case(kind, np.random.default_rng(seed))
-    result = exact_payload(robot, trajectory, minimum_tension=minimum, frequency=FREQUENCY)
+    result = exact_payload(
+        robot,
+        trajectory,
+        minimum_tension=minimum,
+        frequency=FREQUENCY,
+    )
     expected = bisected(robot, trajectory, minimum)
     assert (result.lowest, result.payload) == pytest.approx(expected, abs=1e-6)
 

@@ -24,7 +24,11 @@ HANGING = Robot(
     base_anchors=((-2.0, -1.0, -3.0), (2.0, -1.0, -3.0), (2.0, 1.5, -3.0), (-2.0, 1.5, -3.0)),
     mass=4.0,
     motors=Motors(stall_torque=8.0, free_speed=30.0),
-    transmission=Transmission(pulley_radius=0.04, pulley_inertia=5e-4, axial_stiffness=2e4),
+    transmission=Transmission(
+        pulley_radius=0.04,
+        pulley_inertia=5e-4,
+        axial_stiffness=2e4,
+    ),
     home_pose=(0.0, 0.0, -1.0),
 )
 """A point mass on four cables, of the size of a laboratory."""

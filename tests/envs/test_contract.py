@@ -161,7 +161,13 @@ def test_results_are_copies(count):
     """Neither a later step nor writing by the caller changes the other."""
     keywords = {"uncertainty": {"delay": 1}}
     env, twin = (
-        make(PLANAR, **keywords) if count is None else make_vector(PLANAR, count, **keywords)
+        make(PLANAR, **keywords)
+        if count is None
+        else make_vector(
+            PLANAR,
+            count,
+            **keywords,
+        )
         for _ in range(2)
     )
     action = np.full(env.action_space.shape, 0.7)
@@ -183,7 +189,12 @@ def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
     trajectory = {"name": f"lemniscate-{robot.kind}", "amplitude": amplitude}
     trajectory |= {"duration": 0.3, "dwell": 0.1}
     frequency = 70.0  # 0.5 s are 35 periods; 0.5 s is reached and passed
-    env = make(env_id, trajectory=trajectory, control_frequency=frequency, termination_radius=10.0)
+    env = make(
+        env_id,
+        trajectory=trajectory,
+        control_frequency=frequency,
+        termination_radius=10.0,
+    )
     expected = find_trajectory(trajectory, robot.coordinates)
     orders = {"velocity": 1e-12, "acceleration": 1e-10}
     if robot.flexible:
@@ -192,14 +203,22 @@ def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
     blocks = env.layout.split(episode.observations)
     times = np.arange(45) / frequency
     now = expected(times)
-    assert_allclose(blocks["time_to_go"][:, 0], np.maximum(0.5 - times, 0.0), atol=1e-12)
+    assert_allclose(
+        blocks["time_to_go"][:, 0],
+        np.maximum(0.5 - times, 0.0),
+        atol=1e-12,
+    )
     assert_allclose(blocks["reference_pose"], now.position, atol=1e-12)
     for order, tolerance in orders.items():
         values = blocks[f"reference_{order}"]
         assert_allclose(values, getattr(now, order), rtol=1e-12, atol=tolerance)
     for milliseconds in (20, 50, 100, 200):
         ahead = expected(times + milliseconds / 1000).position
-        assert_allclose(blocks[f"preview_{milliseconds}ms"], ahead - now.position, atol=1e-12)
+        assert_allclose(
+            blocks[f"preview_{milliseconds}ms"],
+            ahead - now.position,
+            atol=1e-12,
+        )
 
 
 @two_ids

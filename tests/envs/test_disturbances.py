@@ -107,7 +107,13 @@ def test_every_parameter_reaches_the_plant_and_the_truth(name):
     assert_allclose(values, known_values, rtol=1e-12, atol=1e-12)
     assert np.abs(values - nominal_values).max() > 1e-7
     for key in ("payload", "tensions", "torques", "motor_speeds", "tracking_error", "slack"):
-        assert_allclose(ours.info[key], expected.info[key], rtol=1e-10, atol=1e-10, err_msg=key)
+        assert_allclose(
+            ours.info[key],
+            expected.info[key],
+            rtol=1e-10,
+            atol=1e-10,
+            err_msg=key,
+        )
     assert (ours.info["payload"][0] > 1.5 * 1.05 - 1e-12) == (name == "payload")
 
 
@@ -172,7 +178,14 @@ def test_wrench_is_a_factor_of_the_episode_times_normal_numbers():
 @two_ids
 def test_sensor_noise_is_normal_and_in_measured_blocks_only(env_id):
     robot = ROBOTS[env_id]
-    noisy, clean = (make_lasting(env_id, 40, uncertainty=form) for form in ("sensors", None))
+    noisy, clean = (
+        make_lasting(
+            env_id,
+            40,
+            uncertainty=form,
+        )
+        for form in ("sensors", None)
+    )
     actions = random_actions(clean, 150, 0.0, 0.6)
     ours, theirs = (rollout(env, actions, seed=9) for env in (noisy, clean))
     assert different_results(ours, theirs) == {"start", "observations"}
@@ -277,14 +290,30 @@ def test_actions_arrive_delayed(env_id, delay):
     prompt = make(env_id, trajectory=drift, payload=1.0)
     start = drift(0.0)
     minimum = textbook.MINIMUM_TENSION
-    torque = textbook.static_torque(robot, robot.mass + 1.0, start.position, minimum=minimum)
-    drop = robot.speed_slope * textbook.pulley_speed(robot, start.position, start.velocity)
+    torque = textbook.static_torque(
+        robot,
+        robot.mass + 1.0,
+        start.position,
+        minimum=minimum,
+    )
+    drop = robot.speed_slope * textbook.pulley_speed(
+        robot,
+        start.position,
+        start.velocity,
+    )
     hold = np.tile((torque + drop) / robot.stall_torque, (delay, 1))
     actions = random_actions(late, 25)
     ours = rollout(late, actions, seed=0)
     theirs = rollout(prompt, np.concatenate([hold, actions[:-delay]]), seed=0)
     sent = np.r_[late.layout.slices()["last_actions"]]  # those of the policy, before the delay
-    seen, expected = (np.delete(episode.observations, sent, 1) for episode in (ours, theirs))
+    seen, expected = (
+        np.delete(
+            episode.observations,
+            sent,
+            1,
+        )
+        for episode in (ours, theirs)
+    )
     assert_allclose(seen, expected, rtol=1e-12, atol=1e-12)
     for key, value in theirs.info.items():
         assert_allclose(ours.info[key], value, rtol=1e-9, atol=1e-11, err_msg=key)
@@ -310,7 +339,11 @@ def test_delays_of_environments_are_independent():
         for index, single in enumerate(singles):
             expected = single.step(action[index])[4]
             for key in ("commanded_action", "torques", "tensions", "tracking_error_peak"):
-                assert_array_equal(info[key][index], expected[key], f"{key} {index} {step}")
+                assert_array_equal(
+                    info[key][index],
+                    expected[key],
+                    f"{key} {index} {step}",
+                )
     assert_array_equal(info["commanded_action"][1:], [actions[-4, 1], actions[-1, 2]])
 
 

@@ -103,7 +103,14 @@ def test_policies_cannot_change_the_shared_layout():
 def tracked(env_id, options=None, **keywords):
     """Observations and normalised observations of an episode of a policy that follows most motions,
     and both envs."""
-    envs = [make(env_id, normalised_observation=form, **keywords) for form in (False, True)]
+    envs = [
+        make(
+            env_id,
+            normalised_observation=form,
+            **keywords,
+        )
+        for form in (False, True)
+    ]
     robot = ROBOTS[env_id]
     policy = load_policy("composite-tuned" if robot.flexible else "fl", robot)
     rows = []
@@ -177,7 +184,13 @@ def test_observation_in_float32_is_the_rounded_one_in_its_space(normalised):
     keywords = {"normalised_observation": normalised, "observation_dtype": "float32"}
     double = make(PLANAR, normalised_observation=normalised)
     env = make(PLANAR, **keywords)
-    envs = make_vector(PLANAR, 2, autoreset_mode="SameStep", max_episode_steps=2, **keywords)
+    envs = make_vector(
+        PLANAR,
+        2,
+        autoreset_mode="SameStep",
+        max_episode_steps=2,
+        **keywords,
+    )
     assert env.observation_space.dtype == envs.observation_space.dtype == np.float32
     assert envs.single_observation_space == env.observation_space
     expected = double.reset(seed=0)[0]

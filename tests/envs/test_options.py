@@ -38,7 +38,11 @@ def test_payloads_and_start_errors_are_uniform_and_independent():
     payloads = env.reset(seed=0)[1]["payload"]
     shift = env.pose - env.tasks[0].start_pose
     moved.reset(seed=0)
-    assert_allclose(moved.pose - moved.tasks[0].trajectory(0.0).position - 0.01, shift, atol=1e-15)
+    assert_allclose(
+        moved.pose - moved.tasks[0].trajectory(0.0).position - 0.01,
+        shift,
+        atol=1e-15,
+    )
     drawn = np.column_stack([payloads - 2.5, shift[:, widths > 0]]) / [0.5, *widths[widths > 0]]
     assert not np.any(shift[:, widths == 0])
     for column in drawn.T:
@@ -117,7 +121,12 @@ KEYWORDS = {
     "termination_radius": Case(
         1e-6, {"terminated", "rewards", "termination_reason"}, {"observations"}
     ),
-    "slack_time": Case(0.0, {"terminated", "termination_reason"}, {"observations"}, action=-0.3),
+    "slack_time": Case(
+        0.0,
+        {"terminated", "termination_reason"},
+        {"observations"},
+        action=-0.3,
+    ),
     "reward_weights": Case(
         {"position": 3.0},
         {"rewards", "reward_position"},
@@ -138,7 +147,11 @@ def episode(env, case, **reset):
 def test_constructor_keyword_has_its_effect(name):
     case = KEYWORDS[name]
     default = episode(make(PLANAR, **case.base), case, seed=0)
-    changed = episode(make(PLANAR, **case.base, **{name: case.of(PLANAR)}), case, seed=0)
+    changed = episode(
+        make(PLANAR, **case.base, **{name: case.of(PLANAR)}),
+        case,
+        seed=0,
+    )
     different = different_results(default, changed)
     assert case.changes <= different
     assert not case.keeps & different
@@ -155,7 +168,11 @@ def test_option_has_the_effect_of_its_keyword_for_one_episode(env_id, name):
     assert case.changes <= different
     assert not case.keeps & different
     assert not different_results(default, episode(env, case))
-    constructed = episode(make(env_id, **case.base, **{name: case.of(env_id)}), case, seed=0)
+    constructed = episode(
+        make(env_id, **case.base, **{name: case.of(env_id)}),
+        case,
+        seed=0,
+    )
     assert not different_results(changed, constructed)
 
 
@@ -195,7 +212,12 @@ def test_redundant_cables_hold_each_payload_after_a_reset():
     for payload in (0.0, 5.0):
         _, info = env.reset(options={"payload": payload})
         minimum = textbook.allocated_minimum(robot)
-        torques = textbook.static_torque(robot, robot.mass + payload, env.pose, minimum=minimum)
+        torques = textbook.static_torque(
+            robot,
+            robot.mass + payload,
+            env.pose,
+            minimum=minimum,
+        )
         assert_array_equal(info["torques"], torques)
 
 
@@ -203,7 +225,11 @@ def test_redundant_cables_hold_each_payload_after_a_reset():
 def test_delayed_motors_start_within_the_stall_torque(payload):
     robot = ROBOTS[FLEX_SPATIAL]
     parameters = {"motor_strength": {"low": -0.1, "high": -0.05}}
-    env = make(FLEX_SPATIAL, payload=payload, uncertainty={"parameters": parameters, "delay": 2})
+    env = make(
+        FLEX_SPATIAL,
+        payload=payload,
+        uncertainty={"parameters": parameters, "delay": 2},
+    )
     observation, info = env.reset(seed=0)
     stall = env.truth["motor_strength"]
     held = np.minimum(info["torques"], stall)
@@ -299,7 +325,14 @@ def test_physics_step_must_suit_the_stiffest_springs():
     make(FLEX_SPATIAL, uncertainty=STIFF, substeps=least)
     with pytest.raises(ValueError, match="is too small"):
         make(FLEX_SPATIAL, uncertainty=STIFF, substeps=least - 1)
-    assert make_vector(FLEX_SPATIAL, 2, uncertainty=[None, STIFF]).settings.substeps >= least
+    assert (
+        make_vector(
+            FLEX_SPATIAL,
+            2,
+            uncertainty=[None, STIFF],
+        ).settings.substeps
+        >= least
+    )
 
 
 # --- bad input ----------------------------------------------------------------------------------------------------

@@ -22,7 +22,11 @@ class Altered:
     coordinates = 2
 
     def __init__(self, change):
-        self._circle = SmoothCircle(radius=0.2165, center=(0.0, 0.0), duration=self.duration)
+        self._circle = SmoothCircle(
+            radius=0.2165,
+            center=(0.0, 0.0),
+            duration=self.duration,
+        )
         self._change = change
 
     def __call__(self, times):

@@ -99,7 +99,11 @@ def test_picture_shows_the_trajectory_and_the_termination():
 
 def test_human_shows_fifty_pictures_per_second_of_episode_time(monkeypatch):
     rates = []
-    monkeypatch.setattr(Window, "show", lambda self, picture, rate: rates.append(rate) or [])
+    monkeypatch.setattr(
+        Window,
+        "show",
+        lambda self, picture, rate: rates.append(rate) or [],
+    )
     env = make(PLANAR, render_mode="human")
     env.reset(seed=1)
     for _ in range(100):

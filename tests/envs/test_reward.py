@@ -32,7 +32,11 @@ def make(env_id, **keywords):
 def tremble(env_id, steps):
     """Random actions, each repeated for five steps; many are beyond ±1, some beyond ±2."""
     rng = np.random.default_rng(0)
-    return 2.5 * np.repeat(rng.uniform(0.1, 1.0, (steps // 5, ROBOTS[env_id].cables)), 5, axis=0)
+    return 2.5 * np.repeat(
+        rng.uniform(0.1, 1.0, (steps // 5, ROBOTS[env_id].cables)),
+        5,
+        axis=0,
+    )
 
 
 @pytest.mark.parametrize("weight", [1.0, -2.5])
@@ -152,7 +156,14 @@ def test_terminate_on_violation_ends_the_episode_there(env_id):
     """Nothing else changes; the reason has the lowest precedence. A termination violates, too."""
     actions = tremble(env_id, 40)
     patient, strict = (
-        rollout(make(env_id, terminate_on_violation=ends, termination_radius=0.015), actions)
+        rollout(
+            make(
+                env_id,
+                terminate_on_violation=ends,
+                termination_radius=0.015,
+            ),
+            actions,
+        )
         for ends in (False, True)
     )
     step = np.flatnonzero(patient.info["violated"])[0] - 1
@@ -225,7 +236,11 @@ def test_return_orders_success_before_failure():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [None, *held_out_seeds(2)], ids=["circle", "loop 1", "loop 2"])
+@pytest.mark.parametrize(
+    "seed",
+    [None, *held_out_seeds(2)],
+    ids=["circle", "loop 1", "loop 2"],
+)
 @paper_ids
 def test_return_orders_all_classical_policies(env_id, seed):
     """On the default motion and on held-out loops, for payloads from none to more than any policy

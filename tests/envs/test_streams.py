@@ -72,7 +72,12 @@ def test_blocks_have_independent_normal_numbers():
     rows = []
     for purpose in Purpose:
         for block in (0, 1, 2, 300):
-            numbers = random.normal_block(indices(0, 1), purpose, indices(block, block), 100)
+            numbers = random.normal_block(
+                indices(0, 1),
+                purpose,
+                indices(block, block),
+                100,
+            )
             assert numbers.shape == (2, BLOCK, 100)
             rows += list(numbers.reshape(2, -1))
     check_unrelated(rows, "norm")
@@ -137,7 +142,12 @@ def test_draws_do_not_depend_on_the_other_uncertainties(env_id):
     }
     tenth = ParameterDistribution(low=-0.1, high=0.1)
     parameters = MASS | dict.fromkeys(("motor_strength", "payload"), tenth)
-    everything = Uncertainty(parameters=parameters, wrench=FORCES, sensors=NOISE, delay=2)
+    everything = Uncertainty(
+        parameters=parameters,
+        wrench=FORCES,
+        sensors=NOISE,
+        delay=2,
+    )
     together = draws_of(env_id, uncertainty=everything)
     nominal = draws_of(env_id)
     for name in ("payload", "error", *fields_of):

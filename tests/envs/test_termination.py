@@ -50,7 +50,14 @@ def test_pose_outside_radius_or_workspace_terminates(env_id):
     narrow = make(env_id, robot=robot.replace(workspace=workspace), uncertainty=noise)
     for direction, side in itertools.product(np.eye(robot.coordinates), (-1, 1)):
         for distance, reason in ((0.032, "workspace"), (0.028, "")):
-            assert reason_after(narrow, action, initial_error=distance * side * direction) == reason
+            assert (
+                reason_after(
+                    narrow,
+                    action,
+                    initial_error=distance * side * direction,
+                )
+                == reason
+            )
     wide = make(env_id, termination_radius=0.05)
     for error, reason in ((0.0501, "tracking_error"), (0.0495, "")):
         start = error * np.eye(robot.coordinates)[0]
@@ -130,7 +137,11 @@ def test_info_is_of_the_start_and_peaks_of_the_whole_period(env_id):
         "torque_margin": robot.stall_torque * (1 - np.abs(actions)),
         "action_time": np.arange(150) / 60,
         "time": np.arange(1, 151) / 60,
-        "motor_speeds": textbook.pulley_speed(robot, blocks["pose"], blocks["velocity"]),
+        "motor_speeds": textbook.pulley_speed(
+            robot,
+            blocks["pose"],
+            blocks["velocity"],
+        ),
         "slack": info["least_tensions"] == 0.0,
     }
     for name, values in expected.items():

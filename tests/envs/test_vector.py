@@ -44,7 +44,11 @@ def rugged(count=4, **keywords):
 
 def random_actions(env, steps):
     """Random actions, each held for some steps: some beyond ±1, and many that slacken cables."""
-    held = np.random.default_rng(0).uniform(-1.0, 1.5, (steps // 4 + 1, *env.action_space.shape))
+    held = np.random.default_rng(0).uniform(
+        -1.0,
+        1.5,
+        (steps // 4 + 1, *env.action_space.shape),
+    )
     return np.repeat(held, 4, axis=0)[:steps]
 
 
@@ -203,7 +207,15 @@ def test_reset_mask_restarts_the_marked_environments_only(env_id):
     """With a motion of another length, first in the order of environments: tables change during
     other episodes."""
     keywords = {"termination_radius": 1.0, "slack_time": 9.0}
-    env, twin = (make(env_id, 5, payload_range=(0.0, 2.0), **keywords) for _ in range(2))
+    env, twin = (
+        make(
+            env_id,
+            5,
+            payload_range=(0.0, 2.0),
+            **keywords,
+        )
+        for _ in range(2)
+    )
     mask = np.array([True, True, False, True, False])
 
     def check_unmarked(ours, theirs):

@@ -44,7 +44,11 @@ def test_environment_with_winches_keeps_the_contract(env_id, sensors):
     vector = make_vector(env_id, 5, **keywords)
     actions = random_actions(env, 20, -0.2, 0.3)
     alone = rollout(env, actions, seed=7).observations
-    rows = rollout(vector, np.repeat(actions[:, None], 5, axis=1), seed=[7] * 5).observations
+    rows = rollout(
+        vector,
+        np.repeat(actions[:, None], 5, axis=1),
+        seed=[7] * 5,
+    ).observations
     assert_array_equal(rows, np.repeat(alone[:, None], 5, axis=1))
 
 
@@ -74,7 +78,14 @@ def test_imu_at_rest_reads_gravity_and_load_cells_the_weight():
     rotation = rotation_matrix(env.pose[3:])
     assert_allclose(reading["specific_force"], rotation.T @ [0, 0, -robot.gravity])
     cables = robot.base - env.pose[:3] - robot.platform @ rotation.T
-    pulls = reading["tensions"] @ (cables / np.linalg.norm(cables, axis=1, keepdims=True))
+    pulls = reading["tensions"] @ (
+        cables
+        / np.linalg.norm(
+            cables,
+            axis=1,
+            keepdims=True,
+        )
+    )
     assert_allclose(pulls, [0, 0, -(robot.mass + 2.0) * robot.gravity], atol=1e-9)
 
 
@@ -87,7 +98,11 @@ def test_accelerometer_reads_the_mean_acceleration_of_a_period():
         velocities.append(env._simulation._plant.velocity[0, :3])
     acceleration = (velocities[1] - velocities[0]) / env.settings.period
     expected = rotation_matrix(env.pose[3:]).T @ (acceleration - [0, 0, ROBOTS[SPATIAL].gravity])
-    assert_allclose(env.layout.split(observation)["specific_force"], expected, atol=1e-9)
+    assert_allclose(
+        env.layout.split(observation)["specific_force"],
+        expected,
+        atol=1e-9,
+    )
 
 
 def test_gyroscope_reads_the_rate_in_the_frame_of_the_platform():

@@ -29,10 +29,20 @@ JOINTS = {"stiffness": 400.0, "motor_inertia": 3e-3, "motor_damping": 0.01}
 SWIVELLED_CAMERA = CAMERA.replace(swivel_radius=(0.1, 0.05, 0.0, 0.1))
 SWIVELLED_CRANE = CRANE.replace(swivel_radius=0.05)
 ELASTIC = (
-    with_transmission(HANGING, axial_stiffness=2e4, axial_damping=40.0, extra_length=0.5),
+    with_transmission(
+        HANGING,
+        axial_stiffness=2e4,
+        axial_damping=40.0,
+        extra_length=0.5,
+    ),
     with_transmission(TURNING, axial_stiffness=(2e4, 3e4, 1e4, 2e4, 5e4), **JOINTS),
     with_transmission(SWIVELLED_CAMERA, axial_stiffness=2e4, coulomb_friction=0.3),
-    with_transmission(SWIVELLED_CRANE, axial_stiffness=1e5, axial_damping=20.0, **JOINTS),
+    with_transmission(
+        SWIVELLED_CRANE,
+        axial_stiffness=1e5,
+        axial_damping=20.0,
+        **JOINTS,
+    ),
 )
 each_elastic = each_of(*ELASTIC)
 
@@ -80,11 +90,23 @@ def test_steps_are_those_of_a_python_loop(robot, cable):
             _, tension = rates(robot, state, torques, cable)
             slack += np.sum(tension <= 0)
             state = runge_kutta_step(
-                lambda _, state, u=torques: rates(robot, state, u, cable)[0], state, step
+                lambda _, state, u=torques: rates(
+                    robot,
+                    state,
+                    u,
+                    cable,
+                )[0],
+                state,
+                step,
             )
             plant.set_action(actions[members])
             plant.advance(*no_reference(robot), substeps=1, step=step)
-            assert_allclose(plant.per_cable(kernel.TENSION), tension, rtol=1e-9, atol=1e-7)
+            assert_allclose(
+                plant.per_cable(kernel.TENSION),
+                tension,
+                rtol=1e-9,
+                atol=1e-7,
+            )
             assert_array_equal(plant.per_cable(kernel.SLACK), tension <= 0)
         assert slack > 0 or len(members) == 1
         for name, value in vars(elastic_state_of(plant)).items():
@@ -95,7 +117,14 @@ def test_steps_are_those_of_a_python_loop(robot, cable):
 def test_swivel_pulleys_are_those_of_the_textbook(robot):
     """Directions, bias, and lengths, which wind the joint springs of the second robot."""
     state = states(robot, 100)
-    torques = np.random.default_rng(3).uniform(-1, 1, (100, robot.cables)) * robot.stall_torque
+    torques = (
+        np.random.default_rng(3).uniform(
+            -1,
+            1,
+            (100, robot.cables),
+        )
+        * robot.stall_torque
+    )
     plant = plant_at(robot, state, "bilateral")
     expected, expected_tension = textbook_rates(robot, state, torques)
     acceleration, tension = evaluated(plant, torques)
@@ -167,10 +196,22 @@ def test_default_substeps_keep_stiff_cables_stable(robot):
     settings = make_settings(robot=robot, count=1, trajectory=motion)
     pose = robot.home[None]
     still = 0 * pose
-    tensions = textbook.required_tensions(robot, robot.mass, pose, still, still, minimum=20.0)
+    tensions = textbook.required_tensions(
+        robot,
+        robot.mass,
+        pose,
+        still,
+        still,
+        minimum=20.0,
+    )
     motor, pulley = textbook.rest_angles(robot, tensions, pose)
     state = ElasticState(pose, still + 1e-3, motor, 0 * motor, pulley, 0 * pulley)
     plant = plant_at(robot, state)
     for _ in range(100):
-        advance(plant, holding_torques(robot, state), settings.period, settings.substeps)
+        advance(
+            plant,
+            holding_torques(robot, state),
+            settings.period,
+            settings.substeps,
+        )
     assert np.abs(plant.pose - robot.home).max() < 1e-2

@@ -146,7 +146,16 @@ def test_work_of_a_constant_force_becomes_energy(robot, count):
     advance(plant, np.zeros(robot.cables), 0.3, 300)
     work = (plant.pose - pose)[:, : robot.dimensions] @ force
     assert np.abs(work).min() > 0.5
-    before, after = (sum(energies(robot, state, mass=mass)) for state in (start, state_of(plant)))
+    before, after = (
+        sum(
+            energies(
+                robot,
+                state,
+                mass=mass,
+            )
+        )
+        for state in (start, state_of(plant))
+    )
     assert_allclose(after - before, work, rtol=0, atol=1e-9)
 
 

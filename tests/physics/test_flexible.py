@@ -113,7 +113,12 @@ def test_named_substeps_are_stable_and_larger_steps_are_not(robot, changes):
     state, torques = holding_state(robot, robot.home)
     speeds = []
     for step in (1 / (500 * least), 2.9 / fastest):
-        nudged = State(state.pose, state.velocity + 1e-6, state.angle, state.speed + 1e-6)
+        nudged = State(
+            state.pose,
+            state.velocity + 1e-6,
+            state.angle,
+            state.speed + 1e-6,
+        )
         plant = loaded_plant(robot, nudged)
         for _ in range(50):
             advance(plant, torques, 20 * step, 20)

@@ -13,7 +13,11 @@ from cablebot_gym.robots import PLANAR, SPATIAL
 
 @each_of(QUAD, CRANE)
 def test_lengths_are_distances_between_turned_anchors(robot):
-    pose = robot.home + np.random.default_rng(3).uniform(-0.3, 0.3, (50, robot.coordinates))
+    pose = robot.home + np.random.default_rng(3).uniform(
+        -0.3,
+        0.3,
+        (50, robot.coordinates),
+    )
     points = pose[:, None, : robot.dimensions] - robot.base
     if not robot.planar:
         rotation = Rotation.from_euler("ZYX", pose[:, :2:-1])  # capitals: about the turned axes

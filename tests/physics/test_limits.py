@@ -101,6 +101,14 @@ def test_stiff_joints_approach_the_robot_with_rigid_joints():
         double = with_transmission(
             single, stiffness=stiffness, pulley_inertia=1e-3, motor_inertia=3e-3
         )
-        return distance(double, single, holding, torques, 0.1, pose=pose, velocity=0 * pose)
+        return distance(
+            double,
+            single,
+            holding,
+            torques,
+            0.1,
+            pose=pose,
+            velocity=0 * pose,
+        )
 
     assert -1.1 < slope_of_error((1e4, 1e5, 1e6), error) < -0.9

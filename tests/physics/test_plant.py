@@ -105,7 +105,13 @@ def test_accelerations_and_tensions_are_those_of_the_textbook(robot, cable):
     mass = robot.mass * np.linspace(1, 2, 300)
     torques = action * robot.stall_torque
     acceleration, tension = evaluated(loaded_plant(robot, state, cable, mass), torques)
-    expected_rates, expected_tension = textbook_rates(robot, state, torques, cable, mass)
+    expected_rates, expected_tension = textbook_rates(
+        robot,
+        state,
+        torques,
+        cable,
+        mass,
+    )
     if cable == "unilateral":
         assert 0.03 < np.mean(expected_tension == 0) < 0.9
         assert_array_equal(tension == 0, expected_tension == 0)
@@ -120,11 +126,35 @@ def test_tensions_and_take_up_torques_are_complementary(robot):
     In some of the states of nine cables, changing all wrong cables at once never ends: there the
     least-index rule has to find the solution.
     """
-    state, _ = random_states(robot, 20_000 if robot is NINE else 2000, seed=12, reach=1.0)
-    torques = np.random.default_rng(12).uniform(-1, 1, state.angle.shape) * robot.stall_torque
+    state, _ = random_states(
+        robot,
+        20_000 if robot is NINE else 2000,
+        seed=12,
+        reach=1.0,
+    )
+    torques = (
+        np.random.default_rng(12).uniform(
+            -1,
+            1,
+            state.angle.shape,
+        )
+        * robot.stall_torque
+    )
     acceleration, tension = evaluated(loaded_plant(robot, state, "unilateral"), torques)
-    take_up = take_up_torques(robot, state, torques, acceleration, tension, "unilateral")
-    winding = textbook.pulley_acceleration(robot, state.pose, state.velocity, acceleration)
+    take_up = take_up_torques(
+        robot,
+        state,
+        torques,
+        acceleration,
+        tension,
+        "unilateral",
+    )
+    winding = textbook.pulley_acceleration(
+        robot,
+        state.pose,
+        state.velocity,
+        acceleration,
+    )
     size = np.abs(robot.pulley_inertia * winding).max(axis=1, keepdims=True)
     take_up /= 1 + np.abs(robot.pulley_radius * tension).max() + size
     taut = tension > 0
@@ -145,7 +175,11 @@ def python_period(robot, mass, state, action, lagged, substeps, step, cable):
     request."""
     stall = robot.stall_torque
     lag = robot.motor_lag
-    request = stall * np.clip(action, -1, 1) - robot.speed_slope * drive_speed(robot, state)
+    request = stall * np.clip(
+        action,
+        -1,
+        1,
+    ) - robot.speed_slope * drive_speed(robot, state)
 
     def lagged_request(time):
         exponent = np.divide(-time, lag, out=np.full_like(lag, -np.inf), where=lag > 0)
@@ -162,7 +196,13 @@ def python_period(robot, mass, state, action, lagged, substeps, step, cable):
         applied.append(torque(start, states[-1]))
 
         def rates(time, state, start=start):
-            return textbook_rates(robot, state, torque(start + time, state), cable, mass)[0]
+            return textbook_rates(
+                robot,
+                state,
+                torque(start + time, state),
+                cable,
+                mass,
+            )[0]
 
         states.append(runge_kutta_step(rates, states[-1], step))
     return states, np.stack(applied), lagged_request(substeps * step)
@@ -227,7 +267,11 @@ def test_control_period_is_that_of_a_python_loop(robot, cable):
         peak_steps.update(check_record(plant, states, applied, tensions, lines))
         motors = (plant.motor_angle, plant.motor_speed) if robot.flexible else (0 * action,) * 2
         state = State(plant.pose, plant.velocity, *motors)
-        for value, expected in zip(vars(state).values(), vars(states[-1]).values(), strict=True):
+        for value, expected in zip(
+            vars(state).values(),
+            vars(states[-1]).values(),
+            strict=True,
+        ):
             assert_allclose(value, expected, rtol=1e-13, atol=1e-12)
     assert len(peak_steps) > 3  # the peak is not always at the end or the start
 

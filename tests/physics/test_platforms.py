@@ -113,7 +113,11 @@ def test_linear_model_contains_the_springs_of_the_cables():
     √(EA r²/(l J))."""
     transmission = HANGING.transmission.replace(axial_stiffness=1e4, pulley_inertia=1e6)
     anchors = [(-1.0, 0.0), (1.0, 0.0)]
-    robot = HANGING.replace(base_anchors=anchors, home_pose=(0.0, 1.0), transmission=transmission)
+    robot = HANGING.replace(
+        base_anchors=anchors,
+        home_pose=(0.0, 1.0),
+        transmission=transmission,
+    )
     model = textbook.linear_model(robot)
     values = np.linalg.eigvals(np.linalg.solve(model.inertia, model.stiffness)).real
     assert_allclose(np.sort(values)[-2:], [1e4 / np.sqrt(2) / 5] * 2, rtol=1e-6)
