@@ -39,6 +39,20 @@ STATES = 50
 PAYLOAD = 3.5
 
 
+def accelerations_of_mujoco(peer, state, torques, wrench=None):
+    """Accelerations of the platform, and of the motors of a flexible robot, (N, n) and (N, m)."""
+    platform = []
+    motors = []
+    for lane, torque in enumerate(torques):
+        load_state(peer, state, lane)
+        if wrench is not None:
+            peer.set_wrench(*(vectors[lane] for vectors in wrench))
+        platform.append(peer.accelerations(torque))
+        if peer.robot.flexible:
+            motors.append(peer.motor_accelerations(torque))
+    return np.array(platform), np.array(motors)
+
+
 def load_state(peer, state, lane):
     peer.set_state(state.pose[lane], state.velocity[lane])
     if peer.robot.flexible:
@@ -51,31 +65,20 @@ def test_accelerations_are_those_of_mujoco(robot):
 
     MuJoCo's motors get the torque that the Coulomb friction leaves.
     """
-    state, action = random_states(
-        robot,
-        STATES,
-        seed=20,
-        reach=0.6 if robot.flexible else 1.0,
-    )
+    state, action = random_states(robot, STATES, seed=20, reach=0.6 if robot.flexible else 1.0)
     torques = np.clip(action, -0.9, 0.9) * robot.stall_torque
     speed = drive_speed(robot, state)
     after_friction = torques - robot.coulomb_friction * speed / np.hypot(speed, 0.5)
     peer = MujocoRobot(robot, payload=PAYLOAD)
-    platform = []
-    motors = []
-    for lane in range(STATES):
-        load_state(peer, state, lane)
-        platform.append(peer.accelerations(after_friction[lane]))
-        if robot.flexible:
-            motors.append(peer.motor_accelerations(after_friction[lane]))
+    platform, motors = accelerations_of_mujoco(peer, state, after_friction)
     tolerance = 1e-11 if robot.flexible else 1e-13
     mass = robot.mass + PAYLOAD
     rates, _ = textbook_rates(robot, state, torques, mass=mass)
     compiled, _ = evaluated(loaded_plant(robot, state, mass=mass), torques)
-    assert worst_relative_error(rates.velocity, np.array(platform)) <= tolerance
-    assert worst_relative_error(compiled, np.array(platform)) <= tolerance
+    assert worst_relative_error(rates.velocity, platform) <= tolerance
+    assert worst_relative_error(compiled, platform) <= tolerance
     if robot.flexible:
-        assert worst_relative_error(rates.speed, np.array(motors)) <= 1e-11
+        assert worst_relative_error(rates.speed, motors) <= 1e-11
 
 
 @pytest.mark.parametrize("spread", [0.5, 2.0], ids=["taut", "slack"])
@@ -127,16 +130,11 @@ def test_wrench_acts_at_the_centre_of_mass_in_the_base_frame(robot):
     rng = np.random.default_rng(23)
     force = rng.uniform(-50, 50, (STATES, 3))
     moment = rng.uniform(-10, 10, (STATES, 3))
-    peer = MujocoRobot(robot)
-    expected = []
-    for lane in range(STATES):
-        load_state(peer, state, lane)
-        peer.set_wrench(force[lane], moment[lane])
-        expected.append(peer.accelerations(torques[lane]))
+    expected, _ = accelerations_of_mujoco(MujocoRobot(robot), state, torques, (force, moment))
     plant = loaded_plant(robot, state)
     plant.set_wrench(np.arange(STATES), force[:, : robot.dimensions], moment)
     acceleration, _ = evaluated(plant, torques)
-    assert worst_relative_error(acceleration, np.array(expected)) <= 1e-10
+    assert worst_relative_error(acceleration, expected) <= 1e-10
 
 
 @each_of(PLANAR, SPATIAL, QUAD, UNEQUAL)
@@ -144,20 +142,12 @@ def test_model_has_the_lengths_and_returns_the_state(robot):
     """The oracle's own conversion of Euler angles to quaternions and back."""
     peer = MujocoRobot(robot)
     state, _ = random_states(robot, STATES, reach=1.0)
-    for pose, velocity in zip(state.pose, state.velocity, strict=True):
-        peer.set_state(pose, velocity)
-        assert_allclose(
-            peer.lengths(),
-            cable_lengths(robot.base, robot.platform, pose),
-            rtol=0,
-            atol=1e-14,
-        )
-        assert_allclose(
-            np.concatenate(peer.state()),
-            np.append(pose, velocity),
-            rtol=0,
-            atol=1e-13,
-        )
+    lengths = cable_lengths(robot.base, robot.platform, state.pose)
+    for lane in range(STATES):
+        load_state(peer, state, lane)
+        assert_allclose(peer.lengths(), lengths[lane], rtol=0, atol=1e-14)
+        for value, expected in zip(peer.state(), vars(state[lane]).values(), strict=False):
+            assert_allclose(value, expected, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("count", [1, 2])
