@@ -106,7 +106,7 @@ def test_only_benchmark_report_and_commands_know_isolation():
     importers = {
         name
         for name in FILES
-        if any(other.startswith("cablebot_gym.isolation") for other, _ in imports(name))
+        if any(imported.startswith("cablebot_gym.isolation") for imported, _ in imports(name))
     }
     rooms = {name.split(".")[1] for name in importers}
     assert rooms == {"isolation", "benchmark", "report", "cli"}

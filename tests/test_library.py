@@ -21,10 +21,10 @@ from cablebot_gym.trajectories import find_trajectory
 every_robot = pytest.mark.parametrize("name", library())
 
 
-def cited_fields(data, part=""):
+def cited_fields(data, table=""):
     """Names of the fields of a file that need a source."""
     tables = {"motors", "transmission", "defaults"}
-    names = {f"{part}{name}" for name in data if name not in {*tables, "name", "sources"}}
+    names = {f"{table}{name}" for name in data if name not in {*tables, "name", "sources"}}
     return names.union(*(cited_fields(data[name], f"{name}.") for name in tables if name in data))
 
 

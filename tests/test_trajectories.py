@@ -40,18 +40,18 @@ def stacked(reference):
 
 
 @pytest.mark.parametrize(
-    ("robot", "radius", "rest"),
+    ("robot", "radius", "constants"),
     [("planar", 0.2165, []), ("spatial", 0.1, [0.1] * 4)],
 )
-def test_paper_circle_is_that_of_tables_1_and_3(robot, radius, rest):
+def test_paper_circle_is_that_of_tables_1_and_3(robot, radius, constants):
     t = np.linspace(0, 1, 501)
-    first = t <= 0.5
-    angle = 4 * np.pi * np.where(first, t, 1 - t) ** 2
-    x, y = np.cos(angle), np.where(first, 1, -1) * np.sin(angle)
+    speeds_up = t <= 0.5
+    angle = 4 * np.pi * np.where(speeds_up, t, 1 - t) ** 2
+    x, y = np.cos(angle), np.where(speeds_up, 1, -1) * np.sin(angle)
     circle = TRAJECTORIES[f"paper-{robot}"]()
     position = circle(t).position
     assert_allclose(position[:, :2], radius * np.stack([x, y], axis=1), rtol=0, atol=1e-15)
-    assert_array_equal(position[:, 2:], [rest] * 501)
+    assert_array_equal(position[:, 2:], [constants] * 501)
     named = TRAJECTORIES[f"circle-{robot}"](dwell=0)
     assert_array_equal(stacked(named(t)), stacked(circle(t)))
     with pytest.raises(ValueError, match="unknown key of trajectory 'dwell'"):

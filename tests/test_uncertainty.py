@@ -152,8 +152,9 @@ def test_each_value_has_a_number_of_its_own(robot):
     parameters = {}
     for name, parameter in PARAMETERS.items():
         if parameter.belongs_to(robot):
-            each = name != "platform_inertia"
-            parameters[name] = ParameterDistribution(low=1, high=2, relative=False, each=each)
+            parameters[name] = ParameterDistribution(
+                low=1, high=2, relative=False, each=name != "platform_inertia"
+            )
     together = drawn(robot, parameters, 400)
     reverse = drawn(robot, dict(reversed(parameters.items())), 400)
     columns = []

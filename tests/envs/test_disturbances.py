@@ -306,7 +306,7 @@ def test_actions_arrive_delayed(env_id, delay):
     ours = rollout(late, actions, seed=0)
     theirs = rollout(prompt, np.concatenate([hold, actions[:-delay]]), seed=0)
     sent = np.r_[late.layout.slices()["last_actions"]]  # those of the policy, before the delay
-    seen, expected = (
+    delayed, expected = (
         np.delete(
             episode.observations,
             sent,
@@ -314,7 +314,7 @@ def test_actions_arrive_delayed(env_id, delay):
         )
         for episode in (ours, theirs)
     )
-    assert_allclose(seen, expected, rtol=1e-12, atol=1e-12)
+    assert_allclose(delayed, expected, rtol=1e-12, atol=1e-12)
     for key, value in theirs.info.items():
         assert_allclose(ours.info[key], value, rtol=1e-9, atol=1e-11, err_msg=key)
     assert_array_equal(ours.info["commanded_action"][delay + 1 :], actions[:-delay])

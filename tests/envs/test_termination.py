@@ -82,8 +82,8 @@ def test_slack_cable_terminates_after_the_slack_time():
     for step in range(60):
         timer[step + 1] = (timer[step] + 0.002) * slack[step + 1, 3]
     end = np.flatnonzero(episode.terminated)[0] + 1
-    seen = env.layout.split(episode.observations)["slack_time"][:, 0]
-    assert_allclose(seen[: end + 1], timer[: end + 1], atol=1e-12)
+    observed = env.layout.split(episode.observations)["slack_time"][:, 0]
+    assert_allclose(observed[: end + 1], timer[: end + 1], atol=1e-12)
     assert timer[end] == pytest.approx(0.022)
     assert TERMINATION_REASONS[episode.info["termination_reason"][end]] == "slack"
 

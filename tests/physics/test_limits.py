@@ -35,8 +35,8 @@ def distance(robot, rigid, holding, torques, duration, *, pose, velocity):
     """Largest difference of the poses of two robots under the same torques, which ``holding``
     torques precede."""
     plants = []
-    for each in (free_motors(robot), free_motors(rigid)):
-        plants.append(plant_at(each, start(each, rigid, pose, velocity, holding)))
+    for free_robot in (free_motors(robot), free_motors(rigid)):
+        plants.append(plant_at(free_robot, start(free_robot, rigid, pose, velocity, holding)))
     step = min(1e-4, 0.2 / textbook.highest_frequency(free_motors(robot)))
     period = 5e-3
     largest = 0.0

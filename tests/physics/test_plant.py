@@ -54,12 +54,12 @@ def run_with_late_reset(robot, cable, members, count):
     plant = loaded_plant(robot, state[members], cable, mass[members])
     plant.trajectory_index[: len(members)] = members % 3
     plant.set_wrench(np.arange(len(members)), force[members], moment[members])
-    last = np.flatnonzero(members == count - 1)
+    last_lane = np.flatnonzero(members == count - 1)
     records = []
     for period, action in enumerate(actions):
-        if period == 4 and last.size:
-            plant.set_state(last, state.pose[:1], state.velocity[:1])
-            plant.set_motors(last, state.angle[:1], state.speed[:1])
+        if period == 4 and last_lane.size:
+            plant.set_state(last_lane, state.pose[:1], state.velocity[:1])
+            plant.set_motors(last_lane, state.angle[:1], state.speed[:1])
         plant.set_action(action[members])
         step = 5e-4 if robot.flexible else 2e-3
         plant.advance(references, np.array([24, 11, 19]), substeps=3, step=step)
