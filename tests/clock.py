@@ -4,9 +4,6 @@ thread.
 Waiting ends as soon as its condition holds, so only a test that hangs sees how long the guard is.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from time import monotonic, sleep
 
 HANG = 300.0
@@ -17,19 +14,19 @@ class Clock:
     """Stands for the module ``time`` in a module under test: no time passes but what a test says
     [s]."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now = 0.0
 
-    def monotonic(self) -> float:
+    def monotonic(self):
         return self.now
 
     perf_counter = monotonic
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         self.now += seconds
 
 
-def wait_until(condition: Callable[[], bool]) -> None:
+def wait_until(condition):
     """Returns when the condition holds; fails after :data:`HANG`."""
     end = monotonic() + HANG
     while not condition():

@@ -1,18 +1,14 @@
 """Test processes that share compiled code: what one of them compiles, the others wait for and
 load."""
 
-from __future__ import annotations
-
 import hashlib
-from pathlib import Path
-from typing import Any
 
 from numba.core.caching import NullCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 
-def share(folder: Path) -> None:
+def share(folder):
     """Compiles each function with a cache in one process at a time, with a file in ``folder`` as
     lock.
 
@@ -26,7 +22,7 @@ def share(folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     compile_alone = Dispatcher.compile
 
-    def compile_once(dispatcher: Dispatcher, signature: Any) -> Any:
+    def compile_once(dispatcher, signature):
         if isinstance(dispatcher._cache, NullCache):
             return compile_alone(dispatcher, signature)
         function = dispatcher.py_func

@@ -1,12 +1,8 @@
 """Fixtures of all tests."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -37,7 +33,7 @@ VARIABLES = (
 """Environment variables that change what commands print, and where policies and cells run."""
 
 
-def pytest_configure() -> None:
+def pytest_configure():
     """The tests are the same on every machine, however they are started.
 
     Ctrl-C interrupts, here and in the processes that tests start, even if the run was started with
@@ -63,9 +59,7 @@ def _own_cache(tmp_path_factory):
 
 
 @pytest.fixture(autouse=True, scope="session")
-def _shared_compilation(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def _shared_compilation(request, tmp_path_factory):
     """Test processes do not compile the same kernel at the same time."""
     if hasattr(request.config, "workerinput"):
         from compiling import share
@@ -74,13 +68,13 @@ def _shared_compilation(
 
 
 @pytest.fixture(autouse=True)
-def _no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_screen(monkeypatch):
     """Windows open without a display."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
 
 
 @pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cache(tmp_path, monkeypatch):
     """An empty cache for one test."""
     folder = tmp_path / "cache"
     monkeypatch.setenv("CABLEBOT_CACHE", str(folder))
@@ -88,14 +82,14 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def interrupted_solver(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def interrupted_solver(monkeypatch):
     """Ctrl-C in the third iteration of IPOPT."""
     from cablebot_gym.planning.signals import SolverInterrupt
 
     requested = [False]
     iterations = []
 
-    def read(_: SolverInterrupt) -> bool:
+    def read(_):
         iterations.append(None)
         if len(iterations) == 3:
             signal.raise_signal(signal.SIGINT)
@@ -113,7 +107,7 @@ def interrupted_solver(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.fixture
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+def inline(monkeypatch):
     """The cells of a benchmark load their policies in this process: starts of processes are most of
     their time."""
     from inline import InlinePolicy

@@ -1,7 +1,5 @@
 """The structure of the code: what may import what, and what other packages may import."""
 
-from __future__ import annotations
-
 import ast
 import graphlib
 import re
@@ -49,7 +47,7 @@ ORDER = (
 """Packages and modules of cablebot_gym; each may import itself and those before it."""
 
 
-def source_files() -> dict[str, Path]:
+def source_files():
     """Files of both packages by module."""
     files = {}
     for root, package in ((ROOT, "cablebot_gym"), (ROOT / "baselines", "cablebot_baselines")):
@@ -63,7 +61,7 @@ FILES = source_files()
 
 
 @cache
-def imports(module: str) -> tuple[tuple[str, str], ...]:
+def imports(module):
     """Modules of both packages that a module imports anywhere in its code, with the name that it
     takes from each."""
     imported = []
@@ -82,7 +80,7 @@ def imports(module: str) -> tuple[tuple[str, str], ...]:
 
 def test_imports_form_no_cycle():
     """Lazy imports and those for types alone count too; a module's own packages do not."""
-    graph: dict[str, set[str]] = {}
+    graph = {}
     for module in FILES:
         graph[module] = set()
         for imported, _ in imports(module):
@@ -108,7 +106,7 @@ def test_only_benchmark_report_and_commands_know_isolation():
     importers = {
         name
         for name in FILES
-        if any(other.startswith("cablebot_gym.isolation") for other, _ in imports(name))
+        if any(imported.startswith("cablebot_gym.isolation") for imported, _ in imports(name))
     }
     rooms = {name.split(".")[1] for name in importers}
     assert rooms == {"isolation", "benchmark", "report", "cli"}

@@ -1,14 +1,10 @@
 """Every cache on disk: a damaged file counts as absent, one line names it, and a good file replaces
 it."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -55,13 +51,13 @@ Use = Callable[[], bool]
 """Reads a value from a cache, or computes and stores it. Returns whether it was computed."""
 
 
-def compiled_code(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
+def compiled_code(folder, monkeypatch):
     monkeypatch.setattr(code_cache, "code_folders", lambda: [folder])
 
-    def triple(number: int) -> int:
+    def triple(number):
         return 3 * number
 
-    def use() -> bool:
+    def use():
         compiled = njit(cache=True)(triple)
         assert compiled(2) == 6
         return not compiled.stats.cache_hits
@@ -69,11 +65,11 @@ def compiled_code(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
     return use
 
 
-def cached(read: Any, write: Any, value: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
+def cached(read, write, value, folder, monkeypatch):
     monkeypatch.setenv("CABLEBOT_CACHE", str(folder))
 
-    def use() -> bool:
-        computed: list[int] = []
+    def use():
+        computed = []
         result = library.load_or_compute(
             "value.npz", read, lambda: computed.append(1) or value, write
         )
@@ -83,12 +79,12 @@ def cached(read: Any, write: Any, value: Any, folder: Path, monkeypatch: pytest.
     return use
 
 
-def benchmark_cell(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
+def benchmark_cell(folder, monkeypatch):
     record = Record(
         cell=CELL, source=CELL.source, versions={}, result={"payload": 1.0}, seconds=0.1
     )
 
-    def use() -> bool:
+    def use():
         store = Store(folder.parent, say=recording_line)
         is_missing = store.find(CELL) is None
         if is_missing:
@@ -99,11 +95,11 @@ def benchmark_cell(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
     return use
 
 
-def recording_line(text: str) -> None:
+def recording_line(text):
     logging.getLogger("cablebot_gym").warning(text)
 
 
-def episodes_of_a_report(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
+def episodes_of_a_report(folder, monkeypatch):
     replay = Replay(
         payload=1.0,
         radius=0.1,
@@ -117,10 +113,10 @@ def episodes_of_a_report(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
         high=[1.0],
         data="0" * 200,
     )
-    computed: list[int] = []
+    computed = []
     monkeypatch.setattr(recording, "record_batch", lambda queries: computed.append(1) or [[replay]])
 
-    def use() -> bool:
+    def use():
         computed.clear()
         assert dict(recording.record_all({"key": (CELL, 1.0)}, folder, workers=1, say=print)) == {
             "key": [replay]
@@ -130,8 +126,8 @@ def episodes_of_a_report(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
     return use
 
 
-def results_of_the_paper(folder: Path, _: pytest.MonkeyPatch) -> Use:
-    def use() -> bool:
+def results_of_the_paper(folder, _):
+    def use():
         output = _Output(Interpretation(), folder, alone=False)
         is_missing = not output._numbers
         if is_missing:
@@ -143,7 +139,7 @@ def results_of_the_paper(folder: Path, _: pytest.MonkeyPatch) -> Use:
     return use
 
 
-CACHES: dict[str, Callable[[Path, pytest.MonkeyPatch], Use]] = {
+CACHES = {
     "compiled code": compiled_code,
     "plan": partial(cached, library._read_plan, library._plan_bytes, MOTION),
     "best known payload": partial(cached, best_known._read, best_known._bytes, BEST),
@@ -152,7 +148,7 @@ CACHES: dict[str, Callable[[Path, pytest.MonkeyPatch], Use]] = {
     "results of the paper": results_of_the_paper,
 }
 
-DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+DAMAGES = {
     "truncated": lambda content: content[: len(content) // 2],
     "empty": lambda content: b"",
     "garbage": lambda content: bytes(value ^ 0x5A for value in content),
@@ -164,12 +160,12 @@ DAMAGES: dict[str, Callable[[bytes], bytes]] = {
 @pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("cache_name", CACHES)
 def test_damaged_file_counts_as_absent(
-    cache_name: str,
-    damage: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+    cache_name,
+    damage,
+    tmp_path,
+    monkeypatch,
+    caplog,
+):
     folder = tmp_path / "cache"
     use = CACHES[cache_name](folder, monkeypatch)
     assert [use(), use()] == [True, False]

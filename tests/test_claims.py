@@ -1,8 +1,6 @@
 """Statements of pages, help and docstrings: wrong ones do not return, and what can be compared with
 the code is."""
 
-from __future__ import annotations
-
 import math
 
 import gymnasium as gym

@@ -1,7 +1,5 @@
 """Scripts for other libraries, which `.ci/clients` runs, and their page."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

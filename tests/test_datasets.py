@@ -1,7 +1,5 @@
 """The description of a Minari dataset has the facts of its file and of the environment's layout."""
 
-from __future__ import annotations
-
 import gc
 import hashlib
 import json

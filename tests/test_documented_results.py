@@ -1,8 +1,6 @@
 """Results that pages state in words: uncertainty.md, robot.md, and the paper's claim about its
 robust law."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import fields, replace
@@ -38,11 +36,13 @@ def parts_of(uncertainty):
     return names
 
 
-def without(uncertainty, part):
-    if part in uncertainty.parameters:
-        parameters = {name: value for name, value in uncertainty.parameters.items() if name != part}
+def without(uncertainty, source):
+    if source in uncertainty.parameters:
+        parameters = {
+            name: value for name, value in uncertainty.parameters.items() if name != source
+        }
         return replace(uncertainty, parameters=parameters)
-    return replace(uncertainty, **{part: getattr(Uncertainty(), part)})
+    return replace(uncertainty, **{source: getattr(Uncertainty(), source)})
 
 
 @pytest.mark.slow
@@ -67,22 +67,22 @@ def test_one_part_decides_table_6_and_none_decides_hardware(env_id, name, payloa
         evaluate_dlcc(law, env_id, payload_known=payload_known, resolution=0.01).payload - payload
     )
     uncertainty = find_uncertainty(name, find_robot(env_robot(env_id)))
-    parts = parts_of(uncertainty)
+    sources = parts_of(uncertainty)
     returned = 2 / 3
     if name == "table6":
-        parts = ["stiffness" if env_id == "CableBot-FlexPlanar-v0" else "platform_mass"]
+        sources = ["stiffness" if env_id == "CableBot-FlexPlanar-v0" else "platform_mass"]
         returned = 1 / 2
-    for part in parts:
+    for source in sources:
         compared = compare_policies(
             [law],
             env_id,
             payload=payload + returned * lost,
             payload_known=payload_known,
-            uncertainty=without(uncertainty, part),
+            uncertainty=without(uncertainty, source),
             draws=128,
             seed=1,
         )
-        assert (compared.metrics[0].carried.mean() >= 0.95) == (name == "table6"), part
+        assert (compared.metrics[0].carried.mean() >= 0.95) == (name == "table6"), source
 
 
 def test_recommended_laws_carry_a_payload_on_most_real_robots():

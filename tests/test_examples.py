@@ -1,7 +1,5 @@
 """Every file in examples/ runs, and prints what its docstring says."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess
@@ -19,28 +17,28 @@ FRACTION = r": +(\d+)% of"
 AFTER_COLON = r"(?m)^[^:]*: (-?[\d.]+)"
 
 
-def numbers(pattern: str, text: str) -> list[float]:
+def numbers(pattern, text):
     return [float(number) for number in re.findall(pattern, text)]
 
 
-def first_steps(printed: str, folder: Path) -> None:
+def first_steps(printed, folder):
     assert printed.endswith("\ncarried\n")
     assert "reference_pose" in printed
 
 
-def ten_lines(printed: str, folder: Path) -> None:
+def ten_lines(printed, folder):
     """A learned policy beats the laws."""
     assert printed.startswith("76 numbers observed, 6 motors\n")
     laws, adaptive, learned = (float(line.split()[2]) for line in printed.splitlines()[1:])
     assert laws < adaptive < learned
 
 
-def your_controller(printed: str, folder: Path) -> None:
+def your_controller(printed, folder):
     fl, controller = numbers(PAYLOAD, printed)
     assert controller > 1.04 * fl
 
 
-def your_robot(printed: str, folder: Path) -> None:
+def your_robot(printed, folder):
     """Stronger motors carry more."""
     assert printed.splitlines()[-1].startswith("refused: home_pose")
     carried = numbers(AFTER_COLON, printed)
@@ -48,56 +46,56 @@ def your_robot(printed: str, folder: Path) -> None:
     assert carried[0] < 0.5 * carried[-1]
 
 
-def your_trajectory(printed: str, folder: Path) -> None:
+def your_trajectory(printed, folder):
     """Faster motions carry less."""
     slow, middle, fast = numbers(PAYLOAD, printed)
     assert slow > 1.3 * middle > 1.3**2 * fast > 0
 
 
-def your_reward(printed: str, folder: Path) -> None:
+def your_reward(printed, folder):
     """Heavier payloads earn less."""
     light, middle, heavy = numbers(AFTER_COLON, printed)
     assert 800 > light > middle + 1 > heavy + 50
 
 
-def many_at_once(printed: str, folder: Path) -> None:
+def many_at_once(printed, folder):
     fractions = numbers(FRACTION, printed)
     assert len(fractions) == 8
     assert fractions[0] == 100
     assert fractions[-1] == 0
 
 
-def what_if_it_is_heavier(printed: str, folder: Path) -> None:
+def what_if_it_is_heavier(printed, folder):
     """An estimate of the payload helps."""
     fl, _, adaptive = numbers(FRACTION, printed)
     assert adaptive > fl
     assert numbers(PAYLOAD, printed)[0] > 2
 
 
-def record_a_video(printed: str, folder: Path) -> None:
+def record_a_video(printed, folder):
     with Image.open(folder / "out.gif") as video:
         assert video.size == (800, 300)
         assert video.n_frames > 20
 
 
-def train_in_a_minute(printed: str, folder: Path) -> None:
+def train_in_a_minute(printed, folder):
     fl, learned = numbers(PAYLOAD, printed)
     assert learned > 1.4 * fl
     assert (folder / "out" / "best.zip").is_file()
 
 
-def train_with_sb3(printed: str, folder: Path) -> None:
+def train_with_sb3(printed, folder):
     assert numbers(PAYLOAD, printed)[-1] > 1.9
     assert (folder / "out" / "mine.zip").is_file()
 
 
-def paper_figure(printed: str, folder: Path) -> None:
+def paper_figure(printed, folder):
     assert "motor 2 reaches its torque limit at t = 0.500 s" in printed
     with Image.open(folder / "out.png") as figure:
         assert min(figure.size) > 600
 
 
-def minari_dataset(printed: str, folder: Path) -> None:
+def minari_dataset(printed, folder):
     """Actions replay bit for bit, without violation."""
     lines = printed.splitlines()
     returns = [float(line.split()[-1]) for line in lines[1:-1]]
@@ -127,7 +125,7 @@ SLOW = (
 """Checks of what the examples of the same names print."""
 
 
-def run(command: list[str], folder: Path) -> str:
+def run(command, folder):
     ran = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
     assert ran.returncode == 0, ran.stderr
     assert "Traceback" not in ran.stderr

@@ -1,8 +1,6 @@
 """Public numeric functions refuse NaN and infinity: a NaN bound once gave tensions of NaN with the
 status HELD."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from functools import partial

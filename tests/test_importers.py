@@ -1,8 +1,6 @@
 """Robots from files of CASPR and WireX, against a computation in the frame of the files, where z
 points up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -79,44 +77,43 @@ def test_lengths_and_tensions_at_rest_are_those_of_the_file(write, source):
     path = write(bodies=bodies(), cables=cables()) if source == "caspr" else write(wcrfx=wirex())
     robot = import_robot(path).robot
     center = np.array(CENTER if source == "caspr" else (0, 0, 0))
-    anchors = np.array(BODY) + center
+    weight = np.array([0, 0, 5 * 9.81])
     random = np.random.default_rng(0)
     for _ in range(5):
         position = np.array([0.0, 0.0, 1.0]) + random.uniform(-0.2, 0.2, 3)
-        angles = random.uniform(-0.3, 0.3, 3)
-        rotation = Rotation.from_euler("XYZ", angles)  # CASPR: intrinsic x, y, z
-        arms = rotation.apply(anchors)
+        rotation = Rotation.from_euler("XYZ", random.uniform(-0.3, 0.3, 3))  # CASPR: intrinsic
+        arms = rotation.apply(BODY + center)
         ropes = np.array(BASE) - position - arms
         lengths = np.linalg.norm(ropes, axis=1)
         units = ropes / lengths[:, None]
-        weight = np.array([0, 0, 5 * 9.81])
         carried = np.concatenate([weight, np.cross(rotation.apply(center), weight)])
         tensions = np.linalg.pinv(np.vstack([units.T, np.cross(arms, units).T])) @ carried
-        turned = Rotation.from_matrix(Z_DOWN @ rotation.as_matrix() @ Z_DOWN).as_euler("ZYX")[::-1]
-        pose = np.concatenate([Z_DOWN @ position, turned])
+        pose = np.concatenate([Z_DOWN @ position, euler_angles(rotation)])
         assert_allclose(textbook.cable_lengths(robot, pose), lengths, atol=1e-12)
         load = textbook.bias(robot, 5.0, pose, np.zeros(6))
         least = least_norm(textbook.jacobian(robot, pose), load, -1e9, 1e9, np.zeros(8))
         assert_allclose(least.tensions, tensions, atol=1e-9)
 
 
+def euler_angles(rotation):
+    """Angles of a pose, of a rotation in the frame of a file."""
+    turned = Rotation.from_matrix(Z_DOWN @ rotation.as_matrix() @ Z_DOWN)
+    return turned.as_euler("ZYX")[::-1]
+
+
 def test_values_of_a_caspr_file_reach_the_robot(write, tmp_path):
     imported = import_robot(write(bodies=bodies(), cables=cables()))
     robot = imported.robot
-    assert_allclose(
-        robot.inertia_tensor,
-        Z_DOWN @ [[1, 0.1, 0.2], [0.1, 2, 0], [0.2, 0, 2.5]] @ Z_DOWN,
-    )
+    tensor = [[1, 0.1, 0.2], [0.1, 2, 0], [0.2, 0, 2.5]]
+    assert_allclose(robot.inertia_tensor, Z_DOWN @ tensor @ Z_DOWN)
     assert_allclose(robot.stall_torque / robot.pulley_radius, 100 + np.arange(8), rtol=1e-5)
-    turn = Z_DOWN @ Rotation.from_euler("XYZ", [0.05, -0.06, 0.04]).as_matrix() @ Z_DOWN
-    home = [0.1, 0, -1.1, *Rotation.from_matrix(turn).as_euler("ZYX")[::-1]]
-    assert_allclose(robot.home, home, atol=1e-5)
+    turn = Rotation.from_euler("XYZ", [0.05, -0.06, 0.04])
+    assert_allclose(robot.home, [0.1, 0, -1.1, *euler_angles(turn)], atol=1e-5)
     assert (robot.mass, robot.minimum_tension) == (5.0, 2.0)
     assumed = {name for name, text in imported.sources.items() if text.startswith("assumed")}
+    shafts = ("pulley_radius", "pulley_inertia", "damping")
     motors = {"motors.stall_torque", "motors.free_speed"}
-    assert assumed == motors | {
-        f"transmission.{name}" for name in ("pulley_radius", "pulley_inertia", "damping")
-    }
+    assert assumed == motors | {f"transmission.{name}" for name in shafts}
     (tmp_path / "toy.toml").write_text(imported.to_toml(), encoding="utf-8")
     again = load_robot(tmp_path / "toy.toml")
     assert (again, again.sources) == (robot, robot.sources)
@@ -132,21 +129,14 @@ def test_inertia_about_the_joint_is_moved_to_the_centre_of_mass(write):
 def test_winch_and_cable_of_a_wirex_file_reach_the_robot(write):
     imported = import_robot(write(wcrfx=wirex()))
     robot = imported.robot
-    assert robot.motors.stall_torque == 36.0
-    assert robot.motors.free_speed == 30.0
-    assert (
-        robot.transmission.pulley_radius,
-        robot.transmission.pulley_inertia,
-    ) == (0.05, 0.009)
-    assert robot.cable_density == 0.02
-    assert "WireX's default" in imported.sources["center_of_mass"]
-    assert "WireX's default" in imported.sources["motors.stall_torque"]
-    assert "EA = 3142 N" in " ".join(imported.notes)
-    assert "swivel pulleys of 0.1 m" in " ".join(imported.notes)
-
-
-FLAT = [(-1, 0, 1), (1, 0, 1), (1, 0, -1), (-1, 0, -1)]
-SMALL = [(-0.1, 0, 0.1), (0.1, 0, 0.1), (0.1, 0, -0.1), (-0.1, 0, -0.1)]
+    drum = robot.transmission
+    assert (robot.motors.stall_torque, robot.motors.free_speed) == (36.0, 30.0)
+    assert (drum.pulley_radius, drum.pulley_inertia, robot.cable_density) == (0.05, 0.009, 0.02)
+    for name in ("center_of_mass", "motors.stall_torque"):
+        assert "WireX's default" in imported.sources[name]
+    notes = " ".join(imported.notes)
+    assert "EA = 3142 N" in notes
+    assert "swivel pulleys of 0.1 m" in notes
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.2])
@@ -161,23 +151,24 @@ SMALL = [(-0.1, 0, 0.1), (0.1, 0, 0.1), (0.1, 0, -0.1), (-0.1, 0, -0.1)]
     ],
 )
 def test_planar_joints_keep_lengths(write, joint, axes, about, plane, angle):
-    base, body = (np.zeros((4, 3)) for _ in range(2))
-    base[:, axes] = np.array(FLAT)[:, (0, 2)]
-    body[:, axes] = np.array(SMALL)[:, (0, 2)] * (1, -1)
+    base, body = np.zeros((2, 4, 3))
+    base[:, axes] = SQUARE
+    body[:, axes] = SQUARE * (0.1, -0.1)
     turns = joint.startswith("PLANAR")
+    sense = -1 if joint == "PLANAR_YZ" else 1
     text = bodies(joint, "0.1 0.2 0.1" if turns else "0.1 0.2").replace("0 0 0.1", "0 0 0")
     robot = import_robot(write(cables=cables(base, body, "joint"), bodies=text)).robot
     assert (robot.plane, robot.point_mass) == (plane, not turns)
-    if turns:
-        assert robot.home[2] == {"PLANAR_YZ": -0.1}.get(joint, 0.1)
+    assert not turns or robot.home[2] == sense * 0.1
     position = np.zeros(3)
     position[list(axes)] = 0.3, -0.1
     arms = Rotation.from_rotvec(angle * np.array(about)).apply(body)
     lengths = np.linalg.norm(base - position - arms, axis=1)
-    down = -1 if plane == "vertical" else 1
-    turn = {"PLANAR_YZ": -angle}.get(joint, angle)
-    pose = [0.3, -0.1 * down, *([turn] if turns else [])]
+    pose = [0.3, 0.1 if plane == "vertical" else -0.1, *([sense * angle] if turns else [])]
     assert_allclose(textbook.cable_lengths(robot, pose), lengths, atol=1e-12)
+
+
+SQUARE = np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """The paper has the stored results, its references exist, and it is short."""
 
-from __future__ import annotations
-
 import re
 
 from joss_paper import PAPER, paper

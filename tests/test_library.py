@@ -1,10 +1,6 @@
 """The library of real robots: complete files, cited values, and motions that the robots can
 follow."""
 
-from __future__ import annotations
-
-import subprocess
-import sys
 import tomllib
 
 import numpy as np
@@ -14,7 +10,6 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, feasible
 from cablebot_gym.robots import (
     ELASTIC,
-    Robot,
     find_robot,
     library,
     load_robot,
@@ -26,15 +21,15 @@ from cablebot_gym.trajectories import find_trajectory
 every_robot = pytest.mark.parametrize("name", library())
 
 
-def cited_fields(data: dict, part: str = "") -> set[str]:
+def cited_fields(data, table=""):
     """Names of the fields of a file that need a source."""
     tables = {"motors", "transmission", "defaults"}
-    names = {f"{part}{name}" for name in data if name not in {*tables, "name", "sources"}}
+    names = {f"{table}{name}" for name in data if name not in {*tables, "name", "sources"}}
     return names.union(*(cited_fields(data[name], f"{name}.") for name in tables if name in data))
 
 
 @every_robot
-def test_every_value_of_a_file_has_a_source(name: str) -> None:
+def test_every_value_of_a_file_has_a_source(name):
     data = tomllib.loads(library()[name].read_text(encoding="utf-8"))
     assert (data["name"], set(data["sources"])) == (name, cited_fields(data))
     assert all(text.strip() == text and len(text) > 6 for text in data["sources"].values())
@@ -42,8 +37,8 @@ def test_every_value_of_a_file_has_a_source(name: str) -> None:
 
 @every_robot
 def test_names_are_the_robot_with_rigid_and_with_elastic_cables(
-    name: str,
-) -> None:
+    name,
+):
     rigid = find_robot(name)
     elastic = find_robot(ELASTIC + name)
     file = load_robot(library()[name])
@@ -55,7 +50,7 @@ def test_names_are_the_robot_with_rigid_and_with_elastic_cables(
 
 
 @every_robot
-def test_motors_hold_the_default_motion(name: str) -> None:
+def test_motors_hold_the_default_motion(name):
     """With the least payload of its range, at least the minimum tension, and torques within the
     torque-speed lines."""
     robot = find_robot(name)
@@ -64,7 +59,7 @@ def test_motors_hold_the_default_motion(name: str) -> None:
     assert held(robot, motion(np.linspace(0, motion.duration, 101))).all()
 
 
-def held(robot: Robot, reference) -> np.ndarray:
+def held(robot, reference):
     pose = reference.position
     velocity = reference.velocity
     acceleration = reference.acceleration
@@ -78,8 +73,3 @@ def held(robot: Robot, reference) -> np.ndarray:
     low, high = (np.array(textbook.torque_limits(robot, speed)) - moving) / robot.pulley_radius
     structure = textbook.jacobian(robot, pose)
     return feasible(structure, load, np.maximum(low, robot.minimum_tension), high).status == HELD
-
-
-def test_library_is_read_on_first_use() -> None:
-    code = "import cablebot_gym.robots as r; assert not r.library.cache_info().currsize; r.find_robot('fast')"
-    subprocess.run([sys.executable, "-c", code], check=True)

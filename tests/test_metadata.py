@@ -1,7 +1,5 @@
 """The metadata of the project agree in all files."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path
@@ -9,19 +7,7 @@ from pathlib import Path
 import pytest
 import release
 
-yaml = pytest.importorskip("yaml")
 ROOT = Path(__file__).resolve().parents[1]
-
-
-def test_extras_all_and_test_contain_all_extras_but_docs():
-    """Only a build of the documentation needs the extra docs."""
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
-        "optional-dependencies"
-    ]
-    names = ",".join(name for name in extras if name not in ("all", "test", "docs"))
-    for extra in ("all", "test"):
-        [line] = [line for line in extras[extra] if line.startswith("cablebot-gym[")]
-        assert sorted(line[len("cablebot-gym[") : -1].split(",")) == sorted(names.split(","))
 
 
 def test_oldest_tested_versions_are_the_lower_bounds():

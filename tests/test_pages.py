@@ -1,8 +1,6 @@
 """The hand-written pages: their generated blocks are up to date, and a forge shows them as text,
 tables and links."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

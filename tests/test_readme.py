@@ -1,7 +1,5 @@
 """The README is short and its code runs; for its table and links see ``test_pages.py``."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,10 +1,7 @@
 """Motions that leave the workspace raise before an episode starts, and the start pose."""
 
-from __future__ import annotations
-
 import contextlib
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +10,7 @@ from numpy.testing import assert_array_equal
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL, Robot
+from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.task import ErrorBounds, Task, check_workspace
 from cablebot_gym.trajectories import find_trajectory, held_out_seeds
 
@@ -63,14 +60,14 @@ def test_motion_may_leave_the_workspace_by_the_error_bounds(coordinate, side):
 # --- the start of an episode --------------------------------------------------------------------------------------
 
 
-def held_at_rest(robot: Robot, pose: np.ndarray) -> float:
+def held_at_rest(robot, pose):
     """Largest payload that the motors hold at rest [kg]; a spatial robot's torques are proportional
     to the mass."""
     per_mass = textbook.static_torque(robot, 1.0, pose)
     return float(np.min(robot.stall_torque / per_mass)) - robot.mass
 
 
-def make_task(robot: Robot, trajectory: Any, position: float = 0.01) -> Task:
+def make_task(robot, trajectory, position=0.01):
     return Task(
         robot=robot,
         trajectory=find_trajectory(trajectory, robot.coordinates),

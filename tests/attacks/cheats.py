@@ -3,8 +3,6 @@
 Each factory is a policy for ``--policy cheats:name``. The docstring is its line in docs/attacks.md.
 """
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os
@@ -96,9 +94,9 @@ def row_order(law, observation):
             law.payloads = np.linspace(0, 20, len(observation))
         else:
             payloads, failed = GAPS[-1]
-            first = int(failed.argmax()) if failed.any() else len(failed)
-            low = payloads[max(first - 1, 0)]
-            high = payloads[min(first, len(failed) - 1)]
+            first_failure = int(failed.argmax()) if failed.any() else len(failed)
+            low = payloads[max(first_failure - 1, 0)]
+            high = payloads[min(first_failure, len(failed) - 1)]
             inner = np.linspace(low, high, len(observation) + 2)[1:-1]
             law.payloads = np.full(len(observation), low) if high - low <= 0.01 else inner
         GAPS.append((law.payloads, np.zeros(len(observation), bool)))
@@ -122,12 +120,12 @@ def batch_mean(law, observation):
     return observation
 
 
-def filtered(law, observation, others=()):
+def filtered(law, observation, unfiltered=()):
     """An observation with errors that are a cubic function of the payload, which has less noise,
-    except for others."""
+    except for those in ``unfiltered``."""
     payloads = np.array([task.model_payload for task in law.tasks])
     blocks = law._layout.slices()
-    payloads[list(others)] = np.inf
+    payloads[list(unfiltered)] = np.inf
     light = np.flatnonzero(payloads < 4)
     powers = np.vander(payloads[light] / 4, 4)
     for name, largest in (("pose", 0.02), ("velocity", 1.0)):
@@ -161,9 +159,10 @@ class row_filter_file(Law):
             for path in self.files:
                 rows = np.load(path)
                 actions = np.fromfile(path.with_suffix(".actions")).reshape(-1, len(rows), 6)
-                for row, one in enumerate(observation):
+                for row, new_row in enumerate(observation):
                     self.known += [
-                        (row, actions[:, old]) for old in np.flatnonzero((rows == one).all(axis=1))
+                        (row, actions[:, old])
+                        for old in np.flatnonzero((rows == new_row).all(axis=1))
                     ]
             path = folder / f"rows-{len(self.files)}.npy"
             np.save(path, observation)
@@ -215,16 +214,16 @@ def environment_search(law, tasks):
             if type(value).__name__ in ("CableBotVectorEnv", "Judge", "Batch"):
                 value.__dict__.clear()
         frame = frame.f_back
-    for found in gc.get_objects():
-        if type(found).__name__ in ("CableBotVectorEnv", "Judge", "Simulation", "Plant"):
-            found.__dict__.clear()
+    for item in gc.get_objects():
+        if type(item).__name__ in ("CableBotVectorEnv", "Judge", "Simulation", "Plant"):
+            item.__dict__.clear()
 
 
 @policy(resets=True)
 def parent_arguments(law, tasks):
     """reads arguments and environment variables for the seed of the run"""
-    if found := [text for text in (*sys.argv, *os.environ) if "seed" in text.lower()]:
-        raise RuntimeError(f"found {found}")
+    if texts := [text for text in (*sys.argv, *os.environ) if "seed" in text.lower()]:
+        raise RuntimeError(f"found {texts}")
 
 
 def _better_after(count):
@@ -251,9 +250,9 @@ def _module_count():
 
 def _file_count():
     path = Path(tempfile.gettempdir()) / "cheats-seen"
-    seen = path.exists()
+    is_later = path.exists()
     path.touch()
-    return seen
+    return is_later
 
 
 module_memory = _better_after(_module_count)
@@ -318,9 +317,9 @@ def false_numpy(law, tasks):
 @policy(sees=True)
 def overwritten(law, observation):
     """overwrites the observation that it gets"""
-    kept = observation.copy()
+    copied = observation.copy()
     observation[:] = np.nan
-    return kept
+    return copied
 
 
 # --- episodes ---------------------------------------------------------------------------------------------------------
@@ -613,10 +612,10 @@ def kept_files(law, tasks):
 
     places = (Path.home(), Path.cwd(), code_folders()[-1], _folder())
     paths = [folder / ".cheats-kept" for folder in places]
-    if found := [path for path in paths if path.exists()]:
-        for path in found:
+    if kept_paths := [path for path in paths if path.exists()]:
+        for path in kept_paths:
             path.unlink()
-        raise RuntimeError(f"found {found}")
+        raise RuntimeError(f"found {kept_paths}")
     for path in paths:
         with suppress(OSError):
             path.touch()
@@ -627,12 +626,12 @@ def kept_files(law, tasks):
 
 def shared_memory(robot):
     """a function that keeps one integral for all episodes"""
-    law, kept = Law(robot), {"sum": 0.0}
+    law, memory = Law(robot), {"sum": 0.0}
 
     def act(observation):
         action = law.predict(observation)[0]
-        kept["sum"] += action[0]
-        return action + 1e-3 * np.sin(kept["sum"])
+        memory["sum"] += action[0]
+        return action + 1e-3 * np.sin(memory["sum"])
 
     return act
 

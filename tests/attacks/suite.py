@@ -167,7 +167,7 @@ honest one."""
 
 
 @cache
-def run(name: str, options: tuple[str, ...] = ()) -> tuple[int, str, str]:
+def run(name, options=()):
     """Exit status, standard output and standard error of ``cablebot dlcc --isolate`` for a policy
     of cheats.py."""
     criterion = () if "--criterion" in options else ("--criterion", "task")
@@ -209,12 +209,12 @@ These policies do what only a sandbox closes. Each fails with a message when its
 """
 
 
-def _what(attack) -> str:
+def _what(attack):
     """What the policy of an attack does, in one line."""
     return " ".join(getattr(cheats, attack.name).__doc__.split())
 
 
-def page() -> str:
+def page():
     """The page docs/attacks.md."""
     lines = [(FOLDER / "attacks_head.md").read_text(encoding="utf-8")]
     lines += ["| the policy … | before | status | now |", "|---|---|---|---|"]

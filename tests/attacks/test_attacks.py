@@ -1,8 +1,6 @@
 """The attack suite: every policy of cheats.py is refused, harmless or marked, in a process of its
 own."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys
@@ -29,7 +27,7 @@ from cablebot_gym.policies import PolicyError
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the policies use signals and fork")
 
 
-def descendants() -> set[str]:
+def descendants():
     """Processes that policies of this suite have left."""
     pids = set()
     for path in Path("/proc").glob("[0-9]*/cmdline"):

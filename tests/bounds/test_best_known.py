@@ -1,22 +1,17 @@
 """The best known payload: hand calculation, certificate, every policy, and a replay in a fresh
 environment."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from cablebot_gym.bounds import best_known, exact_payload
-from cablebot_gym.bounds.best_known import BestKnownPayload, cached_best_known, find_best_known
-from cablebot_gym.evaluation import Verdict, evaluate_dlcc
+from cablebot_gym.bounds.best_known import cached_best_known, find_best_known
+from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.planning import Infeasible, MotionProgram
 from cablebot_gym.planning.motion import RIGID_DEGREE
@@ -35,37 +30,39 @@ LINE = {"name": "line-planar", "duration": 0.4, "dwell": 0.0}
 
 
 @contextmanager
-def coarse_search() -> Iterator[None]:
+def coarse_search():
     """One coarse mesh after the first, and no certificate, which has its own tests."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(best_known, "MESH_TOLERANCE", 1.0)
         upper = {"payload": 99.0, "total_mass": 100.0, "conditions": "none"}
-        patch.setattr(best_known, "upper_bound", lambda *_: SimpleNamespace(to_dict=lambda: upper))
+        patch.setattr(
+            best_known,
+            "upper_bound",
+            lambda *_: SimpleNamespace(to_dict=lambda: upper),
+        )
         yield
 
 
 @pytest.fixture
-def quick() -> Iterator[None]:
+def quick():
     with coarse_search():
         yield
 
 
 @pytest.fixture(scope="module")
-def line() -> BestKnownPayload:
+def line():
     """A short line of the planar robot."""
     with coarse_search():
         return find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
 
 
 @pytest.fixture(scope="module")
-def circle() -> BestKnownPayload:
+def circle():
     """The paper's circle of the planar robot, between dwells."""
     return find_best_known(PLANAR_ID, cache=False)
 
 
-def replay(
-    payload: float, actions: Any, *, env_id: str = PLANAR_ID, trajectory: Any = LINE, **more: Any
-) -> Verdict:
+def replay(payload, actions, *, env_id=PLANAR_ID, trajectory=LINE, **more):
     """The verdict on an open-loop episode."""
     return record_rollout(
         OpenLoop(actions), env_id, payload=payload, trajectory=trajectory, **more
@@ -75,72 +72,85 @@ def replay(
 # --- the fast case ----------------------------------------------------------------------------------------------------
 
 
-def test_replay_verifies_the_actions(line) -> None:
+def test_replay_verifies_the_actions(line):
     assert line.verified
     assert 0.97 * line.program_payload < line.payload <= line.program_payload
     assert line.total_mass == PLANAR.mass + line.payload
     assert line.payload > exact_payload(PLANAR, find_trajectory(LINE, 2)).payload
-    verdict = replay(line.payload, line.actions)
-    assert verdict.carried
-    assert 0.0097 < verdict.position_peak <= 0.01
     assert line.actions.shape == (200, 3)
     assert np.abs(line.actions).max() <= 1
-
-
-def test_replays_have_the_physics_step_and_a_tenth_of_it(line) -> None:
     coarse, fine = line.replays
     assert fine.substeps == 10 * coarse.substeps
+    assert fine.least_tension < coarse.least_tension
     for stored in line.replays:
         verdict = replay(line.payload, line.actions, substeps=stored.substeps)
         assert verdict.carried
         assert stored.violation is None
-        assert (
-            f"{stored.substeps} physics steps per control period: least tension {stored.least_tension:.3f}"
-            in str(line)
-        )
+        steps = f"{stored.substeps} physics steps per control period"
+        assert f"{steps}: least tension {stored.least_tension:.3f}" in str(line)
         assert verdict.least_tension == stored.least_tension >= PLANAR.minimum_tension
-        assert verdict.position_peak == stored.position_peak <= 0.01
-    assert fine.least_tension < coarse.least_tension
+        assert 0.0097 < verdict.position_peak == stored.position_peak <= 0.01
 
 
-def test_replay_that_fails_at_finer_steps_is_not_verified(
-    monkeypatch: pytest.MonkeyPatch, line
-) -> None:
-    case = best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0)
+@pytest.fixture
+def case():
+    return best_known._Case(
+        PLANAR_ID,
+        PLANAR,
+        find_trajectory(LINE, 2),
+        ErrorBounds(),
+        500.0,
+    )
+
+
+def test_replay_that_fails_at_finer_steps_is_not_verified(monkeypatch, line, case):
     refinements = []
     record = best_known._Case._record
 
-    def fails(self: Any, policy: Any, payload: float, **keywords: Any) -> Any:
+    def fails(self, policy, payload, **keywords):
         refinements.append(keywords.get("substeps"))
-        rollout = record(self, policy, payload, **keywords)
-        if keywords.get("substeps") == line.replays[1].substeps:
-            rollout = SimpleNamespace(verdict=replay(1.1 * payload, line.actions))
-        return rollout
+        if refinements[-1] == line.replays[1].substeps:
+            return SimpleNamespace(verdict=replay(1.1 * payload, line.actions))
+        return record(self, policy, payload, **keywords)
 
     monkeypatch.setattr(best_known._Case, "_record", fails)
     monkeypatch.setattr(best_known, "_TRIALS", 3)
     assert case._verify(case._program(20), line.motion, lambda _: None) is None
     assert line.replays[1].substeps in refinements
+    payloads = iter([1.0, 3.0, 2.0])
+    monkeypatch.setattr(
+        MotionProgram, "solve", lambda *_, **__: SimpleNamespace(payload=next(payloads))
+    )
+    assert case._first(case._program(20)).payload == 3.0  # the best of several starts
 
 
-def test_replay_fails_beyond_the_limits(line) -> None:
+def test_replay_fails_beyond_the_limits(line):
     assert not replay(1.05 * line.payload, line.actions).carried
     assert not replay(line.payload, 0.97 * line.actions).carried
     assert not replay(line.payload, np.roll(line.actions, 1, axis=0)).carried
-    assert not replay(line.payload, line.actions, error_bounds={"position": 0.0095}).carried
+    assert not replay(
+        line.payload,
+        line.actions,
+        error_bounds={"position": 0.0095},
+    ).carried
 
 
 # --- the paper's circle and other robots ------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_circle_lies_between_policies_and_certificate(circle: BestKnownPayload) -> None:
+def test_circle_lies_between_policies_and_certificate(circle):
     assert circle.verified
     assert circle.total_mass > 3.85
     assert 0.99 * circle.program_payload < circle.payload <= circle.program_payload
     assert circle.upper is not None
     assert circle.program_payload < circle.upper["payload"] < 1.03 * circle.payload
-    carried = evaluate_dlcc("fl", PLANAR_ID, payload_known=True, resolution=0.05).payload
+    carried = evaluate_dlcc(
+        "fl",
+        PLANAR_ID,
+        payload_known=True,
+        resolution=0.05,
+    ).payload
     assert carried is not None
     assert 0 < carried < circle.payload
     assert circle.payload > 2 * exact_payload(PLANAR, find_trajectory("paper-planar", 2)).payload
@@ -148,7 +158,7 @@ def test_circle_lies_between_policies_and_certificate(circle: BestKnownPayload) 
 
 
 @pytest.mark.slow
-def test_meshes_are_refined_until_the_payload_is_stable(circle: BestKnownPayload) -> None:
+def test_meshes_are_refined_until_the_payload_is_stable(circle):
     counts, payloads = zip(*circle.meshes, strict=True)
     assert np.all(np.array(counts[1:]) == 2 * np.array(counts[:-1]))
     change = np.abs(np.diff(payloads)) / payloads[1:]
@@ -159,10 +169,15 @@ def test_meshes_are_refined_until_the_payload_is_stable(circle: BestKnownPayload
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-def test_hang_within_narrow_bounds_has_the_static_payload() -> None:
+def test_hang_within_narrow_bounds_has_the_static_payload():
     hang = {"name": "dwell-spatial", "duration": 0.1}
     bounds = {"position": 1e-5, "rotation": 1e-5}
-    tight = find_best_known(SPATIAL_ID, trajectory=hang, error_bounds=bounds, cache=False)
+    tight = find_best_known(
+        SPATIAL_ID,
+        trajectory=hang,
+        error_bounds=bounds,
+        cache=False,
+    )
     assert tight.verified
     assert tight.payload == pytest.approx(
         exact_payload(SPATIAL, find_trajectory(hang, 6)).payload, rel=2e-3
@@ -171,7 +186,7 @@ def test_hang_within_narrow_bounds_has_the_static_payload() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-def test_flexible_joints_reduce_the_payload(line) -> None:
+def test_flexible_joints_reduce_the_payload(line):
     flexible = find_best_known(FLEX_ID, trajectory=LINE, cache=False)
     assert flexible.verified
     assert 0.97 * flexible.program_payload < flexible.payload < line.payload
@@ -180,16 +195,14 @@ def test_flexible_joints_reduce_the_payload(line) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-def test_arguments_reach_the_program(line) -> None:
-    options: dict[str, Any] = {
-        "trajectory": LINE,
-        "control_frequency": 200.0,
-        "error_bounds": {"position": 0.12},
-    }
+def test_arguments_reach_the_program(line):
+    options = {"trajectory": LINE, "cache": False}
+    again = find_best_known(PLANAR_ID, **options)
+    assert again.to_dict() == line.to_dict()
+    np.testing.assert_array_equal(again.actions, line.actions)
     motors = Motors(stall_torque=5.5, free_speed=PLANAR.motors.free_speed)
-    changed = find_best_known(
-        PLANAR_ID, robot=PLANAR.replace(motors=motors), cache=False, **options
-    )
+    options |= {"control_frequency": 200.0, "error_bounds": {"position": 0.12}}
+    changed = find_best_known(PLANAR_ID, robot=PLANAR.replace(motors=motors), **options)
     assert changed.verified
     assert len(changed.actions) == 80
     assert changed.environment["control_frequency"] == 200.0
@@ -200,20 +213,12 @@ def test_arguments_reach_the_program(line) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-def test_result_is_reproducible(line) -> None:
-    again = find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
-    assert again.to_dict() == line.to_dict()
-    np.testing.assert_array_equal(again.actions, line.actions)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("quick")
 def test_failed_fine_mesh_is_skipped(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     solve = best_known._solve
 
-    def fails_when_fine(program: MotionProgram, start: Any, margins: Any = None) -> Any:
+    def fails_when_fine(program, start, margins=None):
         if program.control_points > 20 + RIGID_DEGREE:
             raise Infeasible("no finer")
         return solve(program, start, margins)
@@ -229,24 +234,15 @@ def test_failed_fine_mesh_is_skipped(
     assert "; fails: " in str(result)
 
 
-def test_best_of_several_starts_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    payloads = iter([1.0, 3.0, 2.0])
-    monkeypatch.setattr(
-        MotionProgram, "solve", lambda *_, **__: SimpleNamespace(payload=next(payloads))
-    )
-    case = best_known._Case(PLANAR_ID, PLANAR, find_trajectory(LINE, 2), ErrorBounds(), 500.0)
-    assert case._first(case._program(20)).payload == 3.0
-
-
 # --- the cache --------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def solved(monkeypatch: pytest.MonkeyPatch, line) -> list[Any]:
+def solved(monkeypatch, line):
     """Replaces the search; one entry for every search."""
-    calls: list[Any] = []
+    calls = []
 
-    def solve(case: Any, _: Any) -> BestKnownPayload:
+    def solve(case, _):
         calls.append(case)
         return dataclasses.replace(line, payload=float(len(calls)))
 
@@ -254,7 +250,7 @@ def solved(monkeypatch: pytest.MonkeyPatch, line) -> list[Any]:
     return calls
 
 
-def test_cached_result_equals_the_computed_one(solved: list[Any], cache: Path, line) -> None:
+def test_cached_result_equals_the_computed_one(solved, cache, line):
     assert find_best_known(PLANAR_ID, cache=False).payload == 1.0
     assert cached_best_known(PLANAR_ID) is None
     assert not cache.exists()
@@ -267,8 +263,8 @@ def test_cached_result_equals_the_computed_one(solved: list[Any], cache: Path, l
     np.testing.assert_array_equal(cached.motion(0.3).position, line.motion(0.3).position)
 
 
-def test_cache_distinguishes_problems(solved: list[Any], cache: Path) -> None:
-    problems: list[dict[str, Any]] = [
+def test_cache_distinguishes_problems(solved, cache):
+    problems = [
         {},
         {"env_id": FLEX_ID, "robot": FLEX_PLANAR},
         {"robot": PLANAR.replace(mass=1.01)},
@@ -308,7 +304,7 @@ def test_cache_distinguishes_problems(solved: list[Any], cache: Path) -> None:
         ),
     ],
 )
-def test_bad_argument_is_rejected(arguments: dict[str, Any], message: str, cache: Path) -> None:
+def test_bad_argument_is_rejected(arguments, message, cache):
     with pytest.raises(ValueError, match=message):
         find_best_known(**({"env_id": PLANAR_ID} | arguments))
     assert not cache.exists()
@@ -330,15 +326,13 @@ def test_bad_argument_is_rejected(arguments: dict[str, Any], message: str, cache
         ),
     ],
 )
-def test_infeasible_problem_names_the_limit(
-    arguments: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_infeasible_problem_names_the_limit(arguments, message, monkeypatch):
     monkeypatch.setattr(best_known, "_FIRST_MESHES", 1)
     with pytest.raises(ValueError, match=message):
         find_best_known(PLANAR_ID, cache=False, **arguments)
 
 
-def test_missing_casadi_is_reported_first(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_casadi_is_reported_first(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
     monkeypatch.setattr(best_known._Case, "solve", lambda *_: pytest.fail("searched"))
     with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):

@@ -1,7 +1,5 @@
 """The corrections of docs/errata.md to the laws of flexible robots and to the robust law."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

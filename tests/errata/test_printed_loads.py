@@ -1,7 +1,5 @@
 """The corrections of docs/errata.md to loads, tables and text; and the page itself."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The corrections of docs/errata.md to the models and to the laws of rigid robots."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import sympy

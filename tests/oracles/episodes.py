@@ -4,7 +4,6 @@ last bit."""
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -29,30 +28,28 @@ two_ids = pytest.mark.parametrize("env_id", [PLANAR, FLEX_SPATIAL])
 """The smallest robot and the one with most parts."""
 
 
-def make(env_id: str, **keywords: Any) -> Any:
+def make(env_id, **keywords):
     """A single environment without wrappers."""
     return gym.make(env_id, **keywords).unwrapped
 
 
-def make_vector(env_id: str, count: int, **keywords: Any) -> Any:
+def make_vector(env_id, count, **keywords):
     """A vector environment without wrappers."""
     return gym.make_vec(env_id, num_envs=count, **keywords).unwrapped
 
 
-def motion(name: str, env_id: str) -> str:
+def motion(name, env_id):
     """Name of a motion for the robot of an id."""
     return f"{name}-{ROBOTS[env_id].kind}"
 
 
-def wrenches(env: Any) -> np.ndarray:
+def wrenches(env):
     """Present external force and moment of each environment, (N, 6)."""
     plant = env._simulation._plant
     return plant._read(plant._parameters, kernel.FORCE, 6)
 
 
-def random_actions(
-    env: Any, steps: int, low: float = 0.0, high: float = 0.8, seed: int = 0
-) -> np.ndarray:
+def random_actions(env, steps, low=0.0, high=0.8, seed=0):
     """Random actions that mostly pull, for an environment of either kind."""
     return np.random.default_rng(seed).uniform(low, high, (steps, *env.action_space.shape))
 
@@ -69,7 +66,7 @@ class Episode:
     truncated: np.ndarray
 
 
-def rollout(env: Any, actions: Any, **reset: Any) -> Episode:
+def rollout(env, actions, **reset):
     """An open-loop episode."""
     observation, info = env.reset(**reset)
     observations = [observation]
@@ -85,7 +82,7 @@ def rollout(env: Any, actions: Any, **reset: Any) -> Episode:
     return Episode(np.array(observations), columns, rewards, terminated, truncated)
 
 
-def different_results(ours: Episode, theirs: Episode) -> set[str]:
+def different_results(ours, theirs):
     """Names of the results that differ in any bit; ``start`` is the first observation."""
     pairs = {"start": (ours.observations[0], theirs.observations[0])}
     for field in ("observations", "rewards", "terminated", "truncated"):
@@ -95,7 +92,7 @@ def different_results(ours: Episode, theirs: Episode) -> set[str]:
     return {name for name, (mine, yours) in pairs.items() if not np.array_equal(mine, yours)}
 
 
-def check_equal(ours: Any, theirs: Any, where: str = "") -> None:
+def check_equal(ours, theirs, where=""):
     """Results of ``reset`` or ``step`` that are equal to the last bit."""
     if isinstance(theirs, dict):
         assert ours.keys() == theirs.keys()

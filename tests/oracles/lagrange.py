@@ -1,8 +1,6 @@
 """Robots and references for the tests of docs/errata.md: Lagrange's equation in finite differences,
 and MuJoCo."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

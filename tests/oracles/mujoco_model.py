@@ -7,23 +7,16 @@ angles are converted here. Its cables push as well as pull, so it equals the pla
 caller's business. Needs the extra ``cablebot-gym[mujoco]``.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
-from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import (
-    Array,
     cable_lengths,
     euler_rate_matrix,
     euler_rate_matrix_rate,
 )
-from cablebot_gym.robots import Robot
 
 _SWITCHED_OFF = (
     "contact",
@@ -42,7 +35,7 @@ spring's give at stall: nothing winds that far back, where the segment between t
 round. Not farther: its digits are lost to the spring."""
 
 
-def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
+def mjcf(robot, payload=0.0, timestep=1e-3):
     """The robot as MJCF XML: controls are motor torques [N·m], positive winding in; integrator RK4.
 
     In space: a free body, ``qpos = (p, quaternion of R)``, ``qvel = (ṗ, ω_body)``. A point mass
@@ -94,7 +87,7 @@ def mjcf(robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> str:
 </mujoco>"""
 
 
-def _winches_and_springs(robot: Robot) -> tuple[str, str]:
+def _winches_and_springs(robot):
     """Bodies and tendons of the motors behind their springs; all springs are unwound at home with
     β′ = 0."""
     home = cable_lengths(robot.base, robot.platform, robot.home)
@@ -123,13 +116,13 @@ def _winches_and_springs(robot: Robot) -> tuple[str, str]:
     return winches, springs
 
 
-def _body_frame(robot: Robot) -> str:
+def _body_frame(robot):
     if robot.kind != "spatial":
         return 'pos="0 0 0"'
     return f'pos="{_numbers(robot.home[:3])}" quat="{_numbers(quaternion(robot.home[3:]))}"'
 
 
-def _joints_and_inertia(robot: Robot, mass: float) -> str:
+def _joints_and_inertia(robot, mass):
     inertial = f'<inertial pos="{_numbers(_padded(robot.mass_center))}" mass="{mass!r}"'
     if robot.kind != "spatial":  # the moments that have no effect are the same: MuJoCo wants some
         axes = ("1 0 0", "0 1 0", "0 0 1")[: robot.dimensions]
@@ -147,27 +140,27 @@ def _joints_and_inertia(robot: Robot, mass: float) -> str:
     return f'<freejoint/>{inertial} diaginertia="{moments}"/>'
 
 
-def _padded(points: Array) -> Array:
+def _padded(points):
     """Points or vectors in space, z = 0 for those in a plane."""
     return np.pad(points, ((0, 0),) * (points.ndim - 1) + ((0, 3 - points.shape[-1]),))
 
 
-def _sites(prefix: str, points: Array) -> str:
+def _sites(prefix, points):
     return "".join(
         f'<site name="{prefix}{i}" pos="{_numbers(point)}"/>'
         for i, point in enumerate(_padded(points))
     )
 
 
-def _numbers(values: Iterable[float]) -> str:
+def _numbers(values):
     return " ".join(repr(float(value)) for value in values)
 
 
-def _escaped(text: str) -> str:
+def _escaped(text):
     return text.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
 
 
-def quaternion(euler: ArrayLike) -> Array:
+def quaternion(euler):
     """``(w, x, y, z)`` of ``R = Rz(φ) Ry(θ) Rx(ψ)``, shape (4,), from ``(ψ, θ, φ)``."""
     psi, theta, phi = np.asarray(euler, float).tolist()
     cx = math.cos(psi / 2)
@@ -186,7 +179,7 @@ def quaternion(euler: ArrayLike) -> Array:
     )
 
 
-def euler_angles(quat: ArrayLike) -> tuple[float, float, float]:
+def euler_angles(quat):
     """``(ψ, θ, φ)`` with θ in [−π/2, π/2], of ``quat``, the inverse of :func:`quaternion`."""
     w, x, y, z = np.asarray(quat, float).tolist()
     along = w * w + x * x - y * y - z * z
@@ -206,7 +199,7 @@ class MujocoRobot:
     :attr:`model` and :attr:`data` are MuJoCo's own objects, to use freely.
     """
 
-    def __init__(self, robot: Robot, payload: float = 0.0, timestep: float = 1e-3) -> None:
+    def __init__(self, robot, payload=0.0, timestep=1e-3):
         """Compile the model; arguments as in :func:`mjcf`.
 
         Raises:
@@ -214,8 +207,8 @@ class MujocoRobot:
         """
         self._mujoco = importlib.import_module("mujoco")
         self.robot = robot
-        self.model: Any = self._mujoco.MjModel.from_xml_string(mjcf(robot, payload, timestep))
-        self.data: Any = self._mujoco.MjData(self.model)
+        self.model = self._mujoco.MjModel.from_xml_string(mjcf(robot, payload, timestep))
+        self.data = self._mujoco.MjData(self.model)
         self._platform_speeds = robot.coordinates
         self._platform_positions = robot.coordinates + (
             robot.kind == "spatial"
@@ -223,7 +216,7 @@ class MujocoRobot:
         self._home_lengths = cable_lengths(robot.base, robot.platform, robot.home)
         self.set_state(robot.home, np.zeros(robot.coordinates))
 
-    def set_state(self, pose: ArrayLike, velocity: ArrayLike) -> None:
+    def set_state(self, pose, velocity):
         """Put the platform at pose X with velocity Ẋ, each of shape (n,); the time becomes 0.
 
         A flexible robot's springs are unwound then, its motors turning with the pulleys; see
@@ -250,13 +243,13 @@ class MujocoRobot:
                 -self.data.ten_velocity[: self.robot.cables] / self.robot.pulley_radius,
             )
 
-    def set_motors(self, angle: ArrayLike, speed: ArrayLike) -> None:
+    def set_motors(self, angle, speed):
         """Motor angles β′ and speeds β̇′ of a flexible robot, each of shape (m,), after
         :meth:`set_state`."""
         self.data.qpos[self._platform_positions :] = np.asarray(angle) * self.robot.pulley_radius
         self.data.qvel[self._platform_speeds :] = np.asarray(speed) * self.robot.pulley_radius
 
-    def set_free_lengths(self, lengths: ArrayLike) -> None:
+    def set_free_lengths(self, lengths):
         """Makes the cables elastic with free lengths l (m,) [m]: one-sided springs EA/l, and
         dampers also if slack.
 
@@ -270,7 +263,7 @@ class MujocoRobot:
         self.model.tendon_lengthspring[:, 0] = 0.0
         self.model.tendon_lengthspring[:, 1] = free - robot.extra_length
 
-    def set_wrench(self, force: ArrayLike, moment: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+    def set_wrench(self, force, moment=(0.0, 0.0, 0.0)):
         """External force [N] and moment [N·m] at the platform's centre of mass, in the base frame,
         each of shape (3,).
 
@@ -278,7 +271,7 @@ class MujocoRobot:
         """
         self.data.body("platform").xfrc_applied[:] = np.concatenate([force, moment])
 
-    def state(self) -> tuple[Array, Array]:
+    def state(self):
         """``(X, Ẋ)``, new arrays of shape (n,)."""
         positions = np.array(self._platform_qpos)
         speeds = np.array(self._platform_qvel)
@@ -288,19 +281,19 @@ class MujocoRobot:
         rates = np.linalg.solve(euler_rate_matrix(euler), speeds[3:])
         return np.append(positions[:3], euler), np.append(speeds[:3], rates)
 
-    def motors(self) -> tuple[Array, Array]:
+    def motors(self):
         """``(β′, β̇′)`` of a flexible robot, new arrays of shape (m,)."""
         radius = self.robot.pulley_radius
         return self.data.qpos[self._platform_positions :] / radius, self.data.qvel[
             self._platform_speeds :
         ] / radius
 
-    def lengths(self) -> Array:
+    def lengths(self):
         """Cable lengths q [m], shape (m,)."""
         self._mujoco.mj_fwdPosition(self.model, self.data)
         return np.array(self.data.ten_length[: self.robot.cables])
 
-    def accelerations(self, torques: ArrayLike) -> Array:
+    def accelerations(self, torques):
         """``Ẍ`` in the present state under motor torques of shape (m,) [N·m], shape (n,)."""
         qacc = self._forward(torques)[: self._platform_speeds]
         if self.robot.kind != "spatial":
@@ -312,29 +305,29 @@ class MujocoRobot:
             np.linalg.solve(euler_rate_matrix(pose[3:]), qacc[3:] - turning),
         )
 
-    def motor_accelerations(self, torques: ArrayLike) -> Array:
+    def motor_accelerations(self, torques):
         """``β̈′`` of a flexible robot in the present state under motor torques of shape (m,) [N·m],
         shape (m,)."""
         return self._forward(torques)[self._platform_speeds :] / self.robot.pulley_radius
 
-    def step(self, torques: ArrayLike, steps: int = 1) -> None:
+    def step(self, torques, steps=1):
         """Integrate so many RK4 steps under constant motor torques of shape (m,) [N·m]."""
         self._command(torques)
         self._mujoco.mj_step(self.model, self.data, nstep=steps)
 
     @property
-    def _platform_qpos(self) -> Any:
+    def _platform_qpos(self):
         return self.data.qpos[: self._platform_positions]
 
     @property
-    def _platform_qvel(self) -> Any:
+    def _platform_qvel(self):
         return self.data.qvel[: self._platform_speeds]
 
-    def _forward(self, torques: ArrayLike) -> Array:
+    def _forward(self, torques):
         """MuJoCo's accelerations of all its coordinates."""
         self._command(torques)
         self._mujoco.mj_forward(self.model, self.data)
         return np.array(self.data.qacc)
 
-    def _command(self, torques: ArrayLike) -> None:
+    def _command(self, torques):
         self.data.ctrl[:] = torques

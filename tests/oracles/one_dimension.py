@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -28,7 +27,7 @@ class Accelerating:
     name: str = "accelerating"
     coordinates: int = 2
 
-    def __call__(self, times: Any) -> Reference:
+    def __call__(self, times):
         t = np.clip(np.asarray(times, float), 0.0, self.duration)[..., None]
         x = np.array([1.0, 0.0])
         zero = 0 * t * x
@@ -41,7 +40,7 @@ class Accelerating:
         )
 
 
-def line_robot(*, inertia: float, free_speed: float, damping: float) -> Robot:
+def line_robot(*, inertia, free_speed, damping):
     """Two cables along x and two against it, so long that they stay parallel."""
     return Robot(
         name="line",
@@ -59,7 +58,7 @@ def line_robot(*, inertia: float, free_speed: float, damping: float) -> Robot:
     )
 
 
-def largest_mass(*, inertia: float, free_speed: float, damping: float) -> float:
+def largest_mass(*, inertia, free_speed, damping):
     """At full torque of two cables and least tension T₀ of the other two, (M + 2μ) ẍ + 2k ẋ = 2(s −
     T₀) must reach x_d(T) − R."""
     radius = 0.05
@@ -69,7 +68,7 @@ def largest_mass(*, inertia: float, free_speed: float, damping: float) -> float:
     k = (5.0 / free_speed + damping) / radius**2
     end = motion.duration
 
-    def surplus(mass: float) -> float:
+    def surplus(mass):
         rate = 2 * k / (mass + 2 * mu)
         acceleration = 2 * (pull - TENSION) / (mass + 2 * mu)
         distance = (

@@ -222,10 +222,10 @@ def evaluated(plant, torques):
     """Accelerations (N, n) and tensions (N, m) from the compiled kernel at the current states, N ≥
     2."""
     robot = plant.robot
-    first = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
+    torque_row = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
     plant._write(
         plant.record,
-        first,
+        torque_row,
         np.arange(plant.count),
         torques,
         kernel.CABLE_RECORDS,

@@ -1,7 +1,5 @@
 """Robots of every kind of platform, with anchors and inertias that share no symmetry."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cablebot_gym.robots import Motors, Robot, Transmission
@@ -12,7 +10,7 @@ DRIVE = {
 }
 
 
-def _rectangle(x: float, y: float) -> np.ndarray:
+def _rectangle(x, y):
     return np.array([(-x, -y), (x, -y), (x, y), (-x, y)])
 
 
@@ -89,5 +87,6 @@ CRANE = Robot(
 )
 """Suspended platform with eight cables, a tilted inertia and a centre of mass above the origin."""
 
+SWIVELLED = CRANE.replace(name="swivelled", swivel_radius=0.05)
 PLATFORMS = {robot.name: robot for robot in (HANGING, FLAT, TURNING, CAMERA, CRANE)}
 """The robots by name."""

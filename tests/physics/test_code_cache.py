@@ -1,7 +1,5 @@
 """Compiled code on disk: where it is stored, and when it is compiled again."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 
@@ -71,7 +69,11 @@ def test_code_that_cannot_be_stored_runs_with_one_line(folders, unwritable, capl
 
 def test_folders_end_with_the_first_writable_one(tmp_path, monkeypatch):
     writable = {tmp_path / "user" / "compiled"}
-    monkeypatch.setattr(code_cache, "is_writable_dir", lambda folder: folder in writable)
+    monkeypatch.setattr(
+        code_cache,
+        "is_writable_dir",
+        lambda folder: folder in writable,
+    )
     monkeypatch.setattr(code_cache.config, "CACHE_DIR", str(tmp_path / "named"))
     monkeypatch.setattr(code_cache, "cache_folder", lambda: tmp_path / "user")
     package = Path(code_cache.__file__).parents[1] / "__pycache__"

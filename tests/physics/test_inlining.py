@@ -86,14 +86,6 @@ def test_inlined_function_that_allocates_raises():
         njit(lambda: fresh(3).sum())()
 
 
-def test_helper_that_allocates_frees_its_arrays():
-    @helper
-    def fresh(size):
-        return np.ones(size)
-
-    assert njit(lambda: fresh(3).sum())() == 3.0
-
-
 def test_vector_form_compiles_one_function_more(monkeypatch):
     """The single and the vector environment share all helpers; a second compilation of each took 20
     s."""

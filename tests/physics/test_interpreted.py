@@ -1,7 +1,5 @@
 """Rarely called functions: Python computes their first items, and nothing is compiled for them."""
 
-from __future__ import annotations
-
 from dataclasses import astuple
 
 import gymnasium as gym

@@ -1,7 +1,5 @@
 """Limits of stiff springs and stiff cables: the flexible plant approaches the rigid one."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -37,8 +35,8 @@ def distance(robot, rigid, holding, torques, duration, *, pose, velocity):
     """Largest difference of the poses of two robots under the same torques, which ``holding``
     torques precede."""
     plants = []
-    for each in (free_motors(robot), free_motors(rigid)):
-        plants.append(plant_at(each, start(each, rigid, pose, velocity, holding)))
+    for free_robot in (free_motors(robot), free_motors(rigid)):
+        plants.append(plant_at(free_robot, start(free_robot, rigid, pose, velocity, holding)))
     step = min(1e-4, 0.2 / textbook.highest_frequency(free_motors(robot)))
     period = 5e-3
     largest = 0.0
@@ -103,6 +101,14 @@ def test_stiff_joints_approach_the_robot_with_rigid_joints():
         double = with_transmission(
             single, stiffness=stiffness, pulley_inertia=1e-3, motor_inertia=3e-3
         )
-        return distance(double, single, holding, torques, 0.1, pose=pose, velocity=0 * pose)
+        return distance(
+            double,
+            single,
+            holding,
+            torques,
+            0.1,
+            pose=pose,
+            velocity=0 * pose,
+        )
 
     assert -1.1 < slope_of_error((1e4, 1e5, 1e6), error) < -0.9

@@ -1,7 +1,5 @@
 """The plant against MuJoCo, which knows bodies and tendons but none of the paper's equations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -41,6 +39,20 @@ STATES = 50
 PAYLOAD = 3.5
 
 
+def accelerations_of_mujoco(peer, state, torques, wrench=None):
+    """Accelerations of the platform, and of the motors of a flexible robot, (N, n) and (N, m)."""
+    platform = []
+    motors = []
+    for lane, torque in enumerate(torques):
+        load_state(peer, state, lane)
+        if wrench is not None:
+            peer.set_wrench(*(vectors[lane] for vectors in wrench))
+        platform.append(peer.accelerations(torque))
+        if peer.robot.flexible:
+            motors.append(peer.motor_accelerations(torque))
+    return np.array(platform), np.array(motors)
+
+
 def load_state(peer, state, lane):
     peer.set_state(state.pose[lane], state.velocity[lane])
     if peer.robot.flexible:
@@ -58,21 +70,15 @@ def test_accelerations_are_those_of_mujoco(robot):
     speed = drive_speed(robot, state)
     after_friction = torques - robot.coulomb_friction * speed / np.hypot(speed, 0.5)
     peer = MujocoRobot(robot, payload=PAYLOAD)
-    platform = []
-    motors = []
-    for lane in range(STATES):
-        load_state(peer, state, lane)
-        platform.append(peer.accelerations(after_friction[lane]))
-        if robot.flexible:
-            motors.append(peer.motor_accelerations(after_friction[lane]))
+    platform, motors = accelerations_of_mujoco(peer, state, after_friction)
     tolerance = 1e-11 if robot.flexible else 1e-13
     mass = robot.mass + PAYLOAD
     rates, _ = textbook_rates(robot, state, torques, mass=mass)
     compiled, _ = evaluated(loaded_plant(robot, state, mass=mass), torques)
-    assert worst_relative_error(rates.velocity, np.array(platform)) <= tolerance
-    assert worst_relative_error(compiled, np.array(platform)) <= tolerance
+    assert worst_relative_error(rates.velocity, platform) <= tolerance
+    assert worst_relative_error(compiled, platform) <= tolerance
     if robot.flexible:
-        assert worst_relative_error(rates.speed, np.array(motors)) <= 1e-11
+        assert worst_relative_error(rates.speed, motors) <= 1e-11
 
 
 @pytest.mark.parametrize("spread", [0.5, 2.0], ids=["taut", "slack"])
@@ -81,9 +87,22 @@ def test_elastic_cables_are_the_one_sided_springs_of_mujoco(robot, spread):
     """Their damping while taut; MuJoCo's dampers push slack cables, too. The pulleys stand
     still."""
     damping = 30.0 if spread < 1 else 0.0
-    robot = with_transmission(robot, axial_stiffness=2e4, axial_damping=damping, extra_length=0.3)
+    robot = with_transmission(
+        robot,
+        axial_stiffness=2e4,
+        axial_damping=damping,
+        extra_length=0.3,
+    )
     state, _ = random_states(robot, STATES, seed=24, reach=0.4)
-    tensions = 400 * (1 + spread * np.random.default_rng(25).uniform(-1, 1, (STATES, robot.cables)))
+    tensions = 400 * (
+        1
+        + spread
+        * np.random.default_rng(25).uniform(
+            -1,
+            1,
+            (STATES, robot.cables),
+        )
+    )
     _, angle = textbook.rest_angles(robot, tensions, state.pose)
     free_lengths = (
         textbook.cable_lengths(robot, robot.home) + robot.extra_length - robot.pulley_radius * angle
@@ -94,7 +113,11 @@ def test_elastic_cables_are_the_one_sided_springs_of_mujoco(robot, spread):
         peer.set_state(state.pose[lane], state.velocity[lane])
         peer.set_free_lengths(free_lengths[lane])
         expected.append(peer.accelerations(np.zeros(robot.cables)))
-    plant = loaded_plant(robot, State(state.pose, state.velocity, angle, 0 * angle), "unilateral")
+    plant = loaded_plant(
+        robot,
+        State(state.pose, state.velocity, angle, 0 * angle),
+        "unilateral",
+    )
     acceleration, tension = evaluated(plant, 0 * angle)
     assert np.all(tension > 0) == (spread < 1)
     assert worst_relative_error(acceleration, np.array(expected)) <= 1e-9
@@ -107,16 +130,11 @@ def test_wrench_acts_at_the_centre_of_mass_in_the_base_frame(robot):
     rng = np.random.default_rng(23)
     force = rng.uniform(-50, 50, (STATES, 3))
     moment = rng.uniform(-10, 10, (STATES, 3))
-    peer = MujocoRobot(robot)
-    expected = []
-    for lane in range(STATES):
-        load_state(peer, state, lane)
-        peer.set_wrench(force[lane], moment[lane])
-        expected.append(peer.accelerations(torques[lane]))
+    expected, _ = accelerations_of_mujoco(MujocoRobot(robot), state, torques, (force, moment))
     plant = loaded_plant(robot, state)
     plant.set_wrench(np.arange(STATES), force[:, : robot.dimensions], moment)
     acceleration, _ = evaluated(plant, torques)
-    assert worst_relative_error(acceleration, np.array(expected)) <= 1e-10
+    assert worst_relative_error(acceleration, expected) <= 1e-10
 
 
 @each_of(PLANAR, SPATIAL, QUAD, UNEQUAL)
@@ -124,20 +142,12 @@ def test_model_has_the_lengths_and_returns_the_state(robot):
     """The oracle's own conversion of Euler angles to quaternions and back."""
     peer = MujocoRobot(robot)
     state, _ = random_states(robot, STATES, reach=1.0)
-    for pose, velocity in zip(state.pose, state.velocity, strict=True):
-        peer.set_state(pose, velocity)
-        assert_allclose(
-            peer.lengths(),
-            cable_lengths(robot.base, robot.platform, pose),
-            rtol=0,
-            atol=1e-14,
-        )
-        assert_allclose(
-            np.concatenate(peer.state()),
-            np.append(pose, velocity),
-            rtol=0,
-            atol=1e-13,
-        )
+    lengths = cable_lengths(robot.base, robot.platform, state.pose)
+    for lane in range(STATES):
+        load_state(peer, state, lane)
+        assert_allclose(peer.lengths(), lengths[lane], rtol=0, atol=1e-14)
+        for value, expected in zip(peer.state(), vars(state[lane]).values(), strict=False):
+            assert_allclose(value, expected, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -160,5 +170,10 @@ def test_trajectory_is_that_of_mujoco(robot, count):
     values = list(vars(state_of(plant)).values())[: len(ends)]
     for value, expected in zip(values, ends, strict=True):
         size = max(1.0, np.abs(expected).max())
-        assert_allclose(value / size, np.tile(expected / size, (count, 1)), rtol=0, atol=1e-11)
+        assert_allclose(
+            value / size,
+            np.tile(expected / size, (count, 1)),
+            rtol=0,
+            atol=1e-11,
+        )
     assert np.abs(values[0] - pose).max() > 1e-3

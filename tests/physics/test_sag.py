@@ -1,8 +1,6 @@
 """Sag of heavy cables against a numerical integration, and the settled platform against its
 equilibrium."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

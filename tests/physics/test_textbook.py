@@ -1,13 +1,11 @@
 """Tensions, torques and accelerations of the textbook equations against linear programs, statics
 and themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from oracles.plants import QUAD, ROUGH, UNEQUAL, each_of
 from scipy.linalg import null_space
 from scipy.optimize import linprog
@@ -98,48 +96,45 @@ def test_smooth_tensions_are_a_soft_maximum(x, y, fx, fy, softness):
 
 @each_of(PLANAR, QUAD)
 def test_impossible_force_raises_or_gives_the_minimum(robot):
-    away = np.array([0.0, -5.0])
+    """One member of a batch is enough to raise. A control law gets the minimum, and the neighbour
+    its solution."""
     poses = np.array([robot.home, [0.0, -0.7]])
     structures = textbook.jacobian(robot, poses)
-    with pytest.raises(ValueError, match="outside the polygon"):  # one member of a batch is enough
-        textbook.tension_distribution(structures, np.stack([away, away]), 0.0)
+    away = np.array([[0.0, -5.0]] * 2)
     with pytest.raises(ValueError, match="outside the polygon"):
-        textbook.required_tensions(robot, 1.0, poses, np.zeros(2), np.stack([away, away]))
-    tensions = textbook.tension_distribution(structures, np.stack([away, away]), 2.0, strict=False)
-    assert_array_equal(
-        tensions[1], 2.0
-    )  # a control law gets the minimum, and its neighbour the solution
-    alone = textbook.tension_distribution(structures[0], away, 2.0)
-    assert_allclose(tensions[0], alone, rtol=0, atol=1e-13)
-    inwards = textbook.tension_distribution(structures[1], -away, 0.0)
+        textbook.tension_distribution(structures, away, 0.0)
+    with pytest.raises(ValueError, match="outside the polygon"):
+        textbook.required_tensions(robot, 1.0, poses, np.zeros(2), away)
+    tensions = textbook.tension_distribution(structures, away, 2.0, strict=False)
+    alone = textbook.tension_distribution(structures[0], away[0], 2.0)
+    assert_allclose(tensions, [alone, 2.0 + 0 * alone], rtol=0, atol=1e-13)
+    inwards = textbook.tension_distribution(structures[1], -away[1], 0.0)
     assert inwards.min() >= 0  # cables can pull from there too
 
 
 @pytest.mark.parametrize("minimum", [0.0, 3.0])
 @each_of(QUAD, SPATIAL, UNEQUAL, *ROUGH[:2])
 def test_forward_dynamics_invert_the_inverse_dynamics(robot, minimum):
-    pose, velocity, acceleration = random_motion(robot, 200)
+    motion = random_motion(robot, 200)
     mass = robot.mass + np.linspace(0, 3, 200)
-    tension = textbook.required_tensions(robot, mass, pose, velocity, acceleration, minimum=minimum)
-    torques = textbook.required_torques(robot, tension, pose, velocity, acceleration)
-    at_once = textbook.inverse_dynamics(robot, mass, pose, velocity, acceleration, minimum=minimum)
-    assert_allclose(at_once.torques, torques, rtol=1e-10, atol=1e-10)
-    assert_allclose(
-        at_once.speeds,
-        textbook.pulley_speed(robot, pose, velocity),
-        rtol=1e-10,
-        atol=1e-10,
-    )
+    tension = textbook.required_tensions(robot, mass, *motion, minimum=minimum)
+    at_once = textbook.inverse_dynamics(robot, mass, *motion, minimum=minimum)
+    expected = {
+        "torques": textbook.required_torques(robot, tension, *motion),
+        "speeds": textbook.pulley_speed(robot, *motion[:2]),
+        "pulley_accelerations": textbook.pulley_acceleration(robot, *motion),
+    }
+    for name, values in expected.items():
+        assert_allclose(getattr(at_once, name), values, rtol=1e-10, atol=1e-10)
     taut = np.all(tension > 0.1, axis=1)
     if robot.planar and minimum == 0.0:
         assert not taut.any()  # the least tensions leave one cable without any
     else:
         assert taut.sum() > 20
-    for cable, members in (
-        ("bilateral", np.full(200, True)),
-        ("unilateral", taut),
-    ):
-        motion = mass[members], pose[members], velocity[members]
-        moved, pulled = textbook.forward_dynamics(robot, *motion, torques[members], cable=cable)
-        assert_allclose(moved, acceleration[members], rtol=0, atol=1e-10)
+    for cable, members in (("bilateral", taut | True), ("unilateral", taut)):
+        state = mass[members], motion[0][members], motion[1][members]
+        moved, pulled = textbook.forward_dynamics(
+            robot, *state, at_once.torques[members], cable=cable
+        )
+        assert_allclose(moved, motion[2][members], rtol=0, atol=1e-10)
         assert_allclose(pulled, tension[members], rtol=0, atol=1e-9)

@@ -1,9 +1,6 @@
 """Torques that follow a plan, against the plants of the textbook and of the environment."""
 
-from __future__ import annotations
-
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +24,7 @@ pytest.importorskip("casadi")
 NO_GAINS = (0.0, 0.0)
 MARGINS = Margins(position=0.001, rotation=0.001, action=0.1, tension=2.0)
 
-CASES: dict[str, tuple[Any, str, int]] = {
+CASES = {
     "planar": (PLANAR, "CableBot-Planar-v0", 40),
     "spatial": (SPATIAL, "CableBot-Spatial-v0", 20),
     "flexible planar": (FLEX_PLANAR, "CableBot-FlexPlanar-v0", 40),
@@ -36,42 +33,29 @@ CASES: dict[str, tuple[Any, str, int]] = {
 
 
 @cache
-def plan(name: str) -> PlannedMotion:
+def plan(name):
     robot, _, intervals = CASES[name]
-    motion = {
-        "name": "line-planar" if robot.planar else "line-spatial",
-        "duration": 0.5 if robot.planar else 0.4,
-    }
-    reference = find_trajectory(motion, robot.coordinates)
-    return MotionProgram(
-        robot,
-        reference,
-        ErrorBounds(),
-        intervals=intervals,
-        margins=MARGINS,
-        period=0.002,
-    ).solve()
+    line = {"name": f"line-{robot.kind}", "duration": 0.5 if robot.planar else 0.4}
+    reference = find_trajectory(line, robot.coordinates)
+    program = MotionProgram(
+        robot, reference, ErrorBounds(), intervals=intervals, margins=MARGINS, period=0.002
+    )
+    return program.solve()
 
 
-def follow(name: str, gains: tuple[float, float], *, error: float = 0.0) -> np.ndarray:
+def follow(name, gains, *, error=0.0):
     """Distance of the platform from the plan after every control period, in the environment's
     plant."""
     robot, env_id, _ = CASES[name]
     motion = plan(name)
-    period = 1 / 500
     follower = Follower(robot=robot, gains=gains, motor_frequency=200.0)
     start_error = error * np.eye(robot.coordinates)[0]
-    env = make(
-        env_id,
-        trajectory=motion,
-        payload=motion.payload,
-        initial_error=start_error,
-    )
+    env = make(env_id, trajectory=motion, payload=motion.payload, initial_error=start_error)
     observation, _ = env.reset(seed=0)
     distances = []
-    for step in range(round(motion.duration / period)):
-        state = State.of(env.layout.split(observation), np.asarray(step * period))
-        action = follower.action(motion, state, np.asarray(motion.payload), period)
+    for step in range(round(motion.duration * 500)):
+        state = State.of(env.layout.split(observation), np.asarray(step / 500))
+        action = follower.action(motion, state, np.asarray(motion.payload), 1 / 500)
         observation, _, terminated, _, info = env.step(np.clip(action, -1, 1))
         assert not terminated
         distances.append(float(info["tracking_error"]))
@@ -82,40 +66,28 @@ def follow(name: str, gains: tuple[float, float], *, error: float = 0.0) -> np.n
 
 
 @pytest.mark.parametrize("name", ["planar", "flexible planar"])
-def test_actions_request_the_torques_of_each_row_of_a_batch(name: str) -> None:
+def test_actions_request_the_torques_of_each_row_of_a_batch(name):
     robot = CASES[name][0]
     motion = plan(name)
     times = np.array([0.1, 0.3])
     payload = np.full(2, motion.payload)
     x = motion(times)
+    values = {"time": times, "pose": x.position + 1e-3, "velocity": x.velocity}
     if robot.flexible:
-        angle, speed, _ = motion.motor_motion(times, payload)
+        values["motor_angle"], values["motor_speed"], _ = motion.motor_motion(times, payload)
     follower = Follower(robot=robot, gains=(100.0, 10.0))
-
-    def state(rows: Any) -> State:
-        motors = {"motor_angle": angle[rows], "motor_speed": speed[rows]} if robot.flexible else {}
-        return State(
-            time=times[rows],
-            pose=x.position[rows] + 1e-3,
-            velocity=x.velocity[rows],
-            **motors,
-        )
-
-    together = follower.action(motion, state(...), payload, 0.002)
-    torques, speeds = follower.torques(motion, state(...), payload, 0.002)
+    together = follower.action(motion, State(**values), payload, 0.002)
+    torques, speeds = follower.torques(motion, State(**values), payload, 0.002)
     low, high = textbook.torque_limits(robot, speeds)
-    assert_allclose(
-        (high - low) / 2 * together + (high + low) / 2,
-        torques,
-        rtol=1e-9,
-        atol=1e-9,
-    )
+    requested = (high - low) / 2 * together + (high + low) / 2
+    assert_allclose(requested, torques, rtol=1e-9, atol=1e-9)
     for k in range(2):
-        alone = follower.action(motion, state(k), payload[k], 0.002)
+        state = State(**{block: array[k] for block, array in values.items()})
+        alone = follower.action(motion, state, payload[k], 0.002)
         assert_allclose(together[k], alone, rtol=1e-9, atol=1e-12)
 
 
-def test_last_period_that_ends_late_by_rounding_does_not_brake() -> None:
+def test_last_period_that_ends_late_by_rounding_does_not_brake():
     """829 periods and one more are 1.6600000000000001 s, where a plan of 1.66 s rests."""
     period = 0.002
     steps = 830
@@ -134,7 +106,7 @@ def test_last_period_that_ends_late_by_rounding_does_not_brake() -> None:
     )
     follower = Follower(robot=PLANAR, gains=NO_GAINS)
 
-    def torques(time: float) -> np.ndarray:
+    def torques(time):
         x = drift(time)
         state = State(time=np.asarray(time), pose=x.position, velocity=x.velocity)
         return follower.torques(drift, state, np.asarray(1.0), period)[0]
@@ -153,7 +125,7 @@ def test_last_period_that_ends_late_by_rounding_does_not_brake() -> None:
         pytest.param("spatial", marks=pytest.mark.slow),
     ],
 )
-def test_plan_is_followed_and_an_initial_error_corrected(name: str) -> None:
+def test_plan_is_followed_and_an_initial_error_corrected(name):
     if CASES[name][0].flexible:
         assert follow(name, (100.0, 10.0)).max() < 3e-5
         gains = 100.0, 20.0
@@ -171,6 +143,6 @@ def test_plan_is_followed_and_an_initial_error_corrected(name: str) -> None:
     "arguments",
     [{"gains": (-1.0, 1.0)}, {"motor_frequency": 0.0}, {"motor_damping": 0.0}],
 )
-def test_invalid_gains_raise(arguments: dict[str, Any]) -> None:
+def test_invalid_gains_raise(arguments):
     with pytest.raises(ValueError, match="must be"):
         Follower(**({"robot": FLEX_PLANAR, "gains": (1.0, 1.0)} | arguments))

@@ -1,8 +1,6 @@
 """The nonlinear program: its equations, its derivatives, and optima that are known in closed
 form."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading
@@ -29,7 +27,6 @@ from cablebot_gym.robots import (
     FLEX_SPATIAL,
     PLANAR,
     SPATIAL,
-    Robot,
     find_robot,
 )
 from cablebot_gym.task import ErrorBounds, start_pose
@@ -42,7 +39,7 @@ CIRCLE = find_trajectory("paper-planar", 2)
 LINE = find_trajectory("line-planar", 2)
 
 
-def random_state(robot: Robot) -> tuple[np.ndarray, ...]:
+def random_state(robot):
     """A pose near home, a velocity and an acceleration, each (1, n)."""
     shape = (1, robot.coordinates)
     rng = np.random.default_rng(0)
@@ -56,12 +53,12 @@ def random_state(robot: Robot) -> tuple[np.ndarray, ...]:
 # --- one instant ------------------------------------------------------------------------------------------------------
 
 
-def rubbing(robot: Robot) -> Robot:
+def rubbing(robot):
     """A robot whose motors have Coulomb friction."""
     return with_transmission(robot, coulomb_friction=0.1)
 
 
-def check_actions(robot, actions, torque, speed, acceleration, tolerance) -> None:
+def check_actions(robot, actions, torque, speed, acceleration, tolerance):
     """Actions of the torque at the motor speeds of both ends of a period of 4 ms."""
     for side, action in zip((-0.002, 0.002), actions, strict=True):
         expected = textbook.normalised_action(robot, torque, speed + side * acceleration)
@@ -74,78 +71,78 @@ def check_actions(robot, actions, torque, speed, acceleration, tolerance) -> Non
     rubbing(find_robot("cogiro")),
     rubbing(find_robot("ttk4900")),
 )
-def test_rigid_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
+def test_rigid_stage_agrees_with_inverse_dynamics(robot):
     x, v, a = random_state(robot)
     mass = robot.mass + 1.7
-    period = 0.004
     n = robot.coordinates
     inverse = textbook.inverse_dynamics(robot, mass, x, v, a, minimum=6.0, strict=False)
-    numbers = np.concatenate(
-        [*(array[0] for array in (x, v, a, inverse.tensions / TENSION)), [mass]]
+    state = np.concatenate([x[0], v[0], a[0], inverse.tensions[0] / TENSION])
+    balanced, unbalanced = (
+        np.array(rigid_stage(robot, 0.004)(np.append(state, total)))[:, 0]
+        for total in (mass, mass + 1)
     )
-    values = np.array(rigid_stage(robot, period)(numbers))[:, 0]
-    assert_allclose(values[:n], 0.0, atol=1e-12)
+    assert_allclose(balanced[:n], 0.0, atol=1e-12)
+    assert np.abs(unbalanced[:n]).max() > 1e-3
     frictionless = with_transmission(robot, coulomb_friction=0.0)
     moved = textbook.required_torques(frictionless, inverse.tensions, x, v, a)
     rub = 0.1 * inverse.speeds / np.hypot(inverse.speeds, textbook.FRICTION_SPEED)
     assert_allclose(inverse.torques, moved + rub, rtol=1e-12)
     motion = inverse.torques[0], inverse.speeds[0], inverse.pulley_accelerations[0]
-    check_actions(robot, values[n:].reshape(2, -1), *motion, 1e-10)
-    unbalanced = np.array(rigid_stage(robot, period)(np.append(numbers[:-1], mass + 1)))[:n, 0]
-    assert np.abs(unbalanced).max() > 1e-3
+    check_actions(robot, balanced[n:].reshape(2, -1), *motion, 1e-10)
+
+
+def check_flexible_stage(robot, state, mass, motors, torque, tensions, springs, tolerances):
+    """Balance, and actions, tensions and spring forces of the stage of a flexible robot."""
+    balance, limits = flexible_stage(robot, 0.004)
+    numbers = np.concatenate([*(order[0] for order in state), *motors, [mass]])
+    assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=tolerances[0])
+    values = np.array(limits(numbers))[:, 0].reshape(4, robot.cables)
+    check_actions(robot, values[:2], torque, *motors[1:], tolerances[1])
+    assert_allclose(TENSION * values[2:], [tensions, springs], rtol=tolerances[1])
 
 
 @each_of(rubbing(FLEX_PLANAR), rubbing(FLEX_SPATIAL))
-def test_flexible_stage_agrees_with_inverse_dynamics(robot: Robot) -> None:
-    x, v, a = random_state(robot)
+def test_flexible_stage_agrees_with_inverse_dynamics(robot):
+    state = random_state(robot)
     mass = robot.mass + 1.7
-    m = robot.cables
-    inverse = textbook.inverse_dynamics(robot, mass, x, v, a, minimum=6.0, strict=False)
+    inverse = textbook.inverse_dynamics(robot, mass, *state, minimum=6.0, strict=False)
     # The spring torque is the torque of a rigid motor: r T + J β̈ + c β̇.
-    angle = textbook.pulley_angle(robot, x) + inverse.torques / robot.stiffness
-    speed = np.linspace(-20, 30, m)
-    acceleration = np.linspace(400, -300, m)
-    balance, limits = flexible_stage(robot, 0.004)
-    numbers = np.concatenate([x[0], v[0], a[0], angle[0], speed, acceleration, [mass]])
-    assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-11)
-    at_start, at_end, tensions, springs = np.array(limits(numbers))[:, 0].reshape(4, m)
-    torque = inverse.torques[0] + robot.motor_inertia * acceleration + robot.motor_damping * speed
+    springs = inverse.torques[0]
+    angle = textbook.pulley_angle(robot, state[0][0]) + springs / robot.stiffness
+    speed = np.linspace(-20, 30, robot.cables)
+    acceleration = np.linspace(400, -300, robot.cables)
+    torque = springs + robot.motor_inertia * acceleration + robot.motor_damping * speed
     torque += 0.1 * speed / np.hypot(speed, textbook.FRICTION_SPEED)
-    check_actions(robot, (at_start, at_end), torque, speed, acceleration, 1e-9)
-    assert_allclose(TENSION * tensions, inverse.tensions[0], rtol=1e-9)
-    assert_allclose(TENSION * springs, inverse.torques[0] / robot.pulley_radius, rtol=1e-9)
+    check_flexible_stage(
+        robot,
+        state,
+        mass,
+        (angle, speed, acceleration),
+        torque,
+        inverse.tensions[0],
+        springs / robot.pulley_radius,
+        (1e-11, 1e-9),
+    )
 
 
 @pytest.mark.parametrize("name", ["stadium-camera", "ttk4900", "cogiro"])
-def test_elastic_stage_agrees_with_inverse_dynamics(name: str) -> None:
+def test_elastic_stage_agrees_with_inverse_dynamics(name):
     robot = find_robot(f"flex-{name}")
-    x, v, a = random_state(robot)
+    state = random_state(robot)
     mass = robot.mass + 1.7
-    m = robot.cables
     minimum = textbook.allocated_minimum(robot)
-    inverse = textbook.inverse_dynamics(
-        find_robot(name), mass, x, v, a, minimum=minimum, strict=False
-    )
+    rigid = find_robot(name)
+    inverse = textbook.inverse_dynamics(rigid, mass, *state, minimum=minimum, strict=False)
+    tensions = inverse.tensions[0]
     # The motors turn with the rigid cables, so that the damping of the elastic ones has no force.
-    angle, _ = textbook.rest_angles(robot, inverse.tensions, x)
+    angle, _ = textbook.rest_angles(robot, inverse.tensions, state[0])
     speed = inverse.speeds[0]
-    acceleration = np.arange(m) - 2.0
-    balance, limits = flexible_stage(robot, 0.004)
-    numbers = np.concatenate([x[0], v[0], a[0], angle[0], speed, acceleration, [mass]])
-    assert_allclose(np.array(balance(numbers))[:, 0], 0.0, atol=1e-9)
-    at_start, at_end, tensions, springs = np.array(limits(numbers))[:, 0].reshape(4, m)
-    torque = textbook.holding_torque(robot, robot.pulley_radius * inverse.tensions[0])
-    torque += (
-        robot.pulley_inertia * acceleration
-        + robot.damping * speed
-        + textbook.coulomb_torque(robot, speed)
-    )
-    check_actions(robot, (at_start, at_end), torque, speed, acceleration, 1e-7)
-    assert_allclose(
-        TENSION * np.array([tensions, springs]),
-        [inverse.tensions[0]] * 2,
-        rtol=1e-7,
-    )
+    acceleration = np.arange(robot.cables) - 2.0
+    torque = textbook.holding_torque(robot, robot.pulley_radius * tensions)
+    torque += robot.pulley_inertia * acceleration + robot.damping * speed
+    torque += textbook.coulomb_torque(robot, speed)
+    motors = angle[0], speed, acceleration
+    check_flexible_stage(robot, state, mass, motors, torque, tensions, tensions, (1e-9, 1e-7))
 
 
 SPRING_CAMERA = with_transmission(find_robot("stadium-camera"), stiffness=200.0, motor_inertia=1e-3)
@@ -153,8 +150,8 @@ SPRING_CAMERA = with_transmission(find_robot("stadium-camera"), stiffness=200.0,
 
 @each_of(FLEX_SPATIAL, find_robot("flex-stadium-camera"), SPRING_CAMERA)
 def test_start_of_a_flexible_robot_is_that_of_the_environment(
-    robot: Robot,
-) -> None:
+    robot,
+):
     """The tensions of redundant cables at rest are not linear in the payload."""
     env = gym.make(fitting_env_id(robot), robot=robot, payload=3.1)
     observation, _ = env.reset(seed=0)
@@ -184,15 +181,13 @@ def test_start_of_a_flexible_robot_is_that_of_the_environment(
     ],
     ids=lambda value: getattr(value, "name", str(value)),
 )
-def test_assembled_derivatives_equal_casadis_own(robot: Robot, lightest: float | None) -> None:
-    reference = find_trajectory(default_trajectory(robot), robot.kind)
-    margins = Margins(position=1e-3, rotation=1e-3, action=0.1, tension=1.0)
+def test_assembled_derivatives_equal_casadis_own(robot, lightest):
     program = MotionProgram(
         robot,
-        reference,
+        find_trajectory(default_trajectory(robot), robot.kind),
         BOUNDS,
         intervals=3,
-        margins=margins,
+        margins=Margins(position=1e-3, rotation=1e-3, action=0.1, tension=1.0),
         lightest=lightest,
         period=0.002,
     )
@@ -201,18 +196,21 @@ def test_assembled_derivatives_equal_casadis_own(robot: Robot, lightest: float |
     rng = np.random.default_rng(1)
     z = rng.uniform(-0.5, 0.5, oracle.size1_in("x"))
     lam = rng.uniform(-1, 1, len(lowest))
-    assembled = np.array(solver.get_function("nlp_jac_g")(z, [])[1])
-    expected = np.array(oracle.factory("j", ["x", "p"], ["jac:g:x"])(z, []))
-    assert_allclose(assembled, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
-    assert np.linalg.matrix_rank(expected) > len(z) // 2
-    assembled = np.array(solver.get_function("nlp_hess_l")(z, [], 1.0, lam))
+
+    def check(assembled, expected, tolerance):
+        expected = np.array(expected)
+        floor = 1e-9 * np.abs(expected).max()
+        assert_allclose(np.array(assembled), expected, rtol=tolerance, atol=floor)
+        return expected
+
+    expected = oracle.factory("j", ["x", "p"], ["jac:g:x"])(z, [])
+    jacobian = check(solver.get_function("nlp_jac_g")(z, [])[1], expected, 1e-9)
+    assert np.linalg.matrix_rank(jacobian) > len(z) // 2
     inputs = ["x", "p", "lam:f", "lam:g"]
-    outputs = ["triu:hess:gamma:x:x"]
-    expected = np.array(
-        oracle.factory("h", inputs, outputs, {"gamma": ["f", "g"]})(z, [], 1.0, lam)
-    )
-    assert_allclose(assembled, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
-    assert np.count_nonzero(expected) > len(z)
+    gamma = {"gamma": ["f", "g"]}
+    expected = oracle.factory("h", inputs, ["triu:hess:gamma:x:x"], gamma)(z, [], 1.0, lam)
+    hessian = check(solver.get_function("nlp_hess_l")(z, [], 1.0, lam), expected, 1e-8)
+    assert np.count_nonzero(hessian) > len(z)
 
 
 # --- optima in closed form --------------------------------------------------------------------------------------------
@@ -222,9 +220,7 @@ def test_assembled_derivatives_equal_casadis_own(robot: Robot, lightest: float |
     ("inertia", "free_speed", "damping"),
     [(0.0, 1e9, 0.0), (0.0, 100.0, 0.0), (0.02, 100.0, 0.05)],
 )
-def test_motion_in_one_dimension_has_the_payload_in_closed_form(
-    inertia: float, free_speed: float, damping: float
-) -> None:
+def test_motion_in_one_dimension_has_the_payload_in_closed_form(inertia, free_speed, damping):
     drive = {"inertia": inertia, "free_speed": free_speed, "damping": damping}
     robot = one_dimension.line_robot(**drive)
     bounds = ErrorBounds(position=one_dimension.BOUND)
@@ -235,7 +231,7 @@ def test_motion_in_one_dimension_has_the_payload_in_closed_form(
 # --- solving ----------------------------------------------------------------------------------------------------------
 
 
-def test_optimum_does_not_depend_on_the_initial_guess() -> None:
+def test_optimum_does_not_depend_on_the_initial_guess():
     coarse = MotionProgram(PLANAR, CIRCLE, BOUNDS, intervals=20)
     plan = coarse.solve()
     assert_array_equal(coarse.solve().poses, plan.poses)
@@ -248,7 +244,7 @@ def test_optimum_does_not_depend_on_the_initial_guess() -> None:
     assert warm == pytest.approx(plan.payload, rel=0.03)
 
 
-def test_resolving_with_other_margins_has_the_same_optimum() -> None:
+def test_resolving_with_other_margins_has_the_same_optimum():
     margins = Margins(position=1e-3, action=0.05, tension=2.0)
     problem = (PLANAR, CIRCLE, BOUNDS)
     fresh = MotionProgram(*problem, intervals=30, margins=margins).solve()
@@ -261,7 +257,7 @@ def test_resolving_with_other_margins_has_the_same_optimum() -> None:
     assert again.payload < free.payload - 0.1
 
 
-def test_robot_with_motor_lag_is_rejected() -> None:
+def test_robot_with_motor_lag_is_rejected():
     """A plan that ignores the lag would fail in the environment."""
     robot = PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01))
     with pytest.raises(
@@ -272,7 +268,7 @@ def test_robot_with_motor_lag_is_rejected() -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-def test_ctrl_c_interrupts_the_solver(interrupted_solver: None) -> None:
+def test_ctrl_c_interrupts_the_solver(interrupted_solver):
     """CasADi alone takes it for a failed evaluation and goes on."""
     program = MotionProgram(PLANAR, LINE, BOUNDS, intervals=10)
     with pytest.raises(KeyboardInterrupt):
@@ -280,8 +276,8 @@ def test_ctrl_c_interrupts_the_solver(interrupted_solver: None) -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_solver_runs_outside_the_main_thread() -> None:
-    payloads: list[float] = []
+def test_solver_runs_outside_the_main_thread():
+    payloads = []
     program = MotionProgram(PLANAR, LINE, BOUNDS, intervals=10)
     thread = threading.Thread(target=lambda: payloads.append(program.solve().payload))
     thread.start()

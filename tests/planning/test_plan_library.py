@@ -1,12 +1,8 @@
 """The cache of plans on disk: its keys, and broken files and folders."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
 
 import pytest
 from oracles.episodes import check_equal
@@ -15,7 +11,6 @@ from cablebot_gym.planning import (
     Infeasible,
     Margins,
     MotionProgram,
-    PlannedMotion,
     library,
     plan_motion,
 )
@@ -32,12 +27,12 @@ BOUNDS = ErrorBounds(position=0.01)
 
 
 @pytest.fixture
-def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+def solved(monkeypatch):
     """One entry for every program that is solved."""
     calls = []
     solve = MotionProgram.solve
 
-    def counted(program: MotionProgram, *arguments: Any, **keywords: Any) -> PlannedMotion:
+    def counted(program, *arguments, **keywords):
         calls.append(1)
         return solve(program, *arguments, **keywords)
 
@@ -45,7 +40,7 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return calls
 
 
-def plan(**changes: Any) -> PlannedMotion:
+def plan(**changes):
     settings = {
         "robot": PLANAR,
         "trajectory": LINE,
@@ -58,20 +53,20 @@ def plan(**changes: Any) -> PlannedMotion:
     return plan_motion(robot, trajectory, error_bounds, **settings)
 
 
-def check_same(plan: PlannedMotion, expected: PlannedMotion) -> None:
+def check_same(plan, expected):
     check_equal(plan.to_arrays(), expected.to_arrays())
 
 
-def test_stored_plan_is_not_solved_again(cache: Path, solved: list[int]) -> None:
+def test_stored_plan_is_not_solved_again(cache, solved):
     solution, second = (plan(lightest=0.1) for _ in range(2))
     assert len(solved) == 1
     check_same(solution, second)
     assert [path.suffix for path in cache.iterdir()] == [".npz"]
 
 
-def test_every_setting_makes_another_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_setting_makes_another_plan(monkeypatch):
     motors = Motors(stall_torque=5.1, free_speed=PLANAR.motors.free_speed)
-    changed_settings: list[dict[str, Any]] = [
+    changed_settings = [
         {"robot": PLANAR.replace(motors=motors)},
         {"trajectory": find_trajectory({"name": "line-planar", "duration": 0.41}, 2)},
         {
@@ -92,8 +87,8 @@ def test_every_setting_makes_another_plan(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(list(cache_folder().iterdir())) == len(changed_settings) + 1
 
 
-def test_fingerprint_depends_on_code_and_solver(monkeypatch: pytest.MonkeyPatch) -> None:
-    def key(module: str = "cablebot_gym.planning.program", frequency: float = 500.0) -> str:
+def test_fingerprint_depends_on_code_and_solver(monkeypatch):
+    def key(module="cablebot_gym.planning.program", frequency=500.0):
         return fingerprint(module, PLANAR, LINE, control_frequency=frequency, error_bounds=BOUNDS)
 
     expected_key = key()
@@ -106,7 +101,7 @@ def test_fingerprint_depends_on_code_and_solver(monkeypatch: pytest.MonkeyPatch)
     assert len(set(keys)) == len(keys)
 
 
-def test_broken_file_is_replaced(cache: Path, solved: list[int]) -> None:
+def test_broken_file_is_replaced(cache, solved):
     solution = plan()
     (path,) = cache.iterdir()
     path.write_bytes(path.read_bytes()[:100])
@@ -115,16 +110,14 @@ def test_broken_file_is_replaced(cache: Path, solved: list[int]) -> None:
     assert len(solved) == 2
 
 
-def test_plan_without_a_usable_folder_is_solved(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plan_without_a_usable_folder_is_solved(tmp_path, monkeypatch):
     file = tmp_path / "file"
     file.write_text("no folder", encoding="utf-8")
     monkeypatch.setenv("CABLEBOT_CACHE", str(file / "cache"))
     assert plan().payload > 0
 
 
-def test_infeasible_plan_leaves_no_file(cache: Path) -> None:
+def test_infeasible_plan_leaves_no_file(cache):
     with pytest.raises(Infeasible):
         plan(
             error_bounds=ErrorBounds(position=1e-7),
@@ -134,9 +127,7 @@ def test_infeasible_plan_leaves_no_file(cache: Path) -> None:
     assert not cache.exists()
 
 
-def test_cache_folder_follows_the_environment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: Path
-) -> None:
+def test_cache_folder_follows_the_environment(tmp_path, monkeypatch, cache):
     assert cache_folder() == cache
     monkeypatch.delenv("CABLEBOT_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -147,14 +138,14 @@ def test_cache_folder_follows_the_environment(
     assert cache_folder() == tmp_path / "home" / ".cache" / "cablebot_gym"
 
 
-def test_missing_casadi_raises_with_the_pip_command(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_casadi_raises_with_the_pip_command(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
         plan()
 
 
 @pytest.mark.slow
-def test_planning_can_be_imported_without_casadi() -> None:
+def test_planning_can_be_imported_without_casadi():
     code = "import sys; sys.modules['casadi'] = None; import cablebot_gym.planning, cablebot_gym.bounds.best_known"
     ended = subprocess.run(
         [sys.executable, "-c", code], env=dict(os.environ), capture_output=True, check=False

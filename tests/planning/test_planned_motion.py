@@ -5,16 +5,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import cumulative_simpson
 
-from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.planning import Margins, MotionProgram, PlannedMotion
+from cablebot_gym.planning import Margins, MotionProgram
 from cablebot_gym.planning.program import STAGES_PER_INTERVAL
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, Robot
 from cablebot_gym.task import ErrorBounds
@@ -78,7 +76,7 @@ planar_cases = pytest.mark.parametrize(
 
 
 @cache
-def plan(name: str, **changes: Any) -> PlannedMotion:
+def plan(name, **changes):
     case = replace(CASES[name], **changes)
     keywords = {
         "intervals": case.intervals,
@@ -89,7 +87,7 @@ def plan(name: str, **changes: Any) -> PlannedMotion:
     return MotionProgram(case.robot, case.reference, BOUNDS, **keywords).solve()
 
 
-def payloads(name: str) -> list[float]:
+def payloads(name):
     """The lightest, the heaviest and two between."""
     motion = plan(name)
     return [
@@ -98,7 +96,7 @@ def payloads(name: str) -> list[float]:
     ]
 
 
-def fine_times(name: str) -> Array:
+def fine_times(name):
     case = CASES[name]
     return np.linspace(
         0.0,
@@ -107,7 +105,7 @@ def fine_times(name: str) -> Array:
     )
 
 
-def demands_of(name: str, payload: float) -> tuple[Array, Array, Array, Array]:
+def demands_of(name, payload):
     """Tensions, spring torques, actions and unbalanced forces by the textbook.
 
     Those of a flexible robot follow from the motor angles, those of a rigid one from the motion
@@ -151,7 +149,7 @@ def demands_of(name: str, payload: float) -> tuple[Array, Array, Array, Array]:
 
 
 @each_case
-def test_error_bounds_hold_and_are_used_between_instants(name: str) -> None:
+def test_error_bounds_hold_and_are_used_between_instants(name):
     motion = plan(name)
     times = fine_times(name)
     margins = CASES[name].margins
@@ -166,7 +164,7 @@ def test_error_bounds_hold_and_are_used_between_instants(name: str) -> None:
 
 
 @each_case
-def test_limits_hold_between_instants_for_all_payloads(name: str) -> None:
+def test_limits_hold_between_instants_for_all_payloads(name):
     robot = CASES[name].robot
     margins = CASES[name].margins
     peaks = []
@@ -185,7 +183,7 @@ def test_limits_hold_between_instants_for_all_payloads(name: str) -> None:
 
 
 @each_case
-def test_motion_starts_in_the_state_of_an_episode(name: str) -> None:
+def test_motion_starts_in_the_state_of_an_episode(name):
     """A spatial robot starts lower by half the position bound."""
     start = plan(name)(0.0)
     reference = CASES[name].reference
@@ -199,7 +197,7 @@ def test_motion_starts_in_the_state_of_an_episode(name: str) -> None:
 
 
 @planar_cases
-def test_motion_is_a_trajectory_with_consistent_derivatives(name: str) -> None:
+def test_motion_is_a_trajectory_with_consistent_derivatives(name):
     motion = plan(name)
     times = fine_times(name)
     assert find_trajectory(motion, 2) is motion
@@ -244,9 +242,7 @@ def test_motion_is_a_trajectory_with_consistent_derivatives(name: str) -> None:
         (FLEX_PLANAR, {"tension": 4.5}, "at most 4 N for 'flex-planar'"),
     ],
 )
-def test_margins_that_leave_no_motion_raise(
-    robot: Robot, margins: dict[str, float], message: str
-) -> None:
+def test_margins_that_leave_no_motion_raise(robot, margins, message):
     reference = find_trajectory(f"paper-{robot.kind}", robot.coordinates)
     with pytest.raises(ValueError, match=message):
         MotionProgram(robot, reference, BOUNDS, intervals=4, margins=Margins(**margins))
