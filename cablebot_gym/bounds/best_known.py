@@ -43,9 +43,13 @@ MESH_TOLERANCE = 0.005
 """Relative change of the payload below which the mesh refinement stops."""
 
 INTERVALS_PER_SECOND = 25.0
+"""Intervals of the first mesh per second of motion."""
+
 MIN_INTERVALS = 20
+"""Least number of intervals of the first mesh."""
+
 MAX_INTERVALS = 120
-"""Number of intervals in the first mesh: per second of motion, minimum and maximum."""
+"""Largest number of intervals of the first mesh."""
 
 _SMALL = 0.1
 """Payload, as a fraction of the platform mass, below which the refinement stops at an absolute

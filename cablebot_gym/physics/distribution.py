@@ -38,9 +38,13 @@ from cablebot_gym.physics.tension_problems import (
 from cablebot_gym.utils.checks import all_finite
 
 HELD = nearest_point.HELD
+"""Status of an item whose load tensions within the bounds hold."""
+
 INFEASIBLE = nearest_point.INFEASIBLE
+"""Status of an item whose load no tensions within the bounds hold."""
+
 SINGULAR = nearest_point.SINGULAR
-"""Status of an item: tensions within the bounds hold the load; none do; S has a rank below n."""
+"""Status of an item whose S has a rank below n."""
 
 SMOOTHING = 1e-2
 """Default weight ε of the sum of the squared actions in :func:`least_largest_action`."""
