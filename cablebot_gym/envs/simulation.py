@@ -3,7 +3,6 @@ results."""
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -12,22 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.envs import outcome
+from cablebot_gym.envs import limits, outcome
 from cablebot_gym.envs.disturbances import Disturbances
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.references import ReferenceTables
 from cablebot_gym.envs.sensors import Sensors
-from cablebot_gym.envs.settings import check_options, check_stability, make_settings
+from cablebot_gym.envs.settings import Settings, check_options, make_settings
 from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.physics.rest import equilibrium_torques, motor_start
 from cablebot_gym.physics.textbook import normalised_action
-from cablebot_gym.task import ErrorBounds, Task, at_rest, start_pose
-from cablebot_gym.trajectories import Trajectory
+from cablebot_gym.task import Task, at_rest, start_pose
 from cablebot_gym.uncertainty import PARAMETERS, RobotArrays, Uncertainty, draw_size
-from cablebot_gym.utils.checks import unexpected_keyword_error
 from cablebot_gym.utils.threads import call_all
 
 
@@ -53,10 +50,6 @@ class Simulation:
     def __init__(
         self, robot: Any, batch: tuple[int, ...], keywords: Mapping[str, Any], threads: int = 1
     ) -> None:
-        known = [name for name in inspect.signature(make_settings).parameters if name != "count"]
-        for name in keywords:
-            if name not in known:
-                raise unexpected_keyword_error(name, known)
         self.count = count = math.prod(batch)
         self.settings = settings = make_settings(robot=robot, count=count, **keywords)
         """Checked constructor keywords."""
@@ -84,35 +77,40 @@ class Simulation:
         """Number of control steps of each environment's motion, (N,)."""
         self.truth: dict[str, Array] = {}
         """True parameters of the present episodes by name, each (N, …)."""
-        self._trajectories: list[Trajectory] = [settings.trajectory] * count
-        self._error_bounds: list[ErrorBounds] = [settings.error_bounds] * count
+        self._episodes = [settings] * count
         self.observation = np.zeros((count, self.layout.size))
         self.reward = np.zeros(count)
         self.reason = np.zeros(count, np.int64)
         self.complete = np.zeros(count, np.bool_)
         self.info = np.zeros((count, len(outcome.INFO_SCALARS)))
         self.cables = np.zeros((len(outcome.INFO_CABLES), count, robot.cables))
+        self._constants = self._make_constants()
+        self._bind()
+
+    def _make_constants(self) -> outcome.Constants:
+        """What the compiled outcome needs to know of all episodes. The arrays are copies, which are
+        writable and C-ordered as those of a copied environment: numba compiles once for each
+        kind."""
+        settings = self.settings
+        robot = settings.robot
         space = self.layout.space()
-        self._constants = outcome.Constants(
+        return outcome.Constants(
             flexible=robot.flexible,
             dimensions=robot.dimensions,
             lanes=self._plant.lanes,
-            workspace=np.array(
-                robot.pose_bounds, order="C"
-            ),  # numba compiles once per memory order
+            workspace=np.array(robot.pose_bounds, order="C"),
             bounds=np.array([space.low, space.high]),
             encoder_resolution=settings.measurement.encoder_resolution,
             normalised=settings.normalised_observation,
-            centre=self.layout.centre.copy(),  # writable, as in copies of this object: numba compiles once
+            centre=self.layout.centre.copy(),
             per_scale=self.layout.per_scale.copy(),
-            weights=settings.weights,
+            weights=settings.reward_weights,
             period=settings.period,
-            minimum_tension=robot.minimum_tension if settings.cable == "unilateral" else -math.inf,
+            minimum_tension=limits.minimum_tension(robot, settings.cable),
             termination_radius=settings.termination_radius,
             slack_time=settings.slack_time,
             terminate_on_violation=settings.terminate_on_violation,
         )
-        self._bind()
 
     def __getstate__(self) -> dict[str, Any]:
         """The attributes without those of :meth:`_bind`."""
@@ -173,17 +171,17 @@ class Simulation:
 
     def task(self, env_index: int) -> Task:
         """Task of one environment's episode."""
-        settings = self.settings
+        episode = self._episodes[env_index]
         row = self._episode_settings[env_index]
         return Task(
-            robot=settings.robot,
-            trajectory=self._trajectories[env_index],
-            error_bounds=self._error_bounds[env_index],
-            control_frequency=settings.control_frequency,
-            cable=settings.cable,
+            robot=episode.robot,
+            trajectory=episode.trajectory,
+            error_bounds=episode.error_bounds,
+            control_frequency=episode.control_frequency,
+            cable=episode.cable,
             model_payload=float(row[outcome.MODEL_PAYLOAD]),
             payload_known=bool(row[outcome.KNOWN]),
-            measurement=settings.measurement,
+            measurement=episode.measurement,
         )
 
     def truth_of(self, env_index: int) -> dict[str, Array]:
@@ -233,65 +231,71 @@ class Simulation:
     def _start_episodes(
         self, env_indices: NDArray[np.int64], options: Mapping[str, Any] | None
     ) -> None:
-        settings, robot = self.settings, self.settings.robot
-        given = check_options(options, robot, self.count)
-        trajectory = given.get("trajectory", settings.trajectory)
-        error_bounds = given.get("error_bounds", settings.error_bounds)
-        uncertainties = given.get("uncertainty", settings.uncertainty)
-        if "uncertainty" in given:
-            check_stability(robot, uncertainties, settings.control_frequency, settings.substeps)
-        self._tables.prepare(trajectory)
-
-        if "noise_seed" in given:
-            self.streams.noise_seeds[env_indices] = np.array(given["noise_seed"], object)[
-                env_indices
-            ]
+        checked = check_options(options, self.settings.robot, self.count)
+        episode = self.settings.with_options(checked)
+        self._tables.prepare(episode.trajectory)
+        if "noise_seed" in checked:
+            noise_seeds = np.array(checked["noise_seed"], object)
+            self.streams.noise_seeds[env_indices] = noise_seeds[env_indices]
         self.streams.start_episode(env_indices)
-        payload = self._values_of(env_indices, given.get("payload", settings.payload))
-        if settings.payload_range is not None and "payload" not in given:
-            low, high = settings.payload_range
-            payload = (
-                low + (high - low) * self.streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
-            )
-        known = self._values_of(env_indices, given.get("payload_known", settings.payload_known))
-        factor = self._values_of(
-            env_indices, given.get("model_payload_factor", settings.model_payload_factor)
-        )
-        start = trajectory(0.0)
-        error = given.get("initial_error", settings.initial_error)
-        first = (
-            start_pose(robot, trajectory, error_bounds) if error is None else start.position + error
-        )
-        pose = np.broadcast_to(first, (self.count, robot.coordinates))[env_indices]
-        if settings.initial_error_range is not None and "initial_error" not in given:
-            uniform = self.streams.uniform(env_indices, Purpose.START, robot.coordinates)
-            pose = pose + settings.initial_error_range * (2 * uniform - 1)
-        velocity = np.broadcast_to(start.velocity, pose.shape)
+        payload = self._nominal_payload(env_indices, episode)
+        pose, velocity = self._start_motion(env_indices, episode)
+        # Nothing has changed yet but the streams, which reset() restores after an error.
         starts = [
             self._prepared_start(
                 env_indices[rows], uncertainty, payload[rows], pose[rows], velocity[rows]
             )
-            for uncertainty, rows in self._by_uncertainty(env_indices, uncertainties)
+            for uncertainty, rows in self._by_uncertainty(env_indices, episode.uncertainty)
         ]
 
-        bounds = np.array([error_bounds.position, error_bounds.rotation])
-        self._episode_settings[env_indices, outcome.MODEL_PAYLOAD] = payload * known * factor
-        self._episode_settings[env_indices, outcome.KNOWN] = known
-        self._episode_settings[env_indices, outcome.POSITION_BOUND : outcome.ROTATION_BOUND + 1] = (
-            bounds
-        )
-        self._episode_settings[env_indices, outcome.STARTS_AT_REST] = at_rest(start)
-        self.motion_steps[env_indices] = max(
-            1, round(trajectory.duration * settings.control_frequency)
-        )
-        for env_index in env_indices:
-            self._trajectories[env_index], self._error_bounds[env_index] = trajectory, error_bounds
+        self._store_settings(env_indices, episode, payload)
         for apply in starts:
             apply()
-        self._tables.follow(env_indices, trajectory, self._plant.trajectory_index)
+        self._tables.follow(env_indices, episode.trajectory, self._plant.trajectory_index)
         self._bind()  # the tables and the noise may be new arrays
         self._measure(env_indices, fresh=True)
         outcome.outcome(True, env_indices, *self._records)
+
+    def _nominal_payload(self, env_indices: NDArray[np.int64], episode: Settings) -> Array:
+        """Nominal payloads [kg], (k,)."""
+        if episode.payload_range is None:
+            return self._values_of(env_indices, episode.payload)
+        low, high = episode.payload_range
+        uniform = self.streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
+        return low + (high - low) * uniform
+
+    def _start_motion(
+        self, env_indices: NDArray[np.int64], episode: Settings
+    ) -> tuple[Array, Array]:
+        """Start poses and velocities, (k, n)."""
+        robot = episode.robot
+        start = episode.trajectory(0.0)
+        if episode.initial_error is None:
+            nominal = start_pose(robot, episode.trajectory, episode.error_bounds)
+        else:
+            nominal = start.position + episode.initial_error
+        pose = np.broadcast_to(nominal, (self.count, robot.coordinates))[env_indices]
+        if episode.initial_error_range is not None:
+            uniform = self.streams.uniform(env_indices, Purpose.START, robot.coordinates)
+            pose = pose + episode.initial_error_range * (2 * uniform - 1)
+        return pose, np.broadcast_to(start.velocity, pose.shape)
+
+    def _store_settings(
+        self, env_indices: NDArray[np.int64], episode: Settings, payload: Array
+    ) -> None:
+        """Stores what the outcome and the tasks of the episodes need."""
+        known = self._values_of(env_indices, episode.payload_known)
+        factor = self._values_of(env_indices, episode.model_payload_factor)
+        columns = self._episode_settings.T
+        columns[outcome.MODEL_PAYLOAD, env_indices] = payload * known * factor
+        columns[outcome.KNOWN, env_indices] = known
+        columns[outcome.POSITION_BOUND, env_indices] = episode.error_bounds.position
+        columns[outcome.ROTATION_BOUND, env_indices] = episode.error_bounds.rotation
+        columns[outcome.STARTS_AT_REST, env_indices] = at_rest(episode.trajectory(0.0))
+        steps = round(episode.trajectory.duration * episode.control_frequency)
+        self.motion_steps[env_indices] = max(1, steps)
+        for env_index in env_indices:
+            self._episodes[env_index] = episode
 
     def _values_of(self, env_indices: NDArray[np.int64], value: Any) -> Any:
         """Values for ``env_indices`` of a value that is given once for all environments or once per

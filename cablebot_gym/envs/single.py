@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import gymnasium as gym
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cablebot_gym.envs import SpecChecked
 from cablebot_gym.envs.outcome import info_dict
 from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
+from cablebot_gym.envs.settings import keyword_table
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
@@ -233,28 +235,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     All arguments are keyword-only and accept JSON-able values. Those marked * are also reset
     options, which apply to one episode: `env.reset(options={"payload": 2.0})`.
 
-    | name | default | meaning |
-    |---|---|---|
-    | `payload`* | 0 | nominal payload [kg]; the true payload is equal to it, unless it is uncertain |
-    | `payload_range` | None | (low, high) of a uniform nominal payload, drawn in each episode, in place of `payload` |
-    | `payload_known`* | True | whether the payload is known to the controller |
-    | `model_payload_factor`* | 1 | ratio of the model payload to the nominal payload; no effect if payload unknown |
-    | `trajectory`* | that of the robot | reference motion: a name, `{"name": …, …}` or a `Trajectory` |
-    | `initial_error`* | None | start pose minus reference pose, n values; None for the start pose under "Start" |
-    | `initial_error_range` | None | n half widths of a uniform error, drawn in each episode, added to the start pose |
-    | `uncertainty`* | None | difference between the true and the nominal robot, see below |
-    | `error_bounds`* | those of the robot | `{"position": …, "rotation": …}`, bounds of the tracking errors |
-    | `robot` | by id | a name, a `.toml` file, `Robot.to_dict()` data or a `Robot` |
-    | `measurement` | "pose" | sensors: "pose", "winches", "winches+tensions+imu", or data, see "Observation space" |
-    | `cable` | "unilateral" | cables only pull; "bilateral": cables can also push |
-    | `control_frequency` | 500 | actions per second [Hz] |
-    | `substeps` | steps ≤ 1 ms, shorter for stiff springs | physics steps per control period |
-    | `termination_radius` | 0.1, or 2 × bound | position error beyond which the episode terminates [m] |
-    | `slack_time` | 0.1 | longest time for which a cable may be slack [s] |
-    | `terminate_on_violation` | False | whether the first violation of a limit terminates the episode |
-    | `reward_weights` | see "Reward" | weights by reward term |
-    | `normalised_observation` | False | whether the observation is normalised, see "Observation space" |
-    | `observation_dtype` | "float64" | number type of the observation and its space; "float32" for learning |
+    {keywords}
 
     The defaults of a robot are in its data. Without data, the motion is the paper's circle between
     dwells for a robot with the paper's geometry, else a lemniscate about the home pose that the
@@ -463,3 +444,9 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
         info["termination_reason"] = reason
         observation = simulation.observation[0].astype(self.settings.observation_dtype)
         return observation, float(simulation.reward[0]), reason > 0, info
+
+
+# The docstring is absent under python -OO.
+CableBotEnv.__doc__ = inspect.cleandoc(CableBotEnv.__doc__ or "").replace(
+    "{keywords}", keyword_table()
+)
