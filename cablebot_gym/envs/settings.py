@@ -338,6 +338,8 @@ class Settings:
     def with_options(self, options: Mapping[str, Any]) -> Self:
         """Settings of an episode with reset options, checked by :func:`check_options`."""
         changes = {name: value for name, value in options.items() if name in KEYWORDS}
+        if not changes:  # most resets; a copy would make them slower
+            return self
         # A value that is given for the episode replaces the random draw.
         if "payload" in changes:
             changes["payload_range"] = None

@@ -24,6 +24,7 @@ from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.physics.rest import equilibrium_torques, motor_start
 from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.task import Task, at_rest, start_pose
+from cablebot_gym.trajectories import Reference
 from cablebot_gym.uncertainty import PARAMETERS, RobotArrays, Uncertainty, draw_size
 from cablebot_gym.utils.threads import call_all
 
@@ -239,7 +240,9 @@ class Simulation:
             self.streams.noise_seeds[env_indices] = noise_seeds[env_indices]
         self.streams.start_episode(env_indices)
         payload = self._nominal_payload(env_indices, episode)
-        pose, velocity = self._start_motion(env_indices, episode)
+        start = episode.trajectory(0.0)
+        pose = self._start_pose(env_indices, episode, start)
+        velocity = np.broadcast_to(start.velocity, pose.shape)
         # Nothing has changed yet but the streams, which reset() restores after an error.
         starts = [
             self._prepared_start(
@@ -248,7 +251,7 @@ class Simulation:
             for uncertainty, rows in self._by_uncertainty(env_indices, episode.uncertainty)
         ]
 
-        self._store_settings(env_indices, episode, payload)
+        self._store_settings(env_indices, episode, payload, rests=at_rest(start))
         for apply in starts:
             apply()
         self._tables.follow(env_indices, episode.trajectory, self._plant.trajectory_index)
@@ -264,12 +267,11 @@ class Simulation:
         uniform = self.streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
         return low + (high - low) * uniform
 
-    def _start_motion(
-        self, env_indices: NDArray[np.int64], episode: Settings
-    ) -> tuple[Array, Array]:
-        """Start poses and velocities, (k, n)."""
+    def _start_pose(
+        self, env_indices: NDArray[np.int64], episode: Settings, start: Reference
+    ) -> Array:
+        """Start poses, (k, n)."""
         robot = episode.robot
-        start = episode.trajectory(0.0)
         if episode.initial_error is None:
             nominal = start_pose(robot, episode.trajectory, episode.error_bounds)
         else:
@@ -278,10 +280,10 @@ class Simulation:
         if episode.initial_error_range is not None:
             uniform = self.streams.uniform(env_indices, Purpose.START, robot.coordinates)
             pose = pose + episode.initial_error_range * (2 * uniform - 1)
-        return pose, np.broadcast_to(start.velocity, pose.shape)
+        return pose
 
     def _store_settings(
-        self, env_indices: NDArray[np.int64], episode: Settings, payload: Array
+        self, env_indices: NDArray[np.int64], episode: Settings, payload: Array, *, rests: bool
     ) -> None:
         """Stores what the outcome and the tasks of the episodes need."""
         known = self._values_of(env_indices, episode.payload_known)
@@ -291,7 +293,7 @@ class Simulation:
         columns[outcome.KNOWN, env_indices] = known
         columns[outcome.POSITION_BOUND, env_indices] = episode.error_bounds.position
         columns[outcome.ROTATION_BOUND, env_indices] = episode.error_bounds.rotation
-        columns[outcome.STARTS_AT_REST, env_indices] = at_rest(episode.trajectory(0.0))
+        columns[outcome.STARTS_AT_REST, env_indices] = rests
         steps = round(episode.trajectory.duration * episode.control_frequency)
         self.motion_steps[env_indices] = max(1, steps)
         for env_index in env_indices:
