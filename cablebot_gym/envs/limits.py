@@ -11,6 +11,9 @@ from typing import Any
 
 from cablebot_gym.robots import Cable, Robot
 
+SLACK_TIME = 0.1
+"""Longest time for which a cable may be slack before the environment terminates the episode [s]."""
+
 ACTION_ROUNDING = 1e-12
 """Tolerance of |a| ≤ 1 for rounding errors."""
 

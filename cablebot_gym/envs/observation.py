@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike
 
+from cablebot_gym.envs.limits import SLACK_TIME
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.robots import GRAVITY, Robot
@@ -21,10 +22,6 @@ PREVIEWS = (0.02, 0.05, 0.1, 0.2)
 LAST_ACTIONS = 3
 """Number of past actions in the observation. An action that arrives up to so many periods late is
 still in it."""
-
-SLACK_SCALE = 0.1
-"""Scale of the block ``slack_time``: the default time after which a slack cable terminates the
-episode [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,7 +200,8 @@ def observation_layout(robot: Robot, measurement: Measurement = POSE) -> Observa
     * orientation, angular rate and specific force: the angle, its derivative, and the gravitational
       acceleration;
     * payload: the mass that the stall torque of a motor accelerates at v²/L by its cable;
-    * time to go: 1 s; slack time: :data:`SLACK_SCALE`; actions: 1.
+    * time to go: 1 s; slack time: the 0.1 s after which a slack cable terminates the episode;
+      actions: 1.
     """
     sizes = _sizes(robot)
     readings = _readings(robot, sizes)
@@ -388,7 +386,7 @@ def _controller_blocks(robot: Robot, sizes: _Sizes) -> list[Block]:
         _block("model_payload", 1, (0.0, heaviest), payload, "kg", model),
         _block("payload_known", 1, (0.0, 1.0), 1.0, "–", "1 if the payload is known, else 0"),
         _block("last_actions", LAST_ACTIONS * m, (-1.0, 1.0), 1.0, "–", sent),
-        _block("slack_time", 1, (0.0, 1e3), SLACK_SCALE, "s", slack),
+        _block("slack_time", 1, (0.0, 1e3), SLACK_TIME, "s", slack),
     ]
 
 

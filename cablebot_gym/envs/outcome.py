@@ -101,7 +101,6 @@ class Constants(NamedTuple):
     """Least valid tension at a physics step [N]; −∞ for bilateral cables, which only have to
     pull."""
     termination_radius: float
-    slack_time: float
     terminate_on_violation: bool
 
 
@@ -423,7 +422,7 @@ def _terminate(batch, finite, inside, position_error, slack_for):
         return _WORKSPACE
     if position_error > batch.termination_radius:
         return _TRACKING_ERROR
-    if slack_for > batch.slack_time + 1e-9:  # rounding of the sum of periods
+    if slack_for > limits.SLACK_TIME + 1e-9:  # rounding of the sum of periods
         return _SLACK
     return 0
 

@@ -304,13 +304,6 @@ class Settings:
             "0.1, or 2 × bound",
         ),
     ]
-    slack_time: Annotated[
-        float,
-        Keyword(
-            lambda name, value, scope: number(name, value, least=0),
-            "longest time for which a cable may be slack [s]",
-        ),
-    ] = 0.1
     terminate_on_violation: Annotated[
         bool,
         Keyword(_boolean, "whether the first violation of a limit terminates the episode"),

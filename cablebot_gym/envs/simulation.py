@@ -109,7 +109,6 @@ class Simulation:
             period=settings.period,
             minimum_tension=limits.minimum_tension(robot, settings.cable),
             termination_radius=settings.termination_radius,
-            slack_time=settings.slack_time,
             terminate_on_violation=settings.terminate_on_violation,
         )
 

@@ -174,7 +174,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     An episode terminates if one of these conditions is met:
 
     1. `tracking_error`: the position error exceeds `termination_radius`;
-    2. `slack`: some cable has been slack for longer than `slack_time`;
+    2. `slack`: some cable has been slack for longer than 0.1 s;
     3. `workspace`: the pose is outside the workspace of the robot;
     4. `non_finite`: the state is not finite;
     5. `violation`: a limit is violated, see "Reward", and `terminate_on_violation` is set.

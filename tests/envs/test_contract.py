@@ -150,7 +150,6 @@ def test_action_out_of_bounds_acts_like_the_bound(env_id, delay):
     keywords = {
         "uncertainty": {"delay": delay},
         "termination_radius": 9.0,
-        "slack_time": 9.0,
     }
     raw, clipped = (make_vector(env_id, 2, **keywords) for _ in range(2))
     actions = random_actions(raw, 60, -1.8, 3.0)

@@ -58,7 +58,6 @@ def make_lasting(env_id, count, **keywords) -> Any:
     lasting = {
         "robot": robot,
         "termination_radius": 100.0,
-        "slack_time": 100.0,
         "autoreset_mode": "Disabled",
     }
     return make_vector(env_id, count, **lasting | keywords)

@@ -36,7 +36,6 @@ def test_last_actions_are_those_sent_in_this_episode(mode, delay):
         PLANAR,
         count,
         autoreset_mode=mode,
-        slack_time=0.01,
         termination_radius=0.03,
         uncertainty={"delay": delay},
         trajectory={"name": "line-planar", "duration": 0.1, "dwell": 0.01},
@@ -70,7 +69,7 @@ def test_last_actions_are_those_sent_in_this_episode(mode, delay):
 
 
 def test_slack_time_is_the_timer_of_the_termination():
-    env = make(PLANAR, slack_time=0.02, termination_radius=1.0)
+    env = make(PLANAR, termination_radius=1.0)
     observation, _ = env.reset()
     timer = 0.0
     terminated = False
@@ -83,7 +82,7 @@ def test_slack_time_is_the_timer_of_the_termination():
         timer = timer + 0.002 if info["slack"].any() else 0.0
         step += 1
     assert TERMINATION_REASONS[info["termination_reason"]] == "slack"
-    assert env.layout.split(observation)["slack_time"][0] == pytest.approx(0.022)
+    assert env.layout.split(observation)["slack_time"][0] == pytest.approx(0.102)
     assert env.layout.split(env.reset()[0])["slack_time"][0] == 0.0
 
 

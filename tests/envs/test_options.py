@@ -95,7 +95,6 @@ KEYWORDS = {
     "termination_radius": Case(
         1e-6, {"terminated", "rewards", "termination_reason"}, {"observations"}
     ),
-    "slack_time": Case(0.0, {"terminated", "termination_reason"}, {"observations"}, action=-0.3),
     "reward_weights": Case(
         {"position": 3.0},
         {"rewards", "reward_position"},
@@ -428,7 +427,6 @@ def test_bad_action_raises_and_leaves_the_episode(action):
         ({"observation_dtype": "float16"}, "float64, float32"),
         ({"control_frequency": 0.0}, "control_frequency"),
         ({"termination_radius": 0}, "termination_radius"),
-        ({"slack_time": -0.1}, "slack_time"),
         ({"payload_range": (2.0, 1.0)}, "payload_range"),
         ({"payload": 1.0, "payload_range": (0.0, 2.0)}, "exclude each other"),
         (

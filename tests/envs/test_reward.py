@@ -52,7 +52,6 @@ def test_reward_is_the_sum_of_its_weighted_terms(env_id, weight):
         trajectory=f"paper-{robot.kind}",
         reward_weights=weights,
         error_bounds=bounds,
-        slack_time=9.0,
     )
     actions = tremble(env_id, 30)
     start = np.append([0.0, 0.02], np.zeros(robot.coordinates - 2))

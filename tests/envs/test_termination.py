@@ -127,7 +127,6 @@ def test_info_is_of_the_start_and_peaks_of_the_whole_period(env_id):
         substeps=20,
         trajectory=f"paper-{robot.kind}",
         termination_radius=5.0,
-        slack_time=99.0,
     )
     actions = np.repeat(
         1.6 * np.random.default_rng(0).uniform(-0.6, 1.0, (30, robot.cables)),
