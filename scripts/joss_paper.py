@@ -119,7 +119,7 @@ def _largest(tables: Sequence[tuple[Leaderboard, Sequence[Score]]]) -> str:
 
 def main() -> None:
     """Writes paper/paper.md."""
-    argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
+    argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0]).parse_args()
     PAPER.write_text(paper(), encoding="utf-8")
 
 

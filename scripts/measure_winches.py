@@ -196,7 +196,7 @@ def table(data: dict[str, Any]) -> str:
 
 def main() -> None:
     """Computes the missing cases."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument(
         "--env",
         nargs="*",

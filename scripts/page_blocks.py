@@ -181,7 +181,7 @@ def blocks(text: str) -> dict[str, str]:
 
 def main() -> None:
     """Writes the blocks of all pages."""
-    argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
+    argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0]).parse_args()
     for page in PAGES:
         path = ROOT / page
         text = path.read_text(encoding="utf-8")

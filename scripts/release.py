@@ -56,7 +56,7 @@ def absolute_links(readme: str, repository: str, tag: str) -> str:
 
 def main() -> None:
     """Exits with a list of problems, if there are any."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument(
         "tag", nargs="?", default=f"v{__version__}", help="the tag that is published"
     )

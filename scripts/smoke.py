@@ -134,7 +134,7 @@ def check_extras() -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--extras", action="store_true", help="train, draw and benchmark instead")
     chosen = parser.parse_args()
     reject_checkout()

@@ -75,7 +75,7 @@ _errors = notes_console()
 
 def main() -> None:
     """Command line; errors exit with status 2, an interrupt with status 130."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0] if __doc__ else None)
     parser.add_argument("--policy", help=f"{', '.join(SHIPPED)} (default: all)")
     parser.add_argument(
         "--id", dest="env_id", help="environment, such as CableBot-Spatial-v0 (default: all)"

@@ -20,6 +20,7 @@ from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.batch import Batch, versions
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.policies import PolicySpec
@@ -32,8 +33,8 @@ DEFAULT_ERROR_BOUNDS = MappingProxyType(to_jsonable(ErrorBounds()))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Conditions:
-    """Conditions that all cells have."""
+class Setting:
+    """Robot, motion and error bounds, which all cells have."""
 
     kind: ClassVar[str]
 
@@ -104,7 +105,7 @@ class Conditions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolicyCell(Conditions):
+class PolicyCell(Setting):
     """The DLCC of one policy under one set of conditions."""
 
     kind: ClassVar[str] = "policy"
@@ -159,9 +160,8 @@ class PolicyCell(Conditions):
         """JSON-able keyword arguments of
         :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc`."""
         names = ("criterion", "payload_max", "resolution", "probability", "seed")
-        draws = (
-            self.draws if self.draws > 1 else None
-        )  # a stochastic policy has draws without uncertainty
+        # a stochastic policy has draws without uncertainty
+        draws = self.draws if self.draws > 1 else None
         return self.env_options() | {name: getattr(self, name) for name in names} | {"draws": draws}
 
     def compute(self) -> dict[str, Any]:
@@ -185,12 +185,12 @@ class PolicyCell(Conditions):
             "scan_ended": result.scan_ended,
             "saturated": bool(np.abs(result.rollout.arrays["commanded_action"]).max() > 1 - 1e-9),
             "assured": result.assured,
-            "stochastic": result.stochastic,
+            "stochastic": result.details.stochastic,
             "draws": result.draws,
-            "declared": result.declared,
-            "feasible": [list(interval) for interval in result.feasible],
-            "failures": result.failures,
-            "fallbacks": result.fallbacks,
+            "declared": result.details.declared,
+            "feasible": [list(interval) for interval in result.details.feasible],
+            "failures": result.details.failures,
+            "fallbacks": result.details.fallbacks,
         }
 
     def success_rate(self, payload: float, draws: int, seed: int) -> float:
@@ -205,17 +205,13 @@ class PolicyCell(Conditions):
             PolicyError: if the policy carries the payload less often alone than with other
                 episodes.
         """
-        judged: dict[str, Any] = {
-            "criterion": self.criterion,
-            "error_bounds": dict(self.error_bounds),
-            "uncertainty": self.uncertainty,
-        }
-        keywords = {name: value for name, value in self.env_options().items() if name not in judged}
+        conditions = Conditions.of(
+            self.env_id, criterion=self.criterion, draws=draws, seed=seed, **self.env_options()
+        )
         with self._isolated() as policy:
-            batch = Batch(policy, self.env_id, draws=draws, seed=seed, keywords=keywords, **judged)
-            carried = sum(
-                verdict.carried for verdict in batch.run([(payload, one) for one in batch.seeds])
-            )
+            batch = Batch(policy, conditions)
+            verdicts = batch.run([(payload, draw_seed) for draw_seed in batch.seeds])
+            carried = sum(verdict.carried for verdict in verdicts)
             batch.check_alone(payload, carried)
         return carried / draws
 
@@ -225,7 +221,7 @@ class PolicyCell(Conditions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimingCell(Conditions):
+class TimingCell(Setting):
     """The computing time of a policy per action."""
 
     kind: ClassVar[str] = "timing"
@@ -257,7 +253,7 @@ class TimingCell(Conditions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BestKnownCell(Conditions):
+class BestKnownCell(Setting):
     """The best known payload: the largest payload for which a motion within all limits is known."""
 
     kind: ClassVar[str] = "best-known"

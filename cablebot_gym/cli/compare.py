@@ -39,9 +39,9 @@ _OVER_PAYLOAD = ("mean_error", "max_error", "max_rotation", "rms_torque")
 """Quantities that the table over the payload shows."""
 
 
-@options.episode_options()
 def compare(
-    env_id: options.FittingEnvId,
+    *,
+    env_id: options.FittingEnvId = None,
     policies: Annotated[
         str,
         typer.Option(
@@ -49,7 +49,7 @@ def compare(
             help="Policies as for `dlcc --policy`, separated by commas. The others are compared against the first.",
         ),
     ],
-    episode: dict[str, Any],
+    episode: options.EpisodeOptions,
     payload: options.Payload = None,
     payloads: Annotated[
         str | None,
@@ -68,11 +68,9 @@ def compare(
 
     Examples:
 
-    cablebot compare CableBot-Spatial-v0 --policies fl,robust --uncertainty table6 --payload 1 --out
-    results
+    cablebot compare CableBot-Spatial-v0 --policies fl,robust --uncertainty table6 --payload 1 --out results
 
-    cablebot compare CableBot-Spatial-v0 --policies fl,robust,adaptive --payloads 0:9:0.5 --out
-    results
+    cablebot compare CableBot-Spatial-v0 --policies fl,robust,adaptive --payloads 0:9:0.5 --out results
     """
     from cablebot_gym.evaluation.comparison import (
         PayloadComparison,
@@ -81,6 +79,7 @@ def compare(
     )
     from cablebot_gym.utils.files import atomic_write_text
 
+    env_id = options.fitting_id(env_id, episode.robot)
     options.check_figure_folder(out, "comparison.json", "comparison.png")
     if payload is not None and payloads is not None:
         raise ValueError("--payload and --payloads exclude each other: give one of them")
@@ -88,11 +87,12 @@ def compare(
     names = options.split_names(policies)
     robot = options.robot_of(env_id, episode)
     options.note_unsupported(names, env_id)
-    loaded = options.loaded_policies(names, robot, episode.pop("wrappers"))
-    common: dict[str, Any] = {"draws": draws, "progress": True, **episode}
+    loaded = options.loaded_policies(names, robot, episode.wrappers)
+    common: dict[str, Any] = {"draws": draws, "progress": True, **episode.keywords()}
     comparison: Comparison | PayloadComparison
     if grid is None:
-        payload = robot.defaults.payload(0.0) if payload is None else payload
+        if payload is None:
+            payload = robot.defaults.payload(0.0)
         comparison = compare_policies(loaded, env_id, payload=payload, **common)
     else:
         comparison = compare_over_payloads(loaded, env_id, payloads=grid, **common)
@@ -179,11 +179,12 @@ def print_comparison(comparison: Comparison) -> None:
 
 def _title(comparison: Comparison, payload: str = "") -> str:
     from cablebot_gym.envs import described
-    from cablebot_gym.task import payload_model_text
 
-    model = payload_model_text(comparison.payload_known, comparison.model_payload_factor)
-    uncertainty = f"{options.counted(comparison.draws, 'draw')} of {comparison.uncertainty or 'no uncertainty'}"
-    return f"{described(comparison.env_id, comparison.task.robot.name)}{payload}, {model}, {uncertainty}"
+    conditions = comparison.conditions
+    robot = described(conditions.env_id, comparison.task.robot.name)
+    draws = options.counted(comparison.draws, "draw")
+    uncertainty = conditions.uncertainty_name or "no uncertainty"
+    return f"{robot}{payload}, {conditions.payload_model}, {draws} of {uncertainty}"
 
 
 def _cells(metrics: PolicyMetrics, columns: Sequence[tuple[str, str, float]]) -> list[str]:

@@ -54,8 +54,7 @@ def submit(
 
     Example:
 
-    cablebot submit p:make --id CableBot-Planar-v0 --out p --authors A --licence MIT --compute 1h
-    --data none --seeds 0
+    cablebot submit p:make --id CableBot-Planar-v0 --out p --authors A --licence MIT --compute 1h --data none --seeds 0
     """
     from cablebot_gym.benchmark import entries
     from cablebot_gym.benchmark.board import run_seed

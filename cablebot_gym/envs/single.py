@@ -59,8 +59,8 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
 
     A flat, bounded `Box`. `env.unwrapped.layout` gives the slices of the blocks, and
     `layout.table()` prints them with their bounds. m is the number of cables, n that of the
-    coordinates: (x, y) or (x, y, z) of a point mass, (x, y, φ) of a platform in a plane, (x, y, z,
-    ψ, θ, φ) of one in space. A component saturates at its bound.
+    coordinates: (x, y) or (x, y, z) of a point mass, (x, y, φ) of a platform in a plane,
+    (x, y, z, ψ, θ, φ) of one in space. A component saturates at its bound.
 
     | name | size | meaning |
     |---|---|---|

@@ -13,7 +13,6 @@ from cablebot_gym.envs import described
 from cablebot_gym.evaluation.comparison import Comparison, PayloadComparison
 from cablebot_gym.kinematics import Array
 from cablebot_gym.plotting.figures import DPI, add_legend, new_figure, set_title
-from cablebot_gym.task import payload_model_text
 from cablebot_gym.utils.files import atomic_write
 from cablebot_gym.utils.palette import (
     BLACK,
@@ -63,7 +62,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
         sharex="col" if len(kinds) < 2 else False,
     )
     for (over_time, largest), (name, unit, series, peak) in zip(grid, kinds, strict=True):
-        bound = getattr(comparison.error_bounds, name)
+        bound = getattr(comparison.conditions.error_bounds, name)
         largest_error = max(float(np.max(getattr(metrics, peak))) for metrics in comparison.metrics)
         _over_time(over_time, comparison, series)
         over_time.set(ylabel=f"{name} error [{unit}]")
@@ -129,7 +128,7 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
             )
         axes.set_ylabel(label)
     for axes, bound, unit in zip(
-        panels[:-2], vars(first.error_bounds).values(), ("mm", "mrad"), strict=False
+        panels[:-2], vars(first.conditions.error_bounds).values(), ("mm", "mrad"), strict=False
     ):
         axes.axhline(1e3 * bound, color="black", linewidth=1.0)
         axes.set_title(
@@ -147,12 +146,12 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
 def _conditions(comparison: Comparison, payload: str = "") -> str:
     """Environment, payload, payload model and draws."""
     draws = (
-        f"{comparison.draws} draws of {comparison.uncertainty}"
-        if comparison.uncertainty
+        f"{comparison.draws} draws of {comparison.conditions.uncertainty_name}"
+        if comparison.conditions.uncertainty_name
         else "no uncertainty"
     )
-    model = payload_model_text(comparison.payload_known, comparison.model_payload_factor)
-    return f"{described(comparison.env_id, comparison.task.robot.name)}, {payload}{model}; {draws}"
+    model = comparison.conditions.payload_model
+    return f"{described(comparison.conditions.env_id, comparison.task.robot.name)}, {payload}{model}; {draws}"
 
 
 def save_comparison(comparison: Comparison | PayloadComparison, folder: Path) -> Path:

@@ -130,7 +130,7 @@ def draw_torques(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    return _drawn(result, {_draw_torques: torques_height(result.task.robot.cables)})
+    return _drawn(result, {_draw_torques: torques_height(result.rollout.task.robot.cables)})
 
 
 def draw_path(result: DLCCResult) -> Figure:
@@ -149,7 +149,8 @@ def draw_result(result: DLCCResult) -> Figure:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     return _drawn(
-        result, {_draw_torques: torques_height(result.task.robot.cables), _draw_path: _PATH_HEIGHT}
+        result,
+        {_draw_torques: torques_height(result.rollout.task.robot.cables), _draw_path: _PATH_HEIGHT},
     )
 
 
@@ -181,7 +182,7 @@ def draw_springs(result: DLCCResult) -> Figure:
     deflections = result.rollout.arrays.get("spring_deflection")
     if deflections is None:
         raise ValueError(
-            f"robot {result.task.robot.name!r} has no joint springs with cables that do not stretch"
+            f"robot {result.rollout.task.robot.name!r} has no joint springs with cables that do not stretch"
         )
     cables = deflections.shape[1]
     columns = min(3, deflections.shape[1])
@@ -225,25 +226,28 @@ def draw_success(result: DLCCResult) -> Figure:
         ImportError: if matplotlib is missing; the message names the command that installs it.
         ValueError: if the result has only one draw.
     """
-    if result.probability is None:
+    if result.details.probability is None:
         raise ValueError("a success curve needs several draws: evaluate with a random uncertainty")
     figure = new_figure(_SUCCESS_HEIGHT)
     axes = figure.subplots()
-    payload, fraction = np.array(result.success).T
+    payload, fraction = np.array(result.details.success).T
     label = "fraction of the scan's draws that carry it"
     axes.plot(payload, fraction, color=BLUE, linewidth=1.8, marker="o", markersize=3, label=label)
     axes.axhline(
-        result.probability,
+        result.details.probability,
         color="black",
         linewidth=1.0,
-        label=f"required: {result.probability:.0%}",
+        label=f"required: {result.details.probability:.0%}",
     )
     if result.payload is not None:
         label = f"payload: {result.payload:.2f} kg ({result.assurance})"
         axes.axvline(result.payload, color=VERMILLION, linewidth=1.2, label=label)
     largest = payload[np.flatnonzero(fraction > 0)[-1]] if fraction.any() else 0.0
     axes.set(
-        xlim=(0, min(result.payload_max, 1.25 * largest + 0.02 * result.payload_max)),
+        xlim=(
+            0,
+            min(result.details.payload_max, 1.25 * largest + 0.02 * result.details.payload_max),
+        ),
         ylim=(0, 1.02),
     )
     axes.set(xlabel="payload [kg]", ylabel="fraction of draws")
@@ -270,7 +274,7 @@ def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     figures = {"torques": draw_torques(result), "path": draw_path(result)}
-    if result.probability is not None:
+    if result.details.probability is not None:
         figures["success"] = draw_success(result)
     if "spring_deflection" in result.rollout.arrays:
         figures["springs"] = draw_springs(result)
@@ -308,7 +312,7 @@ def requested_torque(result: DLCCResult) -> Array:
 def _slope(result: DLCCResult) -> Array:
     """True slope τ_s/ω_n, (m,) [N·m·s]. The strength factor of a motor does not change its free
     speed."""
-    robot = result.task.robot
+    robot = result.rollout.task.robot
     slope: Array = robot.speed_slope * (result.rollout.stall_torque / robot.stall_torque)
     return slope
 
@@ -343,16 +347,16 @@ def _set_result_title(figure: FigureBase, result: DLCCResult, *, one_draw: bool 
         summary = "fails unloaded (shown: zero payload)"
     else:
         summary = f"payload {result.payload:.3f} kg, total mass {result.total_mass:.3f} kg"
-    head = f"{described(result.env_id, result.task.robot.name)}, policy {result.policy}, {result.criterion} criterion"
+    robot = described(result.conditions.env_id, result.conditions.robot.name)
+    head = f"{robot}, policy {result.policy}, {result.criterion} criterion"
     draws_line = []
-    if result.probability is not None:
-        shown = (
-            "the first draw that carries it"
-            if result.payload is not None
-            else "the draw with this violation"
-        )
-        draws_line = [f"{result.uncertainty or 'random episodes'}, {result.assurance}"]
-        draws_line += [f"shown: {shown}"] if one_draw else []
+    if result.details.probability is not None:
+        uncertainty = result.conditions.uncertainty_name or "random episodes"
+        draws_line.append(f"{uncertainty}, {result.assurance}")
+        if one_draw and result.payload is not None:
+            draws_line.append("shown: the first draw that carries it")
+        elif one_draw:
+            draws_line.append("shown: the draw with this violation")
     set_title(figure, head, *draws_line, summary, f"limiting violation: {result.violation_text}")
 
 
@@ -432,7 +436,9 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
 
 def _end(result: DLCCResult) -> float:
     """End of the last step of the episode [s]."""
-    return float(result.rollout.arrays["action_time"][-1] + 1 / result.task.control_frequency)
+    return float(
+        result.rollout.arrays["action_time"][-1] + 1 / result.rollout.task.control_frequency
+    )
 
 
 def _span(times: Array, end: float) -> tuple[float, float]:
@@ -509,12 +515,12 @@ def add_legend(figure: FigureBase, axes: Axes) -> None:
 def _draw_path(figure: FigureBase, result: DLCCResult) -> None:
     arrays = result.rollout.arrays
     path = TravelledPath(
-        times=arrays["action_time"] + 1 / result.task.control_frequency,
+        times=arrays["action_time"] + 1 / result.rollout.task.control_frequency,
         pose=arrays["true_pose"],
         position_error=arrays["tracking_error"],
-        rotation_error=None if result.task.robot.point_mass else arrays["rotation_error"],
+        rotation_error=None if result.rollout.task.robot.point_mass else arrays["rotation_error"],
     )
-    path_panels(figure, result.task.trajectory, [path], **result.error_bounds)
+    path_panels(figure, result.rollout.task.trajectory, [path], **result.details.error_bounds)
 
 
 def path_panels(

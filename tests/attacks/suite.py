@@ -209,14 +209,18 @@ These policies do what only a sandbox closes. Each fails with a message when its
 """
 
 
+def _what(attack) -> str:
+    """What the policy of an attack does, in one line."""
+    return " ".join(getattr(cheats, attack.name).__doc__.split())
+
+
 def page() -> str:
     """The page docs/attacks.md."""
     lines = [(FOLDER / "attacks_head.md").read_text(encoding="utf-8")]
     lines += ["| the policy … | before | status | now |", "|---|---|---|---|"]
     for attack in ATTACKS:
         text = f"“{attack.now}”" if attack.status else attack.now
-        what = getattr(cheats, attack.name).__doc__
-        lines.append(f"| {what} | {attack.before} | {attack.status} | {text} |")
+        lines.append(f"| {_what(attack)} | {attack.before} | {attack.status} | {text} |")
     lines += [
         "",
         "## In the sandbox",
@@ -226,7 +230,7 @@ def page() -> str:
     ]
     lines.append("|---|---|---|")
     for attack in SANDBOXED:
-        lines.append(f"| {getattr(cheats, attack.name).__doc__} | “{attack.now}” | {Attack.now} |")
+        lines.append(f"| {_what(attack)} | “{attack.now}” | {Attack.now} |")
     return "\n".join(lines) + "\n"
 
 

@@ -285,7 +285,7 @@ def test_wrapped_spaces_decide_whether_a_model_fits(trained, tmp_path):
         ),
         (
             wrappers[1:3],
-            r"returns rescaled actions within \[-0.5, 0.5\].*Behind <lambda>, FlattenObservation it has 62",
+            r"returns rescaled actions within \[-0.5, 0.5\].*Behind stack, FlattenObservation it has 62",
         ),
     ):
         with pytest.raises(ValueError, match=message):
