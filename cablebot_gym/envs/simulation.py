@@ -62,7 +62,8 @@ class Simulation:
         self._tables = ReferenceTables(
             settings.control_frequency, settings.substeps, to_snap=robot.flexible
         )
-        self._stall = np.tile(robot.stall_torque, (count, 1))
+        self.stall_torque = np.tile(robot.stall_torque, (count, 1))
+        """True stall torques τ_s [N·m], (N, m)."""
         self._episode_settings = np.zeros((count, outcome.EPISODE_SETTINGS))
         self._sent = np.zeros((count, robot.cables))
         self._slack_for = np.zeros(count)
@@ -114,7 +115,7 @@ class Simulation:
 
     def __getstate__(self) -> dict[str, Any]:
         """The attributes without those of :meth:`_bind`."""
-        bound = ("_records", "_advance", "_judge_step", "_whole_step")
+        bound = ("_records", "_advance", "_judge", "_advance_and_judge")
         return {name: value for name, value in self.__dict__.items() if name not in bound}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -133,7 +134,7 @@ class Simulation:
             references=tables.control,
             last_rows=tables.control_ends,
             settings=self._episode_settings,
-            stall=self._stall,
+            stall=self.stall_torque,
             readings=self._sensors.readings,
             noise=self._disturbances.noise,
             sent=self._sent,
@@ -155,14 +156,12 @@ class Simulation:
             step=self.settings.physics_step,
         )
         self._records = tuple(self._constants), tuple(episodes), tuple(outputs)
-        self._judge_step = tuple(
-            partial(outcome.outcome, False, self._all_indices[part], *self._records)
-            for part in plant.parts
-        )
-        self._whole_step = tuple(
-            partial(_both, advance, judge)
-            for advance, judge in zip(self._advance, self._judge_step, strict=True)
-        )
+        self._judge = []
+        self._advance_and_judge = []
+        for robots, advance in zip(plant.parts, self._advance, strict=True):
+            judge = partial(outcome.outcome, False, self._all_indices[robots], *self._records)
+            self._judge.append(judge)
+            self._advance_and_judge.append(partial(_call_in_turn, advance, judge))
 
     @property
     def tasks(self) -> tuple[Task, ...]:
@@ -187,11 +186,6 @@ class Simulation:
     def truth_of(self, env_index: int) -> dict[str, Array]:
         """True parameters of one environment's episode."""
         return {name: values[env_index].copy() for name, values in self.truth.items()}
-
-    @property
-    def stall_torque(self) -> Array:
-        """True stall torques τ_s [N·m], shape (N, m)."""
-        return self._stall
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -222,7 +216,8 @@ class Simulation:
         """
         before = self.streams.state()
         try:
-            self.streams.seed(env_indices, [None] * len(env_indices) if seeds is None else seeds)
+            if seeds is not None:
+                self.streams.seed(env_indices, seeds)
             self._start_episodes(env_indices, options)
         except Exception:
             self.streams.restore(before)
@@ -243,12 +238,12 @@ class Simulation:
         pose = self._start_pose(env_indices, episode, start)
         velocity = np.broadcast_to(start.velocity, pose.shape)
         # Nothing has changed yet but the streams, which reset() restores after an error.
-        starts = [
-            self._prepared_start(
+        starts = []
+        for uncertainty, rows in self._by_uncertainty(env_indices, episode.uncertainty):
+            start_of_rows = self._prepared_start(
                 env_indices[rows], uncertainty, payload[rows], pose[rows], velocity[rows]
             )
-            for uncertainty, rows in self._by_uncertainty(env_indices, episode.uncertainty)
-        ]
+            starts.append(start_of_rows)
 
         self._store_settings(env_indices, episode, payload, rests=at_rest(start))
         for apply in starts:
@@ -310,13 +305,11 @@ class Simulation:
         if len(uncertainties) == 1:
             yield uncertainties[0], np.arange(len(env_indices))
             return
-        for uncertainty in dict.fromkeys(uncertainties[env_index] for env_index in env_indices):
-            yield (
-                uncertainty,
-                np.flatnonzero(
-                    [uncertainties[env_index] == uncertainty for env_index in env_indices]
-                ),
-            )
+        rows_of: dict[Uncertainty, list[int]] = {}
+        for row, env_index in enumerate(env_indices):
+            rows_of.setdefault(uncertainties[env_index], []).append(row)
+        for uncertainty, rows in rows_of.items():
+            yield uncertainty, np.array(rows)
 
     def _prepared_start(
         self,
@@ -356,7 +349,7 @@ class Simulation:
         )
 
         def apply() -> None:
-            self._stall[env_indices] = robot.stall_torque
+            self.stall_torque[env_indices] = robot.stall_torque
             self._episode_settings[env_indices, outcome.PAYLOAD] = payload
             self._store_truth(env_indices, robot, payload)
             self._plant.set_parameters(env_indices, rows)
@@ -378,14 +371,14 @@ class Simulation:
         for name, parameter in PARAMETERS.items():
             if not parameter.belongs_to(self.settings.robot):
                 continue
-            nominal = (
-                getattr(self.settings.robot, parameter.attribute) if name != "payload" else 0.0
-            )
+            if name == "payload":
+                nominal, true = 0.0, payload
+            else:
+                nominal = getattr(self.settings.robot, parameter.attribute)
+                true = getattr(robot, parameter.attribute)
             if name not in self.truth:
                 self.truth[name] = np.zeros((self.count, *np.shape(nominal)))
-            self.truth[name][env_indices] = (
-                payload if name == "payload" else getattr(robot, parameter.attribute)
-            )
+            self.truth[name][env_indices] = true
 
     def step(self, actions: ArrayLike) -> None:
         """Advances all environments by one control period under actions (N, m), or (m,) of the
@@ -403,13 +396,12 @@ class Simulation:
             self._disturbances.update_wrench(plant)
         plant.set_action(checked)
         if self._disturbances.quiet and not self.settings.measurement.winches:
-            call_all(
-                self._whole_step
-            )  # nothing to measure between both halves: threads wait for each other once
+            # Nothing to measure between the calls: threads wait for each other once.
+            call_all(self._advance_and_judge)
             return
         call_all(self._advance)
         self._measure(self._all_indices, fresh=False)
-        call_all(self._judge_step)
+        call_all(self._judge)
 
     def _measure(self, env_indices: NDArray[np.int64], *, fresh: bool) -> None:
         """Draws the noise and reads the sensors of the next observation."""
@@ -419,9 +411,9 @@ class Simulation:
             self._sensors.read(env_indices, self._plant, self.truth, fresh=fresh)
 
 
-def _both(first: Callable[[], None], second: Callable[[], None]) -> None:
-    first()
-    second()
+def _call_in_turn(advance: Callable[[], None], judge: Callable[[], None]) -> None:
+    advance()
+    judge()
 
 
 def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -432,7 +424,9 @@ def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
         )
     largest = outcome.LARGEST
     # A Python loop is faster than NumPy for a few numbers.
-    components = checked.tolist() if checked.ndim == 1 else [np.max(np.abs(checked))]
+    components = [np.max(np.abs(checked))]
+    if checked.ndim == 1:
+        components = checked.tolist()
     for component in components:
         if not -largest < component < largest:
             raise ValueError(

@@ -18,6 +18,7 @@ from cablebot_gym.envs.settings import keyword_table
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
+from cablebot_gym.uncertainty import PARAMETERS
 from cablebot_gym.utils.checks import whole
 
 
@@ -284,11 +285,9 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     | `distribution` | "uniform" | or "normal" with `mean` (default 0) and `std`, truncated at the bounds |
     | `each` | true | one draw for each motor, axis or coordinate; false: one draw for all of them |
 
-    The names of the parameters are `platform_mass`, `payload`, `platform_inertia`,
-    `pulley_inertia`, `damping`, `stiffness`, `motor_inertia`, `motor_damping`, `motor_strength`
-    (τ_s at constant free speed), `base_anchors`, `platform_anchors`, `motor_lag` and
-    `coulomb_friction`. The nominal robots have no lag and no Coulomb friction: give these two with
-    `"relative": false`.
+    The names of the parameters are {parameters}.
+    `motor_strength` is τ_s at constant free speed. The nominal robots have no lag and no Coulomb
+    friction: give these two with `"relative": false`.
 
     `wrench` has these fields:
 
@@ -345,9 +344,9 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
         self.action_space = Box(-1.0, 1.0, (self.settings.robot.cables,), dtype=np.float32)
         self.observation_space = self.settings.observation_space()
         self._env_index = np.zeros(1, np.int64)
-        self._pictures = (
-            None if render_mode is None else Pictures(self._simulation, self.settings.robot.name)
-        )
+        self._pictures: Pictures | None = None
+        if render_mode is not None:
+            self._pictures = Pictures(self._simulation, self.settings.robot.name)
         self._started = self._terminated = False
 
     @property
@@ -402,11 +401,12 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
         """
         if seed is not None:
             seed = whole("seed", seed)
-        first = self.np_random_seed if seed is None and not self._started else seed
-        self._simulation.reset(self._env_index, options, [first])
-        super().reset(
-            seed=seed
-        )  # after the check of the options, because an invalid reset does not change the seed
+        episode_seed = seed
+        if seed is None and not self._started:
+            episode_seed = self.np_random_seed
+        self._simulation.reset(self._env_index, options, [episode_seed])
+        # After the check of the options, because an invalid reset does not change the seed.
+        super().reset(seed=seed)
         self._started, self._terminated = True, False
         if self._pictures is not None:
             self._pictures.on_reset([0])
@@ -439,14 +439,16 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
 
     def _result(self) -> tuple[Array, float, bool, dict[str, Any]]:
         simulation = self._simulation
-        reason = int(self._simulation.reason[0])
+        reason = int(simulation.reason[0])
         info = info_dict(simulation.info[0], simulation.cables[:, 0])
         info["termination_reason"] = reason
         observation = simulation.observation[0].astype(self.settings.observation_dtype)
         return observation, float(simulation.reward[0]), reason > 0, info
 
 
-# The docstring is absent under python -OO.
-CableBotEnv.__doc__ = inspect.cleandoc(CableBotEnv.__doc__ or "").replace(
-    "{keywords}", keyword_table()
+_PARAMETER_NAMES = ", ".join(f"`{name}`" for name in PARAMETERS)
+CableBotEnv.__doc__ = (
+    inspect.cleandoc(CableBotEnv.__doc__ or "")  # absent under python -OO
+    .replace("{keywords}", keyword_table())
+    .replace("{parameters}", _PARAMETER_NAMES)
 )
