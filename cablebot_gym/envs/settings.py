@@ -296,14 +296,6 @@ class Settings:
             "steps ≤ 1 ms, shorter for stiff springs",
         ),
     ]
-    termination_radius: Annotated[
-        float,
-        Keyword(
-            _or_none(lambda name, value, scope: number(name, value, above=0)),
-            "position error beyond which the episode terminates [m]",
-            "0.1, or 2 × bound",
-        ),
-    ]
     terminate_on_violation: Annotated[
         bool,
         Keyword(_boolean, "whether the first violation of a limit terminates the episode"),
@@ -414,8 +406,7 @@ def make_settings(*, robot: str | dict[str, Any] | Robot, count: int, **keywords
         keywords: objects or JSON-able data by the names of :data:`KEYWORDS`. None stands for the
             default: no payload, the motion of :func:`default_trajectory`, the start pose of
             :func:`cablebot_gym.task.start_pose`, no uncertainty, pose and velocity as the
-            measurement, the default error bounds and their termination radius,
-            :data:`DEFAULT_WEIGHTS`, and :func:`fewest_substeps`.
+            measurement, the default error bounds, :data:`DEFAULT_WEIGHTS`, and :func:`fewest_substeps`.
 
     Raises:
         TypeError: if a keyword is unknown.
@@ -442,8 +433,6 @@ def make_settings(*, robot: str | dict[str, Any] | Robot, count: int, **keywords
     if checked["substeps"] is None:
         checked["substeps"] = fewest_substeps(robot, uncertainties, frequency)
     check_stability(robot, uncertainties, frequency, checked["substeps"])
-    if checked["termination_radius"] is None:
-        checked["termination_radius"] = checked["error_bounds"].termination_radius
     return Settings(**checked)
 
 

@@ -109,7 +109,7 @@ class Simulation:
             weights=settings.reward_weights,
             period=settings.period,
             minimum_tension=limits.minimum_tension(robot, settings.cable),
-            termination_radius=settings.termination_radius,
+            termination_radius=settings.error_bounds.termination_radius,
             terminate_on_violation=settings.terminate_on_violation,
         )
 

@@ -174,7 +174,8 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
 
     An episode terminates if one of these conditions is met:
 
-    1. `tracking_error`: the position error exceeds `termination_radius`;
+    1. `tracking_error`: the position error exceeds 0.1 m and twice its bound of the keyword
+       `error_bounds`;
     2. `slack`: some cable has been slack for longer than 0.1 s;
     3. `workspace`: the pose is outside the workspace of the robot;
     4. `non_finite`: the state is not finite;

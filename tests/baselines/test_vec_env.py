@@ -24,8 +24,7 @@ def failing(env_id):
     return {
         "max_episode_steps": LIMIT,
         "payload_range": (0.0, 3.0),
-        "initial_error_range": [0.02, 0.02] if planar else [0.02, 0.02, 0.02, 0.05, 0.05, 0.05],
-        "termination_radius": 0.03 if planar else 0.035,
+        "initial_error_range": [0.067] * 2 if planar else [0.057] * 3 + [0.05] * 3,
         "control_frequency": 100.0,
     }
 

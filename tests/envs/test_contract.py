@@ -149,7 +149,7 @@ def test_action_out_of_bounds_acts_like_the_bound(env_id, delay):
     """As Gymnasium's own tests demand. Only the record of the raw action and the reward differ."""
     keywords = {
         "uncertainty": {"delay": delay},
-        "termination_radius": 9.0,
+        "autoreset_mode": "Disabled",
     }
     raw, clipped = (make_vector(env_id, 2, **keywords) for _ in range(2))
     actions = random_actions(raw, 60, -1.8, 3.0)
@@ -243,7 +243,7 @@ def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
         env_id,
         trajectory=trajectory,
         control_frequency=frequency,
-        termination_radius=10.0,
+        error_bounds={"position": 1.0},
     )
     expected = find_trajectory(trajectory, robot.coordinates)
     orders = {"velocity": 1e-12, "acceleration": 1e-10}

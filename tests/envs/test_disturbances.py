@@ -57,7 +57,7 @@ def make_lasting(env_id, count, **keywords) -> Any:
     robot = ROBOTS[env_id].replace(workspace=wide[: ROBOTS[env_id].coordinates])
     lasting = {
         "robot": robot,
-        "termination_radius": 100.0,
+        "error_bounds": {"position": 9.0},
         "autoreset_mode": "Disabled",
     }
     return make_vector(env_id, count, **lasting | keywords)

@@ -36,9 +36,8 @@ def test_last_actions_are_those_sent_in_this_episode(mode, delay):
         PLANAR,
         count,
         autoreset_mode=mode,
-        termination_radius=0.03,
         uncertainty={"delay": delay},
-        trajectory={"name": "line-planar", "duration": 0.1, "dwell": 0.01},
+        trajectory={"name": "line-planar", "duration": 0.06, "dwell": 0.01},
     )
     observation, _ = env.reset(seed=0)
     sent = np.zeros((count, LAST_ACTIONS, 3))
@@ -69,7 +68,7 @@ def test_last_actions_are_those_sent_in_this_episode(mode, delay):
 
 
 def test_slack_time_is_the_timer_of_the_termination():
-    env = make(PLANAR, termination_radius=1.0)
+    env = make(PLANAR, error_bounds={"position": 0.5})
     observation, _ = env.reset()
     timer = 0.0
     terminated = False

@@ -82,7 +82,7 @@ def test_reward_is_the_sum_of_its_weighted_terms(env_id, weight):
 @pytest.mark.parametrize(("name", "coordinate"), [("position", 0), ("rotation", 4)])
 def test_error_terms_have_a_slope_at_ten_bounds(name, coordinate):
     """A constant term beyond the bound would not lead a failed policy back."""
-    env = make(SPATIAL, termination_radius=9.0)
+    env = make(SPATIAL)
     terms = []
     for error in (0.099, 0.1, 0.101):
         start = error * np.eye(6)[coordinate]
@@ -148,9 +148,10 @@ def test_payload_that_no_motor_holds_violates_at_the_start(env_id):
 
 
 def test_termination_violates():
-    """The error bound is larger than the termination radius."""
-    env = make(PLANAR, error_bounds={"position": 1.0}, termination_radius=0.05)
-    _, violated, info = violations(env, [np.full(3, 0.1)], initial_error=[0.06, 0.0])
+    """The error bound of the episode is larger than the termination radius of the environment."""
+    env = make(PLANAR)
+    wide = {"error_bounds": {"position": 1.0}, "initial_error": [0.11, 0.0]}
+    _, violated, info = violations(env, [np.full(3, 0.1)], **wide)
     assert violated == [0]
     assert TERMINATION_REASONS[info["termination_reason"][1]] == "tracking_error"
 
@@ -174,7 +175,6 @@ def test_violated_agrees_with_the_judge(env_id, cable):
         payload_range=(0.0, 9.0),
         initial_error_range=[0.009] * robot.coordinates,
         autoreset_mode="Disabled",
-        termination_radius=0.02,
         error_bounds={"position": 0.011, "rotation": 0.011},
     )
     _, info = env.reset(seed=0)
@@ -199,10 +199,11 @@ def test_violated_agrees_with_the_judge(env_id, cable):
 @rigid_ids
 def test_terminate_on_violation_ends_the_episode_there(env_id):
     """Nothing else changes; the reason has the lowest precedence."""
-    actions = tremble(env_id, 40)
-    patient = rollout(make(env_id, termination_radius=0.015), actions)
+    actions = tremble(env_id, 120)
+    actions[:, 1:] *= 0.02  # the first cable pulls the platform out of the termination radius
+    patient = rollout(make(env_id), actions)
     strict = rollout(
-        make(env_id, terminate_on_violation=True, termination_radius=0.015),
+        make(env_id, terminate_on_violation=True),
         actions,
     )
     step = np.flatnonzero(patient.info["violated"])[0] - 1

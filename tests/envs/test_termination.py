@@ -51,8 +51,8 @@ def test_step_after_termination_warns_until_reset():
 
 @rigid_ids
 def test_position_error_beyond_the_radius_terminates(env_id):
-    env = make(env_id, termination_radius=0.05)
-    for error, reason in ((0.0501, "tracking_error"), (0.0495, "")):
+    env = make(env_id)
+    for error, reason in ((0.1001, "tracking_error"), (0.0995, "")):
         start = error * np.eye(ROBOTS[env_id].coordinates)[0]
         assert (
             reason_after(env, np.full(env.action_space.shape, 0.3), initial_error=start)[0]
@@ -61,7 +61,7 @@ def test_position_error_beyond_the_radius_terminates(env_id):
 
 
 def test_slack_cable_terminates_after_the_slack_time():
-    env = make(SPATIAL, termination_radius=5.0)
+    env = make(SPATIAL, error_bounds={"position": 1.0})
     action = np.full(6, 0.9)
     action[3] = -0.9
     slack = rollout(env, np.tile(action, (60, 1))).info["slack"]
@@ -126,7 +126,7 @@ def test_info_is_of_the_start_and_peaks_of_the_whole_period(env_id):
         control_frequency=60.0,
         substeps=20,
         trajectory=f"paper-{robot.kind}",
-        termination_radius=5.0,
+        error_bounds={"position": 1.0},
     )
     actions = np.repeat(
         1.6 * np.random.default_rng(0).uniform(-0.6, 1.0, (30, robot.cables)),

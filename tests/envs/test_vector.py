@@ -24,22 +24,20 @@ MODES = [
     AutoresetMode.DISABLED,
 ]
 
-# Start errors close to a tight radius: under random actions some episodes end early, the others at
+# Start errors close to the termination radius: under random actions some episodes end early, the others at
 # the time limit.
 LIMIT = 12
 RUGGED: dict[str, dict[str, Any]] = {
     PLANAR: {
         "payload_range": (0.0, 2.0),
-        "initial_error_range": [0.02, 0.02],
-        "termination_radius": 0.03,
+        "initial_error_range": [0.067, 0.067],
         "control_frequency": 100.0,
         "max_episode_steps": LIMIT,
     },
     SPATIAL: {
         "payload_range": (0.0, 3.0),
         "payload_known": False,
-        "initial_error_range": [0.02, 0.02, 0.02, 0.05, 0.05, 0.05],
-        "termination_radius": 0.035,
+        "initial_error_range": [0.068, 0.068, 0.068, 0.05, 0.05, 0.05],
         "control_frequency": 100.0,
         "max_episode_steps": LIMIT,
     },
@@ -161,9 +159,8 @@ def test_every_environment_equals_the_single_one_when_uncertain(env_id, mode):
     keywords = {
         "payload_range": (0.0, 2.0),
         "uncertainty": LATE,
-        "termination_radius": 0.03,
         "max_episode_steps": 37,
-        "initial_error_range": [0.01] * ROBOTS[env_id].coordinates,
+        "initial_error_range": [0.055] * ROBOTS[env_id].coordinates,
     }
     ours = make(env_id, 3, autoreset_mode=mode, **keywords)
     theirs = SyncVectorEnv([lambda: gym.make(env_id, **keywords)] * 3, autoreset_mode=mode)
@@ -227,7 +224,7 @@ def test_global_random_state_is_neither_read_nor_changed():
 def test_reset_mask_restarts_the_marked_environments_only(env_id):
     """With a motion of another length, first in the order of environments: tables change during
     other episodes."""
-    keywords = {"termination_radius": 1.0}
+    keywords = {"error_bounds": {"position": 0.5}}
     env, twin = (make(env_id, 5, payload_range=(0.0, 2.0), **keywords) for _ in range(2))
     mask = np.array([True, True, False, True, False])
 
@@ -327,9 +324,10 @@ def test_ended_environment_does_not_affect_the_others():
     keywords = {
         "autoreset_mode": AutoresetMode.DISABLED,
         "payload": [0.0, 0.5, 1.0],
+        "error_bounds": {"position": 0.1},
     }
-    env = make(**keywords, termination_radius=0.03)
-    twin = make(**keywords, termination_radius=9.0)
+    env = make(**keywords, terminate_on_violation=True)
+    twin = make(**keywords)
     actions = np.full((30, 3, 3), 0.2)
     actions[:10, 1] = [9.0, -9.0, 0.0]
     env.reset(seed=0)
