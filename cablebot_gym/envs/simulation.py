@@ -424,9 +424,10 @@ def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
         )
     largest = outcome.LARGEST
     # A Python loop is faster than NumPy for a few numbers.
-    components = [np.max(np.abs(checked))]
     if checked.ndim == 1:
         components = checked.tolist()
+    else:
+        components = [np.max(np.abs(checked))]
     for component in components:
         if not -largest < component < largest:
             raise ValueError(
