@@ -38,8 +38,8 @@ class ErrorBounds:
 
     @property
     def termination_radius(self) -> float:
-        """Position error beyond which the environment may terminate an episode [m]; at least twice
-        the bound."""
+        """Position error beyond which the environment terminates an episode [m]; at least twice the
+        bound."""
         return max(0.1, 2 * self.position)
 
     def replace(self, **changes: float) -> ErrorBounds:

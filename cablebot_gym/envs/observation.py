@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike
 
+from cablebot_gym.envs.limits import SLACK_TIME
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.robots import GRAVITY, Robot
@@ -21,10 +22,6 @@ PREVIEWS = (0.02, 0.05, 0.1, 0.2)
 LAST_ACTIONS = 3
 """Number of past actions in the observation. An action that arrives up to so many periods late is
 still in it."""
-
-SLACK_SCALE = 0.1
-"""Scale of the block ``slack_time``: the default time after which a slack cable terminates the
-episode [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,17 +97,21 @@ class ObservationLayout:
         """
         array = self._checked(observation)
         normalised = np.array(array)
-        for own, reference in self._relative:
-            normalised[..., own] -= array[..., reference]
+        for block, reference in self._relative:
+            normalised[..., block] -= array[..., reference]
         return (normalised - self.centre) * self.per_scale
 
     @cached_property
     def centre(self) -> Array:
         """Centres of the normalised observation, (size,); 0 for blocks that are relative to another
         block."""
-        return _constant(
-            np.concatenate([np.zeros(b.size) if b.relative_to else b.centre for b in self.blocks])
-        )
+        centres: list[float] = []
+        for block in self.blocks:
+            centres += block.centre
+        centre = np.array(centres)
+        for relative, _ in self._relative:
+            centre[relative] = 0.0
+        return _constant(centre)
 
     @cached_property
     def per_scale(self) -> Array:
@@ -146,11 +147,12 @@ class ObservationLayout:
         low = np.concatenate([block.low for block in self.blocks])
         high = np.concatenate([block.high for block in self.blocks])
         if normalised:
-            raw = low.copy(), high.copy()
-            for own, reference in self._relative:
-                low[own] -= raw[1][reference]
-                high[own] -= raw[0][reference]
-            low, high = ((bound - self.centre) * self.per_scale for bound in (low, high))
+            # A reference is never relative itself: its bounds have not changed.
+            for block, reference in self._relative:
+                low[block] -= high[reference]
+                high[block] -= low[reference]
+            low = (low - self.centre) * self.per_scale
+            high = (high - self.centre) * self.per_scale
         number = np.dtype(dtype).type
         return Box(low.astype(number), high.astype(number), dtype=number)
 
@@ -161,18 +163,18 @@ class ObservationLayout:
             "|---|---|---|---|---|---|---|",
         ]
         for block in self.blocks:
-            components = (
-                str(block.start)
-                if block.size == 1
-                else f"{block.start}–{block.start + block.size - 1}"
-            )
-            low, high, scale = (
-                ", ".join(dict.fromkeys(f"{value:.3g}" for value in values))
-                for values in (block.low, block.high, block.scale)
-            )
-            row = (components, f"`{block.name}`", block.unit, low, high, scale, block.meaning)
+            components = str(block.start)
+            if block.size > 1:
+                components += f"–{block.start + block.size - 1}"
+            numbers = [_distinct(values) for values in (block.low, block.high, block.scale)]
+            row = (components, f"`{block.name}`", block.unit, *numbers, block.meaning)
             lines.append(f"| {' | '.join(row)} |")
         return "\n".join(lines)
+
+
+def _distinct(values: tuple[float, ...]) -> str:
+    """The different values among some, as text."""
+    return ", ".join(dict.fromkeys(f"{value:.3g}" for value in values))
 
 
 def _constant(values: Array) -> Array:
@@ -203,21 +205,19 @@ def observation_layout(robot: Robot, measurement: Measurement = POSE) -> Observa
     * orientation, angular rate and specific force: the angle, its derivative, and the gravitational
       acceleration;
     * payload: the mass that the stall torque of a motor accelerates at v²/L by its cable;
-    * time to go: 1 s; slack time: :data:`SLACK_SCALE`; actions: 1.
+    * time to go: 1 s; slack time: the 0.1 s after which a slack cable terminates the episode;
+      actions: 1.
     """
     sizes = _sizes(robot)
     readings = _readings(robot, sizes)
-    blocks = [
-        *(readings[name] for name in measurement.sizes(robot)),
-        *_reference_blocks(robot, sizes),
-        *_controller_blocks(robot, sizes),
-    ]
+    blocks = [readings[name] for name in measurement.sizes(robot)]
+    blocks += _reference_blocks(robot, sizes)
+    blocks += _controller_blocks(robot, sizes)
     start = 0
-    placed = []
-    for block in blocks:
-        placed.append(replace(block, start=start))
+    for index, block in enumerate(blocks):
+        blocks[index] = replace(block, start=start)
         start += block.size
-    return ObservationLayout(robot_name=robot.name, blocks=tuple(placed))
+    return ObservationLayout(robot_name=robot.name, blocks=tuple(blocks))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -388,7 +388,7 @@ def _controller_blocks(robot: Robot, sizes: _Sizes) -> list[Block]:
         _block("model_payload", 1, (0.0, heaviest), payload, "kg", model),
         _block("payload_known", 1, (0.0, 1.0), 1.0, "–", "1 if the payload is known, else 0"),
         _block("last_actions", LAST_ACTIONS * m, (-1.0, 1.0), 1.0, "–", sent),
-        _block("slack_time", 1, (0.0, 1e3), SLACK_SCALE, "s", slack),
+        _block("slack_time", 1, (0.0, 1e3), SLACK_TIME, "s", slack),
     ]
 
 
@@ -404,20 +404,21 @@ def _block(
     relative_to: str = "",
 ) -> Block:
     """A block that has no place yet. A single bound, scale or centre is that of each component."""
-    low, high, scales, centres = (
-        tuple(np.broadcast_to(np.asarray(value, float), (size,)).tolist())
-        for value in (*bounds, scale, centre)
-    )
+
+    def components(value: ArrayLike) -> tuple[float, ...]:
+        return tuple(np.broadcast_to(np.asarray(value, float), (size,)).tolist())
+
+    low, high = bounds
     return Block(
         name=name,
         start=0,
         size=size,
-        low=low,
-        high=high,
+        low=components(low),
+        high=components(high),
         unit=unit,
         meaning=meaning,
-        scale=scales,
-        centre=centres,
+        scale=components(scale),
+        centre=components(centre),
         relative_to=relative_to,
     )
 
@@ -432,12 +433,9 @@ def observed_reference(trajectory: Trajectory, times: Array, *, to_snap: bool) -
     """
     now = trajectory(times)
     values = (now.position, now.velocity, now.acceleration, now.jerk, now.snap)
-    names = [name for name, _ in _references(to_snap=to_snap)]
-    return {
-        "time_to_go": np.maximum(trajectory.duration - times, 0.0)[:, None],
-        **dict(zip(names, values, strict=False)),
-        **{
-            preview_name(ahead): trajectory(times + ahead).position - now.position
-            for ahead in PREVIEWS
-        },
-    }
+    blocks = {"time_to_go": np.maximum(trajectory.duration - times, 0.0)[:, None]}
+    for (name, _), value in zip(_references(to_snap=to_snap), values, strict=False):
+        blocks[name] = value
+    for ahead in PREVIEWS:
+        blocks[preview_name(ahead)] = trajectory(times + ahead).position - now.position
+    return blocks

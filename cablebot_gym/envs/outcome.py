@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_gym.envs import TERMINATION_REASONS
+from cablebot_gym.envs import TERMINATION_REASONS, limits
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel
 from cablebot_gym.physics.inlining import entry_point, inline
@@ -101,7 +101,6 @@ class Constants(NamedTuple):
     """Least valid tension at a physics step [N]; −∞ for bilateral cables, which only have to
     pull."""
     termination_radius: float
-    slack_time: float
     terminate_on_violation: bool
 
 
@@ -165,6 +164,45 @@ def _saturated(value, low, high):
     return min(max(value, low), high) if value == value else low
 
 
+class _Lane(NamedTuple):
+    """One environment in a tile of the plant's record."""
+
+    record: Array
+    """The flat tile: row r of the environment is ``record[r * lanes + at]``."""
+    lanes: int
+    at: int
+
+
+class _Cables(NamedTuple):
+    """What the limits and the reward need to know of all cables and motors together."""
+
+    slack: bool
+    """Whether a cable was slack in the control period."""
+    taut: bool
+    """Whether all cables have the minimum tension."""
+    held: bool
+    """Whether all motors have the torque of the start."""
+    motors: int
+    excess: float
+    """Sum over the motors of the excess of their actions, each at most 1."""
+
+
+_within_bound = inline(limits.within_bound)
+_is_taut = inline(limits.is_taut)
+_is_held = inline(limits.is_held)
+
+
+@inline
+def _row(lane, row):
+    return lane.record[row * lane.lanes + lane.at]
+
+
+@inline
+def _cable_row(lane, cable, row):
+    first_row = kernel.FIRST_CABLE_RECORD + kernel.CABLE_RECORDS * cable
+    return lane.record[(first_row + row) * lane.lanes + lane.at]
+
+
 @entry_point
 def outcome(fresh, env_indices, constants, episodes, outputs):
     """Fills the outputs of the environments ``env_indices``. Errors, reward and termination use the
@@ -180,123 +218,73 @@ def outcome(fresh, env_indices, constants, episodes, outputs):
         outputs: :class:`Outputs`, as a plain tuple.
     """
     for k in range(env_indices.shape[0]):
-        _judge(fresh, env_indices[k], Constants(*constants), Episodes(*episodes), Outputs(*outputs))
+        _update(
+            fresh, env_indices[k], Constants(*constants), Episodes(*episodes), Outputs(*outputs)
+        )
 
 
 @inline
-def _judge(fresh, env_index, batch, now, out):
+def _update(fresh, env_index, batch, now, out):
     """The outcome of one environment."""
-    at = env_index % batch.lanes
-    lanes = batch.lanes
-    record = now.record[env_index // batch.lanes]
+    tile = now.record[env_index // batch.lanes]
+    lane = _Lane(tile, batch.lanes, env_index % batch.lanes)
     step = now.step[env_index]
+    motion_steps = now.motion_steps[env_index]
     trajectory = now.trajectory_index[env_index]
-    coordinates = batch.workspace.shape[1]
     reference = now.references[trajectory, min(step, now.last_rows[trajectory])]
-    stall = now.stall[env_index]
     settings = now.settings[env_index]
-    readings = now.readings[env_index]
     info = out.info[env_index]
-    observation = out.observation[env_index]
-    cables = out.cables[:, env_index]
     info[_TIME] = step * batch.period
     info[_ACTION_TIME] = max(step - 1, 0) * batch.period
     info[_PAYLOAD] = settings[PAYLOAD]
-    first_reference = _observe(
-        fresh,
-        record,
-        at,
-        lanes,
-        batch.flexible,
-        readings,
-        reference,
-        settings,
-        now.sent[env_index],
-        coordinates,
-        observation,
-    )
-    finite, inside = _check_state(
-        record, at, lanes, batch.workspace, batch.flexible, stall.shape[0]
-    )
-    _measure_errors(finite, reference, record, at, lanes, batch.dimensions, coordinates, info)
-    slack_cables, excess, taut, held = _report_cables(
-        fresh, record, at, lanes, stall, batch.minimum_tension, cables
-    )
+    finite, inside = _check_state(lane, batch, now.stall.shape[1])
+    _state_info(lane, batch, finite, reference, info)
+    cables = _step_info(fresh, lane, batch, now.stall[env_index], out.cables[:, env_index])
+
     reason = 0
+    slack_for = 0.0
     if fresh:
-        now.slack_for[env_index] = 0.0
-        violates = settings[STARTS_AT_REST] > 0.0 and not held
+        violates = settings[STARTS_AT_REST] > 0.0 and not cables.held
     else:
-        slack_for = now.slack_for[env_index] + batch.period if slack_cables > 0.0 else 0.0
-        now.slack_for[env_index] = slack_for
-        near = info[_POSITION] <= batch.termination_radius
-        slack = slack_for > batch.slack_time + 1e-9
-        reason = _terminate(finite, inside, near, slack)
-        violates = reason > 0 or slack_cables > 0.0 or not taut
-        if step == 1:  # a violation at the start counts in the first step
-            violates = violates or now.violated[env_index]
-    # Comparisons with NaN are false, so they are written to be true if all is well.
-    position_kept = info[_POSITION_PEAK] <= settings[POSITION_BOUND]
-    rotation_kept = info[_ROTATION_PEAK] <= settings[ROTATION_BOUND]
+        if cables.slack:
+            slack_for = now.slack_for[env_index] + batch.period
+        reason = _terminate(batch, finite, inside, info[_POSITION], slack_for)
+        violates = reason > 0 or cables.slack or not cables.taut
+    position_kept = _within_bound(info[_POSITION_PEAK], settings[POSITION_BOUND])
+    rotation_kept = _within_bound(info[_ROTATION_PEAK], settings[ROTATION_BOUND])
     violates = violates or not (position_kept and rotation_kept)
-    violated = violates or (not fresh and now.violated[env_index])
-    first_violation = violated and (step == 1 or not now.violated[env_index])
-    now.violated[env_index] = violated
+    was_violated = now.violated[env_index] and not fresh
+    violated = violates or was_violated
+    # A violation at the start counts in the first step.
+    counts_start = step == 1 and was_violated
+    is_first_violation = violated and (counts_start or not was_violated)
     if violated and not fresh and reason == 0 and batch.terminate_on_violation:
         reason = _VIOLATION
-    out.reason[env_index], out.complete[env_index] = reason, step >= now.motion_steps[env_index]
-    info[_VIOLATED] = 1.0 if violated else 0.0
-    info[_COST] = 1.0 if violates else 0.0
-
-    slack_column = observation.shape[0] - 1
-    observation[slack_column] = min(now.slack_for[env_index], batch.bounds[1, slack_column])
-    encoders = stall.shape[0] if batch.encoder_resolution > 0.0 else 0
-    model_end = first_reference + reference.shape[0] + 2
-    _spoil(
-        now.noise[env_index],
-        encoders,
-        batch.encoder_resolution,
-        model_end,
-        batch.bounds,
-        observation,
-    )
-    if batch.normalised:
-        relative = coordinates if readings.shape[0] == 0 else 0
-        _normalise(first_reference, relative, batch.centre, batch.per_scale, observation)
-    penalty = now.motion_steps[env_index] if first_violation else 0
-    turns = coordinates > batch.dimensions
-    out.reward[env_index] = _reward(
-        fresh, violated, penalty, excess, stall.shape[0], turns, settings, batch.weights, info
-    )
+    now.slack_for[env_index] = slack_for
+    now.violated[env_index] = violated
+    out.reason[env_index] = reason
+    out.complete[env_index] = step >= motion_steps
+    info[_VIOLATED] = violated
+    info[_COST] = violates or counts_start
+    _observe(fresh, env_index, lane, batch, now, reference, out.observation[env_index])
+    penalty = 0
+    if is_first_violation:
+        penalty = motion_steps
+    out.reward[env_index] = _reward(fresh, batch, settings, violated, penalty, cables, info)
 
 
 @inline
-def _observe(
-    fresh, record, at, lanes, flexible, readings, reference, settings, sent, n, observation
-):
-    """Exact blocks: pose and velocity, motors of flexible robots, or readings of winches; the
-    tabulated reference, the payload of the model, and the last actions. Returns the first column of
-    the reference."""
-    m, measured = sent.shape[0], readings.shape[0]
-    first_reference = 2 * n
-    if measured > 0:
-        first_reference = measured
-        for j in range(measured):
-            observation[j] = readings[j]
-    else:
-        for j in range(n):
-            observation[j] = record[(kernel.POSE + j) * lanes + at]
-            observation[n + j] = record[(kernel.VELOCITY + j) * lanes + at]
-        if flexible:
-            first_reference = 2 * n + 2 * m
-            for i in range(m):
-                at_cable = (kernel.FIRST_CABLE_RECORD + kernel.CABLE_RECORDS * i) * lanes + at
-                observation[2 * n + i] = record[kernel.MOTOR_ANGLE * lanes + at_cable]
-                observation[2 * n + m + i] = record[kernel.MOTOR_SPEED * lanes + at_cable]
+def _observe(fresh, env_index, lane, batch, now, reference, observation):
+    """Fills the observation: the measured blocks, the tabulated reference, the payload of the
+    model, the last actions and the slack time."""
+    sent = now.sent[env_index]
+    settings = now.settings[env_index]
+    readings = now.readings[env_index]
+    m = sent.shape[0]
+    first_reference = _measure(lane, batch, readings, m, observation)
     after_reference = first_reference + reference.shape[0]
-    block = observation[
-        first_reference:after_reference
-    ]  # without a sum in its index, the loop vectorises
+    # Without a sum in its index, the loop vectorises.
+    block = observation[first_reference:after_reference]
     for j in range(reference.shape[0]):
         block[j] = reference[j]
     observation[after_reference] = settings[MODEL_PAYLOAD]
@@ -311,107 +299,50 @@ def _observe(
             observation[j] = observation[j - m]
         for i in range(m):
             observation[first_action + i] = min(max(sent[i], -1.0), 1.0)
-    return first_reference
+    observation[slack_column] = min(now.slack_for[env_index], batch.bounds[1, slack_column])
 
-
-@inline
-def _check_state(record, at, lanes, workspace, flexible, cables):
-    """Whether the state is finite, and whether the pose is inside the workspace."""
-    finite, inside = True, True
-    for j in range(workspace.shape[1]):
-        coordinate = record[(kernel.POSE + j) * lanes + at]
-        finite &= math.isfinite(coordinate) and math.isfinite(
-            record[(kernel.VELOCITY + j) * lanes + at]
-        )
-        inside &= (coordinate >= workspace[0, j]) & (coordinate <= workspace[1, j])
-    if flexible:
-        for i in range(cables):
-            at_cable = (kernel.FIRST_CABLE_RECORD + kernel.CABLE_RECORDS * i) * lanes + at
-            finite &= math.isfinite(record[kernel.MOTOR_ANGLE * lanes + at_cable])
-            finite &= math.isfinite(record[kernel.MOTOR_SPEED * lanes + at_cable])
-    return finite, inside
-
-
-@inline
-def _measure_errors(finite, reference, record, at, lanes, dimensions, coordinates, info):
-    """Errors at this instant and their peaks. Column 0 of the reference is the time to go; the pose
-    follows."""
-    square, rotation = 0.0, 0.0
-    for j in range(coordinates):
-        difference = record[(kernel.POSE + j) * lanes + at] - reference[1 + j]
-        if j < dimensions:
-            square += difference * difference
-        else:
-            rotation = max(rotation, abs(difference))
-    position = math.sqrt(square)
-    position_peak = max(position, record[kernel.POSITION_PEAK * lanes + at])
-    rotation_peak = max(rotation, record[kernel.ROTATION_PEAK * lanes + at])
-    if not finite:  # comparisons with NaN are false and would hide it
-        position = position_peak = LARGEST
-        rotation = rotation_peak = LARGEST if coordinates > dimensions else 0.0
-    info[_POSITION] = _finite(position)
-    info[_ROTATION] = _finite(rotation)
-    info[_POSITION_PEAK] = _finite(position_peak)
-    info[_ROTATION_PEAK] = _finite(rotation_peak)
-
-
-@inline
-def _report_cables(fresh, record, at, lanes, stall, minimum_tension, cables):
-    """Fills the quantities of the cables. Returns the number of slack cables, the sum of the excess
-    of the actions, and whether all cables have the minimum tension and all motors their torque."""
-    slack_cables, excess, taut, held = 0.0, 0.0, True, True
-    for i in range(stall.shape[0]):
-        at_cable = (kernel.FIRST_CABLE_RECORD + kernel.CABLE_RECORDS * i) * lanes + at
-        action = record[kernel.DEMAND * lanes + at_cable]
-        torque = record[kernel.TORQUE * lanes + at_cable]
-        least_tension = record[kernel.LEAST_TENSION * lanes + at_cable]
-        slack = 1.0 if record[kernel.SLACK * lanes + at_cable] > 0.0 else 0.0
-        margin = stall[i] - abs(torque) if fresh else stall[i] * (1.0 - abs(action))
-        cables[_TENSION, i] = _finite(record[kernel.TENSION * lanes + at_cable])
-        cables[_TORQUE, i] = _finite(torque)
-        cables[_SPEED, i] = _finite(record[kernel.SPEED * lanes + at_cable])
-        cables[_COMMANDED, i] = action
-        cables[_MARGIN, i] = margin
-        cables[_LEAST_TENSION, i] = _finite(least_tension)
-        cables[_SLACK_CABLE, i] = slack
-        slack_cables += slack
-        excess += min(max(0.0, abs(action) - 1.0), 1.0)
-        taut &= least_tension >= minimum_tension
-        held &= margin >= 0.0
-    return slack_cables, excess, taut, held
-
-
-@inline
-def _terminate(finite, inside, near, slack):
-    """The termination reason, 0 for none."""
-    if not finite:
-        return _NON_FINITE
-    if not inside:
-        return _WORKSPACE
-    if not near:
-        return _TRACKING_ERROR
-    return _SLACK if slack else 0
-
-
-@inline
-def _spoil(noise, encoders, resolution, count, bounds, observation):
-    """Adds noise, rounds the first ``encoders`` components, and saturates the first ``count`` ones
-    at their bounds."""
+    noise = now.noise[env_index]
     for j in range(noise.shape[0]):
         observation[j] += noise[j]
-    for j in range(encoders):
-        observation[j] = resolution * math.floor(observation[j] / resolution + 0.5)
-    for j in range(count):
-        observation[j] = _saturated(observation[j], bounds[0, j], bounds[1, j])
+    if batch.encoder_resolution > 0.0:
+        for j in range(m):
+            increments = math.floor(observation[j] / batch.encoder_resolution + 0.5)
+            observation[j] = batch.encoder_resolution * increments
+    for j in range(first_action):
+        observation[j] = _saturated(observation[j], batch.bounds[0, j], batch.bounds[1, j])
+    if batch.normalised:
+        relative = batch.workspace.shape[1]
+        if readings.shape[0] > 0:  # winches measure neither pose nor velocity
+            relative = 0
+        _normalise(first_reference, relative, batch.centre, batch.per_scale, observation)
+
+
+@inline
+def _measure(lane, batch, readings, m, observation):
+    """Exact measured blocks: pose and velocity, and motors of flexible robots, or the readings of
+    winches. Returns the first column after them."""
+    if readings.shape[0] > 0:
+        for j in range(readings.shape[0]):
+            observation[j] = readings[j]
+        return readings.shape[0]
+    n = batch.workspace.shape[1]
+    for j in range(n):
+        observation[j] = _row(lane, kernel.POSE + j)
+        observation[n + j] = _row(lane, kernel.VELOCITY + j)
+    if not batch.flexible:
+        return 2 * n
+    for i in range(m):
+        observation[2 * n + i] = _cable_row(lane, i, kernel.MOTOR_ANGLE)
+        observation[2 * n + m + i] = _cable_row(lane, i, kernel.MOTOR_SPEED)
+    return 2 * n + 2 * m
 
 
 @inline
 def _normalise(first_reference, relative, centre, per_scale, observation):
     """Subtracts the reference from ``relative`` components of pose and velocity, and scales all
     components."""
-    for j in range(
-        relative
-    ):  # the time to go precedes the reference pose, and the reference velocity follows it
+    # The time to go precedes the reference pose, and the reference velocity follows it.
+    for j in range(relative):
         observation[j] -= observation[first_reference + 1 + j]
         observation[relative + j] -= observation[first_reference + 1 + relative + j]
     for j in range(observation.shape[0]):  # the scale of actions is 1
@@ -419,23 +350,106 @@ def _normalise(first_reference, relative, centre, per_scale, observation):
 
 
 @inline
-def _reward(fresh, violated, penalty, excess, cables, turns, settings, weights, info):
+def _check_state(lane, batch, cables):
+    """Whether the state is finite, and whether the pose is inside the workspace."""
+    finite, inside = True, True
+    for j in range(batch.workspace.shape[1]):
+        coordinate = _row(lane, kernel.POSE + j)
+        finite &= math.isfinite(coordinate) and math.isfinite(_row(lane, kernel.VELOCITY + j))
+        inside &= (coordinate >= batch.workspace[0, j]) & (coordinate <= batch.workspace[1, j])
+    if batch.flexible:
+        for i in range(cables):
+            finite &= math.isfinite(_cable_row(lane, i, kernel.MOTOR_ANGLE))
+            finite &= math.isfinite(_cable_row(lane, i, kernel.MOTOR_SPEED))
+    return finite, inside
+
+
+@inline
+def _state_info(lane, batch, finite, reference, info):
+    """Errors at this instant and their peaks. Column 0 of the reference is the time to go; the pose
+    follows."""
+    coordinates = batch.workspace.shape[1]
+    square, rotation = 0.0, 0.0
+    for j in range(coordinates):
+        difference = _row(lane, kernel.POSE + j) - reference[1 + j]
+        if j < batch.dimensions:
+            square += difference * difference
+        else:
+            rotation = max(rotation, abs(difference))
+    position = math.sqrt(square)
+    position_peak = max(position, _row(lane, kernel.POSITION_PEAK))
+    rotation_peak = max(rotation, _row(lane, kernel.ROTATION_PEAK))
+    if not finite:  # comparisons with NaN are false and would hide it
+        position = position_peak = LARGEST
+        if coordinates > batch.dimensions:
+            rotation = rotation_peak = LARGEST
+    info[_POSITION] = _finite(position)
+    info[_ROTATION] = _finite(rotation)
+    info[_POSITION_PEAK] = _finite(position_peak)
+    info[_ROTATION_PEAK] = _finite(rotation_peak)
+
+
+@inline
+def _step_info(fresh, lane, batch, stall, cables):
+    """Fills the quantities of the cables and returns :class:`_Cables`."""
+    any_slack, taut, held, excess = False, True, True, 0.0
+    for i in range(stall.shape[0]):
+        action = _cable_row(lane, i, kernel.DEMAND)
+        torque = _cable_row(lane, i, kernel.TORQUE)
+        least_tension = _cable_row(lane, i, kernel.LEAST_TENSION)
+        slack = _cable_row(lane, i, kernel.SLACK) > 0.0
+        margin = stall[i] - abs(torque) if fresh else stall[i] * (1.0 - abs(action))
+        cables[_TENSION, i] = _finite(_cable_row(lane, i, kernel.TENSION))
+        cables[_TORQUE, i] = _finite(torque)
+        cables[_SPEED, i] = _finite(_cable_row(lane, i, kernel.SPEED))
+        cables[_COMMANDED, i] = action
+        cables[_MARGIN, i] = margin
+        cables[_LEAST_TENSION, i] = _finite(least_tension)
+        cables[_SLACK_CABLE, i] = slack
+        any_slack |= slack
+        taut &= _is_taut(least_tension, batch.minimum_tension)
+        held &= _is_held(margin)
+        excess += min(max(0.0, abs(action) - 1.0), 1.0)
+    return _Cables(any_slack, taut, held, stall.shape[0], excess)
+
+
+@inline
+def _terminate(batch, finite, inside, position_error, slack_for):
+    """The termination reason, 0 for none."""
+    if not finite:
+        return _NON_FINITE
+    if not inside:
+        return _WORKSPACE
+    if position_error > batch.termination_radius:
+        return _TRACKING_ERROR
+    if slack_for > limits.SLACK_TIME + 1e-9:  # rounding of the sum of periods
+        return _SLACK
+    return 0
+
+
+@inline
+def _reward(fresh, batch, settings, violated, penalty, cables, info):
     """Fills the reward terms and returns their sum."""
     inside = 0.0
     position = 0.0
     rotation = 0.0
     saturation = 0.0
     violation = 0.0
+    weights = batch.weights
     if not fresh:
-        inside = 0.0 if violated else weights[0]
+        if not violated:
+            inside = weights[0]
         position = weights[1] / (1.0 + info[_POSITION] / settings[POSITION_BOUND])
-        if turns:
+        if batch.workspace.shape[1] > batch.dimensions:
             rotation = weights[2] / (1.0 + info[_ROTATION] / settings[ROTATION_BOUND])
-        saturation = -weights[3] * excess / cables
+        saturation = -weights[3] * cables.excess / cables.motors
         if penalty > 0:
             violation = -weights[4] * penalty
-    info[_FIRST_TERM], info[_FIRST_TERM + 1], info[_FIRST_TERM + 2] = inside, position, rotation
-    info[_FIRST_TERM + 3], info[_FIRST_TERM + 4] = saturation, violation
+    info[_FIRST_TERM] = inside
+    info[_FIRST_TERM + 1] = position
+    info[_FIRST_TERM + 2] = rotation
+    info[_FIRST_TERM + 3] = saturation
+    info[_FIRST_TERM + 4] = violation
     return inside + position + rotation + saturation + violation
 
 

@@ -1,13 +1,13 @@
 """Constructor keywords and reset options of the environments, with their checks."""
 
-from __future__ import annotations
+# Annotations are evaluated here, without "from __future__ import annotations": KEYWORDS reads them.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from numbers import Real
-from typing import Any, cast, get_args
+from typing import Annotated, Any, NamedTuple, Self, get_args
 
 import numpy as np
 from gymnasium import logger
@@ -25,7 +25,14 @@ from cablebot_gym.robots import Cable, Robot, find_robot, has_paper_geometry
 from cablebot_gym.task import ErrorBounds, at_rest, check_workspace, find_error_bounds, start_pose
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
-from cablebot_gym.utils.checks import choice, mapping, number, numbers, whole
+from cablebot_gym.utils.checks import (
+    choice,
+    mapping,
+    number,
+    numbers,
+    unexpected_keyword_error,
+    whole,
+)
 
 LONGEST_PHYSICS_STEP = 1e-3
 """Largest default physics step [s]. On the paper's robots, RK4's error over 0.5 s is below 1e-9 at
@@ -63,77 +70,280 @@ manual proves it."""
 OBSERVATION_DTYPES = ("float64", "float32")
 """Number types of the observation. The simulation and the evaluation use float64."""
 
-FOREIGN_OPTIONS = ("reset_mask", "minari_autoseed")
-"""Reset options of Gymnasium's vector API and of Minari, which the checks here ignore."""
+
+class Scope(NamedTuple):
+    """The environments for which a value is checked."""
+
+    robot: Robot
+    """Nominal robot."""
+    n_envs: int
+    """Number of environments, N."""
+
+
+Check = Callable[[str, Any, Scope], Any]
+"""Function of a name, a value and its scope. It returns the value in canonical form, or raises a
+ValueError that names it."""
+
+_PER_ENVIRONMENT = "one number, or one per environment"
+
+
+def _or_none(check: Check) -> Check:
+    """The check of a value that may be None, too."""
+
+    def check_value(name: str, value: Any, scope: Scope) -> Any:
+        if value is None:
+            return None
+        return check(name, value, scope)
+
+    return check_value
+
+
+def _payload(name: str, value: Any, scope: Scope) -> Array:
+    shapes = [(), (scope.n_envs,)]
+    return numbers(name, value, shapes=shapes, form=_PER_ENVIRONMENT, least=0, unit="kg")
+
+
+def _payload_range(name: str, value: Any, scope: Scope) -> tuple[float, float]:
+    shapes = [(2,)]
+    ends = numbers(name, value, shapes=shapes, form="(low, high)", least=0, unit="kg")
+    low, high = ends.tolist()
+    return low, number(name, high, least=low, unit="kg")
+
+
+def _factor(name: str, value: Any, scope: Scope) -> Array:
+    return numbers(name, value, shapes=[(), (scope.n_envs,)], form=_PER_ENVIRONMENT, least=0)
+
+
+def _boolean(name: str, value: Any, scope: Scope) -> bool:
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{name} must be True or False, not {value!r}")
+    return bool(value)
+
+
+def _booleans(name: str, value: Any, scope: Scope) -> NDArray[np.bool_]:
+    booleans = np.array(value)
+    if booleans.dtype != np.bool_ or booleans.shape not in ((), (scope.n_envs,)):
+        raise ValueError(
+            f"{name} must be True or False, or one of these per environment, not {value!r}"
+        )
+    return booleans
+
+
+def _initial_error(name: str, value: Any, scope: Scope) -> Array:
+    n = scope.robot.coordinates
+    if isinstance(value, Real) and value == 0:
+        return np.zeros(n)
+    form = f"None, 0 or {n} coordinates, or {n} per environment"
+    return numbers(name, value, shapes=[(n,), (scope.n_envs, n)], form=form)
+
+
+def _initial_error_range(name: str, value: Any, scope: Scope) -> Array:
+    return numbers(name, value, shapes=[(scope.robot.coordinates,)], least=0)
+
+
+def _uncertainties(name: str, value: Any, scope: Scope) -> tuple[Uncertainty, ...]:
+    values = [value]
+    if isinstance(value, (list, tuple)):
+        values = list(value)
+    if len(values) not in (1, scope.n_envs):
+        raise ValueError(
+            f"{name} must be one, or a list of {scope.n_envs}, one per environment, not of {len(values)}"
+        )
+    return tuple(find_uncertainty(item, scope.robot) for item in values)
+
+
+def _reward_weights(name: str, value: Any, scope: Scope) -> Array:
+    weights = DEFAULT_WEIGHTS | mapping(name, value or {}, REWARD_TERMS)
+    return np.array([number(f"reward weight {term!r}", weights[term]) for term in REWARD_TERMS])
+
+
+def _noise_seeds(name: str, value: Any, scope: Scope) -> list[int]:
+    """Seeds of all environments; one integer is the seed of the first one and counts up, as in
+    Gymnasium."""
+    if not isinstance(value, (list, tuple, np.ndarray)):
+        first_seed = whole(name, value)
+        return list(range(first_seed, first_seed + scope.n_envs))
+    if len(value) != scope.n_envs:
+        raise ValueError(
+            f"{name} must be one integer, or {scope.n_envs}, one per environment, not {len(value)}"
+        )
+    return [whole(name, seed) for seed in value]
+
+
+class Keyword(NamedTuple):
+    """A constructor keyword of the environments."""
+
+    check: Check
+    meaning: str
+    """Meaning and unit in one line of Markdown."""
+    default_text: str = ""
+    """The default in the manual; empty if the value says it."""
+    reset_option: bool = False
+    """Whether it is a reset option, too, which applies to one episode."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Checked constructor keywords of an environment; made by :func:`make_settings`."""
+    """Settings of N environments: the checked values of their constructor keywords, or, with the
+    reset options of an episode, those of this episode.
 
-    robot: Robot
-    """Nominal robot. The true robot is equal to it, except for ``uncertainty``."""
-    payload: float | Array
-    """Nominal payload [kg], scalar or (N,); ≥ 0. The true payload is equal to it, except for
-    ``uncertainty``."""
-    payload_range: tuple[float, float] | None
-    """(low, high) of a uniform nominal payload, drawn in each episode [kg]; None for
-    ``payload``."""
-    payload_known: bool | Array
-    """Whether the payload is known to the controller, scalar or (N,)."""
-    model_payload_factor: float | Array
-    """Ratio of the payload of the controller's model to the nominal payload, scalar or (N,); ≥ 0.
-
-    No effect if the payload is unknown.
+    Each field is a keyword, and this is the only place that defines it: type, default, check,
+    meaning and whether it is a reset option. A field without a default depends on the robot. A
+    value that is given once per environment has a leading axis N.
     """
-    trajectory: Trajectory
-    """Default reference motion."""
-    initial_error: Array | None
-    """Start pose minus reference pose, (n,) or (N, n) [m, rad]; None for
-    :func:`cablebot_gym.task.start_pose`."""
-    initial_error_range: Array | None
-    """Half widths of a uniform start error, (n,) [m, rad], drawn in each episode and added to the
-    start pose."""
-    uncertainty: tuple[Uncertainty, ...]
-    """Uncertainty of the plant, as a tuple of one for all environments, or of N."""
-    error_bounds: ErrorBounds
-    """Bounds of the tracking errors. A larger error is a violation, and they scale the reward."""
-    measurement: Measurement
-    """Sensors whose readings are in the observation."""
-    cable: Cable
-    """``unilateral``: cables only pull; ``bilateral``: cables also push, as in the paper's
-    equations."""
-    control_frequency: float
-    """Actions per second [Hz]."""
-    substeps: int
-    """Physics steps per control period."""
-    termination_radius: float
-    """Position error beyond which an episode terminates [m]."""
-    slack_time: float
-    """Longest time for which a cable may be slack before the episode terminates [s]."""
-    terminate_on_violation: bool
-    """Whether an episode terminates at the first violation of a limit."""
-    weights: Array
-    """Weights of the reward terms, in the order of ``REWARD_TERMS``."""
-    normalised_observation: bool
-    """Whether the observation is that of
-    :meth:`~cablebot_gym.envs.observation.ObservationLayout.normalise`."""
-    observation_dtype: str
-    """Number type of the observation and its space: ``float64`` or ``float32``."""
+
+    robot: Annotated[
+        Robot,
+        Keyword(
+            lambda name, value, scope: scope.robot,
+            "a name, a `.toml` file, `Robot.to_dict()` data or a `Robot`",
+            "by id",
+        ),
+    ]
+    payload: Annotated[
+        float | Array,
+        Keyword(
+            _payload,
+            "nominal payload [kg]; the true payload is equal to it, unless it is uncertain",
+            reset_option=True,
+        ),
+    ] = 0.0
+    payload_range: Annotated[
+        tuple[float, float] | None,
+        Keyword(
+            _or_none(_payload_range),
+            "(low, high) of a uniform nominal payload, drawn in each episode, in place of `payload`",
+        ),
+    ] = None
+    payload_known: Annotated[
+        bool | Array,
+        Keyword(_booleans, "whether the payload is known to the controller", reset_option=True),
+    ] = True
+    model_payload_factor: Annotated[
+        float | Array,
+        Keyword(
+            _factor,
+            "ratio of the model payload to the nominal payload; no effect if payload unknown",
+            reset_option=True,
+        ),
+    ] = 1.0
+    trajectory: Annotated[
+        Trajectory,
+        Keyword(
+            lambda name, value, scope: find_trajectory(value, scope.robot.kind),
+            'reference motion: a name, `{"name": …, …}` or a `Trajectory`',
+            "that of the robot",
+            reset_option=True,
+        ),
+    ]
+    initial_error: Annotated[
+        Array | None,
+        Keyword(
+            _or_none(_initial_error),
+            'start pose minus reference pose, n values; None for the start pose under "Start"',
+            reset_option=True,
+        ),
+    ] = None
+    initial_error_range: Annotated[
+        Array | None,
+        Keyword(
+            _or_none(_initial_error_range),
+            "n half widths of a uniform error, drawn in each episode, added to the start pose",
+        ),
+    ] = None
+    uncertainty: Annotated[
+        tuple[Uncertainty, ...],
+        Keyword(
+            _uncertainties,
+            "difference between the true and the nominal robot, see below",
+            "None",
+            reset_option=True,
+        ),
+    ]
+    error_bounds: Annotated[
+        ErrorBounds,
+        Keyword(
+            lambda name, value, scope: find_error_bounds(value, scope.robot),
+            '`{"position": …, "rotation": …}`, bounds of the tracking errors',
+            "those of the robot",
+            reset_option=True,
+        ),
+    ]
+    measurement: Annotated[
+        Measurement,
+        Keyword(
+            lambda name, value, scope: find_measurement(value, scope.robot),
+            'sensors: "pose", "winches", "winches+tensions+imu", or data, see "Observation space"',
+            '"pose"',
+        ),
+    ]
+    cable: Annotated[
+        Cable,
+        Keyword(
+            lambda name, value, scope: choice(name, value, get_args(Cable)),
+            'cables only pull; "bilateral": cables can also push',
+        ),
+    ] = "unilateral"
+    control_frequency: Annotated[
+        float,
+        Keyword(lambda name, value, scope: number(name, value, above=0), "actions per second [Hz]"),
+    ] = FREQUENCY
+    substeps: Annotated[
+        int,
+        Keyword(
+            _or_none(lambda name, value, scope: whole(name, value, least=1)),
+            "physics steps per control period",
+            "steps ≤ 1 ms, shorter for stiff springs",
+        ),
+    ]
+    terminate_on_violation: Annotated[
+        bool,
+        Keyword(_boolean, "whether the first violation of a limit terminates the episode"),
+    ] = False
+    reward_weights: Annotated[
+        Array, Keyword(_reward_weights, "weights by reward term", 'see "Reward"')
+    ]
+    normalised_observation: Annotated[
+        bool,
+        Keyword(_boolean, 'whether the observation is normalised, see "Observation space"'),
+    ] = False
+    observation_dtype: Annotated[
+        str,
+        Keyword(
+            lambda name, value, scope: choice(name, value, OBSERVATION_DTYPES),
+            'number type of the observation and its space; "float32" for learning',
+        ),
+    ] = "float64"
 
     def observation_space(self) -> Box:
         """Observation space of one environment."""
         layout = observation_layout(self.robot, self.measurement)
         return layout.space(normalised=self.normalised_observation, dtype=self.observation_dtype)
 
+    def with_options(self, options: Mapping[str, Any]) -> Self:
+        """Settings of an episode with reset options, checked by :func:`check_options`."""
+        changes = {name: value for name, value in options.items() if name in KEYWORDS}
+        if not changes:  # most resets; a copy would make them slower
+            return self
+        # A value that is given for the episode replaces the random draw.
+        if "payload" in changes:
+            changes["payload_range"] = None
+        if "initial_error" in changes:
+            changes["initial_error_range"] = None
+        if "uncertainty" in changes:
+            check_stability(
+                self.robot, changes["uncertainty"], self.control_frequency, self.substeps
+            )
+        return replace(self, **changes)
+
     def note_unheld_start(self) -> None:
         """Warns, once, if the motors cannot hold even the least payload at the start of a motion
         from rest."""
         if not at_rest(self.trajectory(0.0)):
             return
-        payload = float(
-            np.min(self.payload if self.payload_range is None else self.payload_range[0])
-        )
+        payload = float(np.min(self.payload))
+        if self.payload_range is not None:
+            payload = self.payload_range[0]
         pose = start_pose(self.robot, self.trajectory, self.error_bounds)
         _note_unheld_pose(self.robot, payload, self.trajectory.name, tuple(pose.tolist()))
 
@@ -148,6 +358,35 @@ class Settings:
         return self.period / self.substeps
 
 
+KEYWORDS: Mapping[str, Keyword] = {
+    name: hint.__metadata__[0] for name, hint in Settings.__annotations__.items()
+}
+"""Constructor keywords of the environments by name."""
+
+RESET_OPTIONS: Mapping[str, Check] = {
+    name: keyword.check for name, keyword in KEYWORDS.items() if keyword.reset_option
+} | {"noise_seed": _noise_seeds}
+"""Check of each reset option."""
+
+FOREIGN_OPTIONS = ("reset_mask", "minari_autoseed")
+"""Reset options of Gymnasium's vector API and of Minari, which the checks here ignore."""
+
+_DEFAULTS = {name: getattr(Settings, name, None) for name in KEYWORDS}
+"""Default of each keyword; None also for those that depend on the robot."""
+
+
+def keyword_table() -> str:
+    """Markdown table of the keywords, for the manual."""
+    lines = ["| name | default | meaning |", "|---|---|---|"]
+    for name, keyword in KEYWORDS.items():
+        mark = "*" if keyword.reset_option else ""
+        default = keyword.default_text
+        if not default:
+            default = repr(_DEFAULTS[name]).removesuffix(".0").replace("'", '"')
+        lines.append(f"| `{name}`{mark} | {default} | {keyword.meaning} |")
+    return "\n".join(lines)
+
+
 def default_trajectory(robot: Robot) -> str | Mapping[str, Any]:
     """Default reference motion of a robot: that of its data, the circle of a robot with the paper's
     geometry, or :func:`~cablebot_gym.envs.own_motion.own_motion`."""
@@ -158,97 +397,68 @@ def default_trajectory(robot: Robot) -> str | Mapping[str, Any]:
     return own_motion(robot)
 
 
-def make_settings(
-    *,
-    robot: str | dict[str, Any] | Robot,
-    count: int,
-    payload: Any = None,
-    payload_range: Any = None,
-    payload_known: Any = True,
-    model_payload_factor: Any = 1.0,
-    trajectory: Any = None,
-    initial_error: Any = None,
-    initial_error_range: Any = None,
-    uncertainty: Any = None,
-    error_bounds: Any = None,
-    measurement: Any = None,
-    cable: str = "unilateral",
-    control_frequency: float = FREQUENCY,
-    substeps: int | None = None,
-    termination_radius: float | None = None,
-    slack_time: float = 0.1,
-    terminate_on_violation: bool = False,
-    reward_weights: Mapping[str, float] | None = None,
-    normalised_observation: bool = False,
-    observation_dtype: str = "float64",
-) -> Settings:
-    """Checked settings of ``count`` environments from their keywords, which :class:`Settings`
-    describes.
+def make_settings(*, robot: str | dict[str, Any] | Robot, count: int, **keywords: Any) -> Settings:
+    """Checked settings of ``count`` environments.
 
-    Values are objects or JSON-able data. None stands for the default: no payload, the motion of
-    :func:`default_trajectory`, the start pose of :func:`cablebot_gym.task.start_pose`, no
-    uncertainty, pose and velocity as the measurement, the default error bounds and their
-    termination radius, :data:`DEFAULT_WEIGHTS`, and :func:`fewest_substeps`. ``uncertainty`` can be
-    a list with one item per environment.
+    Args:
+        robot: nominal robot.
+        count: number of environments, N.
+        keywords: objects or JSON-able data by the names of :data:`KEYWORDS`. None stands for the
+            default: no payload, the motion of :func:`default_trajectory`, the start pose of
+            :func:`cablebot_gym.task.start_pose`, no uncertainty, pose and velocity as the
+            measurement, the default error bounds, :data:`DEFAULT_WEIGHTS`, and :func:`fewest_substeps`.
 
     Raises:
+        TypeError: if a keyword is unknown.
         ValueError: if a value is invalid; the message names the keyword.
     """
+    for name in keywords:
+        if name not in KEYWORDS:
+            raise unexpected_keyword_error(name, KEYWORDS)
     robot = find_robot(robot)
-    options = {
-        "payload": 0.0 if payload is None else payload,
-        "payload_known": payload_known,
-        "model_payload_factor": model_payload_factor,
-        "trajectory": default_trajectory(robot) if trajectory is None else trajectory,
-        "initial_error": initial_error,
-        "uncertainty": uncertainty,
-        "error_bounds": error_bounds,
-    }
-    episode = check_options(options, robot, count)
-    frequency = number("control_frequency", control_frequency, above=0)
-    if substeps is None:
-        substeps = fewest_substeps(robot, episode["uncertainty"], frequency)
-    substeps = whole("substeps", substeps, least=1)
-    check_stability(robot, episode["uncertainty"], frequency, substeps)
-    if payload_range is not None:
-        if payload is not None:
-            raise ValueError(
-                "payload and payload_range exclude each other: payload_range draws a payload per episode"
-            )
-        ends = numbers(
-            "payload_range", payload_range, shapes=[(2,)], form="(low, high)", least=0, unit="kg"
+    values = _DEFAULTS | keywords
+    if keywords.get("payload") is None:
+        values["payload"] = Settings.payload
+    elif values["payload_range"] is not None:
+        raise ValueError(
+            "payload and payload_range exclude each other: payload_range draws a payload per episode"
         )
-        low, high = ends.tolist()
-        payload_range = low, number("payload_range", high, least=low, unit="kg")
-    radius = (
-        episode["error_bounds"].termination_radius
-        if termination_radius is None
-        else termination_radius
-    )
-    if initial_error_range is not None:
-        shapes = [(robot.coordinates,)]
-        initial_error_range = numbers(
-            "initial_error_range", initial_error_range, shapes=shapes, least=0
-        )
-    weights = DEFAULT_WEIGHTS | mapping("reward_weights", reward_weights or {}, REWARD_TERMS)
-    return Settings(
-        robot=robot,
-        payload_range=payload_range,
-        initial_error_range=initial_error_range,
-        measurement=find_measurement(measurement, robot),
-        cable=cast(Cable, choice("cable", cable, get_args(Cable))),
-        control_frequency=frequency,
-        substeps=substeps,
-        termination_radius=number("termination_radius", radius, above=0),
-        slack_time=number("slack_time", slack_time, least=0),
-        terminate_on_violation=_boolean("terminate_on_violation", terminate_on_violation),
-        normalised_observation=_boolean("normalised_observation", normalised_observation),
-        observation_dtype=choice("observation_dtype", observation_dtype, OBSERVATION_DTYPES),
-        weights=np.array(
-            [number(f"reward weight {name!r}", weights[name]) for name in REWARD_TERMS]
-        ),
-        **episode,
-    )
+    if values["trajectory"] is None:
+        values["trajectory"] = default_trajectory(robot)
+    scope = Scope(robot, count)
+    checked = {name: KEYWORDS[name].check(name, value, scope) for name, value in values.items()}
+    check_workspace(robot, checked["trajectory"], checked["error_bounds"])
+    uncertainties = checked["uncertainty"]
+    frequency = checked["control_frequency"]
+    if checked["substeps"] is None:
+        checked["substeps"] = fewest_substeps(robot, uncertainties, frequency)
+    check_stability(robot, uncertainties, frequency, checked["substeps"])
+    return Settings(**checked)
+
+
+def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -> dict[str, Any]:
+    """Reset options, checked and in canonical form, without :data:`FOREIGN_OPTIONS`.
+
+    Args:
+        options: values by name; None for none.
+        robot: the nominal robot.
+        count: number of environments, N.
+
+    Raises:
+        ValueError: if a name is unknown or a value is invalid. The message lists the known names,
+            or the valid values.
+    """
+    if options is None:
+        return {}
+    scope = Scope(robot, count)
+    checked = {}
+    for name, value in mapping("options", options, [*RESET_OPTIONS, *FOREIGN_OPTIONS]).items():
+        if name not in FOREIGN_OPTIONS:
+            checked[name] = RESET_OPTIONS[name](name, value, scope)
+    if "trajectory" in checked:
+        bounds = checked.get("error_bounds") or find_error_bounds(None, robot)
+        check_workspace(robot, checked["trajectory"], bounds)
+    return checked
 
 
 @cache
@@ -315,92 +525,3 @@ def check_stability(
             f"substeps={substeps} is too small for the springs or the friction of robot {robot.name!r} with this "
             f"uncertainty: use at least {needed}, or omit substeps when you make the environment"
         )
-
-
-def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -> dict[str, Any]:
-    """Reset options, checked and in canonical form, without :data:`FOREIGN_OPTIONS`.
-
-    Args:
-        options: values by name; None for none.
-        robot: the nominal robot.
-        count: number of environments, N.
-
-    Raises:
-        ValueError: if a name is unknown or a value is invalid. The message lists the known names,
-            or the valid values.
-    """
-    n = robot.coordinates
-    each = "one number, or one per environment"
-    checks: dict[str, Callable[[str, Any], Any]] = {
-        "payload": lambda name, value: numbers(
-            name, value, shapes=[(), (count,)], form=each, least=0, unit="kg"
-        ),
-        "payload_known": lambda name, value: _booleans(name, value, count),
-        "model_payload_factor": lambda name, value: numbers(
-            name, value, shapes=[(), (count,)], form=each, least=0
-        ),
-        "trajectory": lambda _, value: find_trajectory(value, robot.kind),
-        "initial_error": lambda name, value: _initial_error(name, value, n, count),
-        "uncertainty": lambda _, value: _uncertainties(value, robot, count),
-        "error_bounds": lambda _, value: find_error_bounds(value, robot),
-        "noise_seed": lambda name, value: _seeds(name, value, count),
-    }
-    given = mapping("options", {} if options is None else options, [*checks, *FOREIGN_OPTIONS])
-    checked = {
-        name: checks[name](name, value)
-        for name, value in given.items()
-        if name not in FOREIGN_OPTIONS
-    }
-    if "trajectory" in checked:
-        bounds = checked.get("error_bounds") or find_error_bounds(None, robot)
-        check_workspace(robot, checked["trajectory"], bounds)
-    return checked
-
-
-def _boolean(name: str, value: Any) -> bool:
-    if not isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"{name} must be True or False, not {value!r}")
-    return bool(value)
-
-
-def _seeds(name: str, value: Any, count: int) -> list[int]:
-    """Seeds of all environments; one integer is the seed of the first one and counts up, as in
-    Gymnasium."""
-    if not isinstance(value, (list, tuple, np.ndarray)):
-        return [whole(name, value) + index for index in range(count)]
-    if len(value) != count:
-        raise ValueError(
-            f"{name} must be one integer, or {count}, one per environment, not {len(value)}"
-        )
-    return [whole(name, seed) for seed in value]
-
-
-def _booleans(name: str, value: Any, count: int) -> NDArray[np.bool_]:
-    known = np.array(value)
-    if known.dtype != np.bool_ or known.shape not in ((), (count,)):
-        raise ValueError(
-            f"{name} must be True or False, or one of these per environment, not {value!r}"
-        )
-    return known
-
-
-def _initial_error(name: str, value: Any, n: int, count: int) -> Array | None:
-    if value is None:
-        return None
-    if isinstance(value, Real) and value == 0:
-        return np.zeros(n)
-    return numbers(
-        name,
-        value,
-        shapes=[(n,), (count, n)],
-        form=f"None, 0 or {n} coordinates, or {n} per environment",
-    )
-
-
-def _uncertainties(value: Any, robot: Robot, count: int) -> tuple[Uncertainty, ...]:
-    values = list(value) if isinstance(value, (list, tuple)) else [value]
-    if len(values) not in (1, count):
-        raise ValueError(
-            f"uncertainty must be one, or a list of {count}, one per environment, not of {len(values)}"
-        )
-    return tuple(find_uncertainty(item, robot) for item in values)

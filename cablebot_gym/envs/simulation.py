@@ -3,7 +3,6 @@ results."""
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -12,22 +11,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.envs import outcome
+from cablebot_gym.envs import limits, outcome
 from cablebot_gym.envs.disturbances import Disturbances
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.references import ReferenceTables
 from cablebot_gym.envs.sensors import Sensors
-from cablebot_gym.envs.settings import check_options, check_stability, make_settings
+from cablebot_gym.envs.settings import Settings, check_options, make_settings
 from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.physics.rest import equilibrium_torques, motor_start
 from cablebot_gym.physics.textbook import normalised_action
-from cablebot_gym.task import ErrorBounds, Task, at_rest, start_pose
-from cablebot_gym.trajectories import Trajectory
+from cablebot_gym.task import Task, at_rest, start_pose
+from cablebot_gym.trajectories import Reference
 from cablebot_gym.uncertainty import PARAMETERS, RobotArrays, Uncertainty, draw_size
-from cablebot_gym.utils.checks import unexpected_keyword_error
 from cablebot_gym.utils.threads import call_all
 
 
@@ -53,10 +51,6 @@ class Simulation:
     def __init__(
         self, robot: Any, batch: tuple[int, ...], keywords: Mapping[str, Any], threads: int = 1
     ) -> None:
-        known = [name for name in inspect.signature(make_settings).parameters if name != "count"]
-        for name in keywords:
-            if name not in known:
-                raise unexpected_keyword_error(name, known)
         self.count = count = math.prod(batch)
         self.settings = settings = make_settings(robot=robot, count=count, **keywords)
         """Checked constructor keywords."""
@@ -68,7 +62,8 @@ class Simulation:
         self._tables = ReferenceTables(
             settings.control_frequency, settings.substeps, to_snap=robot.flexible
         )
-        self._stall = np.tile(robot.stall_torque, (count, 1))
+        self.stall_torque = np.tile(robot.stall_torque, (count, 1))
+        """True stall torques τ_s [N·m], (N, m)."""
         self._episode_settings = np.zeros((count, outcome.EPISODE_SETTINGS))
         self._sent = np.zeros((count, robot.cables))
         self._slack_for = np.zeros(count)
@@ -84,39 +79,43 @@ class Simulation:
         """Number of control steps of each environment's motion, (N,)."""
         self.truth: dict[str, Array] = {}
         """True parameters of the present episodes by name, each (N, …)."""
-        self._trajectories: list[Trajectory] = [settings.trajectory] * count
-        self._error_bounds: list[ErrorBounds] = [settings.error_bounds] * count
+        self._episodes = [settings] * count
         self.observation = np.zeros((count, self.layout.size))
         self.reward = np.zeros(count)
         self.reason = np.zeros(count, np.int64)
         self.complete = np.zeros(count, np.bool_)
         self.info = np.zeros((count, len(outcome.INFO_SCALARS)))
         self.cables = np.zeros((len(outcome.INFO_CABLES), count, robot.cables))
+        self._constants = self._make_constants()
+        self._bind()
+
+    def _make_constants(self) -> outcome.Constants:
+        """What the compiled outcome needs to know of all episodes. The arrays are copies, which are
+        writable and C-ordered as those of a copied environment: numba compiles once for each
+        kind."""
+        settings = self.settings
+        robot = settings.robot
         space = self.layout.space()
-        self._constants = outcome.Constants(
+        return outcome.Constants(
             flexible=robot.flexible,
             dimensions=robot.dimensions,
             lanes=self._plant.lanes,
-            workspace=np.array(
-                robot.pose_bounds, order="C"
-            ),  # numba compiles once per memory order
+            workspace=np.array(robot.pose_bounds, order="C"),
             bounds=np.array([space.low, space.high]),
             encoder_resolution=settings.measurement.encoder_resolution,
             normalised=settings.normalised_observation,
-            centre=self.layout.centre.copy(),  # writable, as in copies of this object: numba compiles once
+            centre=self.layout.centre.copy(),
             per_scale=self.layout.per_scale.copy(),
-            weights=settings.weights,
+            weights=settings.reward_weights,
             period=settings.period,
-            minimum_tension=robot.minimum_tension if settings.cable == "unilateral" else -math.inf,
-            termination_radius=settings.termination_radius,
-            slack_time=settings.slack_time,
+            minimum_tension=limits.minimum_tension(robot, settings.cable),
+            termination_radius=settings.error_bounds.termination_radius,
             terminate_on_violation=settings.terminate_on_violation,
         )
-        self._bind()
 
     def __getstate__(self) -> dict[str, Any]:
         """The attributes without those of :meth:`_bind`."""
-        bound = ("_records", "_advance", "_judge_step", "_whole_step")
+        bound = ("_records", "_advance", "_judge", "_advance_and_judge")
         return {name: value for name, value in self.__dict__.items() if name not in bound}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -135,7 +134,7 @@ class Simulation:
             references=tables.control,
             last_rows=tables.control_ends,
             settings=self._episode_settings,
-            stall=self._stall,
+            stall=self.stall_torque,
             readings=self._sensors.readings,
             noise=self._disturbances.noise,
             sent=self._sent,
@@ -157,14 +156,12 @@ class Simulation:
             step=self.settings.physics_step,
         )
         self._records = tuple(self._constants), tuple(episodes), tuple(outputs)
-        self._judge_step = tuple(
-            partial(outcome.outcome, False, self._all_indices[part], *self._records)
-            for part in plant.parts
-        )
-        self._whole_step = tuple(
-            partial(_both, advance, judge)
-            for advance, judge in zip(self._advance, self._judge_step, strict=True)
-        )
+        self._judge = []
+        self._advance_and_judge = []
+        for robots, advance in zip(plant.parts, self._advance, strict=True):
+            judge = partial(outcome.outcome, False, self._all_indices[robots], *self._records)
+            self._judge.append(judge)
+            self._advance_and_judge.append(partial(_call_in_turn, advance, judge))
 
     @property
     def tasks(self) -> tuple[Task, ...]:
@@ -173,27 +170,22 @@ class Simulation:
 
     def task(self, env_index: int) -> Task:
         """Task of one environment's episode."""
-        settings = self.settings
+        episode = self._episodes[env_index]
         row = self._episode_settings[env_index]
         return Task(
-            robot=settings.robot,
-            trajectory=self._trajectories[env_index],
-            error_bounds=self._error_bounds[env_index],
-            control_frequency=settings.control_frequency,
-            cable=settings.cable,
+            robot=episode.robot,
+            trajectory=episode.trajectory,
+            error_bounds=episode.error_bounds,
+            control_frequency=episode.control_frequency,
+            cable=episode.cable,
             model_payload=float(row[outcome.MODEL_PAYLOAD]),
             payload_known=bool(row[outcome.KNOWN]),
-            measurement=settings.measurement,
+            measurement=episode.measurement,
         )
 
     def truth_of(self, env_index: int) -> dict[str, Array]:
         """True parameters of one environment's episode."""
         return {name: values[env_index].copy() for name, values in self.truth.items()}
-
-    @property
-    def stall_torque(self) -> Array:
-        """True stall torques τ_s [N·m], shape (N, m)."""
-        return self._stall
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -224,7 +216,8 @@ class Simulation:
         """
         before = self.streams.state()
         try:
-            self.streams.seed(env_indices, [None] * len(env_indices) if seeds is None else seeds)
+            if seeds is not None:
+                self.streams.seed(env_indices, seeds)
             self._start_episodes(env_indices, options)
         except Exception:
             self.streams.restore(before)
@@ -233,65 +226,72 @@ class Simulation:
     def _start_episodes(
         self, env_indices: NDArray[np.int64], options: Mapping[str, Any] | None
     ) -> None:
-        settings, robot = self.settings, self.settings.robot
-        given = check_options(options, robot, self.count)
-        trajectory = given.get("trajectory", settings.trajectory)
-        error_bounds = given.get("error_bounds", settings.error_bounds)
-        uncertainties = given.get("uncertainty", settings.uncertainty)
-        if "uncertainty" in given:
-            check_stability(robot, uncertainties, settings.control_frequency, settings.substeps)
-        self._tables.prepare(trajectory)
-
-        if "noise_seed" in given:
-            self.streams.noise_seeds[env_indices] = np.array(given["noise_seed"], object)[
-                env_indices
-            ]
+        checked = check_options(options, self.settings.robot, self.count)
+        episode = self.settings.with_options(checked)
+        self._tables.prepare(episode.trajectory)
+        if "noise_seed" in checked:
+            noise_seeds = np.array(checked["noise_seed"], object)
+            self.streams.noise_seeds[env_indices] = noise_seeds[env_indices]
         self.streams.start_episode(env_indices)
-        payload = self._values_of(env_indices, given.get("payload", settings.payload))
-        if settings.payload_range is not None and "payload" not in given:
-            low, high = settings.payload_range
-            payload = (
-                low + (high - low) * self.streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
-            )
-        known = self._values_of(env_indices, given.get("payload_known", settings.payload_known))
-        factor = self._values_of(
-            env_indices, given.get("model_payload_factor", settings.model_payload_factor)
-        )
-        start = trajectory(0.0)
-        error = given.get("initial_error", settings.initial_error)
-        first = (
-            start_pose(robot, trajectory, error_bounds) if error is None else start.position + error
-        )
-        pose = np.broadcast_to(first, (self.count, robot.coordinates))[env_indices]
-        if settings.initial_error_range is not None and "initial_error" not in given:
-            uniform = self.streams.uniform(env_indices, Purpose.START, robot.coordinates)
-            pose = pose + settings.initial_error_range * (2 * uniform - 1)
+        payload = self._nominal_payload(env_indices, episode)
+        start = episode.trajectory(0.0)
+        pose = self._start_pose(env_indices, episode, start)
         velocity = np.broadcast_to(start.velocity, pose.shape)
-        starts = [
-            self._prepared_start(
+        # Nothing has changed yet but the streams, which reset() restores after an error.
+        starts = []
+        for uncertainty, rows in self._by_uncertainty(env_indices, episode.uncertainty):
+            start_of_rows = self._prepared_start(
                 env_indices[rows], uncertainty, payload[rows], pose[rows], velocity[rows]
             )
-            for uncertainty, rows in self._by_uncertainty(env_indices, uncertainties)
-        ]
+            starts.append(start_of_rows)
 
-        bounds = np.array([error_bounds.position, error_bounds.rotation])
-        self._episode_settings[env_indices, outcome.MODEL_PAYLOAD] = payload * known * factor
-        self._episode_settings[env_indices, outcome.KNOWN] = known
-        self._episode_settings[env_indices, outcome.POSITION_BOUND : outcome.ROTATION_BOUND + 1] = (
-            bounds
-        )
-        self._episode_settings[env_indices, outcome.STARTS_AT_REST] = at_rest(start)
-        self.motion_steps[env_indices] = max(
-            1, round(trajectory.duration * settings.control_frequency)
-        )
-        for env_index in env_indices:
-            self._trajectories[env_index], self._error_bounds[env_index] = trajectory, error_bounds
+        self._store_settings(env_indices, episode, payload, rests=at_rest(start))
         for apply in starts:
             apply()
-        self._tables.follow(env_indices, trajectory, self._plant.trajectory_index)
+        self._tables.follow(env_indices, episode.trajectory, self._plant.trajectory_index)
         self._bind()  # the tables and the noise may be new arrays
         self._measure(env_indices, fresh=True)
         outcome.outcome(True, env_indices, *self._records)
+
+    def _nominal_payload(self, env_indices: NDArray[np.int64], episode: Settings) -> Array:
+        """Nominal payloads [kg], (k,)."""
+        if episode.payload_range is None:
+            return self._values_of(env_indices, episode.payload)
+        low, high = episode.payload_range
+        uniform = self.streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
+        return low + (high - low) * uniform
+
+    def _start_pose(
+        self, env_indices: NDArray[np.int64], episode: Settings, start: Reference
+    ) -> Array:
+        """Start poses, (k, n)."""
+        robot = episode.robot
+        if episode.initial_error is None:
+            nominal = start_pose(robot, episode.trajectory, episode.error_bounds)
+        else:
+            nominal = start.position + episode.initial_error
+        pose = np.broadcast_to(nominal, (self.count, robot.coordinates))[env_indices]
+        if episode.initial_error_range is not None:
+            uniform = self.streams.uniform(env_indices, Purpose.START, robot.coordinates)
+            pose = pose + episode.initial_error_range * (2 * uniform - 1)
+        return pose
+
+    def _store_settings(
+        self, env_indices: NDArray[np.int64], episode: Settings, payload: Array, *, rests: bool
+    ) -> None:
+        """Stores what the outcome and the tasks of the episodes need."""
+        known = self._values_of(env_indices, episode.payload_known)
+        factor = self._values_of(env_indices, episode.model_payload_factor)
+        columns = self._episode_settings.T
+        columns[outcome.MODEL_PAYLOAD, env_indices] = payload * known * factor
+        columns[outcome.KNOWN, env_indices] = known
+        columns[outcome.POSITION_BOUND, env_indices] = episode.error_bounds.position
+        columns[outcome.ROTATION_BOUND, env_indices] = episode.error_bounds.rotation
+        columns[outcome.STARTS_AT_REST, env_indices] = rests
+        steps = round(episode.trajectory.duration * episode.control_frequency)
+        self.motion_steps[env_indices] = max(1, steps)
+        for env_index in env_indices:
+            self._episodes[env_index] = episode
 
     def _values_of(self, env_indices: NDArray[np.int64], value: Any) -> Any:
         """Values for ``env_indices`` of a value that is given once for all environments or once per
@@ -305,13 +305,11 @@ class Simulation:
         if len(uncertainties) == 1:
             yield uncertainties[0], np.arange(len(env_indices))
             return
-        for uncertainty in dict.fromkeys(uncertainties[env_index] for env_index in env_indices):
-            yield (
-                uncertainty,
-                np.flatnonzero(
-                    [uncertainties[env_index] == uncertainty for env_index in env_indices]
-                ),
-            )
+        rows_of: dict[Uncertainty, list[int]] = {}
+        for row, env_index in enumerate(env_indices):
+            rows_of.setdefault(uncertainties[env_index], []).append(row)
+        for uncertainty, rows in rows_of.items():
+            yield uncertainty, np.array(rows)
 
     def _prepared_start(
         self,
@@ -351,7 +349,7 @@ class Simulation:
         )
 
         def apply() -> None:
-            self._stall[env_indices] = robot.stall_torque
+            self.stall_torque[env_indices] = robot.stall_torque
             self._episode_settings[env_indices, outcome.PAYLOAD] = payload
             self._store_truth(env_indices, robot, payload)
             self._plant.set_parameters(env_indices, rows)
@@ -373,14 +371,14 @@ class Simulation:
         for name, parameter in PARAMETERS.items():
             if not parameter.belongs_to(self.settings.robot):
                 continue
-            nominal = (
-                getattr(self.settings.robot, parameter.attribute) if name != "payload" else 0.0
-            )
+            if name == "payload":
+                nominal, true = 0.0, payload
+            else:
+                nominal = getattr(self.settings.robot, parameter.attribute)
+                true = getattr(robot, parameter.attribute)
             if name not in self.truth:
                 self.truth[name] = np.zeros((self.count, *np.shape(nominal)))
-            self.truth[name][env_indices] = (
-                payload if name == "payload" else getattr(robot, parameter.attribute)
-            )
+            self.truth[name][env_indices] = true
 
     def step(self, actions: ArrayLike) -> None:
         """Advances all environments by one control period under actions (N, m), or (m,) of the
@@ -398,13 +396,12 @@ class Simulation:
             self._disturbances.update_wrench(plant)
         plant.set_action(checked)
         if self._disturbances.quiet and not self.settings.measurement.winches:
-            call_all(
-                self._whole_step
-            )  # nothing to measure between both halves: threads wait for each other once
+            # Nothing to measure between the calls: threads wait for each other once.
+            call_all(self._advance_and_judge)
             return
         call_all(self._advance)
         self._measure(self._all_indices, fresh=False)
-        call_all(self._judge_step)
+        call_all(self._judge)
 
     def _measure(self, env_indices: NDArray[np.int64], *, fresh: bool) -> None:
         """Draws the noise and reads the sensors of the next observation."""
@@ -414,9 +411,9 @@ class Simulation:
             self._sensors.read(env_indices, self._plant, self.truth, fresh=fresh)
 
 
-def _both(first: Callable[[], None], second: Callable[[], None]) -> None:
-    first()
-    second()
+def _call_in_turn(advance: Callable[[], None], judge: Callable[[], None]) -> None:
+    advance()
+    judge()
 
 
 def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -427,7 +424,10 @@ def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
         )
     largest = outcome.LARGEST
     # A Python loop is faster than NumPy for a few numbers.
-    components = checked.tolist() if checked.ndim == 1 else [np.max(np.abs(checked))]
+    if checked.ndim == 1:
+        components = checked.tolist()
+    else:
+        components = [np.max(np.abs(checked))]
     for component in components:
         if not -largest < component < largest:
             raise ValueError(

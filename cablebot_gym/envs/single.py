@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import gymnasium as gym
@@ -13,9 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from cablebot_gym.envs import SpecChecked
 from cablebot_gym.envs.outcome import info_dict
 from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
+from cablebot_gym.envs.settings import keyword_table
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
+from cablebot_gym.uncertainty import PARAMETERS
 from cablebot_gym.utils.checks import whole
 
 
@@ -171,8 +174,9 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
 
     An episode terminates if one of these conditions is met:
 
-    1. `tracking_error`: the position error exceeds `termination_radius`;
-    2. `slack`: some cable has been slack for longer than `slack_time`;
+    1. `tracking_error`: the position error exceeds 0.1 m and twice its bound of the keyword
+       `error_bounds`;
+    2. `slack`: some cable has been slack for longer than 0.1 s;
     3. `workspace`: the pose is outside the workspace of the robot;
     4. `non_finite`: the state is not finite;
     5. `violation`: a limit is violated, see "Reward", and `terminate_on_violation` is set.
@@ -233,28 +237,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     All arguments are keyword-only and accept JSON-able values. Those marked * are also reset
     options, which apply to one episode: `env.reset(options={"payload": 2.0})`.
 
-    | name | default | meaning |
-    |---|---|---|
-    | `payload`* | 0 | nominal payload [kg]; the true payload is equal to it, unless it is uncertain |
-    | `payload_range` | None | (low, high) of a uniform nominal payload, drawn in each episode, in place of `payload` |
-    | `payload_known`* | True | whether the payload is known to the controller |
-    | `model_payload_factor`* | 1 | ratio of the model payload to the nominal payload; no effect if payload unknown |
-    | `trajectory`* | that of the robot | reference motion: a name, `{"name": …, …}` or a `Trajectory` |
-    | `initial_error`* | None | start pose minus reference pose, n values; None for the start pose under "Start" |
-    | `initial_error_range` | None | n half widths of a uniform error, drawn in each episode, added to the start pose |
-    | `uncertainty`* | None | difference between the true and the nominal robot, see below |
-    | `error_bounds`* | those of the robot | `{"position": …, "rotation": …}`, bounds of the tracking errors |
-    | `robot` | by id | a name, a `.toml` file, `Robot.to_dict()` data or a `Robot` |
-    | `measurement` | "pose" | sensors: "pose", "winches", "winches+tensions+imu", or data, see "Observation space" |
-    | `cable` | "unilateral" | cables only pull; "bilateral": cables can also push |
-    | `control_frequency` | 500 | actions per second [Hz] |
-    | `substeps` | steps ≤ 1 ms, shorter for stiff springs | physics steps per control period |
-    | `termination_radius` | 0.1, or 2 × bound | position error beyond which the episode terminates [m] |
-    | `slack_time` | 0.1 | longest time for which a cable may be slack [s] |
-    | `terminate_on_violation` | False | whether the first violation of a limit terminates the episode |
-    | `reward_weights` | see "Reward" | weights by reward term |
-    | `normalised_observation` | False | whether the observation is normalised, see "Observation space" |
-    | `observation_dtype` | "float64" | number type of the observation and its space; "float32" for learning |
+    {keywords}
 
     The defaults of a robot are in its data. Without data, the motion is the paper's circle between
     dwells for a robot with the paper's geometry, else a lemniscate about the home pose that the
@@ -303,11 +286,9 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     | `distribution` | "uniform" | or "normal" with `mean` (default 0) and `std`, truncated at the bounds |
     | `each` | true | one draw for each motor, axis or coordinate; false: one draw for all of them |
 
-    The names of the parameters are `platform_mass`, `payload`, `platform_inertia`,
-    `pulley_inertia`, `damping`, `stiffness`, `motor_inertia`, `motor_damping`, `motor_strength`
-    (τ_s at constant free speed), `base_anchors`, `platform_anchors`, `motor_lag` and
-    `coulomb_friction`. The nominal robots have no lag and no Coulomb friction: give these two with
-    `"relative": false`.
+    The names of the parameters are {parameters}.
+    `motor_strength` is τ_s at constant free speed. The nominal robots have no lag and no Coulomb
+    friction: give these two with `"relative": false`.
 
     `wrench` has these fields:
 
@@ -364,9 +345,9 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
         self.action_space = Box(-1.0, 1.0, (self.settings.robot.cables,), dtype=np.float32)
         self.observation_space = self.settings.observation_space()
         self._env_index = np.zeros(1, np.int64)
-        self._pictures = (
-            None if render_mode is None else Pictures(self._simulation, self.settings.robot.name)
-        )
+        self._pictures: Pictures | None = None
+        if render_mode is not None:
+            self._pictures = Pictures(self._simulation, self.settings.robot.name)
         self._started = self._terminated = False
 
     @property
@@ -421,11 +402,12 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
         """
         if seed is not None:
             seed = whole("seed", seed)
-        first = self.np_random_seed if seed is None and not self._started else seed
-        self._simulation.reset(self._env_index, options, [first])
-        super().reset(
-            seed=seed
-        )  # after the check of the options, because an invalid reset does not change the seed
+        episode_seed = seed
+        if seed is None and not self._started:
+            episode_seed = self.np_random_seed
+        self._simulation.reset(self._env_index, options, [episode_seed])
+        # After the check of the options, because an invalid reset does not change the seed.
+        super().reset(seed=seed)
         self._started, self._terminated = True, False
         if self._pictures is not None:
             self._pictures.on_reset([0])
@@ -458,8 +440,16 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
 
     def _result(self) -> tuple[Array, float, bool, dict[str, Any]]:
         simulation = self._simulation
-        reason = int(self._simulation.reason[0])
+        reason = int(simulation.reason[0])
         info = info_dict(simulation.info[0], simulation.cables[:, 0])
         info["termination_reason"] = reason
         observation = simulation.observation[0].astype(self.settings.observation_dtype)
         return observation, float(simulation.reward[0]), reason > 0, info
+
+
+_PARAMETER_NAMES = ", ".join(f"`{name}`" for name in PARAMETERS)
+CableBotEnv.__doc__ = (
+    inspect.cleandoc(CableBotEnv.__doc__ or "")  # absent under python -OO
+    .replace("{keywords}", keyword_table())
+    .replace("{parameters}", _PARAMETER_NAMES)
+)

@@ -6,8 +6,9 @@ do not overlap, do not depend on how much of another stream was read, and need n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,16 +82,16 @@ class Streams:
     def uniform(self, env_indices: NDArray[np.int64], purpose: Purpose, size: int) -> Array:
         """Uniform numbers in [0, 1) for the present episodes of ``env_indices``, (len(env_indices),
         size)."""
-        return self._draw(
-            env_indices, purpose, np.zeros(len(env_indices), np.int64), (size,), normal=False
-        )
+        no_blocks = np.zeros(len(env_indices), np.int64)
+        draw = self._generator.random
+        return self._draw(draw, env_indices, purpose, no_blocks, (size,))
 
     def normal(self, env_indices: NDArray[np.int64], purpose: Purpose, size: int) -> Array:
         """Standard normal numbers for the present episodes of ``env_indices``, (len(env_indices),
         size)."""
-        return self._draw(
-            env_indices, purpose, np.zeros(len(env_indices), np.int64), (size,), normal=True
-        )
+        no_blocks = np.zeros(len(env_indices), np.int64)
+        draw = self._generator.standard_normal
+        return self._draw(draw, env_indices, purpose, no_blocks, (size,))
 
     def normal_block(
         self,
@@ -101,29 +102,30 @@ class Streams:
     ) -> Array:
         """Standard normal numbers, one block for each environment, (len(env_indices), BLOCK,
         width)."""
-        return self._draw(env_indices, purpose, blocks, (BLOCK, width), normal=True)
+        draw = self._generator.standard_normal
+        return self._draw(draw, env_indices, purpose, blocks, (BLOCK, width))
 
     def _draw(
         self,
+        draw: Callable[..., Any],
         env_indices: NDArray[np.int64],
         purpose: Purpose,
         blocks: NDArray[np.int64],
         shape: tuple[int, ...],
-        *,
-        normal: bool,
     ) -> Array:
         numbers = np.empty((len(env_indices), *shape))
         first_rows: dict[tuple[int, int, int], int] = {}
         counter = self._state["state"]["counter"]
         key = self._state["state"]["key"]
-        draw = self._generator.standard_normal if normal else self._generator.random
+        seeds = self.seeds
+        if purpose in NOISE:
+            seeds = self.noise_seeds
         episodes = self.episodes[env_indices].tolist()
-        block_list = blocks.tolist()
-        seeds = (self.noise_seeds if purpose in NOISE else self.seeds)[env_indices]
-        for row, (seed, episode, block) in enumerate(zip(seeds, episodes, block_list, strict=True)):
-            first = first_rows.setdefault((seed, episode, block), row)
-            if first < row:
-                numbers[row] = numbers[first]
+        streams = zip(seeds[env_indices], episodes, blocks.tolist(), strict=True)
+        for row, (seed, episode, block) in enumerate(streams):
+            first_row = first_rows.setdefault((seed, episode, block), row)
+            if first_row < row:  # equal streams have equal numbers
+                numbers[row] = numbers[first_row]
                 continue
             key[:] = _key(seed)
             counter[:] = 0, block, episode, purpose
@@ -156,7 +158,8 @@ class NormalRows:
         """Numbers of ``env_indices`` in their intervals, counted from 0 in each episode,
         (len(env_indices), width)."""
         blocks = interval // BLOCK
-        if (stale := np.flatnonzero(self._blocks[env_indices] != blocks)).size:
+        stale = np.flatnonzero(self._blocks[env_indices] != blocks)
+        if stale.size:
             renewed = env_indices[stale]
             width = self._values.shape[-1]
             self._values[renewed] = self._streams.normal_block(

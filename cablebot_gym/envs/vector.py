@@ -6,24 +6,34 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
-from gymnasium.spaces import Box, Space
+from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs import SpecChecked
-from cablebot_gym.envs.observation import ObservationLayout
 from cablebot_gym.envs.outcome import info_dict
 from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
-from cablebot_gym.envs.settings import Settings
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import choice, whole
 
 VectorStep = tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
+
+
+_SHARED = {
+    "action_space": "single_action_space",
+    "observation_space": "single_observation_space",
+    "settings": "settings",
+    "layout": "layout",
+    "spec": "spec",
+    "metadata": "metadata",
+    "render_mode": "render_mode",
+}
+"""Attributes of the single environment that are equal in all environments, with their names in the
+vector environment."""
 
 
 class SingleView:
@@ -54,40 +64,10 @@ class SingleView:
         """Seed of the present episode's streams."""
         return int(self._vector._simulation.streams.seeds[self._env_index])
 
-    @property
-    def action_space(self) -> Space[Array]:
-        """Action space of one environment."""
-        return self._vector.single_action_space
-
-    @property
-    def observation_space(self) -> Space[Array]:
-        """Observation space of one environment."""
-        return self._vector.single_observation_space
-
-    @property
-    def settings(self) -> Settings:
-        """Checked constructor keywords."""
-        return self._vector.settings
-
-    @property
-    def layout(self) -> ObservationLayout:
-        """Layout of the observation."""
-        return self._vector.layout
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """Specification from which Gymnasium made the environments."""
-        return self._vector.spec
-
-    @property
-    def metadata(self) -> dict[str, Any]:
-        """Metadata of the environments."""
-        return self._vector.metadata
-
-    @property
-    def render_mode(self) -> str | None:
-        """Render mode of the environments."""
-        return self._vector.render_mode
+    def __getattr__(self, name: str) -> Any:
+        if name not in _SHARED:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return getattr(self._vector, _SHARED[name])
 
     def render(self) -> NDArray[np.uint8] | None:
         """The present picture, shape (480, 640, 3), as in the single environment."""
@@ -163,12 +143,12 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         self.single_observation_space = self.settings.observation_space()
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._max_steps = np.inf if max_episode_steps is None else max_episode_steps
+        self._max_steps = max_episode_steps or np.inf
         self._done = np.zeros(self.num_envs, np.bool_)
         self._started = False
-        self._pictures = (
-            None if render_mode is None else Pictures(self._simulation, self.settings.robot.name)
-        )
+        self._pictures: Pictures | None = None
+        if render_mode is not None:
+            self._pictures = Pictures(self._simulation, self.settings.robot.name)
         self._singles = tuple(SingleView(self, env_index) for env_index in range(self.num_envs))
 
     @property
@@ -213,10 +193,10 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         env_indices = self._reset_indices(options)
         seeds = self._seeds(seed)
         if not self._started:
-            drawn = np.random.SeedSequence().generate_state(self.num_envs, np.uint64).tolist()
-            seeds = [
-                new if given is None else given for given, new in zip(seeds, drawn, strict=True)
-            ]
+            random_seeds = np.random.SeedSequence().generate_state(self.num_envs, np.uint64)
+            for env_index, random_seed in enumerate(random_seeds.tolist()):
+                if seeds[env_index] is None:
+                    seeds[env_index] = random_seed
         self._reset(env_indices, options, [seeds[env_index] for env_index in env_indices.tolist()])
         self._started = True
         self._done[env_indices] = False
@@ -233,10 +213,9 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
             self._pictures.on_reset(env_indices.tolist())
 
     def _reset_indices(self, options: dict[str, Any] | None) -> NDArray[np.int64]:
-        mask = options.get("reset_mask") if isinstance(options, dict) else None
-        if mask is None:
+        if not isinstance(options, dict) or options.get("reset_mask") is None:
             return np.arange(self.num_envs)
-        mask = np.asarray(mask)
+        mask = np.asarray(options["reset_mask"])
         if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
             raise ValueError(
                 f"reset_mask must be {self.num_envs} booleans with at least one True, not {mask!r}"
@@ -249,13 +228,18 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         if seed is None:
             return [None] * self.num_envs
         if not isinstance(seed, (Sequence, np.ndarray)):
-            first = whole("seed", seed)
-            return [first + env_index for env_index in range(self.num_envs)]
+            first_seed = whole("seed", seed)
+            return list(range(first_seed, first_seed + self.num_envs))
         if len(seed) != self.num_envs:
             raise ValueError(
                 f"seed must be an integer or {self.num_envs} integers, one per environment, not {len(seed)}"
             )
-        return [None if item is None else whole("seed", item) for item in seed]
+        seeds: list[int | None] = []
+        for item in seed:
+            if item is not None:
+                item = whole("seed", item)
+            seeds.append(item)
+        return seeds
 
     def step(self, actions: ArrayLike) -> VectorStep:
         """Advances every environment by one control period.
@@ -324,8 +308,13 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         Raises:
             AttributeError: if the environments have no such attribute.
         """
-        values = [getattr(single, name) for single in self._singles]
-        return tuple(value(*args, **kwargs) if callable(value) else value for value in values)
+        values = []
+        for single in self._singles:
+            value = getattr(single, name)
+            if callable(value):
+                value = value(*args, **kwargs)
+            values.append(value)
+        return tuple(values)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """Values of an attribute of each environment, as :meth:`call` returns them."""
@@ -342,7 +331,7 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
             AttributeError: if the environments compute the attribute.
             ValueError: if there are not N values.
         """
-        if hasattr(SingleView, name):
+        if hasattr(SingleView, name) or name in _SHARED:
             raise AttributeError(
                 f"the environments compute {name!r}: change it by keywords of gym.make_vec or by options of reset()"
             )

@@ -309,7 +309,7 @@ def compare_policies(
             recorder = Recorder(range(batch.draws), _RECORDED)
             rows = [(payload, seed) for seed in batch.seeds]
             verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
-            radius = batch.settings.termination_radius
+            radius = batch.settings.error_bounds.termination_radius
             metrics.append(_metrics(label, recorder.rollouts(verdicts), radius))
     return Comparison(
         conditions=shared,

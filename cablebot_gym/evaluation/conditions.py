@@ -86,8 +86,6 @@ class Conditions:
         nominal = deepcopy(find_robot(env_robot(env_id) if robot is None else robot))
         bounds = deepcopy(find_error_bounds(error_bounds, nominal))
         name = uncertainty if isinstance(uncertainty, str | None) else "custom"
-        # With wide error bounds the environment must not terminate an episode before a violation.
-        radius = {"termination_radius": bounds.termination_radius}
         return cls(
             env_id=env_id,
             robot=nominal,
@@ -97,7 +95,7 @@ class Conditions:
             uncertainty_name=name,
             draws=None if draws is None else whole("draws", draws, least=1),
             seed=seed,
-            keywords=MappingProxyType(radius | deepcopy(keywords)),
+            keywords=MappingProxyType(deepcopy(keywords)),
         )
 
     @property

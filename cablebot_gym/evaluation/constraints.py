@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.envs import TERMINATION_REASONS
+from cablebot_gym.envs import TERMINATION_REASONS, limits
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import ErrorBounds, Task, find_error_bounds
 from cablebot_gym.utils.checks import choice
@@ -24,9 +24,6 @@ KINDS: tuple[ViolationKind, ...] = get_args(ViolationKind)
 """Kinds of violations in the order in which the judge checks them."""
 
 _REASONS = np.array(TERMINATION_REASONS)
-
-_ROUNDING = 1e-12
-"""Tolerance of |a| ≤ 1 for rounding errors."""
 
 
 def find_criterion(criterion: str) -> Criterion:
@@ -152,26 +149,27 @@ class Judge:
             task: task of these episodes.
             mask: mask of the episodes to start, (N,); None for all.
         """
-        mask = np.ones(len(self.failed), np.bool_) if mask is None else mask
-        by_task = self.criterion == "task"
+        if mask is None:
+            mask = np.ones(len(self.failed), np.bool_)
         self._position_bound[mask] = task.error_bounds.position
-        self._rotation_bound[mask] = task.error_bounds.rotation if by_task else np.inf
-        self._tension_bound[mask] = (
-            task.robot.minimum_tension if by_task and task.cable == "unilateral" else -np.inf
-        )
+        self._rotation_bound[mask] = np.inf
+        self._tension_bound[mask] = -np.inf
+        if self.criterion == "task":
+            self._rotation_bound[mask] = task.error_bounds.rotation
+            self._tension_bound[mask] = limits.minimum_tension(task.robot, task.cable)
         self._step[mask], self.steps[mask] = 0, task.steps
         self.payload[mask] = info["payload"][mask]
         self._position_peak[mask], self._rotation_peak[mask] = 0.0, 0.0
         self._peak_action[mask], self._least_tension[mask] = 0.0, np.inf
         self.failed[mask] = False
-        if by_task and task.starts_at_rest:
+        if self.criterion == "task" and task.starts_at_rest:
             margin = info["torque_margin"]
-            motor, least = margin.argmin(axis=1), margin.min(axis=1)
+            least = margin.min(axis=1)
             self._fail(
                 "torque",
-                mask & (least < 0),
+                mask & ~limits.is_held(least),
                 info["time"],
-                index=motor + 1,
+                index=margin.argmin(axis=1) + 1,
                 excess=-least,
                 reason="start",
             )
@@ -191,29 +189,24 @@ class Judge:
         np.maximum(self._peak_action, action, out=self._peak_action, where=running[:, None])
         tension = info["least_tensions"].min(axis=1)
         np.minimum(self._least_tension, tension, out=self._least_tension, where=running)
-        if (
-            self.criterion == "paper"
-            and (saturated := running & (action.max(axis=1) > 1 + _ROUNDING)).any()
-        ):
-            motor = action.argmax(axis=1)
-            excess = -np.take_along_axis(info["torque_margin"], motor[:, None], 1)[:, 0]
-            self._fail("torque", saturated, info["action_time"], index=motor + 1, excess=excess)
-        if (low := running & (tension < self._tension_bound)).any():
+        if self.criterion == "paper":
+            saturated = running & ~limits.is_unsaturated(action.max(axis=1))
+            if saturated.any():
+                motor = action.argmax(axis=1)
+                excess = -np.take_along_axis(info["torque_margin"], motor[:, None], 1)[:, 0]
+                self._fail("torque", saturated, info["action_time"], index=motor + 1, excess=excess)
+        bound = self._tension_bound
+        low = running & ~limits.is_taut(tension, bound)
+        if low.any():
             cable = info["least_tensions"].argmin(axis=1)
-            missing = self._tension_bound - tension
-            self._fail(
-                "slack", low, time, index=cable + 1, excess=missing, bound=self._tension_bound
-            )
-        if (slack := running & info["slack"].any(axis=1)).any():
-            self._fail(
-                "slack",
-                slack,
-                time,
-                index=info["slack"].argmax(axis=1) + 1,
-                bound=self._tension_bound,
-            )
+            self._fail("slack", low, time, index=cable + 1, excess=bound - tension, bound=bound)
+        slack = running & info["slack"].any(axis=1)
+        if slack.any():
+            cable = info["slack"].argmax(axis=1)
+            self._fail("slack", slack, time, index=cable + 1, bound=bound)
         self._check_errors(info, running)
-        if (ended := running & terminated).any():
+        ended = running & terminated
+        if ended.any():
             self._fail("terminated", ended, time, reason=_REASONS[info["termination_reason"]])
 
     def _check_errors(self, info: Mapping[str, Array], running: NDArray[np.bool_]) -> None:
@@ -223,7 +216,8 @@ class Judge:
         )
         for kind, error, peak, bound in errors:
             np.maximum(peak, error, out=peak, where=running)
-            if (beyond := running & (error > bound)).any():
+            beyond = running & ~limits.within_bound(error, bound)
+            if beyond.any():
                 self._fail(kind, beyond, info["time"], excess=error - bound, bound=bound)
 
     def _fail(
@@ -234,12 +228,13 @@ class Judge:
         fresh = mask & ~self.failed
         self.failed |= fresh
         columns = {name: np.broadcast_to(column, fresh.shape) for name, column in values.items()}
-        for place in np.flatnonzero(fresh).tolist():
-            own: dict[str, Any] = {name: column[place].item() for name, column in columns.items()}
-            if not np.isfinite(own.get("bound", 0.0)):
-                own["bound"] = None
-            found = {"index": None, "excess": None, "time": time[place].item()} | own
-            self._violations[place] = Violation(kind=kind, **found)
+        for env_index in np.flatnonzero(fresh).tolist():
+            fields: dict[str, Any] = {"index": None, "excess": None, "time": time[env_index].item()}
+            for name, column in columns.items():
+                fields[name] = column[env_index].item()
+            if not np.isfinite(fields.get("bound", 0.0)):
+                fields["bound"] = None
+            self._violations[env_index] = Violation(kind=kind, **fields)
 
     def violation(self, env_index: int) -> Violation | None:
         """The first violation of one episode; None without a violation."""

@@ -25,7 +25,6 @@ from cablebot_gym.policies import LoadedPolicy, PolicySpec, load
 from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.rendering.moment import ball_radius
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import ErrorBounds
 
 RATE = 100
 """Frame rate of a replay [Hz]."""
@@ -132,7 +131,6 @@ def replays(cells: Sequence[tuple[PolicyCell, float | None]]) -> list[list[Repla
         max_episode_steps=None,
         robot=first.robot,
         error_bounds=dict(first.error_bounds),
-        termination_radius=ErrorBounds(**first.error_bounds).termination_radius,
         control_frequency=first.control_frequency,
     ).unwrapped
     assert isinstance(env, CableBotVectorEnv)

@@ -193,7 +193,10 @@ def known_seed(law, data):
             options["noise_seed"] = [noise_seed(0, payload) for payload in options["payload"]]
         law.copies = [
             gym.make_vec(
-                "CableBot-Spatial-v0", num_envs=len(data), uncertainty=name, termination_radius=1e5
+                "CableBot-Spatial-v0",
+                num_envs=len(data),
+                uncertainty=name,
+                error_bounds={"position": 1.0},
             ).unwrapped
             for name in (NOISE, None)
         ]

@@ -69,9 +69,7 @@ def test_prior_and_data_weigh_equally_after_its_time():
 def test_estimate_uses_the_saturated_torque():
     """Motors of a quarter of the torque saturate from the start."""
     weak = SPATIAL.replace(motors=type(SPATIAL.motors)(stall_torque=2.9, free_speed=20.0))
-    env = gym.make_vec(
-        SPATIAL_ID, num_envs=1, robot=weak, payload=1.5, payload_known=False, slack_time=1.0
-    )
+    env = gym.make_vec(SPATIAL_ID, num_envs=1, robot=weak, payload=1.5, payload_known=False)
     law = Adaptive(FeedbackLinearization(weak), estimator_prior_weight=1e-4, allocation=False)
     _, estimates, (observation, state) = run(law, env, steps=61)
     assert np.abs(law.predict(observation, state)[0]).max() > 1.05

@@ -32,7 +32,11 @@ def peaks(law, plant_robot, **keywords):
     """Largest position error in each tenth of a second on Table 3's circle [m]; infinite after a
     termination."""
     env = gym.make(
-        ID, robot=plant_robot, trajectory="paper-spatial", termination_radius=0.2, **keywords
+        ID,
+        robot=plant_robot,
+        trajectory="paper-spatial",
+        error_bounds={"position": 0.1},
+        **keywords,
     )
     observation, _ = env.reset(seed=0)
     state = None

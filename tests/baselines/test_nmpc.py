@@ -134,7 +134,7 @@ def test_preview_interpolates_the_reference_across_its_jump(policies):
     """From t = 0.31 s on the horizon contains the circle's jump of acceleration, which one
     observation alone misses by 2 cm."""
     policy = policies[PLANAR_ID]
-    env = vector(PLANAR_ID, 1, termination_radius=10.0)
+    env = vector(PLANAR_ID, 1)
     observation, _ = env.reset(seed=0)
     task = env.unwrapped.tasks[0]
     ahead = np.linspace(0.0, HORIZON, 41)

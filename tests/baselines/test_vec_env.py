@@ -24,10 +24,8 @@ def failing(env_id):
     return {
         "max_episode_steps": LIMIT,
         "payload_range": (0.0, 3.0),
-        "initial_error_range": [0.02, 0.02] if planar else [0.02, 0.02, 0.02, 0.05, 0.05, 0.05],
-        "termination_radius": 0.03 if planar else 0.035,
+        "initial_error_range": [0.067] * 2 if planar else [0.057] * 3 + [0.05] * 3,
         "control_frequency": 100.0,
-        "slack_time": 0.03 if planar else 0.06,
     }
 
 
@@ -107,9 +105,7 @@ def test_info_keys_select_the_info_of_the_episode_that_ended():
 @pytest.mark.parametrize(("limit", "by_limit"), [(10, True), (11, False), (12, False)])
 def test_failure_at_the_last_step_is_not_a_truncation(limit, by_limit):
     """SB3 would add the value of a failed state to its reward."""
-    env = make_sb3_vec_env(
-        PLANAR_ID, 2, control_frequency=100.0, slack_time=0.1, max_episode_steps=limit
-    )
+    env = make_sb3_vec_env(PLANAR_ID, 2, control_frequency=100.0, max_episode_steps=limit)
     env.reset()
     ends = [env.step(np.full((2, 3), -0.5)) for _ in range(min(limit, 11))]
     assert not any(dones.any() for _, _, dones, _ in ends[:-1])

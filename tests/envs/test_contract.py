@@ -193,7 +193,7 @@ def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
         env_id,
         trajectory=trajectory,
         control_frequency=frequency,
-        termination_radius=10.0,
+        error_bounds={"position": 1.0},
     )
     expected = find_trajectory(trajectory, robot.coordinates)
     orders = {"velocity": 1e-12, "acceleration": 1e-10}

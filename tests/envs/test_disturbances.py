@@ -3,7 +3,7 @@ actions."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -37,14 +37,32 @@ def make_lasting(env_id, count, **keywords):
         env_id,
         count,
         robot=ROBOTS[env_id].replace(workspace=wide[: ROBOTS[env_id].coordinates]),
-        termination_radius=100.0,
-        slack_time=100.0,
+        error_bounds={"position": 9.0},
         autoreset_mode="Disabled",
         **keywords,
     )
 
 
 # --- true parameters ----------------------------------------------------------------------------------------------
+
+
+def test_one_row_makes_an_attribute_of_the_robot_uncertain(monkeypatch):
+    """As CONTRIBUTING.md says."""
+    row = replace(PARAMETERS["axial_stiffness"], attribute="axial_damping", unit="N·s")
+    parameters = {**PARAMETERS, "axial_damping": row}
+    monkeypatch.setattr("cablebot_gym.uncertainty.PARAMETERS", parameters)
+    monkeypatch.setattr("cablebot_gym.envs.simulation.PARAMETERS", parameters)
+    uncertainty = {"parameters": {"axial_damping": {"low": 0.5, "high": 1.0}}}
+    env = make("CableBot-FlexPoint-v0", uncertainty=uncertainty)
+    env.reset(seed=0)
+    ratio = env.truth["axial_damping"] / env.settings.robot.axial_damping
+    assert np.all((ratio >= 1.5) & (ratio <= 2.0))
+    nominal = make("CableBot-FlexPoint-v0")
+    nominal.reset(seed=0)
+    for _ in range(5):
+        env.step(np.full(4, 0.3))
+        nominal.step(np.full(4, 0.3))
+    assert not np.array_equal(env.pose, nominal.pose)
 
 
 def richest_env(name):
@@ -66,6 +84,7 @@ def spread_of(name):
 
 def robot_with(robot, truth):
     """The robot whose nominal values are the true ones, with the nominal free speed."""
+
     springs = ("stiffness", "motor_inertia", "motor_damping", "axial_stiffness")
     names = {"pulley_inertia", "damping", "coulomb_friction", *springs} & truth.keys()
     return robot.replace(

@@ -32,10 +32,8 @@ def test_last_actions_are_those_sent_in_this_episode(mode, delay):
         PLANAR,
         5,
         autoreset_mode=mode,
-        slack_time=0.01,
-        termination_radius=0.03,
         uncertainty={"delay": delay},
-        trajectory={"name": "line-planar", "duration": 0.1, "dwell": 0.01},
+        trajectory={"name": "line-planar", "duration": 0.06, "dwell": 0.01},
     )
     observation, _ = env.reset(seed=0)
     sent = np.zeros((5, LAST_ACTIONS, 3))

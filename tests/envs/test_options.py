@@ -118,15 +118,6 @@ KEYWORDS = {
     "cable": Case("bilateral", {"observations", "tensions"}, {"start"}, action=-0.3),
     "control_frequency": Case(250.0, {"observations", "time", "tracking_error"}),
     "substeps": Case(7, {"observations"}, {"start", "time"}, action=0.5, steps=5),
-    "termination_radius": Case(
-        1e-6, {"terminated", "rewards", "termination_reason"}, {"observations"}
-    ),
-    "slack_time": Case(
-        0.0,
-        {"terminated", "termination_reason"},
-        {"observations"},
-        action=-0.3,
-    ),
     "reward_weights": Case(
         {"position": 3.0},
         {"rewards", "reward_position"},
@@ -397,8 +388,6 @@ def test_bad_action_raises_and_leaves_the_episode(action):
         ({"substeps": 1.5}, "substeps"),
         ({"observation_dtype": "float16"}, "float64, float32"),
         ({"control_frequency": 0.0}, "control_frequency"),
-        ({"termination_radius": 0}, "termination_radius"),
-        ({"slack_time": -0.1}, "slack_time"),
         ({"payload_range": (2.0, 1.0)}, "payload_range"),
         ({"payload": 1.0, "payload_range": (0.0, 2.0)}, "exclude each other"),
         (

@@ -53,7 +53,7 @@ def test_moment_has_the_limits_of_the_true_motors(env_id):
     """At |a| ≥ 1 the torque is U± at the present motor speed."""
     weak = {"parameters": {"motor_strength": {"low": -0.4, "high": -0.2}}}
     weak["sensors"] = {"position": 1e-3}
-    env = make(env_id, uncertainty=weak, termination_radius=10.0, payload=3.0)
+    env = make(env_id, uncertainty=weak, payload=3.0)
     env.reset(seed=1)
     robot = env.settings.robot
     for sign in (1.0, -1.0, 1.0):
@@ -87,7 +87,7 @@ def test_vector_environment_paints_the_pictures_of_single_ones():
 
 
 def test_picture_shows_the_trajectory_and_the_termination():
-    env = make(SPATIAL, render_mode="rgb_array", termination_radius=1e-3)
+    env = make(SPATIAL, render_mode="rgb_array")
     env.reset(seed=3)
     circle = env.render()
     env.reset(seed=3, options={"trajectory": "line-spatial"})

@@ -50,7 +50,6 @@ def test_reward_is_the_sum_of_its_weighted_terms(env_id, weight):
         trajectory=f"paper-{robot.kind}",
         reward_weights=weights,
         error_bounds=bounds,
-        slack_time=9.0,
     )
     actions = tremble(env_id, 30)
     start = 0.02 * np.eye(robot.coordinates)[1]
@@ -130,7 +129,6 @@ def test_violated_agrees_with_the_judge(env_id, cable):
         payload_range=(0.0, 9.0),
         initial_error_range=[0.009] * robot.coordinates,
         autoreset_mode="Disabled",
-        termination_radius=0.02,
         error_bounds={"position": 0.011, "rotation": 0.011},
     )
     _, info = env.reset(seed=0)
@@ -153,19 +151,11 @@ def test_violated_agrees_with_the_judge(env_id, cable):
 
 @rigid_ids
 def test_terminate_on_violation_ends_the_episode_there(env_id):
-    """Nothing else changes; the reason has the lowest precedence. A termination violates, too."""
-    actions = tremble(env_id, 40)
-    patient, strict = (
-        rollout(
-            make(
-                env_id,
-                terminate_on_violation=ends,
-                termination_radius=0.015,
-            ),
-            actions,
-        )
-        for ends in (False, True)
-    )
+    """Nothing else changes; the reason has the lowest precedence."""
+    actions = tremble(env_id, 120)
+    actions[:, 1:] *= 0.02  # the first cable pulls the platform out of the termination radius
+    patient = rollout(make(env_id), actions)
+    strict = rollout(make(env_id, terminate_on_violation=True), actions)
     step = np.flatnonzero(patient.info["violated"])[0] - 1
     reasons = [TERMINATION_REASONS[code] for code in strict.info["termination_reason"]]
     assert np.flatnonzero(strict.terminated)[0] == step
@@ -176,8 +166,14 @@ def test_terminate_on_violation_ends_the_episode_there(env_id):
     assert rows.size
     for episode in (patient, strict):
         assert set(episode.info["termination_reason"][rows]) == {1}
-    wide = make(env_id, error_bounds={"position": 1.0}, termination_radius=1e-6)
-    assert violations(wide, actions[:3])[1] == [0]
+
+
+def test_termination_violates():
+    """The error bound of the episode is larger than the termination radius of the environment."""
+    wide = {"error_bounds": {"position": 1.0}, "initial_error": [0.11, 0.0]}
+    _, violated, info = violations(make(PLANAR), [np.full(3, 0.1)], **wide)
+    assert violated == [0]
+    assert TERMINATION_REASONS[info["termination_reason"][1]] == "tracking_error"
 
 
 # --- order of returns ---------------------------------------------------------------------------------------------

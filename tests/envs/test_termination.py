@@ -58,8 +58,8 @@ def test_pose_outside_radius_or_workspace_terminates(env_id):
                 )
                 == reason
             )
-    wide = make(env_id, termination_radius=0.05)
-    for error, reason in ((0.0501, "tracking_error"), (0.0495, "")):
+    wide = make(env_id)
+    for error, reason in ((0.1001, "tracking_error"), (0.0995, "")):
         start = error * np.eye(robot.coordinates)[0]
         assert reason_after(wide, action, initial_error=start) == reason
 
@@ -69,22 +69,22 @@ def test_pose_outside_radius_or_workspace_terminates(env_id):
 
 def test_slack_cable_terminates_after_the_slack_time():
     """The observation has the timer, which starts anew when the cable is taut."""
-    env = make(SPATIAL, termination_radius=5.0, slack_time=0.02)
+    env = make(SPATIAL, error_bounds={"position": 1.0})
     action = np.full(6, 0.9)
     action[3] = -0.9
-    actions = np.tile(action, (60, 1))
+    actions = np.tile(action, (100, 1))
     actions[8:10, 3] = 0.9
     episode = rollout(env, actions)
     slack = episode.info["slack"]
     assert not np.delete(slack, 3, axis=1).any()
     assert slack[8, 3] > slack[10, 3] < slack[20, 3]
-    timer = np.zeros(61)
-    for step in range(60):
+    timer = np.zeros(101)
+    for step in range(100):
         timer[step + 1] = (timer[step] + 0.002) * slack[step + 1, 3]
     end = np.flatnonzero(episode.terminated)[0] + 1
     observed = env.layout.split(episode.observations)["slack_time"][:, 0]
     assert_allclose(observed[: end + 1], timer[: end + 1], atol=1e-12)
-    assert timer[end] == pytest.approx(0.022)
+    assert timer[end] == pytest.approx(0.102)
     assert TERMINATION_REASONS[episode.info["termination_reason"][end]] == "slack"
 
 
@@ -121,8 +121,7 @@ def test_info_is_of_the_start_and_peaks_of_the_whole_period(env_id):
         control_frequency=60.0,
         substeps=20,
         trajectory=f"paper-{robot.kind}",
-        termination_radius=5.0,
-        slack_time=99.0,
+        error_bounds={"position": 1.0},
     )
     rng = np.random.default_rng(0)
     actions = np.repeat(1.6 * rng.uniform(-0.6, 1.0, (30, robot.cables)), 5, axis=0)

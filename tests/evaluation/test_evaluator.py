@@ -163,10 +163,6 @@ def test_environment_terminates_outside_wide_error_bounds_only():
     assert wide.payload == 1.0
     assert wide.violation is None
     assert wide.scan_ended
-    narrow = evaluate_dlcc(lambda _: np.zeros(6), SPATIAL_ID, termination_radius=0.05, **keywords)
-    assert narrow.payload is None
-    assert narrow.violation.kind == "terminated"
-    assert narrow.violation.reason == "tracking_error"
 
 
 # --- the search -------------------------------------------------------------------------------------------------------
