@@ -6,13 +6,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from cablebot_gym.bounds.robot_check import MotionCheck, RobotCheck
-from cablebot_gym.kinematics import Array, turned
+from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.statics import holds
 from cablebot_gym.plotting.figures import add_legend, new_figure, set_title
-from cablebot_gym.rendering.camera import coinciding
+from cablebot_gym.rendering.projection import (
+    attached_points,
+    coinciding,
+    drawing_views,
+    outline,
+)
 from cablebot_gym.robots import KIND_TEXTS
 from cablebot_gym.utils.palette import BLACK, BLUE, GREY, SKY, VERMILLION
 
@@ -38,12 +42,8 @@ def draw_robot(check: RobotCheck, motion: MotionCheck | None = None) -> Figure:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     robot = check.robot
-    if robot.planar:
-        views = [[0, 1]]
-        figure = new_figure(4.6)
-    else:
-        views = [[0, 1], [0, 2], [1, 2]]
-        figure = new_figure(3.4)
+    views = drawing_views(robot)
+    figure = new_figure(4.6 if robot.planar else 3.4)
     panels = figure.subplots(1, len(views), squeeze=False)[0]
     for axes, view in zip(panels, views, strict=True):
         _draw_view(axes, check, motion, view)
@@ -63,8 +63,7 @@ def _draw_view(axes: Axes, check: RobotCheck, motion: MotionCheck | None, view: 
         times = np.linspace(0, motion.trajectory.duration, 201)
         path = motion.trajectory(times).position
     base = robot.base[:, view]
-    ends = robot.home[: robot.dimensions] + turned(robot.home, robot.platform)
-    ends = ends[:, view]
+    ends = attached_points(robot.home, robot.platform)[:, view]
     path = path[:, view]
     workspace = robot.pose_bounds[:, view]
 
@@ -79,9 +78,7 @@ def _draw_view(axes: Axes, check: RobotCheck, motion: MotionCheck | None, view: 
     _number_cables(axes, base, ends)
     axes.plot([], [], color=BLUE, linewidth=1.0, label="cables")
     if not robot.point_mass:
-        hull = ConvexHull(ends, qhull_options="QJ")  # joggled, for anchors on a line
-        outline = ends[hull.vertices]
-        axes.fill(outline[:, 0], outline[:, 1], facecolor="none", edgecolor=BLACK, linewidth=1.4)
+        axes.fill(*outline(ends).T, facecolor="none", edgecolor=BLACK, linewidth=1.4)
     axes.plot(base[:, 0], base[:, 1], "o", color=BLACK, markersize=3.5)
     if motion is not None:
         axes.plot(path[:, 0], path[:, 1], color=VERMILLION, linewidth=1.6, label="motion")

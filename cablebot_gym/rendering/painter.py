@@ -11,9 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.kinematics import Array, turned
-from cablebot_gym.rendering.camera import Camera, coinciding, fit_camera
+from cablebot_gym.kinematics import Array
 from cablebot_gym.rendering.moment import HANG, Moment, ball_radius, full_tension
+from cablebot_gym.rendering.projection import (
+    attached_points,
+    coinciding,
+    fit_robot_camera,
+    outline,
+    points_in_space,
+)
 from cablebot_gym.task import Task
 from cablebot_gym.utils import palette
 
@@ -31,10 +37,6 @@ LARGEST = (7680, 4320)
 
 _OVERSAMPLING = 2
 """Factor by which pictures are painted larger and then scaled down, for smooth edges."""
-
-_AZIMUTH = math.radians(22)
-_ELEVATION = math.radians(30)
-"""Direction of view of spatial robots [rad]. Planar robots are viewed from above."""
 
 _SAG_FRACTION = 0.12
 """Depth of a slack cable's arc, as a fraction of its length."""
@@ -120,9 +122,14 @@ class Painter:
         path = np.array(
             [trajectory(time).position for time in np.linspace(0, trajectory.duration, 241)]
         )
-        self._path = self._points(path)
-        self._base = self._points(task.robot.base)
-        self._camera = self._fitted_camera()
+        self._path = points_in_space(task.robot, path)
+        self._base = points_in_space(task.robot, task.robot.base)
+        left = int(0.04 * self._width)
+        top = int(58 * self._unit)
+        width = int(self._width - self._panel - 0.08 * self._width)
+        height = int(self._height - 152 * self._unit)
+        window = (left, top, width, height)
+        self._camera = fit_robot_camera(task.robot, self._path, window)
         self._paint_background()
         self._static_layer = self._canvas.copy()
 
@@ -147,7 +154,7 @@ class Painter:
         past = np.array(trail, float).reshape(-1, self.task.robot.coordinates)
         past = past[np.isfinite(past).all(axis=1)]
         if len(past) > 1:
-            points = self._camera.project(self._points(past))
+            points = self._camera.project(points_in_space(self.task.robot, past))
             self._pygame.draw.lines(self._canvas, palette.BLUE, False, points, round(1.6 * unit))
         if np.all(np.isfinite(moment.pose)):
             self._paint_robot(moment)
@@ -175,54 +182,13 @@ class Painter:
         """The picture as an array (height, width, 3); arguments as for :meth:`paint`."""
         return as_array(self.paint(moment, trail, note, good=good))
 
-    def _points(self, positions: Array) -> Array:
-        """Points in space (..., 3) of poses or anchors. Planar robots lie in z = 0.
-
-        In the picture y points upwards, or downwards if the plane is vertical.
-        """
-        robot = self.task.robot
-        if not robot.planar:
-            return positions[..., :3]
-        points = np.zeros((*positions.shape[:-1], 3))
-        points[..., :2] = positions[..., :2]
-        if robot.plane == "horizontal":
-            points[..., 1] *= -1
-        return points
-
-    def _fitted_camera(self) -> Camera:
-        """The camera that shows the base, and the platform and payload along the path."""
-        robot = self.task.robot
-        reach = np.abs(robot.platform).max()
-        visible = [self._base, self._path]
-        if robot.planar:
-            azimuth = 0.0
-            elevation = math.pi / 2
-            margin = max(reach, 0.06)
-            visible += [self._path + margin, self._path - margin]
-        else:
-            azimuth = _AZIMUTH
-            elevation = _ELEVATION
-            for corner in ([1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]):
-                visible.append(self._path[::20] + reach * np.array(corner))
-            visible.append(self._path + np.array([0, 0, HANG + 0.07]))
-        left = int(0.04 * self._width)
-        top = int(58 * self._unit)
-        width = int(self._width - self._panel - 0.08 * self._width)
-        height = int(self._height - 152 * self._unit)
-        return fit_camera(
-            np.concatenate(visible),
-            (left, top, width, height),
-            azimuth=azimuth,
-            elevation=elevation,
-        )
-
     def _paint_background(self) -> None:
         """Paints what does not move: base, tube around the path, and reference path."""
         unit = self._unit
         draw = self._pygame.draw
         self._canvas.fill(_PAPER)
         base = self._camera.project(self._base)
-        corners = _polygon(base)
+        corners = outline(base)
         draw.polygon(self._canvas, "#F4F5F7", corners)
         draw.polygon(self._canvas, "#B8BCC4", corners, max(1, round(1.5 * unit)))
         tube = self._camera.pixels(2 * self.task.error_bounds.position, self._path.mean(axis=0))
@@ -245,8 +211,8 @@ class Painter:
         """Paints the payload, the platform, the cables and the reference position."""
         unit = self._unit
         robot = self.task.robot
-        centre = self._points(moment.pose)
-        ends = self._points(moment.pose[: robot.dimensions] + turned(moment.pose, robot.platform))
+        centre = points_in_space(robot, moment.pose)
+        ends = points_in_space(robot, attached_points(moment.pose, robot.platform))
         if moment.payload > 0:
             self._paint_payload(moment.payload, centre)
         if robot.point_mass:
@@ -254,7 +220,7 @@ class Painter:
             self._circle(palette.YELLOW, middle, 5 * unit)
             self._circle(_INK, middle, 5 * unit, 1.4 * unit)
         else:
-            corners = _polygon(self._camera.project(ends))
+            corners = outline(self._camera.project(ends))
             self._glass.fill((0, 0, 0, 0))
             # Transparent, so that the path is visible.
             self._pygame.draw.polygon(self._glass, (240, 228, 66, 150), corners)
@@ -268,7 +234,7 @@ class Painter:
                 self._paint_tight_cable(
                     self._base[cable], ends[cable], float(moment.tensions[cable])
                 )
-        reference = self._points(np.asarray(self.task.trajectory(moment.time).position))
+        reference = points_in_space(robot, self.task.trajectory(moment.time).position)
         self._circle(palette.VERMILLION, self._camera.project(reference), 3.2 * unit, 1.3 * unit)
 
     def _paint_payload(self, payload: float, centre: Array) -> None:
@@ -490,15 +456,6 @@ def tension_colour(fraction: float) -> tuple[int, int, int]:
     mixed = low + (position - index) * (high - low)
     red, green, blue = mixed.round().astype(int).tolist()
     return red, green, blue
-
-
-def _polygon(points: Array) -> Array:
-    """Distinct points among points (m, 2), sorted by direction from their centre: corners of a
-    polygon."""
-    relative = points - points.mean(axis=0)
-    distinct = [group[0] for group in coinciding(points)]
-    angles = np.arctan2(relative[distinct, 1], relative[distinct, 0])
-    return points[distinct][np.argsort(angles, kind="stable")]
 
 
 def _resample(points: Array, step: float) -> Array:

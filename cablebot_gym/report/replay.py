@@ -20,10 +20,11 @@ from cablebot_gym.evaluation.batch import draw_seeds, noise_seed, run_episodes
 from cablebot_gym.evaluation.constraints import Judge, Violation
 from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
 from cablebot_gym.isolation import IsolatedPolicy
-from cablebot_gym.kinematics import Array, turned
+from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import LoadedPolicy, PolicySpec, load
 from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.rendering.moment import ball_radius
+from cablebot_gym.rendering.projection import attached_points
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds
 
@@ -262,7 +263,7 @@ def _channels(rollout: Rollout, every: int) -> dict[str, Array]:
     )
     position = poses[:, : robot.base.shape[1]]
     points, _ = platform_points(robot)
-    anchors = position[:, None] + turned(poses, points)
+    anchors = attached_points(poses, points)
     action = arrays["commanded_action"]
     peaks = [
         np.take_along_axis(rows, np.abs(rows).argmax(0)[None], 0)[0]

@@ -1,4 +1,7 @@
-"""Perspective projection of points in the base frame (z down) onto the picture."""
+"""From a robot to a picture: points in space, views, perspective projection and outlines.
+
+Coordinates in space are those of the base frame, whose z axis points down.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,52 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull
 
-from cablebot_gym.kinematics import Array
+from cablebot_gym.kinematics import Array, turned
+from cablebot_gym.rendering.moment import HANG
+from cablebot_gym.robots import Robot
 
 FIELD_OF_VIEW = math.radians(32)
 """Angle of view across the shorter side of the fitted window [rad]."""
+
+_AZIMUTH = math.radians(22)
+_ELEVATION = math.radians(30)
+"""Direction of view of spatial robots [rad]. Planar robots are viewed from above."""
+
+
+def attached_points(poses: Array, points: Array) -> Array:
+    """Points of the platform in the base frame, (..., k, d) [m].
+
+    Args:
+        poses: poses X of the platform, (..., n) [m, rad].
+        points: the points in the platform frame, (k, d) [m].
+    """
+    dimensions = points.shape[-1]
+    return poses[..., None, :dimensions] + turned(poses, points)
+
+
+def points_in_space(robot: Robot, positions: Array) -> Array:
+    """Points in space (..., 3) [m] of poses, anchors or other positions (..., ≥ d).
+
+    Planar robots lie in z = 0. In their pictures, y points upwards, or downwards if the plane is
+    vertical.
+    """
+    if not robot.planar:
+        return positions[..., :3]
+    points = np.zeros((*positions.shape[:-1], 3))
+    points[..., :2] = positions[..., :2]
+    if robot.plane == "horizontal":
+        points[..., 1] *= -1
+    return points
+
+
+def drawing_views(robot: Robot) -> list[list[int]]:
+    """Horizontal and vertical axis of each view of a drawing: the plane of a planar robot, or plan
+    and elevations."""
+    if robot.planar:
+        return [[0, 1]]
+    return [[0, 1], [0, 2], [1, 2]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,6 +137,44 @@ def fit_camera(
         else:
             near = middle
     return camera_at(far)[0]
+
+
+def fit_robot_camera(
+    robot: Robot, path: Array, window: tuple[float, float, float, float]
+) -> Camera:
+    """The camera that shows the base of a robot, and its platform and payload along a path.
+
+    Args:
+        robot: the robot.
+        path: positions along the path, as :func:`points_in_space` returns them, (k, 3) [m].
+        window: (left, top, width, height) [pixels].
+    """
+    reach = np.abs(robot.platform).max()
+    visible = [points_in_space(robot, robot.base), path]
+    if robot.planar:
+        margin = max(reach, 0.06)
+        visible += [path + margin, path - margin]
+        azimuth, elevation = 0.0, math.pi / 2
+    else:
+        for corner in ([1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]):
+            visible.append(path[::20] + reach * np.array(corner))
+        visible.append(path + np.array([0, 0, HANG + 0.07]))
+        azimuth, elevation = _AZIMUTH, _ELEVATION
+    return fit_camera(np.concatenate(visible), window, azimuth=azimuth, elevation=elevation)
+
+
+def outline(points: Array) -> Array:
+    """Corners of the convex hull of points (m, 2), by direction from the centre of the points.
+
+    Fewer than three distinct points have no hull: all points are returned.
+    """
+    distinct = points[[group[0] for group in coinciding(points)]]
+    if len(distinct) < 3:
+        return points
+    hull = ConvexHull(distinct, qhull_options="QJ")  # joggled, for points on a line
+    corners = distinct[hull.vertices]
+    x, y = (corners - points.mean(axis=0)).T
+    return corners[np.argsort(np.arctan2(y, x))]
 
 
 def coinciding(points: Array) -> list[list[int]]:
