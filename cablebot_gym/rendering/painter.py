@@ -124,11 +124,11 @@ class Painter:
         )
         self._path = points_in_space(task.robot, path)
         self._base = points_in_space(task.robot, task.robot.base)
-        left = int(0.04 * self._width)
+        left_edge = int(0.04 * self._width)
         top = int(58 * self._unit)
         width = int(self._width - self._panel - 0.08 * self._width)
         height = int(self._height - 152 * self._unit)
-        window = (left, top, width, height)
+        window = (left_edge, top, width, height)
         self._camera = fit_robot_camera(task.robot, self._path, window)
         self._paint_background()
         self._static_layer = self._canvas.copy()
@@ -277,7 +277,7 @@ class Painter:
         shaded."""
         unit = self._unit
         robot = self.task.robot
-        left = self._width - self._panel + 26 * unit
+        left_edge = self._width - self._panel + 26 * unit
         top = 44 * unit
         bottom = self._height - 118 * unit
         zero = (top + bottom) / 2
@@ -291,7 +291,7 @@ class Painter:
 
         self._write("motor torques [N·m]", (self._width - 12 * unit, 10 * unit), 12, across=1.0)
         for motor in range(robot.cables):
-            x = left + _BAR_SPACING * unit * motor
+            x = left_edge + _BAR_SPACING * unit * motor
             low = row(float(moment.torque_limits[0, motor]))
             high = row(float(moment.torque_limits[1, motor]))
             self._rect(palette.SHADE, x, top, bar_width, bottom - top)
@@ -305,36 +305,32 @@ class Painter:
             self._line((x, low), (x + bar_width, low), _INK, 1.6 * unit)
             self._line((x, high), (x + bar_width, high), _INK, 1.6 * unit)
             self._write(str(motor + 1), (x + bar_width / 2, bottom + 4 * unit), 12, across=0.5)
-        start = left - 4 * unit
+        start = left_edge - 4 * unit
         stop = start + _BAR_SPACING * unit * robot.cables
         self._line((start, zero), (stop, zero), palette.GREY, unit)
         for torque in (-largest, 0.0, largest):
-            self._write(
-                f"{torque:.3g}",
-                (left - 7 * unit, row(torque)),
-                11,
-                palette.GREY,
-                across=1.0,
-                along=0.5,
-            )
+            at = (left_edge - 7 * unit, row(torque))
+            self._write(f"{torque:.3g}", at, 11, palette.GREY, across=1.0, along=0.5)
 
     def _paint_tension_scale(self) -> None:
         """Paints the colour scale of the cable tensions, below the motors."""
         unit = self._unit
-        left = self._width - self._panel + 26 * unit
+        left_edge = self._width - self._panel + 26 * unit
         top = self._height - 118 * unit + 34 * unit
         length = self._panel - 40 * unit
         for x in range(round(length)):
             colour = tension_colour(x / length)
-            self._pygame.draw.line(
-                self._canvas, colour, (left + x, top), (left + x, top + 7 * unit)
-            )
+            self._rect(colour, left_edge + x, top, 1, 7 * unit + 1)
         highest = f"{full_tension(self.task.robot):.3g}"
         self._write(
-            "cable tension [N]", (left + length / 2, top - 15 * unit), 11, palette.GREY, across=0.5
+            "cable tension [N]",
+            (left_edge + length / 2, top - 15 * unit),
+            11,
+            palette.GREY,
+            across=0.5,
         )
-        self._write("0", (left, top + 8 * unit), 11, palette.GREY)
-        self._write(highest, (left + length, top + 8 * unit), 11, palette.GREY, across=1.0)
+        self._write("0", (left_edge, top + 8 * unit), 11, palette.GREY)
+        self._write(highest, (left_edge + length, top + 8 * unit), 11, palette.GREY, across=1.0)
 
     def _paint_gauges(self, moment: Moment) -> None:
         """Paints the errors relative to their bounds, and the time."""
@@ -369,8 +365,10 @@ class Painter:
             number = f"{1e3 * error:.1f}"
         text = f"{number} of {1e3 * bound:g} {bound_unit}"
         fraction = min(error / bound, _GAUGE_SCALE) / _GAUGE_SCALE
-        left, length = self._paint_gauge(name, y, 10 * unit, fraction, colour, text, text_colour)
-        mark = left + length / _GAUGE_SCALE
+        left_edge, length = self._paint_gauge(
+            name, y, 10 * unit, fraction, colour, text, text_colour
+        )
+        mark = left_edge + length / _GAUGE_SCALE
         self._line((mark, y - 8 * unit), (mark, y + 8 * unit), _INK, 2 * unit)
 
     def _paint_gauge(
@@ -383,19 +381,19 @@ class Painter:
         text: str,
         text_colour: str,
     ) -> tuple[float, float]:
-        """Paints a horizontal bar that is filled by a fraction, and returns its left edge and
+        """Paints a horizontal bar that is filled by a fraction, and returns its left_edge edge and
         length."""
         unit = self._unit
-        left = 76 * unit
+        left_edge = 76 * unit
         length = self._width - self._panel - 190 * unit
         self._write(name, (14 * unit, y), 12, along=0.5)
-        self._rect(palette.SHADE, left, y - height / 2, length, height)
-        self._rect(colour, left, y - height / 2, fraction * length, height)
-        self._write(text, (left + length + 8 * unit, y), 12, text_colour, along=0.5)
-        return left, length
+        self._rect(palette.SHADE, left_edge, y - height / 2, length, height)
+        self._rect(colour, left_edge, y - height / 2, fraction * length, height)
+        self._write(text, (left_edge + length + 8 * unit, y), 12, text_colour, along=0.5)
+        return left_edge, length
 
-    def _rect(self, colour: str, left: float, top: float, width: float, height: float) -> None:
-        self._pygame.draw.rect(self._canvas, colour, (left, top, width, height))
+    def _rect(self, colour: Any, left_edge: float, top: float, width: float, height: float) -> None:
+        self._pygame.draw.rect(self._canvas, colour, (left_edge, top, width, height))
 
     def _circle(self, colour: str, centre: Array, radius: float, width: float = 0) -> None:
         """Draws a disc, or a ring of some width."""
@@ -428,16 +426,16 @@ class Painter:
         across: float = 0.0,
         along: float = 0.0,
     ) -> None:
-        """Writes text at a point; ``across`` and ``along`` are the fractions of it left of the
+        """Writes text at a point; ``across`` and ``along`` are the fractions of it left_edge of the
         point and above it."""
         if size not in self._fonts:
             self._fonts[size] = self._pygame.font.Font(
                 None, max(8, round(1.28 * size * self._unit))
             )
         image = self._fonts[size].render(text, True, colour)
-        left = at[0] - across * image.get_width()
+        left_edge = at[0] - across * image.get_width()
         top = at[1] - along * image.get_height()
-        self._canvas.blit(image, (left, top))
+        self._canvas.blit(image, (left_edge, top))
 
 
 def as_array(surface: pygame.Surface) -> NDArray[np.uint8]:
@@ -453,8 +451,7 @@ def tension_colour(fraction: float) -> tuple[int, int, int]:
     index = min(int(position), len(_TENSION_COLOURS) - 2)
     low = np.array(list(bytes.fromhex(_TENSION_COLOURS[index][1:])))
     high = np.array(list(bytes.fromhex(_TENSION_COLOURS[index + 1][1:])))
-    mixed = low + (position - index) * (high - low)
-    red, green, blue = mixed.round().astype(int).tolist()
+    red, green, blue = (low + (position - index) * (high - low)).round().astype(int).tolist()
     return red, green, blue
 
 
