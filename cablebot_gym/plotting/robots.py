@@ -72,18 +72,17 @@ def _draw_view(axes: Axes, check: RobotCheck, motion: MotionCheck | None, view: 
 
     visible = np.concatenate([base, path, workspace])
     _draw_held_positions(axes, check, view, visible.min(axis=0), visible.max(axis=0))
-    (low_x, low_y), (high_x, high_y) = workspace
-    box_x = [low_x, high_x, high_x, low_x, low_x]
-    box_y = [low_y, low_y, high_y, high_y, low_y]
+    box_x = workspace[[0, 1, 1, 0, 0], 0]
+    box_y = workspace[[0, 0, 1, 1, 0], 1]
     axes.plot(box_x, box_y, "--", color=GREY, linewidth=1.0, label="workspace")
-    for start, end in zip(base, ends, strict=True):
-        axes.plot([start[0], end[0]], [start[1], end[1]], color=BLUE, linewidth=1.0)
+    cable_x, cable_y = np.stack([base, ends], axis=1).T  # a line for each column
+    axes.plot(cable_x, cable_y, color=BLUE, linewidth=1.0)
     axes.plot([], [], color=BLUE, linewidth=1.0, label="cables")
     if not robot.point_mass:
         axes.fill(*outline(ends).T, facecolor="none", edgecolor=BLACK, linewidth=1.4)
-    axes.plot(base[:, 0], base[:, 1], "o", color=BLACK, markersize=3.5)
+    axes.plot(*base.T, "o", color=BLACK, markersize=3.5)
     if motion is not None:
-        axes.plot(path[:, 0], path[:, 1], color=VERMILLION, linewidth=1.6, label="motion")
+        axes.plot(*path.T, color=VERMILLION, linewidth=1.6, label="motion")
     across, along = view
     axes.set(xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[along]} [m]", aspect="equal")
     if robot.planar or along == 2:

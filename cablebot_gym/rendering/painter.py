@@ -47,8 +47,11 @@ _BAR_SPACING = 24
 _GAUGE_SCALE = 1.5
 """Full scale of an error gauge, as a multiple of the error bound."""
 
-_TENSION_COLOURS = ("#8FBFE0", "#3F7FB5", "#8E5EA2", "#D55E00", "#8C1C13")
-"""Colours of cables, from zero tension to the tension that the motor holds at standstill."""
+_TENSION_COLOURS = np.array(
+    [[143, 191, 224], [63, 127, 181], [142, 94, 162], [213, 94, 0], [140, 28, 19]]
+)
+"""Red, green and blue of cables, from zero tension to the tension that the motor holds at
+standstill."""
 
 _BALL_COLOURS = ((1.0, "#3A3D42"), (0.82, "#4A4E55"), (0.55, "#5F646C"), (0.25, "#858B94"))
 """Shades of the payload's ball from its edge to its highlight: fraction of the radius, and
@@ -107,6 +110,7 @@ class Painter:
         check_size(size)
         self._pygame = import_pygame()
         self._pygame.font.init()
+        self._draw = self._pygame.draw
         self.task = task
         self.title = title
         self.size = (int(size[0]), int(size[1]))
@@ -155,7 +159,7 @@ class Painter:
         past = past[np.isfinite(past).all(axis=1)]
         if len(past) > 1:
             points = self._camera.project(points_in_space(self.task.robot, past))
-            self._pygame.draw.lines(self._canvas, palette.BLUE, False, points, round(1.6 * unit))
+            self._draw.lines(self._canvas, palette.BLUE, False, points, round(1.6 * unit))
         if np.all(np.isfinite(moment.pose)):
             self._paint_robot(moment)
         self._paint_motors(moment)
@@ -185,12 +189,11 @@ class Painter:
     def _paint_background(self) -> None:
         """Paints what does not move: base, tube around the path, and reference path."""
         unit = self._unit
-        draw = self._pygame.draw
         self._canvas.fill(_PAPER)
         base = self._camera.project(self._base)
         corners = outline(base)
-        draw.polygon(self._canvas, "#F4F5F7", corners)
-        draw.polygon(self._canvas, "#B8BCC4", corners, max(1, round(1.5 * unit)))
+        self._draw.polygon(self._canvas, "#F4F5F7", corners)
+        self._draw.polygon(self._canvas, "#B8BCC4", corners, max(1, round(1.5 * unit)))
         tube = self._camera.pixels(2 * self.task.error_bounds.position, self._path.mean(axis=0))
         path = self._camera.project(self._path)
         for point in _resample(path, max(1.0, tube / 8)):
@@ -223,7 +226,7 @@ class Painter:
             corners = outline(self._camera.project(ends))
             self._glass.fill((0, 0, 0, 0))
             # Transparent, so that the path is visible.
-            self._pygame.draw.polygon(self._glass, (240, 228, 66, 150), corners)
+            self._draw.polygon(self._glass, (240, 228, 66, 150), corners)
             self._canvas.blit(self._glass, (0, 0))
             for start, stop in zip(corners, np.roll(corners, -1, axis=0), strict=True):
                 self._line(start, stop, _INK, 1.6 * unit)
@@ -247,7 +250,7 @@ class Painter:
             ball = centre + np.array([0, 0, HANG + radius])
             top = camera.project(centre)
             bottom = camera.project(ball)
-            self._pygame.draw.line(self._canvas, _INK, top, bottom, round(1.5 * self._unit))
+            self._draw.line(self._canvas, _INK, top, bottom, round(1.5 * self._unit))
         middle = camera.project(ball)
         size = max(camera.pixels(radius, ball), 2 * self._unit)
         for fraction, colour in _BALL_COLOURS:
@@ -268,8 +271,7 @@ class Painter:
     def _paint_tight_cable(self, base: Array, end: Array, tension: float) -> None:
         fraction = tension / full_tension(self.task.robot)
         width = 1.6 + 2.4 * min(max(fraction, 0.0), 1.0)
-        start = self._camera.project(base)
-        stop = self._camera.project(end)
+        start, stop = self._camera.project([base, end])
         self._line(start, stop, tension_colour(fraction), width * self._unit)
 
     def _paint_motors(self, moment: Moment) -> None:
@@ -287,7 +289,7 @@ class Painter:
         scale = (bottom - top) / (2.3 * largest)
 
         def row(torque: float) -> float:
-            return float(min(max(zero - scale * torque, top), bottom))
+            return min(max(zero - scale * torque, top), bottom)
 
         self._write("motor torques [N·m]", (self._width - 12 * unit, 10 * unit), 12, across=1.0)
         for motor in range(robot.cables):
@@ -393,11 +395,11 @@ class Painter:
         return left_edge, length
 
     def _rect(self, colour: Any, left_edge: float, top: float, width: float, height: float) -> None:
-        self._pygame.draw.rect(self._canvas, colour, (left_edge, top, width, height))
+        self._draw.rect(self._canvas, colour, (left_edge, top, width, height))
 
     def _circle(self, colour: str, centre: Array, radius: float, width: float = 0) -> None:
         """Draws a disc, or a ring of some width."""
-        self._pygame.draw.circle(self._canvas, colour, centre, radius, round(width))
+        self._draw.circle(self._canvas, colour, centre, radius, round(width))
 
     def _line(self, start: ArrayLike, stop: ArrayLike, colour: Any, width: float) -> None:
         """Draws a line whose width does not depend on its direction, unlike the lines of pygame."""
@@ -408,13 +410,13 @@ class Painter:
         if length > 0:
             aside = 0.5 * width * np.array([-along[1], along[0]]) / length
             corners = [start + aside, stop + aside, stop - aside, start - aside]
-            self._pygame.draw.polygon(self._canvas, colour, corners)
+            self._draw.polygon(self._canvas, colour, corners)
 
     def _dashed(self, points: Array, colour: str, width: float, dash: float) -> None:
         """Draws a dashed line through points (k, 2)."""
         pieces = list(pairwise(_resample(points, dash)))
         for start, stop in pieces[::2]:
-            self._pygame.draw.line(self._canvas, colour, start, stop, max(1, round(width)))
+            self._draw.line(self._canvas, colour, start, stop, max(1, round(width)))
 
     def _write(
         self,
@@ -444,15 +446,11 @@ def as_array(surface: pygame.Surface) -> NDArray[np.uint8]:
     return np.ascontiguousarray(pixels.swapaxes(0, 1))
 
 
-def tension_colour(fraction: float) -> tuple[int, int, int]:
+def tension_colour(fraction: float) -> tuple[int, ...]:
     """Colour of a cable whose tension is this fraction of the tension that its motor holds at
     standstill."""
-    position = min(max(fraction, 0.0), 1.0) * (len(_TENSION_COLOURS) - 1)
-    index = min(int(position), len(_TENSION_COLOURS) - 2)
-    low = np.array(list(bytes.fromhex(_TENSION_COLOURS[index][1:])))
-    high = np.array(list(bytes.fromhex(_TENSION_COLOURS[index + 1][1:])))
-    red, green, blue = (low + (position - index) * (high - low)).round().astype(int).tolist()
-    return red, green, blue
+    fractions = np.linspace(0.0, 1.0, len(_TENSION_COLOURS))
+    return tuple(round(np.interp(fraction, fractions, channel)) for channel in _TENSION_COLOURS.T)
 
 
 def _resample(points: Array, step: float) -> Array:

@@ -6,7 +6,7 @@ Coordinates in space are those of the base frame, whose z axis points down.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -104,7 +104,7 @@ def fit_camera(
         elevation: angle of view above the horizontal [rad]; π/2 is a view from above.
     """
     cloud = np.asarray(points, float).reshape(-1, 3)
-    left, top, width, height = window
+    left_edge, top, width, height = window
     right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
     horizontal = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
     forward = math.cos(elevation) * horizontal + math.sin(elevation) * np.array([0.0, 0.0, 1.0])
@@ -114,20 +114,20 @@ def fit_camera(
     size = float(np.linalg.norm(np.ptp(cloud, axis=0)))
 
     def camera_at(distance: float) -> tuple[Camera, bool]:
-        def camera(centre: Array) -> Camera:
-            return Camera(
-                eye=target - distance * forward,
-                right=right,
-                down=down,
-                forward=forward,
-                centre=centre,
-                focal=focal,
-            )
-
-        page = camera(np.zeros(2)).project(cloud)
-        low, high = page.min(axis=0), page.max(axis=0)
+        camera = Camera(
+            eye=target - distance * forward,
+            right=right,
+            down=down,
+            forward=forward,
+            centre=np.zeros(2),
+            focal=focal,
+        )
+        page = camera.project(cloud)
+        low = page.min(axis=0)
+        high = page.max(axis=0)
         fits = bool(np.all(high - low <= (width, height)))
-        return camera(np.array([left + width / 2, top + height / 2]) - (low + high) / 2), fits
+        centre = np.array([left_edge + width / 2, top + height / 2]) - (low + high) / 2
+        return replace(camera, centre=centre), fits
 
     near, far = 0.6 * size, 100.0 * size
     for _ in range(40):
