@@ -85,6 +85,7 @@ PUBLIC_MODULES = (
     "cablebot_gym.envs.vector",
     "cablebot_gym.evaluation",
     "cablebot_gym.evaluation.batch",
+    "cablebot_gym.evaluation.conditions",
     "cablebot_gym.evaluation.comparison",
     "cablebot_gym.evaluation.constraints",
     "cablebot_gym.evaluation.evaluator",

@@ -32,6 +32,7 @@ from rich.table import Table
 import cablebot_gym  # noqa: F401 - registers the ids
 from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.evaluation.batch import Batch
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot, find_robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Dwell
@@ -173,13 +174,10 @@ def search_seconds(env_id: str, policy: str) -> dict[str, float]:
         ("usual", ErrorBounds(), 20.0),
         ("none fails", ErrorBounds(position=10.0, rotation=10.0), 1.0),
     ):
-        batch = Batch(
-            policy,
-            env_id,
-            error_bounds=error_bounds,
-            uncertainty="table6",
-            draws=256,
+        conditions = Conditions.of(
+            env_id, error_bounds=error_bounds, uncertainty="table6", draws=256
         )
+        batch = Batch(policy, conditions)
         batch.run([(0.0, 0)])  # compiles and warms up
         payloads = np.linspace(0.0, top, 64).tolist()
         start = time.perf_counter()

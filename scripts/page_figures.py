@@ -112,7 +112,9 @@ def _scan(axes: Axes, known: bool) -> None:
     for level in (0, 1):
         axes.axhline(level, color="black", linewidth=1)
     for height, criterion in ((-0.18, "paper"), (-0.42, "task")):
-        feasible = evaluate_dlcc(POLICY, ENV_ID, criterion=criterion, payload_known=known).feasible
+        feasible = evaluate_dlcc(
+            POLICY, ENV_ID, criterion=criterion, payload_known=known
+        ).details.feasible
         for low, high in feasible:
             axes.plot([low, high], [height, height], color=GREY, linewidth=8, solid_capstyle="butt")
         text = f"{criterion} criterion: {feasible[0][1]:.2f} kg"

@@ -432,7 +432,7 @@ def test_defaults_of_a_robot_file_reach_environments_and_scores(robot_file):
     )
     assert task.error_bounds.rotation == 0.01, "the bound that the file leaves out is the usual one"
     result = evaluate_dlcc("fl", PLANAR_ID, robot=robot_file, resolution=1.0)
-    assert (result.payload_max, result.error_bounds["position"]) == (3.0, 0.005)
+    assert (result.details.payload_max, result.details.error_bounds["position"]) == (3.0, 0.005)
     assert find_error_bounds({"rotation": 0.02}, task.robot) == ErrorBounds(
         position=0.005, rotation=0.02
     )

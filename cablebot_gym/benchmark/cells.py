@@ -20,6 +20,7 @@ from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.batch import Batch, versions
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.policies import PolicySpec
@@ -32,8 +33,8 @@ DEFAULT_ERROR_BOUNDS = MappingProxyType(to_jsonable(ErrorBounds()))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Conditions:
-    """Conditions that all cells have."""
+class Setting:
+    """Robot, motion and error bounds, which all cells have."""
 
     kind: ClassVar[str]
 
@@ -59,18 +60,17 @@ class Conditions:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data, the input of :func:`cell_from_dict`."""
-        fields = {
-            name: value
-            for name, value in asdict(self).items()
-            if (name, value) != ("robot_name", None)
-        }
-        return {"kind": self.kind, **fields}
+        data = {"kind": self.kind, **asdict(self)}
+        if self.robot_name is None:
+            del data["robot_name"]
+        return data
 
     @property
     def robot_files(self) -> tuple[Path, ...]:
         """File of the robot if it is one of the library, on which the result depends as on code."""
         name = (self.robot_name or env_robot(self.env_id)).removeprefix(ELASTIC)
-        return tuple(path for known, path in library().items() if known == name)
+        path = library().get(name)
+        return () if path is None else (path,)
 
     @property
     def robot(self) -> Robot:
@@ -81,16 +81,18 @@ class Conditions:
                 springs.
         """
         robot = find_robot(self.robot_name or env_robot(self.env_id))
-        return (
-            Robot.from_dict(merged(robot.to_dict(), self.robot_changes))
-            if self.robot_changes
-            else robot
-        )
+        if not self.robot_changes:
+            return robot
+        return Robot.from_dict(merged(robot.to_dict(), self.robot_changes))
 
     def env_options(self) -> dict[str, Any]:
         """JSON-able keyword arguments of the environment."""
-        robot = self.robot.to_dict() if self.robot_changes else self.robot_name
-        return ({} if robot is None else {"robot": robot}) | {
+        options: dict[str, Any] = {}
+        if self.robot_changes:
+            options["robot"] = self.robot.to_dict()
+        elif self.robot_name is not None:
+            options["robot"] = self.robot_name
+        return options | {
             "trajectory": dict(self.trajectory),
             "error_bounds": dict(self.error_bounds),
             "control_frequency": self.control_frequency,
@@ -104,7 +106,7 @@ class Conditions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolicyCell(Conditions):
+class PolicyCell(Setting):
     """The DLCC of one policy under one set of conditions."""
 
     kind: ClassVar[str] = "policy"
@@ -136,8 +138,10 @@ class PolicyCell(Conditions):
     @property
     def stem(self) -> str:
         """Readable beginning of the name of the cell's file."""
-        uncertainty = (self.uncertainty,) if self.uncertainty else ()
-        return self._stem(self.policy, self.payload_model, *uncertainty, self.criterion)
+        words = [self.policy, self.payload_model]
+        if self.uncertainty:
+            words.append(self.uncertainty)
+        return self._stem(*words, self.criterion)
 
     @property
     def source(self) -> str:
@@ -159,9 +163,8 @@ class PolicyCell(Conditions):
         """JSON-able keyword arguments of
         :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc`."""
         names = ("criterion", "payload_max", "resolution", "probability", "seed")
-        draws = (
-            self.draws if self.draws > 1 else None
-        )  # a stochastic policy has draws without uncertainty
+        # a stochastic policy has draws without uncertainty
+        draws = self.draws if self.draws > 1 else None
         return self.env_options() | {name: getattr(self, name) for name in names} | {"draws": draws}
 
     def compute(self) -> dict[str, Any]:
@@ -185,12 +188,12 @@ class PolicyCell(Conditions):
             "scan_ended": result.scan_ended,
             "saturated": bool(np.abs(result.rollout.arrays["commanded_action"]).max() > 1 - 1e-9),
             "assured": result.assured,
-            "stochastic": result.stochastic,
+            "stochastic": result.details.stochastic,
             "draws": result.draws,
-            "declared": result.declared,
-            "feasible": [list(interval) for interval in result.feasible],
-            "failures": result.failures,
-            "fallbacks": result.fallbacks,
+            "declared": result.details.declared,
+            "feasible": [list(interval) for interval in result.details.feasible],
+            "failures": result.details.failures,
+            "fallbacks": result.details.fallbacks,
         }
 
     def success_rate(self, payload: float, draws: int, seed: int) -> float:
@@ -205,17 +208,13 @@ class PolicyCell(Conditions):
             PolicyError: if the policy carries the payload less often alone than with other
                 episodes.
         """
-        judged: dict[str, Any] = {
-            "criterion": self.criterion,
-            "error_bounds": dict(self.error_bounds),
-            "uncertainty": self.uncertainty,
-        }
-        keywords = {name: value for name, value in self.env_options().items() if name not in judged}
+        conditions = Conditions.of(
+            self.env_id, criterion=self.criterion, draws=draws, seed=seed, **self.env_options()
+        )
         with self._isolated() as policy:
-            batch = Batch(policy, self.env_id, draws=draws, seed=seed, keywords=keywords, **judged)
-            carried = sum(
-                verdict.carried for verdict in batch.run([(payload, one) for one in batch.seeds])
-            )
+            batch = Batch(policy, conditions)
+            verdicts = batch.run([(payload, draw_seed) for draw_seed in batch.seeds])
+            carried = sum(verdict.carried for verdict in verdicts)
             batch.check_alone(payload, carried)
         return carried / draws
 
@@ -225,7 +224,7 @@ class PolicyCell(Conditions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimingCell(Conditions):
+class TimingCell(Setting):
     """The computing time of a policy per action."""
 
     kind: ClassVar[str] = "timing"
@@ -250,14 +249,18 @@ class TimingCell(Conditions):
         A policy of this project runs in this process. ``exchange`` marks others, whose times
         include the exchange with the process of the policy.
         """
-        own = PolicySpec.parse(self.policy).own
-        with nullcontext(self.policy) if own else IsolatedPolicy(self.policy, self.robot) as policy:
+        is_own = PolicySpec.parse(self.policy).own
+        with (
+            nullcontext(self.policy)
+            if is_own
+            else IsolatedPolicy(self.policy, self.robot) as policy
+        ):
             times = time_actions(policy, self.env_id, **self.env_options())
-        return asdict(times) | {"exchange": not own, "processor": processor()}
+        return asdict(times) | {"exchange": not is_own, "processor": processor()}
 
 
 @dataclass(frozen=True, kw_only=True)
-class BestKnownCell(Conditions):
+class BestKnownCell(Setting):
     """The best known payload: the largest payload for which a motion within all limits is known."""
 
     kind: ClassVar[str] = "best-known"
@@ -285,7 +288,9 @@ class BestKnownCell(Conditions):
 Cell = PolicyCell | BestKnownCell | TimingCell
 
 _KINDS: Mapping[str, type[Cell]] = {
-    one.kind: one for one in (PolicyCell, BestKnownCell, TimingCell)
+    PolicyCell.kind: PolicyCell,
+    BestKnownCell.kind: BestKnownCell,
+    TimingCell.kind: TimingCell,
 }
 
 
@@ -357,13 +362,13 @@ def cell_from_dict(data: Mapping[str, Any]) -> Cell:
 def processor() -> str:
     """Model of the processor, without the name of the machine."""
     with suppress(OSError):
-        found = re.search(
+        model = re.search(
             r"^model name\s*: (.+)$",
             Path("/proc/cpuinfo").read_text(encoding="utf-8"),
             re.MULTILINE,
         )
-        if found:
-            return found[1].strip()
+        if model:
+            return model[1].strip()
     return platform.processor() or platform.machine()
 
 
@@ -382,10 +387,12 @@ def _policy_hash(policy: str, robot_files: tuple[Path, ...]) -> str:
 def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """A copy of nested data with changed values; a nested mapping changes the values that it
     names."""
-    return {**data} | {
-        name: merged(data.get(name) or {}, value) if isinstance(value, Mapping) else value
-        for name, value in changes.items()
-    }
+    result = dict(data)
+    for name, value in changes.items():
+        if isinstance(value, Mapping):
+            value = merged(data.get(name) or {}, value)
+        result[name] = value
+    return result
 
 
 def canonical(data: Any) -> str:
@@ -398,8 +405,6 @@ def canonical(data: Any) -> str:
 def _one_line(error: Exception) -> str:
     """The message of an exception in one line, with the type where the message alone is unclear."""
     text = " ".join(str(error).split())
-    return (
-        text
-        if isinstance(error, (ValueError, ImportError, RuntimeError))
-        else f"{type(error).__name__}: {text}"
-    )
+    if isinstance(error, (ValueError, ImportError, RuntimeError)):
+        return text
+    return f"{type(error).__name__}: {text}"

@@ -16,18 +16,15 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_gym.envs import check_robot, env_robot
 from cablebot_gym.envs.vector import CableBotVectorEnv
-from cablebot_gym.evaluation.constraints import Judge, Verdict, Violation, find_criterion
+from cablebot_gym.evaluation.conditions import Conditions
+from cablebot_gym.evaluation.constraints import Judge, Verdict, Violation
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE
 from cablebot_gym.policies import LoadedPolicy, PolicyError, Wrapper, load
 from cablebot_gym.policies.spec import ESTIMATOR_ENTRY_POINT_GROUP
-from cablebot_gym.robots import find_robot
-from cablebot_gym.task import ErrorBounds, Task, find_error_bounds, to_jsonable
-from cablebot_gym.uncertainty import find_uncertainty
-from cablebot_gym.utils.checks import whole
+from cablebot_gym.task import Task, to_jsonable
 from cablebot_gym.utils.workers import cores
 
 BATCH = 1024
@@ -114,12 +111,11 @@ class Trial:
         """Index of the draw in which :attr:`violation` occurred, from 0; None without a
         violation."""
         kind = next(iter(self.failures), None)
-        violations = [verdict.violation for verdict in self.verdicts]
-        times = [
-            (one.time, draw)
-            for draw, one in enumerate(violations)
-            if one is not None and one.kind == kind
-        ]
+        times = []
+        for draw, verdict in enumerate(self.verdicts):
+            violation = verdict.violation
+            if violation is not None and violation.kind == kind:
+                times.append((violation.time, draw))
         return min(times)[1] if times else None
 
 
@@ -187,126 +183,84 @@ class Batch:
     Args:
         policy: a loaded policy, an object with ``predict``, a callable ``observation -> action``, a
             class that makes one of them, or a name as on the command line.
-        env_id: one of :data:`cablebot_gym.ENV_IDS`.
+        conditions: conditions of all episodes.
         name: name of the policy; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first, see
             :data:`~cablebot_gym.policies.wrappers.Wrapper`.
-        criterion: ``task`` or ``paper``.
-        error_bounds: bounds of the tracking errors; None for those of the robot.
-        uncertainty: model errors and disturbances that the policy does not know.
-        draws: number of episodes at each payload; None for the default.
-        seed: seed that alone determines the draws.
-        keywords: keywords of the environment without ``normalised_observation`` and
-            ``observation_dtype``. A Stable-Baselines3 model that reads normalised observations gets
-            them.
 
     Raises:
-        ValueError: if an argument is invalid, or if the ``paper`` criterion is used for a policy
-            that does not declare ``unsaturated_actions``.
+        ValueError: if the policy does not fit the conditions.
     """
 
     def __init__(
         self,
         policy: Any,
-        env_id: str,
+        conditions: Conditions,
         *,
         name: str | None = None,
         wrappers: Sequence[Wrapper] = (),
-        criterion: str = "task",
-        error_bounds: ErrorBounds | dict[str, float] | None = None,
-        uncertainty: Any = None,
-        draws: int | None = None,
-        seed: int = 0,
-        keywords: dict[str, Any] | None = None,
     ) -> None:
-        keywords = deepcopy(keywords or {})
-        for key in {
-            "payload",
-            "payload_range",
-            "num_envs",
-            "max_episode_steps",
-            "autoreset_mode",
-        } & keywords.keys():
-            raise ValueError(f"{key} is set by the evaluation: remove it from the keywords")
-        if keywords.get("normalised_observation"):
-            raise ValueError(
-                "policies are evaluated with observations in SI units: remove normalised_observation"
-            )
-        if keywords.get("observation_dtype", "float64") != "float64":
-            raise ValueError(
-                "policies are evaluated with observations in float64: remove observation_dtype"
-            )
-        self.criterion = find_criterion(criterion)
-        self.seed = whole("seed", seed)
-        """Seed of the evaluation."""
-        self._env_id = env_id
-        check_robot(env_id, keywords.get("robot"))
-        self._robot = deepcopy(find_robot(keywords.get("robot") or env_robot(env_id)))
-        self.error_bounds = deepcopy(find_error_bounds(error_bounds, self._robot))
-        self._uncertainty = find_uncertainty(uncertainty, self._robot)
-        self._uncertainty_name = uncertainty if isinstance(uncertainty, str | None) else "custom"
-        # With wide error bounds the environment must not terminate an episode before a violation.
-        self.keywords = {"termination_radius": self.error_bounds.termination_radius} | keywords
-        """Keywords of the environment."""
+        self.conditions = conditions
+        """Conditions of all episodes."""
         env = self._make(1)
-        env.reset(seed=self.seed)
+        env.reset(seed=conditions.seed)
         self.settings = env.settings
         """Settings of the environments."""
         self.task: Task = deepcopy(env.tasks[0])
         """Task of the first episode. The judge reads its bounds, length and robot."""
         self.task.check_motion()
-        self.policy: LoadedPolicy = load(
-            policy, deepcopy(self._robot), name=name, wrappers=wrappers
-        )
+        robot = deepcopy(conditions.robot)
+        self.policy: LoadedPolicy = load(policy, robot, name=name, wrappers=wrappers)
         """The policy."""
-        declared = self.policy.declarations
-        kind = self.settings.measurement.kind
-        if declared.measurement != kind:
-            remedy = "use measurement='winches'"
-            if kind != POSE.kind:
-                estimators = sorted(
-                    point.name for point in entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP)
-                )
-                behind = (
-                    f"name an estimator, such as {estimators[0]}+{self.policy.name}, or "
-                    if estimators
-                    else ""
-                )
-                remedy = f"{behind}declare measurement = 'winches'"
-            raise ValueError(
-                f"policy {self.policy.name!r} reads measurement {declared.measurement!r}, not {kind!r}: {remedy}"
-            )
-        random = self._uncertainty.random or declared.stochastic
-        self.draws = (
-            (DEFAULT_DRAWS if random else 1) if draws is None else whole("draws", draws, least=1)
-        )
-        """Number of episodes at each payload."""
-        self.random = random or keywords.get("initial_error_range") is not None
+        self._check_policy()
+        random = conditions.uncertainty.random or self.policy.declarations.stochastic
+        self.random = random or conditions.keywords.get("initial_error_range") is not None
         """Whether two episodes with the same payload can differ."""
+        default_draws = DEFAULT_DRAWS if random else 1
+        self.draws = default_draws if conditions.draws is None else conditions.draws
+        """Number of episodes at each payload."""
         if self.draws > 1 and not self.random:
             raise ValueError(
-                f"all {draws} draws would be equal: choose a random uncertainty or draws=1"
+                f"all {self.draws} draws would be equal: choose a random uncertainty or draws=1"
             )
-        self.seeds = draw_seeds(self.seed, self.draws)
+        self.seeds = draw_seeds(conditions.seed, self.draws)
         """Seed of each draw. An environment that is reset with this seed has the parameters of the
         draw."""
-        if self.criterion == "paper" and not declared.unsaturated_actions:
-            raise ValueError(
-                f"the paper criterion does not apply to policy {self.policy.name!r}, because it does not declare "
-                "unsaturated_actions = True; use criterion='task'"
-            )
         self._last_rows = 1
+
+    def _check_policy(self) -> None:
+        """Checks that the policy reads what is measured, and that the criterion applies to it."""
+        declared = self.policy.declarations
+        kind = self.settings.measurement.kind
+        name = self.policy.name
+        if declared.measurement != kind:
+            remedy = "declare measurement = 'winches'"
+            estimators = sorted(entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP).names)
+            if kind == POSE.kind:
+                remedy = "use measurement='winches'"
+            elif estimators:
+                remedy = f"name an estimator, such as {estimators[0]}+{name}, or {remedy}"
+            raise ValueError(
+                f"policy {name!r} reads measurement {declared.measurement!r}, not {kind!r}: {remedy}"
+            )
+        if self.conditions.criterion == "paper" and not declared.unsaturated_actions:
+            raise ValueError(
+                f"the paper criterion does not apply to policy {name!r}, because it does not "
+                "declare unsaturated_actions = True; use criterion='task'"
+            )
 
     def _make(self, rows: int, **changes: Any) -> CableBotVectorEnv:
         """A vector environment of ``rows`` episodes with changed keywords."""
+        conditions = self.conditions
         env = gym.make_vec(
-            self._env_id,
+            conditions.env_id,
             num_envs=rows,
-            error_bounds=self.error_bounds,
+            robot=conditions.robot,
+            error_bounds=conditions.error_bounds,
             max_episode_steps=None,
-            uncertainty=self._uncertainty,
+            uncertainty=conditions.uncertainty,
             threads=_threads(rows),
-            **self.keywords | {"robot": self._robot} | changes,
+            **{**conditions.keywords, **changes},
         ).unwrapped
         assert isinstance(env, CableBotVectorEnv)
         return env
@@ -318,35 +272,21 @@ class Batch:
         count = self.policy.fallbacks
         return None if count is None else count / self._last_rows
 
-    def description(self) -> dict[str, Any]:
-        """Fields that results of evaluations and comparisons share. ``environment`` is JSON-able
+    def environment(self) -> dict[str, Any]:
+        """Robot, trajectory, control frequency and further settings for results, as JSON-able
         data."""
-        separate = ("robot", "trajectory", "payload_known", "model_payload_factor")
-        environment = {
+        separate = ("trajectory", "payload_known", "model_payload_factor")
+        data: dict[str, Any] = {
             "robot": self.task.robot.to_dict(),
             "trajectory": to_jsonable(self.task.trajectory),
             "control_frequency": self.task.control_frequency,
             "substeps": self.settings.substeps,
             "cable": self.task.cable,
-            **{
-                name: to_jsonable(value)
-                for name, value in self.keywords.items()
-                if name not in separate
-            },
-            "uncertainty": to_jsonable(self._uncertainty),
         }
-        return {
-            "env_id": self._env_id,
-            "payload_known": bool(self.task.payload_known),
-            "model_payload_factor": float(self.keywords.get("model_payload_factor", 1.0)),
-            "uncertainty": self._uncertainty_name,
-            "draws": self.draws,
-            "seed": self.seed,
-            "draw_seeds": tuple(self.seeds),
-            "environment": environment,
-            "versions": versions(),
-            "task": self.task,
-        }
+        for name, value in self.conditions.keywords.items():
+            if name not in separate:
+                data[name] = to_jsonable(value)
+        return data | {"uncertainty": to_jsonable(self.conditions.uncertainty)}
 
     def run(
         self,
@@ -371,35 +311,39 @@ class Batch:
         Returns:
             One verdict for each row.
         """
-        verdicts: dict[int, Verdict] = {}
         if order is None:
             order = np.arange(len(rows)) if observer is not None else secret_order(len(rows))
-        for indices in (
-            [order] if observer is not None else np.array_split(order, -(-len(rows) // (2 * BATCH)))
-        ):
-            chosen = [rows[index] for index in indices.tolist()]
-            payloads = np.array([payload for payload, _ in chosen])
-            seeds = [seed for _, seed in chosen]
-            changes = {} if refinement == 1 else {"substeps": refinement * self.settings.substeps}
-            env = self._make(len(chosen), **changes)
-            self._last_rows = len(chosen)
-            noise = [noise_seed(seed, payload) for payload, seed in chosen]
-            observation, info = env.reset(
-                seed=seeds, options={"payload": payloads, "noise_seed": noise}
-            )
-            judge = Judge(self.criterion, self.task.robot.cables, len(chosen))
+        groups = [order]
+        if observer is None:
+            groups = np.array_split(order, -(-len(rows) // (2 * BATCH)))
+        changes: dict[str, Any] = {}
+        if refinement > 1:
+            changes["substeps"] = refinement * self.settings.substeps
+        verdicts: dict[int, Verdict] = {}
+        for indices in groups:
+            env = self._make(len(indices), **changes)
+            self._last_rows = len(indices)
+            group = [rows[index] for index in indices.tolist()]
+            options = {
+                "payload": np.array([payload for payload, _ in group]),
+                "noise_seed": [noise_seed(seed, payload) for payload, seed in group],
+            }
+            observation, info = env.reset(seed=[seed for _, seed in group], options=options)
+            judge = Judge(self.conditions.criterion, self.task.robot.cables, len(group))
             judge.reset(info, self.task)
             if observer is not None:
                 observer.start(env, observation, info)
-            others: dict[str, Any] = {
-                "observer": observer,
-                "count": count,
-                "full_motion": full_motion,
-            }
-            run_episodes(env, self.policy, observation, judge, **others)
-            verdicts |= {
-                index: judge.verdict(place) for place, index in enumerate(indices.tolist())
-            }
+            run_episodes(
+                env,
+                self.policy,
+                observation,
+                judge,
+                observer=observer,
+                count=count,
+                full_motion=full_motion,
+            )
+            for row, index in enumerate(indices.tolist()):
+                verdicts[index] = judge.verdict(row)
         return [verdicts[index] for index in range(len(rows))]
 
     def check_alone(self, payload: float, carried: int, count: StepCount | None = None) -> None:
@@ -416,13 +360,13 @@ class Batch:
         Raises:
             PolicyError: if fewer than the plausible number of :data:`ALONE` draws carry it.
         """
-        needed = plausible_successes(carried, self.draws, ALONE, RISK)
+        required = plausible_successes(carried, self.draws, ALONE, RISK)
         alone = 0
         for seed in derived_seeds(np.random.SeedSequence(), ALONE):
-            if alone == needed:
+            if alone == required:
                 return
             alone += self.run([(payload, seed)], count=count)[0].carried
-        if alone < needed:
+        if alone < required:
             text = f"{payload:.3f} kg is carried in {alone} of {ALONE} draws alone"
             text += f", in {carried} of {self.draws} together"
             raise PolicyError(f"policy {self.policy.name!r} {DEPENDENT.format(text)}")
@@ -487,9 +431,8 @@ def run_episodes(
             time=step / env.settings.control_frequency,
             ignored=over,
         )
-        observation, reward, start, _, info = env.step(
-            action
-        )  # the environment restarts terminated episodes
+        # the environment restarts terminated episodes
+        observation, reward, start, _, info = env.step(action)
         judge.observe(info, start)
         if observer is not None:
             observer.step(observation, reward, info, ~over)

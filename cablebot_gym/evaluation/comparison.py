@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_gym.envs import described
-from cablebot_gym.evaluation.batch import Batch, Progress, StepCount
+from cablebot_gym.evaluation.batch import Batch, Progress, StepCount, versions
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import interval
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import Wrapper, name_of
-from cablebot_gym.task import ErrorBounds, Task
+from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number, numbers
 from cablebot_gym.utils.console import chosen_progress
 
@@ -107,11 +108,9 @@ class PolicyMetrics:
         Pearson."""
         fraction = float(self.carried.mean())
         draws = len(self.carried)
-        low, high = (
-            (fraction, fraction)
-            if draws == 1
-            else interval(int(self.carried.sum()), draws, CONFIDENCE)
-        )
+        if draws == 1:
+            return Estimate(mean=fraction, low=fraction, high=fraction)
+        low, high = interval(int(self.carried.sum()), draws, CONFIDENCE)
         return Estimate(mean=fraction, low=low, high=high)
 
 
@@ -122,37 +121,31 @@ QUANTITIES = tuple(
 )
 """Quantities of :class:`PolicyMetrics` that have an estimate."""
 
+_PER_DRAW = (*QUANTITIES, "carried", "ended")
+"""Quantities of every draw in the data of a comparison."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Comparison:
     """Comparison of policies over the same draws. ``print(comparison)`` shows a summary."""
 
-    env_id: str
-    """Id of the environment."""
+    conditions: Conditions
+    """Conditions of all episodes."""
     payload: float
     """Nominal payload [kg]."""
-    payload_known: bool
-    """Whether the payload is known to the policies."""
-    model_payload_factor: float
-    """Ratio of the payload in the policies' models to the nominal payload."""
-    uncertainty: str | None
-    """Name of the uncertainty, ``custom`` for data; None without uncertainty."""
-    draws: int
-    """Number of episodes of each policy."""
-    seed: int
-    """Seed that determines the draws."""
     draw_seeds: tuple[int, ...]
     """Seed of each draw. ``env.reset(seed=…)`` or ``cablebot rollout --seed`` repeats the draw."""
-    error_bounds: ErrorBounds
-    """Bounds of the tracking errors."""
     metrics: tuple[PolicyMetrics, ...] = field(repr=False)
     """Metrics of the policies, in the order of the arguments."""
     environment: dict[str, Any]
     """Robot, trajectory, uncertainty, control frequency and further settings, as JSON-able data."""
-    versions: dict[str, str]
-    """Versions of Python and of the packages that determine the results."""
     task: Task = field(repr=False)
     """Public task of the episodes."""
+
+    @property
+    def draws(self) -> int:
+        """Number of episodes of each policy."""
+        return len(self.draw_seeds)
 
     def reduction(self, index: int, quantity: str) -> Estimate:
         """Relative reduction of a quantity by policy ``index`` with respect to the first policy.
@@ -161,12 +154,14 @@ class Comparison:
         draws. The interval is a seeded percentile bootstrap over the draws.
         """
         base = getattr(self.metrics[0], quantity)
-        other = getattr(self.metrics[index], quantity)
-        fraction = float(1 - other.mean() / base.mean())
+        values = getattr(self.metrics[index], quantity)
+        fraction = float(1 - values.mean() / base.mean())
         if self.draws == 1 or index == 0:
             return Estimate(mean=fraction, low=fraction, high=fraction)
-        chosen = np.random.default_rng(self.seed).integers(self.draws, size=(RESAMPLES, self.draws))
-        fractions = 1 - other[chosen].mean(axis=1) / base[chosen].mean(axis=1)
+        resampled = np.random.default_rng(self.conditions.seed).integers(
+            self.draws, size=(RESAMPLES, self.draws)
+        )
+        fractions = 1 - values[resampled].mean(axis=1) / base[resampled].mean(axis=1)
         low, high = np.quantile(fractions, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
         return Estimate(mean=fraction, low=float(low), high=float(high))
 
@@ -175,42 +170,51 @@ class Comparison:
         series."""
         policies = []
         for index, metrics in enumerate(self.metrics):
-            estimates = {name: vars(metrics.estimate(name)) for name in QUANTITIES}
-            reductions = (
-                {name: vars(self.reduction(index, name)) for name in REDUCTION_QUANTITIES}
-                if index
-                else {}
-            )
-            values = {
-                name: getattr(metrics, name).tolist() for name in (*QUANTITIES, "carried", "ended")
-            }
+            values = {name: getattr(metrics, name).tolist() for name in _PER_DRAW}
+            reductions = {}
+            if index > 0:
+                for name in REDUCTION_QUANTITIES:
+                    reductions[name] = vars(self.reduction(index, name))
             policies.append(
                 {
                     "policy": metrics.policy,
-                    "estimates": estimates,
+                    "estimates": {name: vars(metrics.estimate(name)) for name in QUANTITIES},
                     "reductions": reductions,
                     "per_draw": values,
                 }
             )
-        replaced = {"draw_seeds": list(self.draw_seeds), "error_bounds": vars(self.error_bounds)}
-        head = {
-            item.name: getattr(self, item.name) for item in fields(self) if item.repr
-        } | replaced
-        return head | {"confidence": CONFIDENCE, "policies": policies}
+        conditions = self.conditions.to_dict()
+        del conditions["criterion"]  # episodes run to the end of the motion
+        return conditions | {
+            "payload": self.payload,
+            "draws": self.draws,
+            "draw_seeds": list(self.draw_seeds),
+            "error_bounds": vars(self.conditions.error_bounds),
+            "environment": self.environment,
+            "versions": versions(),
+            "confidence": CONFIDENCE,
+            "policies": policies,
+        }
 
     def to_json(self) -> str:
         """The comparison as JSON, indented."""
         return json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
 
     def __str__(self) -> str:
-        draws = f"{self.draws} draw{'' if self.draws == 1 else 's'} of {self.uncertainty or 'no uncertainty'}"
-        lines = [f"{described(self.env_id, self.task.robot.name)}, {self.payload:g} kg, {draws}"]
+        conditions = self.conditions
+        plural = "" if self.draws == 1 else "s"
+        draws = f"{self.draws} draw{plural} of {conditions.uncertainty_name or 'no uncertainty'}"
+        robot = described(conditions.env_id, conditions.robot.name)
+        lines = [f"{robot}, {self.payload:g} kg, {draws}"]
         for index, metrics in enumerate(self.metrics):
             mean = metrics.estimate("mean_error")
             largest = metrics.estimate("max_error")
-            change = f" ({-self.reduction(index, 'mean_error').mean:+.0%} versus {self.metrics[0].policy})"
+            change = ""
+            if index > 0:
+                reduction = self.reduction(index, "mean_error").mean
+                change = f" ({-reduction:+.0%} versus {self.metrics[0].policy})"
             lines.append(
-                f"{metrics.policy}: error {1e3 * mean.mean:.3g} mm mean{change if index else ''}, "
+                f"{metrics.policy}: error {1e3 * mean.mean:.3g} mm mean{change}, "
                 f"{1e3 * largest.mean:.3g} mm max; carried in {metrics.carried.mean():.0%}"
             )
         return "\n".join(lines)
@@ -227,7 +231,7 @@ class PayloadComparison:
     @property
     def payloads(self) -> Array:
         """Nominal payloads, (k,) [kg]."""
-        return np.array([one.payload for one in self.comparisons])
+        return np.array([comparison.payload for comparison in self.comparisons])
 
     @property
     def policies(self) -> tuple[str, ...]:
@@ -238,7 +242,7 @@ class PayloadComparison:
         """JSON-able data: the payloads and the comparison with each of them."""
         return {
             "payloads": self.payloads.tolist(),
-            "comparisons": [one.to_dict() for one in self.comparisons],
+            "comparisons": [comparison.to_dict() for comparison in self.comparisons],
         }
 
     def to_json(self) -> str:
@@ -254,14 +258,10 @@ def compare_policies(
     env_id: str,
     *,
     payload: float = 0.0,
-    error_bounds: ErrorBounds | dict[str, float] | None = None,
-    uncertainty: Any = None,
-    draws: int | None = None,
-    seed: int = 0,
     names: Sequence[str] | None = None,
     wrappers: Sequence[Sequence[Wrapper]] | None = None,
     progress: Progress | bool | None = None,
-    **keywords: Any,
+    **conditions: Any,
 ) -> Comparison:
     """Runs all policies with one payload over the same draws.
 
@@ -270,18 +270,13 @@ def compare_policies(
             first policy.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         payload: nominal payload [kg].
-        error_bounds: bounds of the tracking errors; None for those of the robot.
-        uncertainty: model errors and disturbances that the policies do not know, see
-            :func:`cablebot_gym.uncertainty.find_uncertainty`.
-        draws: number of episodes of each policy; None for the default number under a random
-            uncertainty, else 1.
-        seed: seed that determines the draws.
         names: names of the policies in the result; None for their own names.
         wrappers: wrappers of the training of each policy, the innermost first, see
             :data:`cablebot_gym.policies.wrappers.Wrapper`; None for no wrappers.
         progress: callback after every control step; True shows it on standard error.
-        keywords: keywords of the environment: ``trajectory``, ``payload_known``,
-            ``control_frequency``, ``robot``, …
+        conditions: ``uncertainty``, ``draws``, ``seed``, ``error_bounds``, ``robot`` and keywords of
+            the environment, such as ``trajectory``: see
+            :class:`~cablebot_gym.evaluation.conditions.Conditions`.
 
     Raises:
         ValueError: if an argument is invalid, or if two policies have the same name.
@@ -297,36 +292,32 @@ def compare_policies(
         raise ValueError(
             f"every policy needs its own name, but the names are {', '.join(labels)}: give distinct names"
         )
-    worn = [()] * len(labels) if wrappers is None else list(wrappers)
-    if len(worn) != len(labels):
+    wrappers_of = [()] * len(labels) if wrappers is None else list(wrappers)
+    if len(wrappers_of) != len(labels):
         raise ValueError(
-            f"wrappers must have one list for each of the {len(labels)} policies, not {len(worn)}"
+            f"wrappers must have one list for each of the {len(labels)} policies, "
+            f"not {len(wrappers_of)}"
         )
     payload = number("payload", payload, least=0, unit="kg")
+    shared = Conditions.of(env_id, **conditions)
     metrics = []
-    shared = {
-        "error_bounds": error_bounds,
-        "uncertainty": uncertainty,
-        "draws": draws,
-        "seed": seed,
-        "keywords": keywords,
-    }
     with chosen_progress(progress, "comparing") as step:
         count = StepCount(step, 0)
-        for policy, label, own in zip(policies, labels, worn, strict=True):
-            batch = Batch(policy, env_id, name=label, wrappers=own, **shared)
+        for policy, label, layers in zip(policies, labels, wrappers_of, strict=True):
+            batch = Batch(policy, shared, name=label, wrappers=layers)
             count.expected = len(labels) * batch.task.steps
             recorder = Recorder(range(batch.draws), _RECORDED)
-            rows = [(payload, one) for one in batch.seeds]
+            rows = [(payload, seed) for seed in batch.seeds]
             verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
-            metrics.append(
-                _metrics(label, recorder.rollouts(verdicts), batch.keywords["termination_radius"])
-            )
+            radius = batch.settings.termination_radius
+            metrics.append(_metrics(label, recorder.rollouts(verdicts), radius))
     return Comparison(
+        conditions=shared,
         payload=payload,
-        error_bounds=batch.error_bounds,
+        draw_seeds=tuple(batch.seeds),
         metrics=tuple(metrics),
-        **batch.description(),
+        environment=batch.environment(),
+        task=batch.task,
     )
 
 
@@ -357,18 +348,18 @@ def compare_over_payloads(
         raise ValueError(
             f"payloads must be increasing numbers, such as [0, 1, 2], not {payloads!r}"
         )
-    found: list[Comparison] = []
+    comparisons: list[Comparison] = []
     with chosen_progress(progress, "comparing") as step:
 
         def count(done: int, expected: int) -> None:
             if step is not None:
-                step(done + len(found) * expected, len(grid) * expected)
+                step(done + len(comparisons) * expected, len(grid) * expected)
 
         for payload in grid.tolist():
-            found.append(
+            comparisons.append(
                 compare_policies(policies, env_id, payload=payload, progress=count, **keywords)
             )
-    return PayloadComparison(comparisons=tuple(found))
+    return PayloadComparison(comparisons=tuple(comparisons))
 
 
 def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float) -> PolicyMetrics:
@@ -389,8 +380,8 @@ def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float
     final = np.maximum(
         [rollout.arrays["tracking_error"][-1] for rollout in rollouts], termination_radius
     )
-    rest = np.full((rollouts[0].task.steps - len(error), len(rollouts)), np.nan)
-    filled = np.concatenate([error, rest])
+    missing = np.full((rollouts[0].task.steps - len(error), len(rollouts)), np.nan)
+    filled = np.concatenate([error, missing])
     filled = np.where(np.isnan(filled), final, filled)
     peak = np.maximum(
         largest("tracking_error_peak"), [rollout.verdict.position_peak for rollout in rollouts]

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from cablebot_gym.evaluation.batch import Batch, Progress, Trial
-from cablebot_gym.evaluation.result import DLCCResult
+from cablebot_gym.evaluation.conditions import Conditions
+from cablebot_gym.evaluation.result import Details, DLCCResult
 from cablebot_gym.evaluation.search import Search, SearchOutcome
 from cablebot_gym.physics.statics import payload_ceiling
 from cablebot_gym.policies import Wrapper
@@ -34,64 +35,46 @@ def evaluate_dlcc(
     policy: Any,
     env_id: str,
     *,
-    criterion: str = "task",
-    error_bounds: ErrorBounds | dict[str, float] | None = None,
     payload_max: float | None = None,
     resolution: float | None = None,
-    uncertainty: Any = None,
-    draws: int | None = None,
     probability: float = 0.95,
     confidence: float = 0.95,
-    seed: int = 0,
     search: str = "scan",
     name: str | None = None,
     wrappers: Sequence[Wrapper] = (),
     progress: Progress | bool | None = None,
-    **keywords: Any,
+    **conditions: Any,
 ) -> DLCCResult:
     """Evaluates the DLCC of a policy: the largest payload in the feasible interval that contains
     zero.
 
-    The scan tries :data:`~cablebot_gym.evaluation.search.SCAN_POINTS` payloads from 0 to
-    ``payload_max`` in one batch. The gap below the first failed payload is then subdivided until it
-    is at most ``resolution`` wide. The episodes of the scan are repeated in another order, random
-    payloads below the result are tried, and payloads around the result are tried with finer physics
-    steps. Under a random ``uncertainty`` the scan has
-    :data:`~cablebot_gym.evaluation.search.SEARCH_DRAWS` draws; the payload is then confirmed with
-    ``draws`` other ones, which all payloads share.
-
-    ``search="bisection"`` is for policies that take seconds for an episode. It tries
-    :data:`~cablebot_gym.evaluation.search.BISECTION_POINTS` payloads and bisects the lowest gap
-    below a failed one, without further checks except the repetition of the last two episodes. It
-    can miss a failure between two payloads, so its result is marked as unranked.
+    A scan tries :data:`~cablebot_gym.evaluation.search.SCAN_POINTS` payloads; the gap below the
+    first failed one is subdivided to ``resolution``. Episodes are repeated in another order, random
+    payloads below the result and finer physics steps are tried. Under a random ``uncertainty`` the
+    scan has :data:`~cablebot_gym.evaluation.search.SEARCH_DRAWS` draws; ``draws`` other ones, which
+    all payloads share, confirm the payload.
 
     Args:
         policy: a loaded policy, an object with ``predict``, a callable ``observation -> action``, a
             class that makes one of them, or a name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
-        criterion: ``task`` (saturated motors; position, rotation, tension) or ``paper`` (|a| ≤ 1,
-            position, slack).
-        error_bounds: bounds of the tracking errors; None for those of the robot.
         payload_max: end of the scan [kg]; None for that of :func:`default_payload_max`.
         resolution: largest gap to the least failed payload [kg]; None for
             :data:`DEFAULT_RESOLUTION`, or :data:`DRAWN_RESOLUTION` with several draws.
-        uncertainty: model errors and disturbances that the policy does not know, see
-            :func:`cablebot_gym.uncertainty.find_uncertainty`.
-        draws: number of draws that confirm the payload; None for
-            :data:`~cablebot_gym.evaluation.batch.DEFAULT_DRAWS` under a random uncertainty or with
-            a policy that declares ``stochastic = True``, else 1.
         probability: required success probability; no effect with one draw.
         confidence: confidence of the payload as a one-sided lower tolerance bound; no effect with
             one draw.
-        seed: seed that determines payloads and draws, so all policies share them.
+        search: ``scan``, or ``bisection`` for policies that take seconds for an episode: it bisects
+            the lowest gap between :data:`~cablebot_gym.evaluation.search.BISECTION_POINTS` payloads
+            and can miss a failure, so its result is marked as unranked.
         name: name of the policy in the result; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first: classes or functions,
             their names, or the file of a ``VecNormalize``. They wrap a stand-in of the environment,
             see :data:`cablebot_gym.policies.wrappers.Wrapper`.
-        search: ``scan``, or ``bisection`` for slow policies.
         progress: callback after every control step; True shows it on standard error.
-        keywords: keywords of the environment: ``trajectory``, ``payload_known``,
-            ``control_frequency``, ``robot``, …
+        conditions: ``criterion``, ``uncertainty``, ``draws``, ``seed``, ``error_bounds``, ``robot``
+            and keywords of the environment, such as ``payload_known`` and ``trajectory``: see
+            :class:`~cablebot_gym.evaluation.conditions.Conditions`.
 
     Returns:
         The result. With several draws and the default ``probability`` and ``confidence``, the
@@ -107,21 +90,10 @@ def evaluate_dlcc(
     choice("search", search, SEARCHES)
     number("probability", probability, above=0, below=1)
     number("confidence", confidence, above=0.5, below=1)
-    batch = Batch(
-        policy,
-        env_id,
-        name=name,
-        wrappers=wrappers,
-        criterion=criterion,
-        error_bounds=error_bounds,
-        uncertainty=uncertainty,
-        draws=draws,
-        seed=seed,
-        keywords=keywords,
-    )
+    batch = Batch(policy, Conditions.of(env_id, **conditions), name=name, wrappers=wrappers)
     if payload_max is None:
         payload_max = default_payload_max(
-            batch.task.robot, batch.task.trajectory, batch.error_bounds
+            batch.conditions.robot, batch.task.trajectory, batch.conditions.error_bounds
         )
     payload_max = number("payload_max", payload_max, above=0, unit="kg")
     is_scan = search == "scan"
@@ -130,32 +102,13 @@ def evaluate_dlcc(
         if is_scan and batch.draws == 1:
             resolution = DEFAULT_RESOLUTION
     resolution = number("resolution", resolution, above=0, unit="kg")
-    with chosen_progress(progress, f"{batch.policy.name}, {batch.criterion} criterion") as step:
+    title = f"{batch.policy.name}, {batch.conditions.criterion} criterion"
+    with chosen_progress(progress, title) as step:
         outcome = Search(
             batch, payload_max, resolution, probability, confidence, step, thorough=is_scan
         ).run()
-    evidence: dict[str, Any] = dict.fromkeys(("assured", "probability", "confidence"))
-    if batch.random:
-        evidence["assured"] = outcome.assured
-    if batch.draws > 1:
-        evidence |= {"probability": probability, "confidence": confidence}
-    return DLCCResult(
-        payload_max=payload_max,
-        ranked=is_scan,
-        feasible=outcome.feasible,
-        success=outcome.success,
-        discretisation=outcome.discretisation,
-        rollout=outcome.rollout,
-        policy=batch.policy.name,
-        criterion=batch.criterion,
-        stochastic=batch.policy.declarations.stochastic,
-        declared=batch.criterion == "paper" and not batch.policy.held,
-        fallbacks=batch.fallbacks,
-        wrappers=batch.policy.wrappers,
-        **evidence,
-        **_gap_fields(batch, outcome),
-        **batch.description(),
-    )
+    details = _details(batch, outcome, payload_max, probability, confidence)
+    return _result(batch, outcome, details, ranked=is_scan)
 
 
 def default_payload_max(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
@@ -174,34 +127,61 @@ def default_payload_max(robot: Robot, trajectory: Trajectory, error_bounds: Erro
     return float(f"{SCAN_MARGIN * ceiling:.2g}")
 
 
-def _gap_fields(batch: Batch, outcome: SearchOutcome) -> dict[str, Any]:
-    """Fields of the result about the payload and the failed one above it."""
-    below = outcome.below
-    above = outcome.above
-    robot = batch.task.robot
-    bounds: dict[str, float | None] = {"position": batch.error_bounds.position, "rotation": None}
-    if batch.criterion == "task" and not robot.point_mass:
-        bounds["rotation"] = batch.error_bounds.rotation
-    data: dict[str, Any] = dict.fromkeys(
-        ("payload", "total_mass", "failed_payload", "violation", "violation_seed")
-    )
-    data |= {"error_bounds": bounds, "scan_ended": above is None, "margins": {}, "failures": {}}
+def _result(batch: Batch, outcome: SearchOutcome, details: Details, ranked: bool) -> DLCCResult:
+    """The score of a search."""
+    below, above = outcome.below, outcome.above
     gap = 0.0
-    if below is not None:
-        data |= {
-            "payload": below.payload,
-            "total_mass": below.payload + robot.mass,
-            "margins": _margins(below, bounds),
-        }
+    if below is not None and above is not None:
+        gap = above.payload - below.payload
+    return DLCCResult(
+        policy=batch.policy.name,
+        conditions=batch.conditions,
+        payload=None if below is None else below.payload,
+        failed_payload=None if above is None else above.payload,
+        resolution=max(gap, outcome.discretisation or 0.0),
+        violation=None if above is None else above.violation,
+        ranked=ranked,
+        draw_seeds=tuple(batch.seeds),
+        assured=outcome.assured if batch.random else None,
+        rollout=outcome.rollout,
+        details=details,
+    )
+
+
+def _details(
+    batch: Batch, outcome: SearchOutcome, payload_max: float, probability: float, confidence: float
+) -> Details:
+    conditions, below, above = batch.conditions, outcome.below, outcome.above
+    is_drawn = batch.draws > 1
+    bounds: dict[str, float | None] = {
+        "position": conditions.error_bounds.position,
+        "rotation": None,
+    }
+    if conditions.criterion == "task" and not conditions.robot.point_mass:
+        bounds["rotation"] = conditions.error_bounds.rotation
+    failures: dict[str, int] = {}
+    violation_seed = None
     if above is not None:
-        data |= {"failed_payload": above.payload, "violation": above.violation}
-        data["violation_seed"] = above.seeds[above.violation_draw or 0]
+        violation_seed = above.seeds[above.violation_draw or 0]
         if len(above.verdicts) > 1:
-            data["failures"] = above.failures
-        if below is not None:
-            gap = above.payload - below.payload
-    data["resolution"] = max(gap, outcome.discretisation or 0.0)
-    return data
+            failures = above.failures
+    return Details(
+        payload_max=payload_max,
+        feasible=outcome.feasible,
+        success=outcome.success,
+        discretisation=outcome.discretisation,
+        margins={} if below is None else _margins(below, bounds),
+        error_bounds=bounds,
+        probability=probability if is_drawn else None,
+        confidence=confidence if is_drawn else None,
+        failures=failures,
+        violation_seed=violation_seed,
+        stochastic=batch.policy.declarations.stochastic,
+        declared=conditions.criterion == "paper" and not batch.policy.held,
+        wrappers=batch.policy.wrappers,
+        environment=batch.environment(),
+        fallbacks=batch.fallbacks,
+    )
 
 
 def _margins(trial: Trial, bounds: dict[str, float | None]) -> dict[str, float]:

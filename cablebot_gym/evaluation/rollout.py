@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.batch import Batch, Progress, StepCount
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.policies import Wrapper
@@ -142,9 +143,8 @@ class Recorder:
             motion = {name: observation[:, slices[name]] for name in ("pose", "velocity")} | motion
             if robot.flexible:
                 motion["motor_angle"] = observation[:, slices["motor_angle"]]
-        if (
-            robot.jointed and not robot.elastic
-        ):  # the length of an elastic cable does not tell the pulley angle
+        # the length of an elastic cable does not tell the pulley angle
+        if robot.jointed and not robot.elastic:
             motion["spring_deflection"] = (
                 observation[:, slices["motor_angle"]] - self._pulley_angle()
             )
@@ -202,12 +202,10 @@ def record_rollout(
     env_id: str,
     *,
     payload: float = 0.0,
-    criterion: str = "task",
-    seed: int = 0,
     name: str | None = None,
     wrappers: Sequence[Wrapper] = (),
     progress: Progress | bool | None = None,
-    **keywords: Any,
+    **conditions: Any,
 ) -> Rollout:
     """Records one episode over the full motion, or until the environment terminates it.
 
@@ -215,40 +213,29 @@ def record_rollout(
         policy: an object with ``predict``, a callable, or a name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         payload: nominal payload [kg].
-        criterion: criterion of the verdict, ``task`` or ``paper``.
-        seed: seed of the environment.
         name: name of the policy in messages; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first, see
             :data:`cablebot_gym.policies.wrappers.Wrapper`.
         progress: callback after the reset and after every control step; True shows it on standard
             error.
-        keywords: keywords of the environment.
+        conditions: ``criterion`` of the verdict, ``seed`` of the environment, ``uncertainty``,
+            ``error_bounds``, ``robot`` and keywords of the environment, see
+            :class:`~cablebot_gym.evaluation.conditions.Conditions`.
 
     Raises:
         ValueError: if an argument is invalid.
         cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
             finite actions.
     """
-    settings = {key: keywords.pop(key, None) for key in ("error_bounds", "uncertainty")}
     payload = number("payload", payload, least=0, unit="kg")
-    batch = Batch(
-        policy,
-        env_id,
-        name=name,
-        wrappers=wrappers,
-        criterion=criterion,
-        draws=1,
-        seed=seed,
-        keywords=keywords,
-        **settings,
-    )
+    shared = Conditions.of(env_id, draws=1, **conditions)
+    batch = Batch(policy, shared, name=name, wrappers=wrappers)
     recorder = Recorder([0])
     with chosen_progress(progress, f"{batch.policy.name} on {env_id}", "steps") as step:
         count = StepCount(step, batch.task.steps)
         count.add(0)
-        verdicts = batch.run(
-            [(payload, batch.seed)], observer=recorder, count=count, full_motion=True
-        )
+        rows = [(payload, shared.seed)]
+        verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
     return recorder.rollouts(verdicts)[0]
 
 

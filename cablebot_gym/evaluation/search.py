@@ -106,7 +106,9 @@ class Search:
         self._thorough = thorough
         self._several = batch.draws > 1
         self._required, self._assured = required_successes(batch.draws, probability, confidence)
-        jitter, draws = (np.random.SeedSequence(batch.seed, spawn_key=(key,)) for key in (1, 2))
+        jitter, draws = (
+            np.random.SeedSequence(batch.conditions.seed, spawn_key=(key,)) for key in (1, 2)
+        )
         self._random = np.random.default_rng(jitter)
         self._scan_seeds = batch.seeds
         if thorough:
@@ -245,9 +247,8 @@ class Search:
             low, high, math.ceil(min(self._points, 1.2 * gap / self._resolution)), 0.1
         )
         fewer = below.carried - above.carried
-        if (
-            self._several and 0 < fewer < self._batch.draws / 8
-        ):  # nearly linear: around the interpolation
+        # nearly linear: around the interpolation
+        if self._several and 0 < fewer < self._batch.draws / 8:
             half = max(0.4 * self._resolution, 0.1 * gap)
             place = low + gap * (below.carried - self._required + 0.5) / fewer
             place = min(max(place, low + 1.5 * half), high - 1.5 * half)
@@ -374,7 +375,7 @@ class Search:
     def _difference(self, first: _Verdicts, repeated: _Verdicts) -> str | None:
         """The first difference between episodes and their repetitions as text; None if there is
         none."""
-        bounds = self._batch.error_bounds
+        bounds = self._batch.conditions.error_bounds
         scale = 1 / np.array([bounds.position, bounds.rotation])
         for pair in zip(first, repeated, strict=True):
             ends = [

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.evaluation.batch import Batch
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.policies.adapters import WARM_UP, RealTime
 from cablebot_gym.utils.checks import number
 
@@ -33,7 +34,7 @@ class ActionTimes:
 
 
 def time_actions(
-    policy: Any, env_id: str, *, payload: float = 0.0, seed: int = 0, **keywords: Any
+    policy: Any, env_id: str, *, payload: float = 0.0, **conditions: Any
 ) -> ActionTimes:
     """Measures the time of each action in one episode over the full motion, also after a violation.
 
@@ -41,8 +42,8 @@ def time_actions(
         policy: an object with ``predict``, a callable, or a name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         payload: nominal payload [kg].
-        seed: seed of the environment.
-        keywords: keywords of the environment.
+        conditions: ``seed``, ``robot`` and keywords of the environment, see
+            :class:`~cablebot_gym.evaluation.conditions.Conditions`.
 
     Raises:
         ValueError: if an argument is invalid, or if the environment terminates the episode within
@@ -50,11 +51,11 @@ def time_actions(
         cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
             finite actions.
     """
-    settings = {key: keywords.pop(key, None) for key in ("error_bounds", "uncertainty")}
-    batch = Batch(policy, env_id, draws=1, seed=seed, keywords=keywords, **settings)
+    batch = Batch(policy, Conditions.of(env_id, draws=1, **conditions))
     timed = RealTime(batch.policy.policy, math.inf)
     batch.policy = replace(batch.policy, policy=timed)
-    batch.run([(number("payload", payload, least=0, unit="kg"), batch.seed)], full_motion=True)
+    payload = number("payload", payload, least=0, unit="kg")
+    batch.run([(payload, batch.conditions.seed)], full_motion=True)
     times = np.array(timed.times[WARM_UP:])
     period = 1 / batch.task.control_frequency
     if not times.size:

@@ -14,7 +14,6 @@ from cablebot_gym.envs import described
 from cablebot_gym.evaluation.comparison import Comparison, PayloadComparison
 from cablebot_gym.kinematics import Array
 from cablebot_gym.plotting.figures import DPI, add_legend, new_figure, set_title
-from cablebot_gym.task import payload_model_text
 from cablebot_gym.utils.files import atomic_write
 from cablebot_gym.utils.palette import (
     BLACK,
@@ -61,7 +60,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
         share_x = False
     grid = figure.subplots(len(errors), 2, squeeze=False, width_ratios=[1.6, 1], sharex=share_x)
     for (over_time, largest), (name, unit, series, peak) in zip(grid, errors, strict=True):
-        bound = getattr(comparison.error_bounds, name)
+        bound = getattr(comparison.conditions.error_bounds, name)
         peaks = [getattr(metrics, peak).max() for metrics in comparison.metrics]
         _over_time(over_time, comparison, series)
         _distribution(largest, comparison, peak)
@@ -96,10 +95,10 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    conditions = comparison.comparisons[0]
+    common = comparison.comparisons[0]
     payloads = comparison.payloads
     rows = [("max_error", "position error,\nlargest [mm]", 1e3)]
-    if not conditions.task.robot.point_mass:
+    if not common.task.robot.point_mass:
         rows.append(("max_rotation", "rotation error,\nlargest [mrad]", 1e3))
     rows.append(("rms_torque", "torque, root\nmean square [N·m]", 1.0))
     rows.append(("success", "success rate [%]", 100.0))
@@ -116,11 +115,11 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
                 estimates.append((estimate.mean, estimate.low, estimate.high))
             mean, low, high = factor * np.array(estimates).T
             line = _line(index)
-            if conditions.draws > 1:
+            if common.draws > 1:
                 axes.fill_between(payloads, low, high, color=line["color"], alpha=0.2, linewidth=0)
             axes.plot(payloads, mean, marker=".", label=f" {policy}", **line)
         axes.set_ylabel(label)
-    bounds = vars(conditions.error_bounds).values()
+    bounds = vars(common.conditions.error_bounds).values()
     for axes, bound, unit in zip(panels[:-2], bounds, ("mm", "mrad"), strict=False):
         axes.axhline(1e3 * bound, color="black", linewidth=1.0)
         _set_bound_title(axes, bound, unit, "black line")
@@ -128,8 +127,8 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
         axes.set_ylim(bottom=0)
     panels[-1].set(xlabel="payload [kg]", ylim=(-4, 104))
     add_legend(figure, panels[0])
-    title = [_conditions(conditions)]
-    if conditions.draws > 1:
+    title = [_conditions(common)]
+    if common.draws > 1:
         title.append("mean over draws, with 95 % confidence")
     set_title(figure, *title)
     return figure
@@ -151,12 +150,12 @@ def _line(index: int) -> dict[str, Any]:
 
 def _conditions(comparison: Comparison, payload: str = "") -> str:
     """Environment, payload, payload model and draws."""
-    robot = described(comparison.env_id, comparison.task.robot.name)
-    model = payload_model_text(comparison.payload_known, comparison.model_payload_factor)
+    conditions = comparison.conditions
+    robot = described(conditions.env_id, comparison.task.robot.name)
     draws = "no uncertainty"
-    if comparison.uncertainty:
-        draws = f"{comparison.draws} draws of {comparison.uncertainty}"
-    return f"{robot}, {payload}{model}; {draws}"
+    if conditions.uncertainty_name:
+        draws = f"{comparison.draws} draws of {conditions.uncertainty_name}"
+    return f"{robot}, {payload}{conditions.payload_model}; {draws}"
 
 
 def save_comparison(comparison: Comparison | PayloadComparison, folder: Path) -> Path:

@@ -130,7 +130,7 @@ def draw_torques(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    figure = new_figure(torques_height(result.task.robot.cables))
+    figure = new_figure(torques_height(result.rollout.task.robot.cables))
     _draw_torques(figure, result)
     _set_result_title(figure, result)
     return figure
@@ -154,7 +154,7 @@ def draw_result(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    heights = [torques_height(result.task.robot.cables), _PATH_HEIGHT]
+    heights = [torques_height(result.rollout.task.robot.cables), _PATH_HEIGHT]
     figure = new_figure(sum(heights))
     rows: Any = figure.subfigures(2, 1, height_ratios=heights)
     _draw_torques(rows[0], result)
@@ -173,7 +173,7 @@ def draw_springs(result: DLCCResult) -> Figure:
     deflections = result.rollout.arrays.get("spring_deflection")
     if deflections is None:
         raise ValueError(
-            f"robot {result.task.robot.name!r} has no joint springs with cables that do not stretch"
+            f"robot {result.rollout.task.robot.name!r} has no joint springs with cables that do not stretch"
         )
     springs = deflections.shape[1]
     figure = new_figure(torques_height(springs))
@@ -200,20 +200,22 @@ def draw_success(result: DLCCResult) -> Figure:
         ImportError: if matplotlib is missing; the message names the command that installs it.
         ValueError: if the result has only one draw.
     """
-    if result.probability is None:
+    if result.details.probability is None:
         raise ValueError("a success curve needs several draws: evaluate with a random uncertainty")
     figure = new_figure(_SUCCESS_HEIGHT)
     axes = figure.subplots()
-    payload, fraction = np.array(result.success).T
+    payload, fraction = np.array(result.details.success).T
     label = "fraction of the scan's draws that carry it"
     axes.plot(payload, fraction, color=BLUE, linewidth=1.8, marker="o", markersize=3, label=label)
-    label = f"required: {result.probability:.0%}"
-    axes.axhline(result.probability, color="black", linewidth=1.0, label=label)
+    label = f"required: {result.details.probability:.0%}"
+    axes.axhline(result.details.probability, color="black", linewidth=1.0, label=label)
     if result.payload is not None:
         label = f"payload: {result.payload:.2f} kg ({result.assurance})"
         axes.axvline(result.payload, color=VERMILLION, linewidth=1.2, label=label)
     largest = payload[fraction > 0].max(initial=0.0)
-    axes.set_xlim(0, min(result.payload_max, 1.25 * largest + 0.02 * result.payload_max))
+    axes.set_xlim(
+        0, min(result.details.payload_max, 1.25 * largest + 0.02 * result.details.payload_max)
+    )
     axes.set(ylim=(0, 1.02), xlabel="payload [kg]", ylabel="fraction of draws")
     add_legend(figure, axes)
     set_title(figure, *_result_title(result))
@@ -238,7 +240,7 @@ def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     figures = {"torques": draw_torques(result), "path": draw_path(result)}
-    if result.probability is not None:
+    if result.details.probability is not None:
         figures["success"] = draw_success(result)
     if "spring_deflection" in result.rollout.arrays:
         figures["springs"] = draw_springs(result)
@@ -277,7 +279,7 @@ def requested_torque(result: DLCCResult) -> Array:
 def _slope(result: DLCCResult) -> Array:
     """True slope τ_s/ω_n, (m,) [N·m·s]. The strength factor of a motor does not change its free
     speed."""
-    robot = result.task.robot
+    robot = result.rollout.task.robot
     slope: Array = robot.speed_slope * (result.rollout.stall_torque / robot.stall_torque)
     return slope
 
@@ -325,10 +327,11 @@ def _panel_grid(figure: FigureBase, count: int, title: str, quantity: str) -> li
 
 def _result_title(result: DLCCResult, draw: str = "") -> list[str]:
     """Lines of a title that states the result; ``draw`` names the draw that a figure shows."""
-    robot = described(result.env_id, result.task.robot.name)
+    robot = described(result.conditions.env_id, result.conditions.robot.name)
     lines = [f"{robot}, policy {result.policy}, {result.criterion} criterion"]
-    if result.probability is not None:
-        lines.append(f"{result.uncertainty or 'random episodes'}, {result.assurance}")
+    if result.details.probability is not None:
+        uncertainty = result.conditions.uncertainty_name or "random episodes"
+        lines.append(f"{uncertainty}, {result.assurance}")
         if draw:
             lines.append(f"shown: {draw}")
     if result.payload is None:
@@ -402,7 +405,9 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
 
 def _end(result: DLCCResult) -> float:
     """End of the last step of the episode [s]."""
-    return float(result.rollout.arrays["action_time"][-1] + 1 / result.task.control_frequency)
+    return float(
+        result.rollout.arrays["action_time"][-1] + 1 / result.rollout.task.control_frequency
+    )
 
 
 def _span(times: Array, end: float) -> tuple[float, float]:
@@ -481,15 +486,15 @@ def add_legend(figure: FigureBase, axes: Axes) -> None:
 def _draw_path(figure: FigureBase, result: DLCCResult) -> None:
     arrays = result.rollout.arrays
     rotation_error = None
-    if not result.task.robot.point_mass:
+    if not result.rollout.task.robot.point_mass:
         rotation_error = arrays["rotation_error"]
     path = TravelledPath(
-        times=arrays["action_time"] + 1 / result.task.control_frequency,
+        times=arrays["action_time"] + 1 / result.rollout.task.control_frequency,
         pose=arrays["true_pose"],
         position_error=arrays["tracking_error"],
         rotation_error=rotation_error,
     )
-    path_panels(figure, result.task.trajectory, [path], **result.error_bounds)
+    path_panels(figure, result.rollout.task.trajectory, [path], **result.details.error_bounds)
 
 
 def path_panels(

@@ -112,7 +112,7 @@ def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
     honest = evaluate_dlcc("cheats:Law", ENV_ID, **settings)
     assert result.payload == honest.payload
     assert result.violation == honest.violation
-    assert result.margins == honest.margins
+    assert result.details.margins == honest.details.margins
 
 
 def test_every_policy_is_in_the_suite_and_on_the_page():

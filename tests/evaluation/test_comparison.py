@@ -210,7 +210,9 @@ def made(*mean_errors):
         measured.append(
             dataclasses.replace(metrics, policy=f"p{index}", mean_error=np.array(errors, float))
         )
-    return dataclasses.replace(compared(), metrics=tuple(measured), draws=len(mean_errors[0]))
+    return dataclasses.replace(
+        compared(), metrics=tuple(measured), draw_seeds=tuple(range(len(mean_errors[0])))
+    )
 
 
 @pytest.mark.parametrize("quantity", ["mean_error", "least_tension"])

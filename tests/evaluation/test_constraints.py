@@ -397,6 +397,8 @@ def test_monitor_agrees_with_the_evaluator(kind, criterion):
     assert not above.carried
     excess = pytest.approx(result.violation.excess, rel=1e-6)
     assert above.violation == replace(result.violation, excess=excess)
-    assert 1 - max(below.peak_action) == pytest.approx(result.margins["torque"], abs=1e-12)
-    assert 1 - below.position_peak / 0.01 == pytest.approx(result.margins["position"], abs=1e-9)
-    assert below.least_tension == pytest.approx(result.margins["tension"])
+    assert 1 - max(below.peak_action) == pytest.approx(result.details.margins["torque"], abs=1e-12)
+    assert 1 - below.position_peak / 0.01 == pytest.approx(
+        result.details.margins["position"], abs=1e-9
+    )
+    assert below.least_tension == pytest.approx(result.details.margins["tension"])

@@ -77,7 +77,7 @@ def test_spatial_payloads_match_independent_runs():
     assert alone.violation.kind == "position"
     unknown = scored("spatial", "task", known=False)
     assert unknown.payload == pytest.approx(0.39, abs=0.03)
-    assert not unknown.payload_known
+    assert not unknown.conditions.payload_known
 
 
 def test_planar_payload_matches_independent_runs():
@@ -139,7 +139,7 @@ def test_control_frequency_reaches_the_environment(frequency):
     result = evaluate_dlcc(
         lambda _: np.full(3, 0.1), PLANAR_ID, trajectory=motion, control_frequency=frequency
     )
-    assert result.environment["control_frequency"] == frequency
+    assert result.details.environment["control_frequency"] == frequency
     assert len(result.rollout) == 1 + round(0.02 * frequency)
 
 
@@ -185,13 +185,13 @@ def test_scan_that_ends_while_feasible_has_no_violation():
     result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, trajectory=HANG, payload_max=0.25)
     assert result.payload == 0.25
     assert result.total_mass == 10.25
-    assert result.payload_max == 0.25
+    assert result.details.payload_max == 0.25
     assert result.violation is None
     assert result.scan_ended
-    assert result.violation_seed is None
+    assert result.details.violation_seed is None
     assert result.resolution == 0.0
     assert json.loads(result.to_json())["violation"] is None
-    assert result.feasible == ((0.0, 0.25),)
+    assert result.details.feasible == ((0.0, 0.25),)
 
 
 @settings(max_examples=8)
@@ -206,7 +206,7 @@ def test_search_finds_a_threshold(threshold, resolution):
     )
     assert result.payload <= threshold < result.payload + result.resolution
     assert result.resolution <= resolution
-    assert result.feasible == ((0.0, result.payload),)
+    assert result.details.feasible == ((0.0, result.payload),)
 
 
 def test_feasible_set_with_holes_is_reported_as_intervals():
@@ -217,10 +217,10 @@ def test_feasible_set_with_holes_is_reported_as_intervals():
     result = evaluate_dlcc(policy, SPATIAL_ID, payload_max=3.15, resolution=1e-4, trajectory=motion)
     assert 1.02 - 1e-4 <= result.payload <= 1.02
     assert result.violation.kind == "slack"
-    assert len(result.feasible) == 3
-    assert result.feasible[0] == (0.0, result.payload)
+    assert len(result.details.feasible) == 3
+    assert result.details.feasible[0] == (0.0, result.payload)
     # 64 points of [0, 3.15] are at most 0.075 apart.
-    lows, highs = np.array(result.feasible[1:]).T
+    lows, highs = np.array(result.details.feasible[1:]).T
     assert np.all((lows >= [1.58, 2.38]) & (lows <= [1.655, 2.455]))
     assert np.all((highs <= [2.22, 3.15]) & (highs >= [2.145, 3.15]))
 
@@ -235,10 +235,10 @@ def test_policy_that_fails_unloaded_has_no_payload():
     assert result.resolution == 0.0
     assert result.violation == play(DLCCMonitor(gym.make(SPATIAL_ID, **keywords)), policy).violation
     assert result.violation.kind == "slack"
-    assert result.margins == {}
+    assert result.details.margins == {}
     assert result.rollout.arrays["time"][-1] == result.violation.time
     assert result.rollout.payload == 0
-    ((low, high),) = result.feasible
+    ((low, high),) = result.details.feasible
     assert 2.5 <= low <= 2.65
     assert 3.35 <= high <= 3.5
     assert "fails unloaded: cable 1 falls below its tension bound of 1 N at t =" in str(result)

@@ -44,7 +44,7 @@ def evaluated(policy, **keywords):
 
 def test_declared_stochastic_policy_is_scored_over_repeats():
     result = evaluated(cheats.declared_noise(SPATIAL), draws=60)
-    assert result.stochastic
+    assert result.details.stochastic
     assert result.draws == 60
     assert result.assured
     assert "stochastic policy" in str(result)
@@ -109,7 +109,7 @@ def test_name_of_an_object_does_not_hide_its_declaration():
     class Installed(Law):
         name = spec = "fl"
 
-    assert evaluated(Installed(), criterion="paper", resolution=1.0).declared
+    assert evaluated(Installed(), criterion="paper", resolution=1.0).details.declared
 
 
 # --- islands ----------------------------------------------------------------------------------------------------------
@@ -136,7 +136,7 @@ def test_dense_check_finds_an_island_of_failures(uncertainty):
         **uncertainty,
     )
     assert low - 0.011 <= result.payload <= low
-    assert result.feasible[0] == (0.0, result.payload)
+    assert result.details.feasible[0] == (0.0, result.payload)
 
 
 def test_seed_moves_the_payloads_of_the_scan():
@@ -181,9 +181,9 @@ def test_scan_has_other_draws_than_the_confirmation(batches):
 
 def test_discretisation_compares_finer_physics_steps():
     fine = evaluated(Law())
-    assert fine.discretisation == 0.0
+    assert fine.details.discretisation == 0.0
     assert fine.resolution == pytest.approx(fine.failed_payload - fine.payload)
-    assert evaluated(Law(), uncertainty="table6", draws=2).discretisation is None
+    assert evaluated(Law(), uncertainty="table6", draws=2).details.discretisation is None
 
 
 @pytest.mark.parametrize("heavier", [0.05, -0.05])
@@ -197,8 +197,8 @@ def test_resolution_includes_the_discretisation(heavier, monkeypatch):
 
     monkeypatch.setattr(Batch, "run", other_with_finer_steps)
     result = evaluated(Law())
-    assert 0.05 <= result.discretisation <= 4 * 0.06
-    assert result.resolution == result.discretisation
+    assert 0.05 <= result.details.discretisation <= 4 * 0.06
+    assert result.resolution == result.details.discretisation
     assert result.failed_payload - result.payload <= 0.01
 
 

@@ -19,6 +19,7 @@ from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import DLCCMonitor, Verdict, Violation, evaluate_dlcc
 from cablebot_gym.evaluation import batch as batch_module
 from cablebot_gym.evaluation.batch import DEFAULT_DRAWS, Batch, Trial, noise_seed
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.evaluation.search import SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes, required_successes
@@ -110,8 +111,8 @@ def test_payload_is_an_order_statistic_of_the_draws(draws, probability, required
     assert 0 < result.resolution <= 1e-4
     assert result.draws == draws
     assert result.assured == (draws == 80)
-    assert sum(result.failures.values()) == draws - required + 1
-    for payload, fraction in result.success:
+    assert sum(result.details.failures.values()) == draws - required + 1
+    for payload, fraction in result.details.success:
         assert 0 <= payload <= 20
         assert fraction * SEARCH_DRAWS == round(fraction * SEARCH_DRAWS)
 
@@ -122,7 +123,7 @@ def test_fresh_draws_carry_the_payload_often_enough():
     assert "(95/95 lower tolerance bound, 512 draws)" in str(result)
     motion = {"trajectory": {"name": "dwell-spatial", "duration": LONG}, "initial_error": 0.0}
     conditions = {"error_bounds": BOUNDS, "uncertainty": unknown, "draws": 2000, "seed": 99}
-    batch = Batch(Constant(), SPATIAL_ID, keywords=motion, **conditions)
+    batch = Batch(Constant(), Conditions.of(SPATIAL_ID, **motion, **conditions))
     assert not {*batch.seeds} & {*result.draw_seeds}
     verdicts = batch.run([(result.payload, seed) for seed in batch.seeds])
     assert 0.95 <= np.mean([verdict.carried for verdict in verdicts]) <= 0.99
@@ -214,10 +215,10 @@ def test_failures_are_those_of_single_episodes():
     assert sum(verdict.carried for verdict in verdicts(result.payload)) >= required
     assert sum(verdict.carried for verdict in above) < required
     violations = [verdict.violation for verdict in above if verdict.violation]
-    assert result.failures == Counter(violation.kind for violation in violations)
+    assert result.details.failures == Counter(violation.kind for violation in violations)
     times = [violation.time for violation in violations if violation.kind == result.violation.kind]
     assert result.violation.time == min(times)
-    payloads = [payload for payload, _ in result.success]
+    payloads = [payload for payload, _ in result.details.success]
     assert len(payloads) == SCAN_POINTS
     assert payloads == sorted(payloads)
     assert (payloads[0], payloads[-1]) == (0, 8)
@@ -237,7 +238,7 @@ def test_margins_are_those_of_the_tightest_single_episodes():
         "torque": 1 - max(max(verdict.peak_action) for verdict in carried),
         "tension": min(verdict.least_tension for verdict in carried),
     }
-    assert result.margins == pytest.approx(expected, abs=1e-9)
+    assert result.details.margins == pytest.approx(expected, abs=1e-9)
 
 
 def test_violation_seed_repeats_the_violation():
@@ -247,15 +248,20 @@ def test_violation_seed_repeats_the_violation():
     result = evaluate_dlcc(
         law, SPATIAL_ID, draws=5, probability=0.5, payload_max=8.0, resolution=0.1, **options
     )
-    assert result.violation_seed in result.draw_seeds
+    assert result.details.violation_seed in result.draw_seeds
     assert max(result.draw_seeds) < 2**53, "every JSON parser reads them exactly"
     env = DLCCMonitor(gym.make(SPATIAL_ID, payload=result.failed_payload, **options))
-    noise = noise_seed(result.violation_seed, result.failed_payload)
+    noise = noise_seed(result.details.violation_seed, result.failed_payload)
     assert (
-        play(env, law, {"noise_seed": noise}, result.violation_seed).violation == result.violation
+        play(env, law, {"noise_seed": noise}, result.details.violation_seed).violation
+        == result.violation
     )
     recorded = record_rollout(
-        law, SPATIAL_ID, payload=result.failed_payload, seed=result.violation_seed, **options
+        law,
+        SPATIAL_ID,
+        payload=result.failed_payload,
+        seed=result.details.violation_seed,
+        **options,
     )
     assert recorded.verdict.violation == result.violation
 
@@ -311,9 +317,10 @@ def test_payloads_share_the_parameters_of_a_draw():
         "parameters": {"platform_mass": {"low": -0.1, "high": 0.1}},
         "sensors": {"position": 1e-4},
     }
-    batch = Batch(
-        "fl", SPATIAL_ID, uncertainty=uncertainty, draws=3, seed=11, keywords={"trajectory": HANG}
+    conditions = Conditions.of(
+        SPATIAL_ID, uncertainty=uncertainty, draws=3, seed=11, trajectory=HANG
     )
+    batch = Batch("fl", conditions)
     assert batch.seeds == draw_seeds(11, 3)
     observers = [Starts(), Starts()]
     for starts in observers:
@@ -356,8 +363,12 @@ def test_default_number_of_draws_depends_on_randomness(monkeypatch):
     ):
         result = evaluate_dlcc("fl", SPATIAL_ID, uncertainty=unknown, **keywords)
         assert result.draws == draws
-        assert (result.probability is None) == (result.confidence is None) == (draws == 1)
-        assert (result.success == ()) == (result.assurance == "") == (draws == 1)
+        assert (
+            (result.details.probability is None)
+            == (result.details.confidence is None)
+            == (draws == 1)
+        )
+        assert (result.details.success == ()) == (result.assurance == "") == (draws == 1)
 
 
 # --- progress, output and bad input -----------------------------------------------------------------------------------
@@ -378,12 +389,15 @@ def test_failing_unloaded_in_many_draws_gives_no_payload():
     # Light platforms are pulled up beyond the bound, whatever the payload below 1 kg.
     unknown = {"parameters": {"platform_mass": {"low": -0.35, "high": 0.0}}}
     result = pulled(unknown, draws=8, probability=0.9, payload_max=1.0, resolution=0.1)
-    assert 0 < result.success[0][1] < 1
+    assert 0 < result.details.success[0][1] < 1
     assert result.payload is None
     assert result.score == 0.0
-    assert result.feasible == ()
-    assert 0 < result.failures["position"] < 8
-    assert json.loads(result.to_json(), parse_constant=pytest.fail)["failures"] == result.failures
+    assert result.details.feasible == ()
+    assert 0 < result.details.failures["position"] < 8
+    assert (
+        json.loads(result.to_json(), parse_constant=pytest.fail)["failures"]
+        == result.details.failures
+    )
     distance = np.linalg.norm(result.rollout.arrays["true_pose"][:, :3] - [0, 0, 0.1], axis=1)
     assert distance[-1] > BOUNDS["position"], "the recording ends with the violation"
     assert np.all(distance[:-1] <= BOUNDS["position"])

@@ -44,7 +44,7 @@ def springs():
 def test_springs_have_their_deflections(springs):
     """At rest the deflection times K is the torque of the motor."""
     rollout = springs.rollout
-    robot = springs.task.robot
+    robot = springs.rollout.task.robot
     deflection = rollout.start["spring_deflection"]
     np.testing.assert_allclose(robot.stiffness * deflection, rollout.start["torques"], rtol=1e-9)
     pulley = rollout.arrays["motor_angle"] - rollout.arrays["spring_deflection"]
@@ -80,7 +80,7 @@ def panels(figure):
 
 
 def test_each_motor_has_its_torques_and_limits(result):
-    robot = result.task.robot
+    robot = result.rollout.task.robot
     arrays = result.rollout.arrays
     drawn = panels(figures.draw_torques(result))
     assert len(drawn) == robot.cables
@@ -118,7 +118,7 @@ def test_path_is_drawn_with_its_tube(result):
     travelled, reference = plane.get_lines()
     np.testing.assert_array_equal(travelled.get_xydata(), result.rollout.arrays["true_pose"][:, :2])
     (tube,) = plane.collections
-    diameter = 2 * result.error_bounds["position"]
+    diameter = 2 * result.details.error_bounds["position"]
     np.testing.assert_allclose(tube.get_widths(), diameter)
     np.testing.assert_allclose(tube.get_heights(), diameter)
     assert tube.get_linewidth() == 0  # the edge would add to the radius
@@ -126,11 +126,11 @@ def test_path_is_drawn_with_its_tube(result):
 
 
 def test_errors_are_drawn_with_their_bounds(result):
-    planar = result.task.robot.planar
+    planar = result.rollout.task.robot.planar
     _, *errors = figures.draw_path(result).axes
     assert len(errors) == (1 if planar else 2)
     times, millimetres = errors[0].get_lines()[0].get_data()
-    offset = result.rollout.arrays["true_pose"] - result.task.trajectory(times).position
+    offset = result.rollout.arrays["true_pose"] - result.rollout.task.trajectory(times).position
     distance = 1e3 * np.linalg.norm(offset[:, : 2 if planar else 3], axis=1)
     np.testing.assert_allclose(millimetres, distance, atol=1e-9)
     for axes in errors:
@@ -156,7 +156,7 @@ def test_success_curve_has_fractions_and_the_payload(results, tmp_path):
     drawn = evaluate_dlcc("fl", SPATIAL_ID, **options)
     lines = {line.get_label(): line for line in figures.draw_success(drawn).axes[0].get_lines()}
     np.testing.assert_array_equal(
-        lines["fraction of the scan's draws that carry it"].get_xydata(), drawn.success
+        lines["fraction of the scan's draws that carry it"].get_xydata(), drawn.details.success
     )
     assert lines["required: 30%"].get_ydata()[0] == 0.3
     label = f"payload: {drawn.payload:.2f} kg (30/95 lower tolerance bound, 60 draws)"

@@ -17,6 +17,7 @@ from cablebot_baselines.classical import FL, FeedbackLinearization
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation.batch import Batch
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.policies import (
     ENTRY_POINT_GROUP,
     FILE_ENTRY_POINT_GROUP,
@@ -165,7 +166,7 @@ def test_robot_may_be_named_or_be_that_of_an_environment():
 
 
 def test_class_is_made_for_the_robot_of_the_evaluation():
-    batch = Batch(Constant, PLANAR_ID)
+    batch = Batch(Constant, Conditions.of(PLANAR_ID))
     assert (batch.policy.name, batch.policy.policy.robot.name) == ("Constant", "planar")
     with pytest.raises(
         TypeError,

@@ -132,12 +132,12 @@ class Shown:
         """Largest position error over all physics steps [m] and largest rotation error [rad]."""
         position = float(self.arrays["tracking_error_peak"].max())
         if self.result.payload is not None:
-            position = float((1 - self.result.margins["position"]) * self._bound)
+            position = float((1 - self.result.details.margins["position"]) * self._bound)
         return position, float(self.arrays["rotation_error"].max())
 
     @property
     def _bound(self) -> float:
-        return self.result.error_bounds["position"] or 0.0
+        return self.result.details.error_bounds["position"] or 0.0
 
     @property
     def end_reason(self) -> list[str]:

@@ -1,0 +1,128 @@
+"""Conditions of an evaluation: everything but the policy and the payload."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+from cablebot_gym.envs import check_robot, env_robot
+from cablebot_gym.evaluation.constraints import Criterion, find_criterion
+from cablebot_gym.robots import Robot, find_robot
+from cablebot_gym.task import ErrorBounds, find_error_bounds, payload_model_text
+from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
+from cablebot_gym.utils.checks import whole
+
+_RESERVED = ("payload", "payload_range", "num_envs", "max_episode_steps", "autoreset_mode")
+"""Keywords of the environment that an evaluation sets itself."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Conditions:
+    """Conditions that all episodes of an evaluation share. :meth:`of` makes and checks them."""
+
+    env_id: str
+    """One of :data:`cablebot_gym.ENV_IDS`."""
+    robot: Robot
+    """Nominal robot."""
+    criterion: Criterion
+    """``task`` (saturated motors; position, rotation, tension) or ``paper`` (|a| ≤ 1, position,
+    slack)."""
+    error_bounds: ErrorBounds
+    """Bounds of the tracking errors."""
+    uncertainty: Uncertainty
+    """Model errors and disturbances that the policy does not know."""
+    uncertainty_name: str | None
+    """Name of the uncertainty, ``custom`` for data; None without uncertainty."""
+    draws: int | None
+    """Number of episodes at each payload; None for
+    :data:`~cablebot_gym.evaluation.batch.DEFAULT_DRAWS` under a random uncertainty or with a policy
+    that declares ``stochastic = True``, else 1."""
+    seed: int
+    """Seed that alone determines payloads and draws, so all policies share them."""
+    keywords: Mapping[str, Any]
+    """Further keywords of the environment: ``trajectory``, ``payload_known``,
+    ``control_frequency``, …"""
+
+    @classmethod
+    def of(
+        cls,
+        env_id: str,
+        *,
+        robot: str | dict[str, Any] | Robot | None = None,
+        criterion: str = "task",
+        error_bounds: ErrorBounds | dict[str, float] | None = None,
+        uncertainty: Any = None,
+        draws: int | None = None,
+        seed: int = 0,
+        **keywords: Any,
+    ) -> Conditions:
+        """Checked conditions. None stands for the default of the robot or of the environment.
+
+        ``keywords`` are those of the environment, without ``normalised_observation`` and
+        ``observation_dtype``: a Stable-Baselines3 model that reads normalised observations gets
+        them.
+
+        Raises:
+            ValueError: if an argument is invalid.
+        """
+        for key in _RESERVED:
+            if key in keywords:
+                raise ValueError(f"{key} is set by the evaluation: remove it from the keywords")
+        if keywords.get("normalised_observation"):
+            raise ValueError(
+                "policies are evaluated with observations in SI units: "
+                "remove normalised_observation"
+            )
+        if keywords.get("observation_dtype", "float64") != "float64":
+            raise ValueError(
+                "policies are evaluated with observations in float64: remove observation_dtype"
+            )
+        criterion = find_criterion(criterion)
+        seed = whole("seed", seed)
+        check_robot(env_id, robot)
+        nominal = deepcopy(find_robot(env_robot(env_id) if robot is None else robot))
+        bounds = deepcopy(find_error_bounds(error_bounds, nominal))
+        name = uncertainty if isinstance(uncertainty, str | None) else "custom"
+        # With wide error bounds the environment must not terminate an episode before a violation.
+        radius = {"termination_radius": bounds.termination_radius}
+        return cls(
+            env_id=env_id,
+            robot=nominal,
+            criterion=criterion,
+            error_bounds=bounds,
+            uncertainty=find_uncertainty(uncertainty, nominal),
+            uncertainty_name=name,
+            draws=None if draws is None else whole("draws", draws, least=1),
+            seed=seed,
+            keywords=MappingProxyType(radius | deepcopy(keywords)),
+        )
+
+    @property
+    def payload_known(self) -> bool:
+        """Whether the payload is known to the policy."""
+        return bool(self.keywords.get("payload_known", True))
+
+    @property
+    def model_payload_factor(self) -> float:
+        """Ratio of the payload in the policy's model to the nominal payload."""
+        return float(self.keywords.get("model_payload_factor", 1.0))
+
+    @property
+    def payload_model(self) -> str:
+        """Payload model in words: ``payload known``, ``payload unknown`` or
+        ``payload model × 0.9``."""
+        return payload_model_text(self.payload_known, self.model_payload_factor)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields of results about the conditions, JSON-able, without the environment's."""
+        return {
+            "env_id": self.env_id,
+            "criterion": self.criterion,
+            "payload_known": self.payload_known,
+            "model_payload_factor": self.model_payload_factor,
+            "uncertainty": self.uncertainty_name,
+            "seed": self.seed,
+        }
