@@ -33,7 +33,8 @@ def solve_times(name: str, payload: float | None, episodes: int) -> np.ndarray:
     """Wall-clock times of all plans of ``episodes`` episodes [s], including the first plan of each
     episode."""
     env_id, robot, default_payload = ROBOTS[name]
-    policy, times = NonlinearMPC(robot), []
+    policy = NonlinearMPC(robot)
+    times = []
     plan = policy.program.plan
 
     def timed(*args: Any, **keywords: Any) -> Any:
@@ -44,7 +45,8 @@ def solve_times(name: str, payload: float | None, episodes: int) -> np.ndarray:
             times.append(time.perf_counter() - start)
 
     policy.program.plan = timed  # type: ignore[method-assign]
-    payload = default_payload if payload is None else payload
+    if payload is None:
+        payload = default_payload
     env = gym.make_vec(env_id, num_envs=1, payload=payload, max_episode_steps=None)
     for seed in range(episodes):
         observation, _ = env.reset(seed=seed)

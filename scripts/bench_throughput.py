@@ -19,6 +19,7 @@ import sys
 import time
 from collections.abc import Callable
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -135,12 +136,9 @@ def vector_turn(robot: Robot, count: int, *, drawn: bool = False) -> Turn:
     keywords = keywords_of(robot)
     if drawn:
         tenth = {"low": -0.1, "high": 0.1}
-        names = [
-            "platform_mass",
-            "motor_strength",
-            "damping",
-            *(["stiffness"] if robot.flexible else []),
-        ]
+        names = ["platform_mass", "motor_strength", "damping"]
+        if robot.flexible:
+            names.append("stiffness")
         keywords["uncertainty"] = {"parameters": dict.fromkeys(names, tenth)}
     env = gym.make_vec(fitting_env_id(robot), num_envs=count, max_episode_steps=100, **keywords)
     actions = np.tile(action_near_holding(robot), (count, 1))
@@ -181,23 +179,21 @@ def search_seconds(env_id: str, policy: str) -> dict[str, float]:
         )
         batch = Batch(policy, conditions)
         batch.run([(0.0, 0)])  # compiles and warms up
+        payloads = np.linspace(0.0, top, 64).tolist()
         start = time.perf_counter()
-        batch.run(
-            [
-                (payload, one)
-                for payload in np.linspace(0.0, top, 64).tolist()
-                for one in batch.seeds
-            ]
-        )
+        batch.run(list(product(payloads, batch.seeds)))
         seconds[name] = time.perf_counter() - start
     return seconds
 
 
 def rate(turn: Turn, seconds: float) -> float:
     """Units of work per second of one contender."""
-    units, start = 0, time.perf_counter()
-    while (spent := time.perf_counter() - start) < seconds:
+    units = 0
+    spent = 0.0
+    start = time.perf_counter()
+    while spent < seconds:
         units += turn()
+        spent = time.perf_counter() - start
     return units / spent
 
 
@@ -245,13 +241,18 @@ def measure(env_ids: list[str], rounds: int, seconds: float, *, search: bool) ->
                 rates[name].append(rate(turn, seconds))
         rows = []
         for name, values in rates.items():
-            single = name in (OURS_ENV, PEER_ENV, PEER_ENV_ONCE)
-            peer = PEER_ENV if single else vector_name(RANDOM_SIZE) if name == RANDOM else PEER
+            unit = "RK4 steps/s"
+            peer = PEER
+            if name in (OURS_ENV, PEER_ENV, PEER_ENV_ONCE):
+                unit = "env.step/s"
+                peer = PEER_ENV
+            elif name == RANDOM:
+                peer = vector_name(RANDOM_SIZE)
             ratios = [ours / theirs for ours, theirs in zip(values, rates[peer], strict=True)]
             rows.append(
                 {
                     "contender": name,
-                    "unit": "env.step/s" if single else "RK4 steps/s",
+                    "unit": unit,
                     "median": statistics.median(values),
                     "ratio": statistics.median(ratios),
                     "to": peer,
@@ -272,13 +273,18 @@ def measure(env_ids: list[str], rounds: int, seconds: float, *, search: bool) ->
 
 def print_report(report: dict[str, Any]) -> None:
     """Prints the medians as tables."""
-    console = Console(width=None if sys.stdout.isatty() else 130)
+    console = Console()
+    if not console.is_terminal:
+        console.width = 130
     for env_id, entry in report.items():
         if not isinstance(entry, dict) or "rows" not in entry:
             continue
         table = Table(title=f"{env_id}: medians of {report['rounds']} rounds", title_justify="left")
-        for column in ("contender", "unit", "per second", "×", "of"):
-            table.add_column(column, justify="right" if column in ("per second", "×") else "left")
+        table.add_column("contender")
+        table.add_column("unit")
+        table.add_column("per second", justify="right")
+        table.add_column("×", justify="right")
+        table.add_column("of")
         for row in entry["rows"]:
             table.add_row(
                 row["contender"],

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
@@ -45,16 +46,19 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
     if results.board is None:
         raise ValueError("docs/leaderboard has no board: run the suite ranked")
     boards = leaderboards(results.records)
-    spatial = next(board for board in boards if board.env_id == "CableBot-Spatial-v0")
-    hardware = [
-        (board, _circle(board, payload_known=False, uncertainty="hardware")) for board in boards
-    ]
-    bounds = [
-        known.payload / known.result["upper"]["payload"]
-        for known in best_known_payloads(results.records).values()
-        if known.payload is not None and known.result.get("upper")
-    ]
-    entries = [score for _, scores in hardware for score in scores]
+    spatial = {board.env_id: board for board in boards}["CableBot-Spatial-v0"]
+    sensors = _circle(spatial, payload_known=False, uncertainty="sensors")
+    hardware = []
+    entries = []
+    for board in boards:
+        scores = _circle(board, payload_known=False, uncertainty="hardware")
+        hardware.append((board, scores))
+        entries += scores
+    ratios = []
+    for known in best_known_payloads(results.records).values():
+        if known.payload is not None and known.result.get("upper"):
+            ratios.append(known.payload / known.result["upper"]["payload"])
+    carrying = [score.cell.policy for score in entries if score.payload is not None]
     (draws,) = {score.cell.draws for score in entries}
     return {
         "version": results.board.version,
@@ -62,46 +66,45 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
         "motions": results.board.motions,
         "environments": len(boards),
         "table": readme_table(results).partition("\n\n")[2].strip(),
-        "bounded": len(bounds),
-        "ratio": f"{median(bounds):.1%}",
-        "smallest_ratio": f"{min(bounds):.1%}",
+        "bounded": len(ratios),
+        "ratio": f"{median(ratios):.1%}",
+        "smallest_ratio": f"{min(ratios):.1%}",
         "fl_known": _payload(_circle(spatial), "fl"),
-        "fl_unknown": _payload(_circle(spatial, payload_known=False, uncertainty="sensors"), "fl"),
-        "adaptive_unknown": _payload(
-            _circle(spatial, payload_known=False, uncertainty="sensors"), "adaptive"
-        ),
+        "fl_unknown": _payload(sensors, "fl"),
+        "adaptive_unknown": _payload(sensors, "adaptive"),
         "draws": draws,
         "tried": len(entries),
-        "carry": sum(score.payload is not None for score in entries),
-        "trajopt": sum(
-            score.payload is not None for score in entries if score.cell.policy == "trajopt"
-        ),
+        "carry": len(carrying),
+        "trajopt": carrying.count("trajopt"),
         "hardware": _largest(hardware),
     }
 
 
 def _of_reproduction(stored: dict[str, Any]) -> dict[str, str]:
     rows = {row["key"]: row for row in stored["rows"]}
+    kinds = defaultdict(list)
+    for row in rows.values():
+        kinds[row["kind"]].append(row)
     planar = rows["5.2.1.payload"]
     spatial = rows["5.2.2.payload"]
     return {
-        **{
-            f"{kind}s": tally([row for row in rows.values() if row["kind"] == kind])
-            for kind in ("result", "claim")
-        },
-        **{"planar_printed": planar["printed"], "planar_ours": planar["ours"]},
-        **{"spatial_printed": spatial["printed"], "spatial_ours": spatial["ours"]},
+        "results": tally(kinds["result"]),
+        "claims": tally(kinds["claim"]),
+        "planar_printed": planar["printed"],
+        "planar_ours": planar["ours"],
+        "spatial_printed": spatial["printed"],
+        "spatial_ours": spatial["ours"],
     }
 
 
 def _circle(board: Leaderboard, **conditions: Any) -> list[Score]:
     """Scores of a table's policies on the circle, under conditions of a :class:`Column`."""
-    found = []
+    circle_scores: list[Score] = []
     for (_, column), scores in board.entries.items():
-        wanted = Column(motion=column.motion, draws=column.draws, **conditions)
-        if column == wanted and column.motion.startswith("circle-"):
-            found.extend(scores)
-    return found
+        required = Column(motion=column.motion, draws=column.draws, **conditions)
+        if column == required and column.motion.startswith("circle-"):
+            circle_scores += scores
+    return circle_scores
 
 
 def _payload(scores: Sequence[Score], policy: str) -> str:

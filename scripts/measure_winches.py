@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -75,9 +76,12 @@ def errors(robot: Robot, case: str) -> dict[str, Any]:
     IMU MTi-300."""
     degree = math.pi / 180
     scale = float(robot.stall_torque.min() / robot.pulley_radius.max())
-    noise, bias = {"motor_angle": 1e-4, "motor_speed": 1e-2}, {}
+    noise = {"motor_angle": 1e-4, "motor_speed": 1e-2}
+    bias = {}
     if case != "encoders":
-        zero = UNCALIBRATED if case == "uncalibrated" else CALIBRATED
+        zero = CALIBRATED
+        if case == "uncalibrated":
+            zero = UNCALIBRATED
         bias["motor_angle"] = zero / float(robot.pulley_radius.min())
     if case in ("load-cells", "imu"):
         noise["tension"], bias["tension"] = 2e-3 * scale, 1e-2 * scale
@@ -135,12 +139,13 @@ def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
     options: dict[str, Any] = {"measurement": {"kind": "pose"}}
     if case["sensors"] != "pose":
         _, *sensors = case["sensors"].split("+")
-        resolution = 2 * math.pi / COUNTS if case["errors"] else 0.0
-        options["measurement"] = {
-            "kind": "winches",
-            "encoder_resolution": resolution,
-        } | dict.fromkeys(sensors, True)
-    uncertainty = errors(robot, case["errors"]) if case["errors"] else {}
+        measurement = {"kind": "winches", "encoder_resolution": 0.0}
+        if case["errors"]:
+            measurement["encoder_resolution"] = 2 * math.pi / COUNTS
+        options["measurement"] = measurement | dict.fromkeys(sensors, True)
+    uncertainty = {}
+    if case["errors"]:
+        uncertainty = errors(robot, case["errors"])
     if disturbance in START:
         position, rotation = START[disturbance]
         turns = robot.coordinates - robot.dimensions
@@ -148,46 +153,54 @@ def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
     elif disturbance:
         named = find_uncertainty(disturbance, robot)
         uncertainty |= {"parameters": named.parameters, "wrench": named.wrench}
+    draws = None
+    if case["errors"] or disturbance:
+        draws = DRAWS
+    payload_max = 8.0
+    if robot.planar:
+        payload_max = 4.0
     result = evaluate_dlcc(
         policy,
         env_id,
         uncertainty=uncertainty or None,
-        draws=DRAWS if case["errors"] or disturbance else None,
+        draws=draws,
         search="bisection",
-        payload_max=4.0 if robot.planar else 8.0,
+        payload_max=payload_max,
         resolution=RESOLUTION,
         **options,
     )
-    violation = None if result.violation is None else str(result.violation.kind)
+    violation = None
+    if result.violation is not None:
+        violation = str(result.violation.kind)
     return {"payload": result.payload, "violation": violation}
 
 
 def table(data: dict[str, Any]) -> str:
     """Markdown table of the stored results: payload of each case, and its fraction of that with the
     exact pose."""
-    env_ids = [
-        env_id for env_id in PAPER_ENV_IDS if any(one["env_id"] == env_id for one in data["cases"])
-    ]
-    exact = {
-        (o["env_id"], o["disturbance"]): o["payload"]
-        for o in data["cases"]
-        if o["sensors"] == "pose"
-    }
-    rows: dict[tuple[str, ...], dict[str, str]] = {}
-    for one in data["cases"]:
-        key = (
-            f"`{one['sensors']}`",
-            f"`{one['estimator']}`" if one["estimator"] else "–",
-            NAMES[one["errors"]],
-        )
-        own = one["payload"]
-        full = exact[one["env_id"], one["disturbance"]]
-        text = "fails unloaded" if own is None else f"{own:.2f} kg"
-        if one["estimator"] and None not in (own, full):
-            text += f", {own / full:.0%}"
-        rows.setdefault((*key, DISTURBANCES[one["disturbance"]]), {})[one["env_id"]] = text
-    columns = ["sensors", "estimator", "errors of the sensors", "deviation"]
-    head = [*columns, *(f"`{env_id}`, `{LAWS[env_id]}`" for env_id in env_ids)]
+    exact = {}
+    rows: dict[tuple[str, ...], dict[str, str]] = defaultdict(dict)
+    for case in data["cases"]:
+        payload = case["payload"]
+        env_id = case["env_id"]
+        disturbance = case["disturbance"]
+        if case["sensors"] == "pose":
+            exact[env_id, disturbance] = payload
+        exact_payload = exact[env_id, disturbance]
+        text = "fails unloaded"
+        if payload is not None:
+            text = f"{payload:.2f} kg"
+            if case["estimator"] and exact_payload is not None:
+                text += f", {payload / exact_payload:.0%}"
+        estimator = "–"
+        if case["estimator"]:
+            estimator = f"`{case['estimator']}`"
+        key = (f"`{case['sensors']}`", estimator, NAMES[case["errors"]], DISTURBANCES[disturbance])
+        rows[key][env_id] = text
+    measured = {case["env_id"] for case in data["cases"]}
+    env_ids = [env_id for env_id in PAPER_ENV_IDS if env_id in measured]
+    head = ["sensors", "estimator", "errors of the sensors", "deviation"]
+    head += [f"`{env_id}`, `{LAWS[env_id]}`" for env_id in env_ids]
     lines = [head, ["---"] * len(head)]
     for row, entries in rows.items():
         lines.append([*row, *(entries.get(env_id, "–") for env_id in env_ids)])
@@ -222,7 +235,7 @@ def main() -> None:
     arguments.out.parent.mkdir(exist_ok=True)
     todo = [{"env_id": env_id, **case} for env_id in arguments.env for case in cases(env_id)]
     for number, case in enumerate(todo, 1):
-        if any(case.items() <= one.items() for one in data["cases"]):
+        if any(case.items() <= stored.items() for stored in data["cases"]):
             continue
         data["cases"].append(case | payload(case["env_id"], case))
         text = json.dumps(data, indent=1, ensure_ascii=False)

@@ -65,44 +65,45 @@ def readme_table(results: Results) -> str:
         ["---"] * (2 + len(KINDS)),
     ]
     for board in boards:
-        known = [
-            f"{one.payload:.2f} kg"
-            for one in best_known_payloads(results.records).values()
-            if (one.cell.env_id, str(one.cell.trajectory["name"])[:7]) == (board.env_id, "circle-")
-            and one.payload
-        ]
-        rows.append(
-            [f"`{board.env_id}`", *(_best(board, kind) for kind in KINDS), *(known or ["–"])]
-        )
+        row = [f"`{board.env_id}`", *(_best(board, kind) for kind in KINDS)]
+        columns = len(row)
+        for known in best_known_payloads(results.records).values():
+            on_circle = str(known.cell.trajectory["name"]).startswith("circle-")
+            if known.cell.env_id == board.env_id and on_circle and known.payload:
+                row.append(f"{known.payload:.2f} kg")
+        if len(row) == columns:
+            row.append("–")
+        rows.append(row)
     text = "The best policy of each kind: mean fraction of the best known payload (payload known, task criterion;\n"
     text += f"{motion}), and its payload on the circle.\n\n"
     return text + "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
 def _best(board: Leaderboard, kind: str) -> str:
+    """The best policy of a kind with its fraction, its payload on the circle, and its ties."""
     entries = policy_entries()
-    own = [
-        policy for policy in board.policies if entries[policy].kind == kind
-    ]  # by decreasing fraction
-    for policy in own[:1]:
-        fraction = board.fraction(policy, board.columns[0])
-        if fraction is not None and fraction.mean > 0:
-            circle = [
-                entry[0]
-                for (name, column), entry in board.entries.items()
-                if name == policy and _circle(column)
-            ]
-            ties = [
-                f"`{one}`"
-                for one in own[1:]
-                if policy in board.ranks and board.ranks.get(one) == board.ranks[policy]
-            ]
-            unit = " kg" if circle and circle[0].payload is not None else ""
-            text = f"`{policy}` {fraction.mean:.0%}" + (
-                f", {circle[0].payload_text}{unit}" if circle else ""
-            )
-            return text + (f" (tied with {', '.join(ties)})" if ties else "")
-    return "–"
+    # by decreasing fraction
+    policies = [policy for policy in board.policies if entries[policy].kind == kind]
+    if not policies:
+        return "–"
+    policy = policies[0]
+    fraction = board.fraction(policy, board.columns[0])
+    if fraction is None or fraction.mean <= 0:
+        return "–"
+    text = f"`{policy}` {fraction.mean:.0%}"
+    circle = [column for column in board.columns if _circle(column)]
+    if circle and (policy, circle[0]) in board.entries:
+        score = board.entries[policy, circle[0]][0]
+        text += f", {score.payload_text}"
+        if score.payload is not None:
+            text += " kg"
+    ties = []
+    for follower in policies[1:]:
+        if policy in board.ranks and board.ranks.get(follower) == board.ranks[policy]:
+            ties.append(f"`{follower}`")
+    if ties:
+        text += f" (tied with {', '.join(ties)})"
+    return text
 
 
 def _circle(column: Column) -> bool:
@@ -116,7 +117,7 @@ def library_pages() -> str:
     for name, path in library().items():
         check, motion = shown_checks(name)
         about = re.findall(r"^# (.*)", path.read_text(encoding="utf-8"), re.MULTILINE)
-        text += f"## {name}\n\n" + "\n".join(line for line in about) + "\n\n"
+        text += f"## {name}\n\n" + "\n".join(about) + "\n\n"
         text += f"![{name}: plan, elevations and workspace](figures/robot-{name}.png)\n\n"
         command = f"cablebot robot check {check.robot.name} --payload {check.payload:g}"
         lines = [f"$ {command}", *report(check), *motion_report(check, motion, "")]
@@ -157,13 +158,15 @@ def block(name: str) -> str:
     if name.startswith("examples/"):
         script = ROOT / name.removesuffix(WITH_OUTPUT)
         text = f"```python\n{script.read_text(encoding='utf-8')}```\n"
-        return f"{text}\n```text\n{output(script)}```\n" if name.endswith(WITH_OUTPUT) else text
+        if name.endswith(WITH_OUTPUT):
+            text += f"\n```text\n{output(script)}```\n"
+        return text
     head, *rows = {key: rows for key, _, rows in tables()}[name]
-    lines = [
-        head,
-        ["---"] * len(head),
-        *([f"`{first}`" if first else "", *rest] for first, *rest in rows),
-    ]
+    lines = [head, ["---"] * len(head)]
+    for key, *cells in rows:
+        if key:
+            key = f"`{key}`"
+        lines.append([key, *cells])
     return "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines) + "\n"
 
 

@@ -50,16 +50,21 @@ def write(folder: Path) -> list[Path]:
             evaluate_dlcc("fl-tuned", ENV_ID, uncertainty="table6", draws=64, payload_max=6)
         ),
     }
-    figures |= {f"robot-{name}": draw_robot(*page_blocks.shown_checks(name)) for name in library()}
+    for name in library():
+        figures[f"robot-{name}"] = draw_robot(*page_blocks.shown_checks(name))
     folder.mkdir(parents=True, exist_ok=True)
+    paths = []
     for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={"Software": None})
-    return [folder / f"{name}.png" for name in figures]
+        path = folder / f"{name}.png"
+        figure.savefig(path, dpi=DPI, metadata={"Software": None})
+        paths.append(path)
+    return paths
 
 
 def errors() -> Figure:
     """Paths within the position bound, and errors with their bounds."""
-    figure, paths = new_figure(4.6), []
+    figure = new_figure(4.6)
+    paths = []
     for payload, colour in SHOWN.items():
         episode = record_rollout(POLICY, ENV_ID, payload=payload)
         arrays = episode.arrays
@@ -97,9 +102,12 @@ def _scan(axes: Axes, known: bool) -> None:
         ("rotation error", "rotation_error_peak", bounds.rotation, GREEN),
     )
     for label, name, bound, colour in curves:
-        values = [
-            np.inf if one.reason else np.abs(one.arrays[name]).max() / bound for one in episodes
-        ]
+        values = []
+        for episode in episodes:
+            value = np.inf  # the policy failed
+            if not episode.reason:
+                value = np.abs(episode.arrays[name]).max() / bound
+            values.append(value)
         axes.plot(SCANNED, values, color=colour, linewidth=1.6, label=label)
     for level in (0, 1):
         axes.axhline(level, color="black", linewidth=1)

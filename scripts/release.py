@@ -21,35 +21,39 @@ URLS = ("Repository", "Documentation", "Issues", "Changelog")
 
 def problems(tag: str, version: str, changelog: str, urls: dict[str, str]) -> list[str]:
     """What keeps a version from being published, each with its cure; empty if nothing does."""
-    found = []
+    faults = []
     if tag != f"v{version}":
-        found.append(
+        faults.append(
             f"the tag is {tag!r}, the version {version!r}: set __version__ in cablebot_gym/__init__.py"
         )
     section = re.search(
         rf"^## \[{re.escape(version)}\](.*)\n((?:(?!## ).*\n?)*)", changelog, re.MULTILINE
     )
     if section is None or not section[2].strip():
-        found.append(
+        faults.append(
             f"CHANGELOG.md has no section for this version: write '## [{version}] - YYYY-MM-DD' and its lines"
         )
     elif not re.fullmatch(r" - \d{4}-\d\d-\d\d", section[1]):
-        found.append(
+        faults.append(
             f"the section of CHANGELOG.md has no date: write '## [{version}] - YYYY-MM-DD'"
         )
-    if missing := [name for name in URLS if not urls.get(name, "").startswith("https://")]:
-        found.append(
+    missing = [name for name in URLS if not urls.get(name, "").startswith("https://")]
+    if missing:
+        faults.append(
             f'[project.urls] in pyproject.toml lacks {", ".join(missing)}: write {missing[0]} = "https://…"'
         )
-    return found
+    return faults
 
 
 def absolute_links(readme: str, repository: str, tag: str) -> str:
     """The README for PyPI, which has no files beside it: relative links and pictures lead to the
     tag's files."""
 
-    def link(found: re.Match[str]) -> str:
-        return f"{found['picture']}{found['text']}({repository}/{'raw' if found['picture'] else 'blob'}/{tag}/"
+    def link(match: re.Match[str]) -> str:
+        folder = "blob"
+        if match["picture"]:
+            folder = "raw"
+        return f"{match['picture']}{match['text']}({repository}/{folder}/{tag}/"
 
     return re.sub(r"(?P<picture>!?)(?P<text>\[[^\]]*\])\((?!https?:|#)", link, readme)
 
@@ -70,8 +74,9 @@ def main() -> None:
         "urls", {}
     )
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    if found := problems(arguments.tag, __version__, changelog, urls):
-        sys.exit("Not ready to be published:\n" + "\n".join(f"* {one}" for one in found))
+    faults = problems(arguments.tag, __version__, changelog, urls)
+    if faults:
+        sys.exit("\n* ".join(["Not ready to be published:", *faults]))
     if arguments.absolute_links:
         readme = ROOT / "README.md"
         text = absolute_links(readme.read_text(encoding="utf-8"), urls["Repository"], arguments.tag)

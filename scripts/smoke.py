@@ -87,10 +87,10 @@ def check_commands() -> None:
         ran = subprocess.run(
             [program, *arguments], check=False, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
         )
-        assert ran.returncode == (2 if arguments == ("unknown",) else 0), (
-            arguments,
-            ran.stderr.decode(),
-        )
+        expected = 0
+        if arguments == ("unknown",):
+            expected = 2
+        assert ran.returncode == expected, (arguments, ran.stderr.decode())
     print(f"commands: {', '.join(names)}")
 
 
@@ -136,15 +136,16 @@ def check_extras() -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--extras", action="store_true", help="train, draw and benchmark instead")
-    chosen = parser.parse_args()
+    arguments = parser.parse_args()
     reject_checkout()
-    names = ("gymnasium", "numpy", "numba", "scipy", "typer", "rich")
-    names += ("stable-baselines3", "matplotlib", "torch") if chosen.extras else ()
+    names = ["gymnasium", "numpy", "numba", "scipy", "typer", "rich"]
+    if arguments.extras:
+        names += ["stable-baselines3", "matplotlib", "torch"]
     print(
         f"cablebot_gym {cablebot_gym.__version__} with",
         ", ".join(f"{name} {version(name)}" for name in names),
     )
-    if chosen.extras:
+    if arguments.extras:
         check_extras()
     else:
         for env_id in cablebot_gym.ENV_IDS:

@@ -17,7 +17,7 @@ from scipy.linalg import eigh
 
 from cablebot_gym.bounds.doubts import doubtful_values
 from cablebot_gym.envs.settings import default_trajectory, fewest_substeps
-from cablebot_gym.kinematics import Array, turned
+from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, SINGULAR, least_norm
 from cablebot_gym.physics.sag import sag, settle
@@ -30,6 +30,7 @@ from cablebot_gym.physics.statics import (
     resting,
     tension_bounds,
 )
+from cablebot_gym.rendering.projection import attached_points
 from cablebot_gym.robots import COORDINATE_NAMES, Robot
 from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
@@ -392,8 +393,7 @@ def _sag(
 def _close_cables(robot: Robot, times: Array, reference: Reference) -> Iterator[str]:
     """Pairs of cables that come close at home or on the motion, other than at a common anchor."""
     poses = np.concatenate([robot.home[None], reference.position])
-    d = robot.dimensions
-    ends = poses[:, None, :d] + turned(poses, robot.platform)
+    ends = attached_points(poses, robot.platform)
     for i, j in combinations(range(robot.cables), 2):
         if np.allclose(robot.base[i], robot.base[j]) or np.allclose(
             robot.platform[i], robot.platform[j]

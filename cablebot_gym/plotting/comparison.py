@@ -3,9 +3,10 @@ Extra ``plot``."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -50,47 +51,41 @@ def draw_comparison(comparison: Comparison) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    kinds = [("position", "mm", "error", "max_error")]
+    errors = [("position", "mm", "error", "max_error")]
     if not comparison.task.robot.point_mass:
-        kinds.append(("rotation", "mrad", "rotation", "max_rotation"))
-    figure = new_figure(1.6 + 2.6 * len(kinds))
-    grid = figure.subplots(
-        len(kinds),
-        2,
-        squeeze=False,
-        width_ratios=[1.6, 1],
-        sharex="col" if len(kinds) < 2 else False,
-    )
-    for (over_time, largest), (name, unit, series, peak) in zip(grid, kinds, strict=True):
+        errors.append(("rotation", "mrad", "rotation", "max_rotation"))
+    figure = new_figure(1.6 + 2.6 * len(errors))
+    share_x: Literal["col", False] = "col"
+    if len(errors) == 2:
+        share_x = False
+    grid = figure.subplots(len(errors), 2, squeeze=False, width_ratios=[1.6, 1], sharex=share_x)
+    for (over_time, largest), (name, unit, series, peak) in zip(grid, errors, strict=True):
         bound = getattr(comparison.conditions.error_bounds, name)
-        largest_error = max(float(np.max(getattr(metrics, peak))) for metrics in comparison.metrics)
+        peaks = [getattr(metrics, peak).max() for metrics in comparison.metrics]
         _over_time(over_time, comparison, series)
-        over_time.set(ylabel=f"{name} error [{unit}]")
         _distribution(largest, comparison, peak)
-        if bound <= BOUND_IN_VIEW * largest_error:
+        top = 1.05 * float(max(peaks))
+        note = "above the plotted range"
+        # Otherwise the curves would be flat.
+        if bound <= BOUND_IN_VIEW * max(peaks):
             over_time.axhline(1e3 * bound, color="black", linewidth=1.0)
             largest.axvline(1e3 * bound, color="black", linewidth=1.0)
             note = "black line"
-            top = max(1.05 * largest_error, 1.1 * bound)
-        else:  # with the bound in view, the curves would be flat
-            note, top = "above the plotted range", 1.05 * largest_error
-        over_time.set_title(
-            f"bound {1e3 * bound:g} {unit}: {note}", fontsize=10, loc="right", color=GREY
-        )
-        over_time.set(ylim=(0, 1e3 * top or 1.0))
+            top = max(top, 1.1 * bound)
+        _set_bound_title(over_time, bound, unit, note)
+        over_time.set(ylim=(0, 1e3 * top or 1.0), ylabel=f"{name} error [{unit}]")
         largest.set(
             xlabel=f"largest {name} error [{unit}]", ylabel="fraction of draws", ylim=(0, 1.02)
         )
     grid[-1, 0].set_xlabel("time [s]")
     add_legend(figure, grid[0, 0])
-    band = (
-        ["mean over draws, band from the 5th to the 95th percentile"]
-        if comparison.draws > 1
-        else []
-    )
-    if band and any(metrics.ended.any() for metrics in comparison.metrics):
-        band[0] += "; draws that ended early are excluded after their end"
-    set_title(figure, _conditions(comparison, f"payload {comparison.payload:g} kg, "), *band)
+    title = [_conditions(comparison, f"payload {comparison.payload:g} kg, ")]
+    if comparison.draws > 1:
+        band = "mean over draws, band from the 5th to the 95th percentile"
+        if any(metrics.ended.any() for metrics in comparison.metrics):
+            band += "; draws that ended early are excluded after their end"
+        title.append(band)
+    set_title(figure, *title)
     return figure
 
 
@@ -100,58 +95,67 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    first = comparison.comparisons[0]
+    common = comparison.comparisons[0]
     payloads = comparison.payloads
     rows = [("max_error", "position error,\nlargest [mm]", 1e3)]
-    rows += (
-        []
-        if first.task.robot.point_mass
-        else [("max_rotation", "rotation error,\nlargest [mrad]", 1e3)]
-    )
-    rows += [
-        ("rms_torque", "torque, root\nmean square [N·m]", 1.0),
-        ("success", "success rate [%]", 100.0),
-    ]
+    if not common.task.robot.point_mass:
+        rows.append(("max_rotation", "rotation error,\nlargest [mrad]", 1e3))
+    rows.append(("rms_torque", "torque, root\nmean square [N·m]", 1.0))
+    rows.append(("success", "success rate [%]", 100.0))
     figure = new_figure(1.4 + 1.9 * len(rows))
     panels = figure.subplots(len(rows), 1, sharex=True)
     for axes, (name, label, factor) in zip(panels, rows, strict=True):
         for index, policy in enumerate(comparison.policies):
-            metrics = [one.metrics[index] for one in comparison.comparisons]
-            found = [one.success if name == "success" else one.estimate(name) for one in metrics]
-            mean, low, high = factor * np.array([(one.mean, one.low, one.high) for one in found]).T
-            colour = COLOURS[index % len(COLOURS)]
-            style = STYLES[index % len(STYLES)]
-            if first.draws > 1:
-                axes.fill_between(payloads, low, high, color=colour, alpha=0.2, linewidth=0)
-            axes.plot(
-                payloads, mean, style, color=colour, linewidth=1.8, marker=".", label=f" {policy}"
-            )
+            estimates = []
+            for compared in comparison.comparisons:
+                metrics = compared.metrics[index]
+                estimate = metrics.success
+                if name != "success":
+                    estimate = metrics.estimate(name)
+                estimates.append((estimate.mean, estimate.low, estimate.high))
+            mean, low, high = factor * np.array(estimates).T
+            line = _line(index)
+            if common.draws > 1:
+                axes.fill_between(payloads, low, high, color=line["color"], alpha=0.2, linewidth=0)
+            axes.plot(payloads, mean, marker=".", label=f" {policy}", **line)
         axes.set_ylabel(label)
-    for axes, bound, unit in zip(
-        panels[:-2], vars(first.conditions.error_bounds).values(), ("mm", "mrad"), strict=False
-    ):
+    bounds = vars(common.conditions.error_bounds).values()
+    for axes, bound, unit in zip(panels[:-2], bounds, ("mm", "mrad"), strict=False):
         axes.axhline(1e3 * bound, color="black", linewidth=1.0)
-        axes.set_title(
-            f"bound {1e3 * bound:g} {unit}: black line", fontsize=10, loc="right", color=GREY
-        )
+        _set_bound_title(axes, bound, unit, "black line")
     for axes in panels[:-1]:
         axes.set_ylim(bottom=0)
     panels[-1].set(xlabel="payload [kg]", ylim=(-4, 104))
     add_legend(figure, panels[0])
-    band = ["mean over draws, with 95 % confidence"] if first.draws > 1 else []
-    set_title(figure, _conditions(first), *band)
+    title = [_conditions(common)]
+    if common.draws > 1:
+        title.append("mean over draws, with 95 % confidence")
+    set_title(figure, *title)
     return figure
+
+
+def _set_bound_title(axes: Axes, bound: float, unit: str, note: str) -> None:
+    """States a bound above a panel. ``unit`` is a thousandth of the SI unit."""
+    axes.set_title(f"bound {1e3 * bound:g} {unit}: {note}", fontsize=10, loc="right", color=GREY)
+
+
+def _line(index: int) -> dict[str, Any]:
+    """Keywords of matplotlib for the curves of a policy."""
+    return {
+        "color": COLOURS[index % len(COLOURS)],
+        "linestyle": STYLES[index % len(STYLES)],
+        "linewidth": 1.8,
+    }
 
 
 def _conditions(comparison: Comparison, payload: str = "") -> str:
     """Environment, payload, payload model and draws."""
-    draws = (
-        f"{comparison.draws} draws of {comparison.conditions.uncertainty_name}"
-        if comparison.conditions.uncertainty_name
-        else "no uncertainty"
-    )
-    model = comparison.conditions.payload_model
-    return f"{described(comparison.conditions.env_id, comparison.task.robot.name)}, {payload}{model}; {draws}"
+    conditions = comparison.conditions
+    robot = described(conditions.env_id, comparison.task.robot.name)
+    draws = "no uncertainty"
+    if conditions.uncertainty_name:
+        draws = f"{comparison.draws} draws of {conditions.uncertainty_name}"
+    return f"{robot}, {payload}{conditions.payload_model}; {draws}"
 
 
 def save_comparison(comparison: Comparison | PayloadComparison, folder: Path) -> Path:
@@ -161,31 +165,28 @@ def save_comparison(comparison: Comparison | PayloadComparison, folder: Path) ->
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     path = folder / "comparison.png"
-    figure = (
-        draw_comparison(comparison)
-        if isinstance(comparison, Comparison)
-        else draw_payload_comparison(comparison)
-    )
-    atomic_write(path, partial(figure.savefig, dpi=DPI, format="png"))
+    draw: Callable[[Any], Figure] = draw_payload_comparison
+    if isinstance(comparison, Comparison):
+        draw = draw_comparison
+    atomic_write(path, partial(draw(comparison).savefig, dpi=DPI, format="png"))
     return path
 
 
 def _over_time(axes: Axes, comparison: Comparison, series: str) -> None:
+    """Draws an error of all policies over time: mean and quantiles of the draws."""
     for index, metrics in enumerate(comparison.metrics):
         error: Array = 1e3 * getattr(metrics, series)
         time = np.arange(1, len(error) + 1) / comparison.task.control_frequency
-        colour = COLOURS[index % len(COLOURS)]
-        style = STYLES[index % len(STYLES)]
+        line = _line(index)
         if comparison.draws > 1:
             low, high = np.nanquantile(error, BAND, axis=1)
-            axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0)
+            axes.fill_between(time, low, high, color=line["color"], alpha=0.2, linewidth=0)
         label = f" {metrics.policy}"  # the space keeps names with a leading "_" in the legend
-        axes.plot(time, np.nanmean(error, axis=1), style, color=colour, linewidth=1.8, label=label)
+        axes.plot(time, np.nanmean(error, axis=1), label=label, **line)
     axes.set_xlim(0, comparison.task.trajectory.duration)
 
 
 def _distribution(axes: Axes, comparison: Comparison, peak: str) -> None:
+    """Draws the distribution of a largest error of all policies over the draws."""
     for index, metrics in enumerate(comparison.metrics):
-        colour = COLOURS[index % len(COLOURS)]
-        style = STYLES[index % len(STYLES)]
-        axes.ecdf(1e3 * getattr(metrics, peak), color=colour, linestyle=style, linewidth=1.8)
+        axes.ecdf(1e3 * getattr(metrics, peak), **_line(index))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -130,7 +130,10 @@ def draw_torques(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    return _drawn(result, {_draw_torques: torques_height(result.rollout.task.robot.cables)})
+    figure = new_figure(torques_height(result.rollout.task.robot.cables))
+    _draw_torques(figure, result)
+    _set_result_title(figure, result)
+    return figure
 
 
 def draw_path(result: DLCCResult) -> Figure:
@@ -139,7 +142,10 @@ def draw_path(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    return _drawn(result, {_draw_path: _PATH_HEIGHT})
+    figure = new_figure(_PATH_HEIGHT)
+    _draw_path(figure, result)
+    _set_result_title(figure, result)
+    return figure
 
 
 def draw_result(result: DLCCResult) -> Figure:
@@ -148,26 +154,11 @@ def draw_result(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    return _drawn(
-        result,
-        {_draw_torques: torques_height(result.rollout.task.robot.cables), _draw_path: _PATH_HEIGHT},
-    )
-
-
-def _drawn(
-    result: DLCCResult, parts: Mapping[Callable[[FigureBase, DLCCResult], None], float]
-) -> Figure:
-    """A figure with parts of given heights [inch], one below the other, and the title of the
-    result."""
-    figure = new_figure(sum(parts.values()))
-    heights = list(parts.values())
-    rows = (
-        [figure]
-        if len(parts) == 1
-        else figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
-    )
-    for draw, row in zip(parts, rows, strict=True):
-        draw(row, result)
+    heights = [torques_height(result.rollout.task.robot.cables), _PATH_HEIGHT]
+    figure = new_figure(sum(heights))
+    rows: Any = figure.subfigures(2, 1, height_ratios=heights)
+    _draw_torques(rows[0], result)
+    _draw_path(rows[1], result)
     _set_result_title(figure, result)
     return figure
 
@@ -184,36 +175,19 @@ def draw_springs(result: DLCCResult) -> Figure:
         raise ValueError(
             f"robot {result.rollout.task.robot.name!r} has no joint springs with cables that do not stretch"
         )
-    cables = deflections.shape[1]
-    columns = min(3, deflections.shape[1])
-    figure = new_figure(torques_height(cables))
-    grid = figure.subplots(
-        math.ceil(cables / columns), columns, sharex=True, sharey=True, squeeze=False
-    )
+    springs = deflections.shape[1]
+    figure = new_figure(torques_height(springs))
     times = result.rollout.arrays["time"]
-    for axes in grid.flat[cables:]:
-        axes.remove()
-    for spring, axes in enumerate(grid.flat[:cables]):
-        axes.set_title(f"spring {spring + 1}", fontsize=11)
+    span = _span(times, _end(result))
+    panels = _panel_grid(figure, springs, "spring", "deflection [rad]")
+    label = "motor angle minus pulley angle"
+    marker = _marker(times)
+    for deflection, axes in zip(deflections.T, panels, strict=True):
         axes.axhline(0.0, color="black", linewidth=1.0, label="no torque")
-        axes.axhline(
-            deflections[:, spring].mean(), color=GREY, linewidth=1.0, linestyle="--", label="mean"
-        )
-        label = "motor angle minus pulley angle"
-        axes.plot(
-            times,
-            deflections[:, spring],
-            color=BLUE,
-            linewidth=1.4,
-            marker=_marker(times),
-            label=label,
-        )
-        below = spring + columns >= cables
-        axes.tick_params(labelbottom=below)
-        axes.set(xlim=_span(times, _end(result)), xlabel="time [s]" if below else "")
-        if spring % columns == 0:
-            axes.set_ylabel("deflection [rad]")
-    add_legend(figure, grid.flat[0])
+        axes.axhline(deflection.mean(), color=GREY, linewidth=1.0, linestyle="--", label="mean")
+        axes.plot(times, deflection, color=BLUE, linewidth=1.4, marker=marker, label=label)
+        axes.set(xlim=span)
+    add_legend(figure, panels[0])
     _set_result_title(figure, result)
     return figure
 
@@ -233,26 +207,18 @@ def draw_success(result: DLCCResult) -> Figure:
     payload, fraction = np.array(result.details.success).T
     label = "fraction of the scan's draws that carry it"
     axes.plot(payload, fraction, color=BLUE, linewidth=1.8, marker="o", markersize=3, label=label)
-    axes.axhline(
-        result.details.probability,
-        color="black",
-        linewidth=1.0,
-        label=f"required: {result.details.probability:.0%}",
-    )
+    label = f"required: {result.details.probability:.0%}"
+    axes.axhline(result.details.probability, color="black", linewidth=1.0, label=label)
     if result.payload is not None:
         label = f"payload: {result.payload:.2f} kg ({result.assurance})"
         axes.axvline(result.payload, color=VERMILLION, linewidth=1.2, label=label)
-    largest = payload[np.flatnonzero(fraction > 0)[-1]] if fraction.any() else 0.0
-    axes.set(
-        xlim=(
-            0,
-            min(result.details.payload_max, 1.25 * largest + 0.02 * result.details.payload_max),
-        ),
-        ylim=(0, 1.02),
+    largest = payload[fraction > 0].max(initial=0.0)
+    axes.set_xlim(
+        0, min(result.details.payload_max, 1.25 * largest + 0.02 * result.details.payload_max)
     )
-    axes.set(xlabel="payload [kg]", ylabel="fraction of draws")
+    axes.set(ylim=(0, 1.02), xlabel="payload [kg]", ylabel="fraction of draws")
     add_legend(figure, axes)
-    _set_result_title(figure, result, one_draw=False)
+    set_title(figure, *_result_title(result))
     return figure
 
 
@@ -281,8 +247,9 @@ def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in figures.items():
-        paths.append(folder / f"{name}-{result.criterion}.png")
-        atomic_write(paths[-1], partial(figure.savefig, dpi=DPI, format="png"))
+        path = folder / f"{name}-{result.criterion}.png"
+        atomic_write(path, partial(figure.savefig, dpi=DPI, format="png"))
+        paths.append(path)
     return paths
 
 
@@ -341,30 +308,50 @@ def set_title(figure: FigureBase, *lines: str) -> None:
     figure.suptitle(title, fontsize=11, parse_math=False)
 
 
-def _set_result_title(figure: FigureBase, result: DLCCResult, *, one_draw: bool = True) -> None:
-    """Sets a title that states the result. ``one_draw``: whether the figure shows a single draw."""
-    if result.payload is None:
-        summary = "fails unloaded (shown: zero payload)"
-    else:
-        summary = f"payload {result.payload:.3f} kg, total mass {result.total_mass:.3f} kg"
+def _panel_grid(figure: FigureBase, count: int, title: str, quantity: str) -> list[Axes]:
+    """A numbered panel for each motor or spring, in rows of up to three panels with common axes."""
+    columns = min(3, count)
+    rows = math.ceil(count / columns)
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for axes in panels[count:]:
+        axes.remove()
+    for index, axes in enumerate(panels[:count]):
+        axes.set_title(f"{title} {index + 1}", fontsize=11)
+        if index + columns >= count:
+            axes.set_xlabel("time [s]")
+            axes.tick_params(labelbottom=True)  # also above a removed panel
+        if index % columns == 0:
+            axes.set_ylabel(quantity)
+    return list(panels[:count])
+
+
+def _result_title(result: DLCCResult, draw: str = "") -> list[str]:
+    """Lines of a title that states the result; ``draw`` names the draw that a figure shows."""
     robot = described(result.conditions.env_id, result.conditions.robot.name)
-    head = f"{robot}, policy {result.policy}, {result.criterion} criterion"
-    draws_line = []
+    lines = [f"{robot}, policy {result.policy}, {result.criterion} criterion"]
     if result.details.probability is not None:
         uncertainty = result.conditions.uncertainty_name or "random episodes"
-        draws_line.append(f"{uncertainty}, {result.assurance}")
-        if one_draw and result.payload is not None:
-            draws_line.append("shown: the first draw that carries it")
-        elif one_draw:
-            draws_line.append("shown: the draw with this violation")
-    set_title(figure, head, *draws_line, summary, f"limiting violation: {result.violation_text}")
+        lines.append(f"{uncertainty}, {result.assurance}")
+        if draw:
+            lines.append(f"shown: {draw}")
+    if result.payload is None:
+        lines.append("fails unloaded (shown: zero payload)")
+    else:
+        lines.append(f"payload {result.payload:.3f} kg, total mass {result.total_mass:.3f} kg")
+    return [*lines, f"limiting violation: {result.violation_text}"]
+
+
+def _set_result_title(figure: FigureBase, result: DLCCResult) -> None:
+    """Sets the title of a figure that shows the recorded episode of a result."""
+    draw = "the first draw that carries it"
+    if result.payload is None:
+        draw = "the draw with this violation"
+    set_title(figure, *_result_title(result, draw))
 
 
 def _draw_torques(figure: FigureBase, result: DLCCResult) -> None:
     arrays = result.rollout.arrays
-    (lower, upper) = torque_limits(result)
-    (step, motor) = tightest(result)
-    action = abs(arrays["commanded_action"][step, motor])
+    lower, upper = torque_limits(result)
     profile = TorqueProfile(
         times=arrays["action_time"],
         torques=arrays["torques"],
@@ -373,65 +360,47 @@ def _draw_torques(figure: FigureBase, result: DLCCResult) -> None:
         requested=requested_torque(result),
         end=_end(result),
     )
-    margin = f"{action - 1:.1%} beyond the limit" if action > 1 else f"{1 - action:.1%} margin"
-    torque_panels(
-        figure, profile, Mark(step=step, motor=motor, name="tightest instant", note=margin)
-    )
+    step, motor = tightest(result)
+    action = abs(arrays["commanded_action"][step, motor])
+    note = f"{1 - action:.1%} margin"
+    if action > 1:
+        note = f"{action - 1:.1%} beyond the limit"
+    mark = Mark(step=step, motor=motor, name="tightest instant", note=note)
+    torque_panels(figure, profile, mark)
 
 
 def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None = None) -> None:
     """Draws a panel for each motor with its torque and limits, and a legend. A mark highlights one
     instant."""
-    time, cables = profile.times, profile.torques.shape[1]
-    columns = min(3, cables)
-    grid = figure.subplots(
-        math.ceil(cables / columns), columns, sharex=True, sharey=True, squeeze=False
-    )
-    for axes in grid.flat[cables:]:
-        axes.remove()
-    (low, high), marker = _torque_range(profile), _marker(time)
-    for motor, axes in enumerate(grid.flat[:cables]):
-        axes.set_title(f"motor {motor + 1}", fontsize=11)
-        shade: dict[str, Any] = {"color": SHADE, "linewidth": 0}
+    time = profile.times
+    marker = _marker(time)
+    low, high = _torque_range(profile)
+    edges = np.pad(time, 1, mode="edge")  # where the outlines of the shaded areas close
+    panels = _panel_grid(figure, profile.torques.shape[1], "motor", "torque [N·m]")
+    for motor, axes in enumerate(panels):
         upper = profile.upper[:, motor]
         lower = profile.lower[:, motor]
-        ends = time[[0, *range(len(time)), -1]]
-        axes.fill(ends, np.concatenate([[high], upper, [high]]), label="infeasible", **shade)
-        axes.fill(ends, np.concatenate([[low], lower, [low]]), **shade)
+        torque = profile.torques[:, motor]
+        beyond = np.pad(upper, 1, constant_values=high)
+        axes.fill(edges, beyond, label="infeasible", color=SHADE, linewidth=0)
+        beyond = np.pad(lower, 1, constant_values=low)
+        axes.fill(edges, beyond, color=SHADE, linewidth=0)
         axes.plot(time, upper, color="black", linewidth=1.0, marker=marker, label="limits U±")
         axes.plot(time, lower, color="black", linewidth=1.0, marker=marker)
         if profile.requested is not None:
             # Where |a| ≤ 1 it equals the applied torque, which hides it.
             requested = profile.requested[:, motor]
-            axes.plot(
-                time,
-                requested,
-                "--",
-                color=VERMILLION,
-                linewidth=1.4,
-                label="requested torque beyond the limits",
-            )
-        axes.plot(
-            time,
-            profile.torques[:, motor],
-            color=BLUE,
-            linewidth=1.8,
-            marker=marker,
-            label=profile.name,
-        )
+            label = "requested torque beyond the limits"
+            axes.plot(time, requested, "--", color=VERMILLION, linewidth=1.4, label=label)
+        axes.plot(time, torque, color=BLUE, linewidth=1.8, marker=marker, label=profile.name)
         axes.set(xlim=_span(time, profile.end), ylim=(low, high))
-        below = motor + columns >= cables
-        axes.tick_params(labelbottom=below)
-        axes.locator_params(
-            axis="x", nbins=5, prune="upper"
-        )  # the last label would touch the first label of the next panel
-        if below:
-            axes.set_xlabel("time [s]")
-        if motor % columns == 0:
-            axes.set_ylabel("torque [N·m]")
+        # The last label would touch the first label of the next panel.
+        axes.locator_params(axis="x", nbins=5, prune="upper")
+    labelled = panels[0]
     if mark is not None:
-        _draw_mark(grid.flat[mark.motor], profile, mark)
-    add_legend(figure, grid.flat[0 if mark is None else mark.motor])
+        labelled = panels[mark.motor]
+        _draw_mark(labelled, profile, mark)
+    add_legend(figure, labelled)
 
 
 def _end(result: DLCCResult) -> float:
@@ -443,22 +412,26 @@ def _end(result: DLCCResult) -> float:
 
 def _span(times: Array, end: float) -> tuple[float, float]:
     """Range of the time axis [s]: the recorded episode, with a border if it is very short."""
-    return (-0.1 * end, 1.1 * end) if _is_short(times) else (0.0, end)
+    if len(times) <= _FEW:
+        return -0.1 * end, 1.1 * end
+    return 0.0, end
 
 
 def _marker(times: Array) -> str:
-    return "." if _is_short(times) else ""
-
-
-def _is_short(times: Array) -> bool:
-    return len(times) <= _FEW
+    """Marker of a curve: dots if it is very short."""
+    if len(times) <= _FEW:
+        return "."
+    return ""
 
 
 def _torque_range(profile: TorqueProfile) -> tuple[float, float]:
     """Range of the torque axis [N·m]: the limits, and requested torques up to half a stall torque
     beyond them."""
-    lower, upper = profile.lower, profile.upper
-    requested = profile.torques if profile.requested is None else profile.requested
+    lower = profile.lower
+    upper = profile.upper
+    requested = profile.requested
+    if requested is None:
+        requested = profile.torques
     stall = float((upper - lower).max()) / 2
     low = max(min(lower.min(), requested.min()), lower.min() - stall / 2)
     high = min(max(upper.max(), requested.max()), upper.max() + stall / 2)
@@ -471,27 +444,27 @@ def _draw_mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:
     lower = profile.lower[:, mark.motor]
     upper = profile.upper[:, mark.motor]
     torque = torques[mark.step]
-    early = time < sum(_span(profile.times, profile.end)) / 2
     # The annotation is placed between the torque and the opposite limit.
-    positive = 2 * torque > lower[mark.step] + upper[mark.step]
-    gap = (lower.max(), torques.min()) if positive else (torques.max(), upper.min())
+    bottom, top = torques.max(), upper.min()
+    if 2 * torque > lower[mark.step] + upper[mark.step]:
+        bottom, top = lower.max(), torques.min()
+    x = 0.04
+    alignment = "left"
+    if time < sum(_span(profile.times, profile.end)) / 2:
+        x = 0.96
+        alignment = "right"
     axes.plot(
         time, torque, "o", color=VERMILLION, markeredgecolor="black", markersize=7, label=mark.name
     )
     axes.annotate(
         f"t = {round(float(time), 7):.3f} s: {mark.note}",  # rounded as in the text of a result
         (time, torque),
-        xytext=(0.96 if early else 0.04, sum(gap) / 2),
+        xytext=(x, (bottom + top) / 2),
         textcoords=axes.get_yaxis_transform(),
-        horizontalalignment="right" if early else "left",
+        horizontalalignment=alignment,
         verticalalignment="center",
         arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.8, "shrinkB": 4},
-        bbox={
-            "boxstyle": "round,pad=0.25",
-            "facecolor": "white",
-            "edgecolor": GREY,
-            "linewidth": 0.6,
-        },
+        bbox={"boxstyle": "round,pad=0.25", "fc": "white", "ec": GREY, "linewidth": 0.6},
     )
 
 
@@ -499,12 +472,10 @@ def add_legend(figure: FigureBase, axes: Axes) -> None:
     """Adds a legend of the curves in ``axes`` below the figure."""
     handles, labels = axes.get_legend_handles_labels()
     labels = [textwrap.fill(label.strip(), LINE_LENGTH - _HANDLE) for label in labels]
-    width = sum(len(label) + _HANDLE for label in labels)
-    columns = (
-        len(labels)
-        if width <= LINE_LENGTH
-        else max(1, LINE_LENGTH // (max(map(len, labels)) + _HANDLE))
-    )
+    widths = [len(label) + _HANDLE for label in labels]
+    columns = len(labels)
+    if sum(widths) > LINE_LENGTH:
+        columns = max(1, LINE_LENGTH // max(widths))
     legend = figure.legend(
         handles, labels, loc="outside lower center", ncols=columns, frameon=False
     )
@@ -514,11 +485,14 @@ def add_legend(figure: FigureBase, axes: Axes) -> None:
 
 def _draw_path(figure: FigureBase, result: DLCCResult) -> None:
     arrays = result.rollout.arrays
+    rotation_error = None
+    if not result.rollout.task.robot.point_mass:
+        rotation_error = arrays["rotation_error"]
     path = TravelledPath(
         times=arrays["action_time"] + 1 / result.rollout.task.control_frequency,
         pose=arrays["true_pose"],
         position_error=arrays["tracking_error"],
-        rotation_error=None if result.rollout.task.robot.point_mass else arrays["rotation_error"],
+        rotation_error=rotation_error,
     )
     path_panels(figure, result.rollout.task.trajectory, [path], **result.details.error_bounds)
 
@@ -541,18 +515,16 @@ def path_panels(
         rotation: bound of the rotation error [rad]; None without bound.
     """
     rotates = any(path.rotation_error is not None for path in paths)
-    grid = figure.add_gridspec(2 if rotates else 1, 2, width_ratios=[1, 1.25])
+    grid = figure.add_gridspec(1 + rotates, 2, width_ratios=[1, 1.25])
     plane = figure.add_subplot(grid[:, 0])
-    last = figure.add_subplot(grid[0, 1])
     draw_plane(plane, trajectory, paths, position or 0.0)
-    _draw_error(last, paths, [path.position_error for path in paths], position, "position", "mm")
+    errors = figure.add_subplot(grid[0, 1])
+    _draw_error(errors, paths, "position", position, "mm")
     if rotates:
-        last.tick_params(labelbottom=False)
-        last = figure.add_subplot(grid[1, 1], sharex=last)
-        _draw_error(
-            last, paths, [path.rotation_error for path in paths], rotation, "rotation", "mrad"
-        )
-    last.set_xlabel("time [s]")
+        errors.tick_params(labelbottom=False)
+        errors = figure.add_subplot(grid[1, 1], sharex=errors)
+        _draw_error(errors, paths, "rotation", rotation, "mrad")
+    errors.set_xlabel("time [s]")
     add_legend(figure, plane)
 
 
@@ -564,20 +536,25 @@ def draw_plane(
 
     reference = trajectory(np.linspace(0.0, trajectory.duration, 1001)).position[:, :2]
     # Discs instead of offset curves, which fail for a reference that stops or turns on the spot.
-    discs: dict[str, Any] = {
-        "units": "xy",
-        "offsets": reference,
-        "offset_transform": axes.transData,
-    }
-    tube = EllipseCollection(2 * radius, 2 * radius, 0, color=SKY, linewidth=0, zorder=0, **discs)
+    tube = EllipseCollection(
+        2 * radius,
+        2 * radius,
+        0,
+        units="xy",
+        offsets=reference,
+        offset_transform=axes.transData,
+        color=SKY,
+        linewidth=0,
+        zorder=0,
+    )
     axes.add_collection(tube, autolim=False)
-    axes.fill(
-        [], [], color=SKY, label=f"tube, R = {radius * 1e3:g} mm"
-    )  # a legend ignores the collection
+    # A legend ignores the collection.
+    axes.fill([], [], color=SKY, label=f"tube, R = {radius * 1e3:g} mm")
     points = [reference - radius, reference + radius]
     for path in paths:
-        points.append(path.pose[:, :2])
-        axes.plot(*points[-1].T, label=path.name, **path.line)
+        travelled = path.pose[:, :2]
+        points.append(travelled)
+        axes.plot(*travelled.T, label=path.name, **path.line)
     axes.plot(*reference.T, "--", color="black", linewidth=1.0, label="reference")
     low = np.concatenate(points).min(axis=0)
     high = np.concatenate(points).max(axis=0)
@@ -589,24 +566,24 @@ def draw_plane(
 def _draw_error(
     axes: Axes,
     paths: Sequence[TravelledPath],
-    errors: Sequence[Array | None],
-    bound: float | None,
     name: str,
+    bound: float | None,
     unit: str,
 ) -> None:
-    """Draws errors with their bound. ``unit`` is a thousandth of the SI unit."""
+    """Draws an error of all paths with its bound. ``unit`` is a thousandth of the SI unit."""
     axes.locator_params(axis="x", nbins=6)
     longest = max((path.times for path in paths), key=len)
     top = 0.0
-    for path, error in zip(paths, errors, strict=True):
+    for path in paths:
+        error: Array | None = getattr(path, f"{name}_error")
         if error is not None:
             axes.plot(path.times, 1e3 * error, **path.line)
             top = max(top, 1e3 * float(error.max()))
-    if bound is not None:
+    if bound is None:
+        axes.set_title("no bound under this criterion", fontsize=10, loc="right", color=GREY)
+    else:
         mark_bound(axes, bound, unit)
         top = max(top, 1e3 * bound)
-    else:
-        axes.set_title("no bound under this criterion", fontsize=10, loc="right", color=GREY)
     span = _span(longest, float(longest[-1]))
     axes.set(xlim=span, ylim=(0, 1.2 * top or 1.0), ylabel=f"{name} error [{unit}]")
 
@@ -616,18 +593,14 @@ def mark_bound(
 ) -> None:
     """Draws a labelled line at the bound of an error. ``unit`` is a thousandth of the SI unit."""
     axes.axhline(1e3 * bound, color="black", linewidth=1.0)
+    x = {"left": 0.01, "right": 0.99}[side]
     axes.annotate(
         f"bound {1e3 * bound:g} {unit}",
-        (0.99 if side == "right" else 0.01, 1e3 * bound),
+        (x, 1e3 * bound),
         xycoords=("axes fraction", "data"),
         xytext=(0, 4),
         textcoords="offset points",
         horizontalalignment=side,
         verticalalignment="bottom",
-        bbox={
-            "boxstyle": "round,pad=0.15",
-            "facecolor": "white",
-            "edgecolor": "none",
-            "alpha": 0.85,
-        },
+        bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85},
     )

@@ -3,22 +3,29 @@ rest."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from cablebot_gym.bounds.robot_check import MotionCheck, RobotCheck
-from cablebot_gym.kinematics import Array, turned
+from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.statics import holds
 from cablebot_gym.plotting.figures import add_legend, new_figure, set_title
-from cablebot_gym.rendering.camera import coinciding
+from cablebot_gym.rendering.projection import (
+    attached_points,
+    coinciding,
+    drawing_views,
+    outline,
+)
 from cablebot_gym.robots import KIND_TEXTS
 from cablebot_gym.utils.palette import BLACK, BLUE, GREY, SKY, VERMILLION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
 _NUMBER_AT = (0.18, 0.3, 0.42, 0.54, 0.66, 0.78)
 """Tried positions of a cable's number, as fractions of its length from the base anchor."""
@@ -38,12 +45,8 @@ def draw_robot(check: RobotCheck, motion: MotionCheck | None = None) -> Figure:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     robot = check.robot
-    if robot.planar:
-        views = [[0, 1]]
-        figure = new_figure(4.6)
-    else:
-        views = [[0, 1], [0, 2], [1, 2]]
-        figure = new_figure(3.4)
+    views = drawing_views(robot)
+    figure = new_figure(4.6 if robot.planar else 3.4)
     panels = figure.subplots(1, len(views), squeeze=False)[0]
     for axes, view in zip(panels, views, strict=True):
         _draw_view(axes, check, motion, view)
@@ -63,32 +66,28 @@ def _draw_view(axes: Axes, check: RobotCheck, motion: MotionCheck | None, view: 
         times = np.linspace(0, motion.trajectory.duration, 201)
         path = motion.trajectory(times).position
     base = robot.base[:, view]
-    ends = robot.home[: robot.dimensions] + turned(robot.home, robot.platform)
-    ends = ends[:, view]
+    ends = attached_points(robot.home, robot.platform)[:, view]
     path = path[:, view]
     workspace = robot.pose_bounds[:, view]
 
     visible = np.concatenate([base, path, workspace])
     _draw_held_positions(axes, check, view, visible.min(axis=0), visible.max(axis=0))
-    (low_x, low_y), (high_x, high_y) = workspace
-    box_x = [low_x, high_x, high_x, low_x, low_x]
-    box_y = [low_y, low_y, high_y, high_y, low_y]
+    box_x = workspace[[0, 1, 1, 0, 0], 0]
+    box_y = workspace[[0, 0, 1, 1, 0], 1]
     axes.plot(box_x, box_y, "--", color=GREY, linewidth=1.0, label="workspace")
-    for start, end in zip(base, ends, strict=True):
-        axes.plot([start[0], end[0]], [start[1], end[1]], color=BLUE, linewidth=1.0)
-    _number_cables(axes, base, ends)
+    cable_x, cable_y = np.stack([base, ends], axis=1).T  # a line for each column
+    axes.plot(cable_x, cable_y, color=BLUE, linewidth=1.0)
     axes.plot([], [], color=BLUE, linewidth=1.0, label="cables")
     if not robot.point_mass:
-        hull = ConvexHull(ends, qhull_options="QJ")  # joggled, for anchors on a line
-        outline = ends[hull.vertices]
-        axes.fill(outline[:, 0], outline[:, 1], facecolor="none", edgecolor=BLACK, linewidth=1.4)
-    axes.plot(base[:, 0], base[:, 1], "o", color=BLACK, markersize=3.5)
+        axes.fill(*outline(ends).T, facecolor="none", edgecolor=BLACK, linewidth=1.4)
+    axes.plot(*base.T, "o", color=BLACK, markersize=3.5)
     if motion is not None:
-        axes.plot(path[:, 0], path[:, 1], color=VERMILLION, linewidth=1.6, label="motion")
+        axes.plot(*path.T, color=VERMILLION, linewidth=1.6, label="motion")
     across, along = view
     axes.set(xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[along]} [m]", aspect="equal")
     if robot.planar or along == 2:
         axes.invert_yaxis()  # y of a plane and z point down
+    _number_cables(axes, base, ends)
 
 
 def _draw_held_positions(
@@ -111,50 +110,45 @@ def _draw_held_positions(
 
 
 def _number_cables(axes: Axes, starts: Array, ends: Array) -> None:
-    """Writes the numbers of the cables; cables with one line in this view share a text, and no
-    texts overlap."""
-    corners = np.concatenate([starts, ends])
-    width = float(np.ptp(corners, axis=0).max())
-    numbers = np.empty((0, 2))
+    """Writes the numbers of the cables; cables with one line in this view share a text.
+
+    Args:
+        axes: a view with its final limits and aspect.
+        starts: base anchors in the view, (m, 2) [m].
+        ends: platform anchors in the view, (m, 2) [m].
+    """
+    # Texts have sizes in points: their overlaps depend on the scale of the view, which is known
+    # from here on, apart from the margins of the final layout.
+    axes.apply_aspect()
+    least_gap = _NUMBER_GAP * float(np.ptp(np.concatenate([starts, ends]), axis=0).max())
+    numbers: list[Text] = []
     for cables in coinciding(np.hstack([starts, ends])):
         start = starts[cables[0]]
         end = ends[cables[0]]
-        point = _number_point(start, end, numbers, width)
-        numbers = np.vstack([numbers, point])
-        axes.text(
-            float(point[0]),
-            float(point[1]),
-            ", ".join(str(cable + 1) for cable in cables),
-            fontsize=8,
-            ha="center",
-            va="center",
-            bbox={
-                "boxstyle": "round,pad=0.1",
-                "facecolor": "white",
-                "edgecolor": "none",
-                "alpha": 0.8,
-            },
+        text = ", ".join(str(cable + 1) for cable in cables)
+        number = axes.text(start[0], start[1], text, fontsize=8, ha="center", va="center")
+        number.set_bbox(
+            {"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
         )
+        candidates = [start + fraction * (end - start) for fraction in _NUMBER_AT]
+        _move_number(number, candidates, numbers, least_gap)
+        numbers.append(number)
 
 
-def _number_point(start: Array, end: Array, numbers: Array, width: float) -> Array:
-    """The point of a cable for its number: the nearest to its base that is free, or the farthest
-    from all numbers.
-
-    Args:
-        start: base anchor in the view, (2,) [m].
-        end: platform anchor in the view, (2,) [m].
-        numbers: points of the numbers already written, (k, 2) [m].
-        width: width of the view [m].
-    """
+def _move_number(
+    number: Text, candidates: Sequence[Array], numbers: Sequence[Text], least_gap: float
+) -> None:
+    """Moves a text to the first candidate point where it is free of other numbers, or else to the
+    one farthest from them. Points are at least ``least_gap`` [m] from other numbers."""
     widest_gap = -1.0
-    widest_point = start
-    for fraction in _NUMBER_AT:
-        point = start + fraction * (end - start)
-        gap = float(np.linalg.norm(numbers - point, axis=1).min(initial=width))
-        if gap > _NUMBER_GAP * width:
-            return point
+    widest_point = number.get_position()
+    boxes = [other.get_window_extent() for other in numbers]
+    for point in candidates:
+        number.set_position((float(point[0]), float(point[1])))
+        gap = min((math.dist(point, other.get_position()) for other in numbers), default=math.inf)
+        if gap > least_gap and not number.get_window_extent().count_overlaps(boxes):
+            return
         if gap > widest_gap:
             widest_gap = gap
-            widest_point = point
-    return widest_point
+            widest_point = number.get_position()
+    number.set_position(widest_point)

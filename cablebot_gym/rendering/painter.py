@@ -11,9 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.kinematics import Array, turned
-from cablebot_gym.rendering.camera import Camera, coinciding, fit_camera
+from cablebot_gym.kinematics import Array
 from cablebot_gym.rendering.moment import HANG, Moment, ball_radius, full_tension
+from cablebot_gym.rendering.projection import (
+    attached_points,
+    coinciding,
+    fit_robot_camera,
+    outline,
+    points_in_space,
+)
 from cablebot_gym.task import Task
 from cablebot_gym.utils import palette
 
@@ -32,10 +38,6 @@ LARGEST = (7680, 4320)
 _OVERSAMPLING = 2
 """Factor by which pictures are painted larger and then scaled down, for smooth edges."""
 
-_AZIMUTH = math.radians(22)
-_ELEVATION = math.radians(30)
-"""Direction of view of spatial robots [rad]. Planar robots are viewed from above."""
-
 _SAG_FRACTION = 0.12
 """Depth of a slack cable's arc, as a fraction of its length."""
 
@@ -45,8 +47,11 @@ _BAR_SPACING = 24
 _GAUGE_SCALE = 1.5
 """Full scale of an error gauge, as a multiple of the error bound."""
 
-_TENSION_COLOURS = ("#8FBFE0", "#3F7FB5", "#8E5EA2", "#D55E00", "#8C1C13")
-"""Colours of cables, from zero tension to the tension that the motor holds at standstill."""
+_TENSION_COLOURS = np.array(
+    [[143, 191, 224], [63, 127, 181], [142, 94, 162], [213, 94, 0], [140, 28, 19]]
+)
+"""Red, green and blue of cables, from zero tension to the tension that the motor holds at
+standstill."""
 
 _BALL_COLOURS = ((1.0, "#3A3D42"), (0.82, "#4A4E55"), (0.55, "#5F646C"), (0.25, "#858B94"))
 """Shades of the payload's ball from its edge to its highlight: fraction of the radius, and
@@ -105,6 +110,7 @@ class Painter:
         check_size(size)
         self._pygame = import_pygame()
         self._pygame.font.init()
+        self._draw = self._pygame.draw
         self.task = task
         self.title = title
         self.size = (int(size[0]), int(size[1]))
@@ -120,9 +126,14 @@ class Painter:
         path = np.array(
             [trajectory(time).position for time in np.linspace(0, trajectory.duration, 241)]
         )
-        self._path = self._points(path)
-        self._base = self._points(task.robot.base)
-        self._camera = self._fitted_camera()
+        self._path = points_in_space(task.robot, path)
+        self._base = points_in_space(task.robot, task.robot.base)
+        left_edge = int(0.04 * self._width)
+        top = int(58 * self._unit)
+        width = int(self._width - self._panel - 0.08 * self._width)
+        height = int(self._height - 152 * self._unit)
+        window = (left_edge, top, width, height)
+        self._camera = fit_robot_camera(task.robot, self._path, window)
         self._paint_background()
         self._static_layer = self._canvas.copy()
 
@@ -147,8 +158,8 @@ class Painter:
         past = np.array(trail, float).reshape(-1, self.task.robot.coordinates)
         past = past[np.isfinite(past).all(axis=1)]
         if len(past) > 1:
-            points = self._camera.project(self._points(past))
-            self._pygame.draw.lines(self._canvas, palette.BLUE, False, points, round(1.6 * unit))
+            points = self._camera.project(points_in_space(self.task.robot, past))
+            self._draw.lines(self._canvas, palette.BLUE, False, points, round(1.6 * unit))
         if np.all(np.isfinite(moment.pose)):
             self._paint_robot(moment)
         self._paint_motors(moment)
@@ -175,56 +186,14 @@ class Painter:
         """The picture as an array (height, width, 3); arguments as for :meth:`paint`."""
         return as_array(self.paint(moment, trail, note, good=good))
 
-    def _points(self, positions: Array) -> Array:
-        """Points in space (..., 3) of poses or anchors. Planar robots lie in z = 0.
-
-        In the picture y points upwards, or downwards if the plane is vertical.
-        """
-        robot = self.task.robot
-        if not robot.planar:
-            return positions[..., :3]
-        points = np.zeros((*positions.shape[:-1], 3))
-        points[..., :2] = positions[..., :2]
-        if robot.plane == "horizontal":
-            points[..., 1] *= -1
-        return points
-
-    def _fitted_camera(self) -> Camera:
-        """The camera that shows the base, and the platform and payload along the path."""
-        robot = self.task.robot
-        reach = np.abs(robot.platform).max()
-        visible = [self._base, self._path]
-        if robot.planar:
-            azimuth = 0.0
-            elevation = math.pi / 2
-            margin = max(reach, 0.06)
-            visible += [self._path + margin, self._path - margin]
-        else:
-            azimuth = _AZIMUTH
-            elevation = _ELEVATION
-            for corner in ([1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]):
-                visible.append(self._path[::20] + reach * np.array(corner))
-            visible.append(self._path + np.array([0, 0, HANG + 0.07]))
-        left = int(0.04 * self._width)
-        top = int(58 * self._unit)
-        width = int(self._width - self._panel - 0.08 * self._width)
-        height = int(self._height - 152 * self._unit)
-        return fit_camera(
-            np.concatenate(visible),
-            (left, top, width, height),
-            azimuth=azimuth,
-            elevation=elevation,
-        )
-
     def _paint_background(self) -> None:
         """Paints what does not move: base, tube around the path, and reference path."""
         unit = self._unit
-        draw = self._pygame.draw
         self._canvas.fill(_PAPER)
         base = self._camera.project(self._base)
-        corners = _polygon(base)
-        draw.polygon(self._canvas, "#F4F5F7", corners)
-        draw.polygon(self._canvas, "#B8BCC4", corners, max(1, round(1.5 * unit)))
+        corners = outline(base)
+        self._draw.polygon(self._canvas, "#F4F5F7", corners)
+        self._draw.polygon(self._canvas, "#B8BCC4", corners, max(1, round(1.5 * unit)))
         tube = self._camera.pixels(2 * self.task.error_bounds.position, self._path.mean(axis=0))
         path = self._camera.project(self._path)
         for point in _resample(path, max(1.0, tube / 8)):
@@ -245,8 +214,8 @@ class Painter:
         """Paints the payload, the platform, the cables and the reference position."""
         unit = self._unit
         robot = self.task.robot
-        centre = self._points(moment.pose)
-        ends = self._points(moment.pose[: robot.dimensions] + turned(moment.pose, robot.platform))
+        centre = points_in_space(robot, moment.pose)
+        ends = points_in_space(robot, attached_points(moment.pose, robot.platform))
         if moment.payload > 0:
             self._paint_payload(moment.payload, centre)
         if robot.point_mass:
@@ -254,10 +223,10 @@ class Painter:
             self._circle(palette.YELLOW, middle, 5 * unit)
             self._circle(_INK, middle, 5 * unit, 1.4 * unit)
         else:
-            corners = _polygon(self._camera.project(ends))
+            corners = outline(self._camera.project(ends))
             self._glass.fill((0, 0, 0, 0))
             # Transparent, so that the path is visible.
-            self._pygame.draw.polygon(self._glass, (240, 228, 66, 150), corners)
+            self._draw.polygon(self._glass, (240, 228, 66, 150), corners)
             self._canvas.blit(self._glass, (0, 0))
             for start, stop in zip(corners, np.roll(corners, -1, axis=0), strict=True):
                 self._line(start, stop, _INK, 1.6 * unit)
@@ -268,7 +237,7 @@ class Painter:
                 self._paint_tight_cable(
                     self._base[cable], ends[cable], float(moment.tensions[cable])
                 )
-        reference = self._points(np.asarray(self.task.trajectory(moment.time).position))
+        reference = points_in_space(robot, self.task.trajectory(moment.time).position)
         self._circle(palette.VERMILLION, self._camera.project(reference), 3.2 * unit, 1.3 * unit)
 
     def _paint_payload(self, payload: float, centre: Array) -> None:
@@ -281,7 +250,7 @@ class Painter:
             ball = centre + np.array([0, 0, HANG + radius])
             top = camera.project(centre)
             bottom = camera.project(ball)
-            self._pygame.draw.line(self._canvas, _INK, top, bottom, round(1.5 * self._unit))
+            self._draw.line(self._canvas, _INK, top, bottom, round(1.5 * self._unit))
         middle = camera.project(ball)
         size = max(camera.pixels(radius, ball), 2 * self._unit)
         for fraction, colour in _BALL_COLOURS:
@@ -302,8 +271,7 @@ class Painter:
     def _paint_tight_cable(self, base: Array, end: Array, tension: float) -> None:
         fraction = tension / full_tension(self.task.robot)
         width = 1.6 + 2.4 * min(max(fraction, 0.0), 1.0)
-        start = self._camera.project(base)
-        stop = self._camera.project(end)
+        start, stop = self._camera.project([base, end])
         self._line(start, stop, tension_colour(fraction), width * self._unit)
 
     def _paint_motors(self, moment: Moment) -> None:
@@ -311,7 +279,7 @@ class Painter:
         shaded."""
         unit = self._unit
         robot = self.task.robot
-        left = self._width - self._panel + 26 * unit
+        left_edge = self._width - self._panel + 26 * unit
         top = 44 * unit
         bottom = self._height - 118 * unit
         zero = (top + bottom) / 2
@@ -321,11 +289,11 @@ class Painter:
         scale = (bottom - top) / (2.3 * largest)
 
         def row(torque: float) -> float:
-            return float(min(max(zero - scale * torque, top), bottom))
+            return min(max(zero - scale * torque, top), bottom)
 
         self._write("motor torques [N·m]", (self._width - 12 * unit, 10 * unit), 12, across=1.0)
         for motor in range(robot.cables):
-            x = left + _BAR_SPACING * unit * motor
+            x = left_edge + _BAR_SPACING * unit * motor
             low = row(float(moment.torque_limits[0, motor]))
             high = row(float(moment.torque_limits[1, motor]))
             self._rect(palette.SHADE, x, top, bar_width, bottom - top)
@@ -339,36 +307,32 @@ class Painter:
             self._line((x, low), (x + bar_width, low), _INK, 1.6 * unit)
             self._line((x, high), (x + bar_width, high), _INK, 1.6 * unit)
             self._write(str(motor + 1), (x + bar_width / 2, bottom + 4 * unit), 12, across=0.5)
-        start = left - 4 * unit
+        start = left_edge - 4 * unit
         stop = start + _BAR_SPACING * unit * robot.cables
         self._line((start, zero), (stop, zero), palette.GREY, unit)
         for torque in (-largest, 0.0, largest):
-            self._write(
-                f"{torque:.3g}",
-                (left - 7 * unit, row(torque)),
-                11,
-                palette.GREY,
-                across=1.0,
-                along=0.5,
-            )
+            at = (left_edge - 7 * unit, row(torque))
+            self._write(f"{torque:.3g}", at, 11, palette.GREY, across=1.0, along=0.5)
 
     def _paint_tension_scale(self) -> None:
         """Paints the colour scale of the cable tensions, below the motors."""
         unit = self._unit
-        left = self._width - self._panel + 26 * unit
+        left_edge = self._width - self._panel + 26 * unit
         top = self._height - 118 * unit + 34 * unit
         length = self._panel - 40 * unit
         for x in range(round(length)):
             colour = tension_colour(x / length)
-            self._pygame.draw.line(
-                self._canvas, colour, (left + x, top), (left + x, top + 7 * unit)
-            )
+            self._rect(colour, left_edge + x, top, 1, 7 * unit + 1)
         highest = f"{full_tension(self.task.robot):.3g}"
         self._write(
-            "cable tension [N]", (left + length / 2, top - 15 * unit), 11, palette.GREY, across=0.5
+            "cable tension [N]",
+            (left_edge + length / 2, top - 15 * unit),
+            11,
+            palette.GREY,
+            across=0.5,
         )
-        self._write("0", (left, top + 8 * unit), 11, palette.GREY)
-        self._write(highest, (left + length, top + 8 * unit), 11, palette.GREY, across=1.0)
+        self._write("0", (left_edge, top + 8 * unit), 11, palette.GREY)
+        self._write(highest, (left_edge + length, top + 8 * unit), 11, palette.GREY, across=1.0)
 
     def _paint_gauges(self, moment: Moment) -> None:
         """Paints the errors relative to their bounds, and the time."""
@@ -403,8 +367,10 @@ class Painter:
             number = f"{1e3 * error:.1f}"
         text = f"{number} of {1e3 * bound:g} {bound_unit}"
         fraction = min(error / bound, _GAUGE_SCALE) / _GAUGE_SCALE
-        left, length = self._paint_gauge(name, y, 10 * unit, fraction, colour, text, text_colour)
-        mark = left + length / _GAUGE_SCALE
+        left_edge, length = self._paint_gauge(
+            name, y, 10 * unit, fraction, colour, text, text_colour
+        )
+        mark = left_edge + length / _GAUGE_SCALE
         self._line((mark, y - 8 * unit), (mark, y + 8 * unit), _INK, 2 * unit)
 
     def _paint_gauge(
@@ -417,23 +383,23 @@ class Painter:
         text: str,
         text_colour: str,
     ) -> tuple[float, float]:
-        """Paints a horizontal bar that is filled by a fraction, and returns its left edge and
+        """Paints a horizontal bar that is filled by a fraction, and returns its left_edge edge and
         length."""
         unit = self._unit
-        left = 76 * unit
+        left_edge = 76 * unit
         length = self._width - self._panel - 190 * unit
         self._write(name, (14 * unit, y), 12, along=0.5)
-        self._rect(palette.SHADE, left, y - height / 2, length, height)
-        self._rect(colour, left, y - height / 2, fraction * length, height)
-        self._write(text, (left + length + 8 * unit, y), 12, text_colour, along=0.5)
-        return left, length
+        self._rect(palette.SHADE, left_edge, y - height / 2, length, height)
+        self._rect(colour, left_edge, y - height / 2, fraction * length, height)
+        self._write(text, (left_edge + length + 8 * unit, y), 12, text_colour, along=0.5)
+        return left_edge, length
 
-    def _rect(self, colour: str, left: float, top: float, width: float, height: float) -> None:
-        self._pygame.draw.rect(self._canvas, colour, (left, top, width, height))
+    def _rect(self, colour: Any, left_edge: float, top: float, width: float, height: float) -> None:
+        self._draw.rect(self._canvas, colour, (left_edge, top, width, height))
 
     def _circle(self, colour: str, centre: Array, radius: float, width: float = 0) -> None:
         """Draws a disc, or a ring of some width."""
-        self._pygame.draw.circle(self._canvas, colour, centre, radius, round(width))
+        self._draw.circle(self._canvas, colour, centre, radius, round(width))
 
     def _line(self, start: ArrayLike, stop: ArrayLike, colour: Any, width: float) -> None:
         """Draws a line whose width does not depend on its direction, unlike the lines of pygame."""
@@ -444,13 +410,13 @@ class Painter:
         if length > 0:
             aside = 0.5 * width * np.array([-along[1], along[0]]) / length
             corners = [start + aside, stop + aside, stop - aside, start - aside]
-            self._pygame.draw.polygon(self._canvas, colour, corners)
+            self._draw.polygon(self._canvas, colour, corners)
 
     def _dashed(self, points: Array, colour: str, width: float, dash: float) -> None:
         """Draws a dashed line through points (k, 2)."""
         pieces = list(pairwise(_resample(points, dash)))
         for start, stop in pieces[::2]:
-            self._pygame.draw.line(self._canvas, colour, start, stop, max(1, round(width)))
+            self._draw.line(self._canvas, colour, start, stop, max(1, round(width)))
 
     def _write(
         self,
@@ -462,16 +428,16 @@ class Painter:
         across: float = 0.0,
         along: float = 0.0,
     ) -> None:
-        """Writes text at a point; ``across`` and ``along`` are the fractions of it left of the
+        """Writes text at a point; ``across`` and ``along`` are the fractions of it left_edge of the
         point and above it."""
         if size not in self._fonts:
             self._fonts[size] = self._pygame.font.Font(
                 None, max(8, round(1.28 * size * self._unit))
             )
         image = self._fonts[size].render(text, True, colour)
-        left = at[0] - across * image.get_width()
+        left_edge = at[0] - across * image.get_width()
         top = at[1] - along * image.get_height()
-        self._canvas.blit(image, (left, top))
+        self._canvas.blit(image, (left_edge, top))
 
 
 def as_array(surface: pygame.Surface) -> NDArray[np.uint8]:
@@ -480,25 +446,11 @@ def as_array(surface: pygame.Surface) -> NDArray[np.uint8]:
     return np.ascontiguousarray(pixels.swapaxes(0, 1))
 
 
-def tension_colour(fraction: float) -> tuple[int, int, int]:
+def tension_colour(fraction: float) -> tuple[int, ...]:
     """Colour of a cable whose tension is this fraction of the tension that its motor holds at
     standstill."""
-    position = min(max(fraction, 0.0), 1.0) * (len(_TENSION_COLOURS) - 1)
-    index = min(int(position), len(_TENSION_COLOURS) - 2)
-    low = np.array(list(bytes.fromhex(_TENSION_COLOURS[index][1:])))
-    high = np.array(list(bytes.fromhex(_TENSION_COLOURS[index + 1][1:])))
-    mixed = low + (position - index) * (high - low)
-    red, green, blue = mixed.round().astype(int).tolist()
-    return red, green, blue
-
-
-def _polygon(points: Array) -> Array:
-    """Distinct points among points (m, 2), sorted by direction from their centre: corners of a
-    polygon."""
-    relative = points - points.mean(axis=0)
-    distinct = [group[0] for group in coinciding(points)]
-    angles = np.arctan2(relative[distinct, 1], relative[distinct, 0])
-    return points[distinct][np.argsort(angles, kind="stable")]
+    fractions = np.linspace(0.0, 1.0, len(_TENSION_COLOURS))
+    return tuple(round(np.interp(fraction, fractions, channel)) for channel in _TENSION_COLOURS.T)
 
 
 def _resample(points: Array, step: float) -> Array:

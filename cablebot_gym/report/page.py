@@ -7,7 +7,6 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from importlib.resources import files
 from statistics import median
 from typing import Any
@@ -87,76 +86,89 @@ def page_data(
 ) -> dict[str, Any]:
     """JSON-able data for the scripts of the page. For the arguments see :func:`html`."""
     records = merge_records(sources)
-    all_scores = scores.scores(records)
-    references = [
-        best
-        for best in scores.best_known_payloads(records).values()
-        if not varied_fields(best.cell)
-    ]
-    by_key = {record.cell.key: record for record in records}
-    robots, motions = _Unique(), _Unique()
-
-    def entry(
-        cell: Cell, label: str, facts: list[list[str]], reason: str = NO_EPISODE
-    ) -> dict[str, Any]:
-        facts = [*facts, _made_by(by_key[cell.key])]
-        data = {
-            "title": task_title(cell),
-            "payload_label": label,
-            "code": _code(cell),
-            "facts": facts,
-        }
-        recorded = replays.get(cell.key, "")
-        if isinstance(recorded, str):
-            return data | {"replays": None, "reason": recorded or reason}
-        shown = [replay.to_dict() for replay in recorded]
-        return data | {
-            "replays": shown,
-            "robot": robots.add(_robot(cell)),
-            "motion": motions.add(_motion(cell)),
-        }
-
-    cells = []
-    for score in all_scores:
-        reason = NO_EPISODE if score.result.get("applicable", True) else NOT_APPLICABLE
-        cells.append(
-            entry(
-                score.cell, "unloaded" if score.payload is None else "DLCC", _facts(score), reason
-            )
-        )
-    indices = {score.cell.key: index for index, score in enumerate(all_scores)}
-    boards, rows = scores.leaderboards(records), []
-    for leaderboard in boards:
-        rows += [
-            _row(leaderboard, policy, column, indices) for policy, column in leaderboard.entries
-        ]
-        for name in dict.fromkeys(column.motion for column in leaderboard.columns):
-            motion = leaderboard.env_id, name
-            group = [
-                best
-                for best in references
-                if (best.cell.env_id, best.cell.trajectory["name"]) == motion
-            ]
-            if not group:
-                continue
-            rows.append(
-                _best_row(leaderboard, name, group, range(len(cells), len(cells) + len(group)))
-            )
-            cells += [
-                entry(best.cell, BEST_KNOWN, [["Best known payload", best_known_text(best)]])
-                for best in group
-            ]
+    cells = _Cells(records, replays)
+    indices = {}
+    for score in scores.scores(records):
+        indices[score.cell.key] = cells.add_score(score)
+    references = []
+    for reference in scores.best_known_payloads(records).values():
+        if not varied_fields(reference.cell):
+            references.append(reference)
+    boards = scores.leaderboards(records)
+    rows = []
+    for board in boards:
+        for policy, column in board.entries:
+            rows.append(_row(board, policy, column, indices))
+        rows += _best_known_rows(board, references, cells)
     return {
         "rows": rows,
-        "start": _start(rows, cells, boards),
-        "cells": cells,
-        "robots": robots.values,
-        "motions": motions.values,
+        "start": _start(rows, cells.cells, boards),
+        "cells": cells.cells,
+        "robots": list(cells.robots.values()),
+        "motions": list(cells.motions.values()),
         "maps": [_map(payload_map) for payload_map in scores.payload_maps(records)],
         "notes": _notes(sources, records),
         "rate": RATE,
         "levels": LEVELS,
     }
+
+
+class _Cells:
+    """Data of the cells of a page, and the distinct robots and motions of their episodes."""
+
+    def __init__(
+        self, records: Sequence[Record], replays: Mapping[str, Sequence[Replay] | str]
+    ) -> None:
+        self.cells: list[dict[str, Any]] = []
+        self.robots: dict[str, dict[str, Any]] = {}
+        self.motions: dict[str, dict[str, Any]] = {}
+        self._replays = replays
+        self._records = {record.cell.key: record for record in records}
+
+    def add_score(self, score: scores.Score) -> int:
+        """Adds the cell of a score and returns its index."""
+        label = "DLCC"
+        if score.payload is None:
+            label = "unloaded"
+        reason = NO_EPISODE
+        if not _applicable(score):
+            reason = NOT_APPLICABLE
+        return self.add(score.cell, label, _facts(score), reason)
+
+    def add(self, cell: Cell, label: str, facts: list[list[str]], reason: str = NO_EPISODE) -> int:
+        """Adds a cell and returns its index.
+
+        Args:
+            cell: the cell.
+            label: label of its payload.
+            facts: names and texts of its properties.
+            reason: reason for the missing episodes, if neither episodes nor an error message are
+                given.
+        """
+        record = self._records[cell.key]
+        versions = ", ".join(f"{name} {version}" for name, version in record.versions.items())
+        data: dict[str, Any] = {
+            "title": task_title(cell),
+            "payload_label": label,
+            "code": _code(cell),
+            "facts": [*facts, ["Provenance", f"code {record.source}, with {versions}"]],
+        }
+        replays = self._replays.get(cell.key, "")
+        if isinstance(replays, str):
+            data |= {"replays": None, "reason": replays or reason}
+        else:
+            data["replays"] = [replay.to_dict() for replay in replays]
+            data["robot"] = _index(self.robots, _robot(cell))
+            data["motion"] = _index(self.motions, _motion(cell))
+        self.cells.append(data)
+        return len(self.cells) - 1
+
+
+def _index(values: dict[str, dict[str, Any]], value: dict[str, Any]) -> int:
+    """Index of a JSON-able value among distinct ones, to which it is added if it is new."""
+    key = canonical(value)
+    values.setdefault(key, value)
+    return list(values).index(key)
 
 
 def _start(
@@ -172,117 +184,130 @@ def _start(
     if not boards:
         return 0
     board = boards[0]
-    column = next(
-        (column for column in board.columns if column.motion.startswith("circle-")),
-        board.columns[0],
-    )
+    circles = [column for column in board.columns if column.motion.startswith("circle-")]
+    column = [*circles, *board.columns][0]
     keys = {_row_key(board, policy, column) for policy in board.policies}
 
     def rank(index: int) -> tuple[bool, float]:
         row = rows[index]
-        return cells[row["cells"][0]]["replays"] is not None, -1.0 if row[
-            "payload"
-        ] is None else row["payload"]
+        payload = row["payload"]
+        if payload is None:
+            payload = -1.0
+        return cells[row["cells"][0]]["replays"] is not None, payload
 
     return max((index for index, row in enumerate(rows) if row["key"] in keys), key=rank)
 
 
-class _Unique:
-    """A list of distinct JSON-able values."""
-
-    def __init__(self) -> None:
-        self.values: list[Any] = []
-        self._indices: dict[str, int] = {}
-
-    def add(self, value: Any) -> int:
-        """The index of a value, which is appended if it is new."""
-        key = canonical(value)
-        if key not in self._indices:
-            self._indices[key] = len(self.values)
-            self.values.append(value)
-        return self._indices[key]
-
-
 def _row(
-    leaderboard: scores.Leaderboard, policy: str, column: scores.Column, indices: Mapping[str, int]
+    board: scores.Leaderboard, policy: str, column: scores.Column, indices: Mapping[str, int]
 ) -> dict[str, Any]:
-    entry = leaderboard.entries[policy, column]
-    fraction = leaderboard.fraction(policy, column)
-    applicable = all(score.result.get("applicable", True) for score in entry)
-    payloads = [score.payload or 0.0 for score in entry]
-    failed = any(score.error is not None for score in entry)
-    value = entry[0].payload_text if len(entry) == 1 else f"{median(payloads):.2f}"
-    return _conditions(leaderboard, policy, column) | {
-        "payload_text": "error" if failed else value if applicable else "n/a",
-        "payload": None if failed or not applicable else median(payloads),
-        "fraction": None if fraction is None else fraction.mean,
-        "interval": [fraction.low, fraction.high]
-        if fraction and len(entry) >= scores.RANKED_MOTIONS
-        else None,
-        "note": _note(entry, applicable, failed),
+    """The row of a policy under the conditions of a column; ``indices`` of cells by their keys."""
+    entry = board.entries[policy, column]
+    payload = None
+    if any(score.error is not None for score in entry):
+        payload_text = "error"
+    elif not all(map(_applicable, entry)):
+        payload_text = "n/a"
+    else:
+        payload = median(score.payload or 0.0 for score in entry)
+        payload_text = f"{payload:.2f}"
+        if len(entry) == 1:
+            payload_text = entry[0].payload_text
+    fraction = board.fraction(policy, column)
+    mean = None
+    interval = None
+    if fraction is not None:
+        mean = fraction.mean
+        if len(entry) >= scores.RANKED_MOTIONS:
+            interval = [fraction.low, fraction.high]
+    return _conditions(board, policy, column) | {
+        "payload_text": payload_text,
+        "payload": payload,
+        "fraction": mean,
+        "interval": interval,
+        "note": _note(entry),
         "violation": _violation_text(entry),
         "cells": [indices[score.cell.key] for score in entry],
     }
 
 
-def _best_row(
-    leaderboard: scores.Leaderboard,
-    motion: str,
-    group: Sequence[scores.BestKnown],
-    indices: Sequence[int],
-) -> dict[str, Any]:
-    payloads = [best.payload for best in group if best.payload is not None]
-    payload = median(payloads) if len(payloads) == len(group) else None
-    column = next(column for column in leaderboard.columns if column.motion == motion)
-    return _conditions(leaderboard, BEST_KNOWN, column) | {
-        "payload_text": "none" if payload is None else f"{payload:.2f}",
-        "payload": payload,
-        "fraction": None if payload is None else 1.0,
-        "cells": [*indices],
-    }
+def _best_known_rows(
+    board: scores.Leaderboard, references: Sequence[scores.BestKnown], cells: _Cells
+) -> list[dict[str, Any]]:
+    """The rows of the best known payloads of a leaderboard, one for each motion; their cells are
+    added to ``cells``."""
+    groups: dict[str, list[scores.BestKnown]] = {}
+    for reference in references:
+        if reference.cell.env_id == board.env_id:
+            groups.setdefault(str(reference.cell.trajectory["name"]), []).append(reference)
+    columns: dict[str, scores.Column] = {}
+    for column in board.columns:
+        columns.setdefault(column.motion, column)
+    rows = []
+    for motion, column in columns.items():
+        if motion not in groups:
+            continue
+        indices = []
+        payloads = []
+        for reference in groups[motion]:
+            facts = [["Best known payload", best_known_text(reference)]]
+            indices.append(cells.add(reference.cell, BEST_KNOWN, facts))
+            if reference.payload is not None:
+                payloads.append(reference.payload)
+        row = _conditions(board, BEST_KNOWN, column)
+        row |= {"payload_text": "none", "payload": None, "fraction": None, "cells": indices}
+        if len(payloads) == len(indices):
+            payload = median(payloads)
+            row |= {"payload_text": f"{payload:.2f}", "payload": payload, "fraction": 1.0}
+        rows.append(row)
+    return rows
 
 
-def _conditions(
-    leaderboard: scores.Leaderboard, policy: str, column: scores.Column
-) -> dict[str, Any]:
+def _conditions(board: scores.Leaderboard, policy: str, column: scores.Column) -> dict[str, Any]:
     return {
-        "key": _row_key(leaderboard, policy, column),
-        "id": leaderboard.env_id,
+        "key": _row_key(board, policy, column),
+        "id": board.env_id,
         "policy": policy,
-        "motion": motion_title(column, leaderboard.motions(column)),
+        "motion": motion_title(column, board.motions(column)),
         "condition": heading(column).removesuffix(" [kg]"),
         "violation": "",
     }
 
 
-def _row_key(leaderboard: scores.Leaderboard, policy: str, column: scores.Column) -> str:
-    return canonical([leaderboard.env_id, column.motion, policy, heading(column)])
+def _row_key(board: scores.Leaderboard, policy: str, column: scores.Column) -> str:
+    return canonical([board.env_id, column.motion, policy, heading(column)])
 
 
-def _note(entry: Sequence[scores.Score], applicable: bool, failed: bool) -> str:
+def _applicable(score: scores.Score) -> bool:
+    """Whether the criterion applies to the policy."""
+    return bool(score.result.get("applicable", True))
+
+
+def _note(entry: Sequence[scores.Score]) -> str:
     """Reason for a missing fraction; empty if there is a fraction or if another column states the
     reason."""
-    if not applicable:
+    if not all(map(_applicable, entry)):
         return "does not declare unsaturated_actions"
-    cell = entry[0].cell
-    searched = (
-        all(score.best_known is not None for score in entry)
-        or cell.criterion != "task"
-        or cell.uncertainty
-    )
-    return "" if failed or searched else "no best known payload"
+    if entry[0].cell.criterion != "task" or entry[0].cell.uncertainty:
+        return ""
+    for score in entry:
+        if score.error is not None:
+            return ""
+    if all(score.best_known is not None for score in entry):
+        return ""
+    return "no best known payload"
 
 
 def _violation_text(entry: Sequence[scores.Score]) -> str:
     """Limiting violation for one motion; the kinds of violation and their counts for several
     motions."""
-    violations = [
-        violation for score in entry if (violation := limiting_violation(score)) is not None
-    ]
-    if len(entry) == 1:
-        return str(violations[0]) if violations else (entry[0].error or "")
-    counts = Counter(violation.kind for violation in violations)
-    return ", ".join(f"{kind} {count} ×" for kind, count in counts.items())
+    violations = list(filter(None, map(limiting_violation, entry)))
+    if len(entry) > 1:
+        counts = Counter(violation.kind for violation in violations)
+        return ", ".join(f"{kind} {count} ×" for kind, count in counts.items())
+    if violations:
+        return str(violations[0])
+    return entry[0].error or ""
 
 
 def _code(cell: Cell) -> str:
@@ -295,30 +320,35 @@ def _code(cell: Cell) -> str:
         module = "cablebot_gym.evaluation"
         name = "evaluate_dlcc"
         lines = [repr(cell.policy), repr(cell.env_id)]
-    options = cell.options() if isinstance(cell, PolicyCell) else cell.env_options()
-    lines += [f"{option}={value!r}" for option, value in options.items() if value is not None]
+    options = cell.env_options()
+    if isinstance(cell, PolicyCell):
+        options = cell.options()
+    for option, value in options.items():
+        if value is not None:
+            lines.append(f"{option}={value!r}")
     inner = "".join(f"    {line},\n" for line in lines)
     return f"import cablebot_gym\nfrom {module} import {name}\n\nprint({name}(\n{inner}))"
 
 
 def _facts(score: scores.Score) -> list[list[str]]:
-    result, cell = score.result, score.cell
+    """Names and texts of the properties of a score."""
+    result = score.result
+    cell = score.cell
     if score.error is not None:
         return [["Error", score.error]]
-    if not result.get("applicable", True):
+    if not _applicable(score):
         return [["Not applicable", NOT_APPLICABLE]]
     intervals = [f"{low:.3f} to {high:.3f} kg" for low, high in result.get("feasible", [])]
     facts = [["Feasible payloads", ", ".join(intervals) or "none; the policy fails unloaded"]]
-    if (violation := limiting_violation(score)) is not None:
+    violation = limiting_violation(score)
+    if violation is not None:
         facts.append(["Limiting violation", str(violation)])
     if cell.draws > 1:
-        bound = "is" if result.get("assured") else "is not assured to be"
-        facts.append(
-            [
-                "Draws",
-                f"{cell.draws}; the payload {bound} the 95/{100 * cell.probability:g} lower tolerance bound",
-            ]
-        )
+        verb = "is not assured to be"
+        if result.get("assured"):
+            verb = "is"
+        bound = f"the 95/{100 * cell.probability:g} lower tolerance bound"
+        facts.append(["Draws", f"{cell.draws}; the payload {verb} {bound}"])
     if result.get("failures"):
         counts = ", ".join(f"{kind}: {count}" for kind, count in result["failures"].items())
         facts.append(["Violations of the draws at a larger payload", counts])
@@ -334,42 +364,40 @@ def limiting_violation(score: scores.Score) -> Violation | None:
     data = score.result.get("violation")
     if not data:
         return None
-    violation = Violation(**data)
-    return replace(violation, bound=score.cell.error_bounds.get(violation.kind))
-
-
-def _made_by(record: Record) -> list[str]:
-    return [
-        "Provenance",
-        f"code {record.source}, with " + ", ".join(f"{k} {v}" for k, v in record.versions.items()),
-    ]
+    return Violation(**data | {"bound": score.cell.error_bounds.get(data["kind"])})
 
 
 def _robot(cell: Cell) -> dict[str, Any]:
+    """Constants of the picture of a robot."""
     robot = cell.robot
     points, cables = platform_points(robot)
-    base = robot.base
-    low, high = base.min(axis=0), base.max(axis=0)
-    reach = np.array(robot.home_pose[: base.shape[1]], float)
-    low, high = np.minimum(low, reach), np.maximum(high, reach)
+    middle = np.zeros(3)
+    visible = np.vstack([robot.base, robot.home[: robot.dimensions]])
+    low = visible.min(axis=0)
+    high = visible.max(axis=0)
+    middle[: robot.dimensions] = (low + high) / 2
+    hang = HANG
+    if robot.planar:
+        hang = 0.0
     return {
         "name": robot.name,
-        "base": base.tolist(),
+        "base": robot.base.tolist(),
         "points": len(points),
         "cables": cables,
-        "middle": [*((low + high) / 2).tolist(), *[0.0] * (3 - base.shape[1])],
+        "middle": middle.tolist(),
         "size": float(np.linalg.norm(high - low)),
         "planar": robot.planar,
-        "hang": 0.0 if robot.planar else HANG,
+        "hang": hang,
         "fullTension": full_tension(robot),
     }
 
 
 def _motion(cell: Cell) -> dict[str, Any]:
+    """Reference path of a cell at the frames of a replay, and its error bounds."""
     robot = cell.robot
     trajectory = find_trajectory(dict(cell.trajectory), robot.kind)
     times = np.arange(np.ceil(trajectory.duration * RATE - 1e-9) + 1) / RATE
-    path = trajectory(np.minimum(times, trajectory.duration)).position[:, : robot.base.shape[1]]
+    path = trajectory(np.minimum(times, trajectory.duration)).position[:, : robot.dimensions]
     return {
         "path": np.round(path, 6).tolist(),
         "bound": cell.error_bounds["position"],
@@ -378,29 +406,36 @@ def _motion(cell: Cell) -> dict[str, Any]:
 
 
 def _map(payload_map: scores.PayloadMap) -> dict[str, Any]:
-    def payload(score: scores.Score | None) -> float | None:
-        return None if score is None or score.error is not None else score.payload or 0.0
-
+    """Payloads of all policies over the varied condition; 0 if a policy fails unloaded."""
+    policies = []
+    for policy, entry in payload_map.policies.items():
+        payloads: list[float | None] = []
+        for score in entry:
+            if score is None or score.error is not None:
+                payloads.append(None)
+            else:
+                payloads.append(score.payload or 0.0)
+        policies.append({"name": policy, "values": payloads})
+    axis = payload_map.axis
     return {
         "id": payload_map.env_id,
-        "label": ", ".join([*payload_map.constants, payload_map.axis.label]),
-        "x": [round(value * payload_map.axis.scale, 9) for value in payload_map.values],
+        "label": ", ".join([*payload_map.constants, axis.label]),
+        "x": [round(value * axis.scale, 9) for value in payload_map.values],
         "best_known": list(payload_map.best_known),
-        "policies": [
-            {"name": policy, "values": [payload(score) for score in entry]}
-            for policy, entry in payload_map.policies.items()
-        ],
+        "policies": policies,
     }
 
 
 def _notes(sources: Sequence[Results], records: Sequence[Record]) -> list[dict[str, Any]]:
-    references = [best_known_text(best) for best in scores.best_known_payloads(records).values()]
-    sections = {
-        "Commands": [f"suite {source.suite}: {source.command}" for source in sources],
-        "Best known payloads": references or ["none in these results"],
-        "Notes": [*failures(records), *fallbacks(records)],
-    }
-    return [{"title": title, "lines": lines} for title, lines in sections.items() if lines]
+    """Titles and lines of the notes below the tables."""
+    commands = [f"suite {source.suite}: {source.command}" for source in sources]
+    references = list(map(best_known_text, scores.best_known_payloads(records).values()))
+    notes = [
+        {"title": "Commands", "lines": commands},
+        {"title": "Best known payloads", "lines": references or ["none in these results"]},
+        {"title": "Notes", "lines": [*failures(records), *fallbacks(records)]},
+    ]
+    return [note for note in notes if note["lines"]]
 
 
 def replay_queries(records: Sequence[Record]) -> dict[str, tuple[Cell, float | None]]:
@@ -408,11 +443,11 @@ def replay_queries(records: Sequence[Record]) -> dict[str, tuple[Cell, float | N
 
     The best known payload of a map has no row and therefore no episode.
     """
-    return {
-        record.cell.key: (record.cell, record.result.get("payload"))
-        for record in records
-        if record.error is None
-        and not isinstance(record.cell, TimingCell)
-        and record.result.get("applicable", True)
-        and not (isinstance(record.cell, BestKnownCell) and varied_fields(record.cell))
-    }
+    queries: dict[str, tuple[Cell, float | None]] = {}
+    for record in records:
+        cell = record.cell
+        has_row = not isinstance(cell, BestKnownCell) or not varied_fields(cell)
+        has_episode = record.error is None and record.result.get("applicable", True)
+        if has_row and has_episode and not isinstance(cell, TimingCell):
+            queries[cell.key] = (cell, record.result.get("payload"))
+    return queries

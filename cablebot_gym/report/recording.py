@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import cast
 
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, canonical
 from cablebot_gym.report.replay import Replay, batch_key, best_replays, replays
@@ -35,44 +37,41 @@ def record_all(
         workers: number of parallel processes.
         say: called with one-sentence messages for the user.
     """
-    groups: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = defaultdict(list)
     for key, (cell, payload) in queries.items():
         stored = _read(_path(folder, cell, payload))
         if stored is not None:
             yield key, stored
+        elif isinstance(cell, PolicyCell):
+            groups[batch_key(cell)].append(key)
         else:
-            group = batch_key(cell) if isinstance(cell, PolicyCell) else key
-            groups.setdefault(group, []).append(key)
-    jobs = {
-        group: partial(record_batch, [queries[key] for key in keys])
-        for group, keys in groups.items()
-    }
-    returned = (processes.WorkerDied,)
+            groups[key].append(key)
+    jobs = {}
+    for group, keys in groups.items():
+        jobs[group] = partial(record_batch, [queries[key] for key in keys])
     for group, results in processes.run(
-        jobs, workers=workers, kind=_kind, say=say, returned=returned
+        jobs, workers=workers, kind=_kind, say=say, returned=(processes.WorkerDied,)
     ):
-        for index, key in enumerate(groups[group]):
-            if isinstance(results, processes.WorkerDied):
-                yield key, str(results)
-                continue
-            if not isinstance(results[index], str):
-                _write(_path(folder, *queries[key]), results[index])
-            yield key, results[index]
+        keys = groups[group]
+        if isinstance(results, processes.WorkerDied):
+            results = [str(results)] * len(keys)
+        for key, result in zip(keys, results, strict=True):
+            if not isinstance(result, str):
+                _write(_path(folder, *queries[key]), result)
+            yield key, result
 
 
 def record_batch(queries: Sequence[ReplayQuery]) -> list[ReplayResult]:
     """The episodes of cells that share a batch. An exception becomes an error message; it does not
     stop the report."""
     try:
-        first = queries[0][0]
-        if isinstance(first, BestKnownCell):
-            return [best_replays(first)]
-        return list(
-            replays([(cell, payload) for cell, payload in queries if isinstance(cell, PolicyCell)])
-        )
+        cell, _ = queries[0]
+        if isinstance(cell, BestKnownCell):
+            return [best_replays(cell)]
+        return list(replays(cast("Sequence[tuple[PolicyCell, float | None]]", queries)))
     except Exception as error:
         if len(queries) > 1:  # an error in one cell must not hide the others
-            return [result for query in queries for result in record_batch([query])]
+            return [record_batch([query])[0] for query in queries]
         return [f"No episode: {' '.join(str(error).split())}"]
 
 
@@ -83,10 +82,9 @@ def _kind(job: partial[list[ReplayResult]]) -> str:
 
 
 def _path(folder: Path, cell: Cell, payload: float | None) -> Path:
-    digest = hashlib.sha256(canonical([cell.to_dict(), payload, cell.source]).encode()).hexdigest()[
-        :16
-    ]
-    return folder / f"{cell.stem}-{digest}.json"
+    content = canonical([cell.to_dict(), payload, cell.source])
+    digest = hashlib.sha256(content.encode()).hexdigest()
+    return folder / f"{cell.stem}-{digest[:16]}.json"
 
 
 def _read(path: Path) -> list[Replay] | None:

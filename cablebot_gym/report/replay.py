@@ -6,8 +6,10 @@ from __future__ import annotations
 import base64
 import json
 import zlib
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import islice
 from typing import Any
 
 import gymnasium as gym
@@ -20,10 +22,11 @@ from cablebot_gym.evaluation.batch import draw_seeds, noise_seed, run_episodes
 from cablebot_gym.evaluation.constraints import Judge, Violation
 from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
 from cablebot_gym.isolation import IsolatedPolicy
-from cablebot_gym.kinematics import Array, turned
+from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import LoadedPolicy, PolicySpec, load
 from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.rendering.moment import ball_radius
+from cablebot_gym.rendering.projection import attached_points
 from cablebot_gym.robots import Robot
 
 RATE = 100
@@ -44,8 +47,14 @@ APPROACH = (0.1, 0.05, 0.02)
 """Times before a violation at which its margin is stated [s]."""
 
 _RECORDED = (
-    *("time", "true_pose", "tensions", "commanded_action"),
-    *("tracking_error", "rotation_error", "tracking_error_peak", "rotation_error_peak"),
+    "time",
+    "true_pose",
+    "tensions",
+    "commanded_action",
+    "tracking_error",
+    "rotation_error",
+    "tracking_error_peak",
+    "rotation_error_peak",
 )
 """Recorded arrays of an episode."""
 
@@ -92,7 +101,7 @@ def platform_points(robot: Robot) -> tuple[Array, list[int]]:
     """The distinct anchor points of the platform (k, 2 or 3) [m], and the index of each cable's
     anchor point."""
     points, indices = np.unique(np.round(robot.platform, 12), axis=0, return_inverse=True)
-    return points, [int(index) for index in np.ravel(indices)]
+    return points, np.ravel(indices).tolist()
 
 
 def batch_key(cell: PolicyCell) -> str:
@@ -119,63 +128,68 @@ def replays(cells: Sequence[tuple[PolicyCell, float | None]]) -> list[list[Repla
         cablebot_gym.policies.protocol.PolicyError: if the policy raises an exception or returns an
             invalid action.
     """
-    first = cells[0][0]
-    isolated = PolicySpec.parse(first.policy).kind == "entry"
-    policy = load(
-        IsolatedPolicy(first.policy, first.robot) if isolated else first.policy, first.robot
-    )
-    episodes = [(cell, payload) for cell, dlcc in cells for payload in _payloads(dlcc)]
+    conditions = cells[0][0]  # shared by all cells of the batch
+    policy: Any = conditions.policy
+    if PolicySpec.parse(policy).kind == "entry":
+        policy = IsolatedPolicy(policy, conditions.robot)
+    loaded = load(policy, conditions.robot)
+    episodes: list[tuple[PolicyCell, float]] = []
+    counts = []
+    for cell, dlcc in cells:
+        payloads = _payloads(dlcc)
+        counts.append(len(payloads))
+        episodes += [(cell, payload) for payload in payloads]
     env = gym.make_vec(
-        first.env_id,
+        conditions.env_id,
         num_envs=len(episodes),
         max_episode_steps=None,
-        robot=first.robot,
-        error_bounds=dict(first.error_bounds),
-        control_frequency=first.control_frequency,
+        robot=conditions.robot,
+        error_bounds=dict(conditions.error_bounds),
+        control_frequency=conditions.control_frequency,
     ).unwrapped
     assert isinstance(env, CableBotVectorEnv)
     try:
-        recorded = map(compress, _rollouts(env, policy, episodes))
-        return [[next(recorded) for _ in _payloads(dlcc)] for _, dlcc in cells]
+        compressed = map(compress, _rollouts(env, loaded, episodes))
+        return [list(islice(compressed, count)) for count in counts]
     finally:
         env.close()
 
 
 def _payloads(dlcc: float | None) -> list[float]:
-    return [0.0] if dlcc is None else [dlcc, max(EXCESS_FACTOR * dlcc, dlcc + MIN_EXCESS)]
+    if dlcc is None:
+        return [0.0]
+    return [dlcc, max(EXCESS_FACTOR * dlcc, dlcc + MIN_EXCESS)]
 
 
 def _rollouts(
     env: CableBotVectorEnv, policy: LoadedPolicy, episodes: Sequence[tuple[PolicyCell, float]]
 ) -> list[Rollout]:
     """Records one episode of each environment, with the conditions of its cell and its payload."""
-    cells = [cell for cell, _ in episodes]
-    payloads = np.array([payload for _, payload in episodes])
-    seeds = [draw_seeds(cell.seed, cell.draws)[0] for cell in cells]
-    options: dict[str, Any] = {
-        "payload": payloads,
-        "payload_known": [cell.payload_known for cell in cells],
-        "model_payload_factor": [cell.model_payload_factor for cell in cells],
-        "uncertainty": [cell.uncertainty or "none" for cell in cells],
-        "noise_seed": [
-            noise_seed(seed, payload)
-            for seed, payload in zip(seeds, payloads.tolist(), strict=True)
-        ],
-    }
+    seeds = []
+    motions = []
+    columns: dict[str, list[Any]] = defaultdict(list)
+    for cell, payload in episodes:
+        seed = draw_seeds(cell.seed, cell.draws)[0]
+        seeds.append(seed)
+        motions.append(canonical(dict(cell.trajectory)))
+        columns["payload"].append(payload)
+        columns["payload_known"].append(cell.payload_known)
+        columns["model_payload_factor"].append(cell.model_payload_factor)
+        columns["uncertainty"].append(cell.uncertainty or "none")
+        columns["noise_seed"].append(noise_seed(seed, payload))
+    options: dict[str, Any] = columns | {"payload": np.array(columns["payload"])}
     judge = Judge("task", env.settings.robot.cables, env.num_envs)
     env.reset(options=options)
-    motions = np.array([canonical(dict(cell.trajectory)) for cell in cells])
-    for motion in dict.fromkeys(motions.tolist()):
-        mask = motions == motion
-        own = options | {"trajectory": json.loads(motion), "reset_mask": mask}
-        observation, info = env.reset(seed=seeds, options=own)
+    for motion in dict.fromkeys(motions):
+        mask = np.array(motions) == motion
+        options |= {"trajectory": json.loads(motion), "reset_mask": mask}
+        observation, info = env.reset(seed=seeds, options=options)
         task = env.tasks[int(mask.argmax())]
         judge.reset(info, task, mask)
     recorder = Recorder(range(env.num_envs), _RECORDED)
     recorder.start(env, observation, info)
-    run: dict[str, Any] = {"observer": recorder, "full_motion": True}
-    run_episodes(env, policy, observation, judge, **run)
-    return recorder.rollouts([judge.verdict(index) for index in range(env.num_envs)])
+    run_episodes(env, policy, observation, judge, observer=recorder, full_motion=True)
+    return recorder.rollouts(list(map(judge.verdict, range(env.num_envs))))
 
 
 def best_replays(cell: BestKnownCell) -> list[Replay]:
@@ -192,11 +206,8 @@ def best_replays(cell: BestKnownCell) -> list[Replay]:
             "the actions of this best known payload are not in the cache of this machine, or they were computed by "
             "different code. Run the code under 'How this number is computed' (minutes), then cablebot report again"
         )
-    return [
-        compress(
-            record_rollout(OpenLoop(result.actions), cell.env_id, payload=result.payload, **options)
-        )
-    ]
+    policy = OpenLoop(result.actions)
+    return [compress(record_rollout(policy, cell.env_id, payload=result.payload, **options))]
 
 
 def compress(rollout: Rollout) -> Replay:
@@ -205,14 +216,17 @@ def compress(rollout: Rollout) -> Replay:
     table = np.concatenate(list(channels.values()), axis=1)
     low, high, data = _pack(table)
     violation = rollout.verdict.violation
+    violation_text = ""
+    violation_time = None
+    if violation is not None:
+        violation_text = f"{violation}. {approach(rollout, violation)}".strip()
+        violation_time = violation.time
     return Replay(
         payload=rollout.payload,
         radius=ball_radius(rollout.payload),
         carried=rollout.verdict.carried,
-        violation=""
-        if violation is None
-        else f"{violation}. {approach(rollout, violation)}".strip(),
-        violation_time=None if violation is None else violation.time,
+        violation=violation_text,
+        violation_time=violation_time,
         end=float(rollout.arrays["time"][-1]),
         frames=len(table),
         channels={name: values.shape[1] for name, values in channels.items()},
@@ -238,13 +252,15 @@ def approach(rollout: Rollout, violation: Violation) -> str:
     else:
         return ""
     times = arrays["time"] - (violation.time or 0.0)
-    instants = [before for before in APPROACH if times[0] <= -before]
+    margins = []
+    instants = []
+    for before in APPROACH:
+        if times[0] <= -before:
+            margins.append(f"{values[np.searchsorted(times, -before - 1e-9)]:.0f}")
+            instants.append(f"{1e3 * before:.0f}")
     if not instants:
         return ""
-    shown = ", ".join(
-        f"{values[np.searchsorted(times, -before - 1e-9)]:.0f}" for before in instants
-    )
-    return f"{subject} is {shown} {unit}, {', '.join(f'{1e3 * before:.0f}' for before in instants)} ms before."
+    return f"{subject} is {', '.join(margins)} {unit}, {', '.join(instants)} ms before."
 
 
 def _channels(rollout: Rollout, every: int) -> dict[str, Array]:
@@ -253,44 +269,39 @@ def _channels(rollout: Rollout, every: int) -> dict[str, Array]:
     robot = rollout.task.robot
     arrays = rollout.arrays
     steps = len(rollout) - 1
-    ends = [*range(every, steps, every), steps]
-    windows = [slice(end - every if end % every == 0 else end - end % every, end) for end in ends]
-    poses = np.concatenate(
-        [rollout.start["true_pose"][None], arrays["true_pose"][np.array(ends) - 1]]
-    )
-    position = poses[:, : robot.base.shape[1]]
+    starts = range(0, steps, every)
+    ends = [*starts[1:], steps]
+    poses = np.vstack([rollout.start["true_pose"], arrays["true_pose"][np.array(ends) - 1]])
     points, _ = platform_points(robot)
-    anchors = position[:, None] + turned(poses, points)
-    action = arrays["commanded_action"]
-    peaks = [
-        np.take_along_axis(rows, np.abs(rows).argmax(0)[None], 0)[0]
-        for rows in (action[w] for w in windows)
-    ]
+    tensions = np.minimum.reduceat(arrays["tensions"], starts)
+    actions = []
+    for start, end in zip(starts, ends, strict=True):
+        action = arrays["commanded_action"][start:end]
+        actions.append(action[np.abs(action).argmax(axis=0), np.arange(robot.cables)])
     channels = {
-        "position": position,
-        "anchors": anchors.reshape(len(poses), -1),
-        "tension": _repeat_first([arrays["tensions"][w].min(0) for w in windows]),
-        "action": _repeat_first(peaks),
+        "position": poses[:, : robot.dimensions],
+        "anchors": attached_points(poses, points).reshape(len(poses), -1),
+        # No interval precedes the initial frame: it repeats the values of the next one.
+        "tension": np.vstack([tensions[:1], tensions]),
+        "action": np.vstack([actions[:1], actions]),
+        "position_error": _peaks(rollout, "tracking_error", starts),
     }
-    for kind, name in (("position", "tracking_error"), ("rotation", "rotation_error")):
-        if kind == "position" or not robot.point_mass:
-            peaks = [arrays[f"{name}_peak"][w].max() for w in windows]
-            channels[f"{kind}_error"] = np.array([rollout.start[name], *peaks])[:, None]
+    if not robot.point_mass:
+        channels["rotation_error"] = _peaks(rollout, "rotation_error", starts)
     return channels
 
 
-def _repeat_first(rows: list[Array]) -> Array:
-    """Rows with the first one repeated, because no interval precedes the initial frame."""
-    return np.array([rows[0], *rows])
+def _peaks(rollout: Rollout, name: str, starts: Sequence[int]) -> Array:
+    """An error at the start, and its largest values between successive frames, as a column."""
+    peaks = np.maximum.reduceat(rollout.arrays[f"{name}_peak"], starts)
+    return np.append(rollout.start[name], peaks)[:, None]
 
 
 def _pack(table: Array) -> tuple[Array, Array, str]:
-    low, high = table.min(axis=0), table.max(axis=0)
+    """Minimum, maximum and encoded samples of the components of a table, as in a :class:`Replay`."""
+    low = table.min(axis=0)
+    high = table.max(axis=0)
     span = np.where(high > low, high - low, 1.0)
     levels = np.rint((table - low) / span * LEVELS).astype(np.int64)
     steps = np.diff(levels, axis=0, prepend=0).T.astype("<i2")
-    return (
-        low,
-        high,
-        base64.b64encode(zlib.compress(np.ascontiguousarray(steps).tobytes(), 9)).decode("ascii"),
-    )
+    return low, high, base64.b64encode(zlib.compress(steps.tobytes(), 9)).decode("ascii")

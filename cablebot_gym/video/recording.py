@@ -48,7 +48,9 @@ def note(rollout: Rollout, index: int) -> str:
     violation = rollout.verdict.violation
     if violation is not None and (violation.time or 0.0) <= rollout.moment(index).time + 1e-9:
         return f"not carried: {violation}"
-    return "carried" if rollout.verdict.carried and index == len(rollout) - 1 else ""
+    if rollout.verdict.carried and index == len(rollout) - 1:
+        return "carried"
+    return ""
 
 
 class VideoPainter:
@@ -64,21 +66,23 @@ class VideoPainter:
     """
 
     def __init__(self, episodes: Sequence[Episode], size: tuple[int, int] = SIZE) -> None:
-        self._rollouts = [rollout for _, rollout in episodes]
-        self._painters = [Painter(rollout.task, title, size) for title, rollout in episodes]
+        self._rollouts = []
+        self._painters = []
+        self.duration = 0.0
+        """Duration of the longest episode [s]."""
+        for title, rollout in episodes:
+            self._rollouts.append(rollout)
+            self._painters.append(Painter(rollout.task, title, size))
+            self.duration = max(self.duration, rollout.moment(-1).time)
         self.size = (size[0] * len(episodes), size[1])
         """Width and height of all pictures together [pixels]."""
-        self.duration = max(rollout.moment(-1).time for rollout in self._rollouts)
-        """Duration of the longest episode [s]."""
 
     def surfaces(self, time: float) -> Iterator[Any]:
         """The picture of each episode at its last moment that is not later than a time [s]."""
         for rollout, painter in zip(self._rollouts, self._painters, strict=True):
             index = int(np.searchsorted(rollout.arrays["time"], time + 1e-9, side="right"))
             text = note(rollout, index)
-            trail = np.concatenate(
-                [[rollout.start["true_pose"]], rollout.arrays["true_pose"][:index]]
-            )
+            trail = np.vstack([rollout.start["true_pose"], rollout.arrays["true_pose"][:index]])
             yield painter.paint(rollout.moment(index), trail, text, good=text == "carried")
 
     def array(self, time: float) -> NDArray[np.uint8]:
@@ -94,9 +98,8 @@ class VideoPainter:
             rate: pictures per second of playback.
         """
         moving = np.arange(math.ceil(self.duration * rate / speed) + 1) * speed / rate
-        return np.concatenate(
-            [np.minimum(moving, self.duration), np.full(round(END_TIME * rate), self.duration)]
-        )
+        times = np.minimum(moving, self.duration)
+        return np.pad(times, (0, round(END_TIME * rate)), constant_values=self.duration)
 
 
 def check_picture(path: Path, time: float | None) -> None:
@@ -134,13 +137,15 @@ def write_picture(
     """
     check_picture(path, time)
     painter = VideoPainter(episodes, size)
-    if time is not None and time > painter.duration + 1e-9:
+    if time is None:
+        time = painter.duration
+    if time > painter.duration + 1e-9:
         raise ValueError(
             f"time must be at most {painter.duration:g} s, when the last episode ends, not {time:g}"
         )
     from PIL import Image
 
-    image = Image.fromarray(painter.array(painter.duration if time is None else time))
+    image = Image.fromarray(painter.array(time))
     kind = {".jpg": "jpeg"}.get(path.suffix, path.suffix[1:])
     atomic_write(path, lambda temporary: image.save(temporary, format=kind))
 
@@ -163,8 +168,11 @@ def _check_file(path: Path, suffixes: tuple[str, ...], kind: str) -> None:
             f"cannot write a {kind} to {str(path)!r}: the file name has to end in {' or '.join(suffixes)}"
         )
     check_writable_file(path)
+    module = "PIL.Image"
+    if path.suffix == ".mp4":
+        module = "imageio_ffmpeg"
     try:
-        import_module("imageio_ffmpeg" if path.suffix == ".mp4" else "PIL.Image")
+        import_module(module)
     except ImportError as error:
         raise ImportError(
             f"{path.suffix} files require the extra: pip install 'cablebot-gym[render]'"
@@ -210,7 +218,11 @@ def write_video(
             f"width and height of a video must be even numbers of pixels, not {size[0]} × {size[1]}"
         )
     painter = VideoPainter(episodes, size)
-    rate = GIF_RATE if path.suffix == ".gif" else RATE
+    rate = RATE
+    write = _write_mp4
+    if path.suffix == ".gif":
+        rate = GIF_RATE
+        write = _write_gif
     times = painter.times(speed, rate)
 
     def pictures() -> Iterator[NDArray[np.uint8]]:
@@ -218,7 +230,6 @@ def write_video(
             yield painter.array(time)
             progress(done, len(times))
 
-    write = _write_gif if path.suffix == ".gif" else _write_mp4
     atomic_write(path, lambda temporary: write(temporary, pictures(), painter.size, rate))
 
 
@@ -246,9 +257,9 @@ def _write_gif(
     images = (
         Image.fromarray(picture).quantize(128, dither=Image.Dither.NONE) for picture in pictures
     )
-    first = next(images)
+    image = next(images)
     with path.open("wb") as file:  # Pillow would leave its own file open after an interrupt
-        first.save(
+        image.save(
             file, format="GIF", save_all=True, append_images=images, duration=1000 // rate, loop=0
         )
 
@@ -271,18 +282,19 @@ def play(
     window = Window("cablebot: Space pauses, arrow keys step, r restarts, q quits")
     times = painter.times(speed, RATE)
     surface = import_pygame().Surface(painter.size)
-    index, playing = 0, True
+    index = 0
+    playing = True
     try:
         while not window.closed:
             for column, picture in enumerate(painter.surfaces(times[index])):
                 surface.blit(picture, (column * size[0], 0))
             step = int(playing)
+            steps = {"left": -1, "right": 1, "r": -index, "space": 0}
             for key in window.show(surface, RATE):
                 if key in ("q", "escape"):
                     return
-                if key == "space":
-                    playing = not playing
-                step = 0 if key == "space" else {"left": -1, "right": 1, "r": -index}.get(key, step)
+                playing ^= key == "space"
+                step = steps.get(key, step)
             index = (index + step) % len(times)
     finally:
         window.close()

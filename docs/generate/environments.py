@@ -46,36 +46,44 @@ def page(env_id: str, env: CableBotEnv) -> str:
         [*layout[: marks[0]], env.layout.table(), *layout[marks[-1] + 1 :]]
     )
     names = ", ".join(f"`{name}`" for name in trajectory_names(robot.kind))
-    fields = ",\n".join(
-        f' "{name}": {json.dumps(value)}' for name, value in robot.to_dict().items()
-    )
-    parts = {
+    fields = []
+    for name, value in robot.to_dict().items():
+        fields.append(f' "{name}": {json.dumps(value)}')
+    values = ",\n".join(fields)
+    chapters = {
         "Robot": f"`{ENV_ROBOTS[env_id]}`, with these nominal values (SI, radians):\n\n"
-        f"```json\n{{\n{fields}\n}}\n```\n\n"
+        f"```json\n{{\n{values}\n}}\n```\n\n"
         f"Reference motions by name: {names}. The keyword `robot` takes [another robot](/your-own/robot.md).",
         "Equations": _equations(robot),
         **sections,
         "Policies": _policies(env_id),
     }
-    text = "".join(f"\n## {title}\n\n{body.strip()}\n" for title, body in parts.items())
-    return f"# {env_id}\n\n![{env_id}, rendered]({env_id}.png)\n\n{lead}\n{text}"
+    text = f"# {env_id}\n\n![{env_id}, rendered]({env_id}.png)\n\n{lead}\n"
+    for title, body in chapters.items():
+        text += f"\n## {title}\n\n{body.strip()}\n"
+    return text
 
 
 def manual() -> tuple[str, dict[str, str]]:
     """The docstring of the class: its lead, and its sections by title."""
     text = inspect.getdoc(CableBotEnv) or ""
     text = re.sub(r":(class|func|data|meth):`", r"{py:\1}`", text)  # roles as Markdown has them
-    lead, *rest = re.split(r"^## ", text, flags=re.MULTILINE)
-    return lead.strip(), {
-        title: body.strip() for title, _, body in (part.partition("\n") for part in rest)
-    }
+    lead, *chapters = re.split(r"^## ", text, flags=re.MULTILINE)
+    sections = {}
+    for chapter in chapters:
+        title, _, body = chapter.partition("\n")
+        sections[title] = body.strip()
+    return lead.strip(), sections
 
 
 def picture(env: gym.Env[Any, Any]) -> Image.Image:
     """A rendered picture of an episode with a classical law."""
     observation, _ = env.reset(seed=0, options={"payload": PICTURED[1]})
     task = env.get_wrapper_attr("task")
-    policy = load_policy("composite-tuned" if task.robot.flexible else "fl", task.robot)
+    law = "fl"
+    if task.robot.flexible:
+        law = "composite-tuned"
+    policy = load_policy(law, task.robot)
     for _ in range(round(PICTURED[0] * task.steps)):
         observation, *_ = env.step(policy.predict(observation)[0])
     return Image.fromarray(np.asarray(env.render()))
@@ -87,10 +95,10 @@ def _equations(robot: Robot) -> str:
         "Symbols and equation numbers are the paper's, with corrected misprints; "
         "each number links to its correction.\n"
     )
-    parts = {"Platform": robot.kind, "Joints": robot.joints, "Motors": "motors", "Cables": "cables"}
+    files = {"Platform": robot.kind, "Joints": robot.joints, "Motors": "motors", "Cables": "cables"}
     if robot.elastic:
-        parts = {"Platform": robot.kind, "Motors": "motors", "Cables": "elastic"}
-    for title, file in parts.items():
+        files = {"Platform": robot.kind, "Motors": "motors", "Cables": "elastic"}
+    for title, file in files.items():
         text += f"\n### {title}\n\n```{{include}} /parts/{file}.md\n```\n"
     readable = "Readable code: {py:mod}`cablebot_gym.physics.textbook`."
     return f"{text}\n{readable} Compiled code: `cablebot_gym/physics/kernel.py`."
@@ -101,4 +109,6 @@ def _policies(env_id: str) -> str:
     if not boards:
         return "The [leaderboard](/leaderboard.md) has no board for this environment yet.\n"
     text = "Payload [kg] and its fraction of the best known payload, from the [leaderboard](/leaderboard.md).\n"
-    return text + "".join(f"\n{table(leaderboard_rows(board))}" for board in boards)
+    for board in boards:
+        text += f"\n{table(leaderboard_rows(board))}"
+    return text

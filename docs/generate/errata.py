@@ -25,14 +25,19 @@ def anchors() -> dict[int, tuple[str, str]]:
 def mentioned(text: str) -> str:
     """Comma-separated links to the errata of the equations that a text names; empty if it names
     none."""
-    equations = sorted(
-        {number for mention in _MENTION.findall(text) for number in _equation_numbers(mention)}
-    )
-    links = dict.fromkeys(anchors()[number] for number in equations)
-    return ", ".join(f"[{heading}](/errata.md#{anchor})" for heading, anchor in links)
+    equations: set[int] = set()
+    for mention in _MENTION.findall(text):
+        equations.update(_equation_numbers(mention))
+    links: dict[str, None] = {}  # several equations may share a section
+    for number in sorted(equations):
+        heading, anchor = anchors()[number]
+        links[f"[{heading}](/errata.md#{anchor})"] = None
+    return ", ".join(links)
 
 
 def _equation_numbers(text: str) -> list[int]:
     """All equation numbers in a text such as ``8 and 10–12``."""
-    ranges = [(int(first), int(last or first)) for first, last in _NUMBERS.findall(text)]
-    return [number for first, last in ranges for number in range(first, last + 1)]
+    numbers: list[int] = []
+    for start, end in _NUMBERS.findall(text):
+        numbers += range(int(start), int(end or start) + 1)
+    return numbers

@@ -21,11 +21,13 @@ def write(pages: Pages) -> None:
 
 def page(entry: PolicyEntry) -> str:
     """The text of a policy's page."""
-    made = policy_class(entry)
-    needs = "`pip install 'cablebot-gym[optimal]'`" if entry.kind == "optimal" else "no extra"
-    commands = "".join(
-        f"cablebot dlcc {env_id} --policy {entry.name}\n" for env_id in entry.env_ids
-    )
+    policy = policy_class(entry)
+    needs = "no extra"
+    if entry.kind == "optimal":
+        needs = "`pip install 'cablebot-gym[optimal]'`"
+    commands = ""
+    for env_id in entry.env_ids:
+        commands += f"cablebot dlcc {env_id} --policy {entry.name}\n"
     text = f"# `{entry.name}`\n\n{entry.summary[0].upper()}{entry.summary[1:]}.\n\n"
     text += table(
         [
@@ -40,15 +42,16 @@ def page(entry: PolicyEntry) -> str:
         text += f"Training, learning curves and held-out motions: [{entry.name}](/learned.md#{entry.name}).\n\n"
     documents = [
         entry.summary,
-        str(inspect.getdoc(inspect.getmodule(made))),
-        str(inspect.getdoc(made)),
+        str(inspect.getdoc(inspect.getmodule(policy))),
+        str(inspect.getdoc(policy)),
     ]
-    if errata := mentioned("\n".join(documents)):
+    errata = mentioned("\n".join(documents))
+    if errata:
         text += f"Misprints of the paper's equations below: {errata}.\n\n"
-    text += f"Module: {{py:mod}}`{made.__module__}`.\n\n"
+    text += f"Module: {{py:mod}}`{policy.__module__}`.\n\n"
     return (
         text
-        + f"```{{eval-rst}}\n.. autoclass:: {made.__module__}.{made.__qualname__}\n   :no-index:\n```\n"
+        + f"```{{eval-rst}}\n.. autoclass:: {policy.__module__}.{policy.__qualname__}\n   :no-index:\n```\n"
     )
 
 
@@ -56,8 +59,10 @@ def policy_class(entry: PolicyEntry) -> type:
     """The class of the policies that an entry makes, found without making one."""
     if isinstance(entry.factory, type):
         return entry.factory
-    made: type = LearnedPolicy if entry.name in SHIPPED else get_type_hints(entry.factory)["return"]
-    return made
+    if entry.name in SHIPPED:
+        return LearnedPolicy
+    policy: type = get_type_hints(entry.factory)["return"]
+    return policy
 
 
 def payloads(policy: str) -> str:
@@ -71,7 +76,6 @@ def payloads(policy: str) -> str:
         entries.setdefault("median, p99 [ms], late, start [s]", {})[board.env_id] = timing_text(
             board.timings.get(policy)
         )
-    rows += [
-        [title, *(own.get(board.env_id, "–") for board in boards)] for title, own in entries.items()
-    ]
+    for title, texts in entries.items():
+        rows.append([title, *(texts.get(board.env_id, "–") for board in boards)])
     return table(rows)

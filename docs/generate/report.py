@@ -20,20 +20,18 @@ def write(folder: Path) -> None:
     sources = [
         Results.from_json(path.read_text(encoding="utf-8")) for path in (RESULTS, MAPS, PAPER_MAPS)
     ]
-    usual = {
-        "payload_known": True,
-        "model_payload_factor": 1.0,
-        "uncertainty": None,
-        "criterion": "task",
-    }
-    recorded = {
-        key: replays([(cell, payload)])[0]
-        for key, (cell, payload) in replay_queries(sources[0].records).items()
-        if isinstance(cell, PolicyCell)
-        and cell.policy in RECORDED
-        and str(cell.trajectory["name"]).startswith("circle-")
-        and all(getattr(cell, name) == value for name, value in usual.items())
-    }
+    recorded = {}
+    for key, (cell, payload) in replay_queries(sources[0].records).items():
+        if not isinstance(cell, PolicyCell) or cell.policy not in RECORDED:
+            continue
+        on_circle = str(cell.trajectory["name"]).startswith("circle-")
+        model = (cell.payload_known, cell.model_payload_factor)
+        if (
+            on_circle
+            and model == (True, 1.0)
+            and (cell.uncertainty, cell.criterion) == (None, "task")
+        ):
+            recorded[key] = replays([(cell, payload)])[0]
     folder.mkdir(parents=True, exist_ok=True)
     page = html("cablebot_gym leaderboard", sources, recorded)
     (folder / "report.html").write_text(page, encoding="utf-8")

@@ -55,8 +55,8 @@ def adapt(app: Sphinx, name: str, source: list[str]) -> None:
     if name in ("environments", "policies"):
         text += f"\n```{{toctree}}\n:hidden:\n:glob:\n\ngenerated/{name}/*\n```\n"
     if name == "leaderboard":
-        title, _, rest = text.partition("\n")
-        text = f"{title}\n\n{REPORT}{rest}"
+        title, _, body = text.partition("\n")
+        text = f"{title}\n\n{REPORT}{body}"
     source[0] = text
 
 

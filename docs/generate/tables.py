@@ -33,11 +33,9 @@ def requirements() -> str:
     """Requirements of the package and its extras, from pyproject.toml."""
     project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
     rows = [["extra", "needs"], ["Python", f"`{project['requires-python']}`"]]
-    for extra, needed in {
-        "the package itself": project["dependencies"],
-        **project["optional-dependencies"],
-    }.items():
-        rows.append([extra, ", ".join(f"`{one}`" for one in needed)])
+    extras = {"the package itself": project["dependencies"], **project["optional-dependencies"]}
+    for extra, requirements in extras.items():
+        rows.append([extra, ", ".join(f"`{requirement}`" for requirement in requirements)])
     return table(rows)
 
 
@@ -46,7 +44,9 @@ def clients() -> str:
     or error."""
     rows = [["client", "script", "version", "Gymnasium", "what it printed", "time [s]"]]
     for name, ran in json.loads(CLIENTS.read_text(encoding="utf-8")).items():
-        printed = ran["figure"] if ran["error"] is None else f"**error**: {ran['error']}"
+        printed = ran["figure"]
+        if ran["error"] is not None:
+            printed = f"**error**: {ran['error']}"
         versions = [ran["version"] or "–", ran.get("gymnasium") or "–"]
         rows.append(
             [ran["client"], f"`use_{name}.py`", *versions, printed, str(ran["seconds"] or "–")]
@@ -78,21 +78,22 @@ def replays() -> str:
     ).values():
         kinds[best.cell.env_id, best.cell.trajectory["name"]].append(best.result)
     for (env_id, motion), results in kinds.items():
-        least, largest = (f"{pick(one['payload'] for one in results):.3f}" for pick in (min, max))
-        payload = least if len(results) == 1 else f"{least} to {largest}"
+        payloads = [result["payload"] for result in results]
+        payload = f"{min(payloads):.3f}"
+        title = f"`{motion}`"
+        if len(results) > 1:
+            payload += f" to {max(payloads):.3f}"
+            title = f"{len(results)} of {title}"
         for step, replayed in zip(
-            ("h", "h/10"), zip(*(one["replays"] for one in results), strict=True), strict=True
+            ("h", "h/10"), zip(*(result["replays"] for result in results), strict=True), strict=True
         ):
-            peaks = [
-                1e3 * max(one[name] for one in replayed)
-                for name in ("position_peak", "rotation_peak")
-            ]
-            numbers = [payload, step, f"{min(one['least_tension'] for one in replayed):.3f}"]
-            violations = (
-                ", ".join(one["violation"] for one in replayed if one["violation"]) or "none"
-            )
-            title = f"`{motion}`" if len(results) == 1 else f"{len(results)} of `{motion}`"
-            rows.append([env_id, title, *numbers, f"{peaks[0]:.4f}; {peaks[1]:.4f}", violations])
+            position = 1e3 * max(replay["position_peak"] for replay in replayed)
+            rotation = 1e3 * max(replay["rotation_peak"] for replay in replayed)
+            tension = min(replay["least_tension"] for replay in replayed)
+            violations = filter(None, (replay["violation"] for replay in replayed))
+            errors = f"{position:.4f}; {rotation:.4f}"
+            row = [env_id, title, payload, step, f"{tension:.3f}", errors]
+            rows.append([*row, ", ".join(violations) or "none"])
     return table(rows)
 
 

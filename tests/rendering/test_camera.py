@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from cablebot_gym.rendering.camera import fit_camera
+from cablebot_gym.rendering.projection import fit_camera
 
 WINDOW = (100.0, 50.0, 400.0, 300.0)
 CLOUD = np.random.default_rng(4).uniform(-1, 1, (60, 3))
