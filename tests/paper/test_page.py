@@ -113,7 +113,7 @@ def test_groups_and_subjects_are_complete():
     grouped = [name for _, names in _GROUPS for name in names]
     options = [name for names in _SUBJECTS.values() for name in names]
     assert {part.name for part in PARTS} - {"map-circle"} == set(grouped)
-    assert {part for verdict in VERDICTS.values() for part in verdict.parts} <= set(grouped)
+    assert {part for verdict in VERDICTS.values() for part in verdict.part_names} <= set(grouped)
     assert set(options) == set(asdict(Interpretation()))
 
 

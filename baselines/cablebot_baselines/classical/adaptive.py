@@ -66,11 +66,11 @@ class Adaptive(ClassicalLaw):
     the reference and not from y. Measurement noise of y therefore causes no bias and mostly cancels
     between consecutive periods. The estimator differentiates no signal.
 
-    Effects outside the balance appear as mass: a downward force and a delay of the actions add
-    mass, and motors that are stronger than in the model subtract mass.
+    The estimate counts effects outside the balance as mass. A downward force and a delay of the
+    actions increase it; motors that are stronger than in the model decrease it.
 
     Args:
-        law: control law without memory. Its torques are computed with the estimated mass.
+        law: control law without memory. It computes the torques for the estimated mass.
         estimator_prior_weight: estimation time after which the estimate and the model mass have
             equal weight [s]; > 0.
         allocation: whether saturated actions are replaced by the actions within ±1 that come
@@ -112,20 +112,18 @@ class Adaptive(ClassicalLaw):
     def _control(
         self, blocks: dict[str, Array], mass: Array, state: Any, episode_start: Any
     ) -> tuple[Array, Array, Any]:
-        robot = self.robot
         memory = self._updated_state(blocks, state, episode_start)
-        estimate = np.asarray(
-            self.mass(memory, mass)
-        )  # an array also for a single observation, so it can be indexed
+        # np.maximum returns a scalar for a single observation; the masks below need an array.
+        estimate = np.asarray(self.mass(memory, mass))
         torques, speeds = self.law.torques(blocks, estimate)
         action = self._action(torques, speeds)
         saturated = np.any(np.abs(action) > 1, axis=-1)
         if self._allocates and np.any(saturated):
             torque_slope = self.law.torque_slope(estimate[saturated], blocks["pose"][saturated])
-            action_slope = torque_slope / robot.stall_torque[:, None]
+            action_slope = torque_slope / self.robot.stall_torque[:, None]
             action[saturated] = allocate(action[saturated], action_slope)
-            torques = robot.stall_torque * action - robot.speed_slope * speeds
-        if not robot.flexible:
+            torques = self.robot.stall_torque * action - self.robot.speed_slope * speeds
+        if not self.robot.flexible:
             memory = replace(memory, torques=torques)
         return torques, speeds, memory
 
@@ -177,6 +175,33 @@ class Adaptive(ClassicalLaw):
         """w·f and w·y of the control period between two states, each (..., 1)."""
         robot = self.model
         period = before.time_to_go - now.time_to_go
+        # r ∫ T dt of each cable
+        angular_impulse = period * self._mean_torque(before, now) - robot.pulley_inertia * (
+            now.pulley_speed - before.pulley_speed
+        )
+        tension_impulse = angular_impulse / robot.pulley_radius
+        middle = (before.pose + now.pose) / 2
+        if robot.swivel is None:
+            # The rows of S for the position are the unit vectors of the cables.
+            directions = cable_vectors(robot.base, robot.platform, middle)
+            scale = tension_impulse / np.linalg.norm(directions, axis=-1)
+        else:
+            directions = textbook.jacobian(robot, middle)[..., : robot.dimensions]
+            scale = tension_impulse
+        impulse = -np.sum(scale[..., None] * directions, axis=-2)
+        change = (
+            self._mass_center_velocity(now)
+            - self._mass_center_velocity(before)
+            - robot.gravity_vector * period
+        )
+        weighted_impulse = np.sum(weight * impulse, axis=-1, keepdims=True)
+        weighted_change = np.sum(weight * change, axis=-1, keepdims=True)
+        return weighted_impulse, weighted_change
+
+    def _mean_torque(self, before: EstimatorState, now: EstimatorState) -> Array:
+        """Mean of κ − c β̇ minus Coulomb friction over the control period between two states
+        [N·m], (..., m)."""
+        robot = self.model
         start_torque, end_torque = before.torques, now.torques
         friction = robot.damping * (before.pulley_speed + now.pulley_speed)
         if not robot.flexible:
@@ -188,27 +213,8 @@ class Adaptive(ClassicalLaw):
             # Coulomb friction of a flexible robot acts on the motors.
             coulomb = textbook.coulomb_torque(robot, before.pulley_speed)
             friction += coulomb + textbook.coulomb_torque(robot, now.pulley_speed)
-        mean_torque = (start_torque + end_torque - friction) / 2
-        angular_impulse = period * mean_torque - robot.pulley_inertia * (
-            now.pulley_speed - before.pulley_speed
-        )
-        cable_impulse = angular_impulse / robot.pulley_radius
-        middle = (before.pose + now.pose) / 2
-        if robot.swivel is None:
-            cables = cable_vectors(robot.base, robot.platform, middle)
-            scale = cable_impulse / np.linalg.norm(cables, axis=-1)
-        else:
-            cables = textbook.jacobian(robot, middle)[..., : robot.dimensions]
-            scale = cable_impulse
-        impulse = -np.sum(scale[..., None] * cables, axis=-2)
-        change = (
-            self._mass_center_velocity(now)
-            - self._mass_center_velocity(before)
-            - robot.gravity_vector * period
-        )
-        weighted_impulse = np.sum(weight * impulse, axis=-1, keepdims=True)
-        weighted_change = np.sum(weight * change, axis=-1, keepdims=True)
-        return weighted_impulse, weighted_change
+        mean: Array = (start_torque + end_torque - friction) / 2
+        return mean
 
     def _mass_center_velocity(self, state: EstimatorState) -> Array:
         """Velocity of the centre of mass [m/s], (..., d)."""

@@ -12,9 +12,9 @@ import numpy as np
 from cablebot_gym.kinematics import Array
 
 _JOINT_ITERATIONS = 6
-"""Number of iterations that change all wrong constraints at once, which nearly always suffices.
+"""Number of iterations that change all wrong constraints at once. They nearly always suffice.
 
-After them only the first wrong constraint of each problem changes (Murty's rule), which cannot
+Later iterations change only the first wrong constraint of each problem (Murty's rule), which cannot
 cycle.
 """
 
@@ -28,25 +28,28 @@ def allocate(action: Array, slope: Array) -> Array:
 
     Metres and radians have equal weight.
 
-    With Ẍ − v = G⁻¹(a − a*) this is a strictly convex problem with box constraints. A primal-dual
-    active-set method solves it for the whole batch at once. An action stays at its bound as long as
-    the gradient points beyond the bound.
+    Because Ẍ − v = G⁻¹(a − a*), this is a strictly convex quadratic problem with Hessian G⁻ᵀG⁻¹ and
+    box constraints. A primal-dual active-set method solves it for all problems of the batch at
+    once. An action stays at its bound as long as the descent direction points beyond the bound.
 
     Args:
         action: unsaturated action a*, (..., m).
         slope: G = ∂a/∂Ẍ, (..., m, m).
     """
-    matrix = np.linalg.inv(slope)
-    hessian = np.swapaxes(matrix, -1, -2) @ matrix
+    inverse = np.linalg.inv(slope)
+    hessian = np.swapaxes(inverse, -1, -2) @ inverse
+    # The active bound of each action, −1 or 1; 0 for a free action.
     bound = np.where(np.abs(action) > 1, np.sign(action), 0.0)
     for iteration in range(_MAX_ITERATIONS):
         is_active = bound != 0
         step = np.where(is_active, bound - action, 0.0)
+        # Minimum over the free actions, with the active actions at their bounds.
         are_free = ~is_active[..., :, None] & ~is_active[..., None, :]
         reduced = np.where(are_free, hessian, np.eye(action.shape[-1]))
         descent = np.where(is_active, 0.0, -_times(hessian, step))
         step = step + np.linalg.solve(reduced, descent[..., None])[..., 0]
         candidate = action + step
+        # Release a bound if the descent points inwards; add a bound if the candidate exceeds it.
         descent = -_times(hessian, step)
         kept_bound = np.where(descent * bound > 0, bound, 0.0)
         violated_bound = np.where(np.abs(candidate) > 1, np.sign(candidate), 0.0)

@@ -82,7 +82,9 @@ def _measured_acceleration(
     go."""
     now = np.concatenate([blocks["motor_speed"], blocks["time_to_go"]], axis=-1)
     starts = first_steps(state, episode_start, now.shape[:-1])[..., None]
-    before = now if state is None else state
+    before = now
+    if state is not None:
+        before = state
     speed_change, time_change = np.split(now - before, [-1], axis=-1)
     # The observed time to go stays constant after the end of the reference.
     period = np.where(starts, 0.0, -time_change)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class FlexibleLaw(ClassicalLaw):
         """Torque κ + c′ β̇, pulley acceleration β̈ and pulley speed β̇ for an acceleration of the
         platform.
 
-        The torque of a motor with a rigid joint is the first plus J′ β̈.
+        With a rigid joint the motor torque would be κ + c′ β̇ + J′ β̈.
         """
         required = self._inverse_dynamics(mass, blocks["pose"], blocks["velocity"], acceleration)
         spring = textbook.holding_torque(self.robot, required.torques)
@@ -243,6 +244,7 @@ class MotorPD(FlexibleLaw):
             spring, spring_rate, spring_second = self._spring_torque_derivatives(mass, motion)
         stiffness = textbook.joint_stiffness(self.robot, pose)
         angle, _ = textbook.rest_angles(self.robot, spring / robot.pulley_radius, pose)
+        # With elastic cables the motor torque at rest exceeds r T.
         spring = textbook.holding_torque(self.robot, spring)
         speed = self.pulley_speed(pose, velocity) + spring_rate / stiffness
         motor_acceleration = (
@@ -299,6 +301,7 @@ class FourthOrder(FlexibleLaw):
         zero = np.zeros_like(pose)
         slope = self.torque_slope(mass, pose)
         stiffness = textbook.joint_stiffness(self.robot, pose)
+        # κ = K (β′ − β) and its rate are measured. They determine acceleration and jerk.
         spring = stiffness * (blocks["motor_angle"] - textbook.pulley_angle(robot, pose))
         spring_rate = stiffness * (blocks["motor_speed"] - self.pulley_speed(pose, velocity))
         acceleration = _solve(slope, spring - self._spring_torques(mass, pose, velocity, zero))
@@ -307,22 +310,20 @@ class FourthOrder(FlexibleLaw):
         )
         _, rate_without_jerk, _ = self._spring_torque_derivatives(mass, motion)
         jerk = _solve(slope, spring_rate - rate_without_jerk)
-        motion = Motion(
-            position=pose, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=zero
-        )
-        _, _, drift = self._spring_torque_derivatives(mass, motion)
+        motion = replace(motion, jerk=jerk)
+        _, _, second_without_snap = self._spring_torque_derivatives(mass, motion)
         jerk_gain, acceleration_gain, velocity_gain, pose_gain = self._gains
-        correction = jerk_gain * (blocks["reference_jerk"] - jerk)
-        correction = correction + acceleration_gain * (
-            blocks["reference_acceleration"] - acceleration
+        snap = blocks["reference_snap"] + (
+            jerk_gain * (blocks["reference_jerk"] - jerk)
+            + acceleration_gain * (blocks["reference_acceleration"] - acceleration)
+            + velocity_gain * (blocks["reference_velocity"] - velocity)
+            + pose_gain * (blocks["reference_pose"] - pose)
         )
-        correction = correction + velocity_gain * (blocks["reference_velocity"] - velocity)
-        correction = correction + pose_gain * (blocks["reference_pose"] - pose)
-        snap = blocks["reference_snap"] + correction
-        spring_second = drift + (slope @ snap[..., None])[..., 0]
+        spring_second = second_without_snap + (slope @ snap[..., None])[..., 0]
         pulley_acceleration = self._pulley_acceleration(pose, velocity, acceleration)
-        motor = robot.motor_inertia * (pulley_acceleration + spring_second / stiffness)
-        return spring + motor + textbook.motor_friction(robot, blocks["motor_speed"])
+        # β̈′ = β̈ + κ̈/K
+        rotor = robot.motor_inertia * (pulley_acceleration + spring_second / stiffness)
+        return spring + rotor + textbook.motor_friction(robot, blocks["motor_speed"])
 
 
 def _solve(matrix: Array, vector: Array) -> Array:

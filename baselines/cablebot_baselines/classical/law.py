@@ -31,9 +31,10 @@ _LOGGER = logging.getLogger("cablebot_gym")
 
 
 def flexible_advice(robot: Robot) -> str:
-    """What a law for rigid robots says about a flexible one: its springs, and the laws that
-    work."""
-    springs = "joint springs" if robot.jointed else "elastic cables"
+    """Advice for a user of a law for rigid robots on a flexible robot."""
+    springs = "elastic cables"
+    if robot.jointed:
+        springs = "joint springs"
     return f"robot {robot.name!r} has {springs}. Use composite-tuned or adaptive-composite."
 
 

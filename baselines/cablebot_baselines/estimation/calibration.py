@@ -51,12 +51,11 @@ def home_offset(
     if mass is None:
         mass = robot.mass
     if robot.flexible:
-        rest = textbook.static_motor_angle(
-            robot, mass, pose, minimum=textbook.allocated_minimum(robot)
-        )
+        minimum = textbook.allocated_minimum(robot)
+        true_angles = textbook.static_motor_angle(robot, mass, pose, minimum=minimum)
     else:
-        rest = textbook.pulley_angle(robot, pose)
-    offset: Array = np.asarray(angles, float) - rest
+        true_angles = textbook.pulley_angle(robot, pose)
+    offset: Array = np.asarray(angles, float) - true_angles
     return offset
 
 
@@ -88,38 +87,26 @@ def calibrate(
     from scipy.optimize import least_squares  # slow to import
 
     angles = np.asarray(angles, float)
-    start = np.asarray(guess, float)
-    (count, m), n = angles.shape, robot.coordinates
-    total_mass = robot.mass if mass is None else mass
-    zero = np.zeros_like(start)
+    poses = np.asarray(guess, float)
+    m = robot.cables
+    if mass is None:
+        mass = robot.mass
 
     def residuals(unknown: Array) -> Array:
-        offset, pose = unknown[:m], unknown[m:].reshape(count, n)
-        angle_error = (angles - offset - textbook.pulley_angle(robot, pose)) / noise.motor_angle
-        residuals = [angle_error.ravel()]
+        offset, pose = unknown[:m], unknown[m:].reshape(poses.shape)
+        angle_errors = angles - offset - textbook.pulley_angle(robot, pose)
+        residuals = [angle_errors / noise.motor_angle]
         if tensions is not None:
-            structure = textbook.jacobian(robot, pose)
-            cable_force = (np.swapaxes(structure, -1, -2) @ np.asarray(tensions, float)[..., None])[
-                ..., 0
-            ]
-            unbalanced = cable_force + textbook.load(robot, total_mass, pose, zero, zero)
-            # The error of a moment grows with the lever, so each row of Sᵀ has its own size.
-            size = noise.tension * np.linalg.norm(structure, axis=-2)
-            residuals.append((unbalanced / size).ravel())
+            residuals.append(_force_residual(robot, mass, pose, np.asarray(tensions, float), noise))
         if orientation is not None:
             orientation_error = np.asarray(orientation, float) - pose[:, -3:]
-            residuals.append(
-                (orientation_error / np.array([noise.tilt, noise.tilt, noise.yaw])).ravel()
-            )
-        return np.concatenate(residuals)
+            residuals.append(orientation_error / np.array([noise.tilt, noise.tilt, noise.yaw]))
+        return np.concatenate(residuals, axis=None)
 
-    initial = np.concatenate([np.zeros(m), start.ravel()])
+    initial = np.concatenate([np.zeros(m), poses.ravel()])
     solution = least_squares(residuals, initial, x_scale="jac", xtol=1e-15, ftol=1e-14)
     jacobian = np.asarray(solution.jac, float)
-    # A direction that no reading determines has a vanishing singular value.
-    scaled = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    singular_values = np.linalg.svd(scaled, compute_uv=False)
-    if len(jacobian) < len(initial) or singular_values[-1] < 1e-7 * singular_values[0]:
+    if not _has_full_rank(jacobian):
         raise ValueError(
             f"the readings do not determine the offsets of robot {robot.name!r}: add poses, and tensions or "
             "orientation if it has as many cables as coordinates, or use home_offset at a known pose"
@@ -128,5 +115,27 @@ def calibrate(
     return Calibration(
         offset=solution.x[:m],
         deviation=np.sqrt(np.diag(covariance)[:m]),
-        poses=solution.x[m:].reshape(count, n),
+        poses=solution.x[m:].reshape(poses.shape),
     )
+
+
+def _force_residual(
+    robot: Robot, mass: float, pose: Array, tensions: Array, noise: SensorNoise
+) -> Array:
+    """Unbalanced wrench at rest in units of its standard deviation, (K, n)."""
+    structure = textbook.jacobian(robot, pose)
+    zero = np.zeros_like(pose)
+    cable_force = (np.swapaxes(structure, -1, -2) @ tensions[..., None])[..., 0]
+    unbalanced = cable_force + textbook.load(robot, mass, pose, zero, zero)
+    # The error of a moment grows with the lever, so each row of Sᵀ has its own size.
+    residual: Array = unbalanced / (noise.tension * np.linalg.norm(structure, axis=-2))
+    return residual
+
+
+def _has_full_rank(jacobian: Array) -> bool:
+    """Whether the readings determine all unknowns. A direction that no reading determines has a
+    vanishing singular value."""
+    scaled = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    singular_values = np.linalg.svd(scaled, compute_uv=False)
+    rows, columns = jacobian.shape
+    return bool(rows >= columns and singular_values[-1] >= 1e-7 * singular_values[0])

@@ -190,7 +190,9 @@ class ExtendedKalmanFilter:
         """The state at the first observation: at rest, or at the speed of the motors."""
         robot, angle = self.robot, blocks["motor_angle"]
         count = len(angle)
-        start = self._start if len(self._start) == count else self._start[:1]
+        start = self._start
+        if len(start) != count:
+            start = start[:1]
         start = np.broadcast_to(start, (count, robot.coordinates))
         torque = textbook.static_torque(
             robot, self._mass(blocks), start, minimum=textbook.allocated_minimum(robot)
@@ -234,7 +236,9 @@ class ExtendedKalmanFilter:
         """Covariance at the start, from the errors of motor angles and speeds and the inverse of
         the Jacobian."""
         robot, n = self.robot, self.robot.coordinates
-        angle_error = np.hypot(self._angle_noise, self._zero_error if has_orientation else 0.0)
+        angle_error: Any = self._angle_noise
+        if has_orientation:
+            angle_error = np.hypot(angle_error, self._zero_error)
         if robot.flexible:
             angle_error = np.hypot(
                 angle_error, self._torque_error * robot.stall_torque / robot.stiffness
@@ -266,7 +270,7 @@ class ExtendedKalmanFilter:
         count = state.count + 1
         correction, tare = state.correction, state.tare
         if "tensions" in blocks:
-            correction, tare = self._weighed(blocks["tensions"], tensions, count, state)
+            correction, tare = self._cell_estimates(blocks["tensions"], tensions, count, state)
         acceleration = acceleration + disturbance
         pose = pose + period * velocity + period**2 / 2 * acceleration
         velocity = velocity + period * acceleration
@@ -276,9 +280,8 @@ class ExtendedKalmanFilter:
             # Means over the last period: the motor angle by its cubic, the deflection by the mean
             # torque.
             mean_angle = (angle + state.angle) / 2 - period / 12 * (speed - state.speed)
-            angles = mean_angle - (torque + correction) / textbook.joint_stiffness(
-                self._nominal, pose
-            )
+            stiffness = textbook.joint_stiffness(self._nominal, pose)
+            angles = mean_angle - (torque + correction) / stiffness
         readings = self._readings(blocks, pose, velocity, acceleration, angles)
         mean, covariance = _corrected(mean, self._predicted_covariance(state.covariance), *readings)
         return KalmanState(
@@ -302,15 +305,14 @@ class ExtendedKalmanFilter:
         # speed.
         request = robot.stall_torque * action - robot.speed_slope * state.speed
         drop = robot.speed_slope * (state.speed + _FRACTIONS * (speed - state.speed))
-        torque = np.mean(
-            np.clip(request, -robot.stall_torque - drop, robot.stall_torque - drop), axis=0
-        )
+        clipped = np.clip(request, -robot.stall_torque - drop, robot.stall_torque - drop)
+        torque = np.mean(clipped, axis=0)
         if robot.flexible:
             friction = textbook.motor_friction(robot, (speed + state.speed) / 2)
             torque = torque - robot.motor_inertia * (speed - state.speed) / self._period - friction
         return torque
 
-    def _weighed(
+    def _cell_estimates(
         self, readings: Array, tensions: Array, count: Array, state: KalmanState
     ) -> tuple[Array, Array]:
         """Correction of the torque and bias of the load cells, from their readings and the
@@ -318,7 +320,9 @@ class ExtendedKalmanFilter:
         robot = self.robot
         # The cells read at the start of the period. With springs, the mean over the period before
         # counts too.
-        expected = (tensions + state.tensions) / 2 if robot.flexible else tensions
+        expected = tensions
+        if robot.flexible:
+            expected = (tensions + state.tensions) / 2
         excess = readings - np.maximum(expected, 0.0)
         is_taring = (count <= TARE_READINGS)[:, None] & self.homing
         tare = np.where(is_taring, state.tare + (excess - state.tare) / count[:, None], state.tare)
@@ -337,9 +341,8 @@ class ExtendedKalmanFilter:
         transition = np.kron(mix, np.eye(n))
         growth = (self._disturbance * self._unit) ** 2 * period
         jerk = np.array([period**2 / 6, period / 2, 1.0])
-        return transition @ covariance @ transition.T + np.kron(
-            np.outer(jerk, jerk), np.diag(growth)
-        )
+        noise = np.kron(np.outer(jerk, jerk), np.diag(growth))
+        return transition @ covariance @ transition.T + noise
 
     def _readings(
         self,
@@ -356,7 +359,9 @@ class ExtendedKalmanFilter:
         control period.
         """
         robot = self.robot
-        ago = self._period / 2 if robot.flexible else 0.0
+        ago = 0.0
+        if robot.flexible:
+            ago = self._period / 2
         structure, rate = jacobian_and_rate(
             robot.base, robot.platform, pose, velocity, robot.swivel
         )
@@ -400,13 +405,8 @@ class ExtendedKalmanFilter:
         if robot.flexible:
             torque = self._balance_noise
             if "tensions" in blocks:
-                cells = (
-                    self._cell_weight
-                    * robot.pulley_radius
-                    * self.noise.tension
-                    * np.sqrt(self._cell_gain / 2)
-                )
-                torque = np.hypot(torque, cells)
+                cell_torque = self._cell_weight * robot.pulley_radius * self.noise.tension
+                torque = np.hypot(torque, cell_torque * np.sqrt(self._cell_gain / 2))
             variance = variance + (torque / robot.stiffness) ** 2
         if "orientation" in blocks:
             variance = variance + BIAS_TIME / self._period * self._zero_error**2

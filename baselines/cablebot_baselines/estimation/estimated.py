@@ -63,8 +63,8 @@ class KinematicEstimator:
         if robot.flexible:
             mass = robot.mass + blocks["model_payload"][:, 0]
             minimum = textbook.allocated_minimum(robot)
-            rest = textbook.static_motor_angle(robot, mass, reference, minimum=minimum)
-            deflection = rest - textbook.pulley_angle(robot, reference)
+            motor_angle = textbook.static_motor_angle(robot, mass, reference, minimum=minimum)
+            deflection = motor_angle - textbook.pulley_angle(robot, reference)
             angle = angle - deflection
         guess = reference
         if state is not None:

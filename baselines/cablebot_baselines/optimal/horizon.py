@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -64,6 +64,42 @@ class PlanningError(RuntimeError):
     """The quadratic program has no solution, or the solver failed."""
 
 
+class _Model(NamedTuple):
+    """Actions and tensions, linearised about a plan."""
+
+    action: Array
+    """Actions, (K, m)."""
+    action_slope: Array
+    """Derivatives of the actions with respect to the variables, (K·m, variables)."""
+    tension: Array
+    """Tensions in units of ``TENSION``, (K, m)."""
+    tension_slope: Array
+    """Derivatives of the tensions, (K·m, variables)."""
+
+
+class _Constraint(NamedTuple):
+    """``slope z + excess_factors · (excess of actions, excess of errors) ≤ limit``, one row for each
+    limit."""
+
+    slope: Array
+    """Coefficients of the first variables, (rows, ...). Those of the further variables are 0."""
+    excess_factors: tuple[float, float]
+    """Coefficients of the two excesses, the last variables."""
+    limit: Array
+    """Upper limits, any shape with one value for each row."""
+
+
+class _SquaredTerm(NamedTuple):
+    """Term of the objective: half the sum of weight · (value + slope z)²."""
+
+    slope: Array
+    """Coefficients of the first variables, (rows, ...)."""
+    value: Array
+    """Value without change of the plan, any shape with one value for each row."""
+    weight: Array | float
+    """Weight of each row, or of all rows."""
+
+
 class HorizonProgram:
     """Plans X(t) for t from 0 to :data:`HORIZON` from a given state, as a cubic spline with evenly
     spaced knots.
@@ -90,9 +126,8 @@ class HorizonProgram:
         """Minimum cable tension of the plans [N]."""
         knots = np.linspace(0.0, HORIZON, tuning.intervals + 1)
         self._knots = np.r_[np.zeros(_DEGREE), knots, np.full(_DEGREE, HORIZON)]
-        self._second_point_time = (
-            float(knots[1]) / _DEGREE
-        )  # Greville abscissa of the second control point [s]
+        # Greville abscissa of the second control point [s]
+        self._second_point_time = float(knots[1]) / _DEGREE
         self.instants = np.linspace(0.0, HORIZON, tuning.intervals * tuning.instants + 1)
         """Times at which the constraints apply, (K,) [s]."""
         self._bases = self.basis(self.instants)
@@ -121,9 +156,8 @@ class HorizonProgram:
         self._quadratic = _BufferedFunction(
             ca.conic("plan", "daqp", dense, {"error_on_fail": False})
         )
-        self._quadratic.inputs["lbx"][
-            :-2
-        ] = -np.inf  # the last two variables, the excesses, are at least 0
+        # The last two variables, the excesses, are at least 0.
+        self._quadratic.inputs["lbx"][:-2] = -np.inf
         self._quadratic.inputs["ubx"][:] = np.inf
 
     def basis(self, times: Array | float) -> Array:
@@ -182,94 +216,111 @@ class HorizonProgram:
         error_bounds: ErrorBounds,
     ) -> None:
         """Writes the quadratic program, linearised about a plan, into the arrays of the solver."""
-        tuning = self.tuning
-        margins = self.tuning.margins
-        n = self.robot.coordinates
-        m = self.robot.cables
-        bases = self._bases
-        count = len(self.instants)
-        positions = self._positions
-        bounds = np.array(
-            [error_bounds.position] * positions + [error_bounds.rotation] * (n - positions)
-        )
-        poses, velocities, accelerations = bases @ plan
-        action, action_slope, tension, tension_slope = self._linearised(
-            poses, velocities, accelerations, mass
-        )
+        bounds = self._by_coordinate(error_bounds.position, error_bounds.rotation)
+        poses, velocities, accelerations = self._bases @ plan
+        model = self._linearised(poses, velocities, accelerations, mass)
         errors = (poses - reference) / bounds
-        error_slope = self._slope(
-            np.broadcast_to(np.eye(n, 3 * n) / bounds[:, None], (count, n, 3 * n))
-        )
+        n = self.robot.coordinates
+        shape = (len(self.instants), n, 3 * n)
+        error_slope = self._slope(np.broadcast_to(np.eye(n, 3 * n) / bounds[:, None], shape))
+        inputs = self._quadratic.inputs
+        row = 0
+        for constraint in self._constraints(model, errors, error_slope, bounds):
+            rows = slice(row, row + len(constraint.slope))
+            inputs["a"][rows, : constraint.slope.shape[1]] = constraint.slope
+            inputs["a"][rows, -2:] = constraint.excess_factors
+            inputs["lba"][rows, 0] = -np.inf
+            inputs["uba"][rows, 0] = constraint.limit.ravel()
+            row = rows.stop
+        hessian = inputs["h"]
+        gradient = inputs["g"][:, 0]
+        hessian[:] = 0.0
+        gradient[:] = 0.0
+        terms = [
+            *self._tracking_terms(model.action, model.action_slope, errors, error_slope),
+            *self._motion_terms(velocities[-1] - last_velocity, accelerations, bounds),
+        ]
+        for term in terms:
+            z = slice(term.slope.shape[1])
+            weighted = term.slope.T * term.weight
+            hessian[z, z] += weighted @ term.slope
+            gradient[z] += weighted @ term.value.ravel()
+        null = np.arange(self._motion, self._motion + self._null)
+        hessian[null, null] += 1e-6  # makes the program strictly convex
+        hessian[[-2, -1], [-2, -1]] = 1.0
+        gradient[-2:] = self.tuning.action_excess_weight, self.tuning.error_excess_weight
 
-        inputs, row = self._quadratic.inputs, 0
+    def _by_coordinate(self, position: float, rotation: float) -> Array:
+        """A value for each coordinate, (n,)."""
+        is_position = np.arange(self.robot.coordinates) < self._positions
+        return np.where(is_position, position, rotation)
 
-        def add_constraint(slope: Array, excess: tuple[float, float], limit: Array) -> None:
-            """Adds slope z ≤ limit as the next rows of A; ``excess`` has the coefficients of the
-            two excesses."""
-            nonlocal row
-            rows = slice(row, row + len(slope))
-            inputs["a"][rows, : slope.shape[1]], inputs["a"][rows, -2:] = slope, excess
-            inputs["lba"][rows, 0], inputs["uba"][rows, 0], row = -np.inf, limit.ravel(), rows.stop
-
-        add_constraint(action_slope, (-1, 0), 1 - margins.action - action)
+    def _constraints(
+        self, model: _Model, errors: Array, error_slope: Array, bounds: Array
+    ) -> list[_Constraint]:
+        """Constraints of actions, tensions and errors; errors are in units of their bounds."""
+        margins = self.tuning.margins
+        actions = _Constraint(model.action_slope, (-1, 0), 1 - margins.action - model.action)
         # Null-space tensions can always be raised. Without a null space the tension constraints are
         # soft, like those of the actions.
-        add_constraint(
-            -tension_slope, (0 if self._null else -0.2, 0), tension - self.minimum_tension / TENSION
-        )
+        tension_factor = -0.2
+        if self._null:
+            tension_factor = 0
+        reserve = model.tension - self.minimum_tension / TENSION
+        tensions = _Constraint(-model.tension_slope, (tension_factor, 0), reserve)
         # The initial state is given, so error constraints start at the second instant. ‖e‖ is
         # linearised. Additional bounds on each coordinate limit the linearisation error.
-        limits = np.r_[[1 - margins.position / error_bounds.position] * positions]
-        limits = np.r_[limits, [1 - margins.rotation / error_bounds.rotation] * (n - positions)]
-        length = np.linalg.norm(errors[1:, :positions], axis=1)
-        direction = errors[1:, :positions] / np.maximum(length, 1e-9)[:, None]
-        by_instant = error_slope.reshape(count, n, -1)[1:]
-        add_constraint(
-            np.einsum("kl,klz->kz", direction, by_instant[:, :positions]),
-            (0, -1),
-            limits[0] - length,
-        )
-        for sign in (1, -1):
-            add_constraint(
-                sign * by_instant.reshape(-1, self._motion), (0, -1), limits - sign * errors[1:]
-            )
+        errors = errors[1:]
+        by_instant = error_slope.reshape(len(self.instants), self.robot.coordinates, -1)[1:]
+        limits = 1 - self._by_coordinate(margins.position, margins.rotation) / bounds
+        position = slice(self._positions)
+        length = np.linalg.norm(errors[:, position], axis=1)
+        direction = errors[:, position] / np.maximum(length, 1e-9)[:, None]
+        length_slope = np.einsum("kl,klz->kz", direction, by_instant[:, position])
+        slope = by_instant.reshape(-1, self._motion)
+        return [
+            actions,
+            tensions,
+            _Constraint(length_slope, (0, -1), limits[0] - length),
+            _Constraint(slope, (0, -1), limits - errors),
+            _Constraint(-slope, (0, -1), limits + errors),
+        ]
 
-        hessian, gradient = inputs["h"], inputs["g"][:, 0]
-        hessian[:], gradient[:] = 0.0, 0.0
-
-        def add_least_squares(slope: Array, value: Array, weight: Array | float) -> None:
-            """Adds half the sum of weight · (value + slope z)² to the objective."""
-            z = slice(slope.shape[1])
-            weighted = slope.T * weight
-            hessian[z, z] += weighted @ slope
-            gradient[z] += weighted @ value.ravel()
-
+    def _tracking_terms(
+        self, action: Array, action_slope: Array, errors: Array, error_slope: Array
+    ) -> list[_SquaredTerm]:
+        """Terms of the actions and of the errors; errors are in units of their bounds."""
+        tuning = self.tuning
+        count = len(self.instants)
         positive = np.maximum(action.ravel(), 0.05)  # the slope of a^(p/2) must not vanish
         half = tuning.action_exponent / 2
-        weights = np.repeat(np.r_[np.ones(count - 1), 0.5] / count, m)
-        add_least_squares(
-            half * positive[:, None] ** (half - 1) * action_slope, positive**half, weights
-        )
-        add_least_squares(error_slope, errors, tuning.error_weight / count)
-        add_least_squares(
-            error_slope.reshape(count, n, -1)[-1], errors[-1], tuning.end_error_weight
-        )
+        power_slope = half * positive[:, None] ** (half - 1) * action_slope
+        # The last instant counts half, as in the trapezoidal rule.
+        weights = np.repeat(np.r_[np.ones(count - 1), 0.5] / count, self.robot.cables)
+        end_slope = error_slope.reshape(count, self.robot.coordinates, -1)[-1]
+        return [
+            _SquaredTerm(power_slope, positive**half, weights),
+            _SquaredTerm(error_slope, errors, tuning.error_weight / count),
+            _SquaredTerm(end_slope, errors[-1], tuning.end_error_weight),
+        ]
+
+    def _motion_terms(
+        self, end_velocity_error: Array, accelerations: Array, bounds: Array
+    ) -> list[_SquaredTerm]:
+        """Terms of the velocity error at the end and of the acceleration steps."""
+        _, velocity_basis, acceleration_basis = self._bases
         unit = bounds / _TIME_SCALE
-        end = np.kron(bases[1][-1, 2:], np.diag(1 / unit))
-        add_least_squares(end, (velocities[-1] - last_velocity) / unit, tuning.end_velocity_weight)
+        end_slope = np.kron(velocity_basis[-1, 2:], np.diag(1 / unit))
+        end = _SquaredTerm(end_slope, end_velocity_error / unit, self.tuning.end_velocity_weight)
         unit = bounds / _TIME_SCALE**2
-        jumps = np.kron(np.diff(bases[2], axis=0)[:, 2:], np.diag(1 / unit))
-        add_least_squares(jumps, np.diff(accelerations, axis=0) / unit, tuning.smoothness_weight)
-        null = np.arange(self._motion, self._motion + self._null)
-        hessian[null, null] += 1e-6
-        hessian[[-2, -1], [-2, -1]] = 1.0
-        gradient[-2:] = tuning.action_excess_weight, tuning.error_excess_weight
+        jump_slope = np.kron(np.diff(acceleration_basis, axis=0)[:, 2:], np.diag(1 / unit))
+        jumps = np.diff(accelerations, axis=0) / unit
+        return [end, _SquaredTerm(jump_slope, jumps, self.tuning.smoothness_weight)]
 
     def _linearised(
         self, poses: Array, velocities: Array, accelerations: Array, mass: float
-    ) -> tuple[Array, Array, Array, Array]:
-        """Actions (K, m) and their slope (K·m, variables), then tensions in units of ``TENSION``
-        and their slope."""
+    ) -> _Model:
+        """Actions and tensions of a motion, each (K, n), linearised about it."""
         n = self.robot.coordinates
         m = self.robot.cables
         count = len(poses)
@@ -287,36 +338,35 @@ class HorizonProgram:
         by_motion, by_tension = np.split(slope, [3 * n], axis=2)
         # The force balance gives the change of the tensions as a function of the motion, up to the
         # null space.
-        inverse = (
-            np.linalg.pinv(by_tension[:, :n]) if self._null else np.linalg.inv(by_tension[:, :n])
-        )
-        tension_by_motion = -inverse @ by_motion[:, :n]
+        force_by_tension = by_tension[:, :n]
+        invert: Any = np.linalg.inv
+        if self._null:
+            invert = np.linalg.pinv
+        tension_by_motion = -invert(force_by_tension) @ by_motion[:, :n]
         action_slope = self._slope(by_motion[:, n:] + by_tension[:, n:] @ tension_by_motion)
         tension_slope = self._slope(tension_by_motion)
         if self._null:
-            null_space = np.swapaxes(np.linalg.svd(by_tension[:, :n])[2][:, n:], 1, 2)
-            action_slope = np.hstack(
-                [action_slope, _block_diagonal(by_tension[:, n:] @ null_space)]
-            )
+            null_space = np.swapaxes(np.linalg.svd(force_by_tension)[2][:, n:], 1, 2)
+            action_by_null = _block_diagonal(by_tension[:, n:] @ null_space)
+            action_slope = np.hstack([action_slope, action_by_null])
             tension_slope = np.hstack([tension_slope, _block_diagonal(null_space)])
-        return action, action_slope, tensions, tension_slope
+        return _Model(action, action_slope, tensions, tension_slope)
 
     def _slope(self, by_motion: Array) -> Array:
         """Converts derivatives with respect to (X, Ẋ, Ẍ), (K, rows, 3n), to those for the free
         control points."""
         n = self.robot.coordinates
         derivatives = np.split(by_motion, [n, 2 * n], axis=2)
-        pairs = zip(self._bases, derivatives, strict=True)
-        slope = sum(
-            basis[:, None, 2:, None] * derivative[:, :, None, :] for basis, derivative in pairs
-        )
-        return np.asarray(slope).reshape(-1, self._motion)
+        slope: Array = np.zeros(())
+        for basis, derivative in zip(self._bases, derivatives, strict=True):
+            slope = slope + basis[:, None, 2:, None] * derivative[:, :, None, :]
+        return slope.reshape(-1, self._motion)
 
     def _solution(self) -> Array:
         """Solves the program and returns the change of the free control points."""
-        inputs = self._quadratic.inputs
-        if not all(np.all(np.isfinite(inputs[name])) for name in ("h", "g", "a", "uba")):
-            raise PlanningError("the linearised equations are not finite")
+        for name in ("h", "g", "a", "uba"):
+            if not np.all(np.isfinite(self._quadratic.inputs[name])):
+                raise PlanningError("the linearised equations are not finite")
         try:
             change = self._quadratic()["x"][: self._motion, 0]
         except RuntimeError as error:

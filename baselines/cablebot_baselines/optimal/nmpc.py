@@ -161,21 +161,22 @@ class NonlinearMPC(ClassicalLaw):
             batch = {name: block[None] for name, block in blocks.items()}
             action, state = self.respond(batch, state, episode_start)
             return action[0], state
-        first = first_steps(state, episode_start, blocks["pose"].shape[:1])
-        planner = self._advance(blocks, state, first)
+        starts = first_steps(state, episode_start, blocks["pose"].shape[:1])
+        planner = self._advance(blocks, state, starts)
         due = planner.steps % STEPS_PER_PLAN == 0
         if np.any(due):
             planner = self._replan(blocks, planner, np.flatnonzero(due))
-        action, law = self.law.respond(self._planned_blocks(blocks, planner), planner.law, first)
+        action, law = self.law.respond(self._planned_blocks(blocks, planner), planner.law, starts)
         return action, replace(planner, law=law)
 
     def _advance(
-        self, blocks: dict[str, Array], before: PlannerState | None, first: NDArray[np.bool_]
+        self, blocks: dict[str, Array], before: PlannerState | None, starts: NDArray[np.bool_]
     ) -> PlannerState:
         """The last state advanced by one control period, and a new state for environments that
         start an episode."""
         count, n = blocks["pose"].shape
-        clock, zeros = -blocks["time_to_go"][:, 0], np.zeros(count)
+        clock = -blocks["time_to_go"][:, 0]
+        zeros = np.zeros(count)
         if before is None:
             return PlannerState(
                 steps=np.zeros(count, int),
@@ -190,20 +191,20 @@ class NonlinearMPC(ClassicalLaw):
             )
         difference = clock - before.clock
         # The clock stops at the end of the reference.
-        period = np.where(first, 0.0, np.where(difference > 0, difference, before.period))
-        plan_age = np.where(first, np.inf, before.plan_age + period)
+        period = np.where(starts, 0.0, np.where(difference > 0, difference, before.period))
+        plan_age = np.where(starts, np.inf, before.plan_age + period)
+        plans = list(before.plans)
+        for env_index in np.flatnonzero(~(plan_age <= HORIZON)):
+            plans[env_index] = None
         return replace(
             before,
-            steps=np.where(first, 0, before.steps + 1),
+            steps=np.where(starts, 0, before.steps + 1),
             clock=clock,
             period=period,
-            preview_times=np.where(first[:, None], np.nan, before.preview_times),
-            plans=tuple(
-                plan if age <= HORIZON else None
-                for plan, age in zip(before.plans, plan_age, strict=True)
-            ),
+            preview_times=np.where(starts[:, None], np.nan, before.preview_times),
+            plans=tuple(plans),
             plan_age=plan_age,
-            out_of_range=before.out_of_range & ~first,
+            out_of_range=before.out_of_range & ~starts,
         )
 
     # Planning
@@ -214,7 +215,9 @@ class NonlinearMPC(ClassicalLaw):
         """The state with new plans for the given environments."""
         planner = self._store_previews(blocks, planner, env_indices)
         model_mass = self.robot.mass + blocks["model_payload"][:, 0]
-        mass = model_mass if planner.law is None else self.law.mass(planner.law, model_mass)
+        mass = model_mass
+        if planner.law is not None:
+            mass = self.law.mass(planner.law, model_mass)
         mass = np.where(planner.steps == 0, model_mass, mass)
         plans = list(planner.plans)
         plan_age = planner.plan_age.copy()
@@ -248,9 +251,10 @@ class NonlinearMPC(ClassicalLaw):
         age = planner.plan_age[env_index]
         preview = self.preview(blocks, planner, env_index)
         guess = reference = preview(program.instants)
-        if (
-            previous is not None
-        ):  # beyond the end of the previous plan, its last error stays constant
+        iterations = _FIRST_ITERATIONS
+        if previous is not None:
+            iterations = 1
+            # Beyond the end of the previous plan, its last error stays constant.
             times = np.minimum(program.instants, HORIZON - age)
             guess = program.basis(times + age)[0] @ previous + reference - preview(times)
         return program.plan(
@@ -261,7 +265,7 @@ class NonlinearMPC(ClassicalLaw):
             preview(HORIZON, 1),
             mass=mass,
             error_bounds=error_bounds,
-            iterations=_FIRST_ITERATIONS if previous is None else 1,
+            iterations=iterations,
         )
 
     def _in_range(

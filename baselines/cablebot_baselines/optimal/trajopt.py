@@ -60,23 +60,18 @@ class TrajOptSettings:
     def margins(self, robot: Robot, error_bounds: ErrorBounds) -> Margins:
         """Margins of the plan for a robot and error bounds.
 
-        Coulomb friction changes within a control period when a motor turns around. Without springs
-        it then changes the tension of its cable, which needs a margin as well. With springs the
-        margin is at most that of an episode's start.
+        When a motor reverses, its Coulomb friction changes sign within a control period. Without
+        springs this changes the tension of its cable, so the margin includes it. With springs and
+        redundant cables the margin is at most that at the start of an episode.
         """
         position = self.error_margin * error_bounds.position
         rotation = self.error_margin * error_bounds.rotation
-        if robot.flexible:
+        tension = self.tension_margin
+        if not robot.flexible:
+            tension += float((robot.coulomb_friction / robot.pulley_radius).max())
+        elif robot.cables > robot.coordinates:
             reserve = textbook.allocated_minimum(robot) - robot.minimum_tension
-            tension = (
-                min(self.tension_margin, reserve)
-                if robot.cables > robot.coordinates
-                else self.tension_margin
-            )
-        else:
-            tension = self.tension_margin + float(
-                (robot.coulomb_friction / robot.pulley_radius).max()
-            )
+            tension = min(tension, reserve)
         return Margins(
             position=position, rotation=rotation, action=self.action_margin, tension=tension
         )
@@ -150,10 +145,10 @@ class PlanLaw(ClassicalLaw):
     @property
     def rotor_inertia(self) -> Array:
         """J of a rigid robot, J + J′ of a flexible robot [kg·m²], (m,)."""
-        robot = self.robot
-        return (
-            robot.pulley_inertia + robot.motor_inertia if robot.flexible else robot.pulley_inertia
-        )
+        inertia: Array = self.robot.pulley_inertia
+        if self.robot.flexible:
+            inertia = inertia + self.robot.motor_inertia
+        return inertia
 
 
 class AdaptivePlanLaw(Adaptive):
@@ -201,20 +196,15 @@ class AdaptivePlanLaw(Adaptive):
         robot = self.robot
         if not robot.flexible or robot.weightless:
             return memory
-        first = first_steps(before, episode_start, blocks["pose"].shape[:-1])[..., None]
-        wrench = (
-            np.swapaxes(textbook.jacobian(robot, blocks["pose"]), -1, -2)
-            @ (memory.torques / robot.pulley_radius)[..., None]
-        )
-        vertical = robot.dimensions - 1
+        starts = first_steps(before, episode_start, blocks["pose"].shape[:-1])[..., None]
+        structure = textbook.jacobian(robot, blocks["pose"])
+        tensions = memory.torques / robot.pulley_radius
+        wrench = np.swapaxes(structure, -1, -2) @ tensions[..., None]
+        vertical = wrench[..., robot.dimensions - 1, :]
         weight = INITIAL_ESTIMATE_WEIGHT * robot.gravity
-        return replace(
-            memory,
-            weighted_impulse=np.where(
-                first, weight * wrench[..., vertical, :], memory.weighted_impulse
-            ),
-            weighted_change=np.where(first, weight * robot.gravity, memory.weighted_change),
-        )
+        impulse = np.where(starts, weight * vertical, memory.weighted_impulse)
+        change = np.where(starts, weight * robot.gravity, memory.weighted_change)
+        return replace(memory, weighted_impulse=impulse, weighted_change=change)
 
 
 class TrajOpt:
@@ -262,25 +252,21 @@ class TrajOpt:
         self.fallbacks = 0
         groups: dict[Any, list[int]] = {}
         for env_index, task in enumerate(tasks):
-            # A trajectory that is not hashable is equal only to itself.
-            motion = (
-                task.trajectory if isinstance(task.trajectory, Hashable) else id(task.trajectory)
-            )
-            groups.setdefault((motion, task.error_bounds, task.control_frequency), []).append(
-                env_index
-            )
-        self._groups = [
-            (np.array(indices), self._law(key, tasks[indices[0]], len(indices)))
-            for key, indices in groups.items()
-        ]
+            motion: Any = task.trajectory
+            if not isinstance(motion, Hashable):
+                motion = id(motion)  # a trajectory that is not hashable is equal only to itself
+            key = (motion, task.error_bounds, task.control_frequency)
+            groups.setdefault(key, []).append(env_index)
+        self._groups = []
+        for key, indices in groups.items():
+            law = self._law(key, tasks[indices[0]], len(indices))
+            self._groups.append((np.array(indices), law))
 
     def _law(self, key: Any, task: Task, episodes: int) -> Adaptive:
         if key not in self._plans:
-            self._plans[key] = (
-                task.trajectory,
-                self._plan(task),
-            )  # keeps the trajectory alive, because its id is a key
-        plan = self._plans[key][1]
+            # Stores the trajectory, too: its id may be part of the key, so it must stay alive.
+            self._plans[key] = task.trajectory, self._plan(task)
+        _, plan = self._plans[key]
         if isinstance(plan, str):
             return self._fall_back(episodes, plan)
         return AdaptivePlanLaw(self.robot, plan, 1 / task.control_frequency, self.settings)
@@ -301,9 +287,9 @@ class TrajOpt:
         except Infeasible as error:
             _LOGGER.debug("no plan for %r: %s", task.trajectory.name, error)
             return f"trajectory {task.trajectory.name!r} has no feasible motion within the error bounds"
-        return (
-            plan if plan.payload > 0 else f"trajectory {task.trajectory.name!r} allows no payload"
-        )
+        if plan.payload <= 0:
+            return f"trajectory {task.trajectory.name!r} allows no payload"
+        return plan
 
     def _fall_back(self, episodes: int, reason: str) -> Adaptive:
         self.fallbacks += episodes
@@ -325,7 +311,7 @@ class TrajOpt:
             ValueError: if the observation does not have this robot's layout.
         """
         observation = np.asarray(observation, float)
-        count = len(observation) if observation.ndim == 2 else 1
+        count = len(np.atleast_2d(observation))
         groups = self._groups
         if groups is None or (len(groups) > 1 and sum(len(rows) for rows, _ in groups) != count):
             if state is None:
@@ -335,11 +321,14 @@ class TrajOpt:
             return self._reference_law.predict(observation, state, episode_start, deterministic)
         if len(groups) == 1:
             return groups[0][1].predict(observation, state, episode_start, deterministic)
-        actions, states = np.empty((count, self.robot.cables)), []
-        for index, (rows, law) in enumerate(groups):
-            start = None if episode_start is None else np.asarray(episode_start)[rows]
-            before = None if state is None else state[index]
-            actions[rows], after = law.predict(observation[rows], before, start, deterministic)
+        actions = np.empty((count, self.robot.cables))
+        states = []
+        starts = first_steps(state, episode_start, (count,))
+        states_before = state or (None,) * len(groups)
+        for (rows, law), before in zip(groups, states_before, strict=True):
+            actions[rows], after = law.predict(
+                observation[rows], before, starts[rows], deterministic
+            )
             states.append(after)
         return actions, tuple(states)
 

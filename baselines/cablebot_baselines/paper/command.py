@@ -43,9 +43,8 @@ def reproduce(
 
     cablebot reproduce --only fig10,fig11 --payload total --line flat --out flat
     """
-    from cablebot_baselines.paper.engine import HTML, MARKDOWN, RESULTS, missing
+    from cablebot_baselines.paper.engine import missing
     from cablebot_baselines.paper.engine import reproduce as run
-    from cablebot_baselines.paper.page import tally
 
     interpretation = Interpretation(**choices)  # raises ValueError if a choice is invalid
     names = [name.strip() for text in only or [] for name in text.split(",")]
@@ -61,27 +60,29 @@ def reproduce(
                 say=say,
             )
     except KeyboardInterrupt:
-        parts = ",".join(missing(out, names))
+        remaining = ",".join(missing(out, names))
         command = command_line(
-            "reproduce", only=parts, out=out, workers=workers, **interpretation.changed()
+            "reproduce", only=remaining, out=out, workers=workers, **interpretation.changed()
         )
         say(f"finished parts are in {out}; continue with: {command}")
         raise
     if as_json:
         print(json.dumps(results["rows"], indent=2, ensure_ascii=False))
-        return
+    else:
+        _print_summary(interpretation, results, out)
+
+
+def _print_summary(interpretation: Interpretation, results: dict[str, Any], out: Path) -> None:
+    from cablebot_baselines.paper.engine import HTML, MARKDOWN, RESULTS
+    from cablebot_baselines.paper.page import tally
+
     for kind in ("result", "claim", "input"):
-        print(
-            f"{kind}s of the paper: {tally([row for row in results['rows'] if row['kind'] == kind])}"
-        )
+        rows = [row for row in results["rows"] if row["kind"] == kind]
+        print(f"{kind}s of the paper: {tally(rows)}")
     print(f"interpretation: {interpretation.text()}")
     if results["missing"]:
         print(f"not run: {', '.join(results['missing'])}")
-    print(
-        "wrote "
-        + ", ".join(str(out / name) for name in (HTML, MARKDOWN, RESULTS))
-        + " and the figures"
-    )
+    print(f"wrote {out / HTML}, {out / MARKDOWN}, {out / RESULTS} and the figures")
 
 
 def _option(name: str) -> inspect.Parameter:

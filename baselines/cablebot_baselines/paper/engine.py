@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -55,12 +55,12 @@ def find_parts(names: Sequence[str]) -> tuple[Part, ...]:
     Raises:
         ValueError: if a name is unknown; the message lists the valid names.
     """
-    by_name = {part.name: part for part in PARTS}
+    valid = [page_part.name for page_part in PARTS]
     for name in names:
-        choice("part", name, list(by_name), "; for maps run cablebot benchmark --suite paper-maps")
+        choice("part", name, valid, "; for maps run cablebot benchmark --suite paper-maps")
     if not names:
         return PARTS
-    return tuple(part for part in PARTS if part.name in names)
+    return tuple(page_part for page_part in PARTS if page_part.name in names)
 
 
 def reproduce(
@@ -96,15 +96,15 @@ def reproduce(
             ``workers`` is not positive.
         ImportError: if matplotlib is missing; the message names the installation command.
     """
-    parts = find_parts(only)
+    page_parts = find_parts(only)
     workers = check_workers(workers)
     import_matplotlib()
     check_writable_dir(out)
     output = _Output(interpretation, out, alone=not only)
-    computed = _computed(parts, interpretation, workers, progress or _ignore, say or _ignore)
+    computed = _computed(page_parts, interpretation, workers, progress or _ignore, say or _ignore)
     try:
-        for part, results in computed:
-            output.add(part, results)
+        for page_part, results in computed:
+            output.add(page_part, results)
     finally:
         written = output.write()
     return written
@@ -137,7 +137,7 @@ class _Output:
             "source": source_hash("cablebot_baselines.paper.engine", data=data),
         }
         self._numbers: dict[str, Number] = {}
-        self._parts: dict[str, dict[str, Any]] = {}
+        self._entries: dict[str, dict[str, Any]] = {}
         self._keep(alone)
 
     def _keep(self, alone: bool) -> None:
@@ -145,10 +145,10 @@ class _Output:
         results = read_cached(self._out / RESULTS, self._decoded)
         if results is None:
             return
-        is_same, numbers, parts = results
+        is_same, numbers, entries = results
         if is_same:
             self._numbers = numbers
-            self._parts = parts
+            self._entries = entries
         elif not alone:
             raise ValueError(
                 f"{str(self._out)!r} contains results of another interpretation or of other code; choose another "
@@ -160,72 +160,73 @@ class _Output:
         parts by name."""
         data = json.loads(content)
         is_same = all(data[name] == value for name, value in self._head.items())
-        return is_same, dict(data["numbers"]), {part["name"]: part for part in data["parts"]}
+        return is_same, dict(data["numbers"]), {entry["name"]: entry for entry in data["parts"]}
 
-    def add(self, part: Part, results: Results | str) -> None:
+    def add(self, page_part: Part, results: Results | str) -> None:
         """Adds the outcome and the figure of a part, or the reason why the interpretation does not
         allow it."""
-        for key in self._numbers_of(part.name):
+        name = page_part.name
+        for key in self._numbers_of(name):
             del self._numbers[key]
         entry: dict[str, Any] = {
-            "name": part.name,
-            "title": part.title,
-            "text": part.text,
+            "name": name,
+            "title": page_part.title,
+            "text": page_part.text,
             "figure": None,
             "tables": [],
         }
-        self._parts[part.name] = entry
+        self._entries[name] = entry
         if isinstance(results, str):
             entry["impossible"] = results
             return
-        outcome = part.outcome(self._interpretation, results)
+        outcome = page_part.outcome(self._interpretation, results)
         for key, value in outcome.numbers.items():
-            self._numbers[f"{part.name}.{key}"] = json_number(value)
+            self._numbers[f"{name}.{key}"] = json_number(value)
         for table in outcome.tables:
-            cells = [[json_number(value) for value in row] for row in table.rows]
+            cells = [list(map(json_number, row)) for row in table.rows]
             entry["tables"].append(
                 {"title": table.title, "header": list(table.header), "rows": cells}
             )
-        if part.draw is not None:
-            entry["figure"] = part.name
-            save_figure(part.draw(self._interpretation, results), self._out / part.name)
+        if page_part.draw is not None:
+            entry["figure"] = name
+            save_figure(page_part.draw(self._interpretation, results), self._out / name)
 
-    def _numbers_of(self, part: str) -> list[str]:
+    def _numbers_of(self, name: str) -> list[str]:
         """Keys of the numbers of a part."""
-        return [key for key in self._numbers if key.startswith(f"{part}.")]
+        return [key for key in self._numbers if key.startswith(f"{name}.")]
 
     def write(self) -> dict[str, Any]:
         """Writes results.json and the page of all finished parts."""
+        entries: dict[str, Any] = {}
+        missing: list[str] = []
         numbers: dict[str, Number] = {}
-        parts, missing = [], []
         impossible: dict[str, str] = {}
-        for part in PARTS:
-            if part.name not in self._parts:
-                missing.append(part.name)
+        for page_part in PARTS:
+            name = page_part.name
+            if name not in self._entries:
+                missing.append(name)
                 continue
-            entry = self._parts[part.name]
-            parts.append(entry)
-            if "impossible" in entry:
-                impossible[part.name] = entry["impossible"]
-            for key in self._numbers_of(part.name):
+            entries[name] = self._entries[name]
+            if "impossible" in entries[name]:
+                impossible[name] = entries[name]["impossible"]
+            for key in self._numbers_of(name):
                 numbers[key] = self._numbers[key]
-        only = [entry["name"] for entry in parts] if missing else []
+        only: Iterable[str] = ()
+        if missing:
+            only = entries
         results: dict[str, Any] = self._head | {
             "command": command(self._interpretation, *only),
             "numbers": numbers,
-            "parts": parts,
+            "parts": list(entries.values()),
             "missing": missing,
         }
         if (self._out / _ERRATA).is_file():
             results["errata"] = _ERRATA
         results["rows"] = rows(self._interpretation, numbers, impossible)
         text = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        for name, content in (
-            (RESULTS, text),
-            (MARKDOWN, markdown(results)),
-            (HTML, html(results)),
-        ):
-            atomic_write_text(self._out / name, content)
+        atomic_write_text(self._out / RESULTS, text)
+        atomic_write_text(self._out / MARKDOWN, markdown(results))
+        atomic_write_text(self._out / HTML, html(results))
         return results
 
 
@@ -255,7 +256,7 @@ def json_number(value: Any) -> Number:
 
 
 def _computed(
-    parts: Sequence[Part],
+    page_parts: Sequence[Part],
     interpretation: Interpretation,
     workers: int,
     progress: Progress,
@@ -263,36 +264,39 @@ def _computed(
 ) -> Iterator[tuple[Part, Results | str]]:
     """Yields each part with its results, or with the reason why the interpretation does not allow
     it."""
-    waiting: dict[str, tuple[Part, Jobs]] = {}
-    for part in parts:
-        try:
-            waiting[part.name] = part, part.jobs(interpretation)
-        except NoEquilibriumError as error:
-            yield part, str(error)
+    waiting: list[tuple[Part, Jobs]] = []
     all_jobs: dict[str, Job] = {}
-    for _, jobs in waiting.values():
-        all_jobs |= {job.key: job for job in jobs.values()}
+    for page_part in page_parts:
+        try:
+            jobs = page_part.jobs(interpretation)
+        except NoEquilibriumError as error:
+            yield page_part, str(error)
+            continue
+        waiting.append((page_part, jobs))
+        for job in jobs.values():
+            all_jobs[job.key] = job
     results_by_key: dict[str, Any] = {}
 
     def finished() -> Iterator[tuple[Part, Results | str]]:
-        for name, (part, jobs) in list(waiting.items()):
-            if not all(job.key in results_by_key for job in jobs.values()):
+        for page_part, jobs in list(waiting):
+            results = {}
+            for name, job in jobs.items():
+                if job.key in results_by_key:
+                    results[name] = results_by_key[job.key]
+            if len(results) < len(jobs):
                 continue
-            progress(f"drawing {name}", len(results_by_key), len(all_jobs))
-            del waiting[name]
-            results = {name: results_by_key[job.key] for name, job in jobs.items()}
-            errors = [
-                result for result in results.values() if isinstance(result, NoEquilibriumError)
-            ]
-            if errors:
-                yield part, str(errors[0])
+            progress(f"drawing {page_part.name}", len(results_by_key), len(all_jobs))
+            waiting.remove((page_part, jobs))
+            for result in results.values():
+                if isinstance(result, NoEquilibriumError):
+                    yield page_part, str(result)
+                    break
             else:
-                yield part, results
+                yield page_part, results
 
     yield from finished()  # parts without computations
-    for key, result in run_jobs(
-        all_jobs.values(), local(workers), say=say, returned=(NoEquilibriumError,)
-    ):
+    computed = run_jobs(all_jobs.values(), local(workers), say=say, returned=(NoEquilibriumError,))
+    for key, result in computed:
         results_by_key[key] = result
         progress("computing", len(results_by_key), len(all_jobs))
         yield from finished()

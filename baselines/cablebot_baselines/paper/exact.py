@@ -7,11 +7,12 @@ The rigid robots use exact tracking. The flexible robot uses the state space of 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from cablebot_baselines.paper.interpretation import Interpretation
-from cablebot_gym.bounds.closed_form import GRID, exact_payload
+from cablebot_gym.bounds.closed_form import GRID, ExactPayload, exact_payload
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
@@ -51,7 +52,10 @@ class LargestPayload:
 
 def paper_circle(robot: Robot) -> Trajectory:
     """Circle of the paper for a robot (Tables 1 and 3)."""
-    return find_trajectory("paper-planar" if robot.planar else "paper-spatial", robot.coordinates)
+    name = "paper-spatial"
+    if robot.planar:
+        name = "paper-planar"
+    return find_trajectory(name, robot.coordinates)
 
 
 def exact_profile(interpretation: Interpretation, robot: Robot, payload: float) -> Profile:
@@ -73,13 +77,16 @@ def exact_limit(interpretation: Interpretation, robot: Robot) -> LargestPayload:
     """The largest payload of exact tracking with a rigid transmission."""
     if robot.planar and interpretation.alpha == "constant":
         return _searched(interpretation, robot)
-    bound = exact_payload(
-        robot,
-        paper_circle(robot),
-        minimum_tension=interpretation.minimum_tension if robot.planar else 0.0,
-        line_speed=interpretation.line_speed(robot),
-    )
+    bound = exact_bound(interpretation, robot)
     return LargestPayload(payload=bound.payload, motor=bound.motor, time=bound.time)
+
+
+def exact_bound(interpretation: Interpretation, robot: Robot, **keywords: Any) -> ExactPayload:
+    """:func:`~cablebot_gym.bounds.closed_form.exact_payload` on the circle of the paper."""
+    keywords["line_speed"] = interpretation.line_speed(robot)
+    if robot.planar:
+        keywords["minimum_tension"] = interpretation.minimum_tension
+    return exact_payload(robot, paper_circle(robot), **keywords)
 
 
 def state_space_profile(interpretation: Interpretation, robot: Robot, payload: float) -> Profile:
@@ -107,18 +114,18 @@ def state_space_profile(interpretation: Interpretation, robot: Robot, payload: f
 def state_space_limit(interpretation: Interpretation, robot: Robot) -> LargestPayload:
     """The largest payload of :func:`state_space_profile`. The torques are affine in the payload."""
     empty = state_space_profile(interpretation, robot, 0.0)
-    reserve = _reserve(empty)
-    slope = reserve - _reserve(state_space_profile(interpretation, robot, 1.0))
+    full = state_space_profile(interpretation, robot, 1.0)
+    slope = reserve(empty) - reserve(full)
     with np.errstate(divide="ignore", invalid="ignore"):
-        payloads = np.where(slope > 0, reserve / slope, np.inf)
+        payloads = np.where(slope > 0, reserve(empty) / slope, np.inf)
     k, motor, _ = np.unravel_index(np.argmin(payloads), payloads.shape)
     return LargestPayload(
         payload=float(payloads[k, motor].min()), motor=int(motor) + 1, time=_rounded(empty.times[k])
     )
 
 
-def _reserve(profile: Profile) -> Array:
-    """Distances of the torques to the upper and to the lower limit, (K, m, 2)."""
+def reserve(profile: Profile) -> Array:
+    """Distances of the torques to the upper and to the lower limit, (K, m, 2) [N·m]."""
     return np.stack([profile.upper - profile.torques, profile.torques - profile.lower], axis=-1)
 
 
@@ -206,14 +213,19 @@ def _state_space(
     tensions = textbook.required_tensions(robot, mass, *state)
     spring = textbook.required_torques(robot, tensions, *state)
     rest_angle = textbook.pulley_angle(robot, motion.position) + spring / robot.stiffness  # β + κ/K
-    divisor = robot.motor_inertia
-    if interpretation.eq24 == "verbatim":
-        divisor = 1.0 + robot.motor_inertia
+    divisor = eq24_divisor(interpretation, robot)
     angle, speed = _oscillation(rest_angle, np.sqrt(robot.stiffness / divisor), times)
     torques = spring + robot.motor_inertia * robot.stiffness / divisor * (rest_angle - angle)
     if interpretation.line not in ("physical", "reversed"):
         speed = textbook.pulley_speed(robot, motion.position, motion.velocity)
     return torques, interpretation.line_speed(robot) * speed
+
+
+def eq24_divisor(interpretation: Interpretation, robot: Robot) -> Array:
+    """J′, or 1 + J′ as printed, (m,)."""
+    if interpretation.eq24 == "verbatim":
+        return 1.0 + robot.motor_inertia
+    return robot.motor_inertia
 
 
 def _oscillation(goal: Array, frequency: Array, times: Array) -> tuple[Array, Array]:

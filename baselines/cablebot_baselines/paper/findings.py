@@ -11,7 +11,7 @@ from typing import Any
 
 from cablebot_baselines.paper.contents import VERDICTS
 from cablebot_baselines.paper.inputs import judge_input
-from cablebot_baselines.paper.interpretation import Interpretation, NoEquilibriumError
+from cablebot_baselines.paper.interpretation import Interpretation, NoEquilibriumError, Source
 from cablebot_baselines.paper.judgement import MissingNumberError, Run, Verdict, quantity_text
 from cablebot_baselines.paper.part import Number
 from cablebot_baselines.paper.published import ABOUT, PUBLISHED, Input, Published, load_text
@@ -71,28 +71,31 @@ def rows(
 
 def find(item: Published, run: Run, impossible: Mapping[str, str]) -> Finding:
     """Finding on one published item, see :func:`rows`."""
-    parts = (item.part,) if isinstance(item, Input) else VERDICTS[item.key].parts
+    if isinstance(item, Input):
+        part_names: tuple[str, ...] = (item.part_name,)
+    else:
+        part_names = VERDICTS[item.key].part_names
     finding = Finding(
         key=item.key,
         place=item.place,
         statement=item.statement,
         printed=item.printed,
         kind=item.kind,
-        command=command(run.interpretation, *parts),
+        command=command(run.interpretation, *part_names),
     )
     try:
         if isinstance(item, Input):
             return _input_finding(finding, item, run.interpretation)
-        for part in parts:
-            if part in impossible:
-                raise NoEquilibriumError(impossible[part])
+        for part_name in part_names:
+            if part_name in impossible:
+                raise NoEquilibriumError(impossible[part_name])
         return _judged(finding, item, VERDICTS[item.key], run)
     except NoEquilibriumError as error:
         reason = f"Not possible under this interpretation: {error}."
     except MissingNumberError as error:
         (name,) = error.args
-        part = name.partition(".")[0]
-        if not any(key.startswith(f"{part}.") for key in run.numbers):  # the part was not run
+        prefix = name.partition(".")[0] + "."
+        if not any(key.startswith(prefix) for key in run.numbers):  # the part was not run
             return finding
         reason = _absence(name, run.interpretation)
     interpretation = run.interpretation.text()
@@ -106,10 +109,16 @@ def _input_finding(finding: Finding, item: Input, interpretation: Interpretation
     option = ""
     if item.option:
         option = option_text(item.option, getattr(interpretation, item.option))
-    paths = [f"`{path}`" for path in item.sources]
-    evidence = "; ".join(filter(None, [*paths, item.note]))
+    evidence = [f"`{path}`" for path in item.sources]
+    if item.note:
+        evidence.append(item.note)
     return replace(
-        finding, ours=ours, value=value, verdict=verdict, interpretation=option, evidence=evidence
+        finding,
+        ours=ours,
+        value=value,
+        verdict=verdict,
+        interpretation=option,
+        evidence="; ".join(evidence),
     )
 
 
@@ -125,13 +134,15 @@ def _judged(finding: Finding, item: Published, verdict: Verdict, run: Run) -> Fi
         text = f"{text} ({relative_difference(float(value), item.value)})"
     if judgement.text:
         text = run.sentence(judgement.text, ours=text) or text
-    if value is not None and unit == "%":
-        value = 100 * float(value)
+    if value is not None:
+        value = float(value)
+        if unit == "%":
+            value = 100 * value
     words = {None: "undecided", True: "reproduced", False: "not reproduced"}
     return replace(
         finding,
         ours=text,
-        value=None if value is None else float(value),
+        value=value,
         interpretation=_chosen(verdict, run.interpretation),
         verdict=words[judgement.is_reproduced],
         evidence=run.sentences(judgement.evidence),
@@ -140,11 +151,13 @@ def _judged(finding: Finding, item: Published, verdict: Verdict, run: Run) -> Fi
 
 def _chosen(verdict: Verdict, interpretation: Interpretation) -> str:
     """Texts of the options and choices that affect our value."""
-    source: Any = "payload" if verdict.parts[0] in _PAYLOAD_PARTS else "control"
+    source: Source = "control"
+    if verdict.part_names[0] in _PAYLOAD_PARTS:
+        source = "payload"
     texts = [option_text(name, getattr(interpretation, name), source) for name in verdict.options]
     if verdict.choice:
         texts.append(verdict.choice)
-    if "claims" in verdict.parts and not interpretation.closed_loop_possible:
+    if "claims" in verdict.part_names and not interpretation.closed_loop_possible:
         texts.append("torque limits from the motor speed, because no motor can have this line")
     return ", ".join(texts)
 

@@ -29,15 +29,19 @@ def judge_input(item: Input, interpretation: Interpretation) -> tuple[float | No
         return None, str(values[0]), item.verdict
     flat = np.concatenate([np.ravel(np.asarray(value, float)) for value in values])
     numbers = np.unique(flat.round(12))
-    expected = item.value if item.corrected is None else item.corrected
+    expected = item.value
+    if item.corrected is not None:
+        expected = item.corrected
     is_used = np.allclose(numbers, expected, rtol=1e-9, atol=0)
     if item.is_upper_bound:
         is_used = bool(numbers.max() < item.value)
     verdict: str = item.verdict
     if not is_used and verdict != "contradicted":
         verdict = "replaced"
-    text = ", ".join(as_text(float(number)) for number in numbers)
-    value = float(numbers[0]) if len(numbers) == 1 else None
+    text = ", ".join(map(as_text, numbers.tolist()))
+    value = None
+    if len(numbers) == 1:
+        value = float(numbers[0])
     return value, f"{text} {item.unit}".strip(), verdict
 
 
@@ -131,10 +135,13 @@ def _circle(_: Interpretation, robot: Robot) -> dict[str, Any]:
 
 def _size(interpretation: Interpretation, robot: Robot) -> dict[str, float]:
     """a and b of the triangles under the interpretation [m]."""
+    divisor = np.sqrt(3)
+    if interpretation.sides == "half-side":
+        divisor = 2
     sizes = {}
     for name, anchors in (("base", robot.base), ("platform", robot.platform)):
         side = np.linalg.norm(anchors[:, None] - anchors[None], axis=-1).max()
-        sizes[name] = side / 2 if interpretation.sides == "half-side" else side / np.sqrt(3)
+        sizes[name] = side / divisor
     return sizes
 
 

@@ -148,13 +148,14 @@ class Interpretation:
         return robot.replace(transmission=robot.transmission.replace(stiffness=stiffness))
 
     def _read(self, robot: Robot, source: Source) -> Robot:
-        scale = _HALF_SIDE_OF_CIRCUMRADIUS if self.sides == "circumradius" else 1.0
+        scale = 1.0
+        if self.sides == "circumradius":
+            scale = _HALF_SIDE_OF_CIRCUMRADIUS
         base, platform = robot.base, robot.platform
         if self.triangles == "turned":
             base, platform = -base, -platform
-        if (
-            self.triangles == "aligned"
-        ):  # same cable order; the platform corners are below those of the base
+        if self.triangles == "aligned":
+            # Same cable order; the platform corners are below those of the base.
             platform = -np.roll(platform[::2], 1, axis=0)[list(_ALIGNED_RING)]
         try:
             return robot.replace(
@@ -185,9 +186,8 @@ class Interpretation:
     def closed_loop_possible(self) -> bool:
         """Whether a motor of a rigid robot can have this torque-speed line. Closed loops require
         such a motor."""
-        return (
-            self.flexible_loop_possible or self.line == "pulley"
-        )  # the pulley of a rigid robot turns with its motor
+        # The pulley of a rigid robot turns with its motor.
+        return self.flexible_loop_possible or self.line == "pulley"
 
     @property
     def flexible_loop_possible(self) -> bool:

@@ -7,6 +7,7 @@ it.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,10 @@ from cablebot_baselines.paper.texts import as_text, kilograms, relative_differen
 
 _UNITS = {"kg": "kg", "mm": "mm", "mrad": "mrad", "N": "N", "Nm": "N·m", "s": "s"}
 """Unit of a number by the end of its name."""
+
+
+_FIELD = re.compile(r"{([^{}:]+):?([^{}]*)}")
+"""A field of a sentence: its name and its format."""
 
 
 class MissingNumberError(KeyError):
@@ -54,7 +59,9 @@ class Run:
             MissingNumberError: if the run did not compute it.
         """
         payload = self.number(name)
-        return -math.inf if payload is None else float(payload)
+        if payload is None:
+            return -math.inf
+        return float(payload)
 
     def sentence(self, template: str, **values: str) -> str:
         """A sentence with numbers of the run; empty if one of them is missing.
@@ -67,11 +74,31 @@ class Run:
             template: format string.
             values: further texts by name.
         """
-        parts = {name.partition(".")[0] for name in self.numbers}
+
+        def text(field: re.Match[str]) -> str:
+            name, form = field.groups()
+            if name in values:
+                return values[name]
+            return self._number_text(name, form)
+
         try:
-            return template.format(**values, **{part: _Part(self, part) for part in parts})
-        except KeyError:
+            return _FIELD.sub(text, template)
+        except MissingNumberError:
             return ""
+
+    def _number_text(self, name: str, form: str) -> str:
+        """Text of a number, see :meth:`sentence`."""
+        value = self.number(name)
+        if value is None and not name.endswith("_kg"):
+            raise MissingNumberError(name)
+        unit = _UNITS.get(name.rpartition("_")[2], "")
+        published = form.removeprefix("vs ")
+        if published == form:
+            return quantity_text(value, form or unit)
+        text = quantity_text(value, unit)
+        if not value:
+            return text
+        return f"{text} ({relative_difference(value, published_value(published))})"
 
     def sentences(self, templates: Iterable[str], **values: str) -> str:
         """All sentences without missing numbers."""
@@ -80,38 +107,9 @@ class Run:
 
     def sentence_if(self, condition: str, template: str) -> str:
         """A sentence that holds only if a truth value of the run is true; otherwise empty."""
-        return self.sentence(template) if self.numbers.get(condition) else ""
-
-
-class _Part:
-    """Numbers of one part as attributes, for format strings."""
-
-    def __init__(self, run: Run, name: str) -> None:
-        self._run, self._name = run, name
-
-    def __getattr__(self, name: str) -> _Quantity:
-        value = self._run.number(f"{self._name}.{name}")
-        if value is None and not name.endswith("_kg"):
-            raise MissingNumberError(name)
-        return _Quantity(value, _UNITS.get(name.rpartition("_")[2], ""))
-
-
-@dataclass(frozen=True)
-class _Quantity:
-    """A number and its unit."""
-
-    value: Any
-    unit: str
-
-    def __format__(self, spec: str) -> str:
-        if not spec.startswith("vs "):
-            return quantity_text(self.value, spec or self.unit)
-        text = quantity_text(self.value, self.unit)
-        return (
-            f"{text} ({relative_difference(self.value, published_value(spec[3:]))})"
-            if self.value
-            else text
-        )
+        if not self.numbers.get(condition):
+            return ""
+        return self.sentence(template)
 
 
 def quantity_text(value: Any, unit: str) -> str:
@@ -142,13 +140,13 @@ class Judgement:
     """Template of the text of our value, which is ``{ours}``; that text itself if empty."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Verdict:
     """A verdict function and what the page says about its numbers."""
 
     judge: Callable[[Run], Judgement]
     """The verdict function."""
-    parts: tuple[str, ...]
+    part_names: tuple[str, ...]
     """Parts that compute the required numbers."""
     unit: str
     """Unit of our value on a claim; a result has the published unit."""
@@ -163,13 +161,13 @@ VERDICTS: dict[str, Verdict] = {}
 
 
 def verdict(
-    key: str, *parts: str, unit: str = "", options: tuple[str, ...] = (), choice: str = ""
+    key: str, *part_names: str, unit: str = "", options: tuple[str, ...] = (), choice: str = ""
 ) -> Callable[[Callable[[Run], Judgement]], Callable[[Run], Judgement]]:
     """Registers the verdict function of a published item; the arguments are the fields of
     :class:`Verdict`."""
 
     def register(judge: Callable[[Run], Judgement]) -> Callable[[Run], Judgement]:
-        VERDICTS[key] = Verdict(judge=judge, parts=parts, unit=unit, options=options, choice=choice)
+        VERDICTS[key] = Verdict(judge, part_names, unit, options, choice)
         return judge
 
     return register

@@ -49,21 +49,21 @@ def growth_rate(law: Any, robot: Robot, *, control_frequency: float = 500.0) -> 
         control_frequency: 1/h [Hz].
     """
     period = 1 / control_frequency
-    rest = np.concatenate([_rest(robot), np.zeros(robot.cables)])
-    size = len(rest)
+    rest_state = np.concatenate([_rest(robot), np.zeros(robot.cables)])
+    size = len(rest_state)
     step = _DIFFERENCE * np.eye(size)
-    states = np.concatenate([rest + step, rest - step])
+    states = np.concatenate([rest_state + step, rest_state - step])
     plant = _plant_at(robot, states)
     past_speed = states[:, -robot.cables :]
-    memory = np.column_stack(
-        [past_speed, np.full(2 * size, period)]
-    )  # the time in the observation is 0
+    # The observation has a time of 0, so the previous sample was at the time -period.
+    memory = np.column_stack([past_speed, np.full(2 * size, period)])
     action, _ = law.predict(_observation(robot, plant), state=memory)
     motor_speed = plant.motor_speed.copy()
     plant.set_action(action)
     _advance(plant, robot, period)
     after = np.concatenate([_state(plant), motor_speed], axis=1)
-    loop = (after[:size] - after[size:]).T / (2 * _DIFFERENCE)
+    above, below = np.split(after, 2)
+    loop = (above - below).T / (2 * _DIFFERENCE)
     return float(np.log(np.abs(np.linalg.eigvals(loop)).max()) / period)
 
 
@@ -80,20 +80,20 @@ def controllable_states(robot: Robot, *, period: float = 0.02) -> int:
         period: sampling period [s]; the platform should move within a few periods.
     """
     robot = unsaturated_actions(robot)
-    hold = (
-        textbook.static_torque(robot, robot.mass, robot.home, minimum=textbook.MINIMUM_TENSION)
-        / robot.stall_torque
-    )
-    rest = np.concatenate([_rest(robot), hold])
-    size = len(rest) - robot.cables
-    step = np.full(len(rest), _DIFFERENCE)
+    minimum = textbook.MINIMUM_TENSION
+    torque = textbook.static_torque(robot, robot.mass, robot.home, minimum=minimum)
+    hold = torque / robot.stall_torque
+    rest_state = np.concatenate([_rest(robot), hold])
+    size = len(rest_state) - robot.cables
+    step = np.full(len(rest_state), _DIFFERENCE)
     step[size:] /= robot.stall_torque.max()
-    states = np.concatenate([rest + np.diag(step), rest - np.diag(step)])
+    states = np.concatenate([rest_state + np.diag(step), rest_state - np.diag(step)])
     plant = _plant_at(robot, states)
     plant.set_action(states[:, size:] + robot.speed_slope / robot.stall_torque * plant.motor_speed)
     _advance(plant, robot, period)
     after = _state(plant)
-    response = (after[: len(rest)] - after[len(rest) :]).T / (2 * step)
+    above, below = np.split(after, 2)
+    response = (above - below).T / (2 * step)
     transition = response[:, :size]
     columns = [response[:, size:]]
     for _ in range(size // robot.cables - 1):

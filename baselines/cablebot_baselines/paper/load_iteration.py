@@ -34,7 +34,7 @@ from cablebot_gym.trajectories import Reference, Trajectory
 from cablebot_gym.utils.checks import number, whole
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class LoadIteration:
     """Record of a run of the iteration."""
 
@@ -100,59 +100,51 @@ def iterate_load(
     """Runs the eight steps of the paper for exact tracking. The average of ``C m_e`` and m_e is the
     next guess (7a).
 
-    The iteration considers motor torques only and finds upper bounds of the payload only. If these
-    limit the robot, the corrected form agrees with
-    :func:`~cablebot_gym.bounds.closed_form.exact_payload`, also for a negative payload. The minimum
-    tensions of a planar robot are only piecewise affine in the load. Then ``C m_e`` depends on the
-    guess, and the iteration may not converge.
+    Only motor torques and upper bounds of the payload count. If these limit the robot, the
+    corrected form agrees with :func:`~cablebot_gym.bounds.closed_form.exact_payload`. The minimum
+    tensions of a planar robot have kinks over the load, so the iteration may not converge.
 
     Args:
         robot: robot with a rigid transmission.
         trajectory: trajectory with the same number of coordinates.
         guess: first guess m_e [kg]; > 0.
         corrected: whether to use the corrected form instead of the printed one.
-        minimum_tension: lower tension bound of a planar robot [N]; has no effect on a spatial
-            robot.
+        minimum_tension: lower tension bound [N]; only a planar robot uses it.
         tolerance: difference between m_load and m_e at convergence (7b) [kg]; > 0.
         max_iterations: maximum number of guesses; ≥ 1.
         frequency: number of control instants of exact tracking per second [Hz].
         line_speed: factor of the pulley speed in the torque-speed line, as for exact tracking.
 
     Raises:
-        ValueError: if an argument is invalid, or if no tensions produce the accelerations of the
-            motion.
+        ValueError: if an argument is invalid, or if no tensions produce the motion.
     """
     guess = number("guess", guess, above=0, unit="kg")
     tolerance = number("tolerance", tolerance, above=0, unit="kg")
     max_iterations = whole("max_iterations", max_iterations, least=1)
     times, reference = control_instants(robot, trajectory, frequency)
-    speed = np.asarray(line_speed, float) * textbook.pulley_speed(
-        robot, reference.position, reference.velocity
-    )
+    pulley_speed = textbook.pulley_speed(robot, reference.position, reference.velocity)
+    speed = np.asarray(line_speed, float) * pulley_speed
     empty = _torques(robot, 0.0, reference, minimum_tension)
     loads: list[float] = []
     while True:
         loads.append(guess)
         # Steps 5 and 6. The probe load must differ from zero. A torque that a negative load removes
         # equals the torque that the corresponding positive load adds.
-        probe = guess if abs(guess) > tolerance else math.copysign(tolerance, guess)
-        change = math.copysign(1.0, probe) * (
-            _torques(robot, probe, reference, minimum_tension) - empty
-        )
-        coefficient = load_coefficient(robot, empty + change, empty, speed, corrected=corrected)
+        probe = math.copysign(max(abs(guess), tolerance), guess)
+        change = _torques(robot, probe, reference, minimum_tension) - empty
+        full = empty + math.copysign(1.0, probe) * change
+        coefficient = load_coefficient(robot, full, empty, speed, corrected=corrected)
         k, motor = np.unravel_index(np.argmin(coefficient), coefficient.shape)  # Eq. 38 and 39
         payload = float(coefficient[k, motor]) * abs(probe)
-        limited = math.isfinite(payload)
-        converged = not limited or abs(payload - guess) <= tolerance
-        if converged or len(loads) == max_iterations or (guess + payload) / 2 <= -robot.mass:
+        if not math.isfinite(payload):
+            return LoadIteration(tuple(loads), payload, converged=True, motor=None, time=None)
+        converged = abs(payload - guess) <= tolerance
+        next_guess = (guess + payload) / 2
+        if converged or len(loads) == max_iterations or next_guess <= -robot.mass:
             return LoadIteration(
-                loads=tuple(loads),
-                payload=payload,
-                converged=converged,
-                motor=int(motor) + 1 if limited else None,
-                time=float(times[k]) if limited else None,
+                tuple(loads), payload, converged, motor=int(motor) + 1, time=float(times[k])
             )
-        guess = (guess + payload) / 2
+        guess = next_guess
 
 
 def _torques(robot: Robot, load: float, reference: Reference, minimum: float) -> Array:

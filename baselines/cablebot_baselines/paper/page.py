@@ -24,6 +24,9 @@ Results = Mapping[str, Any]
 Row = Mapping[str, Any]
 """One published number or claim with its finding."""
 
+Entry = Mapping[str, Any]
+"""One part of the results: title, text, figure and tables."""
+
 
 class Heading(NamedTuple):
     """A heading of the page."""
@@ -99,7 +102,7 @@ _VERDICTS = {
 
 def markdown(results: Results) -> str:
     """Page in Markdown. The figures are files in the same folder."""
-    return "\n\n".join(_as_markdown(block) for block in _blocks(results)) + "\n"
+    return "\n\n".join(map(_as_markdown, _blocks(results))) + "\n"
 
 
 def html(results: Results) -> str:
@@ -114,9 +117,10 @@ def html(results: Results) -> str:
         elif isinstance(block, Table):
             body.append(_as_html(block, reader))
         else:
-            name = re.sub(r"\W+", "-", block.text.lower()).strip("-")
+            anchor = name = re.sub(r"\W+", "-", block.text.lower()).strip("-")
             names.append(name)
-            anchor = name if names.count(name) == 1 else f"{name}-{names.count(name)}"
+            if names.count(name) > 1:
+                anchor = f"{name}-{names.count(name)}"
             text = reader.renderInline(block.text)
             body.append(f'<h{block.level} id="{anchor}">{text}</h{block.level}>\n')
             if block.level == 2:
@@ -129,7 +133,7 @@ def html(results: Results) -> str:
 
 def tally(rows: Sequence[Row]) -> str:
     """Number of rows with each verdict, as text."""
-    counts = Counter(_verdict(row) for row in rows)
+    counts = Counter(map(_verdict, rows))
     return "; ".join(f"{counts[verdict]} {verdict}" for verdict in _VERDICTS if counts[verdict])
 
 
@@ -143,10 +147,10 @@ def _blocks(results: Results) -> Iterator[Block]:
     for kind in ("result", "claim"):
         yield Heading(2, f"{kind.capitalize()}s")
         yield _judged(rows, kind)
-    for heading, members in _grouped(results["parts"]):
+    for heading, entries in _grouped(results["parts"]):
         yield Heading(2, heading)
-        for part in members:
-            yield from _part(part, results["numbers"])
+        for entry in entries:
+            yield from _part(entry, results["numbers"])
     yield Heading(2, "Inputs")
     yield (
         "Values of tables and motions, and counts. Our values are read from the objects of the runs; the evidence "
@@ -180,7 +184,9 @@ def _head(results: Results) -> Iterator[Block]:
         texts = []
         for name in names:
             text = option_text(name, results["interpretation"][name])
-            texts.append(f"**{text}**" if name in changed else text)
+            if name in changed:
+                text = f"**{text}**"
+            texts.append(text)
         lines.append(f"* {subject}: {'; '.join(texts)}.")
     yield "\n".join(lines)
     errata = f"`{ERRATA}` of the project"
@@ -263,34 +269,35 @@ def _verdict(row: Row) -> str:
     return row["verdict"] or "not run"
 
 
-def _grouped(parts: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, list[Mapping[str, Any]]]]:
-    ungrouped = list(parts)
+def _grouped(entries: Sequence[Entry]) -> Iterator[tuple[str, list[Entry]]]:
+    ungrouped = list(entries)
     for heading, names in _GROUPS:
-        members = [part for part in parts if part["name"] in names]
+        members = [entry for entry in entries if entry["name"] in names]
         if members:
             yield heading, members
-        ungrouped = [part for part in ungrouped if part not in members]
+        for entry in members:
+            ungrouped.remove(entry)
     if ungrouped:
         yield _UNGROUPED, ungrouped
 
 
-def _part(part: Mapping[str, Any], numbers: Mapping[str, Any]) -> Iterator[Block]:
-    yield Heading(3, part["title"])
-    yield part["text"].strip()
-    if part.get("impossible"):
-        yield f"Not possible under the chosen interpretation: {_escaped(part['impossible'])}"
-    if part["figure"] is not None:
-        alt = re.sub(r"([\[\]\\])", r"\\\1", part["title"])
-        yield f"![{alt}]({part['figure']}.svg)"
+def _part(entry: Entry, numbers: Mapping[str, Any]) -> Iterator[Block]:
+    yield Heading(3, entry["title"])
+    yield entry["text"].strip()
+    if entry.get("impossible"):
+        yield f"Not possible under the chosen interpretation: {_escaped(entry['impossible'])}"
+    if entry["figure"] is not None:
+        alt = re.sub(r"([\[\]\\])", r"\\\1", entry["title"])
+        yield f"![{alt}]({entry['figure']}.svg)"
     rows = []
-    for name in dict.fromkeys(re.findall(r"`(\w+)`", part["text"])):  # in the order of the text
-        key = f"{part['name']}.{name}"
+    for name in dict.fromkeys(re.findall(r"`(\w+)`", entry["text"])):  # in the order of the text
+        key = f"{entry['name']}.{name}"
         if key in numbers:
             rows.append((f"`{name}`", numbers[key]))
     if rows:
         yield "**Numbers in the text**"
         yield Table(("number", "value"), rows)
-    for table in part["tables"]:
+    for table in entry["tables"]:
         yield f"**{_escaped(table['title'])}**"
         yield Table(table["header"], table["rows"])
 
@@ -303,10 +310,10 @@ def _as_markdown(block: Block) -> str:
         return block
     if isinstance(block, Heading):
         return f"{'#' * block.level} {block.text}"
-    rules = ["---:" if is_numeric else "---" for is_numeric in block.numeric()]
-    lines = [list(map(_escaped, block.header)), rules]
+    rules = {True: "---:", False: "---"}
+    lines = [map(_escaped, block.header), map(rules.__getitem__, block.numeric())]
     for row in block.rows:
-        lines.append([_escaped(as_text(value)) for value in row])
+        lines.append(map(_escaped, map(as_text, row)))
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -317,19 +324,24 @@ def _as_html(table: Table, reader: MarkdownIt) -> str:
         plain = _escaped(text).replace("\\|", "|")  # a bar separates cells only in Markdown
         return f"<{tag}{attributes}>{reader.renderInline(plain)}</{tag}>"
 
-    styles = [' style="text-align:right"' if is_numeric else "" for is_numeric in table.numeric()]
-    heads = [
-        cell("th", f' scope="col"{style}', name)
-        for name, style in zip(table.header, styles, strict=True)
-    ]
+    styles = []
+    heads = []
+    for name, is_numeric in zip(table.header, table.numeric(), strict=True):
+        style = ""
+        if is_numeric:
+            style = ' style="text-align:right"'
+        styles.append(style)
+        heads.append(cell("th", f' scope="col"{style}', name))
     lines = []
     for row in table.rows:
         cells = []
         for name, style, text in zip(table.header, styles, map(as_text, row), strict=True):
             attributes = style
             if name in _COLUMNS:
-                names = f"{name.lower().replace(' ', '-')} {_VERDICTS.get(text, '') if name == 'Verdict' else ''}"
-                attributes += f' class="{names.strip()}"'
+                classes = name.lower().replace(" ", "-")
+                if name == "Verdict":
+                    classes += f" {_VERDICTS[text]}"
+                attributes += f' class="{classes}"'
             cells.append(cell("td", attributes, text))
         lines.append(f"<tr>{''.join(cells)}</tr>\n")
     return (

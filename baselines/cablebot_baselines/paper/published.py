@@ -51,7 +51,7 @@ class Published:
 class Input(Published):
     """A printed parameter and the place of its value in the objects of the runs."""
 
-    part: str
+    part_name: str
     """A part that uses the input."""
     sources: Sequence[str] = ()
     """Paths of the values (:func:`~cablebot_baselines.paper.inputs.read`), which must be equal.
@@ -81,12 +81,14 @@ def load_text(name: str) -> str:
 def _load() -> dict[str, Published]:
     tables: Mapping[str, dict[str, dict[str, Any]]] = load_table("published.toml")
     entries: dict[str, Published] = {}
-    for key, fields in tables["input"].items():
-        entries[key] = Input(kind="input", key=key, **fields)
-    for key, fields in tables["result"].items():
-        entries[key] = Published(kind="result", key=key, **fields)
-    for key, fields in tables["claim"].items():
-        entries[key] = Published(kind="claim", key=key, **fields)
+    kinds: Mapping[Kind, type[Published]] = {
+        "input": Input,
+        "result": Published,
+        "claim": Published,
+    }
+    for kind, entry_class in kinds.items():
+        for key, fields in tables[kind].items():
+            entries[key] = entry_class(kind=kind, key=key, **fields)
     return entries
 
 

@@ -33,8 +33,10 @@ def points(run: Run, rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, s
         verdicts = {row["verdict"] for row in judged}
         if len(judged) < len(point["keys"]) or None in verdicts:
             continue
-        verdict = verdicts.pop() if len(verdicts) == 1 else "partly reproduced"
-        places = ", ".join(dict.fromkeys(row["place"] for row in judged))
+        verdict = "partly reproduced"
+        if len(verdicts) == 1:
+            verdict = verdicts.pop()
+        places = ", ".join(dict.fromkeys([row["place"] for row in judged]))
         sentences = run.sentences(point["text"], **texts)
         yield verdict, f"**{point['title']}** ({places}). {sentences}".rstrip()
 

@@ -39,16 +39,16 @@ def as_text(value: Number, digits: int = 4) -> str:
     None."""
     if value is None:
         return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
+    if value is True:
+        return "yes"
+    if value is False:
+        return "no"
     if isinstance(value, str):
         return value
     if isinstance(value, int):
         return f"{value:d}".replace("-", "−")
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "∞" if value > 0 else "−∞"
+    if not math.isfinite(value):
+        return {math.inf: "∞", -math.inf: "−∞"}.get(value, "–")
     mantissa, _, power = f"{value:.{digits}g}".partition("e")
     mantissa = mantissa.replace("-", "−")
     if not power:
@@ -68,8 +68,7 @@ def kilograms(value: float | None) -> str:
 
 def relative_difference(ours: float, published: float) -> str:
     """Relative difference between our number and a published number in percent."""
-    return (
-        f"{100 * (ours / published - 1):+.0f} %".replace("-", "−")
-        .replace("+0 %", "0 %")
-        .replace("−0 %", "0 %")
-    )
+    text = f"{100 * (ours / published - 1):+.0f} %".replace("-", "−")
+    if text in ("+0 %", "−0 %"):
+        return "0 %"
+    return text

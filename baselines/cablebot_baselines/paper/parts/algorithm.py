@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cablebot_baselines.paper.exact import paper_circle
+from cablebot_baselines.paper.exact import exact_bound, paper_circle
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.judgement import Judgement, Run, verdict
 from cablebot_baselines.paper.load_iteration import LoadIteration, iterate_load
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, Table, job
 from cablebot_baselines.paper.published import ABOUT, published_value, within
 from cablebot_baselines.paper.runs import CONTROL_FREQUENCY
-from cablebot_gym.bounds import exact_payload
 from cablebot_gym.plotting.figures import add_legend, new_figure, set_title
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
@@ -29,6 +28,9 @@ GUESSES = {
 """First guesses m_l [kg]: the guess of Table 7 or 8 and two other guesses."""
 
 _FORMS = {"literal": "as printed", "corrected": "corrected"}
+
+_PREFIX = {"planar": "planar_", "spatial": ""}
+"""Prefix of the names of the numbers of each robot."""
 
 
 def iterations(
@@ -49,14 +51,7 @@ def iterations(
 
 def true_payload(*, interpretation: Interpretation, robot: Robot) -> float:
     """Payload of the closed form at the same instants [kg]."""
-    bound = exact_payload(
-        robot,
-        paper_circle(robot),
-        minimum_tension=interpretation.minimum_tension if robot.planar else 0.0,
-        frequency=CONTROL_FREQUENCY,
-        line_speed=interpretation.line_speed(robot),
-    )
-    return bound.payload
+    return exact_bound(interpretation, robot, frequency=CONTROL_FREQUENCY).payload
 
 
 def jobs(interpretation: Interpretation) -> Jobs:
@@ -81,7 +76,7 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
     rows: list[tuple[Number, ...]] = []
     for kind in GUESSES:
         true = results[f"{kind} true"]
-        stem = "" if kind == "spatial" else "planar_"
+        stem = _PREFIX[kind]
         numbers[f"{stem}exact_payload_kg"] = true
         for form, name in _FORMS.items():
             runs: list[LoadIteration] = results[f"{kind} {form}"]
@@ -124,16 +119,12 @@ def draw(interpretation: Interpretation, results: Results) -> Figure:
     panels = figure.subplots(1, len(GUESSES))
     for axes, kind in zip(panels, GUESSES, strict=True):
         for form, colour, style in (("corrected", BLUE, "-"), ("literal", VERMILLION, "--")):
-            label = _FORMS[form] + (" (chosen)" if form == interpretation.eq37 else "")
+            label = _FORMS[form]
+            if form == interpretation.eq37:
+                label += " (chosen)"
             for run in results[f"{kind} {form}"]:
-                axes.plot(
-                    range(1, len(run.loads) + 1),
-                    run.loads,
-                    style,
-                    color=colour,
-                    marker=".",
-                    label=label,
-                )
+                guesses = range(1, len(run.loads) + 1)
+                axes.plot(guesses, run.loads, style, color=colour, marker=".", label=label)
                 label = "_"  # no further entry in the legend
         true = results[f"{kind} true"]
         axes.axhline(true, color="black", linewidth=1.0, label="true payload, closed form")

@@ -4,7 +4,7 @@ affine torques."""
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,14 +48,18 @@ _CRITERIA = {"task": "", "paper": "_paper"}
 class _Loop(NamedTuple):
     law: str
     payload_known: bool
-    number: str
-    """Name of the number of the spatial robot."""
+    numbers: dict[str, str]
+    """Name of the number of each robot."""
 
 
 _LOOPS = {
-    "fl": _Loop("fl", True, "fl_payload_known"),
-    "payload_unknown": _Loop("fl", False, "fl_payload_unknown"),
-    "open loop": _Loop("open loop", True, "open_loop_spatial"),
+    "fl": _Loop("fl", True, {"planar": "planar_fl_payload_known", "spatial": "fl_payload_known"}),
+    "payload_unknown": _Loop(
+        "fl", False, {"planar": "planar_fl_payload_unknown", "spatial": "fl_payload_unknown"}
+    ),
+    "open loop": _Loop(
+        "open loop", True, {"planar": "open_loop_planar", "spatial": "open_loop_spatial"}
+    ),
 }
 """Evaluated loops by the name of the job."""
 
@@ -111,30 +115,29 @@ def _rigid_jobs(
     laws: dict[str, Law] = {"fl": law, "open loop": FeedForward}
     for criterion in _CRITERIA:
         for name, loop in _LOOPS.items():
-            keywords: dict[str, Any] = {
-                "law": laws[loop.law],
-                "name": loop.law,
-                "criterion": criterion,
-            }
+            payload = partial(job, largest_payload, law=laws[loop.law], name=loop.law)
             if not loop.payload_known:
-                keywords["payload_known"] = False
-            jobs[f"{kind} {name} {criterion}"] = job(
-                largest_payload, env_id=env_id, robot=robot, **keywords
+                payload = partial(payload, payload_known=False)
+            jobs[f"{kind} {name} {criterion}"] = payload(
+                env_id=env_id, robot=robot, criterion=criterion
             )
-    draws = {"payload": robot.mass / 10, "uncertainty": "table6", "draws": _DRAWS}
     jobs[f"{kind} errors"] = job(
-        compared, env_id=env_id, robot=robot, laws=tuple(laws.items()), **draws
+        compared,
+        env_id=env_id,
+        robot=robot,
+        laws=tuple(laws.items()),
+        payload=robot.mass / 10,
+        uncertainty="table6",
+        draws=_DRAWS,
     )
-    dwell = {"name": f"dwell-{kind}", "duration": 0.5}
-    offset = (_OFFSET,) + (0.0,) * (robot.coordinates - 1)
     decay = partial(
         job,
         closed_loop,
         env_id=env_id,
         robot=robot,
         law=law,
-        trajectory=dwell,
-        initial_error=offset,
+        trajectory={"name": f"dwell-{kind}", "duration": 0.5},
+        initial_error=(_OFFSET,) + (0.0,) * (robot.coordinates - 1),
     )
     jobs[f"{kind} decay"] = decay(control_frequency=FAST)
     jobs[f"{kind} sampled decay"] = decay(control_frequency=CONTROL_FREQUENCY)
@@ -152,9 +155,7 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
         for criterion, suffix in _CRITERIA.items():
             for name, loop in _LOOPS.items():
                 result: DLCCResult = results[f"{kind} {name} {criterion}"]
-                number = loop.number
-                if kind == "planar":
-                    number = "open_loop_planar" if name == "open loop" else f"planar_{number}"
+                number = loop.numbers[kind]
                 numbers[f"{number}{suffix}_kg"] = result.payload
                 violation = violation_text(result.violation)
                 rows.append(
@@ -190,8 +191,7 @@ def _poles_text(gains: tuple[float, float]) -> str:
     for pole in np.roots([1.0, damping, stiffness]):
         text = f"{pole.real:.2f}"
         if pole.imag != 0:
-            sign = "+" if pole.imag > 0 else "−"
-            text = f"{text} {sign} {abs(pole.imag):.2f}i"
+            text = f"{text} {pole.imag:+.2f}i".replace(" +", " + ").replace(" -", " − ")
         texts.append(text)
     return ", ".join(texts)
 
@@ -241,24 +241,20 @@ def feedback_increases_the_payload(run: Run) -> Judgement:
 
 def _error_is_smaller(run: Run) -> bool:
     """Whether feedback reduces the mean errors of both robots."""
-    planar = run.number("claims.closed_loop_planar_error_mm") < run.number(
-        "claims.open_loop_planar_error_mm"
+    return all(
+        run.number(f"claims.closed_loop_{kind}_error_mm")
+        < run.number(f"claims.open_loop_{kind}_error_mm")
+        for kind in PAPER_GAINS
     )
-    spatial = run.number("claims.closed_loop_spatial_error_mm") < run.number(
-        "claims.open_loop_spatial_error_mm"
-    )
-    return bool(planar and spatial)
 
 
 def _payload_is_larger(run: Run, suffix: str) -> bool:
     """Whether feedback increases the payloads of both robots under a criterion."""
-    planar = run.payload(f"claims.closed_loop_planar{suffix}_kg") > run.payload(
-        f"claims.open_loop_planar{suffix}_kg"
+    return all(
+        run.payload(f"claims.closed_loop_{kind}{suffix}_kg")
+        > run.payload(f"claims.open_loop_{kind}{suffix}_kg")
+        for kind in PAPER_GAINS
     )
-    spatial = run.payload(f"claims.closed_loop_spatial{suffix}_kg") > run.payload(
-        f"claims.open_loop_spatial{suffix}_kg"
-    )
-    return planar and spatial
 
 
 @verdict("3.1.poles", "claims")

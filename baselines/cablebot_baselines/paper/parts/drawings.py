@@ -106,13 +106,8 @@ def _arrow(axes: Axes, start: Array, end: Array, style: str = "-|>", colour: str
     axes.annotate("", tuple(end), xytext=tuple(start), arrowprops=arrow)
 
 
-def _box(colour: str = "white") -> dict[str, Any]:
-    return {
-        "boxstyle": "round,pad=0.15",
-        "facecolor": "white",
-        "edgecolor": colour,
-        "linewidth": 0.8,
-    }
+_BOX = {"boxstyle": "round,pad=0.15", "facecolor": "white", "linewidth": 0.8}
+"""Style of the box of a number."""
 
 
 # Fig. 1
@@ -167,9 +162,8 @@ def _draw_motor(axes: Axes, robot: Robot, motor: int, start: Array) -> None:
     anchor, colour = robot.base[motor], MOTORS[motor]
     outward = anchor - robot.base.mean(axis=0)
     outward = outward / np.linalg.norm(outward)
-    axes.add_patch(
-        Circle(anchor, robot.pulley_radius[motor], facecolor=SHADE, edgecolor=colour, linewidth=1.4)
-    )
+    pulley = {"facecolor": SHADE, "edgecolor": colour, "linewidth": 1.4}
+    axes.add_patch(Circle(anchor, robot.pulley_radius[motor], **pulley))
     axes.plot(*np.stack([anchor, start]).T, color=colour, linewidth=1.8)
     label = anchor + outward * (0.17, 0.13)
     if abs(outward[1]) < 0.1:
@@ -179,17 +173,9 @@ def _draw_motor(axes: Axes, robot: Robot, motor: int, start: Array) -> None:
     axes.plot(x + np.array([0, 0.21]), [y, y], ":", color=GREY, linewidth=1.0)
     across, along = start - anchor
     angle = float(np.degrees(np.arctan2(along, across)))
-    axes.add_patch(
-        Arc(
-            anchor,
-            0.32,
-            0.32,
-            theta1=min(0.0, angle),
-            theta2=max(0.0, angle),
-            color="black",
-            linewidth=1.0,
-        )
-    )
+    low, high = sorted((0.0, angle))
+    arc = Arc(anchor, 0.32, 0.32, theta1=low, theta2=high, color="black", linewidth=1.0)
+    axes.add_patch(arc)
     half = np.radians(angle / 2)
     label = anchor + 0.215 * np.array([np.cos(half), np.sin(half)])
     if abs(angle) < 10:
@@ -199,9 +185,8 @@ def _draw_motor(axes: Axes, robot: Robot, motor: int, start: Array) -> None:
 
 def _set_limits(axes: Axes, points: Array, margin: tuple[float, float]) -> None:
     """Sets equal axes that contain all points with a margin."""
-    left, bottom = points.min(axis=0) - margin
-    right, top = points.max(axis=0) + margin
-    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
 
 # Fig. 2
@@ -268,9 +253,7 @@ def draw_spatial(interpretation: Interpretation, results: Results) -> Figure:
     view = figure.add_subplot(grid[0, :])
     below = figure.add_subplot(grid[1, 0])
     _draw_hanging(view, robot, oblique, pad=(0.42, 0.12))
-    left, _ = view.get_xlim()
-    bottom, _ = view.get_ylim()
-    corner = np.array([left + 0.14, bottom + 0.2])
+    corner = np.array([view.get_xlim()[0] + 0.14, view.get_ylim()[0] + 0.2])
     for name, axis in zip("xyz", np.eye(3), strict=True):
         direction = oblique(axis)
         _arrow(view, corner, corner + 0.17 * direction)
@@ -318,14 +301,9 @@ def _draw_hanging(
     for cable, colour in enumerate(MOTORS):
         start, end = base[cable], platform[cable]
         axes.plot(*np.stack([start, end]).T, color=colour, linewidth=1.8)
-        _write(
-            axes,
-            start + 0.42 * (end - start),
-            str(cable + 1),
-            color=colour,
-            bbox=_box(colour),
-            zorder=7,
-        )
+        label = start + 0.42 * (end - start)
+        box = _BOX | {"edgecolor": colour}
+        _write(axes, label, str(cable + 1), color=colour, bbox=box, zorder=7)
     _name_corners(axes, BASE_CORNERS, base, 0.08)
     _name_corners(axes, PLATFORM_CORNERS, platform, 0.05)
     _set_limits(axes, np.concatenate([base, platform]), pad)
@@ -388,8 +366,8 @@ def _draw_shaft(axes: Axes, robot: Robot) -> None:
     """Draws motor, spring and pulley on one shaft in side view, and the cable."""
     from matplotlib.patches import Rectangle
 
-    for left, right in ((0.3, 1.1), (3.3, 4.2), (5.2, 5.8)):
-        axes.plot([left, right], [0, 0], color="black", linewidth=1.6)  # shaft
+    for shaft in ((0.3, 1.1), (3.3, 4.2), (5.2, 5.8)):
+        axes.plot(shaft, [0, 0], color="black", linewidth=1.6)
     axes.plot([5.8, 5.8], [-0.3, 0.3], color="black", linewidth=2.5)  # bearing
     for x, y, width, height, colour in ((-0.9, -0.75, 1.2, 1.5, SHADE), (4.2, -1.2, 1.0, 2.4, SKY)):
         axes.add_patch(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,42 +28,34 @@ from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-STIFFNESSES = tuple(float(value) for value in np.logspace(0, 5, 11))
+STIFFNESSES = tuple(np.logspace(0, 5, 11).tolist())
 """Stiffnesses K of the growth curve of Eq. 22 [N·m/rad]."""
 
 NEARLY_CONTINUOUS = 50_000.0
 """Sampling frequency of a nearly continuous loop [Hz]."""
 
-FRICTIONS = tuple(float(value) for value in np.linspace(0.0, 0.012, 13))
-"""Motor frictions c′ of the growth curve of Eq. 22 [N·m·s/rad]."""
+FRICTIONS = tuple(np.linspace(0.0, 0.012, 13).tolist())
+"""Motor frictions c′ of the growth curve of Eq. 22 [N·m·s/rad]. The first one is 0."""
 
 _GAINS = PAPER_GAINS["spatial"]
 
 
-def growth(
+def growth_curve(
     *,
     robot: Robot,
-    stiffness: float,
-    friction: float = 0.0,
+    stiffnesses: tuple[float, ...],
+    frictions: tuple[float, ...] = (0.0,),
     control_frequency: float = CONTROL_FREQUENCY,
-) -> float:
-    """Growth rate of the loop with Eq. 22 [1/s]. The law knows the motor friction."""
-    springs = robot.transmission.replace(stiffness=stiffness, motor_damping=friction)
-    robot = unsaturated_actions(robot.replace(transmission=springs))
-    return growth_rate(PaperFlexible(robot), robot, control_frequency=control_frequency)
-
-
-def growth_curve(*, robot: Robot, control_frequency: float) -> list[float]:
-    """Growth rate for each of :data:`STIFFNESSES` [1/s]."""
-    return [
-        growth(robot=robot, stiffness=value, control_frequency=control_frequency)
-        for value in STIFFNESSES
-    ]
-
-
-def friction_curve(*, robot: Robot, stiffness: float) -> list[float]:
-    """Growth rate for each of :data:`FRICTIONS` [1/s]."""
-    return [growth(robot=robot, stiffness=stiffness, friction=friction) for friction in FRICTIONS]
+) -> list[float]:
+    """Growth rate of the loop with Eq. 22 for each stiffness and each motor friction [1/s]. The law
+    knows the motor friction."""
+    rates = []
+    for stiffness, friction in product(stiffnesses, frictions):
+        springs = robot.transmission.replace(stiffness=stiffness, motor_damping=friction)
+        variant = unsaturated_actions(robot.replace(transmission=springs))
+        law = PaperFlexible(variant)
+        rates.append(growth_rate(law, variant, control_frequency=control_frequency))
+    return rates
 
 
 def printed_lyapunov_is_definite(*, gains: tuple[float, float]) -> bool:
@@ -72,29 +66,27 @@ def printed_lyapunov_is_definite(*, gains: tuple[float, float]) -> bool:
     return bool(np.linalg.eigvalsh((solution + solution.T) / 2)[0] > 0)
 
 
-_KS = {"K2": 2.0, "K3": 3.0}
-
-
 def jobs(interpretation: Interpretation) -> Jobs:
     """Growth rates of Eq. 22, and the solution of Eq. 36."""
     robot = interpretation.flexible("control")
-    jobs = {
-        "sampled": job(growth_curve, robot=robot, control_frequency=CONTROL_FREQUENCY),
-        "continuous": job(growth_curve, robot=robot, control_frequency=NEARLY_CONTINUOUS),
+    curve = partial(job, growth_curve, robot=robot)
+    return {
+        "sampled": curve(stiffnesses=STIFFNESSES),
+        "continuous": curve(stiffnesses=STIFFNESSES, control_frequency=NEARLY_CONTINUOUS),
+        "friction K2": curve(stiffnesses=(2.0,), frictions=FRICTIONS),
+        "friction K3": curve(stiffnesses=(3.0,), frictions=FRICTIONS),
         "definite": job(printed_lyapunov_is_definite, gains=_GAINS),
         "controllable": job(controllable_states, robot=robot),
     }
-    for name, stiffness in _KS.items():
-        jobs[name] = job(growth, robot=robot, stiffness=stiffness)
-        jobs[f"friction {name}"] = job(friction_curve, robot=robot, stiffness=stiffness)
-    return jobs
 
 
 def outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Growth rates and the required motor friction."""
     robot = interpretation.flexible("control")
     rates = np.array(results["friction K3"])
-    friction = float(np.interp(0.0, -rates, FRICTIONS)) if rates.min() <= 0 else None
+    friction = None
+    if rates.min() <= 0:
+        friction = float(np.interp(0.0, -rates, FRICTIONS))
     header = ("K [N·m/rad]", "sampled at 500 Hz", "sampled at 50 kHz")
     rows = zip(STIFFNESSES, results["sampled"], results["continuous"], strict=True)
     title = (
@@ -102,8 +94,8 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
     )
     return Outcome(
         numbers={
-            "max_growth_K2": results["K2"],
-            "max_growth_K3": results["K3"],
+            "max_growth_K2": results["friction K2"][0],
+            "max_growth_K3": results["friction K3"][0],
             "least_growth_any_K": min(results["continuous"]),
             "friction_needed": friction,
             "friction_rule": _GAINS[1] * float(robot.motor_inertia[0]),
@@ -118,32 +110,22 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
 def draw(interpretation: Interpretation, results: Results) -> Figure:
     """Growth rate versus stiffness and versus motor friction."""
     figure = new_figure(4.2)
-    left, right = figure.subplots(1, 2)
-    left.semilogx(
-        STIFFNESSES,
-        results["continuous"],
-        "o-",
-        color=BLUE,
-        markersize=4,
-        label="nearly continuous, 50 kHz",
-    )
-    left.semilogx(
-        STIFFNESSES, results["sampled"], "s--", color=VERMILLION, markersize=4, label="500 Hz"
-    )
-    left.axhline(_GAINS[1] / 2, color=GREY, linestyle=":", label="K_D/2")
-    left.set(xlabel="K [N·m/rad]", ylabel="growth rate [1/s]", title="without friction")
-    for name, colour in (("K2", BLUE), ("K3", VERMILLION)):
-        right.plot(
-            FRICTIONS,
-            results[f"friction {name}"],
-            ".-",
-            color=colour,
-            label=f"K = {_KS[name]:g} N·m/rad",
-        )
+    springs, frictions = figure.subplots(1, 2)
+    for name, style, colour, label in (
+        ("continuous", "o-", BLUE, "nearly continuous, 50 kHz"),
+        ("sampled", "s--", VERMILLION, "500 Hz"),
+    ):
+        springs.semilogx(STIFFNESSES, results[name], style, color=colour, markersize=4, label=label)
+    springs.axhline(_GAINS[1] / 2, color=GREY, linestyle=":", label="K_D/2")
+    springs.set(xlabel="K [N·m/rad]", ylabel="growth rate [1/s]", title="without friction")
+    for stiffness, colour in ((2, BLUE), (3, VERMILLION)):
+        rates = results[f"friction K{stiffness}"]
+        label = f"K = {stiffness} N·m/rad"
+        frictions.plot(FRICTIONS, rates, ".-", color=colour, label=label)
     rule = _GAINS[1] * float(interpretation.flexible("control").motor_inertia[0])
-    right.axvline(rule, color=GREY, linestyle=":", label="c′ = K_D J′")
-    right.set(xlabel="motor friction c′ [N·m·s/rad]", title="with friction known to the law")
-    for axes, position in ((left, "center left"), (right, "upper right")):
+    frictions.axvline(rule, color=GREY, linestyle=":", label="c′ = K_D J′")
+    frictions.set(xlabel="motor friction c′ [N·m·s/rad]", title="with friction known to the law")
+    for axes, position in ((springs, "center left"), (frictions, "upper right")):
         axes.axhline(0.0, color="black", linewidth=1.0)
         axes.legend(fontsize=9, frameon=False, loc=position)
     set_title(
@@ -161,10 +143,9 @@ _GROWTH = "Growth rate of small deviations: {eq22.max_growth_K2:1/s} for K = 2, 
 @verdict("abstract.stability", "eq22", unit="1/s")
 def gains_place_the_poles(run: Run) -> Judgement:
     """Both sets of gains have stable poles."""
-    slowest = max(
-        np.roots([1.0, damping, stiffness]).real.max()
-        for stiffness, damping in PAPER_GAINS.values()
-    )
+    slowest = -np.inf
+    for stiffness, damping in PAPER_GAINS.values():
+        slowest = max(slowest, np.roots([1.0, damping, stiffness]).real.max())
     evidence = (
         "Poles of both sets of gains for the rigid robots.",
         "With joint springs the law of the paper does not place the poles: growth rate {eq22.max_growth_K3:1/s}.",

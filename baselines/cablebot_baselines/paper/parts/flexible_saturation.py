@@ -114,12 +114,16 @@ def path_outcome(interpretation: Interpretation, results: Results) -> Outcome:
 def _eq22_numbers(loop: Rollout, bound: float) -> dict[str, Number]:
     """Numbers of an episode of the law of the paper."""
     arrays = loop.arrays
-    outside = np.flatnonzero(arrays["tracking_error_peak"] > bound)
+    error = arrays["tracking_error_peak"]
+    times_outside = arrays["time"][error > bound].tolist()
+    end = None
+    if loop.reason:
+        end = float(arrays["time"][-1])
     return {
-        "peak_error_mm": 1e3 * float(arrays["tracking_error_peak"].max()),
-        "within": not loop.reason and not len(outside),
-        "leaves_s": float(arrays["time"][outside[0]]) if len(outside) else None,
-        "ends_s": float(arrays["time"][-1]) if loop.reason else None,
+        "peak_error_mm": 1e3 * float(error.max()),
+        "within": not loop.reason and not times_outside,
+        "leaves_s": next(iter(times_outside), None),
+        "ends_s": end,
         "slack": bool(arrays["slack"].any()),
         "peak_action": float(np.abs(arrays["commanded_action"]).max()),
     }
@@ -143,15 +147,16 @@ def draw_path(interpretation: Interpretation, results: Results) -> Figure:
         (results["eq22"].arrays, "Eq. 22 as printed, 0 kg", VERMILLION),
         (results["eq22_friction"].arrays, friction, GREY),
     )
-    paths = [profiles.travelled(run, name=name, color=color) for run, name, color in runs]
+    paths, errors = [], []
+    for run, name, color in runs:
+        paths.append(profiles.travelled(run, name=name, color=color))
+        errors.append(_errors(interpretation, run))
     title = [
         "Robot with joint springs in closed loop",
         "blue, fl4: " + summary.sentence(robot),
         *shown.end_reason,
     ]
-    return _draw_errors(
-        interpretation, paths, [_errors(interpretation, run) for run, _, _ in runs], title
-    )
+    return _draw_errors(interpretation, paths, errors, title)
 
 
 def _shown(results: Results) -> profiles.Shown:
@@ -172,6 +177,7 @@ def _draw_errors(
     grid = figure.add_gridspec(4, 2, width_ratios=[1, 1.15])
     plane = figure.add_subplot(grid[:3, 0])
     draw_plane(plane, trajectory, paths, bounds.position)
+    limits = {"mm": bounds.position, "mrad": bounds.rotation}
     for index, (name, unit) in enumerate(_PANELS):
         is_norm = index == 0
         is_lowest = index in (0, len(_PANELS) - 1)
@@ -183,16 +189,18 @@ def _draw_errors(
             columns = [error[:, index + 1] for error in errors]
         for path, column in zip(paths, columns, strict=True):
             axes.plot(path.times, 1e3 * column, **path.line)
-        bound = bounds.position if unit == "mm" else bounds.rotation
+        bound = limits[unit]
         mark_bound(axes, bound, unit, side="left")  # the curves start at zero
         axes.axhline(-1e3 * bound, color="black", linewidth=1.0)
-        largest = max(float(np.abs(column).max()) for column in columns)
-        far = np.clip(largest, 1.15 * bound, _FAR * bound)
+        far = np.clip(max(np.abs(column).max() for column in columns), 1.15 * bound, _FAR * bound)
         axes.set_ylabel(f"{name} error\n[{unit}]")
-        axes.set_ylim(0.0 if is_norm else -1e3 * far, 1e3 * max(far, 1.8 * bound))
-        axes.set_xlabel("time [s]" if is_lowest else "")
+        axes.set_ylim(-1e3 * far, 1e3 * max(far, 1.8 * bound))
         axes.set_xlim(0, trajectory.duration)
         axes.tick_params(labelbottom=is_lowest)
+        if is_norm:
+            axes.set_ylim(bottom=0.0)
+        if is_lowest:
+            axes.set_xlabel("time [s]")
     add_legend(figure, plane)
     add_title(figure, interpretation, *title)
     return figure

@@ -25,9 +25,8 @@ from cablebot_gym.evaluation import DLCCResult
 
 _CHOICES = choices_of()
 _LINES = _CHOICES["line"]
-_RIGID_LINES = tuple(
-    line for line in _LINES if line != "pulley"
-)  # a rigid pulley turns with its motor
+# A rigid pulley turns with its motor.
+_RIGID_LINES = tuple(line for line in _LINES if line != "pulley")
 
 VARIED: dict[str, dict[str, tuple[Any, ...]]] = {
     "spatial": {
@@ -136,8 +135,10 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
     for kind in VARIED:
         numbers |= _combination_numbers(kind, results[kind])
     platform = interpretation.planar.mass
-    totals = [limit.payload + platform for limit in results["planar"].values()]
-    numbers["planar_as_total_within_5pct"] = sum(within(total, LOADS["planar"]) for total in totals)
+    close = 0
+    for limit in results["planar"].values():
+        close += within(limit.payload + platform, LOADS["planar"])
+    numbers["planar_as_total_within_5pct"] = close
     rigid_rows, flexible_rows = [], []
     for name, result in results.items():
         if not isinstance(result, DLCCResult):
@@ -199,12 +200,13 @@ def merged_rows(rows: Mapping[tuple[str, ...], list[str]]) -> Iterator[tuple[str
     for (option, *_), cells in rows.items():
         values.setdefault(option, set()).update(cells)
     merged = set()
-    for (option, *others), cells in rows.items():
+    for options, cells in rows.items():
+        option = options[0]
         if len(values[option]) > 1:
-            yield (option, *others, *cells)
+            yield (*options, *cells)
         elif option not in merged:
             merged.add(option)
-            yield (option, *["any"] * len(others), *cells)
+            yield (option, *["any"] * (len(options) - 1), *cells)
 
 
 def _limit_text(limit: LargestPayload | None) -> str:

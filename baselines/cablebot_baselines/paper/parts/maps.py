@@ -66,8 +66,10 @@ def payloads(results: Results) -> tuple[Array, Array]:
     """Payloads (NaN if the robot fails unloaded), and a mask of the circles for which the motors
     are too weak."""
     exact: list[list[ExactPayload]] = results["exact"]
-    payload = np.array([[circle.payload for circle in row] for row in exact])
-    lowest = np.array([[circle.lowest for circle in row] for row in exact])
+    payload, lowest = np.zeros((2, len(exact), len(exact[0])))
+    for index, circle in np.ndenumerate(np.array(exact, object)):
+        payload[index] = circle.payload
+        lowest[index] = circle.lowest
     is_feasible = (lowest <= 0) & (payload >= 0)
     is_weak = (lowest <= 0) & (payload > -np.inf) & (payload < 0)
     return np.where(is_feasible, payload, np.nan), is_weak

@@ -50,17 +50,22 @@ class PayloadSummary:
     def simulated(cls, result: DLCCResult) -> PayloadSummary:
         """Summary of a simulated evaluation."""
         violation = result.violation
+        time = None
+        if violation is not None:
+            time = violation.time
         return cls(
             payload=result.payload,
             motor=saturated_motor(result),
-            time=violation.time if violation else None,
+            time=time,
             violation=_violation_kind(violation),
         )
 
     @classmethod
     def computed(cls, largest: LargestPayload) -> PayloadSummary:
         """Summary of exact tracking or of the state space."""
-        violation = "none" if largest.motor is None else f"motor {largest.motor}"
+        violation = "none"
+        if largest.motor is not None:
+            violation = f"motor {largest.motor}"
         if not 0 <= largest.payload < math.inf:
             # The time belongs to a negative payload, not to zero payload.
             return cls(payload=None, motor=largest.motor, time=None, violation=violation)
@@ -125,7 +130,9 @@ class Shown:
     @property
     def arrays(self) -> Mapping[str, Array]:
         """Arrays of the episode."""
-        return (self.empty if self.result.payload is None else self.result.rollout).arrays
+        if self.result.payload is None:
+            return self.empty.arrays
+        return self.result.rollout.arrays
 
     @property
     def peaks(self) -> tuple[float, float]:
@@ -177,7 +184,9 @@ def on_reference(trajectory: Trajectory, *, name: str) -> TravelledPath:
 
 def _rotation(pose: Array, error: Array) -> Array | None:
     """The rotation error; None for a robot without rotation."""
-    return error if pose.shape[1] > 2 else None
+    if pose.shape[1] <= 2:
+        return None
+    return error
 
 
 def simulated_profile(robot: Robot, run: Mapping[str, Array]) -> TorqueProfile:
@@ -206,7 +215,9 @@ def first_saturation(profile: TorqueProfile, summary: PayloadSummary) -> Mark:
     This is the instant of ``summary`` if the figure shows its payload. Otherwise it is the first
     instant with |a| ≥ 1 at zero payload, or the instant of the largest |a|.
     """
-    torques = profile.torques if profile.requested is None else profile.requested
+    torques = profile.torques
+    if profile.requested is not None:
+        torques = profile.requested
     action = np.abs(2 * torques - profile.upper - profile.lower) / (profile.upper - profile.lower)
     if summary.payload is not None and summary.motor is not None and summary.time is not None:
         # The acceleration of the circle has two values at half time; use the value with the larger
@@ -220,9 +231,8 @@ def first_saturation(profile: TorqueProfile, summary: PayloadSummary) -> Mark:
         motor = int(np.argmax(action[step]))
     if action[step, motor] >= _SATURATED:
         return Mark(step=step, motor=motor, name="first saturation", note="first saturation")
-    return Mark(
-        step=step, motor=motor, name="largest |a|", note=f"{1 - action[step, motor]:.1%} margin"
-    )
+    margin = f"{1 - action[step, motor]:.1%} margin"
+    return Mark(step=step, motor=motor, name="largest |a|", note=margin)
 
 
 def draw_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark) -> None:

@@ -97,11 +97,13 @@ def reductions(
     lost = [float(metrics.ended.mean()) for metrics in comparison.metrics]
     reductions = []
     for index, layer in enumerate(layers, 1):
-        total = comparison.reduction(index, "mean_error")
-        largest = comparison.reduction(index, "max_error")
-        reductions.append(
-            Reduction(layer=layer, total=total, largest=largest, lost=(lost[0], lost[index]))
+        reduction = Reduction(
+            layer=layer,
+            total=comparison.reduction(index, "mean_error"),
+            largest=comparison.reduction(index, "max_error"),
+            lost=(lost[0], lost[index]),
         )
+        reductions.append(reduction)
     return tuple(reductions)
 
 
@@ -122,11 +124,11 @@ def added_input(outer: classical.RobustPD, loop: Rollout, robot: Robot) -> Added
 
     The last recorded instant is the end of the motion and has no action, so it is omitted.
     """
-    times, pose, velocity = (loop.arrays[name][:-1] for name in ("time", "pose", "velocity"))
+    times = loop.arrays["time"][:-1]
     reference = paper_circle(robot)(times)
     blocks = {
-        "pose": pose,
-        "velocity": velocity,
+        "pose": loop.arrays["pose"][:-1],
+        "velocity": loop.arrays["velocity"][:-1],
         "reference_pose": reference.position,
         "reference_velocity": reference.velocity,
         "reference_acceleration": reference.acceleration,
@@ -137,8 +139,10 @@ def added_input(outer: classical.RobustPD, loop: Rollout, robot: Robot) -> Added
 
 
 def _robots(interpretation: Interpretation) -> dict[str, Robot]:
-    robots = {SPATIAL: interpretation.spatial("control"), FLEX: interpretation.flexible("control")}
-    return {env_id: interpretation.closed_loop_robot(robot) for env_id, robot in robots.items()}
+    return {
+        SPATIAL: interpretation.closed_loop_robot(interpretation.spatial("control")),
+        FLEX: interpretation.closed_loop_robot(interpretation.flexible("control")),
+    }
 
 
 def robust_eq22(robot: Robot) -> classical.PaperFlexible:
@@ -247,7 +251,9 @@ def reduced(plain: Rollout, robust: Rollout, name: str) -> float | None:
     """Reduction of the sum or maximum of the error in one draw; None if an episode ended early."""
     if plain.reason or robust.reason:
         return None
-    reduce = np.sum if name == "tracking_error" else np.max
+    reduce: Any = np.max
+    if name == "tracking_error":
+        reduce = np.sum
     return 1 - float(reduce(robust.arrays[name])) / float(reduce(plain.arrays[name]))
 
 
@@ -328,11 +334,14 @@ def draw_tracking(interpretation: Interpretation, results: Results) -> Figure:
 
 def _draw_plane(axes: Axes, loops: Mapping[str, Rollout]) -> int:
     """Draws the path seen along z with magnified deviations, and returns the magnification."""
-    references = {law: loop.arrays["reference_pose"][:, :2] for law, loop in loops.items()}
-    deviations = {law: loop.arrays["pose"][:, :2] - references[law] for law, loop in loops.items()}
+    references, deviations = {}, {}
+    largest = 0.0
+    for law, loop in loops.items():
+        references[law] = loop.arrays["reference_pose"][:, :2]
+        deviations[law] = loop.arrays["pose"][:, :2] - references[law]
+        largest = max(largest, float(np.abs(deviations[law]).max()))
     reference = max(references.values(), key=len)
     size = float(np.ptp(reference, axis=0).max())
-    largest = max(float(np.abs(deviation).max()) for deviation in deviations.values())
     magnification = 1
     for factor in (2, 5, 10, 20, 50, 100, 200, 500):
         if factor * largest <= 0.22 * size:
@@ -371,11 +380,12 @@ def _draw_reduction(
     axes: Axes, points: tuple[Reduction, ...], name: str, *, color: str, **style: Any
 ) -> None:
     """Draws a reduction with its confidence interval versus the boundary layer."""
-    layers = [point.layer for point in points]
-    fractions: list[Estimate] = [getattr(point, name) for point in points]
-    low, mean, high = (
-        100 * np.array([(fraction.low, fraction.mean, fraction.high) for fraction in fractions]).T
-    )
+    layers, rows = [], []
+    for point in points:
+        fraction: Estimate = getattr(point, name)
+        layers.append(point.layer)
+        rows.append((fraction.low, fraction.mean, fraction.high))
+    low, mean, high = 100 * np.array(rows).T
     axes.fill_between(layers, low, high, color=color, alpha=0.25, linewidth=0)
     axes.plot(layers, mean, marker="o", markersize=4, color=color, linewidth=1.6, **style)
 

@@ -70,7 +70,10 @@ def geometries(*, interpretation: Interpretation, base_size: str) -> list[Geomet
         limit = exact_payload(
             robot, trajectory, line_speed=interpretation.line_speed(robot), grid=COARSE
         )
-        results.append(Geometry(limit.payload if limit.lowest <= 0 else -np.inf, limit.motor or 0))
+        payload = -np.inf
+        if limit.lowest <= 0:
+            payload = limit.payload
+        results.append(Geometry(payload, limit.motor or 0))
     return results
 
 
@@ -94,13 +97,11 @@ def _turned(points: Array, angle: float) -> Array:
 
 def jobs(interpretation: Interpretation) -> Jobs:
     """The scan for each base size, and of the planar robot."""
-    line = Interpretation(
-        line=interpretation.line
-    )  # all other options are scanned or have no effect
-    sizes = {f"base {size}": job(geometries, interpretation=line, base_size=size) for size in SIZES}
-    return sizes | {
-        "planar": job(planar_turns, interpretation=interpretation.replace(alpha="least"))
-    }
+    # All other options are scanned or have no effect.
+    line = Interpretation(line=interpretation.line)
+    jobs = {f"base {size}": job(geometries, interpretation=line, base_size=size) for size in SIZES}
+    jobs["planar"] = job(planar_turns, interpretation=interpretation.replace(alpha="least"))
+    return jobs
 
 
 def _geometries(results: Results) -> tuple[Array, Array]:
@@ -116,6 +117,9 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
     positive = payload[payload > 0]
     is_hit = np.abs(payload - LOADS["spatial"]) <= ROUNDING
     planar = np.array(results["planar"])
+    least = largest = None
+    if len(positive):
+        least, largest = float(positive.min()), float(positive.max())
     return Outcome(
         numbers={
             "geometries": len(SIZES) ** 2 * len(BASE_TURNS) * len(PLATFORM_TURNS),
@@ -123,8 +127,8 @@ def outcome(interpretation: Interpretation, results: Results) -> Outcome:
             "with_positive_payload": len(positive),
             "hits": int(is_hit.sum()),
             "hits_second_motor": int((is_hit & (motor == 2)).sum()),
-            "least_kg": float(positive.min()) if len(positive) else None,
-            "largest_kg": float(positive.max()) if len(positive) else None,
+            "least_kg": least,
+            "largest_kg": largest,
             "planar_best_added_kg": float(planar.max()),
             "planar_best_turn_deg": float(np.degrees(PLANAR_TURNS[planar.argmax()])),
         }

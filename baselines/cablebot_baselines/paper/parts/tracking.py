@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cablebot_baselines.classical import FeedbackLinearization, PaperFlexible
-from cablebot_baselines.paper.exact import Profile, exact_profile, state_space_profile
+from cablebot_baselines.paper.exact import (
+    Profile,
+    eq24_divisor,
+    exact_profile,
+    reserve,
+    state_space_profile,
+)
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.judgement import Judgement, Run, verdict
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, job
@@ -110,18 +116,19 @@ def _draw_loop(interpretation: Interpretation, robot: Robot, loop: Rollout, titl
     panels[0].set_ylim(float(lower.min()), float(upper.max()))
     plotting.add_headroom(panels[0], above=0.05, below=0.05)
     add_legend(above, panels[0])
-    grid = below.add_gridspec(2, 2 if robot.planar else 3)
-    minimum_tension = interpretation.minimum_tension if robot.planar else 0.0
-    _draw_tensions(below.add_subplot(grid[:, 0]), loop, minimum_tension)
-    _draw_position_error(below, grid, loop, slice(0, 2 if robot.planar else 3))
-    if not robot.planar:
+    titles = [title]
+    if loop.reason:
+        titles.append(f"the episode ends at {loop.arrays['time'][-1]:.3f} s: {loop.reason}")
+    if robot.planar:
+        grid = below.add_gridspec(2, 2)
+        _draw_tensions(below.add_subplot(grid[:, 0]), loop, interpretation.minimum_tension)
+        _draw_position_error(below, grid, loop, slice(0, 2))
+    else:
+        grid = below.add_gridspec(2, 3)
+        _draw_tensions(below.add_subplot(grid[:, 0]), loop, 0.0)
+        _draw_position_error(below, grid, loop, slice(0, 3))
         _draw_rotation_error(below, grid, loop)
-    reason = (
-        [f"the episode ends at {loop.arrays['time'][-1]:.3f} s: {loop.reason}"]
-        if loop.reason
-        else []
-    )
-    plotting.add_loop_title(figure, interpretation, title, *reason)
+    plotting.add_loop_title(figure, interpretation, *titles)
     return figure
 
 
@@ -132,14 +139,13 @@ def motor_panels(figure: Figure | SubFigure, robot: Robot) -> list[Axes]:
         axes.set_title(
             f"motor {motor + 1}", fontsize=11, color=plotting.MOTORS[motor], weight="bold"
         )
-        axes.locator_params(
-            axis="x", nbins=5, prune="upper"
-        )  # otherwise the last label touches the next panel
+        # Otherwise the last label touches the next panel.
+        axes.locator_params(axis="x", nbins=5, prune="upper")
         axes.label_outer()
-        axes.set(
-            xlabel="time [s]" if axes in grid[-1] else "",
-            ylabel="" if motor % 3 else "torque [N·m]",
-        )
+    for axes in grid[-1]:
+        axes.set_xlabel("time [s]")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("torque [N·m]")
     grid[0, 0].set_xlim(0, 1)
     return list(grid.flat)
 
@@ -179,7 +185,9 @@ def _draw_tensions(axes: Axes, loop: Rollout, minimum: float) -> None:
     tensions = loop.arrays["tensions"]
     labels = [f"cable {cable + 1}" for cable in range(tensions.shape[1])]
     plotting.curves(axes, loop.arrays["action_time"], tensions, labels)
-    name = f"T_min = {minimum:g} N" if minimum > 0 else "slack at 0 N"
+    name = "slack at 0 N"
+    if minimum > 0:
+        name = f"T_min = {minimum:g} N"
     axes.axhline(minimum, color="black", linewidth=1.0, linestyle="--", label=name)
     top = float(tensions.max())
     axes.set(xlim=(0, loop.arrays["time"][-1]), ylim=(-0.04 * top, 1.38 * top))
@@ -265,15 +273,11 @@ def flexible_outcome(interpretation: Interpretation, results: Results) -> Outcom
     rigid = results["rigid_exact"]
     loop = results["loop"]
     robot = interpretation.flexible("control")
-    divisor = robot.motor_inertia
-    if interpretation.eq24 == "verbatim":
-        divisor = 1 + divisor
+    divisor = eq24_divisor(interpretation, robot)
     error = loop.arrays["tracking_error_peak"]
     times = loop.arrays["time"]
-    margin = np.minimum(
-        state_space.upper - state_space.torques, state_space.torques - state_space.lower
-    )
-    lost = np.flatnonzero(error > ErrorBounds().position)
+    margin = reserve(state_space)
+    lost = times[error > ErrorBounds().position].tolist()
     return Outcome(
         numbers={
             "stiffness_Nm_per_rad": float(robot.stiffness[0]),
@@ -286,7 +290,7 @@ def flexible_outcome(interpretation: Interpretation, results: Results) -> Outcom
             "ripple_Hz": float(np.sqrt(robot.stiffness / divisor).max() / (2 * np.pi)),
             "closed_loop_peak_error_mm": 1e3 * float(error.max()),
             "closed_loop_carried": loop.verdict.carried,
-            "closed_loop_lost_s": float(times[lost[0]]) if len(lost) else None,
+            "closed_loop_lost_s": next(iter(lost), None),
             "closed_loop_slack": bool(loop.arrays["slack"].any()),
         }
     )
