@@ -1,12 +1,11 @@
 """Learned policies without training: network, bundle and batches."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from steering import (
     CASES,
     FLEX_PLANAR_ID,
@@ -58,7 +57,7 @@ def test_motion_of_a_base_alone_is_the_task_soon():
     rows, tasks = observations(SPATIAL_ID, 300)
     alone.reset(tasks)
     robot.reset(tasks)
-    np.testing.assert_allclose(run(alone, rows)[-50:], run(robot, rows)[-50:], rtol=0, atol=1e-9)
+    assert_allclose(run(alone, rows)[-50:], run(robot, rows)[-50:], rtol=0, atol=1e-9)
 
 
 @each_case
@@ -75,9 +74,7 @@ def test_episodes_of_a_batch_are_independent(case):
     together = run(policy, rows, starts)
     for index, begun in enumerate((0, 7, 23, 38)):
         fresh = run(policy, rows[begun:, index])
-        np.testing.assert_allclose(
-            together[begun:, index], fresh, rtol=0, atol=1e-9 * np.abs(together).max()
-        )
+        assert_allclose(together[begun:, index], fresh, rtol=0, atol=1e-9 * np.abs(together).max())
     assert np.ptp(together, axis=1).max() > 0.01
 
 
@@ -92,7 +89,7 @@ def test_zero_network_equals_the_base_law(case):
     law = bundle.base.make(robot)
     policy.reset(tasks)
     law.reset(tasks)
-    np.testing.assert_array_equal(run(policy, rows), run(law, rows))
+    assert_array_equal(run(policy, rows), run(law, rows))
     assert np.any(run(LearnedPolicy(bundle_of(case), robot), rows) != run(law, rows))
 
 
@@ -207,7 +204,7 @@ def test_network_equals_its_layers():
         network = Network(
             weights=(hidden_weights, output_weights), biases=biases, squash=squash, **normalisation
         )
-        np.testing.assert_allclose(network(x), expected, rtol=1e-12)
+        assert_allclose(network(x), expected, rtol=1e-12)
 
 
 def test_bundle_is_evaluated_by_the_name_of_its_file(tmp_path):

@@ -1,7 +1,5 @@
 """Wrappers for training: payload curriculum and steered law, single and in batches."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym
@@ -9,6 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
+from numpy.testing import assert_allclose, assert_array_equal
 from stable_baselines3.common import env_checker
 from stable_baselines3.common.monitor import Monitor
 from steering import network_of
@@ -84,7 +83,7 @@ def single(case, **keywords):
     return env
 
 
-def batch(case, count, **keywords) -> Any:
+def batch(case, count, **keywords):
     keywords = {"terminate_on_violation": True, "wrappers": wrappers_of(case), **keywords}
     return make_steered_vec(CASES[case]["env_id"], count, **keywords)
 
@@ -93,14 +92,14 @@ def check_same_row(results, env_index, single_results):
     """The row of a batch's results, the info last, equals the single environment's; its scalars are
     Python objects."""
     for value, single_value in zip(results[:-1], single_results[:-1], strict=True):
-        np.testing.assert_array_equal(value[env_index], single_value)
+        assert_array_equal(value[env_index], single_value)
         assert value.dtype == np.asarray(single_value).dtype
     info = results[-1]
     single_info = single_results[-1]
     assert info.keys() == single_info.keys()
     for key, value in single_info.items():
         assert isinstance(value, (float, bool, int, np.ndarray))
-        np.testing.assert_array_equal(info[key][env_index], value, err_msg=key)
+        assert_array_equal(info[key][env_index], value, err_msg=key)
 
 
 @pytest.mark.filterwarnings("ignore:.*different from the unwrapped version:UserWarning")
@@ -174,7 +173,7 @@ def test_ended_episode_has_the_result_of_its_last_period():
     assert terminated.tolist() == [True, False]
     assert total == pytest.approx(expected)
     check_same_row([info], 0, [plain_info])
-    np.testing.assert_array_equal(observed[0], observation[:6].astype(np.float32))
+    assert_array_equal(observed[0], observation[:6].astype(np.float32))
     assert round(plain_info["time"] * 500) % env.steering.periods != 0
 
 
@@ -303,9 +302,9 @@ def test_policy_on_the_plain_environment_repeats_training(case):
         for _ in range(env.steering.periods):
             action, state = policy.predict(observation, state)
             observation, _, _, _, plain_info = plain.step(action)
-        np.testing.assert_array_equal(env.unwrapped.pose, plain.unwrapped.pose)
+        assert_array_equal(env.unwrapped.pose, plain.unwrapped.pose)
         for name in ("commanded_action", "tensions", "time"):
-            np.testing.assert_array_equal(info[name], plain_info[name], err_msg=name)
+            assert_array_equal(info[name], plain_info[name], err_msg=name)
 
 
 def test_action_period_follows_the_control_frequency():
@@ -317,7 +316,7 @@ def test_action_period_follows_the_control_frequency():
     assert env.step([1.0, 0.0])[4]["time"] == 0.02
     for _ in range(200):
         env.step([1.0, 0.0])
-    np.testing.assert_allclose(env.unwrapped.pose - start, [0.5 * 0.02, 0.0], atol=5e-4)
+    assert_allclose(env.unwrapped.pose - start, [0.5 * 0.02, 0.0], atol=5e-4)
 
 
 def test_effort_costs_the_mean_square_of_the_clipped_action():

@@ -1,8 +1,6 @@
 """Cells on a Ray cluster of two nodes on this machine: equal numbers, and no cell is lost with its
 worker."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

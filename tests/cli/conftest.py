@@ -1,7 +1,5 @@
 """Fixtures of the tests of the command line."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import dataclass
@@ -120,7 +118,7 @@ def toys(tmp_path, monkeypatch):
     """A module of policies by ``toys:name``, each FL except for what its name says."""
     folder = tmp_path / "modules"
     folder.mkdir()
-    (folder / "cli_toys.py").write_text(TOYS, encoding="utf-8")
+    (folder / "cli_toys.py").write_text(TOYS)
     monkeypatch.syspath_prepend(folder)
     yield lambda name: f"cli_toys:{name}"
     sys.modules.pop("cli_toys", None)

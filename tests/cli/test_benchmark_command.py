@@ -1,8 +1,6 @@
 """``cablebot benchmark``: files, resume, interrupts and failing policies. Bad input is in
 test_commands."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import replace
@@ -96,7 +94,7 @@ def benchmark(isolated_benchmark, inline):
 
 
 def scores(ended):
-    cells = json.loads((ended.folder / "results.json").read_text(encoding="utf-8"))["cells"]
+    cells = json.loads((ended.folder / "results.json").read_text())["cells"]
     return {
         (cell["cell"]["policy"], cell["cell"].get("payload_known")): cell["score"]
         for cell in cells
@@ -111,11 +109,11 @@ def test_files_table_and_json_have_the_same_numbers(benchmark, best, tmp_path):
     known = scores(ended)[("fl", True)]
     unknown = scores(ended)[("fl", False)]
     assert known == pytest.approx(1.91 / 2.4, abs=0.03)
-    for text in (ended.out, (tmp_path / "LEADERBOARD.md").read_text(encoding="utf-8")):
+    for text in (ended.out, (tmp_path / "LEADERBOARD.md").read_text()):
         assert f"{2.4 * known:.2f}, {known:.0%}" in text
         assert f"{2.4 * unknown:.2f}, {unknown:.0%}" in text
     assert len(best) == 1
-    assert benchmark("--json").out == (ended.folder / "results.json").read_text(encoding="utf-8")
+    assert benchmark("--json").out == (ended.folder / "results.json").read_text()
 
 
 def test_second_run_computes_nothing_and_gives_the_same_bytes(benchmark, best, monkeypatch):
@@ -206,12 +204,10 @@ def test_hidden_suite_needs_a_commitment(benchmark, best):
     assert best == []
     assert "--commit VERSION" in without.err
     committed = benchmark("--commit", "2026-1", suite="hidden")
-    secret = json.loads((committed.folder / "secret.json").read_text(encoding="utf-8"))
+    secret = json.loads((committed.folder / "secret.json").read_text())
     assert committed.status == 0
     assert best == []
-    assert secret["secret"] not in committed.out + (committed.folder / "board.json").read_text(
-        encoding="utf-8"
-    )
+    assert secret["secret"] not in committed.out + (committed.folder / "board.json").read_text()
     refused = benchmark(suite="hidden", policies="fl,adaptive")
     assert refused.status == 2
     assert best == []
@@ -223,13 +219,11 @@ def test_hidden_suite_needs_a_commitment(benchmark, best):
 @pytest.mark.slow
 def test_board_is_run_published_and_verified(benchmark, best, cablebot):
     secret = json.loads(
-        (benchmark("--commit", "1", suite="hidden").folder / "secret.json").read_text(
-            encoding="utf-8"
-        )
+        (benchmark("--commit", "1", suite="hidden").folder / "secret.json").read_text()
     )
     ended = benchmark(suite="hidden")
     assert ended.status == 0
-    page = (ended.folder / "leaderboard.md").read_text(encoding="utf-8")
+    page = (ended.folder / "leaderboard.md").read_text()
     assert "## Board 1" in page
     assert secret["secret"] in page
     verify = ("benchmark", "--verify", ended.folder, "--draws", 64, "--workers", 1)
@@ -238,13 +232,13 @@ def test_board_is_run_published_and_verified(benchmark, best, cablebot):
     assert good.out.count("promised") == 1
     assert "the secret matches the commitment" in good.out
     path = ended.folder / "results.json"
-    results = json.loads(path.read_text(encoding="utf-8"))
+    results = json.loads(path.read_text())
     (drawn,) = (cell for cell in results["cells"] if cell["cell"].get("uncertainty"))
     drawn["result"]["payload"] += 1.0
-    path.write_text(json.dumps(results), encoding="utf-8")
+    path.write_text(json.dumps(results))
     bad = cablebot(*verify)
     assert bad.status == 1
     assert "0 of 1 payloads keep their promise" in bad.out
     results["board"]["secret"] = "0" * 32
-    path.write_text(json.dumps(results), encoding="utf-8")
+    path.write_text(json.dumps(results))
     assert "does not match its commitment" in cablebot(*verify).message(2)

@@ -1,7 +1,5 @@
 """``cablebot best-known``: output, exit status, cache and interrupts."""
 
-from __future__ import annotations
-
 import json
 import os
 from types import SimpleNamespace

@@ -1,8 +1,6 @@
 """All commands, those of installed packages included: help, exit status, bad input, interrupts and
 progress."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -24,7 +22,7 @@ PLANAR = "CableBot-Planar-v0"
 SPATIAL = "CableBot-Spatial-v0"
 POLICY = ("--policy", "fl")
 ROLLOUT = ("rollout", PLANAR, *POLICY, "--out", "run.csv")
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+README = (Path(__file__).parents[2] / "README.md").read_text()
 
 cli.add_commands(cli.command_points())
 COMMANDS = typer.main.get_command(cli.app).commands
@@ -114,7 +112,7 @@ MISTAKES = [
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
 def test_bad_input_ends_with_status_2_one_line_and_no_file(cablebot, tmp_path, typed, message):
-    (tmp_path / "work" / "file").write_text("kept", encoding="utf-8")
+    (tmp_path / "work" / "file").write_text("kept")
     assert message in cablebot(*typed).message(2)
     assert names(tmp_path / "work") == ["file"]
 
@@ -278,7 +276,7 @@ def test_reproduction_writes_its_files_and_takes_its_options(cablebot, tmp_path)
         assert "key" in row
     expected = {"results.json", "reproduction.md", "reproduction.html", "fig1.png", "fig1.svg"}
     assert set(names(tmp_path / "out")) == expected
-    data = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
+    data = json.loads((tmp_path / "out" / "results.json").read_text())
     choices = data["interpretation"]
     assert choices["planar_apex"] == "left"
     assert choices["minimum_tension"] == 2.0

@@ -1,7 +1,5 @@
 """``cablebot compare``: table, options, files and messages."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -54,7 +52,7 @@ def test_out_has_json_and_figure(cablebot, tmp_path):
     folder = tmp_path / "new" / "results"
     ended = cablebot(*PAIR, "fl", "--out", folder, "--json")
     assert names(folder) == ["comparison.json", "comparison.png"]
-    assert (folder / "comparison.json").read_text(encoding="utf-8") == ended.out
+    assert (folder / "comparison.json").read_text() == ended.out
     assert (folder / "comparison.png").read_bytes().startswith(b"\x89PNG")
     for name in names(folder):
         assert name in ended.err
@@ -137,7 +135,7 @@ def test_payloads_give_a_table_json_and_figure(cablebot, tmp_path):
     ]
     for row in rows:
         assert len(row[4:-1]) == 4  # mean and largest error, rotation and torque
-    data = json.loads((tmp_path / "comparison.json").read_text(encoding="utf-8"))
+    data = json.loads((tmp_path / "comparison.json").read_text())
     assert data["payloads"] == [0.0, 1.5, 3.0]
     assert data["comparisons"][1] == cablebot(*typed, "--payload", "1.5", "--json").data
     assert (tmp_path / "comparison.png").is_file()

@@ -1,7 +1,5 @@
 """``cablebot dlcc``: numbers, options, files and messages."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import shlex
@@ -100,10 +98,10 @@ def test_options_reach_the_evaluation(cablebot):
 
 def test_uncertainty_is_read_from_a_file(cablebot, tmp_path):
     path = tmp_path / "unknown.json"
-    path.write_text('{"sensors": {"position": 1e-4}}', encoding="utf-8")
+    path.write_text('{"sensors": {"position": 1e-4}}')
     (result,) = cablebot(*DRAWN, "--uncertainty", path).data
     assert value_at(result, "environment.uncertainty.sensors.position") == 1e-4
-    path.write_text("[1]", encoding="utf-8")
+    path.write_text("[1]")
     assert "must hold a JSON object" in cablebot(*DRAWN, "--uncertainty", path).message(2)
 
 
@@ -140,7 +138,7 @@ def test_error_of_a_policy_names_its_line(cablebot, toys):
 
 def test_wrapper_reaches_the_policy(cablebot, tmp_path):
     path = tmp_path / "toy_weak.py"
-    path.write_text(WRAPPERS, encoding="utf-8")
+    path.write_text(WRAPPERS)
     (result,) = cablebot(*ONE, "--wrapper", str(path)).data
     assert result["payload"] is None
     assert result["wrappers"] == [str(path)]
@@ -161,7 +159,7 @@ def test_out_has_json_and_figures(cablebot, tmp_path):
     folder = tmp_path / "new" / "results"
     ended = cablebot(*ONE, "--out", folder)
     assert names(folder) == ["path-task.png", "result.json", "torques-task.png"]
-    assert (folder / "result.json").read_text(encoding="utf-8") == ended.out
+    assert (folder / "result.json").read_text() == ended.out
     for name in ("path-task.png", "torques-task.png"):
         assert (folder / name).read_bytes().startswith(b"\x89PNG")
         assert name in ended.err
@@ -169,7 +167,7 @@ def test_out_has_json_and_figures(cablebot, tmp_path):
 
 def test_interrupt_leaves_old_files_and_no_partial_file(cablebot, tmp_path, monkeypatch):
     figure_path = tmp_path / "path-task.png"
-    figure_path.write_text("old", encoding="utf-8")
+    figure_path.write_text("old")
 
     def interrupt(figure, path, **_):
         path.write_bytes(b"\x89PNG half")
@@ -178,7 +176,7 @@ def test_interrupt_leaves_old_files_and_no_partial_file(cablebot, tmp_path, monk
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", interrupt)
     assert "interrupted" in cablebot(*QUICK, "--out", tmp_path).message(130)
     assert list(tmp_path.glob("*.png")) == [figure_path]
-    assert figure_path.read_text(encoding="utf-8") == "old"
+    assert figure_path.read_text() == "old"
 
 
 def test_isolated_policy_gives_the_same_result(cablebot):
@@ -271,8 +269,8 @@ def test_robot_and_motion_of_files_reach_an_isolated_policy(cablebot, tmp_path, 
         + "".join(tables)
         + '[defaults]\ntrajectory = "own_motion_of_dlcc.py:motion"\npayload_range = [0.1, 0.2]\n'
     )
-    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
-    (tmp_path / "own_motion_of_dlcc.py").write_text(OWN_MOTION, encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(text)
+    (tmp_path / "own_motion_of_dlcc.py").write_text(OWN_MOTION)
     typed = (
         "dlcc",
         PLANAR,

@@ -1,7 +1,5 @@
 """``cablebot doctor``."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

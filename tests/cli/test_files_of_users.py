@@ -1,7 +1,5 @@
 """Files that people bring: encodings, forms, and errors in their code."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys
@@ -49,7 +47,7 @@ def claims(path):
     return read_claims(path.rename(path.with_name(CLAIMS)).parent)
 
 
-SQUARE = (ROOT / "examples" / "square.toml").read_text(encoding="utf-8")
+SQUARE = (ROOT / "examples" / "square.toml").read_text()
 READERS = {
     "robot.toml": (find_robot, SQUARE),
     "robot.TOML": (find_robot, SQUARE),
@@ -112,7 +110,7 @@ def test_existing_path_is_not_an_unknown_name(tmp_path, monkeypatch, find, name)
     if name == "folder":
         Path(name).mkdir()
     else:
-        Path(name).write_text("x", encoding="utf-8")
+        Path(name).write_text("x")
     with pytest.raises(
         ValueError, match=rf"^(file|folder) '{name}' has no form of a .*; use "
     ) as caught:
@@ -143,7 +141,7 @@ def test_error_in_a_motion_file_is_one_sentence(
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "motion_of_a_test", raising=False)
     path = tmp_path / "motion_of_a_test.py"
-    path.write_text(MOTION, encoding="utf-8")
+    path.write_text(MOTION)
     arguments = ("robot", "check", "planar")
     if command == "check":
         status = 1  # of a check that found a fault
@@ -180,7 +178,7 @@ def test_error_of_this_package_is_no_error_of_user_code():
 
 def test_command_says_the_largest_speed_of_waypoints(cablebot, tmp_path):
     path = tmp_path / "way.csv"
-    path.write_text("t,x,y\n0,0,0\n1,0.1,0\n", encoding="utf-8")
+    path.write_text("t,x,y\n0,0,0\n1,0.1,0\n")
     ended = cablebot("robot", "check", "planar", "--trajectory", path)
     pattern = r"way\.csv: 2 waypoints in 1 s between dwells of 0\.3 s; largest speed 0\.2\d* m/s, largest accel.* m/s²"
     assert re.search(pattern, ended.err), ended.err

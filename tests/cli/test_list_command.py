@@ -1,7 +1,5 @@
 """``cablebot list``."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -80,7 +78,7 @@ def test_listed_fields_make_the_named_uncertainty(data):
 
 
 def test_file_in_the_current_folder_hides_no_package(tmp_path):
-    (tmp_path / "numpy.py").write_text("raise RuntimeError('hidden')\n", encoding="utf-8")
+    (tmp_path / "numpy.py").write_text("raise RuntimeError('hidden')\n")
     command = [sys.executable, "-P", "-c", "from cablebot_gym.cli.app import main; main()", "list"]
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ran.returncode == 0

@@ -1,7 +1,5 @@
 """``cablebot robot check``."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -15,10 +13,10 @@ def edited(tmp_path):
     """Writes the file of a library robot with one text replaced."""
 
     def write(name, old="", new=""):
-        text = library()[name].read_text(encoding="utf-8")
+        text = library()[name].read_text()
         assert old in text
         path = tmp_path / "my.toml"
-        path.write_text(text.replace(old, new), encoding="utf-8")
+        path.write_text(text.replace(old, new))
         return path
 
     return write
@@ -38,7 +36,7 @@ def test_report_of_a_file_has_every_part(cablebot, edited, tmp_path):
     for text in (*model, "exact tracking carries up to", "limit at t =", "sag "):
         assert text in ended.out
     assert "questions  none" in ended.out
-    assert (tmp_path / "my.svg").read_text(encoding="utf-8").count("<svg") == 1
+    assert (tmp_path / "my.svg").read_text().count("<svg") == 1
 
 
 def test_json_has_numbers_and_questions(cablebot):

@@ -1,9 +1,8 @@
 """``cablebot rollout``: recorded arrays, options and files."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 PLANAR = "CableBot-Planar-v0"
 SPATIAL = "CableBot-Spatial-v0"
@@ -26,10 +25,8 @@ def test_rollout_records_the_payload_motion_and_frequency(cablebot, tmp_path):
     with np.load(tmp_path / "run.npz") as file:
         times = file["time"]
         payloads = file["payload"]
-    np.testing.assert_allclose(
-        times, np.arange(1, 841) / 400, atol=1e-12
-    )  # with two dwells of 0.3 s
-    np.testing.assert_array_equal(payloads, 0.5)
+    assert_allclose(times, np.arange(1, 841) / 400, atol=1e-12)  # with two dwells of 0.3 s
+    assert_array_equal(payloads, 0.5)
 
 
 @pytest.mark.usefixtures("no_work")
@@ -59,7 +56,7 @@ def test_options_reach_the_episode(cablebot, tmp_path):
                 key: file[key] for key in ("commanded_action", "pose", "tracking_error_peak")
             }
     start_action = {name: run["commanded_action"][0] for name, run in runs.items()}
-    np.testing.assert_array_equal(start_action["empty"], start_action["unknown"])
+    assert_array_equal(start_action["empty"], start_action["unknown"])
     assert np.all(np.abs(start_action["known"] - start_action["empty"]) > 1e-3)
     assert np.all(np.abs(start_action["known"] - start_action["scaled"]) > 1e-4)
     assert (
@@ -67,7 +64,7 @@ def test_options_reach_the_episode(cablebot, tmp_path):
         < 0.01
         < runs["unknown"]["tracking_error_peak"].max()
     )
-    np.testing.assert_array_equal(runs["drawn"]["pose"], runs["again"]["pose"])
+    assert_array_equal(runs["drawn"]["pose"], runs["again"]["pose"])
     for before, after in (("empty", "drawn"), ("drawn", "other")):
         assert np.abs(runs[before]["pose"] - runs[after]["pose"]).max() > 1e-6
 
@@ -79,15 +76,15 @@ def test_early_end_is_stated_and_recorded(cablebot, toys, tmp_path):
         in ended.out
     )
     assert "(ended early: tracking_error)" in ended.out
-    assert 10 < len((tmp_path / "run.csv").read_text(encoding="utf-8").splitlines()) < 500
+    assert 10 < len((tmp_path / "run.csv").read_text().splitlines()) < 500
 
 
 @pytest.mark.parametrize(("name", "status"), [("interrupted", 130), ("nan", 1)])
 def test_unfinished_episode_leaves_the_old_file(cablebot, toys, tmp_path, name, status):
     path = tmp_path / "run.csv"
-    path.write_text("old", encoding="utf-8")
+    path.write_text("old")
     line = cablebot(
         "rollout", PLANAR, "--policy", toys(name), "--payload", "0.25", "--out", path
     ).message(status)
     assert status == 130 or "at t = 0.020 s with a payload of 0.25 kg" in line
-    assert path.read_text(encoding="utf-8") == "old"
+    assert path.read_text() == "old"

@@ -1,8 +1,6 @@
 """``cablebot submit`` and ``cablebot verify``: an outside package from its pull request to a board,
 and cheats."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -116,19 +114,19 @@ def source(tmp_path):
     """Folder of the sources of a policy of others: the module ``mine.py`` and a file that it
     reads."""
     (tmp_path / "work").mkdir(exist_ok=True)
-    (tmp_path / "work" / "mine.py").write_text(LAW, encoding="utf-8")
-    (tmp_path / "work" / "gains.txt").write_text("400 40", encoding="utf-8")
+    (tmp_path / "work" / "mine.py").write_text(LAW)
+    (tmp_path / "work" / "gains.txt").write_text("400 40")
     return tmp_path / "work"
 
 
 def record(entry):
-    return json.loads((entry / "verification.json").read_text(encoding="utf-8"))
+    return json.loads((entry / "verification.json").read_text())
 
 
 def change(path, edit):
-    data = json.loads(path.read_text(encoding="utf-8"))
+    data = json.loads(path.read_text())
     edit(data)
-    path.write_text(json.dumps(data), encoding="utf-8")
+    path.write_text(json.dumps(data))
 
 
 SUBMIT = ("--id", PLANAR, "--suite", "tiny", *CARD)
@@ -161,7 +159,7 @@ def test_package_of_others_is_submitted_verified_and_on_a_board(
     assert verification["outcome"] == "verified"
     assert verification["network"] == "cut"
     assert verification["sandbox"].startswith("bubblewrap")
-    assert str(verification["seed"]) not in (entry / "results.json").read_text(encoding="utf-8")
+    assert str(verification["seed"]) not in (entry / "results.json").read_text()
     board = (
         "benchmark",
         "--suite",
@@ -177,13 +175,13 @@ def test_package_of_others_is_submitted_verified_and_on_a_board(
     assert committed.status == 0, committed.err
     ran = command(*board)
     assert ran.status == 0, ran.err
-    page = Path("board/leaderboard.md").read_text(encoding="utf-8")
+    page = Path("board/leaderboard.md").read_text()
     assert (
         "| `entries/pendant` | pendant-law==1.2 | A. Author | BSD-3-Clause | 1 h | none | 0 | verified |"
         in page
     )
     assert "unverified" not in page
-    (entry / "packages/pendant_law/gains.txt").write_text("800 40", encoding="utf-8")
+    (entry / "packages/pendant_law/gains.txt").write_text("800 40")
     assert "does not match its card in pendant_law/gains.txt" in command("verify", entry).message(1)
     assert record(entry)["outcome"] == "refused"
 
@@ -202,7 +200,7 @@ class Reader(Law):
 @pytest.mark.slow
 def test_policy_that_needs_files_of_its_author_is_refused(command, source):
     """On the machine of its author it reads a file, and is good; in the sandbox there is none."""
-    (source / "mine.py").write_text(LAW + READER, encoding="utf-8")
+    (source / "mine.py").write_text(LAW + READER)
     sandbox.opt_out()
     assert command("submit", "mine.py:Reader", "--out", "entries/reader", *SUBMIT).status == 0
     os.environ["CABLEBOT_SANDBOX"] = "on"

@@ -1,8 +1,6 @@
 """Policies side by side: every number against single episodes, the intervals against SciPy's, and
 the figure."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -11,6 +9,7 @@ from functools import cache
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy import stats
 
 from cablebot_baselines.classical import FeedbackLinearization
@@ -124,7 +123,7 @@ def test_metrics_equal_those_of_single_episodes(index, factor):
         by_hand = episode(Scaled(factor), seed)
         for name, value in by_hand.items():
             ours = getattr(measured, name)[..., draw]
-            np.testing.assert_allclose(ours, value, rtol=0, atol=1e-12, err_msg=name)
+            assert_allclose(ours, value, rtol=0, atol=1e-12, err_msg=name)
     assert np.all(np.ptp([getattr(measured, name) for name in QUANTITIES], axis=1) > 0)
     assert measured.carried.tolist() == (measured.max_error <= 0.005).tolist()
     assert set(QUANTITIES) == set(by_hand) - {"carried", "ended", "error", "rotation"}

@@ -1,7 +1,5 @@
 """The judge on hand-made episodes, and the monitor on live ones."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 from evaluation.conftest import play
 from gymnasium.error import ResetNeeded
+from numpy.testing import assert_array_equal
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, Verdict, evaluate_dlcc
@@ -376,7 +375,7 @@ def test_monitor_only_adds_to_info():
     results = [watched.reset(seed=3), watched.step(action), watched.step(action)]
     for (*values, info), (*watched_values, watched_info) in zip(expected, results, strict=True):
         for value, watched_value in zip(values, watched_values, strict=True):
-            np.testing.assert_array_equal(watched_value, value)
+            assert_array_equal(watched_value, value)
         assert set(watched_info) - set(info) == {"dlcc_carried"}
 
 

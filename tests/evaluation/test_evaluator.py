@@ -1,8 +1,6 @@
 """Payloads against hand-computed cases, the closed form, the paper's figures, and policies that
 misbehave."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -14,6 +12,7 @@ import pytest
 from evaluation.conftest import MODEL_PAYLOAD, Dropping, play
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
 import cablebot_gym
 from cablebot_baselines.classical import FeedbackLinearization
@@ -504,16 +503,16 @@ def test_rollout_equals_an_episode_of_the_single_environment(tmp_path):
     observation, info = env.reset(seed=4, options={"noise_seed": noise_seed(4, 2.0)})
     assert len(rollout) == 101
     assert rollout.payload == info["payload"]
-    np.testing.assert_array_equal(rollout.stall_torque, env.unwrapped.truth["motor_strength"])
+    assert_array_equal(rollout.stall_torque, env.unwrapped.truth["motor_strength"])
     for index in range(101):
         moment = rollout.moment(index)
-        np.testing.assert_array_equal(moment.pose, env.unwrapped.pose)
+        assert_array_equal(moment.pose, env.unwrapped.pose)
         for name in ("time", "tensions", "torques", "commanded_action", "slack"):
-            np.testing.assert_array_equal(getattr(moment, name), info[name])
+            assert_array_equal(getattr(moment, name), info[name])
         if index == 100:
             break
         observation, reward, _, _, info = env.step(policy.predict(observation)[0])
-        np.testing.assert_array_equal(rollout.arrays["pose"][index], observation[:6])
+        assert_array_equal(rollout.arrays["pose"][index], observation[:6])
         assert rollout.arrays["reward"][index] == reward
     for suffix in ("npz", "csv"):
         rollout.save(tmp_path / f"run.{suffix}")
@@ -522,7 +521,7 @@ def test_rollout_equals_an_episode_of_the_single_environment(tmp_path):
             n: v.tolist() for n, v in rollout.arrays.items()
         }
     table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
-    np.testing.assert_array_equal(table["tensions_6"], rollout.arrays["tensions"][:, 5])
+    assert_array_equal(table["tensions_6"], rollout.arrays["tensions"][:, 5])
 
 
 def test_recording_goes_on_until_the_termination():

@@ -1,8 +1,6 @@
 """The payload over draws against order statistics, single episodes and Clopper and Pearson's
 bound."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections import Counter
@@ -12,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from evaluation.conftest import play
+from numpy.testing import assert_array_equal
 from scipy.stats import binom, binomtest
 
 from cablebot_baselines.classical import FeedbackLinearization
@@ -328,16 +327,14 @@ def test_payloads_share_the_parameters_of_a_draw():
             [(payload, seed) for payload in (0.0, 1.0) for seed in batch.seeds], observer=starts
         )
     observer, repeated = observers
-    np.testing.assert_array_equal(observer.mass[:3], observer.mass[3:])
+    assert_array_equal(observer.mass[:3], observer.mass[3:])
     assert len({*observer.mass.tolist()}) == 3
     assert len({*observer.pose[:, 0].tolist()}) == 6
-    np.testing.assert_array_equal(repeated.pose, observer.pose)
+    assert_array_equal(repeated.pose, observer.pose)
     env = gym.make(SPATIAL_ID, trajectory=HANG, uncertainty=uncertainty, payload=1.0)
     noise = noise_seed(batch.seeds[2], 1.0)
     observation, _ = env.reset(seed=batch.seeds[2], options={"noise_seed": noise})
-    np.testing.assert_array_equal(
-        observation[observation_layout(SPATIAL).slices()["pose"]], observer.pose[5]
-    )
+    assert_array_equal(observation[observation_layout(SPATIAL).slices()["pose"]], observer.pose[5])
 
 
 def test_batch_size_and_secret_order_do_not_change_the_result(monkeypatch):

@@ -1,7 +1,5 @@
 """The options of the interpretation and their effect on the robots."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Videos: pictures, files, the window, and the two commands."""
 
-from __future__ import annotations
-
 import re
 
 import imageio_ffmpeg
