@@ -82,13 +82,6 @@ def test_plan_uses_the_error_bounds_of_the_task(policies):
 # --- batch and state --------------------------------------------------------------------------------------------------
 
 
-def test_actions_are_reproducible(policies):
-    """A memory of the solver or of the policy would change the second run."""
-    env = vector(PLANAR_ID, 1, payload=2.5)
-    expected = rollout(policies[PLANAR_ID], env, steps=30)[2]
-    assert_array_equal(rollout(policies[PLANAR_ID], env, steps=30)[2], expected)
-
-
 @pytest.mark.parametrize("env_id", ROBOTS)
 def test_batch_gives_the_same_actions_as_single_observations(policies, env_id):
     policy = policies[env_id]

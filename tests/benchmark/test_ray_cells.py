@@ -3,7 +3,6 @@ worker."""
 
 import os
 import signal
-import sys
 import warnings
 from functools import partial
 from pathlib import Path
@@ -118,9 +117,3 @@ def test_address_without_cluster_raises_at_once(address):
         ValueError, match=rf"{address}' is not an address|no Ray cluster at '{address}"
     ):
         on_ray(address)
-
-
-def test_missing_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[ray\]'"):
-        on_ray("local")

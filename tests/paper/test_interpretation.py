@@ -73,13 +73,6 @@ def test_cable_line_uses_the_rate_of_the_cable_length():
     assert Interpretation(line="reversed").line_speed(SPATIAL) == pytest.approx(-1.0)
 
 
-def test_flat_line_has_the_stall_torque_at_every_speed():
-    robot = Interpretation(line="flat").motors(SPATIAL)
-    lower, upper = textbook.torque_limits(robot, np.full(6, 100.0))
-    assert upper == pytest.approx(robot.stall_torque)
-    assert lower == pytest.approx(-robot.stall_torque)
-
-
 @pytest.mark.parametrize("line", ["cable", "reversed", "pulley"])
 def test_line_that_no_motor_has_allows_no_closed_loop(line):
     interpretation = Interpretation(line=line)
