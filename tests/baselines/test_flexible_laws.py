@@ -130,7 +130,9 @@ def test_motor_pd_tracks_a_smooth_motion_closely():
 def test_taylor_motion_equals_its_polynomial():
     values = np.random.default_rng(0).normal(size=(5, 3, 6))
     factors = 0.3 ** np.arange(5) / np.array([1, 1, 2, 6, 24])
-    for order, computed in enumerate(Motion(*values).after(0.3)):
+    names = ("position", "velocity", "acceleration", "jerk", "snap")
+    motion = Motion(**dict(zip(names, values, strict=True)))
+    for order, computed in enumerate(motion.after(0.3)):
         expected = np.tensordot(factors[: 5 - order], values[order:], axes=1)
         assert_allclose(computed, expected, rtol=1e-12)
 
