@@ -156,7 +156,10 @@ def _run() -> None:
         if len(sys.argv) < 2:
             sys.argv.append("--help")
         typed = sys.argv[1]
-        add_commands({typed: BUILT_IN[typed]} if typed in BUILT_IN else command_points())
+        if typed in BUILT_IN:
+            add_commands({typed: BUILT_IN[typed]})
+        else:
+            add_commands(command_points())
         # a number if the parser ended the command, for example after Ctrl-C
         status = app(standalone_mode=False)
         if status == INTERRUPTED:
@@ -167,12 +170,10 @@ def _run() -> None:
     except (ValueError, ImportError) as error:
         _fail(sentence_of_user_code(error) or _with_option_names(str(error)), 2)
     except OSError as error:
-        _fail(
-            str(error)
-            if error.filename is None
-            else f"cannot write {error.filename!r}: {error.strerror}",
-            1,
-        )
+        message = str(error)
+        if error.filename is not None:
+            message = f"cannot write {error.filename!r}: {error.strerror}"
+        _fail(message, 1)
     except PolicyError as error:
         _fail(str(error), 1)
     except Exception as error:

@@ -55,8 +55,11 @@ def rollout(
     )
     record.save(out)
     verdict = record.verdict
-    outcome = "carried" if verdict.carried else f"not carried: {verdict.violation}"
-    ended = f" (ended early: {record.reason})" if record.reason else ""
+    outcome = "carried"
+    if not verdict.carried:
+        outcome = f"not carried: {verdict.violation}"
+    if record.reason:
+        outcome += f" (ended early: {record.reason})"
     print(
-        f"{env_id}, {policy}, {payload:g} kg, {criterion} criterion: {outcome}{ended}; recorded in {out}"
+        f"{env_id}, {policy}, {payload:g} kg, {criterion} criterion: {outcome}; recorded in {out}"
     )
