@@ -1,8 +1,6 @@
 """Fixtures of the tests of training, and of the tests of cards and of the script that makes
 them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Finished training runs for the tests of cards and of the script that makes them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

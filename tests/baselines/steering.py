@@ -1,7 +1,5 @@
 """Steered laws, networks and observations for the tests of learned policies."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import gymnasium as gym

@@ -1,7 +1,5 @@
 """Cards of the shipped learned policies: statistics, contents, page and figure."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 from pathlib import Path
@@ -27,16 +25,14 @@ def test_interquartile_mean_equals_that_of_scipy():
 
 def test_interval_equals_that_of_all_resamples():
     values = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
-    every = np.sort([iqm(values[list(places)]) for places in itertools.product(range(5), repeat=5)])
+    every = np.sort([iqm(resample) for resample in itertools.product(values, repeat=5)])
+    near = 4 * 0.5 / 100  # four standard deviations of the fraction in 10,000 resamples
     for confidence in (0.5, 0.8, 0.95):
-        low, high = iqm_interval([values], confidence=confidence)
-        for end, fraction in ((low, (1 - confidence) / 2), (high, (1 + confidence) / 2)):
-            near = 4 * 0.5 / 100  # four standard deviations of the fraction in 10,000 resamples
-            assert (
-                np.quantile(every, max(fraction - near, 0))
-                <= end
-                <= np.quantile(every, min(fraction + near, 1))
-            )
+        tail = (1 - confidence) / 2
+        ends = iqm_interval([values], confidence=confidence)
+        for end, fraction in zip(ends, (tail, 1 - tail), strict=True):
+            low, high = np.quantile(every, np.clip([fraction - near, fraction + near], 0, 1))
+            assert low <= end <= high
 
 
 def test_strata_are_resampled_independently():
@@ -53,31 +49,25 @@ def test_shipped_seed_has_the_median_payload():
         assert median_seed(dict(enumerate(payloads))) == seed
 
 
-def test_card_has_the_payloads_of_all_seeds(runs, computed, tmp_path):
-    card = ship(runs, tmp_path / "weights")
+def test_card_and_weights_are_those_of_the_median_seed(runs, computed, tmp_path):
+    weights = tmp_path / "weights"
+    card = ship(runs, weights)
     payloads = [run.payloads for run in card.seeds]
     assert payloads == [(2.0, 1.0), (None, None), (2.8, 2.8 - 1.0), (2.4, 1.4), (2.6, 1.6)]
     assert card.base_payloads == (1.5, 0.5)
     assert card.law == "fl"
     assert card.law_payloads == (1.9, 1.9 - 1.0)
     assert card.best_known == 2.875
-    assert card.summary(0).iqm == pytest.approx(
-        (2.0 + 2.4 + 2.6) / 3
-    )  # failing unloaded counts as 0
-    assert [loop.seed for loop in card.held_out] == [10_000, 10_001, 10_002, 10_003]
-    assert [loop.law_payload for loop in card.held_out] == [2.0] * 4
-    assert [loop.best_known for loop in card.held_out] == [4.0, 4.0, 4.0, None]
+    mean = (2.0 + 2.4 + 2.6) / 3  # failing unloaded counts as 0
+    assert card.summary(0).iqm == pytest.approx(mean)
+    loops = [(loop.seed, loop.law_payload, loop.best_known) for loop in card.held_out]
+    assert loops == [(10_000 + index, 2.0, 4.0) for index in range(3)] + [(10_003, 2.0, None)]
     assert [run.held_out for run in card.seeds] == [(), (), (), (), (1.6, 3.6, 1.6, 3.6)]
-
-
-def test_shipped_weights_are_those_of_the_median_seed(runs, computed, tmp_path):
-    weights = tmp_path / "weights"
-    card = ship(runs, weights)
     shipped = (weights / "apg-circle-planar.zip").read_bytes()
     assert card.shipped_seed == 4
     assert shipped == (runs / "apg-circle-planar-4" / BEST).read_bytes()
     assert card.sha256 == hashlib.sha256(shipped).hexdigest()
-    text = (weights / "apg-circle-planar.json").read_text(encoding="utf-8")
+    text = (weights / "apg-circle-planar.json").read_text()
     assert Card.from_json(text).to_json() == text == card.to_json()
 
 

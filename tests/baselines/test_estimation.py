@@ -1,10 +1,9 @@
 """Estimation of pose and velocity from the sensors of winches."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from cablebot_baselines.estimation import (
     Estimated,
@@ -137,8 +136,8 @@ def readings(robot, count, *, seed=0):
 def test_calibration_recovers_offsets_from_redundant_cables():
     poses, offset = readings(PLANAR, 12)
     calibration = calibrate(PLANAR, textbook.pulley_angle(PLANAR, poses) + offset, poses + 0.01)
-    np.testing.assert_allclose(calibration.offset, offset, atol=1e-8)
-    np.testing.assert_allclose(calibration.poses, poses, atol=1e-9)
+    assert_allclose(calibration.offset, offset, atol=1e-8)
+    assert_allclose(calibration.poses, poses, atol=1e-9)
 
 
 @pytest.mark.parametrize("sensor", ["tensions", "orientation"])
@@ -151,7 +150,7 @@ def test_calibration_of_six_cables_needs_another_sensor(sensor):
     tensions = textbook.required_tensions(SPATIAL, np.full(10, SPATIAL.mass), poses, zero, zero)
     exact = {"tensions": tensions, "orientation": poses[:, 3:]}
     calibration = calibrate(SPATIAL, angles, poses + 0.005, **{sensor: exact[sensor]})
-    np.testing.assert_allclose(calibration.offset, offset, atol=1e-5)
+    assert_allclose(calibration.offset, offset, atol=1e-5)
 
 
 def test_home_offset_is_the_difference_at_the_known_pose():
@@ -159,4 +158,4 @@ def test_home_offset_is_the_difference_at_the_known_pose():
     offset_at_home = home_offset(
         SPATIAL, textbook.pulley_angle(SPATIAL, poses[0]) + offset, poses[0]
     )
-    np.testing.assert_allclose(offset_at_home, offset, atol=1e-12)
+    assert_allclose(offset_at_home, offset, atol=1e-12)

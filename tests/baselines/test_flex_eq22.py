@@ -1,18 +1,17 @@
 """The paper's law for joint springs (Eq. 22): its instability, and the effect of motor friction."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from cablebot_baselines.classical import Composite, PaperFlexible
 from cablebot_baselines.paper import linearised
 from cablebot_baselines.paper.linearised import growth_rate
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
+from cablebot_gym.robots import FLEX_SPATIAL
 
 ID = "CableBot-FlexSpatial-v0"
 PERIOD = 1 / 500
@@ -99,7 +98,7 @@ def test_measured_acceleration_is_a_difference_quotient(two_observations):
     measured = PaperFlexible(FLEX_SPATIAL, motor_acceleration="measured")
     commanded = PaperFlexible(FLEX_SPATIAL, motor_acceleration="commanded")
     action, state = measured.predict(before, state=None, episode_start=np.ones(3, np.bool_))
-    np.testing.assert_array_equal(action, commanded.predict(before)[0])
+    assert_array_equal(action, commanded.predict(before)[0])
     action, _ = measured.predict(after, state=state, episode_start=np.zeros(3, np.bool_))
     speeds = [measured.split(rows)["motor_speed"] for rows in (before, after)]
     blocks = measured.split(after)
@@ -109,7 +108,7 @@ def test_measured_acceleration_is_a_difference_quotient(two_observations):
     inertia = FLEX_SPATIAL.transmission.motor_inertia
     expected = torque(commanded, commanded.predict(after)[0], after) - inertia * pulley
     expected = expected + inertia * 500 * (speeds[1] - speeds[0])
-    np.testing.assert_allclose(torque(measured, action, after), expected, rtol=1e-9)
+    assert_allclose(torque(measured, action, after), expected, rtol=1e-9)
     assert np.abs(speeds[1] - speeds[0]).max() > 0.1
 
 
@@ -120,8 +119,8 @@ def test_new_episode_of_a_batch_starts_with_fresh_memory(two_observations):
     action, _ = measured.predict(after, state=state, episode_start=np.array([False, True, False]))
     going_on, _ = measured.predict(after, state=state, episode_start=np.zeros(3, np.bool_))
     fresh, _ = measured.predict(after, state=None)
-    np.testing.assert_array_equal(action[1], fresh[1])
-    np.testing.assert_array_equal(action[[0, 2]], going_on[[0, 2]])
+    assert_array_equal(action[1], fresh[1])
+    assert_array_equal(action[[0, 2]], going_on[[0, 2]])
     assert np.all(np.abs(going_on - fresh).max(axis=1) > 1e-3)
 
 
@@ -129,11 +128,4 @@ def test_repeated_observation_gives_the_same_action():
     observation, _ = gym.make(ID).reset(seed=0)
     measured = PaperFlexible(FLEX_SPATIAL, motor_acceleration="measured")
     action, state = measured.predict(observation)
-    np.testing.assert_array_equal(measured.predict(observation, state, np.array(False))[0], action)
-
-
-def test_invalid_arguments_raise():
-    with pytest.raises(ValueError, match="unknown motor_acceleration 'v'"):
-        PaperFlexible(FLEX_SPATIAL, motor_acceleration="v")
-    with pytest.raises(ValueError, match="PaperFlexible needs joint springs"):
-        PaperFlexible(SPATIAL)
+    assert_array_equal(measured.predict(observation, state, np.array(False))[0], action)

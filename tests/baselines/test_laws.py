@@ -1,19 +1,26 @@
 """Behaviour that all classical laws share: their robots, observations, batches and registered
 names."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import cablebot_baselines.classical
-from cablebot_baselines.classical import Composite, FeedbackLinearization
+from cablebot_baselines.classical import (
+    Adaptive,
+    Composite,
+    FeedbackLinearization,
+    FourthOrder,
+    MotorPD,
+    PaperFlexible,
+    Robust,
+)
 from cablebot_baselines.classical.law import first_steps
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.policies import PolicyEntry
-from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
 
 ENTRIES = [
     entry for entry in vars(cablebot_baselines.classical).values() if isinstance(entry, PolicyEntry)
@@ -38,36 +45,36 @@ def test_law_accepts_its_robot_and_rejects_others(started, entry, env_id):
     tasks, observations = started
     law = entry.factory(tasks[env_id][0].robot)
     law.reset(tasks[env_id])
-    for other_id in ENV_IDS:
-        if other_id != env_id:
-            with pytest.raises(ValueError, match=r"was built for robot .*Build the law"):
-                law.reset(tasks[other_id])
-            if (
-                observations[other_id].shape == observations[env_id].shape
-            ):  # four cables, three coordinates
-                continue
-            for wrong in (observations[other_id], observations[other_id][0]):
-                with pytest.raises(
-                    ValueError, match=r"the observation of robot '.*' has \d+ components, not"
-                ):
-                    law.predict(wrong)
+    for other_id in set(ENV_IDS) - {env_id}:
+        with pytest.raises(ValueError, match=r"was built for robot .*Build the law"):
+            law.reset(tasks[other_id])
+        rows = observations[other_id]
+        if rows.shape == observations[env_id].shape:  # four cables, three coordinates
+            continue
+        for wrong in (rows, rows[0]):
+            with pytest.raises(ValueError, match=r"observation of robot '.*' has \d+ components"):
+                law.predict(wrong)
 
 
 @pytest.mark.parametrize(
-    ("robot", "changes"),
+    ("law", "changes"),
     [
-        (SPATIAL, {"base_anchors": 1.01 * SPATIAL.base}),
-        (SPATIAL, {"platform_anchors": 1.01 * SPATIAL.platform}),
-        (FLEX_SPATIAL, {"home_pose": (0, 0, 0.15, 0, 0, 0)}),
+        (FeedbackLinearization, {"base_anchors": 1.01 * SPATIAL.base}),
+        (FeedbackLinearization, {"platform_anchors": 1.01 * SPATIAL.platform}),
+        (Composite, {"home_pose": (0, 0, 0.15, 0, 0, 0)}),
     ],
 )
-def test_law_rejects_a_robot_of_another_geometry(robot, changes):
-    law = Composite(robot) if robot.flexible else FeedbackLinearization(robot)
-    env_id = "CableBot-FlexSpatial-v0" if robot.flexible else "CableBot-Spatial-v0"
-    law.reset([gym.make(env_id, robot=robot.replace(mass=11.0)).unwrapped.task])
-    changed = gym.make(env_id, robot=robot.replace(name="changed", **changes)).unwrapped.task
+def test_law_rejects_a_robot_of_another_geometry(law, changes):
+    robot = FLEX_SPATIAL if law is Composite else SPATIAL
+    env_id = "CableBot-FlexSpatial-v0" if law is Composite else "CableBot-Spatial-v0"
+    heavier, changed = (
+        gym.make(env_id, robot=robot.replace(name="changed", **change)).unwrapped.task
+        for change in ({"mass": 11.0}, changes)
+    )
+    built = law(robot)
+    built.reset([heavier])
     with pytest.raises(ValueError, match="'changed' differs in kind or anchors"):
-        law.reset([changed])
+        built.reset([changed])
 
 
 @each_case
@@ -91,13 +98,13 @@ def test_single_observation_gives_the_action_of_its_row(started, entry, env_id):
         )
         assert action.shape == (3, env.single_action_space.shape[0])
         assert np.ptp(action, axis=0).max() > 0.01
-        np.testing.assert_array_equal(observation, before)
+        assert_array_equal(observation, before)
         for index in range(3):
             single, alone[index] = law.predict(
                 observation[index], state=alone[index], episode_start=start[index]
             )
             assert single.shape == action[index].shape
-            np.testing.assert_allclose(single, action[index], rtol=1e-9, atol=1e-9)
+            assert_allclose(single, action[index], rtol=1e-9, atol=1e-9)
         observation, *_ = env.step(action)
         start = np.zeros(3, np.bool_)
 
@@ -110,3 +117,32 @@ def test_episode_start_is_one_boolean_or_one_per_row():
     assert first_steps("a state", [True, False, True], (3,)).tolist() == [True, False, True]
     with pytest.raises(ValueError, match=r"one boolean or have shape \(3,\)"):
         first_steps("a state", [True, False], (3,))
+
+
+@pytest.mark.parametrize(
+    ("law", "robot", "keywords", "message"),
+    [
+        (FeedbackLinearization, SPATIAL, {"gains": (0.0, 1.0)}, "gains must be"),
+        (FeedbackLinearization, SPATIAL, {"gains": (30.0,)}, "gains must be"),
+        (FeedbackLinearization, PLANAR, {"minimum_tension": -1e-9}, "must be .* at least 0 N"),
+        (Adaptive, FeedbackLinearization(SPATIAL), {"estimator_prior_weight": 0.0}, "than 0 s"),
+        (Robust, SPATIAL, {"boundary_layer": 0.0}, "boundary_layer must be greater than 0"),
+        (Robust, SPATIAL, {"zeta": 1.0}, "zeta must be"),
+        (Robust, SPATIAL, {"phi": -1.0}, "phi must be"),
+        (Robust, SPATIAL, {"q": [[1.0, 0.5], [0.2, 1.0]]}, "symmetric and positive definite"),
+        (Robust, SPATIAL, {"q": [1.0, 1.0]}, "q must be a positive number or a 2×2 matrix"),
+        (Composite, SPATIAL, {}, "needs joint springs"),
+        (Composite, FLEX_SPATIAL, {"gains": (30.0, -1.0)}, "gains must be"),
+        (Composite, FLEX_SPATIAL, {"spring_damping": -1.0}, "spring_damping must be"),
+        (MotorPD, FLEX_SPATIAL, {"frequency": 0.0}, "frequency must be"),
+        (MotorPD, FLEX_SPATIAL, {"damping_ratio": 0.0}, "damping_ratio must be"),
+        (FourthOrder, FLEX_PLANAR, {}, "as many cables as coordinates"),
+        (FourthOrder, FLEX_SPATIAL, {"poles": (-1, -2, -3)}, "four stable poles"),
+        (FourthOrder, FLEX_SPATIAL, {"poles": (-1 + 1j, -2, -3, -4)}, "four stable poles"),
+        (PaperFlexible, SPATIAL, {}, "PaperFlexible needs joint springs"),
+        (PaperFlexible, FLEX_SPATIAL, {"motor_acceleration": "v"}, "unknown motor_acceleration"),
+    ],
+)
+def test_invalid_arguments_raise(law, robot, keywords, message):
+    with pytest.raises(ValueError, match=message):
+        law(robot, **keywords)

@@ -1,8 +1,6 @@
 """Shipped learned policies: the script that trains and evaluates them, and the files in the
 repository."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import subprocess
@@ -103,9 +101,7 @@ def test_weights_and_cards_of_all_policies_are_present():
 
 
 def test_page_equals_that_of_the_cards():
-    assert (ROOT / "docs/learned.md").read_text(encoding="utf-8") == card_markdown(
-        list(CARDS.values())
-    ), AGAIN
+    assert (ROOT / "docs/learned.md").read_text() == card_markdown(list(CARDS.values())), AGAIN
     known = read_best_known(script.RESULTS)
     assert [with_best_known(card, known) for card in CARDS.values()] == list(CARDS.values()), AGAIN
 
@@ -128,7 +124,7 @@ def test_card_belongs_to_its_weights(name):
     path = WEIGHTS / f"{name}.zip"
     bundle = Bundle.load(path)
     shipped = SHIPPED[card.policy]
-    assert (WEIGHTS / f"{name}.json").read_text(encoding="utf-8") == card.to_json(), AGAIN
+    assert (WEIGHTS / f"{name}.json").read_text() == card.to_json(), AGAIN
     assert card.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     assert len(card.seeds) >= LEAST_SEEDS
     assert card.shipped_seed == median_seed({run.seed: run.in_training for run in card.seeds})

@@ -1,11 +1,10 @@
 """Steering of a base law: spline, memory and features."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from steering import (
     FLEX_PLANAR_ID,
     FLEX_SPATIAL_ID,
@@ -44,17 +43,17 @@ def test_spline_is_a_smooth_partition_of_unity(degree):
     before = shift.weights(times - step, action_period)
     now = shift.weights(times, action_period)
     after = shift.weights(times + step, action_period)
-    np.testing.assert_allclose(now[:, 0].sum(axis=-1), 1.0, atol=1e-14)
+    assert_allclose(now[:, 0].sum(axis=-1), 1.0, atol=1e-14)
     assert now[:, 0].min() >= 0
     for order in range(4):
         slope = (after[:, order] - before[:, order]) / (2 * step)
         bound = 1e-5 * max(np.abs(slope).max(), action_period**-order)
-        np.testing.assert_allclose(now[:, order + 1], slope, atol=bound)
+        assert_allclose(now[:, order + 1], slope, atol=bound)
     at_start, at_end = shift.weights(np.array([0.0, action_period]), action_period)
     for order in range(min(degree, 5)):
         size = action_period**-order
-        np.testing.assert_allclose(at_end[order, 1:], at_start[order, :-1], atol=1e-9 * size)
-        np.testing.assert_allclose([at_end[order, 0], at_start[order, -1]], 0.0, atol=1e-9 * size)
+        assert_allclose(at_end[order, 1:], at_start[order, :-1], atol=1e-9 * size)
+        assert_allclose([at_end[order, 0], at_start[order, -1]], 0.0, atol=1e-9 * size)
 
 
 @pytest.mark.parametrize("env_id", [PLANAR_ID, SPATIAL_ID])
@@ -92,12 +91,12 @@ def test_preview_delays_uniform_motion_by_half_the_spline(degree, preview):
     law_blocks, _ = steer(steering, line(FLEX_SPATIAL, start, speed, times), np.zeros((steps, 6)))
     inside = slice(round(degree * action_period / PERIOD), None)
     expected = start + speed * (times[inside, None] + preview - (degree + 1) / 2 * action_period)
-    np.testing.assert_allclose(law_blocks["reference_pose"][inside], expected, atol=1e-14)
-    np.testing.assert_allclose(
+    assert_allclose(law_blocks["reference_pose"][inside], expected, atol=1e-14)
+    assert_allclose(
         law_blocks["reference_velocity"][inside], np.tile(speed, (len(expected), 1)), atol=1e-12
     )
     for order, name in enumerate(DERIVATIVES[2:], start=2):
-        np.testing.assert_allclose(
+        assert_allclose(
             law_blocks[f"reference_{name}"][inside], 0.0, atol=1e-12 / action_period**order
         )
 
@@ -121,7 +120,7 @@ def test_flexible_law_gets_derivatives_up_to_snap():
         )
         for order, name in enumerate(DERIVATIVES):
             result = law_blocks[f"reference_{name}"][step]
-            np.testing.assert_allclose(result, expected[order], rtol=1e-9, atol=1e-9 / 0.01**order)
+            assert_allclose(result, expected[order], rtol=1e-9, atol=1e-9 / 0.01**order)
 
 
 def test_action_period_is_rounded_to_control_periods():
@@ -147,7 +146,7 @@ def test_residual_adds_the_clipped_action_of_the_last_decision():
         memory = steering.reset_memory(blocks, memory, None)
         command, memory = steering.respond(blocks, actions[step], memory)
         added = command - law.predict(observation)[0]
-        np.testing.assert_allclose(added, 0.25 * np.clip(actions[step // 3 * 3], -1, 1), atol=1e-12)
+        assert_allclose(added, 0.25 * np.clip(actions[step // 3 * 3], -1, 1), atol=1e-12)
 
 
 @pytest.mark.parametrize(("degree", "preview"), [(2, 0.0), (5, 0.0), (3, 0.05)])
@@ -166,18 +165,18 @@ def test_learner_and_law_get_the_shift_of_the_present_instant(degree, preview):
     bounds = action_mapping.bounds(ErrorBounds(), SPATIAL)
     blocks = layout.split(rows)
     expected = law_blocks["reference_pose"] - blocks["reference_pose"]
-    np.testing.assert_allclose(shift * bounds, expected, atol=1e-13)
+    assert_allclose(shift * bounds, expected, atol=1e-13)
     expected = law_blocks["reference_velocity"] - blocks["reference_velocity"]
-    np.testing.assert_allclose(rate * bounds / 0.01, expected, atol=1e-11)
-    np.testing.assert_allclose(error, law_blocks["reference_pose"] - blocks["pose"], atol=1e-13)
+    assert_allclose(rate * bounds / 0.01, expected, atol=1e-11)
+    assert_allclose(error, law_blocks["reference_pose"] - blocks["pose"], atol=1e-13)
     mean = np.diff(law_blocks["reference_velocity"], axis=0) / PERIOD
-    np.testing.assert_allclose(law_blocks["reference_acceleration"][:-1], mean, atol=1e-9)
+    assert_allclose(law_blocks["reference_acceleration"][:-1], mean, atol=1e-9)
     decisions = actions[::5].copy()
     decisions[:, :3] /= np.maximum(np.linalg.norm(decisions[:, :3], axis=1, keepdims=True), 1)
     points = np.concatenate([np.zeros((degree, 6)), decisions])
     for decision in range(steps // 5):
         expected = points[decision : decision + degree].ravel()
-        np.testing.assert_allclose(past[5 * decision], expected, atol=1e-15)
+        assert_allclose(past[5 * decision], expected, atol=1e-15)
 
 
 @pytest.mark.parametrize("preview", [0.0, 0.05])
@@ -203,11 +202,11 @@ def test_shifted_motion_starts_at_rest_at_the_start_pose(preview):
     )
     for _ in range(2):
         memory = steering.reset_memory(blocks, memory, np.ones(2, bool))
-        np.testing.assert_allclose(steering.observe(blocks, memory)[:, :6], 0.0, atol=1e-15)
+        assert_allclose(steering.observe(blocks, memory)[:, :6], 0.0, atol=1e-15)
         _, memory = steering.respond(blocks, np.ones((2, 6)), memory)
     for reference in references:
-        np.testing.assert_allclose(reference["reference_pose"], blocks["pose"], rtol=0, atol=1e-15)
-        np.testing.assert_allclose(reference["reference_velocity"], 0.0, atol=1e-13)
+        assert_allclose(reference["reference_pose"], blocks["pose"], rtol=0, atol=1e-15)
+        assert_allclose(reference["reference_velocity"], 0.0, atol=1e-13)
     assert tasks[0].start_pose[2] > poses[0][2] + 1e-3
 
 
@@ -217,7 +216,7 @@ def test_progress_features_span_the_motion():
     observation_layout(PLANAR).split(rows)["time_to_go"][::-1, 0] = np.arange(len(rows)) * PERIOD
     _, learner = steer(steering, rows, np.zeros((len(rows), 2)))
     assert np.argmax(learner, axis=1).tolist() == list(range(RBF_COUNT))
-    np.testing.assert_allclose(np.diagonal(learner), 1.0)
+    assert_allclose(np.diagonal(learner), 1.0)
 
 
 def test_time_features_start_with_the_episode():
@@ -227,9 +226,7 @@ def test_time_features_start_with_the_episode():
     observation_layout(PLANAR).split(rows)["time_to_go"][:, 0] = 1.0 - np.arange(30) * PERIOD
     _, learner = steer(steering, rows, np.zeros((30, 2)))
     times = np.arange(30)[:, None] * PERIOD
-    np.testing.assert_allclose(
-        learner[:, : len(TIME_CONSTANTS)], np.exp(-times / TIME_CONSTANTS), rtol=1e-12
-    )
-    np.testing.assert_allclose(
+    assert_allclose(learner[:, : len(TIME_CONSTANTS)], np.exp(-times / TIME_CONSTANTS), rtol=1e-12)
+    assert_allclose(
         learner[:, -len(TIME_CONSTANTS) :], np.exp(-(1.0 - times) / TIME_CONSTANTS), rtol=1e-12
     )

@@ -1,9 +1,8 @@
 """Equivariant networks: the symmetries of robots, and networks that have them exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from cablebot_baselines.learned.features import REFERENCE_FEATURES, feature_symmetry
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
@@ -49,7 +48,7 @@ def test_transformed_motion_permutes_the_motors(robot):
         permutation = [
             int(np.abs(before - column[:, None]).max(axis=0).argmin()) for column in after.T
         ]
-        np.testing.assert_allclose(after, before[:, permutation], atol=1e-9)
+        assert_allclose(after, before[:, permutation], atol=1e-9)
         permutations.add(tuple(permutation))
     assert len(permutations) == 6
 
@@ -84,7 +83,7 @@ def test_network_is_equivariant_before_and_after_training(hidden, iterations):
     assert np.abs(outputs).min() > 1e-4
     for transform in symmetries(FLEX_PLANAR):
         transformed = network(inputs @ feature_symmetry(FEATURES, FLEX_PLANAR, transform).T)
-        np.testing.assert_allclose(transformed, outputs @ transform.T, atol=1e-12)
+        assert_allclose(transformed, outputs @ transform.T, atol=1e-12)
     assert not hidden or np.abs(network(-inputs) + outputs).max() > 1e-3  # it is not odd by itself
 
 

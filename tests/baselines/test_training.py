@@ -1,8 +1,6 @@
 """Training runs with Stable-Baselines3: configurations, export, checkpoints, interrupts and the
 folder of a run."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json
@@ -68,9 +66,7 @@ def plain(algorithm="ppo", **changes):
 def run(out, algorithm="ppo", changes=None, **options):
     """A training with a tiny configuration, which is written next to its folder."""
     path = out.with_name(f"{algorithm}.yaml")
-    path.write_text(
-        yaml.safe_dump({"default": plain(algorithm, **(changes or {}))}), encoding="utf-8"
-    )
+    path.write_text(yaml.safe_dump({"default": plain(algorithm, **(changes or {}))}))
     defaults = {"evaluation": QUICK, "eval_every": 128, "checkpoint_every": 64}
     return training.train(PLANAR, out=out, algorithm=algorithm, config=path, **(defaults | options))
 
@@ -256,10 +252,8 @@ def test_resumed_run_continues_from_the_saved_model(copied, monkeypatch):
     """Without updates the weights stay, while normalisation, curriculum, evaluations and logs
     continue."""
     before = weights(copied / "last.zip")
-    state = json.loads((copied / "run.json").read_text(encoding="utf-8"))
-    (copied / "run.json").write_text(
-        json.dumps(state | {"payload_ceiling": 1.25}), encoding="utf-8"
-    )
+    state = json.loads((copied / "run.json").read_text())
+    (copied / "run.json").write_text(json.dumps(state | {"payload_ceiling": 1.25}))
     counts = [pickle.loads((copied / "checkpoint/256/vecnormalize.pkl").read_bytes()).obs_rms.count]
     monkeypatch.setattr(PPO, "train", lambda self: None)
     result = training.train(PLANAR, out=copied, resume=True, timesteps=384)
@@ -281,7 +275,7 @@ def test_interrupted_command_keeps_its_results_and_resumes(tmp_path, monkeypatch
     out = tmp_path / "run"
     path = tmp_path / "ppo.yaml"
     handler = signal.getsignal(signal.SIGTERM)
-    path.write_text(yaml.safe_dump({PLANAR: plain()}), encoding="utf-8")
+    path.write_text(yaml.safe_dump({PLANAR: plain()}))
     options = [
         "--evaluation",
         json.dumps(QUICK),

@@ -1,7 +1,5 @@
 """The policy that plans a motion within the error bounds and tracks it."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from unittest.mock import Mock
@@ -9,6 +7,7 @@ from unittest.mock import Mock
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 pytest.importorskip("casadi")
 
@@ -191,10 +190,10 @@ def test_each_environment_tracks_the_plan_of_its_own_task():
             action, states[index] = alone[index].predict(
                 observed[index], states[index], start[index]
             )
-            np.testing.assert_allclose(together[index], action, atol=1e-9)
+            assert_allclose(together[index], action, atol=1e-9)
             observed[index] = singles[index].step(action)[0]
         if step == 10:
-            np.testing.assert_allclose(together[0], start_action, atol=1e-9)
+            assert_allclose(together[0], start_action, atol=1e-9)
 
 
 # --- invalid input ----------------------------------------------------------------------------------------------------

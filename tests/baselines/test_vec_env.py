@@ -1,12 +1,11 @@
 """SB3's VecEnv over the compiled batch: it equals SB3's own DummyVecEnv bit for bit."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics, TransformAction
+from numpy.testing import assert_array_equal, assert_equal
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
@@ -51,7 +50,7 @@ def check_same_dict(infos, expected):
     for key, value in expected.items():
         assert type(infos[key]) is type(value), key
         assert getattr(infos[key], "dtype", None) == getattr(value, "dtype", None), key
-        np.testing.assert_array_equal(infos[key], value, err_msg=key)
+        assert_array_equal(infos[key], value, err_msg=key)
 
 
 def check_same_run(env, twin, actions):
@@ -62,7 +61,7 @@ def check_same_run(env, twin, actions):
         results = env.step(action)
         expected = twin.step(action)
         for result, expected_result in zip(results[:3], expected[:3], strict=True):
-            np.testing.assert_array_equal(result, expected_result, strict=True)
+            assert_array_equal(result, expected_result, strict=True)
         for result, expected_result in zip(
             results[3] + env.reset_infos, expected[3] + twin.reset_infos, strict=True
         ):
@@ -80,11 +79,11 @@ def test_transitions_equal_those_of_dummy_vec_env(env_id):
     assert env.observation_space == twin.observation_space
     assert env.action_space == twin.action_space
     assert env.seed(7) == twin.seed(7)
-    np.testing.assert_array_equal(env.reset(), twin.reset())
+    assert_array_equal(env.reset(), twin.reset())
     failed, limited = check_same_run(env, twin, random_actions(env, 40))
     assert failed > 0
     assert limited > 0
-    np.testing.assert_array_equal(env.reset(), twin.reset())  # the seeds applied once
+    assert_array_equal(env.reset(), twin.reset())  # the seeds applied once
 
 
 def test_info_keys_select_the_info_of_the_episode_that_ended():
@@ -119,10 +118,10 @@ def test_results_may_be_overwritten_by_the_caller():
     env = ours(seed=2)
     twin = ours(seed=2)
     env.reset(), twin.reset()
-    np.testing.assert_array_equal(env.action_space.sample(), twin.action_space.sample())
+    assert_array_equal(env.action_space.sample(), twin.action_space.sample())
     for action in random_actions(env, 16):
         *results, infos = env.step(action)
-        np.testing.assert_array_equal(results[0], twin.step(action)[0])
+        assert_array_equal(results[0], twin.step(action)[0])
         for value in (*results, *(info.get("terminal_observation", np.zeros(1)) for info in infos)):
             value[:] = 1
 
@@ -134,7 +133,7 @@ def test_options_apply_to_one_episode():
         vec_env.seed(5)
         vec_env.set_options({"payload": 1.5, "payload_known": False})
     for _ in range(2):
-        np.testing.assert_array_equal(env.reset(), twin.reset())
+        assert_array_equal(env.reset(), twin.reset())
         for info, expected in zip(env.reset_infos, twin.reset_infos, strict=True):
             check_same_dict(info, expected)
     check_same_run(env, twin, random_actions(env, 12))
@@ -164,10 +163,8 @@ def test_attributes_equal_those_of_the_single_environments():
         vec_env.reset()
         vec_env.step(random_actions(vec_env, 1)[0])
     for name in ("pose", "action_space", "observation_space", "render_mode", "np_random_seed"):
-        np.testing.assert_equal(env.get_attr(name), twin.get_attr(name))
-    np.testing.assert_equal(
-        env.get_attr("pose", indices=[3, 1]), twin.get_attr("pose", indices=[3, 1])
-    )
+        assert_equal(env.get_attr(name), twin.get_attr(name))
+    assert_equal(env.get_attr("pose", indices=[3, 1]), twin.get_attr("pose", indices=[3, 1]))
     with pytest.raises(AttributeError, match="paylaod"):
         env.get_attr("paylaod")
     with pytest.raises(NotImplementedError, match=r"set_options\(\)"):
@@ -180,12 +177,12 @@ def test_wrappers_of_the_batch_take_effect():
     plain = VecMonitor(ours(seed=0))
     wrapped = CableBotVecEnv(halved)
     wrapped.seed(0)
-    np.testing.assert_array_equal(plain.reset(), wrapped.reset())
+    assert_array_equal(plain.reset(), wrapped.reset())
     ends = 0
     for action in random_actions(plain, 30):
         observation, _, dones, theirs = plain.step(0.5 * action)
         wrapped_observation, _, _, infos = wrapped.step(action)
-        np.testing.assert_array_equal(wrapped_observation, observation)
+        assert_array_equal(wrapped_observation, observation)
         for env_index in np.flatnonzero(dones):
             mine = infos[env_index]["episode"]
             its = theirs[env_index]["episode"]

@@ -1,7 +1,5 @@
 """Fixtures of the tests of the benchmark."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 
@@ -18,7 +16,7 @@ def module(tmp_path, monkeypatch):
     def write(name, text):
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text)
         importlib.invalidate_caches()
         hashes = (code_hash.source_hash, code_hash.module_file)
         for cached in (*hashes, policy_sources.policy_source, policy_sources._data_files):

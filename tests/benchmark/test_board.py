@@ -1,8 +1,6 @@
 """Boards: the hidden motions and the policies are fixed by a commitment; stored promises are tried
 again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -46,7 +44,7 @@ def hidden(motions):
 def test_secret_has_a_file_of_its_own(tmp_path, policy):
     name = policy("def make(robot): ...\n")
     board = boards.commit(tmp_path, "1", {PLANAR: [name]}, 20)
-    public = (tmp_path / boards.BOARD).read_text(encoding="utf-8")
+    public = (tmp_path / boards.BOARD).read_text()
     assert board.secret not in public
     assert board.salt not in public
     assert (tmp_path / boards.SECRET).stat().st_mode & 0o077 == 0
@@ -117,7 +115,7 @@ def test_evaluation_seed_is_drawn_once_for_a_folder(tmp_path):
     assert boards.run_seed(tmp_path) == seed
     assert boards.run_seed(tmp_path / "other") != seed
     assert boards.run_seed(tmp_path, 7) == boards.run_seed(tmp_path) == 7
-    (tmp_path / boards.RUN).write_text("{", encoding="utf-8")
+    (tmp_path / boards.RUN).write_text("{")
     with pytest.raises(ValueError, match="missing or damaged"):
         boards.run_seed(tmp_path)
 

@@ -1,8 +1,6 @@
 """Cells: their keys, the evaluation that they request, and the hash of the code that computes
 them."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os
@@ -445,7 +443,7 @@ def test_hash_has_the_file_of_a_real_robot(tmp_path, monkeypatch):
         "cablebot_gym.benchmark.cells.library", lambda: {"cogiro": tmp_path / "cogiro.toml"}
     )
     for content in ("mass = 1", "mass = 2"):
-        (tmp_path / "cogiro.toml").write_text(content, encoding="utf-8")
+        (tmp_path / "cogiro.toml").write_text(content)
         code_hash.source_hash.cache_clear()
         hashes.append([cell.source for cell in cells])
     assert [before == after for before, after in zip(*hashes, strict=True)] == [False, False, True]

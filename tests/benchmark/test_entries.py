@@ -1,8 +1,6 @@
 """Entries of others: tampered folders and claims are refused. The commands have tests in
 tests/cli."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -61,7 +59,7 @@ def entry(module, tmp_path, monkeypatch):
     results = Results(
         suite="tiny", command="", records=records, entries=[note(folder, "unverified")]
     )
-    (folder / "results.json").write_text(results.to_json(), encoding="utf-8")
+    (folder / "results.json").write_text(results.to_json())
     return folder
 
 
@@ -104,11 +102,11 @@ def test_entry_has_the_files_of_its_policy(entry):
 
 def write(path, text):
     path.parent.mkdir(exist_ok=True)
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)
 
 
 def edit(entry, change):
-    card = json.loads((entry / "entry.json").read_text(encoding="utf-8"))
+    card = json.loads((entry / "entry.json").read_text())
     write(entry / "entry.json", json.dumps(card | change))
 
 
@@ -178,7 +176,7 @@ FALSE_CLAIMS = {
 @pytest.mark.parametrize(("old", "new", "message"), FALSE_CLAIMS.values(), ids=FALSE_CLAIMS)
 def test_claims_under_other_conditions_are_refused(entry, old, new, message):
     path = entry / "results.json"
-    path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    path.write_text(path.read_text().replace(old, new))
     with pytest.raises(ValueError, match=message):
         read_claims(entry)
 

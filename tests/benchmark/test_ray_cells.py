@@ -1,11 +1,8 @@
 """Cells on a Ray cluster of two nodes on this machine: equal numbers, and no cell is lost with its
 worker."""
 
-from __future__ import annotations
-
 import os
 import signal
-import sys
 import warnings
 from functools import partial
 from pathlib import Path
@@ -120,9 +117,3 @@ def test_address_without_cluster_raises_at_once(address):
         ValueError, match=rf"{address}' is not an address|no Ray cluster at '{address}"
     ):
         on_ray(address)
-
-
-def test_missing_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[ray\]'"):
-        on_ray("local")

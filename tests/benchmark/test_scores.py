@@ -1,7 +1,5 @@
 """Scores, ranks, tables, maps and the page against numbers worked out by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

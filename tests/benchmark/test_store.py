@@ -1,7 +1,5 @@
 """Store and runs of cells: finished cells are kept, damaged or foreign files are not used."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -4,8 +4,6 @@ samples still hold.
 The last line of each page is the command that computes it.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -29,9 +27,7 @@ PAGES = {
 @pytest.fixture(scope="module")
 def results():
     def read(name):
-        return Results.from_json(
-            (ROOT / "docs" / name / "results.json").read_text(encoding="utf-8")
-        )
+        return Results.from_json((ROOT / "docs" / name / "results.json").read_text())
 
     return {name: read(name) for name in (*PAGES, "library")}
 
@@ -40,8 +36,8 @@ def results():
 def test_page_follows_from_the_results(results, name):
     folder = ROOT / "docs" / name
     again = f"run {results[name].command}"
-    assert PAGES[name].read_text(encoding="utf-8") == markdown(results[name]), again
-    assert (folder / "results.json").read_text(encoding="utf-8") == results[name].to_json(), again
+    assert PAGES[name].read_text() == markdown(results[name]), again
+    assert (folder / "results.json").read_text() == results[name].to_json(), again
 
 
 def records_of(results, kind):
@@ -131,9 +127,7 @@ SETTINGS = {
 
 def prose(path):
     """Text of a page without code and without tables that scripts write."""
-    text = re.sub(
-        r"<!-- [^>]*written by.*?<!-- end", "", path.read_text(encoding="utf-8"), flags=re.DOTALL
-    )
+    text = re.sub(r"<!-- [^>]*written by.*?<!-- end", "", path.read_text(), flags=re.DOTALL)
     return re.sub(r"```.*?```", "", text, flags=re.DOTALL)
 
 

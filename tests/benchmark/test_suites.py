@@ -1,7 +1,5 @@
 """Suites: their cells and policies."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 

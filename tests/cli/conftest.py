@@ -1,8 +1,7 @@
 """Fixtures of the tests of the command line."""
 
-from __future__ import annotations
-
 import json
+import shlex
 import sys
 from dataclasses import dataclass
 
@@ -98,7 +97,8 @@ class Ended:
 
 @pytest.fixture
 def cablebot(monkeypatch, capfd, tmp_path):
-    """Runs a command in this process, in an empty folder."""
+    """Runs a command in this process, in an empty folder: a line as in a shell, and further
+    arguments."""
     folder = tmp_path / "work"
     folder.mkdir()
     monkeypatch.chdir(folder)
@@ -106,8 +106,9 @@ def cablebot(monkeypatch, capfd, tmp_path):
         "cablebot_gym.utils.console.FIRST_LINE", 1e9
     )  # no lines of progress on a slow machine
 
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["cablebot", *map(str, arguments)])
+    def run(line, *arguments):
+        typed = [*shlex.split(line), *map(str, arguments)]
+        monkeypatch.setattr(sys, "argv", ["cablebot", *typed])
         with pytest.raises(SystemExit) as ended:
             cli.main()
         return Ended(ended.value.code or 0, *capfd.readouterr())
@@ -120,7 +121,7 @@ def toys(tmp_path, monkeypatch):
     """A module of policies by ``toys:name``, each FL except for what its name says."""
     folder = tmp_path / "modules"
     folder.mkdir()
-    (folder / "cli_toys.py").write_text(TOYS, encoding="utf-8")
+    (folder / "cli_toys.py").write_text(TOYS)
     monkeypatch.syspath_prepend(folder)
     yield lambda name: f"cli_toys:{name}"
     sys.modules.pop("cli_toys", None)
@@ -142,3 +143,7 @@ def no_work(monkeypatch):
 def names(folder):
     """Names of the files in a folder."""
     return sorted(path.name for path in folder.iterdir())
+
+
+def read_json(path):
+    return json.loads(path.read_text())

@@ -1,7 +1,5 @@
 """``cablebot doctor``."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re
@@ -12,7 +10,6 @@ from importlib.metadata import EntryPoint, entry_points
 import pytest
 
 from cablebot_gym import ENV_IDS
-from cablebot_gym.cli import app as cli
 from cablebot_gym.cli import doctor
 from cablebot_gym.cli.doctor import Finding, examine
 from cablebot_gym.policies import ENTRY_POINT_GROUP
@@ -141,9 +138,8 @@ def test_read_only_folder_without_compiled_code_is_a_fault(monkeypatch, tmp_path
 
 
 def test_unknown_id_to_compile_is_refused(cablebot):
-    assert "unknown --compile 'CableBot-Cubic-v0'" in cablebot(
-        "doctor", "--compile", "CableBot-Cubic-v0"
-    ).message(2)
+    message = cablebot("doctor --compile CableBot-Cubic-v0").message(2)
+    assert "unknown --compile 'CableBot-Cubic-v0'" in message
 
 
 @pytest.mark.slow
@@ -151,31 +147,25 @@ def test_unknown_id_to_compile_is_refused(cablebot):
 def test_compiled_id_needs_no_compilation_afterwards(tmp_path, env_id):
     """Excludes code that only laws of redundant cables use, which would be compiled at each start
     of a container."""
-    env = os.environ | {
-        "NUMBA_CACHE_DIR": str(tmp_path / "compiled"),
-        "CABLEBOT_CACHE": str(tmp_path / "plans"),
-    }
-    command = [sys.executable, "-m", "cablebot_gym.cli.app"]
+    compiled = tmp_path / "compiled"
+    folders = {"NUMBA_CACHE_DIR": str(compiled), "CABLEBOT_CACHE": str(tmp_path / "plans")}
 
-    def run(*arguments):
-        return subprocess.run(
-            [*command, *arguments], env=env, capture_output=True, text=True, check=True
-        )
+    def run(line):
+        command = [sys.executable, "-m", "cablebot_gym.cli.app", *line.split()]
+        options = {"capture_output": True, "text": True, "check": True}
+        return subprocess.run(command, env=os.environ | folders, **options)
 
-    run("doctor", "--compile", env_id)
-    before = sorted((tmp_path / "compiled" / "cablebot_gym").iterdir())
-    ended = run("dlcc", env_id, "--policy", "fl", "--resolution", "0.5", "--payload-max", "3")
+    run(f"doctor --compile {env_id}")
+    before = sorted((compiled / "cablebot_gym").iterdir())
+    ended = run(f"dlcc {env_id} --policy fl --resolution 0.5 --payload-max 3")
     assert "compiling" not in ended.stderr
-    assert sorted((tmp_path / "compiled" / "cablebot_gym").iterdir()) == before
+    assert sorted((compiled / "cablebot_gym").iterdir()) == before
 
 
 @pytest.mark.parametrize(("good", "status"), [(True, 0), (None, 0), (False, 1)])
-def test_exit_status_is_1_for_faults_only(monkeypatch, capsys, good, status):
-    monkeypatch.setattr("sys.argv", ["cablebot", "doctor"])
-    monkeypatch.setattr(
-        doctor, "examine", lambda: [Finding(name="a thing", ok=good, text="as it is")]
-    )
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert (ended.value.code or 0) == status
-    assert "a thing: as it is" in capsys.readouterr().out
+def test_exit_status_is_1_for_faults_only(cablebot, monkeypatch, good, status):
+    finding = Finding(name="a thing", ok=good, text="as it is")
+    monkeypatch.setattr(doctor, "examine", lambda: [finding])
+    ended = cablebot("doctor")
+    assert ended.status == status
+    assert "a thing: as it is" in ended.out

@@ -1,9 +1,8 @@
 """``cablebot list``."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
+from collections import defaultdict
 
 import pytest
 
@@ -17,7 +16,7 @@ from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES, find_uncertainty
 
 @pytest.fixture
 def data(cablebot):
-    return cablebot("list", "--json").data
+    return cablebot("list --json").data
 
 
 NAMES = {
@@ -45,14 +44,10 @@ def test_json_and_text_have_every_name_and_unit(cablebot, data):
 def test_robots_have_their_kind_and_documented_sources(data):
     robots = {robot["name"]: robot for robot in data["robots"]}
     camera = robots["flex-stadium-camera"]
-    paper = robots["planar"]
-    assert camera["kind"] == "point"
-    assert camera["cables"] == 4
-    assert camera["transmission"] == "elastic cables"
-    assert camera["origin"] == "library"
-    assert paper["kind"] == "planar"
-    assert paper["origin"] == "paper"
-    assert paper["sources"] == {}
+    expected = {"kind": "point", "cables": 4, "transmission": "elastic cables"}
+    assert (expected | {"origin": "library"}).items() <= camera.items()
+    paper = {"kind": "planar", "origin": "paper", "sources": {}}
+    assert paper.items() <= robots["planar"].items()
     assert "mass" not in camera["assumed"]
     assert camera["documented"] == len(camera["sources"]) - len(camera["assumed"])
 
@@ -67,20 +62,20 @@ def test_listed_defaults_make_the_named_trajectory(data):
 def test_listed_fields_make_the_named_uncertainty(data):
     for name, entries in data["uncertainty_fields"].items():
         for env_id in ENV_IDS:
-            values = {}
+            values = defaultdict(dict)
             for entry in entries:
                 if env_id in entry["env_ids"]:
                     group, _, key = entry["field"].partition(".")
                     if key:
-                        values.setdefault(group, {})[key] = entry["value"]
+                        values[group][key] = entry["value"]
                     else:
                         values[group] = entry["value"]
             robot = find_robot(env_robot(env_id))
-            assert find_uncertainty(values, robot) == find_uncertainty(name, robot)
+            assert find_uncertainty(dict(values), robot) == find_uncertainty(name, robot)
 
 
 def test_file_in_the_current_folder_hides_no_package(tmp_path):
-    (tmp_path / "numpy.py").write_text("raise RuntimeError('hidden')\n", encoding="utf-8")
+    (tmp_path / "numpy.py").write_text("raise RuntimeError('hidden')\n")
     command = [sys.executable, "-P", "-c", "from cablebot_gym.cli.app import main; main()", "list"]
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ran.returncode == 0

@@ -1,17 +1,16 @@
 """``cablebot submit`` and ``cablebot verify``: an outside package from its pull request to a board,
 and cheats."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cli.conftest import names
+from cli.conftest import names, read_json
 
 from cablebot_gym.benchmark import suites
 from cablebot_gym.benchmark.entries import make_entry
@@ -29,25 +28,16 @@ TINY = Suite(
     blocks=(Block(conditions=CHANGES),),
     best_known=False,
 )
-HIDDEN = Suite(
-    name="hidden",
-    summary="hidden motions",
-    env_ids=(PLANAR,),
-    blocks=(Block(motion="hidden", conditions=CHANGES), Block(conditions=CHANGES)),
-    best_known=False,
+HIDDEN = replace(
+    TINY, name="hidden", blocks=(Block(motion="hidden", conditions=CHANGES), *TINY.blocks)
 )
-CARD = (
-    "--authors",
-    "A. Author",
-    "--licence",
-    "BSD-3-Clause",
-    "--compute",
-    "1 h",
-    "--data",
-    "none",
-    "--seeds",
-    "0",
+CARD = {"authors": "A. Author", "licence": "BSD-3-Clause", "compute": "1 h"}
+
+
+SUBMIT = f"--id {PLANAR} --suite tiny " + " ".join(
+    f"--{name} '{text}'" for name, text in CARD.items()
 )
+CARD |= {"data": "none", "seeds": "0"}
 LAW = """
 from pathlib import Path
 import numpy as np
@@ -89,7 +79,7 @@ def command(cablebot, monkeypatch):
     """Runs a command on tiny suites with one worker, which is this process."""
     monkeypatch.setattr(suites, "SUITES", {"tiny": TINY, "hidden": HIDDEN} | suites.SUITES)
     monkeypatch.setenv("CABLEBOT_SANDBOX", "on")
-    return lambda *arguments: cablebot(*arguments, "--workers", 1)
+    return lambda line, *arguments: cablebot(f"{line} --workers 1", *arguments)
 
 
 @pytest.fixture
@@ -101,12 +91,8 @@ def install(tmp_path):
             file.writestr(name, text)
 
     def run(target):
-        options = ("--no-deps", "--no-index", "-q", "--target", target)
-        subprocess.run(
-            [sys.executable, "-m", "pip", "install", *options, wheel],
-            check=True,
-            capture_output=True,
-        )
+        typed = f"-m pip install --no-deps --no-index -q --target {target} {wheel}"
+        subprocess.run([sys.executable, *typed.split()], check=True, capture_output=True)
 
     return run
 
@@ -115,23 +101,15 @@ def install(tmp_path):
 def source(tmp_path):
     """Folder of the sources of a policy of others: the module ``mine.py`` and a file that it
     reads."""
-    (tmp_path / "work").mkdir(exist_ok=True)
-    (tmp_path / "work" / "mine.py").write_text(LAW, encoding="utf-8")
-    (tmp_path / "work" / "gains.txt").write_text("400 40", encoding="utf-8")
-    return tmp_path / "work"
+    folder = tmp_path / "work"
+    folder.mkdir(exist_ok=True)
+    (folder / "mine.py").write_text(LAW)
+    (folder / "gains.txt").write_text("400 40")
+    return folder
 
 
 def record(entry):
-    return json.loads((entry / "verification.json").read_text(encoding="utf-8"))
-
-
-def change(path, edit):
-    data = json.loads(path.read_text(encoding="utf-8"))
-    edit(data)
-    path.write_text(json.dumps(data), encoding="utf-8")
-
-
-SUBMIT = ("--id", PLANAR, "--suite", "tiny", *CARD)
+    return read_json(Path(entry, "verification.json"))
 
 
 @in_a_sandbox
@@ -143,48 +121,34 @@ def test_package_of_others_is_submitted_verified_and_on_a_board(
     install(tmp_path / "site")
     with pytest.MonkeyPatch.context() as author:
         author.syspath_prepend(tmp_path / "site")
-        submitted = command("submit", "pendant", "--out", entry, *SUBMIT)
+        submitted = command(f"submit pendant --out {entry} {SUBMIT}")
         assert submitted.status == 0, submitted.err
         assert "pendant, unverified" in submitted.out
     public_entry.cache_clear()
     module_file.cache_clear()
     assert names(entry) == ["entry.json", "results.json"]
-    message = command("verify", entry).message(2)
-    assert (
-        "pip install --no-deps --only-binary :all: --target entries/pendant/packages pendant-law==1.2"
-        in message
-    )
+    target = "--only-binary :all: --target entries/pendant/packages pendant-law==1.2"
+    message = command(f"verify {entry}").message(2)
+    assert f"pip install --no-deps {target}" in message
     install(entry / "packages")
-    verified = command("verify", entry)
+    verified = command(f"verify {entry}")
     assert verified.status == 0, verified.err
     verification = record(entry)
     assert verification["outcome"] == "verified"
     assert verification["network"] == "cut"
     assert verification["sandbox"].startswith("bubblewrap")
-    assert str(verification["seed"]) not in (entry / "results.json").read_text(encoding="utf-8")
-    board = (
-        "benchmark",
-        "--suite",
-        "hidden",
-        "--policies",
-        "fl",
-        "--entries",
-        "entries",
-        "--out",
-        "board",
-    )
-    committed = command(*board, "--commit", "1")
-    assert committed.status == 0, committed.err
-    ran = command(*board)
-    assert ran.status == 0, ran.err
-    page = Path("board/leaderboard.md").read_text(encoding="utf-8")
-    assert (
-        "| `entries/pendant` | pendant-law==1.2 | A. Author | BSD-3-Clause | 1 h | none | 0 | verified |"
-        in page
-    )
+    assert str(verification["seed"]) not in (entry / "results.json").read_text()
+    for options in ("--commit 1", ""):
+        board = "benchmark --suite hidden --policies fl --entries entries --out board "
+        ended = command(board + options)
+        assert ended.status == 0, ended.err
+    page = Path("board/leaderboard.md").read_text()
+    card = "pendant-law==1.2 | A. Author | BSD-3-Clause | 1 h | none | 0"
+    assert f"| `entries/pendant` | {card} | verified |" in page
     assert "unverified" not in page
-    (entry / "packages/pendant_law/gains.txt").write_text("800 40", encoding="utf-8")
-    assert "does not match its card in pendant_law/gains.txt" in command("verify", entry).message(1)
+    (entry / "packages/pendant_law/gains.txt").write_text("800 40")
+    message = command(f"verify {entry}").message(1)
+    assert "does not match its card in pendant_law/gains.txt" in message
     assert record(entry)["outcome"] == "refused"
 
 
@@ -202,11 +166,11 @@ class Reader(Law):
 @pytest.mark.slow
 def test_policy_that_needs_files_of_its_author_is_refused(command, source):
     """On the machine of its author it reads a file, and is good; in the sandbox there is none."""
-    (source / "mine.py").write_text(LAW + READER, encoding="utf-8")
+    (source / "mine.py").write_text(LAW + READER)
     sandbox.opt_out()
-    assert command("submit", "mine.py:Reader", "--out", "entries/reader", *SUBMIT).status == 0
+    assert command(f"submit mine.py:Reader --out entries/reader {SUBMIT}").status == 0
     os.environ["CABLEBOT_SANDBOX"] = "on"
-    message = command("verify", "entries/reader").message(1)
+    message = command("verify entries/reader").message(1)
     assert "rerun: policy 'entries/reader': it raised RuntimeError" in message
 
 
@@ -215,33 +179,29 @@ def test_larger_claim_is_refused_and_its_folder_is_unverified(command, source):
     """Without a sandbox, so that it runs everywhere."""
     entry = Path("entries/mine")
     sandbox.opt_out()
-    assert command("submit", "mine.py:Law", "--out", entry, *SUBMIT).status == 0
+    assert command(f"submit mine.py:Law --out {entry} {SUBMIT}").status == 0
     assert names(entry) == ["entry.json", "policy", "results.json"]
-    good = command("verify", entry, "--no-sandbox")
+    good = command(f"verify {entry} --no-sandbox")
     assert good.status == 0
     assert record(entry)["outcome"] == "reproduced without a sandbox"
     assert "with network and all files" in good.out
     assert names(Path("verification/mine")) == []
-
-    def larger(results):
-        results["cells"][0]["result"]["payload"] += 0.5
-
-    change(entry / "results.json", larger)
-    message = command("verify", entry, "--no-sandbox").message(1)
+    results = read_json(entry / "results.json")
+    results["cells"][0]["result"]["payload"] += 0.5
+    (entry / "results.json").write_text(json.dumps(results))
+    message = command(f"verify {entry} --no-sandbox").message(1)
     assert message.startswith("cablebot: refused: CableBot-Planar-v0, circle-planar")
     assert "claimed; rerun: it carries" in message
 
 
 def test_entry_needs_a_sandbox_or_consent_and_results(command, cablebot, source, monkeypatch):
     monkeypatch.setattr(sandbox, "sandbox_problem", lambda: "bubblewrap is not installed")
-    for arguments in (("verify", "entries/mine"), ("benchmark", "--entries", "entries")):
-        message = command(*arguments).message(2)
+    for line in ("verify entries/mine", "benchmark --entries entries"):
+        message = command(line).message(2)
         assert "there is no sandbox: bubblewrap is not installed. --no-sandbox runs" in message
-    assert "--sandbox needs --isolate" in cablebot(
-        "dlcc", PLANAR, "--policy", "fl", "--sandbox"
-    ).message(2)
-    texts = dict(zip((name.removeprefix("--") for name in CARD[::2]), CARD[1::2], strict=True))
-    make_entry(Path("entries/mine"), "mine.py:Law", [PLANAR], texts)
-    message = command("verify", "entries/mine", "--no-sandbox").message(1)
+    message = cablebot(f"dlcc {PLANAR} --policy fl --sandbox").message(2)
+    assert "--sandbox needs --isolate" in message
+    make_entry(Path("entries/mine"), "mine.py:Law", [PLANAR], CARD)
+    message = command("verify entries/mine --no-sandbox").message(1)
     assert "refused: 'entries/mine/results.json' holds no results" in message
-    assert record(Path("entries/mine"))["sandbox"] is None
+    assert record("entries/mine")["sandbox"] is None

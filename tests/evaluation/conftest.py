@@ -1,7 +1,5 @@
 """A policy that drops payloads, and an episode in a single environment."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cablebot_baselines.classical import FeedbackLinearization

@@ -1,7 +1,5 @@
 """The judge on hand-made episodes, and the monitor on live ones."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 from evaluation.conftest import play
 from gymnasium.error import ResetNeeded
+from numpy.testing import assert_array_equal
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, Verdict, evaluate_dlcc
@@ -144,23 +143,19 @@ def test_slack_violation_names_the_first_slack_cable(slack, cable):
 
 def test_low_tension_violates_the_task_criterion_only():
     low = third(tension=(1.0, 0.4, 0.7))
-    violation = judged(low, "task").violation
-    assert violation.kind == "slack"
-    assert violation.index == 2
-    assert violation.bound == 1.0
-    assert violation.excess == 0.6
+    violation = judged(low).violation
+    assert (violation.kind, violation.index) == ("slack", 2)
+    assert (violation.bound, violation.excess) == (1.0, 0.6)
     assert str(violation) == "cable 2 falls below its tension bound of 1 N at t = 0.006 s"
-    assert judged(third(tension=(1.0, 1.0, 1.0)), "task").carried
+    assert judged(third(tension=(1.0, 1.0, 1.0))).carried
     assert judged(low, "paper").carried
-    assert judged(low, "task", cable="bilateral").carried, "a bilateral cable may push"
+    assert judged(low, cable="bilateral").carried, "a bilateral cable may push"
 
 
 def test_weak_motor_at_the_start_violates_the_task_criterion():
     start = {"action": (0.1, 0.2, 1.1)}  # margins of 4.5, 4.8 and -0.7 N·m
     violation = judged([{}] * 4, start=start).violation
-    assert violation.kind == "torque"
-    assert violation.index == 3
-    assert violation.time == 0.0
+    assert (violation.kind, violation.index, violation.time) == ("torque", 3, 0.0)
     assert violation.excess == pytest.approx(0.7)
     assert str(violation) == "motor 3 cannot hold the robot at rest at t = 0.000 s"
     assert judged([{}] * 4, start=start, starts_at_rest=False).carried
@@ -170,24 +165,21 @@ def test_weak_motor_at_the_start_violates_the_task_criterion():
 def test_judge_reads_the_task_only_at_the_reset():
     env = DLCCMonitor(Scripted(third(position=0.015)))
     env.reset()
-    object.__setattr__(env.env.task, "error_bounds", ErrorBounds(position=1.0))
-    object.__setattr__(env.env.task, "steps", 1)
+    changes = {"error_bounds": ErrorBounds(position=1.0), "steps": 1}
+    for name, value in changes.items():
+        object.__setattr__(env.env.task, name, value)
     for _ in range(5):
         env.step(np.zeros(3))
-    assert not env.verdict.carried
     assert env.verdict.violation.kind == "position"
 
 
 def test_error_violations_state_bound_and_time():
     for criterion in ("task", "paper"):
         position = judged(third(position=0.013), criterion).violation
-        assert position.kind == "position"
-        assert position.index is None
-        assert position.bound == 0.01
+        assert (position.kind, position.index, position.bound) == ("position", None, 0.01)
         assert (position.time, position.excess) == pytest.approx((3 * PERIOD, 0.003))
-    rotation = judged(third(rotation=0.025), "task").violation
-    assert rotation.kind == "rotation"
-    assert rotation.bound == 0.02
+    rotation = judged(third(rotation=0.025)).violation
+    assert (rotation.kind, rotation.bound) == ("rotation", 0.02)
     assert rotation.excess == pytest.approx(0.005)
     assert str(rotation) == "rotation error reaches its bound of 20 mrad at t = 0.006 s"
 
@@ -219,49 +211,38 @@ EVENTS = {
 @each_criterion
 def test_violations_of_one_step_have_a_fixed_order(criterion, start):
     assert tuple(EVENTS) == KINDS
-    unchecked = {"task": "torque", "paper": "rotation"}[criterion]
-    kinds = KINDS[start:]
     together = {}
-    for kind in kinds:
+    for kind in KINDS[start:]:
         together |= EVENTS[kind]
-    expected = next(kind for kind in kinds if kind != unchecked)
+    unchecked = {"task": "torque", "paper": "rotation"}[criterion]
+    expected = next(kind for kind in KINDS[start:] if kind != unchecked)
     violation = judged(third(**together), criterion).violation
     assert violation.kind == expected
     assert violation.time == pytest.approx((2 if expected == "torque" else 3) * PERIOD)
 
 
 def test_later_violation_does_not_replace_the_first():
-    script = [
-        {"action": (0.5, 0.1, 0.1), "tension": (9, 8, 6.5)},
-        {"position": 0.02, "rotation": 0.004, "action": (0.1, -0.9, 0.1), "tension": (5, 9, 9)},
-        {
-            "position": 0.09,
-            "rotation": 0.9,
-            "action": (4.0, 4.0, 4.0),
-            "tension": (0, 0, 0),
-            "slack": (1,),
-        },
-    ]
-    verdict = judged(script)
-    assert verdict.violation.kind == "position"
-    assert verdict.violation.time == 2 * PERIOD
+    before = {"action": (0.5, 0.1, 0.1), "tension": (9, 8, 6.5)}
+    violation = {"position": 0.02, "rotation": 0.004, "action": (0.1, -0.9, 0.1)}
+    later = {"position": 0.09, "rotation": 0.9, "action": (4.0, 4.0, 4.0)}
+    later |= {"tension": (0, 0, 0), "slack": (1,)}
+    verdict = judged([before, violation | {"tension": (5, 9, 9)}, later])
+    assert (verdict.violation.kind, verdict.violation.time) == ("position", 2 * PERIOD)
     assert verdict.violation.excess == pytest.approx(0.01)
     assert verdict.peak_action == (0.5, 0.9, 0.1)
-    assert verdict.position_peak == 0.02
-    assert verdict.rotation_peak == 0.004
-    assert verdict.least_tension == 5.0
+    peaks = (verdict.position_peak, verdict.rotation_peak, verdict.least_tension)
+    assert peaks == (0.02, 0.004, 5.0)
 
 
 def test_errors_at_the_start_count():
     for criterion in ("task", "paper"):
         position = judged([{}] * 4, criterion, start={"position": 0.011}).violation
-        assert position.kind == "position"
-        assert position.time == 0.0
+        assert (position.kind, position.time) == ("position", 0.0)
         assert position.excess == pytest.approx(0.001)
-    rotation = judged([{}] * 4, "task", start={"rotation": 0.03}).violation
-    assert rotation.kind == "rotation"
-    assert rotation.time == 0.0
-    assert judged([{}] * 4, "paper", start={"rotation": 0.03}).carried
+    start = {"rotation": 0.03}
+    rotation = judged([{}] * 4, start=start).violation
+    assert (rotation.kind, rotation.time) == ("rotation", 0.0)
+    assert judged([{}] * 4, "paper", start=start).carried
 
 
 def test_tensions_and_actions_of_the_reset_do_not_count():
@@ -283,22 +264,17 @@ def test_episodes_of_a_batch_are_independent():
     none = np.zeros(3, np.bool_)
     judge.reset(stacked(*(info_of(0, payload=p) for p in (1.0, 2.0, 3.0))), HandMadeTask(3))
     judge.observe(stacked(info_of(1), info_of(1, position=0.03), info_of(1)), none)
-    judge.observe(
-        stacked(info_of(2, position=0.004), info_of(2, position=0.05), info_of(2, slack=(2,))), none
-    )
+    changes = ({"position": 0.004}, {"position": 0.05}, {"slack": (2,)})
+    judge.observe(stacked(*(info_of(2, **change) for change in changes)), none)
     assert not judge.carried.any()
     judge.observe(stacked(info_of(3), info_of(3), info_of(3)), np.array([False, True, True]))
     verdicts = [judge.verdict(index) for index in range(3)]
     assert judge.failed.tolist() == [False, True, True]
-    assert (
-        judge.carried.tolist() == [verdict.carried for verdict in verdicts] == [True, False, False]
-    )
-    assert [verdict.payload for verdict in verdicts] == [1.0, 2.0, 3.0]
-    assert [verdict.position_peak for verdict in verdicts] == [0.004, 0.03, 0.001]
-    assert [(v.violation.kind, v.violation.index) for v in verdicts[1:]] == [
-        ("position", None),
-        ("slack", 2),
-    ]
+    assert judge.carried.tolist() == [True, False, False]
+    shown = [(verdict.carried, verdict.payload, verdict.position_peak) for verdict in verdicts]
+    assert shown == [(True, 1.0, 0.004), (False, 2.0, 0.03), (False, 3.0, 0.001)]
+    violations = [(verdict.violation.kind, verdict.violation.index) for verdict in verdicts[1:]]
+    assert violations == [("position", None), ("slack", 2)]
 
 
 def test_restarted_episodes_have_their_own_bounds_and_motion():
@@ -306,21 +282,16 @@ def test_restarted_episodes_have_their_own_bounds_and_motion():
     none = np.zeros(2, np.bool_)
     judge.reset(stacked(info_of(0), info_of(0)), HandMadeTask(4))
     judge.observe(stacked(info_of(1, position=0.005), info_of(1, position=0.02)), none)
-    second = np.array([False, True])
-    restarted = ErrorBounds(position=0.03)
-    judge.reset(
-        stacked(info_of(1, position=0.5), info_of(0, payload=9.0)),
-        replace(HandMadeTask(1), error_bounds=restarted),
-        second,
-    )
+    restart = stacked(info_of(1, position=0.5), info_of(0, payload=9.0))
+    wide = HandMadeTask(1, error_bounds=ErrorBounds(position=0.03))
+    judge.reset(restart, wide, np.array([False, True]))
     assert judge.failed.tolist() == [False, False]
     assert judge.verdict(1).position_peak == 0.001
     judge.observe(stacked(info_of(2), info_of(1, position=0.02)), none)
     assert judge.carried.tolist() == [False, True]
     judge.observe(stacked(info_of(3, position=0.02), info_of(2, position=0.9)), none)
     assert judge.failed.tolist() == [True, False], "the motion of the second has ended"
-    assert judge.verdict(0).payload == 1.5
-    assert judge.verdict(1).payload == 9.0
+    assert [judge.verdict(index).payload for index in range(2)] == [1.5, 9.0]
 
 
 # --- the monitor ------------------------------------------------------------------------------------------------------
@@ -360,12 +331,10 @@ def test_bounds_of_the_monitor_replace_those_of_the_episode(bounds, carried):
 
 def test_bounds_of_the_reset_option_reach_the_monitor():
     env = DLCCMonitor(gym.make(IDS["planar"]))
-    short = {"name": "line-planar", "duration": 0.7}
+    short = {"trajectory": {"name": "line-planar", "duration": 0.7}}
     for options, carried in (({}, True), ({"error_bounds": {"position": 1e-5}}, False), ({}, True)):
-        assert (
-            play(env, FeedbackLinearization(PLANAR), {"trajectory": short} | options).carried
-            is carried
-        )
+        verdict = play(env, FeedbackLinearization(PLANAR), short | options)
+        assert verdict.carried is carried
 
 
 def test_monitor_only_adds_to_info():
@@ -376,7 +345,7 @@ def test_monitor_only_adds_to_info():
     results = [watched.reset(seed=3), watched.step(action), watched.step(action)]
     for (*values, info), (*watched_values, watched_info) in zip(expected, results, strict=True):
         for value, watched_value in zip(values, watched_values, strict=True):
-            np.testing.assert_array_equal(watched_value, value)
+            assert_array_equal(watched_value, value)
         assert set(watched_info) - set(info) == {"dlcc_carried"}
 
 
@@ -384,21 +353,17 @@ def test_monitor_only_adds_to_info():
     ("kind", "criterion"), [("planar", "task"), ("spatial", "paper"), ("spatial", "task")]
 )
 def test_monitor_agrees_with_the_evaluator(kind, criterion):
-    trajectory = {"name": f"paper-{kind}", "duration": 1.0}
+    motion = {"trajectory": {"name": f"paper-{kind}", "duration": 1.0}}
     fl = FeedbackLinearization(ROBOTS[kind])
-    result = evaluate_dlcc(
-        fl, IDS[kind], criterion=criterion, trajectory=trajectory, resolution=0.01
-    )
+    result = evaluate_dlcc(fl, IDS[kind], criterion=criterion, resolution=0.01, **motion)
     assert 0 < result.resolution <= 0.01
-    env = DLCCMonitor(gym.make(IDS[kind], trajectory=trajectory), criterion=criterion)
+    env = DLCCMonitor(gym.make(IDS[kind], **motion), criterion=criterion)
     below = play(env, fl, {"payload": result.payload})
     above = play(env, fl, {"payload": result.failed_payload})
-    assert below.carried
-    assert not above.carried
+    assert (below.carried, above.carried) == (True, False)
     excess = pytest.approx(result.violation.excess, rel=1e-6)
     assert above.violation == replace(result.violation, excess=excess)
-    assert 1 - max(below.peak_action) == pytest.approx(result.details.margins["torque"], abs=1e-12)
-    assert 1 - below.position_peak / 0.01 == pytest.approx(
-        result.details.margins["position"], abs=1e-9
-    )
-    assert below.least_tension == pytest.approx(result.details.margins["tension"])
+    margins = result.details.margins
+    assert 1 - max(below.peak_action) == pytest.approx(margins["torque"], abs=1e-12)
+    assert 1 - below.position_peak / 0.01 == pytest.approx(margins["position"], abs=1e-9)
+    assert below.least_tension == pytest.approx(margins["tension"])

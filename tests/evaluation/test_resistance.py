@@ -1,13 +1,12 @@
 """How the evaluation resists careless and cheating policies. tests/attacks has the policies
 themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from attacks.suite import cheats
 from clock import Clock
 from evaluation.conftest import Dropping
+from numpy.testing import assert_array_equal
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.evaluation import PolicyError, evaluate_dlcc, time_actions
@@ -148,7 +147,7 @@ def test_seed_moves_the_payloads_of_the_scan():
             seed=seed,
         )
         grids.append(np.sort(scanned[0]))
-    np.testing.assert_array_equal(grids[0], grids[1])
+    assert_array_equal(grids[0], grids[1])
     assert np.all(grids[0][1:-1] != grids[2][1:-1])
     assert grids[2][0] == 0
     assert grids[2][-1] == 20
@@ -164,7 +163,7 @@ def test_rows_have_a_secret_order():
         )
         orders.append(scanned[0])
     assert np.any(orders[0] != orders[1])
-    np.testing.assert_array_equal(*np.sort(orders))
+    assert_array_equal(*np.sort(orders))
 
 
 def test_scan_has_other_draws_than_the_confirmation(batches):

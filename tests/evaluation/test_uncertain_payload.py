@@ -1,8 +1,6 @@
 """The payload over draws against order statistics, single episodes and Clopper and Pearson's
 bound."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections import Counter
@@ -12,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from evaluation.conftest import play
+from numpy.testing import assert_array_equal
 from scipy.stats import binom, binomtest
 
 from cablebot_baselines.classical import FeedbackLinearization
@@ -37,11 +36,10 @@ def draw_seeds(seed, draws):
 
 def spread(**parameters):
     """Uniform ± a fraction of each parameter, one deviation for all motors."""
-    return {
-        "parameters": {
-            name: {"low": -half, "high": half, "each": False} for name, half in parameters.items()
-        }
-    }
+    ranges = {}
+    for name, half in parameters.items():
+        ranges[name] = {"low": -half, "high": half, "each": False}
+    return {"parameters": ranges}
 
 
 # --- by hand: a constant pull -----------------------------------------------------------------------------------------
@@ -50,6 +48,7 @@ PULL = 12.0
 """Mass that the constant action holds at rest [kg]; the empty platform rises, a heavy one sinks."""
 LONG = 0.02
 """Duration of the motion [s]."""
+STILL = {"trajectory": {"name": "dwell-spatial", "duration": LONG}, "initial_error": 0.0}
 SINKING = 4.0
 """Acceleration at which the bound is reached when the motion ends [m/s²]."""
 BOUNDS = {"position": SINKING * LONG**2 / 2, "rotation": 1.0}
@@ -69,14 +68,8 @@ class Constant:
 
 def pulled(uncertainty, **keywords):
     """The evaluation of the constant pull."""
-    motion = {"name": "dwell-spatial", "duration": LONG}
-    defaults = {
-        "trajectory": motion,
-        "error_bounds": BOUNDS,
-        "resolution": 1e-4,
-        "initial_error": 0.0,
-    }
-    return evaluate_dlcc(Constant(), SPATIAL_ID, uncertainty=uncertainty, **defaults | keywords)
+    conditions = STILL | {"error_bounds": BOUNDS, "resolution": 1e-4} | keywords
+    return evaluate_dlcc(Constant(), SPATIAL_ID, uncertainty=uncertainty, **conditions)
 
 
 @cache
@@ -121,9 +114,8 @@ def test_fresh_draws_carry_the_payload_often_enough():
     unknown = spread(platform_mass=0.1)
     result = pulled(unknown, seed=1, resolution=1e-2)
     assert "(95/95 lower tolerance bound, 512 draws)" in str(result)
-    motion = {"trajectory": {"name": "dwell-spatial", "duration": LONG}, "initial_error": 0.0}
     conditions = {"error_bounds": BOUNDS, "uncertainty": unknown, "draws": 2000, "seed": 99}
-    batch = Batch(Constant(), Conditions.of(SPATIAL_ID, **motion, **conditions))
+    batch = Batch(Constant(), Conditions.of(SPATIAL_ID, **STILL, **conditions))
     assert not {*batch.seeds} & {*result.draw_seeds}
     verdicts = batch.run([(result.payload, seed) for seed in batch.seeds])
     assert 0.95 <= np.mean([verdict.carried for verdict in verdicts]) <= 0.99
@@ -177,31 +169,23 @@ UNKNOWN = {
 }
 
 
+CONDITIONS = {"trajectory": SHORT, "uncertainty": UNKNOWN, "error_bounds": {"position": BOUND}}
+
+
 @cache
 def searched():
     """FL on a short hang, six draws of which five have to carry the payload."""
-    return evaluate_dlcc(
-        FeedbackLinearization(SPATIAL),
-        SPATIAL_ID,
-        trajectory=SHORT,
-        uncertainty=UNKNOWN,
-        draws=6,
-        seed=5,
-        probability=0.6,
-        confidence=0.6,
-        error_bounds={"position": BOUND, "rotation": 0.01},
-        payload_max=8.0,
-        resolution=0.05,
-    )
+    options = {"draws": 6, "seed": 5, "probability": 0.6, "confidence": 0.6}
+    options |= {"payload_max": 8.0, "resolution": 0.05}
+    return evaluate_dlcc(FeedbackLinearization(SPATIAL), SPATIAL_ID, **CONDITIONS, **options)
 
 
 def verdicts(payload):
     """Verdicts of the six draws, each in its own single environment."""
     policy = FeedbackLinearization(SPATIAL)
     verdicts_of_draws = []
-    keywords = {"trajectory": SHORT, "uncertainty": UNKNOWN, "error_bounds": {"position": BOUND}}
     for seed in draw_seeds(5, 6):
-        env = DLCCMonitor(gym.make(SPATIAL_ID, payload=payload, **keywords))
+        env = DLCCMonitor(gym.make(SPATIAL_ID, payload=payload, **CONDITIONS))
         verdicts_of_draws.append(play(env, policy, {"noise_seed": noise_seed(seed, payload)}, seed))
         env.close()
     return verdicts_of_draws
@@ -243,50 +227,32 @@ def test_margins_are_those_of_the_tightest_single_episodes():
 
 def test_violation_seed_repeats_the_violation():
     law = FeedbackLinearization(SPATIAL)
-    motion = {"name": "dwell-spatial", "duration": 0.5}
-    options = {"trajectory": motion, "uncertainty": "table6+sensors", "payload_known": False}
-    result = evaluate_dlcc(
-        law, SPATIAL_ID, draws=5, probability=0.5, payload_max=8.0, resolution=0.1, **options
-    )
-    assert result.details.violation_seed in result.draw_seeds
+    options = {"trajectory": {"name": "dwell-spatial", "duration": 0.5}, "payload_known": False}
+    options["uncertainty"] = "table6+sensors"
+    search = {"draws": 5, "probability": 0.5, "payload_max": 8.0, "resolution": 0.1}
+    result = evaluate_dlcc(law, SPATIAL_ID, **search, **options)
+    seed = result.details.violation_seed
+    assert seed in result.draw_seeds
     assert max(result.draw_seeds) < 2**53, "every JSON parser reads them exactly"
-    env = DLCCMonitor(gym.make(SPATIAL_ID, payload=result.failed_payload, **options))
-    noise = noise_seed(result.details.violation_seed, result.failed_payload)
-    assert (
-        play(env, law, {"noise_seed": noise}, result.details.violation_seed).violation
-        == result.violation
-    )
-    recorded = record_rollout(
-        law,
-        SPATIAL_ID,
-        payload=result.failed_payload,
-        seed=result.details.violation_seed,
-        **options,
-    )
+    options["payload"] = result.failed_payload
+    env = DLCCMonitor(gym.make(SPATIAL_ID, **options))
+    noise = {"noise_seed": noise_seed(seed, result.failed_payload)}
+    assert play(env, law, noise, seed).violation == result.violation
+    recorded = record_rollout(law, SPATIAL_ID, seed=seed, **options)
     assert recorded.verdict.violation == result.violation
 
 
 def verdict(kind, time):
     """Verdict of an episode with a violation of a kind; None for none."""
     violation = None if kind is None else Violation(kind=kind, index=None, time=time, excess=None)
-    peaks = {
-        "peak_action": (0.5,),
-        "position_peak": 0.0,
-        "rotation_peak": 0.0,
-        "least_tension": 1.0,
-    }
+    peaks = dict.fromkeys(("position_peak", "rotation_peak", "least_tension"), 0.0)
+    peaks["peak_action"] = (0.5,)
     return Verdict(carried=kind is None, violation=violation, payload=1.0, **peaks)
 
 
 def test_limiting_violation_is_the_most_frequent_kind():
-    outcomes = [
-        ("slack", 0.1),
-        ("position", 0.4),
-        (None, None),
-        ("position", 0.3),
-        ("rotation", 0.2),
-    ]
-    verdicts_of_draws = tuple(verdict(kind, time) for kind, time in outcomes)
+    kinds = {0.1: "slack", 0.4: "position", 0.0: None, 0.3: "position", 0.2: "rotation"}
+    verdicts_of_draws = tuple(verdict(kind, time) for time, kind in kinds.items())
     trial = Trial(payload=1.0, verdicts=verdicts_of_draws, seeds=tuple(range(5)))
     assert trial.carried == 1
     assert next(iter(trial.failures.items())) == ("position", 2)
@@ -313,31 +279,23 @@ class Starts:
 
 
 def test_payloads_share_the_parameters_of_a_draw():
-    uncertainty = {
-        "parameters": {"platform_mass": {"low": -0.1, "high": 0.1}},
-        "sensors": {"position": 1e-4},
-    }
-    conditions = Conditions.of(
-        SPATIAL_ID, uncertainty=uncertainty, draws=3, seed=11, trajectory=HANG
-    )
-    batch = Batch("fl", conditions)
+    unknown = {"parameters": {"platform_mass": {"low": -0.1, "high": 0.1}}}
+    options = {"trajectory": HANG, "uncertainty": unknown | {"sensors": {"position": 1e-4}}}
+    batch = Batch("fl", Conditions.of(SPATIAL_ID, draws=3, seed=11, **options))
     assert batch.seeds == draw_seeds(11, 3)
-    observers = [Starts(), Starts()]
-    for starts in observers:
-        batch.run(
-            [(payload, seed) for payload in (0.0, 1.0) for seed in batch.seeds], observer=starts
-        )
-    observer, repeated = observers
-    np.testing.assert_array_equal(observer.mass[:3], observer.mass[3:])
+    rows = [(payload, seed) for payload in (0.0, 1.0) for seed in batch.seeds]
+    observer, repeated = Starts(), Starts()
+    for starts in (observer, repeated):
+        batch.run(rows, observer=starts)
+    assert_array_equal(observer.mass[:3], observer.mass[3:])
     assert len({*observer.mass.tolist()}) == 3
     assert len({*observer.pose[:, 0].tolist()}) == 6
-    np.testing.assert_array_equal(repeated.pose, observer.pose)
-    env = gym.make(SPATIAL_ID, trajectory=HANG, uncertainty=uncertainty, payload=1.0)
-    noise = noise_seed(batch.seeds[2], 1.0)
-    observation, _ = env.reset(seed=batch.seeds[2], options={"noise_seed": noise})
-    np.testing.assert_array_equal(
-        observation[observation_layout(SPATIAL).slices()["pose"]], observer.pose[5]
-    )
+    assert_array_equal(repeated.pose, observer.pose)
+    env = gym.make(SPATIAL_ID, payload=1.0, **options)
+    noise = {"noise_seed": noise_seed(batch.seeds[2], 1.0)}
+    observation, _ = env.reset(seed=batch.seeds[2], options=noise)
+    pose = observation_layout(SPATIAL).split(observation)["pose"]
+    assert_array_equal(pose, observer.pose[5])
 
 
 def test_batch_size_and_secret_order_do_not_change_the_result(monkeypatch):
@@ -350,25 +308,22 @@ def test_batch_size_and_secret_order_do_not_change_the_result(monkeypatch):
         assert array.tobytes() == bounded.rollout.arrays[name].tobytes()
 
 
-def test_default_number_of_draws_depends_on_randomness(monkeypatch):
-    keywords = {"trajectory": {"name": "dwell-spatial", "duration": 0.002}, "payload_max": 0.1}
+@pytest.mark.parametrize(
+    ("unknown", "draws"),
+    [(None, 1), ("none", 1), ({"delay": 2}, 1), ("table6", 7), ("sensors", 7)],
+)
+def test_default_number_of_draws_depends_on_randomness(monkeypatch, unknown, draws):
     assert DEFAULT_DRAWS == 512
     monkeypatch.setattr(batch_module, "DEFAULT_DRAWS", 7)
-    for unknown, draws in (
-        (None, 1),
-        ("none", 1),
-        ({"delay": 2}, 1),
-        ("table6", 7),
-        ("sensors", 7),
-    ):
-        result = evaluate_dlcc("fl", SPATIAL_ID, uncertainty=unknown, **keywords)
-        assert result.draws == draws
-        assert (
-            (result.details.probability is None)
-            == (result.details.confidence is None)
-            == (draws == 1)
-        )
-        assert (result.details.success == ()) == (result.assurance == "") == (draws == 1)
+    motion = HANG | {"duration": 0.002}
+    result = evaluate_dlcc(
+        "fl", SPATIAL_ID, uncertainty=unknown, trajectory=motion, payload_max=0.1
+    )
+    assert result.draws == draws
+    details = result.details
+    for empty in (details.probability is None, details.confidence is None):
+        assert empty == (draws == 1)
+    assert (details.success == ()) == (result.assurance == "") == (draws == 1)
 
 
 # --- progress, output and bad input -----------------------------------------------------------------------------------
@@ -376,7 +331,7 @@ def test_default_number_of_draws_depends_on_randomness(monkeypatch):
 
 def test_progress_is_monotonic_and_complete():
     steps = []
-    keywords = {"draws": 12, "probability": 0.6, "confidence": 0.9, "resolution": 1e-4}
+    keywords = {"draws": 12, "probability": 0.6, "confidence": 0.9}
     pulled(spread(platform_mass=0.1), progress=lambda *step: steps.append(step), **keywords)
     done, expected = np.array(steps).T
     assert done[0] == 1

@@ -1,8 +1,6 @@
 """Policies in processes of their own: fresh processes, deadlines, and no process left. See also
 tests/attacks."""
 
-from __future__ import annotations
-
 import gc
 import itertools
 import json
@@ -71,7 +69,7 @@ def missing(robot): return Path("missing").read_text()
 def spec(tmp_path, monkeypatch):
     """Name of a policy of a module in the working directory, which is found as on the command
     line."""
-    (tmp_path / "mine.py").write_text(MODULE, encoding="utf-8")
+    (tmp_path / "mine.py").write_text(MODULE)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", ["", *sys.path])
     yield lambda name: f"mine:{name}"
@@ -119,7 +117,7 @@ def test_process_gets_tasks_and_few_environment_variables(spec, env, monkeypatch
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     with IsolatedPolicy(spec("lists"), SPATIAL) as policy:
         policy.reset(env.tasks)
-    variables, arguments, task, folder = json.loads(Path("seen").read_text(encoding="utf-8"))
+    variables, arguments, task, folder = json.loads(Path("seen").read_text())
     assert "MY_SECRET_SEED" not in variables
     assert variables["OMP_NUM_THREADS"] == "1"
     assert arguments == ["-c"]

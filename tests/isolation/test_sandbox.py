@@ -1,7 +1,5 @@
 """The view of a sandboxed policy. tests/attacks shows that the sandbox keeps it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -27,8 +25,8 @@ def view(tmp_path, monkeypatch):
         "work/entries/law/results.json",
     ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text("", encoding="utf-8")
-    (tmp_path / "work/entries/law/entry.json").write_text("{}", encoding="utf-8")
+        (tmp_path / name).write_text("")
+    (tmp_path / "work/entries/law/entry.json").write_text("{}")
     monkeypatch.chdir(tmp_path / "work")
     monkeypatch.setattr(sys, "path", [*sys.path, ""])
 

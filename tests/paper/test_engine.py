@@ -1,7 +1,5 @@
 """Engine of the reproduction: computed, kept and written results."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

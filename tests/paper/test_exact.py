@@ -1,7 +1,5 @@
 """Largest payloads without simulation under the interpretations of the paper."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

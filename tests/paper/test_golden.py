@@ -1,7 +1,5 @@
 """The stored reproduction in docs/reproduction against a new one, its rows and its page."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -36,7 +34,7 @@ TOLERANCES = {
 
 @pytest.fixture(scope="module")
 def stored():
-    return json.loads((FOLDER / RESULTS).read_text(encoding="utf-8"))
+    return json.loads((FOLDER / RESULTS).read_text())
 
 
 @pytest.fixture(scope="session")
@@ -57,7 +55,7 @@ def is_close(name, stored, new):
 def test_rows_and_page_follow_the_stored_numbers(stored):
     assert rows(Interpretation(), stored["numbers"]) == stored["rows"], AGAIN
     assert all(row["ours"] and row["verdict"] and row["evidence"] for row in stored["rows"])
-    assert (FOLDER / MARKDOWN).read_text(encoding="utf-8") == markdown(stored), AGAIN
+    assert (FOLDER / MARKDOWN).read_text() == markdown(stored), AGAIN
 
 
 def test_stored_reproduction_is_complete(stored):

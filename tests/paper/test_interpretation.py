@@ -1,7 +1,5 @@
 """The options of the interpretation and their effect on the robots."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -73,13 +71,6 @@ def test_cable_line_uses_the_rate_of_the_cable_length():
     rate = Interpretation(line="cable").line_speed(SPATIAL) * speed
     assert rate == pytest.approx((longer - shorter) / (2 * step), abs=1e-8)
     assert Interpretation(line="reversed").line_speed(SPATIAL) == pytest.approx(-1.0)
-
-
-def test_flat_line_has_the_stall_torque_at_every_speed():
-    robot = Interpretation(line="flat").motors(SPATIAL)
-    lower, upper = textbook.torque_limits(robot, np.full(6, 100.0))
-    assert upper == pytest.approx(robot.stall_torque)
-    assert lower == pytest.approx(-robot.stall_torque)
 
 
 @pytest.mark.parametrize("line", ["cable", "reversed", "pulley"])

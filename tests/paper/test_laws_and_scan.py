@@ -1,7 +1,5 @@
 """Laws, claims, scan and map of the reproduction against independent calculations."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

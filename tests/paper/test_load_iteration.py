@@ -1,12 +1,11 @@
 """Load iteration of the paper: the corrected form finds the exact payload, the printed form half of
 it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from cablebot_baselines.paper.load_iteration import iterate_load, load_coefficient
 from cablebot_gym.bounds.closed_form import exact_payload
@@ -38,7 +37,7 @@ def test_coefficient_of_both_forms(full, empty, corrected, printed):
         motors = load_coefficient(
             PLANAR, [full, 1.0, 1.0], [empty, 1.0, 1.0], np.zeros(3), corrected=is_corrected
         )
-        np.testing.assert_allclose(motors, [expected, np.inf, np.inf])
+        assert_allclose(motors, [expected, np.inf, np.inf])
 
 
 @pytest.mark.parametrize(("corrected", "torque"), [(True, 1.0), (False, 2.0)])
@@ -46,7 +45,7 @@ def test_coefficient_uses_the_motor_speed(corrected, torque):
     """At 200 rpm of 1000 the line has fallen by a fifth of 5 N·m."""
     speed = np.array([200.0, -200.0, 0.0]) * RPM
     motors = load_coefficient(PLANAR, np.full(3, 2.0), np.ones(3), speed, corrected=corrected)
-    np.testing.assert_allclose(motors, [4 - torque, 6 - torque, 5 - torque])
+    assert_allclose(motors, [4 - torque, 6 - torque, 5 - torque])
 
 
 @pytest.mark.parametrize("name", sorted(MOVING))

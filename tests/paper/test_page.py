@@ -1,7 +1,5 @@
 """The page for a small set of results; test_golden has the whole page in Markdown."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import asdict
 from html.parser import HTMLParser

@@ -1,7 +1,5 @@
 """The published items, counted by hand, and the verdicts on them."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from pathlib import Path
@@ -20,7 +18,7 @@ from cablebot_gym.robots import PLANAR
 from cablebot_gym.uncertainty import UNCERTAINTIES, Uncertainty
 
 RESULTS = Path(__file__).parents[2] / "docs" / "reproduction" / "results.json"
-NUMBERS = json.loads(RESULTS.read_text(encoding="utf-8"))["numbers"]
+NUMBERS = json.loads(RESULTS.read_text())["numbers"]
 
 BY_HAND = """
     Abstract 5 0 2  5 | §1       0 0 3 1 | §2.1    2 0 0  2 | §2.2    2 0 0  2 | §2.3   3 0 1 3 | §3.1    5 0 1  6

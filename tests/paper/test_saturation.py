@@ -1,12 +1,11 @@
 """Figs. 10 to 15: numbers, marks and curves agree with the computed results under the chosen
 interpretation."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from cablebot_baselines.paper.contents import PARTS
 from cablebot_baselines.paper.exact import (
@@ -89,8 +88,8 @@ def test_line_without_closed_loop_shows_exact_tracking():
         upper, lower = (line.get_xydata() for line in axes.get_lines()[:2])
         motion = paper_circle(robot)(upper[:, 0])
         speed = -textbook.pulley_speed(robot, motion.position, motion.velocity)[:, motor]
-        np.testing.assert_allclose(upper[:, 1], 10.0 - robot.speed_slope[motor] * speed, atol=1e-9)
-        np.testing.assert_allclose(upper[:, 1] - lower[:, 1], 20.0)
+        assert_allclose(upper[:, 1], 10.0 - robot.speed_slope[motor] * speed, atol=1e-9)
+        assert_allclose(upper[:, 1] - lower[:, 1], 20.0)
 
 
 @pytest.mark.parametrize("name", ["fig11", "fig14"])

@@ -1,14 +1,13 @@
 """Figs. 1 to 3 and 5 to 9: robots of the plant, limits of the interpretation, and effect of the
 robust law."""
 
-from __future__ import annotations
-
 import pickle
 from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from cablebot_baselines.classical import PD, Robust, RobustComposite, RobustPD
@@ -48,8 +47,8 @@ def test_drawn_spatial_cables_end_at_the_corners_of_the_plant(triangles):
     for cable, colour in enumerate(MOTORS):
         lines = [line.get_xydata() for line in below.get_lines() if line.get_color() == colour]
         (line,) = [points for points in lines if len(points) == 2]
-        np.testing.assert_allclose(line[0], robot.base[cable, :2])
-        np.testing.assert_allclose(line[1], corners[cable, :2])
+        assert_allclose(line[0], robot.base[cable, :2])
+        assert_allclose(line[1], corners[cable, :2])
 
 
 def test_wind_up_is_that_at_the_start_of_an_episode():
@@ -70,7 +69,7 @@ def test_drawn_limits_are_those_of_the_line(planar_loop, line, factor):
     expected = 5 - factor * DEFAULT.planar.speed_slope * planar_loop.arrays["motor_speeds"]
     for motor, axes in enumerate(figure.axes[:3]):
         drawn = axes.get_lines()[0].get_xydata()
-        np.testing.assert_allclose(drawn[[0, -1], 1], expected[[0, -1], motor])
+        assert_allclose(drawn[[0, -1], 1], expected[[0, -1], motor])
     assert ("the loop uses the physical line" in figure.get_suptitle()) == (
         line in ("reversed", "cable")
     )
@@ -124,25 +123,20 @@ def test_added_input_is_the_term_of_the_same_instant(env_id, law_class):
     )
     added = robust.added_input(law.outer, loop, robot)
     recorded = np.concatenate(law.outer.terms)[1:500]  # the first instant is not recorded
-    np.testing.assert_allclose(added.term, recorded, atol=1e-9)
-    np.testing.assert_allclose(added.times, np.arange(1, 500) / 500)
+    assert_allclose(added.term, recorded, atol=1e-9)
+    assert_allclose(added.times, np.arange(1, 500) / 500)
 
 
 @pytest.mark.parametrize(("layer", "is_outside"), [(1e-6, True), (1e3, False)])
-def test_norm_of_the_robust_term_is_rho_outside_the_layer(layer, is_outside):
-    rng = np.random.default_rng(0)
+def test_instants_outside_the_boundary_layer_are_marked(layer, is_outside):
     robot = DEFAULT.spatial("control")
     times = np.arange(1, 11) / 10
     reference = paper_circle(robot)(times)
-    e, rate = rng.normal(scale=0.01, size=(2, 10, 6))
-    arrays = {"time": times, "pose": reference.position - e, "velocity": reference.velocity - rate}
+    error, rate = np.random.default_rng(0).normal(scale=0.01, size=(2, 10, 6))
+    arrays = {"pose": reference.position - error, "velocity": reference.velocity - rate}
+    loop = SimpleNamespace(arrays=arrays | {"time": times})
     outer = RobustPD(gains=(30.0, 20.0), boundary_layer=layer)
-    added = robust.added_input(outer, SimpleNamespace(arrays=arrays), robot)
-    drift = np.sqrt(np.sum(rate**2 + (30 * e + 20 * rate) ** 2, axis=1))
-    rho = (0.12 * (np.linalg.norm(reference.acceleration, axis=1) + drift) + 1.2) / 0.88
-    ratio = np.linalg.norm(added.term, axis=1) / rho[:-1]
-    assert np.all(added.outside == is_outside)
-    assert np.all(np.abs(ratio - 1) < 1e-9) if is_outside else np.all(ratio < 1e-3)
+    assert np.all(robust.added_input(outer, loop, robot).outside == is_outside)
 
 
 def test_episodes_of_one_draw_differ_in_the_law_only():

@@ -1,12 +1,11 @@
 """The figures against the episodes that they draw, and their files."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from cablebot_gym.bounds.robot_check import check_model
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
@@ -46,13 +45,13 @@ def test_springs_have_their_deflections(springs):
     rollout = springs.rollout
     robot = springs.rollout.task.robot
     deflection = rollout.start["spring_deflection"]
-    np.testing.assert_allclose(robot.stiffness * deflection, rollout.start["torques"], rtol=1e-9)
+    assert_allclose(robot.stiffness * deflection, rollout.start["torques"], rtol=1e-9)
     pulley = rollout.arrays["motor_angle"] - rollout.arrays["spring_deflection"]
-    np.testing.assert_allclose(pulley, pulley_angle(robot, rollout.arrays["true_pose"]), atol=1e-12)
+    assert_allclose(pulley, pulley_angle(robot, rollout.arrays["true_pose"]), atol=1e-12)
     drawn = figures.draw_springs(springs).axes
     assert [axes.get_title() for axes in drawn] == ["spring 1", "spring 2", "spring 3"]
     for spring, axes in enumerate(drawn):
-        np.testing.assert_array_equal(
+        assert_array_equal(
             axes.get_lines()[2].get_ydata(), rollout.arrays["spring_deflection"][:, spring]
         )
 
@@ -90,11 +89,11 @@ def test_each_motor_has_its_torques_and_limits(result):
         drop = robot.speed_slope[motor] * arrays["motor_speeds"][:, motor]
         action = arrays["commanded_action"][:, motor]
         upper, lower, requested, applied = (line.get_ydata() for line in axes.get_lines()[:4])
-        np.testing.assert_array_equal(axes.get_lines()[3].get_xdata(), arrays["action_time"])
-        np.testing.assert_array_equal(applied, arrays["torques"][:, motor])
-        np.testing.assert_allclose(upper, stall - drop, rtol=1e-12)
-        np.testing.assert_allclose(lower, -stall - drop, rtol=1e-12)
-        np.testing.assert_allclose(requested, stall * action - drop, rtol=1e-12, atol=1e-12)
+        assert_array_equal(axes.get_lines()[3].get_xdata(), arrays["action_time"])
+        assert_array_equal(applied, arrays["torques"][:, motor])
+        assert_allclose(upper, stall - drop, rtol=1e-12)
+        assert_allclose(lower, -stall - drop, rtol=1e-12)
+        assert_allclose(requested, stall * action - drop, rtol=1e-12, atol=1e-12)
         assert np.array_equal(np.isclose(requested, applied, atol=1e-9), np.abs(action) <= 1)
 
 
@@ -116,13 +115,13 @@ def test_mark_is_at_the_least_torque_margin(result):
 def test_path_is_drawn_with_its_tube(result):
     plane, *_ = figures.draw_path(result).axes
     travelled, reference = plane.get_lines()
-    np.testing.assert_array_equal(travelled.get_xydata(), result.rollout.arrays["true_pose"][:, :2])
+    assert_array_equal(travelled.get_xydata(), result.rollout.arrays["true_pose"][:, :2])
     (tube,) = plane.collections
     diameter = 2 * result.details.error_bounds["position"]
-    np.testing.assert_allclose(tube.get_widths(), diameter)
-    np.testing.assert_allclose(tube.get_heights(), diameter)
+    assert_allclose(tube.get_widths(), diameter)
+    assert_allclose(tube.get_heights(), diameter)
     assert tube.get_linewidth() == 0  # the edge would add to the radius
-    np.testing.assert_array_equal(tube.get_offsets(), reference.get_xydata())
+    assert_array_equal(tube.get_offsets(), reference.get_xydata())
 
 
 def test_errors_are_drawn_with_their_bounds(result):
@@ -132,7 +131,7 @@ def test_errors_are_drawn_with_their_bounds(result):
     times, millimetres = errors[0].get_lines()[0].get_data()
     offset = result.rollout.arrays["true_pose"] - result.rollout.task.trajectory(times).position
     distance = 1e3 * np.linalg.norm(offset[:, : 2 if planar else 3], axis=1)
-    np.testing.assert_allclose(millimetres, distance, atol=1e-9)
+    assert_allclose(millimetres, distance, atol=1e-9)
     for axes in errors:
         assert axes.get_lines()[1].get_ydata()[0] == 10.0
 
@@ -141,7 +140,7 @@ def test_limits_are_those_of_the_true_motors():
     strong = {"parameters": {"motor_strength": {"low": 0.5, "high": 0.5}}}
     result = evaluate_dlcc("fl", PLANAR_ID, uncertainty=strong, **SMALL)
     lower, upper = figures.torque_limits(result)
-    np.testing.assert_allclose((upper - lower) / 2, 1.5 * PLANAR.stall_torque[0])
+    assert_allclose((upper - lower) / 2, 1.5 * PLANAR.stall_torque[0])
 
 
 def test_success_curve_has_fractions_and_the_payload(results, tmp_path):
@@ -155,7 +154,7 @@ def test_success_curve_has_fractions_and_the_payload(results, tmp_path):
     }
     drawn = evaluate_dlcc("fl", SPATIAL_ID, **options)
     lines = {line.get_label(): line for line in figures.draw_success(drawn).axes[0].get_lines()}
-    np.testing.assert_array_equal(
+    assert_array_equal(
         lines["fraction of the scan's draws that carry it"].get_xydata(), drawn.details.success
     )
     assert lines["required: 30%"].get_ydata()[0] == 0.3
@@ -190,6 +189,6 @@ def test_comparison_shows_errors_and_their_distribution():
     for index, metrics in enumerate(compared.metrics):
         line = over_time.get_lines()[index]
         assert line.get_label().strip() == metrics.policy
-        np.testing.assert_allclose(line.get_ydata(), 1e3 * metrics.error.mean(axis=1), rtol=1e-12)
+        assert_allclose(line.get_ydata(), 1e3 * metrics.error.mean(axis=1), rtol=1e-12)
         largest = distribution.get_lines()[index].get_xdata()
         assert largest.max() == pytest.approx(1e3 * metrics.max_error.max())

@@ -1,8 +1,6 @@
 """Policy files: bundles of other packages, and models of Stable-Baselines3 behind the wrappers of
 their training."""
 
-from __future__ import annotations
-
 import functools
 import json
 import pickle
@@ -15,6 +13,7 @@ import numpy as np
 import pytest
 from gymnasium import wrappers as single
 from gymnasium.spaces import Box, MultiBinary
+from numpy.testing import assert_allclose, assert_array_equal
 
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.policies import load, load_policy
@@ -101,7 +100,7 @@ def test_loaded_model_predicts_like_the_saved_one(tmp_path, package, algorithm):
         start = np.array([step == 0, True])
         action, state = loaded.predict(batch, state, start, deterministic=True)
         expected, expected_state = model.predict(batch, expected_state, start, deterministic=True)
-        np.testing.assert_array_equal(action, expected)
+        assert_array_equal(action, expected)
 
 
 @pytest.mark.parametrize(
@@ -141,13 +140,11 @@ def test_model_of_normalised_observations_gets_them(tmp_path, dtype):
     raw = gym.make(PLANAR_ID).reset(seed=0)[0]
     normalised = env.reset(seed=0)[0]
     action = policy.predict(raw, deterministic=True)[0]
-    np.testing.assert_array_equal(action, model.predict(normalised, deterministic=True)[0])
+    assert_array_equal(action, model.predict(normalised, deterministic=True)[0])
     assert not np.array_equal(action, model.predict(raw, deterministic=True)[0])
     batch = policy.predict(np.stack([raw, raw]), None, np.ones(2, bool), True)[0]
-    np.testing.assert_allclose(batch, [action, action], rtol=1e-6)
-    np.testing.assert_array_equal(
-        load(model, PLANAR).policy.predict(raw, deterministic=True)[0], action
-    )
+    assert_allclose(batch, [action, action], rtol=1e-6)
+    assert_array_equal(load(model, PLANAR).policy.predict(raw, deterministic=True)[0], action)
     with pytest.raises(
         ValueError, match=r"^policy 'PPO' does not fit robot 'spatial'.*fits CableBot-Planar-v0"
     ):
@@ -221,12 +218,12 @@ def test_statistics_beside_the_file_are_used_and_said(trained, tmp_path, caplog)
             f"note: policy file {str(file)!r} gets observations normalised by {str(pkl)!r}"
             in caplog.text
         )
-        np.testing.assert_allclose(
+        assert_allclose(
             policy.predict(raw_observation)[0], model.predict(seen, deterministic=True)[0]
         )
     Path(pkl).unlink()
     assert not hasattr(load_policy(str(file), PLANAR), "wrappers")
-    np.testing.assert_array_equal(
+    assert_array_equal(
         load_policy(str(file), PLANAR, wrappers=[tmp_path / "plain" / "vecnormalize.pkl"]).predict(
             raw_observation
         )[0],
@@ -306,6 +303,6 @@ def test_frames_are_stacked_as_stable_baselines_does(trained):
         model, PLANAR, wrappers=[frozen, functools.partial(VecFrameStack, n_stack=2)]
     ).policy
     given, state = policy.predict(normalize.unnormalize_obs(first[:, 31:]))
-    np.testing.assert_allclose(given, action, atol=1e-5)
+    assert_allclose(given, action, atol=1e-5)
     given, _ = policy.predict(normalize.unnormalize_obs(second[:, 31:]), state)
-    np.testing.assert_allclose(given, model.predict(second, deterministic=True)[0], atol=1e-5)
+    assert_allclose(given, model.predict(second, deterministic=True)[0], atol=1e-5)

@@ -1,7 +1,5 @@
 """Policies behind the wrappers of their training: judged like the policy that needs no wrappers."""
 
-from __future__ import annotations
-
 import gc
 import sys
 import weakref
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium import wrappers as single
 from gymnasium.wrappers import vector
+from numpy.testing import assert_allclose, assert_array_equal
 
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
@@ -69,13 +68,13 @@ def test_policy_behind_wrappers_acts_as_it_does_alone(policy, wrapper):
         record_rollout(each, PLANAR_ID, payload=1.5, wrappers=wrappers)
         for each, wrappers in (("fl", []), (policy, [wrapper]))
     )
-    np.testing.assert_allclose(behind.arrays["pose"], alone.arrays["pose"], atol=1e-6)
+    assert_allclose(behind.arrays["pose"], alone.arrays["pose"], atol=1e-6)
     assert len(alone) > 500
 
 
 def test_wrapper_that_repeats_actions_steps_the_robot_twice():
     actions = record_rollout(Inner(), PLANAR_ID, wrappers=[Repeats]).arrays["commanded_action"]
-    np.testing.assert_array_equal(actions[0:20:2], actions[1:21:2])
+    assert_array_equal(actions[0:20:2], actions[1:21:2])
     assert (actions[2:20:2] != actions[1:19:2]).any()
 
 
@@ -117,7 +116,7 @@ def test_episodes_of_a_batch_keep_their_own_wrappers():
         rows, state = np.zeros((size, LAYOUT.size)), None
         for call in (1, 2, 3):
             actions, state = policy.predict(rows, state)
-            np.testing.assert_array_equal(actions, np.full((size, 3), call))
+            assert_array_equal(actions, np.full((size, 3), call))
 
 
 def test_paused_wrappers_are_freed_with_their_state():
@@ -211,7 +210,7 @@ def test_frozen_statistics_of_gymnasium_are_applied():
     seen = []
     policy = Inner(read=lambda observation: seen.append(observation) or observation)
     load(policy, PLANAR, wrappers=[normalize]).policy.predict(np.ones((2, LAYOUT.size)))
-    np.testing.assert_allclose(seen[0], np.tile((1 - mean) / 2, (2, 1)), rtol=1e-5)
+    assert_allclose(seen[0], np.tile((1 - mean) / 2, (2, 1)), rtol=1e-5)
 
 
 # --- nothing but the stand-in -----------------------------------------------------------------------------------------
@@ -258,7 +257,7 @@ def module(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.delitem(sys.modules, "toy_wrappers", raising=False)
     path = tmp_path / "toy_wrappers.py"
-    path.write_text(MODULE, encoding="utf-8")
+    path.write_text(MODULE)
     return path
 
 

@@ -1,7 +1,5 @@
 """Perspective projection."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

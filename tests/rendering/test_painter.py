@@ -1,7 +1,5 @@
 """Pictures: each quantity of a moment changes its own place."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Windows with SDL's dummy driver."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

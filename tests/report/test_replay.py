@@ -1,7 +1,5 @@
 """Episodes of the report page: compressed, in batches, and stored."""
 
-from __future__ import annotations
-
 import base64
 import zlib
 
@@ -168,7 +166,7 @@ def test_recording_stores_each_cell_and_keeps_errors_apart(tmp_path, monkeypatch
     assert recorded["2"].startswith("No episode: unknown policy 'nobody'")
     assert len(list(tmp_path.iterdir())) == 2
     broken = min(tmp_path.iterdir())
-    broken.write_text("{", encoding="utf-8")
+    broken.write_text("{")
     assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == recorded
     monkeypatch.setattr("cablebot_gym.report.recording.replays", None)
     del queries["2"]
@@ -180,9 +178,7 @@ def test_recording_stores_each_cell_and_keeps_errors_apart(tmp_path, monkeypatch
 def test_failing_episode_costs_its_own_cell_only(tmp_path, monkeypatch):
     """All cells of a policy run in one batch."""
     source = "def make(robot):\n    return lambda observation: 1 / (abs(observation[0]) < 9) * 0 * observation[:3]\n"
-    (tmp_path / "fragile.py").write_text(
-        source.replace("observation[0]", "observation[-1]"), encoding="utf-8"
-    )
+    (tmp_path / "fragile.py").write_text(source.replace("observation[0]", "observation[-1]"))
     monkeypatch.syspath_prepend(tmp_path)
     still = {"name": "dwell-planar", "duration": 0.1}
     queries = {

@@ -1,7 +1,5 @@
 """``cablebot report``: the data of the page, the command, and the page in a real browser."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -60,7 +58,7 @@ RESULTS = Results(suite="smoke", command="cablebot benchmark", records=RECORDS)
 @pytest.fixture
 def results(tmp_path):
     text = RESULTS.to_json()
-    (tmp_path / "results.json").write_text(text, encoding="utf-8")
+    (tmp_path / "results.json").write_text(text)
     return tmp_path
 
 
@@ -86,7 +84,7 @@ def test_limiting_violation_has_the_bound_of_the_cell():
 def test_page_has_title_and_data_as_text(results, capsys):
     out = results / "report.html"
     report([results, results / "results.json"], out=out, title="A <title>", episodes=False)
-    text = out.read_text(encoding="utf-8")
+    text = out.read_text()
     assert "<title>A &lt;title></title>" in text
     assert "nobody\\u003c/script>" in text
     assert f"wrote {out}" in capsys.readouterr().out
@@ -100,7 +98,7 @@ def test_page_has_title_and_data_as_text(results, capsys):
     ],
 )
 def test_bad_input_raises_before_the_work(results, path, out, message):
-    (results / "wrong.json").write_text('{"a": 1}', encoding="utf-8")
+    (results / "wrong.json").write_text('{"a": 1}')
     with pytest.raises(ValueError, match=message):
         report([results / path], out=results / out)
 
@@ -120,7 +118,7 @@ def written(tmp_path_factory):
         stored for stored in RECORDS[1:] if stored.cell not in (policy(), policy("adaptive"))
     ]
     text = replace(RESULTS, records=[*known, *made_up]).to_json()
-    (folder / "results.json").write_text(text, encoding="utf-8")
+    (folder / "results.json").write_text(text)
     report([folder], out=folder / "report.html", workers=1)
     return folder / "report.html"
 
@@ -276,7 +274,6 @@ def test_map_has_its_numbers(opened, tmp_path):
     records = [carried(cell, 1.0) for cell in cells]
     file.write_text(
         html("maps", [Results(suite="maps", command="cablebot benchmark", records=records)], {}),
-        encoding="utf-8",
     )
     page = opened(file=file)
     page.click("#maps summary >> nth=0")

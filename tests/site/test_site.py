@@ -4,8 +4,6 @@
 skipped.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import threading

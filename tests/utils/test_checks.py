@@ -1,7 +1,5 @@
 """Checks of arguments: valid values in one type, an error that names the argument otherwise."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Objects named as package.module:name or file.py:name."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

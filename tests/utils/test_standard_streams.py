@@ -1,8 +1,6 @@
 """Standard streams of all kinds: a command ends without a traceback, and its results are not
 lost."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json
@@ -25,7 +23,7 @@ from cablebot_gym.cli import doctor, dlcc, robot
 def toy():
     "Prints more than a pipe holds, and then writes a file."
     print("1.911 kg \u2013 paper\n" * 10_000)
-    Path("result.json").write_text("{}", encoding="utf-8")
+    Path("result.json").write_text("{}")
 
 def redirect(stream):
     '''Sets the streams as a shell and the start of Python would.'''

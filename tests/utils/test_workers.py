@@ -1,7 +1,5 @@
 """Computations in worker processes: results, errors, lost processes and interrupts."""
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

@@ -1,8 +1,4 @@
-"""Videos: pictures, files, the window, and the two commands."""
-
-from __future__ import annotations
-
-import re
+"""Videos: pictures, files and the window. The commands have tests in tests/cli."""
 
 import imageio_ffmpeg
 import numpy as np
@@ -10,8 +6,6 @@ import pytest
 from PIL import Image
 from PIL.ImageSequence import Iterator
 
-import cablebot_gym.video.recording as videos
-from cablebot_gym.cli import app as cli
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.rendering.window import Window
 from cablebot_gym.video.recording import VideoPainter, note, play, write_video
@@ -138,98 +132,3 @@ def test_keys_pause_step_restart_and_quit(monkeypatch, lost):
     play([lost], speed=1.0, size=SMALL)
     times = VideoPainter([lost], SMALL).times(1.0, 30)
     assert [int(np.searchsorted(times, time)) for time in shown] == [0, 1, 2, 2, 2, 3, 2, 0, 0, 1]
-
-
-# --- commands ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def cablebot(monkeypatch, capsys):
-    def run(*arguments):
-        monkeypatch.setattr("sys.argv", ["cablebot", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return ended.value.code or 0, out, err
-
-    return run
-
-
-@pytest.mark.slow
-def test_video_command_shows_two_policies(cablebot, tmp_path):
-    out = tmp_path / "new" / "both.mp4"
-    arguments = ("--policies", "fl, robust", "--payload", "3", "--speed", "4", "--size", "320x240")
-    status, printed, err = cablebot("video", SPATIAL, out, *arguments)
-    assert status == 0
-    assert imageio_ffmpeg.count_frames_and_secs(str(out))[0] == 13 + 30
-    assert re.fullmatch(
-        rf"(fl|robust) on {SPATIAL}, 3 kg, task criterion: .*carried.*", printed.splitlines()[1]
-    )
-    assert f"wrote {out}" in err.replace("\n", "")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("video.mp4", "--policy", "fl", "--size", "large"), "such as 640x480, not 'large'"),
-        (("video.avi", "--policy", "fl"), "end in .mp4 or .gif"),
-        (("video.mp4", "--policy", "fl", "--speed", "nan"), "speed must"),
-        (("video.mp4", "--policy", "fl", "--size", "641x481"), "even number"),
-    ],
-)
-def test_mistake_is_reported_in_one_line(cablebot, tmp_path, monkeypatch, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    status, printed, err = cablebot("video", SPATIAL, *arguments)
-    assert status == 2
-    assert printed == ""
-    assert message in err
-    assert len(err.strip().splitlines()) == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_watch_command_plays_in_a_window(cablebot, monkeypatch):
-    calls = []
-    monkeypatch.setattr(videos, "play", lambda shown, **keywords: calls.append((shown, keywords)))
-    arguments = ("--policy", "fl", "--payload", "1.5", "--speed", "0.5", "--size", "400x300")
-    assert cablebot("watch", PLANAR, *arguments)[0] == 0
-    [([(title, rollout)], keywords)] = calls
-    assert title == f"fl on {PLANAR}"
-    assert rollout.payload == 1.5
-    assert keywords == {"speed": 0.5, "size": (400, 300)}
-
-
-def test_picture_shows_policies_at_a_time(cablebot, tmp_path):
-    def picture(name, *options):
-        path = tmp_path / name
-        status, out, _ = cablebot(
-            "picture", SPATIAL, path, "--payload", "1.0", "--size", "320x240", *options
-        )
-        assert status == 0
-        with Image.open(path) as image:
-            return np.asarray(image), out
-
-    late, out = picture("late.png", "--policies", "fl,robust", "--time", "0.8")
-    assert out.count("task criterion: carried") == 2
-    painter = VideoPainter(
-        [(f"fl on {SPATIAL}", record_rollout("fl", SPATIAL, payload=1.0))], SMALL
-    )
-    assert np.array_equal(late[:, :320], painter.array(0.8))
-    at_the_end, _ = picture("end.png", "--policies", "fl,robust")
-    assert not np.array_equal(late, at_the_end)
-    start_pose, _ = picture("start.png")
-    assert start_pose.shape == (240, 320, 3)
-
-
-@pytest.mark.parametrize(
-    ("out", "more", "message"),
-    [
-        ("a.gif", (), "has to end in .png or .jpg or .webp"),
-        ("a.png", ("--time", "-1"), "--time must be a finite number at least 0 s"),
-        ("a.png", ("--time", "9"), "--time must be at most 1.6 s"),
-    ],
-)
-def test_mistake_in_a_picture_is_reported(cablebot, tmp_path, monkeypatch, out, more, message):
-    monkeypatch.chdir(tmp_path)
-    status, _, err = cablebot("picture", PLANAR, out, "--policy", "fl", *more)
-    assert status == 2
-    assert message in err
