@@ -6,7 +6,7 @@ from functools import cache, partial
 from typing import Any, NamedTuple
 
 from cablebot_gym.physics.inlining import entry_point
-from cablebot_gym.physics.kernel.integrate import advance_tiles, evaluate_tiles
+from cablebot_gym.physics.kernel.integrate import References, advance_tiles, evaluate_tiles
 from cablebot_gym.physics.kernel.inverse import demanded_tiles, required_tiles
 from cablebot_gym.physics.kernel.locate import locate_tiles
 from cablebot_gym.physics.kernel.rows import Form
@@ -32,7 +32,7 @@ class Compiled(NamedTuple):
     ``record``, the tensions for the torques in ``record``."""
     required: Any
     """``(parameters, minimum, p, w, mass, motion, results)``: tensions, torques, pulley speeds and
-    pulley accelerations (4, N, m), in the order of TENSIONS to WINDINGS. As many cables as
+    pulley accelerations (4, N, m), in the order of TENSIONS to PULLEY_ACCELERATIONS. As many cables as
     coordinates: the unique tensions; more cables, only of point masses in a plane: the smallest
     tensions of at least ``minimum``."""
     demanded: Any
@@ -58,21 +58,9 @@ def compiled(form: Form, lanes: int) -> Compiled:
     def advance(
         unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
     ):
+        references = References(paths, ends, path, step)
         advance_tiles(
-            form,
-            lanes,
-            unilateral,
-            lags,
-            rubs,
-            parameters,
-            record,
-            w,
-            paths,
-            ends,
-            path,
-            step,
-            substeps,
-            h,
+            form, lanes, unilateral, lags, rubs, parameters, record, w, references, substeps, h
         )
 
     @compile_form
