@@ -6,7 +6,7 @@ from functools import cache, partial
 from typing import Any, NamedTuple
 
 from cablebot_gym.physics.inlining import entry_point
-from cablebot_gym.physics.kernel.integrate import References, advance_tiles, evaluate_tiles
+from cablebot_gym.physics.kernel.integrate import advance_tiles, evaluate_tiles
 from cablebot_gym.physics.kernel.inverse import demanded_tiles, required_tiles
 from cablebot_gym.physics.kernel.locate import locate_tiles
 from cablebot_gym.physics.kernel.rows import Form
@@ -58,9 +58,21 @@ def compiled(form: Form, lanes: int) -> Compiled:
     def advance(
         unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
     ):
-        references = References(paths, ends, path, step)
         advance_tiles(
-            form, lanes, unilateral, lags, rubs, parameters, record, w, references, substeps, h
+            form,
+            lanes,
+            unilateral,
+            lags,
+            rubs,
+            parameters,
+            record,
+            w,
+            paths,
+            ends,
+            path,
+            step,
+            substeps,
+            h,
         )
 
     @compile_form
