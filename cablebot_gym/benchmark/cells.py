@@ -60,18 +60,17 @@ class Setting:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data, the input of :func:`cell_from_dict`."""
-        fields = {
-            name: value
-            for name, value in asdict(self).items()
-            if (name, value) != ("robot_name", None)
-        }
-        return {"kind": self.kind, **fields}
+        data = {"kind": self.kind, **asdict(self)}
+        if self.robot_name is None:
+            del data["robot_name"]
+        return data
 
     @property
     def robot_files(self) -> tuple[Path, ...]:
         """File of the robot if it is one of the library, on which the result depends as on code."""
         name = (self.robot_name or env_robot(self.env_id)).removeprefix(ELASTIC)
-        return tuple(path for known, path in library().items() if known == name)
+        path = library().get(name)
+        return () if path is None else (path,)
 
     @property
     def robot(self) -> Robot:
@@ -82,16 +81,18 @@ class Setting:
                 springs.
         """
         robot = find_robot(self.robot_name or env_robot(self.env_id))
-        return (
-            Robot.from_dict(merged(robot.to_dict(), self.robot_changes))
-            if self.robot_changes
-            else robot
-        )
+        if not self.robot_changes:
+            return robot
+        return Robot.from_dict(merged(robot.to_dict(), self.robot_changes))
 
     def env_options(self) -> dict[str, Any]:
         """JSON-able keyword arguments of the environment."""
-        robot = self.robot.to_dict() if self.robot_changes else self.robot_name
-        return ({} if robot is None else {"robot": robot}) | {
+        options: dict[str, Any] = {}
+        if self.robot_changes:
+            options["robot"] = self.robot.to_dict()
+        elif self.robot_name is not None:
+            options["robot"] = self.robot_name
+        return options | {
             "trajectory": dict(self.trajectory),
             "error_bounds": dict(self.error_bounds),
             "control_frequency": self.control_frequency,
@@ -137,8 +138,10 @@ class PolicyCell(Setting):
     @property
     def stem(self) -> str:
         """Readable beginning of the name of the cell's file."""
-        uncertainty = (self.uncertainty,) if self.uncertainty else ()
-        return self._stem(self.policy, self.payload_model, *uncertainty, self.criterion)
+        words = [self.policy, self.payload_model]
+        if self.uncertainty:
+            words.append(self.uncertainty)
+        return self._stem(*words, self.criterion)
 
     @property
     def source(self) -> str:
@@ -160,9 +163,8 @@ class PolicyCell(Setting):
         """JSON-able keyword arguments of
         :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc`."""
         names = ("criterion", "payload_max", "resolution", "probability", "seed")
-        draws = (
-            self.draws if self.draws > 1 else None
-        )  # a stochastic policy has draws without uncertainty
+        # a stochastic policy has draws without uncertainty
+        draws = self.draws if self.draws > 1 else None
         return self.env_options() | {name: getattr(self, name) for name in names} | {"draws": draws}
 
     def compute(self) -> dict[str, Any]:
@@ -247,10 +249,14 @@ class TimingCell(Setting):
         A policy of this project runs in this process. ``exchange`` marks others, whose times
         include the exchange with the process of the policy.
         """
-        own = PolicySpec.parse(self.policy).own
-        with nullcontext(self.policy) if own else IsolatedPolicy(self.policy, self.robot) as policy:
+        is_own = PolicySpec.parse(self.policy).own
+        with (
+            nullcontext(self.policy)
+            if is_own
+            else IsolatedPolicy(self.policy, self.robot) as policy
+        ):
             times = time_actions(policy, self.env_id, **self.env_options())
-        return asdict(times) | {"exchange": not own, "processor": processor()}
+        return asdict(times) | {"exchange": not is_own, "processor": processor()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,7 +288,9 @@ class BestKnownCell(Setting):
 Cell = PolicyCell | BestKnownCell | TimingCell
 
 _KINDS: Mapping[str, type[Cell]] = {
-    one.kind: one for one in (PolicyCell, BestKnownCell, TimingCell)
+    PolicyCell.kind: PolicyCell,
+    BestKnownCell.kind: BestKnownCell,
+    TimingCell.kind: TimingCell,
 }
 
 
@@ -354,13 +362,13 @@ def cell_from_dict(data: Mapping[str, Any]) -> Cell:
 def processor() -> str:
     """Model of the processor, without the name of the machine."""
     with suppress(OSError):
-        found = re.search(
+        model = re.search(
             r"^model name\s*: (.+)$",
             Path("/proc/cpuinfo").read_text(encoding="utf-8"),
             re.MULTILINE,
         )
-        if found:
-            return found[1].strip()
+        if model:
+            return model[1].strip()
     return platform.processor() or platform.machine()
 
 
@@ -379,10 +387,12 @@ def _policy_hash(policy: str, robot_files: tuple[Path, ...]) -> str:
 def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """A copy of nested data with changed values; a nested mapping changes the values that it
     names."""
-    return {**data} | {
-        name: merged(data.get(name) or {}, value) if isinstance(value, Mapping) else value
-        for name, value in changes.items()
-    }
+    result = dict(data)
+    for name, value in changes.items():
+        if isinstance(value, Mapping):
+            value = merged(data.get(name) or {}, value)
+        result[name] = value
+    return result
 
 
 def canonical(data: Any) -> str:
@@ -395,8 +405,6 @@ def canonical(data: Any) -> str:
 def _one_line(error: Exception) -> str:
     """The message of an exception in one line, with the type where the message alone is unclear."""
     text = " ".join(str(error).split())
-    return (
-        text
-        if isinstance(error, (ValueError, ImportError, RuntimeError))
-        else f"{type(error).__name__}: {text}"
-    )
+    if isinstance(error, (ValueError, ImportError, RuntimeError)):
+        return text
+    return f"{type(error).__name__}: {text}"

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
 from operator import attrgetter
 from typing import Any
 
@@ -96,23 +95,24 @@ def run_cells(
     Cells with the longest computations start first, to balance the workers. Computing times are
     measured last, one after the other in this process.
     """
-    done = {key: record for key, cell in cells.items() if (record := store.find(cell)) is not None}
-    pending = sorted(
-        (cell for key, cell in cells.items() if key not in done), key=_cost, reverse=True
-    )
-    jobs = [
-        Job(key=cell.key, compute=partial(compute, cell), kind=(type(cell), cell.env_id))
-        for cell in pending
-    ]
-    timings = [job for job in jobs if isinstance(cells[job.key], TimingCell)]
-    others = [job for job in jobs if job not in timings]
+    done = {}
+    pending = []
+    for key, cell in cells.items():
+        record = store.find(cell)
+        if record is None:
+            pending.append(cell)
+        else:
+            done[key] = record
+    jobs: list[Job] = []
+    timings: list[Job] = []
+    for cell in sorted(pending, key=_cost, reverse=True):
+        job = Job(key=cell.key, compute=partial(compute, cell), kind=(type(cell), cell.env_id))
+        if isinstance(cell, TimingCell):
+            timings.append(job)
+        else:
+            jobs.append(job)
     progress(len(done), len(cells))
-    died = (processes.WorkerDied,)
-    results = (
-        run_jobs(some, by, say=say, returned=died)
-        for some, by in ((others, backend), (timings, local(1)))
-    )
-    for key, record in chain.from_iterable(results):
+    for key, record in _computed(jobs, timings, backend, say):
         if isinstance(record, processes.WorkerDied):
             record = failed_record(cells[key], str(record))
         elif record.source != cells[key].source:
@@ -122,6 +122,16 @@ def run_cells(
         done[key] = record
         progress(len(done), len(cells))
     return [done[key] for key in cells]
+
+
+def _computed(
+    jobs: list[Job], timings: list[Job], backend: Backend, say: MessageCallback
+) -> Iterator[tuple[str, Any]]:
+    """Key and record of each job, or why its process died; the timings come when no other job
+    runs."""
+    died = (processes.WorkerDied,)
+    yield from run_jobs(jobs, backend, say=say, returned=died)
+    yield from run_jobs(timings, local(1), say=say, returned=died)
 
 
 def _cost(cell: Cell) -> float:

@@ -94,21 +94,22 @@ def _policy_files(policy: str) -> tuple[Path, list[Path], str, str | None]:
             f"policy {policy!r} belongs to this project, and is on the leaderboard already"
         )
     point = spec.points[0] if spec.points else None
-    module, _ = split_name(policy if point is None else point.value)
+    name = policy if point is None else point.value
+    module, _ = split_name(name)
     top = module.partition(".")[0]
-    found = package_root(top)
-    if found is None:
+    source = package_root(top)
+    if source is None:
         raise ValueError(
             f"policy {policy!r} has no source: give an installed name, module:factory, file.py:factory"
         )
-    root, owned = found
+    root, files = source
     target = f"{module}:{policy.rpartition(':')[2]}" if point is None else point.value
     dist = next(iter(packages_distributions().get(top, ())), None)
     if point is not None and point.dist is not None:
         dist = point.dist.name
     package = None if dist is None else f"{dist}=={version(dist)}"
-    if owned.is_dir() or package is not None:
-        return root, plain_files(owned), target, package
+    if files.is_dir() or package is not None:
+        return root, plain_files(files), target, package
     modules = [path for path in source_files(module).values() if path.parent == root]
     return root, [*modules, *policy_source(policy)[1]], target, None
 
@@ -116,12 +117,12 @@ def _policy_files(policy: str) -> tuple[Path, list[Path], str, str | None]:
 def renamed(records: Sequence[Record], policy: str) -> list[Record]:
     """Records with another name of their only policy, such as the name of an entry in place of its
     folder."""
-    return [
-        replace(one, cell=replace(one.cell, policy=policy))
-        if isinstance(one.cell, PolicyCell | TimingCell)
-        else one
-        for one in records
-    ]
+    changed = []
+    for record in records:
+        if isinstance(record.cell, PolicyCell | TimingCell):
+            record = replace(record, cell=replace(record.cell, policy=policy))
+        changed.append(record)
+    return changed
 
 
 def entry_cells(
@@ -140,26 +141,33 @@ def entry_cells(
         ValueError: if the suite has hidden motions, which belong to boards, or lacks an environment
             of the entry.
     """
-    chosen, entry = find_suite(suite), read_entry(folder)
-    if chosen.hidden:
+    cells_of_suite, entry = find_suite(suite), read_entry(folder)
+    if cells_of_suite.hidden:
         raise ValueError(
             f"suite {suite!r} has hidden motions, which belong to boards: choose smoke, standard or full"
         )
-    if lacking := [env_id for env_id in entry.env_ids if env_id not in chosen.env_ids]:
+    lacking = [env_id for env_id in entry.env_ids if env_id not in cells_of_suite.env_ids]
+    if lacking:
         raise ValueError(f"suite {suite!r} lacks {', '.join(lacking)}: choose standard or full")
     if claims_only:
-        chosen = replace(chosen, best_known=False, timing=False)
-    return suite_cells(chosen, {env_id: (str(folder),) for env_id in entry.env_ids}, seed=seed)
+        cells_of_suite = replace(cells_of_suite, best_known=False, timing=False)
+    policies = {env_id: (str(folder),) for env_id in entry.env_ids}
+    return suite_cells(cells_of_suite, policies, seed=seed)
 
 
 def note(folder: Path, status: str) -> EntryNote:
     """The card of an entry as the leaderboard shows it."""
     entry = read_entry(folder)
-    texts = {
-        name: getattr(entry, name)
-        for name in ("package", "authors", "licence", "compute", "data", "seeds")
-    }
-    return EntryNote(policy=str(folder), status=status, **texts)
+    return EntryNote(
+        policy=str(folder),
+        package=entry.package,
+        authors=entry.authors,
+        licence=entry.licence,
+        compute=entry.compute,
+        data=entry.data,
+        seeds=entry.seeds,
+        status=status,
+    )
 
 
 def status(folder: Path, records: Sequence[Record]) -> str:
@@ -180,32 +188,23 @@ def read_claims(folder: Path) -> Results:
     Raises:
         ValueError: if they cannot be read, or if their cells are not all cells of their suite.
     """
+    path = folder / CLAIMS
     try:
-        results = Results.from_json(read_text(folder / CLAIMS))
+        results = Results.from_json(read_text(path))
         claims = replace(results, records=renamed(results.records, str(folder)))
-        expected = {
-            _conditions(cell)
-            for cell in entry_cells(folder, claims.suite, seed=0, claims_only=True).values()
-        }
+        cells = entry_cells(folder, claims.suite, seed=0, claims_only=True).values()
     except (OSError, KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
-        raise ValueError(
-            f"{str(folder / CLAIMS)!r} holds no results of an entry: {error}"
-        ) from error
-    payloads = [
-        (one.cell, one.result.get("payload"))
-        for one in claims.records
-        if isinstance(one.cell, PolicyCell)
-    ]
-    if sorted(_conditions(cell) for cell, _ in payloads) != sorted(expected):
-        raise ValueError(
-            f"{str(folder / CLAIMS)!r} does not have the cells of suite {claims.suite!r}"
-        )
-    if strange := [
-        cell for cell, payload in payloads if not isinstance(payload, float | int | None)
-    ]:
-        raise ValueError(
-            f"{str(folder / CLAIMS)!r} has a payload that is no number: {_title(strange[0])}"
-        )
+        raise ValueError(f"{str(path)!r} holds no results of an entry: {error}") from error
+    claimed = []
+    for record in claims.records:
+        if isinstance(record.cell, PolicyCell):
+            claimed.append((record.cell, record.result.get("payload")))
+    expected = {_without_seed(cell) for cell in cells}
+    if sorted(_without_seed(cell) for cell, _ in claimed) != sorted(expected):
+        raise ValueError(f"{str(path)!r} does not have the cells of suite {claims.suite!r}")
+    for cell, payload in claimed:
+        if not isinstance(payload, float | int | None):
+            raise ValueError(f"{str(path)!r} has a payload that is no number: {_title(cell)}")
     return claims
 
 
@@ -216,28 +215,36 @@ def refuted(claims: Results, records: Sequence[Record]) -> list[str]:
     Raises:
         ValueError: if no record has the conditions of a claim.
     """
-    own = {_conditions(one.cell): one for one in records if isinstance(one.cell, PolicyCell)}
-    sentences, compared = [], 0
+    reruns = {}
+    for record in records:
+        if isinstance(record.cell, PolicyCell):
+            reruns[_without_seed(record.cell)] = record
+    sentences = []
+    compared = 0
     for claim in claims.records:
-        rerun = own.get(_conditions(claim.cell))
+        rerun = reruns.get(_without_seed(claim.cell))
         if rerun is None or not isinstance(claim.cell, PolicyCell):
             continue
         compared += 1
-        claimed, carried = (one.result.get("payload") for one in (claim, rerun))
+        claimed = claim.result.get("payload")
+        carried = rerun.result.get("payload")
         if claimed is None:
             continue
-        scatter = DRAWS if rerun.result.get("assured") is not None else MACHINES
-        tolerance = float(rerun.result.get("resolution") or 0.0) + scatter * (
-            rerun.result.get("total_mass") or 0.0
-        )
-        if carried is None or not claimed <= carried + tolerance:
-            now = rerun.error or (
-                "it fails unloaded" if carried is None else f"it carries {carried:.3f} kg"
+        if carried is None or not claimed <= carried + _tolerance(rerun.result):
+            now = "it fails unloaded" if carried is None else f"it carries {carried:.3f} kg"
+            sentences.append(
+                f"{_title(claim.cell)}: {claimed:.3f} kg claimed; rerun: {rerun.error or now}"
             )
-            sentences.append(f"{_title(claim.cell)}: {claimed:.3f} kg claimed; rerun: {now}")
     if not compared:
         raise ValueError("the rerun has no conditions of the claims")
     return sentences
+
+
+def _tolerance(result: Mapping[str, Any]) -> float:
+    """Largest excess of a claim over the payload of a rerun that is no contradiction [kg]."""
+    scatter = MACHINES if result.get("assured") is None else DRAWS
+    resolution = float(result.get("resolution") or 0.0)
+    return resolution + scatter * float(result.get("total_mass") or 0.0)
 
 
 def verification(
@@ -252,27 +259,27 @@ def verification(
         reasons: why the entry is refused; empty if its claims hold.
     """
     sandbox = sandbox_name()
-    payloads = [
-        {"conditions": _title(one.cell), "payload": one.result.get("payload"), "error": one.error}
-        for one in records
-        if isinstance(one.cell, PolicyCell)
-    ]
+    outcome = "verified" if sandbox else "reproduced without a sandbox"
+    if reasons:
+        outcome = "refused"
+    hashes = {}
+    for name in (CARD, CLAIMS):
+        if (folder / name).is_file():
+            hashes[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+    payloads = []
+    for record in records:
+        if isinstance(record.cell, PolicyCell):
+            payload = record.result.get("payload")
+            title = _title(record.cell)
+            payloads.append({"conditions": title, "payload": payload, "error": record.error})
     return {
-        "outcome": "refused"
-        if reasons
-        else "verified"
-        if sandbox
-        else "reproduced without a sandbox",
+        "outcome": outcome,
         "reasons": list(reasons),
         "date": datetime.now(UTC).date().isoformat(),
         "sandbox": sandbox,
         "network": "cut" if sandbox else "open",
         "seed": seed,
-        "sha256": {
-            name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
-            for name in (CARD, CLAIMS)
-            if (folder / name).is_file()
-        },
+        "sha256": hashes,
         "source": records[0].source if records else None,
         "versions": dict(records[0].versions) if records else {},
         "processor": processor(),
@@ -288,18 +295,16 @@ def check_entry(folder: Path) -> Entry:
     """
     entry = read_entry(folder)
     entry.paths(folder)
-    known = {
-        CARD,
-        CLAIMS,
-        VERIFICATION,
-        "README.md",
-        PACKAGES if entry.package is not None else POLICY,
-    }
-    if others := sorted(
-        path.name for path in folder.iterdir() if path.name not in known or path.is_symlink()
-    ):
+    files = PACKAGES if entry.package is not None else POLICY
+    known = {CARD, CLAIMS, VERIFICATION, "README.md", files}
+    unknown = []
+    for path in folder.iterdir():
+        if path.name not in known or path.is_symlink():
+            unknown.append(path.name)
+    if unknown:
         raise ValueError(
-            f"entry {entry.name!r} has files that are unknown or links: {', '.join(others[:5])}"
+            f"entry {entry.name!r} has files that are unknown or links: "
+            f"{', '.join(sorted(unknown)[:5])}"
         )
     return entry
 
@@ -310,19 +315,19 @@ def find_entries(folder: Path) -> dict[str, Entry]:
     Raises:
         ValueError: if there is none, or if one is invalid.
     """
-    found = {
-        str(path.parent): check_entry(path.parent) for path in sorted(folder.glob(f"*/{CARD}"))
-    }
-    if not found:
+    cards = sorted(folder.glob(f"*/{CARD}"))
+    if not cards:
         raise ValueError(
             f"{str(folder)!r} has no entries: give the folder that holds their folders"
         )
-    return found
+    return {str(card.parent): check_entry(card.parent) for card in cards}
 
 
-def _conditions(cell: Cell) -> str:
-    """Key of a cell without its seed."""
-    return replace(cell, seed=0).key if isinstance(cell, PolicyCell) else cell.key
+def _without_seed(cell: Cell) -> str:
+    """Key of the conditions of a cell: the same for all seeds."""
+    if isinstance(cell, PolicyCell):
+        cell = replace(cell, seed=0)
+    return cell.key
 
 
 def _title(cell: PolicyCell) -> str:

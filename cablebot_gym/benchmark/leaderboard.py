@@ -18,6 +18,7 @@ from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.scores import (
     CONFIDENCE,
     BestKnown,
+    Leaderboard,
     best_known_payloads,
     leaderboards,
     payload_maps,
@@ -86,21 +87,25 @@ class Results:
         if self.board is None:
             raise ValueError("the results have no board with hidden motions")
         self.board.check()
-        cells = [record.cell for record in self.records if isinstance(record.cell, PolicyCell)]
-        committed = {
-            (env_id, policy) for env_id, names in self.board.entries.items() for policy in names
-        }
-        if absent := committed ^ {(cell.env_id, cell.policy) for cell in cells}:
+        seeds: dict[tuple[str, str], set[Any]] = {}
+        for record in self.records:
+            if isinstance(record.cell, PolicyCell):
+                cell = record.cell
+                motions = seeds.setdefault((cell.env_id, cell.policy), set())
+                if "seed" in cell.trajectory:
+                    motions.add(cell.trajectory["seed"])
+        committed = set()
+        for env_id, names in self.board.entries.items():
+            committed |= {(env_id, policy) for policy in names}
+        absent = committed ^ seeds.keys()
+        if absent:
             differ = ", ".join(f"{policy} on {env_id}" for env_id, policy in sorted(absent))
             raise ValueError(f"board {self.board.version!r} and its results differ in {differ}")
         for env_id, policy in committed:
-            own = [
-                cell.trajectory for cell in cells if (cell.env_id, cell.policy) == (env_id, policy)
-            ]
-            seeds = {motion["seed"] for motion in own if "seed" in motion}
-            if seeds != set(self.board.seeds(env_id, self.board.motions)):
+            if seeds[env_id, policy] != set(self.board.seeds(env_id, self.board.motions)):
                 raise ValueError(
-                    f"the motions of {policy} on {env_id} are not those of board {self.board.version!r}"
+                    f"the motions of {policy} on {env_id} are not those of board "
+                    f"{self.board.version!r}"
                 )
 
     def to_json(self) -> str:
@@ -168,60 +173,96 @@ def markdown(results: Results) -> str:
     """The leaderboard page: a table for each environment, payload maps, best known payloads and
     notes."""
     records = results.records
-    cells = [score.cell for score in scores(records)]
-    default = next((cell for cell in cells if not varied_fields(cell)), cells[0])
     boards = leaderboards(records)
-    text = _INTRODUCTION
-    absent = [
-        f"`{env_id}`" for env_id in ENV_IDS if env_id not in {board.env_id for board in boards}
-    ]
-    if results.board is not None and absent:
-        text += f"\nNo board yet: {', '.join(absent)}.\n"
-    unverified = {entry.policy for entry in results.entries if not entry.verified}
-    for leaderboard in boards:
-        head, *rows = tables.leaderboard_rows(leaderboard)
-        at = head.index("policy")
-        marks = [", unverified" if row[at] in unverified else "" for row in rows]
-        rows = [
-            [*row[:at], f"`{row[at]}`{mark}", *row[at + 1 :]]
-            for row, mark in zip(rows, marks, strict=True)
-        ]
-        text += f"\n## {leaderboard.env_id}\n\n{_table([head, *rows])}"
-    if library := library_tables(records):
-        text += f"\n## Real robots\n\nEach robot has its own motion, error bounds and payload range.\n\n{library}"
-    if rows := tables.overall_rows(boards):
+    text = _INTRODUCTION + _absent_text(results, boards)
+    text += _boards_text(boards, results.entries)
+    library = library_tables(records)
+    if library:
+        text += "\n## Real robots\n\n"
+        text += f"Each robot has its own motion, error bounds and payload range.\n\n{library}"
+    rows = tables.overall_rows(boards)
+    if rows:
         text += f"\n## All environments\n\n{_table(rows)}"
-    for payload_map in payload_maps(records):
-        note = tables.map_note(payload_map)
-        text += (
-            f"\n## {tables.map_title(payload_map)}\n\n{_table(tables.map_rows(payload_map))}"
-            + (f"\n{note}\n" if note else "")
-        )
+    text += _maps_text(records)
     if results.entries:
         text += f"\n## Entries\n\n{_entries_table(results.entries)}"
-    if references := list(best_known_payloads(records).values()):
+    references = list(best_known_payloads(records).values())
+    if references:
         text += f"\n## Best known payloads\n\n{_best_known_table(references)}"
-    notes = [_escaped(note) for note in (*tables.failures(records), *tables.left_out(records))]
-    notes += tables.fallbacks(records)
-    processors = {str(timing["processor"]) for board in boards for timing in board.timings.values()}
-    notes += [f"computing times were measured on: {processor}" for processor in sorted(processors)]
-    if notes:
-        text += "\n## Notes\n\n" + "".join(f"* {note}\n" for note in notes)
-    used = "; ".join(
-        ", ".join(f"{name} {value}" for name, value in versions.items())
-        for versions in _versions(records)
-    )
+    text += _notes_text(records, boards)
     if results.board is not None:
         text += _board_text(results.board)
-    position, rotation = (1e3 * default.error_bounds[name] for name in ("position", "rotation"))
-    template = (files("cablebot_gym.benchmark") / "leaderboard_definitions.md").read_text(
-        encoding="utf-8"
+    return f"{text}\n{_definitions(records)}\n{_origin(results)}"
+
+
+def _absent_text(results: Results, boards: Sequence[Leaderboard]) -> str:
+    """The environments without a board."""
+    present = {board.env_id for board in boards}
+    absent = [f"`{env_id}`" for env_id in ENV_IDS if env_id not in present]
+    if results.board is None or not absent:
+        return ""
+    return f"\nNo board yet: {', '.join(absent)}.\n"
+
+
+def _boards_text(boards: Sequence[Leaderboard], entries: Sequence[EntryNote]) -> str:
+    unverified = {entry.policy for entry in entries if not entry.verified}
+    text = ""
+    for board in boards:
+        rows = tables.leaderboard_rows(board)
+        column = rows[0].index("policy")
+        for row in rows[1:]:
+            mark = ", unverified" if row[column] in unverified else ""
+            row[column] = f"`{row[column]}`{mark}"
+        text += f"\n## {board.env_id}\n\n{_table(rows)}"
+    return text
+
+
+def _maps_text(records: Sequence[Record]) -> str:
+    text = ""
+    for payload_map in payload_maps(records):
+        text += f"\n## {tables.map_title(payload_map)}\n\n{_table(tables.map_rows(payload_map))}"
+        note = tables.map_note(payload_map)
+        if note:
+            text += f"\n{note}\n"
+    return text
+
+
+def _notes_text(records: Sequence[Record], boards: Sequence[Leaderboard]) -> str:
+    notes = [_escaped(note) for note in (*tables.failures(records), *tables.left_out(records))]
+    notes += tables.fallbacks(records)
+    processors = set()
+    for board in boards:
+        processors |= {str(timing["processor"]) for timing in board.timings.values()}
+    for processor in sorted(processors):
+        notes.append(f"computing times were measured on: {processor}")
+    if not notes:
+        return ""
+    return "\n## Notes\n\n" + "".join(f"* {note}\n" for note in notes)
+
+
+def _definitions(records: Sequence[Record]) -> str:
+    """Definitions with the error bounds and the probability of the records."""
+    cells = [score.cell for score in scores(records)]
+    cell = next((cell for cell in cells if not varied_fields(cell)), cells[0])
+    path = files("cablebot_gym.benchmark") / "leaderboard_definitions.md"
+    return path.read_text(encoding="utf-8").format(
+        position=1e3 * cell.error_bounds["position"],
+        rotation=1e3 * cell.error_bounds["rotation"],
+        probability=cell.probability,
+        confidence=CONFIDENCE,
     )
-    text += "\n" + template.format(
-        position=position, rotation=rotation, probability=default.probability, confidence=CONFIDENCE
-    )
+
+
+def _origin(results: Results) -> str:
+    """Suite, command and versions of the results."""
+    sets = []
+    for versions in _versions(results.records):
+        sets.append(", ".join(f"{name} {version}" for name, version in versions.items()))
     summary = find_suite(results.suite).summary
-    return f"{text}\nSuite `{results.suite}` ({summary}), computed by `{results.command}` with {used}.\n"
+    return (
+        f"Suite `{results.suite}` ({summary}), computed by `{results.command}` "
+        f"with {'; '.join(sets)}.\n"
+    )
 
 
 def library_tables(records: Sequence[Record]) -> str:
@@ -252,12 +293,17 @@ def _best_known_table(references: Sequence[BestKnown]) -> str:
         ["environment", "motion", "payload [kg]", "total mass [kg]", "upper bound [kg]", "note"]
     ]
     for best in references:
-        payloads = (best.result.get("payload"), best.result.get("total_mass"))
-        upper = (best.result.get("upper") or {}).get("payload")
-        note = best.result.get("error") or (
-            "" if best.payload is not None else "not verified by the replay"
-        )
-        numbers = ["–" if value is None else f"{value:.3f}" for value in (*payloads, upper)]
+        upper = best.result.get("upper") or {}
+        numbers = []
+        for value in (
+            best.result.get("payload"),
+            best.result.get("total_mass"),
+            upper.get("payload"),
+        ):
+            numbers.append("–" if value is None else f"{value:.3f}")
+        note = best.result.get("error") or ""
+        if not note and best.payload is None:
+            note = "not verified by the replay"
         rows.append([best.cell.env_id, tables.task_title(best.cell), *numbers, note])
     return _table(rows)
 

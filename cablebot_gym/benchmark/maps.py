@@ -78,28 +78,23 @@ class Axis:
     def constants(self, cell: Cell) -> tuple[str, ...] | None:
         """Other varied parameters, constant in a map, with their values; None if no map of this
         axis has the cell."""
-        others = [name for name in varied_fields(cell) if name not in self.fields]
-        equal = len({_values(cell)[name] for name in self.fields}) == 1
-        return (
-            tuple(_text(cell, name) for name in others)
-            if equal and set(others) <= _CONSTANT
-            else None
-        )
+        constants = [name for name in varied_fields(cell) if name not in self.fields]
+        is_equal = len({_values(cell)[name] for name in self.fields}) == 1
+        if not is_equal or not set(constants) <= _CONSTANT:
+            return None
+        return tuple(_text(cell, name) for name in constants)
 
 
-AXES: Mapping[str, Axis] = MappingProxyType(
-    {
-        name: Axis(name=name, fields=fields)
-        for name, fields in {
-            "position": ("error_bounds.position",),
-            "bounds": ("error_bounds.position", "error_bounds.rotation"),
-            "duration": ("trajectory.duration",),
-            "stiffness": ("robot_changes.transmission.stiffness",),
-            "damping": ("robot_changes.transmission.damping",),
-            "radius": ("trajectory.radius",),
-        }.items()
-    }
+_AXES = (
+    Axis(name="position", fields=("error_bounds.position",)),
+    Axis(name="bounds", fields=("error_bounds.position", "error_bounds.rotation")),
+    Axis(name="duration", fields=("trajectory.duration",)),
+    Axis(name="stiffness", fields=("robot_changes.transmission.stiffness",)),
+    Axis(name="damping", fields=("robot_changes.transmission.damping",)),
+    Axis(name="radius", fields=("trajectory.radius",)),
 )
+
+AXES: Mapping[str, Axis] = MappingProxyType({axis.name: axis for axis in _AXES})
 """Axes by name."""
 
 
@@ -138,27 +133,24 @@ def _default_values(cell: Cell) -> dict[str, Any]:
 @cache
 def _values_of(env_id: str, conditions: str) -> dict[str, Any]:
     """Value of each field; None if the robot, the motion or the cell does not have it."""
-    given = json.loads(conditions)
-    cell = BestKnownCell(
-        env_id=env_id, **{name: value for name, value in given.items() if name != "resolution"}
-    )
+    fields = json.loads(conditions)
+    resolution = fields.pop("resolution", None)
+    cell = BestKnownCell(env_id=env_id, **fields)
     robot = cell.robot
     data: dict[str, Any] = {
         "error_bounds": dict(cell.error_bounds),
         "robot_changes": robot.to_dict(),
         "trajectory": to_jsonable(find_trajectory(dict(cell.trajectory), robot.kind)),
-        "resolution": given.get("resolution"),
+        "resolution": resolution,
     }
-    return {name: _found(data, name.split(".")) for name in _LABELS}
+    return {name: _value_at(data, name.split(".")) for name in _LABELS}
 
 
-def _found(data: Any, path: list[str]) -> Any:
+def _value_at(data: Any, path: list[str]) -> Any:
     """The value at a path in nested data; None if there is none."""
     for step in path:
-        named = (
-            {str(index): item for index, item in enumerate(data)}
-            if isinstance(data, list)
-            else data or {}
-        )
-        data = named.get(step)
+        if isinstance(data, list):
+            data = data[int(step)] if int(step) < len(data) else None
+        else:
+            data = (data or {}).get(step)
     return data

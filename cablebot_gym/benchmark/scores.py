@@ -4,7 +4,7 @@ and error bounds."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -73,11 +73,14 @@ class Score:
         still feasible."""
         if self.payload is None:
             return "fails unloaded"
-        at_least = "≥ " if self.result.get("scan_ended") else ""
-        declared = ", declared" if self.result.get("declared") else ""
-        random = self.result.get("stochastic") and self.cell.draws == 1
-        drawn = f", stochastic ({self.result['draws']} draws)" if random else ""
-        return f"{at_least}{self.payload:.2f}{declared}{drawn}"
+        text = f"{self.payload:.2f}"
+        if self.result.get("scan_ended"):
+            text = f"≥ {text}"
+        if self.result.get("declared"):
+            text += ", declared"
+        if self.result.get("stochastic") and self.cell.draws == 1:
+            text += f", stochastic ({self.result['draws']} draws)"
+        return text
 
 
 def best_known_payloads(records: Sequence[Record]) -> dict[str, BestKnown]:
@@ -128,10 +131,15 @@ class Column:
     @classmethod
     def of(cls, cell: PolicyCell) -> Column:
         """The column of a cell."""
-        own = {
-            field.name: getattr(cell, field.name) for field in fields(cls) if field.name != "motion"
-        }
-        return cls(motion=str(cell.trajectory["name"]), **own)
+        return cls(
+            motion=str(cell.trajectory["name"]),
+            payload_known=cell.payload_known,
+            model_payload_factor=cell.model_payload_factor,
+            uncertainty=cell.uncertainty,
+            criterion=cell.criterion,
+            draws=cell.draws,
+            real_time=cell.real_time,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +165,8 @@ class Leaderboard:
 
     def motions(self, column: Column) -> int:
         """Number of motions of a column that count."""
-        return max(len(entry) for (_, its), entry in self.entries.items() if its == column)
+        counts = [len(entry) for key, entry in self.entries.items() if key[1] == column]
+        return max(counts)
 
     def fraction(self, policy: str, column: Column) -> Fraction | None:
         """The fraction of a policy in a column; None without a score for every motion."""
@@ -186,13 +195,11 @@ def fraction(strata: Sequence[Array]) -> Fraction:
     Args:
         strata: fractions of the motions of each environment.
     """
-    means = np.mean(
-        [_resampled(values[None], seed)[0] for seed, values in enumerate(strata)], axis=0
-    )
+    resampled = [_resampled(values[None], seed)[0] for seed, values in enumerate(strata)]
+    means = np.mean(resampled, axis=0)
     low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    mean = float(np.mean([values.mean() for values in strata]))
     return Fraction(
-        mean=mean,
+        mean=float(np.mean([values.mean() for values in strata])),
         low=float(low),
         high=float(high),
         worst=float(min(values.min() for values in strata)),
@@ -208,11 +215,12 @@ def overall(boards: Sequence[Leaderboard]) -> dict[str, tuple[tuple[str, ...], F
             values = _values(board.entries[policy, board.columns[0]])
             if values is not None:
                 strata.setdefault(policy, {})[board.env_id] = values
-    return {
-        name: (tuple(own), fraction(list(own.values())))
-        for name, own in strata.items()
-        if len(own) > 1
-    }
+    fractions = {}
+    for policy, by_environment in strata.items():
+        if len(by_environment) > 1:
+            values_of_all = list(by_environment.values())
+            fractions[policy] = (tuple(by_environment), fraction(values_of_all))
+    return fractions
 
 
 def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
@@ -222,11 +230,14 @@ def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
     for score in scores(records):
         if score.cell.robot_name is None and not varied_fields(score.cell):
             groups.setdefault(score.cell.env_id, []).append(score)
-    timed = [(record.cell, record.result) for record in records if record.error is None]
-    timings = {
-        (cell.env_id, cell.policy): result for cell, result in timed if isinstance(cell, TimingCell)
-    }
-    return [_leaderboard(env_id, group, timings) for env_id, group in groups.items()]
+    timings: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for record in records:
+        if isinstance(record.cell, TimingCell) and record.error is None:
+            cell = record.cell
+            timings.setdefault(cell.env_id, {})[cell.policy] = record.result
+    return [
+        _leaderboard(env_id, group, timings.get(env_id, {})) for env_id, group in groups.items()
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,28 +264,31 @@ class PayloadMap:
 def payload_maps(records: Sequence[Record]) -> list[PayloadMap]:
     """The maps of the records: one for each environment, axis and set of constants with at least
     one varied cell."""
-    conditions = (payload_model_text(True), None, "task")
     groups: dict[str, dict[tuple[Axis, str, tuple[str, ...]], list[Score]]] = {}
     for score in scores(records):
-        cell = score.cell
-        if (
-            cell.robot_name is None
-            and (cell.payload_model, cell.uncertainty, cell.criterion) == conditions
-        ):
-            maps = groups.setdefault(cell.env_id, {})
+        if _is_on_maps(score.cell):
+            maps = groups.setdefault(score.cell.env_id, {})
             for axis in AXES.values():
-                if (constants := axis.constants(cell)) is not None:
-                    maps.setdefault((axis, cell.trajectory["name"], constants), []).append(score)
+                constants = axis.constants(score.cell)
+                if constants is not None:
+                    key = (axis, str(score.cell.trajectory["name"]), constants)
+                    maps.setdefault(key, []).append(score)
     references = best_known_payloads(records)
     order = list(AXES.values())
-    return [
-        _map(env_id, motion, axis, constants, group, references)
-        for env_id, maps in groups.items()
-        for (axis, motion, constants), group in sorted(
-            maps.items(), key=lambda item: order.index(item[0][0])
-        )
-        if any(axis.varies(score.cell) for score in group)
-    ]
+    payload_maps = []
+    for env_id, maps in groups.items():
+        for key in sorted(maps, key=lambda key: order.index(key[0])):
+            axis, motion, constants = key
+            if any(axis.varies(score.cell) for score in maps[key]):
+                payload_maps.append(_map(env_id, motion, axis, constants, maps[key], references))
+    return payload_maps
+
+
+def _is_on_maps(cell: PolicyCell) -> bool:
+    """Whether a cell has the conditions of the maps: known payload, no uncertainty, task
+    criterion."""
+    is_nominal = cell.uncertainty is None and cell.criterion == "task"
+    return cell.robot_name is None and is_nominal and cell.payload_model == payload_model_text(True)
 
 
 def _map(
@@ -286,60 +300,75 @@ def _map(
     references: Mapping[str, BestKnown],
 ) -> PayloadMap:
     group = sorted(group, key=lambda score: axis.varies(score.cell))
-    by_value: dict[float, dict[str, Score]] = {axis.value(score.cell): {} for score in group}
+    by_value: dict[float, dict[str, Score]] = {}
+    names: dict[str, bool] = {}
     for score in group:
-        by_value[axis.value(score.cell)][score.cell.policy] = score
+        cell = score.cell
+        by_value.setdefault(axis.value(cell), {})[cell.policy] = score
+        names[cell.policy] = names.get(cell.policy, False) or axis.varies(cell)
     values = tuple(sorted(by_value))
-    best = [
-        references.get(motion_key(next(iter(by_value[value].values())).cell)) for value in values
-    ]
-    varied = {score.cell.policy for score in group if axis.varies(score.cell)}
-    names = [name for name in dict.fromkeys(score.cell.policy for score in group) if name in varied]
+    best_known = []
+    for value in values:
+        any_score = next(iter(by_value[value].values()))
+        reference = references.get(motion_key(any_score.cell))
+        best_known.append(None if reference is None else reference.payload)
+    policies = {}
+    for name, is_varied in names.items():
+        if is_varied:
+            policies[name] = tuple(by_value[value].get(name) for value in values)
     return PayloadMap(
         env_id=env_id,
         motion=motion,
         axis=axis,
         constants=constants,
         values=values,
-        best_known=tuple(None if one is None else one.payload for one in best),
-        policies={name: tuple(by_value[value].get(name) for value in values) for name in names},
+        best_known=tuple(best_known),
+        policies=policies,
     )
 
 
 def _leaderboard(
-    env_id: str, group: Sequence[Score], timings: Mapping[tuple[str, str], Mapping[str, Any]]
+    env_id: str, group: Sequence[Score], timings: Mapping[str, Mapping[str, Any]]
 ) -> Leaderboard:
-    entries: dict[tuple[str, Column], tuple[Score, ...]] = {}
-    for score in group:
-        key = (score.cell.policy, Column.of(score.cell))
-        entries[key] = (*entries.get(key, ()), score)
+    entries = _entries(group)
     motions: dict[Column, int] = {}
-    for (policy, column), entry in entries.items():
-        # Motions are compared in pairs, and therefore in the same order.
-        entry = tuple(sorted(entry, key=lambda score: canonical(dict(score.cell.trajectory))))
+    for (_, column), entry in entries.items():
         motions[column] = max(motions.get(column, 0), len(entry))
-        # A motion without best known payload counts for no policy, unless no motion of the column
-        # has one.
-        entries[policy, column] = (
-            tuple(score for score in entry if score.best_known is not None) or entry
-        )
     columns = sorted(motions, key=lambda column: (column.uncertainty is not None, -motions[column]))
-    first = {policy: _values(entries.get((policy, columns[0]), ())) for policy, _ in entries}
-    means = {
-        policy: -1.0 if values is None else float(values.mean()) for policy, values in first.items()
-    }
-    most = max((len(own) for own in first.values() if own is not None), default=0)
-    complete = {
-        policy: own for policy, own in first.items() if own is not None and len(own) == most
-    }
+    # A motion without best known payload counts for no policy, unless no motion of the column has
+    # one.
+    for key, entry in entries.items():
+        with_reference = tuple(score for score in entry if score.best_known is not None)
+        entries[key] = with_reference or entry
+    means: dict[str, float] = {}
+    fractions: dict[str, Array] = {}
+    for policy, _ in entries:
+        values = _values(entries.get((policy, columns[0]), ()))
+        means[policy] = -1.0
+        if values is not None:
+            means[policy] = float(values.mean())
+            fractions[policy] = values
+    most = max((len(values) for values in fractions.values()), default=0)
+    complete = {policy: values for policy, values in fractions.items() if len(values) == most}
     return Leaderboard(
         env_id=env_id,
         columns=tuple(columns),
         policies=tuple(sorted(means, key=lambda policy: (-means[policy], policy))),
         ranks=_ranks(complete) if motions[columns[0]] >= RANKED_MOTIONS else {},
         entries=entries,
-        timings={policy: result for (own, policy), result in timings.items() if own == env_id},
+        timings=timings,
     )
+
+
+def _entries(group: Sequence[Score]) -> dict[tuple[str, Column], tuple[Score, ...]]:
+    """Scores by policy and column. Motions are compared in pairs, and therefore in the same
+    order."""
+    entries: dict[tuple[str, Column], list[Score]] = {}
+    for score in group:
+        entries.setdefault((score.cell.policy, Column.of(score.cell)), []).append(score)
+    for entry in entries.values():
+        entry.sort(key=lambda score: canonical(dict(score.cell.trajectory)))
+    return {key: tuple(entry) for key, entry in entries.items()}
 
 
 def _ranks(fractions: Mapping[str, Array]) -> dict[str, int]:
@@ -355,8 +384,8 @@ def _resampled(values: Array, seed: int = 0) -> Array:
     """Means of bootstrap resamples of the columns of values (p, n), shape (p, RESAMPLES); rows
     share the columns."""
     count = values.shape[1]
-    chosen = np.random.default_rng(seed).integers(count, size=(RESAMPLES, count))
-    weights = np.stack([(chosen == index).sum(axis=1) for index in range(count)]) / count
+    columns = np.random.default_rng(seed).integers(count, size=(RESAMPLES, count))
+    weights = np.stack([(columns == index).sum(axis=1) for index in range(count)]) / count
     return np.asarray(values @ weights, float)
 
 
@@ -368,16 +397,9 @@ def _values(entry: Sequence[Score]) -> Array | None:
 
 def _score(record: Record, cell: PolicyCell, references: Mapping[str, BestKnown]) -> Score:
     best = references.get(motion_key(cell))
-    reference = None if best is None else best.payload
-    payload = record.result.get("payload")
-    scored = (
-        cell.criterion == "task"
-        and cell.uncertainty is None
-        and (record.error is None or record.final)
-    )
-    return Score(
-        cell=cell,
-        result=record.result,
-        best_known=reference,
-        score=(payload or 0.0) / reference if scored and reference else None,
-    )
+    best_known = None if best is None else best.payload
+    is_nominal = cell.criterion == "task" and cell.uncertainty is None
+    fraction = None
+    if best_known and is_nominal and (record.error is None or record.final):
+        fraction = (record.result.get("payload") or 0.0) / best_known
+    return Score(cell=cell, result=record.result, best_known=best_known, score=fraction)

@@ -37,23 +37,19 @@ class Store:
 
     def find(self, cell: Cell) -> Record | None:
         """The record of a cell; None if it is missing, broken or computed by different code."""
-        own = self._path(cell, cell.source)
-        if (
-            own.exists()
-            and (record := self._read(own, cell)) is not None
-            and record.source == cell.source
-        ):
-            return record
-        others = set(self._folder.glob(self._path(cell, "*").name)) - {own}
-        self.foreign += bool(others)
-        newest = (
-            sorted(others, key=lambda path: path.stat().st_mtime, reverse=True)
-            if self._any_source
-            else []
-        )
-        return next(
-            (record for path in newest if (record := self._read(path, cell)) is not None), None
-        )
+        current = self._path(cell, cell.source)
+        if current.exists():
+            record = self._read(current, cell)
+            if record is not None and record.source == cell.source:
+                return record
+        foreign = set(self._folder.glob(self._path(cell, "*").name)) - {current}
+        self.foreign += bool(foreign)
+        if self._any_source:
+            for path in sorted(foreign, key=lambda path: path.stat().st_mtime, reverse=True):
+                record = self._read(path, cell)
+                if record is not None:
+                    return record
+        return None
 
     def add(self, record: Record) -> None:
         """Writes a record if it is final."""
@@ -66,12 +62,8 @@ class Store:
             "result": dict(record.result),
             "seconds": round(record.seconds, 3),
         }
-        text = (
-            json.dumps(
-                data | {"checksum": _hash(data)}, indent=1, ensure_ascii=False, allow_nan=False
-            )
-            + "\n"
-        )
+        data["checksum"] = _hash(data)
+        text = json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         atomic_write_text(self._path(record.cell, record.source), text)
 
     def _path(self, cell: Cell, source: str) -> Path:

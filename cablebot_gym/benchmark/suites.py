@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from importlib.resources import files
 from itertools import product
 from pathlib import Path
@@ -17,7 +17,6 @@ from cablebot_gym.benchmark.cells import (
     Cell,
     PolicyCell,
     TimingCell,
-    cell_from_dict,
     merged,
 )
 from cablebot_gym.benchmark.maps import AXES, AnyCell
@@ -43,37 +42,48 @@ OWN_RESOLUTION = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """Conditions under which every policy is evaluated. All combinations of the tuples are
-    cells."""
+    """Conditions under which every policy is evaluated."""
 
     policies: tuple[str, ...] = ()
     """The only policies of the block; all policies if empty."""
+    slow: bool = False
+    """Whether to include policies whose entry is marked as slow."""
     motion: str = "circle"
     """Motion: ``circle``, the circle between dwells; ``paper``, the circle as printed; ``loop``,
     held-out motions; ``hidden``, the hidden motions of a board; or ``library``, the robots of the
     library that fit the environment, each with its own motion, error bounds and payload range."""
     motions: int = 1
     """Number of held-out or hidden motions."""
-    payload_known: tuple[bool, ...] = (True,)
-    """Whether the policies' models include the payload."""
-    model_payload_factors: tuple[float, ...] = (1.0,)
-    """Ratios of the policies' model payload to the nominal payload."""
-    criterion: str = "task"
-    """DLCC criterion. ``paper`` applies to laws that declare ``unsaturated_actions``, and is never
-    ranked."""
-    uncertainty: str | None = None
-    """Name of an uncertainty; None for none."""
-    draws: int = 1
-    """Number of draws that confirm a payload; 1 without uncertainty."""
     axis: str | None = None
     """Name of the varied parameter, see :data:`~cablebot_gym.benchmark.maps.AXES`; None for none.
     Rigid robots have no joint stiffness, and flexible ones no varied pulley friction."""
     values: tuple[float, ...] = ()
     """Values of the varied parameter, SI."""
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    """Further fields of the policies' cells; nested mappings change the values that they name."""
-    slow: bool = False
-    """Whether to include policies whose entry is marked as slow."""
+    conditions: Mapping[str, Any] = field(default_factory=dict)
+    """Further fields of the policies' cells. A nested mapping changes the values that it names; a
+    list stands for a cell with each of its values."""
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Block:
+        """The block of a suite file: unknown names are fields of the cells."""
+        names = {item.name for item in fields(cls)}
+        settings = {name: value for name, value in data.items() if name in names}
+        conditions = {name: value for name, value in data.items() if name not in names}
+        return cls(**_tuples(settings), conditions=conditions)
+
+    @property
+    def is_nominal(self) -> bool:
+        """Whether best known payloads are the yardstick: task criterion, no uncertainty."""
+        is_task = self.conditions.get("criterion", "task") == "task"
+        return is_task and "uncertainty" not in self.conditions
+
+    def combinations(self) -> list[dict[str, Any]]:
+        """The conditions with each combination of the values of their lists."""
+        values = []
+        for value in self.conditions.values():
+            values.append(value if isinstance(value, list) else [value])
+        names = self.conditions.keys()
+        return [dict(zip(names, chosen, strict=True)) for chosen in product(*values)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +116,7 @@ def _suites() -> Iterator[Suite]:
     )
     for name, suite in data.items():
         defaults = suite.pop("defaults", {})
-        blocks = tuple(Block(**_tuples(merged(defaults, block))) for block in suite.pop("blocks"))
+        blocks = tuple(Block.from_dict(merged(defaults, block)) for block in suite.pop("blocks"))
         yield Suite(name=name, blocks=blocks, **_tuples(suite))
 
 
@@ -154,25 +164,27 @@ def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tup
     Raises:
         ValueError: if a policy is unknown or supports none of the environments.
     """
-    entries = (
-        {name: public_entry(name) for name in dict.fromkeys(names)} if names else public_entries()
-    )
-    supported = {
-        name: tuple(env_ids) if entry is None else entry.env_ids for name, entry in entries.items()
-    }
-    supported |= {name: read_entry(Path(name)).env_ids for name in names if is_entry(name)}
+    if names:
+        entries = {name: public_entry(name) for name in dict.fromkeys(names)}
+    else:
+        entries = dict(public_entries())
+    supported: dict[str, tuple[str, ...]] = {}
+    for name, entry in entries.items():
+        supported[name] = tuple(env_ids) if entry is None else entry.env_ids
+        if names and is_entry(name):
+            supported[name] = read_entry(Path(name)).env_ids
     for name in names:
-        fits = [env_id for env_id in env_ids if env_id in supported[name]]
-        if not fits:
+        fitting = [env_id for env_id in env_ids if env_id in supported[name]]
+        if not fitting:
             raise ValueError(
                 f"policy {name!r} supports {', '.join(supported[name])}, not {', '.join(env_ids)}"
             )
         if entries[name] is None:
-            _check_loadable(name, fits)
-    return {
-        env_id: tuple(name for name, own in supported.items() if env_id in own)
-        for env_id in env_ids
-    }
+            _check_loadable(name, fitting)
+    by_environment: dict[str, tuple[str, ...]] = {}
+    for env_id in env_ids:
+        by_environment[env_id] = tuple(name for name in supported if env_id in supported[name])
+    return by_environment
 
 
 def suite_cells(
@@ -195,64 +207,71 @@ def suite_cells(
     """
     cells: list[Cell] = []
     for env_id, names in policies.items():
-        without = "damping" if env_id in FLEXIBLE_ENV_IDS else "stiffness"
-        blocks = [block for block in suite.blocks if block.axis != without]
-        for block in blocks if suite.best_known else ():
-            if block.criterion == "task" and block.uncertainty is None:
-                for task in _tasks(env_id, block, board):
-                    cells += _varied(block, BestKnownCell(env_id=env_id, **task))
+        absent_parameter = "damping" if env_id in FLEXIBLE_ENV_IDS else "stiffness"
+        blocks = [block for block in suite.blocks if block.axis != absent_parameter]
+        if suite.best_known:
+            for block in blocks:
+                cells += _best_known_cells(block, env_id, board)
         for block in blocks:
-            cells += _policy_cells(
-                block, env_id, names, board, {"seed": seed, "real_time": real_time}
-            )
-        (circle,) = _tasks(env_id, Block(), board)
-        cells += [
-            TimingCell(env_id=env_id, policy=name, **circle) for name in names if suite.timing
-        ]
+            cells += _policy_cells(block, env_id, names, board, seed, real_time)
+        if suite.timing:
+            (circle,) = _tasks(env_id, Block(), board)
+            cells += [TimingCell(env_id=env_id, policy=name, **circle) for name in names]
     return {cell.key: cell for cell in cells}
 
 
+def _best_known_cells(block: Block, env_id: str, board: Board | None) -> list[BestKnownCell]:
+    """The yardsticks of a block."""
+    if not block.is_nominal:
+        return []
+    cells: list[BestKnownCell] = []
+    for task in _tasks(env_id, block, board):
+        cells += _varied(block, BestKnownCell(env_id=env_id, **task))
+    return cells
+
+
 def _policy_cells(
-    block: Block, env_id: str, names: Sequence[str], board: Board | None, run: Mapping[str, Any]
-) -> Iterator[PolicyCell]:
-    slow = {name for name in names if (entry := public_entry(name)) is not None and entry.slow}
-    included = [
-        name
-        for name in block.policies or names
-        if name in names and (block.slow or name not in slow)
-    ]
-    for task, name, known, factor in product(
-        _tasks(env_id, block, board), included, block.payload_known, block.model_payload_factors
+    block: Block,
+    env_id: str,
+    names: Sequence[str],
+    board: Board | None,
+    seed: int,
+    real_time: bool,
+) -> list[PolicyCell]:
+    included = _included(block, names)
+    cells: list[PolicyCell] = []
+    for task, name, conditions in product(
+        _tasks(env_id, block, board), included, block.combinations()
     ):
-        own = (
-            find_robot(task["robot_name"]).defaults.payload_range
-            if block.motion == "library"
-            else None
-        )
-        cell = PolicyCell(
-            env_id=env_id,
-            policy=name,
-            criterion=block.criterion,
-            payload_known=known,
-            model_payload_factor=factor,
-            uncertainty=block.uncertainty,
-            draws=max(block.draws, REAL_TIME_DRAWS if run["real_time"] else 1),
-            resolution=None if own is None else OWN_RESOLUTION * own[1],
-            **task,
-            **run,
-        )
-        changed = cell_from_dict(merged(cell.to_dict(), block.changes))
-        assert isinstance(changed, PolicyCell)
-        yield from _varied(block, changed)
+        data = merged({"env_id": env_id, "policy": name, **task}, conditions)
+        if block.motion == "library":
+            payload_range = find_robot(task["robot_name"]).defaults.payload_range
+            if payload_range is not None:
+                data["resolution"] = OWN_RESOLUTION * payload_range[1]
+        cell = PolicyCell(seed=seed, real_time=real_time, **data)
+        if real_time:
+            cell = replace(cell, draws=max(cell.draws, REAL_TIME_DRAWS))
+        cells += _varied(block, cell)
+    return cells
+
+
+def _included(block: Block, names: Sequence[str]) -> list[str]:
+    """Names of the policies that a block evaluates."""
+    included = []
+    for name in block.policies or names:
+        entry = public_entry(name)
+        is_slow = entry is not None and entry.slow
+        if name in names and (block.slow or not is_slow):
+            included.append(name)
+    return included
 
 
 def _varied(block: Block, cell: AnyCell) -> list[AnyCell]:
     """The cell at every value of the block's axis; the cell alone if the block has no axis."""
-    return (
-        [AXES[block.axis].with_value(cell, value) for value in block.values]
-        if block.axis
-        else [cell]
-    )
+    if block.axis is None:
+        return [cell]
+    axis = AXES[block.axis]
+    return [axis.with_value(cell, value) for value in block.values]
 
 
 def _tasks(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any]]:
@@ -266,10 +285,14 @@ def _tasks(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any
 
 def _own_task(name: str) -> dict[str, Any]:
     robot = find_robot(name)
-    own = default_trajectory(robot)
-    bounds = find_error_bounds(None, robot)
-    motion = {"name": own} if isinstance(own, str) else to_jsonable(own)
-    return {"robot_name": name, "trajectory": motion, "error_bounds": to_jsonable(bounds)}
+    trajectory = default_trajectory(robot)
+    if isinstance(trajectory, str):
+        trajectory = {"name": trajectory}
+    return {
+        "robot_name": name,
+        "trajectory": to_jsonable(trajectory),
+        "error_bounds": to_jsonable(find_error_bounds(None, robot)),
+    }
 
 
 def _motions(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any]]:
@@ -280,11 +303,11 @@ def _motions(env_id: str, block: Block, board: Board | None) -> list[dict[str, A
         raise ValueError(
             "hidden motions need a board: commit one first, with the option --commit VERSION"
         )
-    seeds = (
-        board.seeds(env_id, block.motions)
-        if board and block.motion == "hidden"
-        else held_out_seeds(block.motions)
-    )
+    seeds: Sequence[int]
+    if board is not None and block.motion == "hidden":
+        seeds = board.seeds(env_id, block.motions)
+    else:
+        seeds = held_out_seeds(block.motions)
     return [{"name": f"loop-{kind}", "seed": seed} for seed in seeds]
 
 

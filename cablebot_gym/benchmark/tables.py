@@ -7,7 +7,7 @@ from statistics import median
 from typing import Any
 
 from cablebot_gym.benchmark import scores
-from cablebot_gym.benchmark.cells import Cell, Record
+from cablebot_gym.benchmark.cells import Cell, PolicyCell, Record, TimingCell
 from cablebot_gym.benchmark.maps import varied_texts
 from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.evaluation.constraints import Violation
@@ -27,14 +27,21 @@ def heading(column: scores.Column) -> str:
         words.append(f"{column.draws} draws")
     if column.criterion == "paper":
         words.append("paper criterion")
-    return ", ".join(words) + (" [kg]" if column.uncertainty or column.criterion == "paper" else "")
+    text = ", ".join(words)
+    if column.uncertainty or column.criterion == "paper":
+        text += " [kg]"  # there is no fraction of the best known payload
+    return text
 
 
 def motion_title(column: scores.Column, motions: int) -> str:
     """Motion of a column, or its family of motions."""
-    if column.motion.startswith(("circle-", "paper-")):
-        return "circle" if column.motion.startswith("circle-") else "the paper's circle"
-    return f"{motions} held-out motions" if motions > 1 else f"held-out motion of {column.motion}"
+    if column.motion.startswith("circle-"):
+        return "circle"
+    if column.motion.startswith("paper-"):
+        return "the paper's circle"
+    if motions > 1:
+        return f"{motions} held-out motions"
+    return f"held-out motion of {column.motion}"
 
 
 def column_titles(leaderboard: scores.Leaderboard) -> list[str]:
@@ -49,20 +56,27 @@ def entry_text(leaderboard: scores.Leaderboard, policy: str, column: scores.Colu
     """Table entry of a policy in a column: payload [kg] and fraction, or the mean fraction of
     several motions."""
     entry = leaderboard.entries.get((policy, column), ())
+    if not entry:
+        return "–"
     errors = sum(score.error is not None for score in entry)
-    if not entry or errors == len(entry):
-        return "error" if entry else "–"
+    if errors == len(entry):
+        return "error"
     if not all(score.result.get("applicable", True) for score in entry):
         return "n/a"
     fraction = leaderboard.fraction(policy, column)
     if len(entry) == 1:
-        text = entry[0].payload_text
-        return text if fraction is None else f"{text}, {fraction.mean:.0%}"
-    counted = f"; errors: {errors}" if errors else ""
+        payload = entry[0].payload_text
+        return payload if fraction is None else f"{payload}, {fraction.mean:.0%}"
     if fraction is None:
-        return f"{median(score.payload or 0.0 for score in entry):.2f} kg{counted}"
-    interval = f" [{fraction.low:.1%}, {fraction.high:.1%}]" if leaderboard.ranks else ""
-    return f"{fraction.mean:.1%}{interval}, worst {fraction.worst:.0%}{counted}"
+        text = f"{median(score.payload or 0.0 for score in entry):.2f} kg"
+    else:
+        text = f"{fraction.mean:.1%}"
+        if leaderboard.ranks:
+            text += f" [{fraction.low:.1%}, {fraction.high:.1%}]"
+        text += f", worst {fraction.worst:.0%}"
+    if errors:
+        text += f"; errors: {errors}"
+    return text
 
 
 def timing_text(timing: Mapping[str, Any] | None) -> str:
@@ -70,32 +84,44 @@ def timing_text(timing: Mapping[str, Any] | None) -> str:
     and the start [s]."""
     if timing is None:
         return "–"
-    times = f"{1e3 * timing['median']:.2g}, {1e3 * timing['p99']:.2g}, {timing['missed']:.0%}, {timing['start']:.2g}"
-    return f"{times}, exchange" if timing["exchange"] else times
+    text = f"{1e3 * timing['median']:.2g}, {1e3 * timing['p99']:.2g}, "
+    text += f"{timing['missed']:.0%}, {timing['start']:.2g}"
+    if timing["exchange"]:
+        text += ", exchange"
+    return text
 
 
 def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
     """Head and rows of a table: one row per policy, with its rank if there are ranks, and its
     computing time."""
     ranks, timings = leaderboard.ranks, leaderboard.timings
-    head = [*(["rank"] if ranks else []), "policy", *column_titles(leaderboard)]
-    rows = [[*head, *(["median, p99 [ms], late, start [s]"] if timings else [])]]
+    head = ["policy", *column_titles(leaderboard)]
+    if ranks:
+        head.insert(0, "rank")
+    if timings:
+        head.append("median, p99 [ms], late, start [s]")
+    rows = [head]
     for policy in leaderboard.policies:
-        row = [policy, *(entry_text(leaderboard, policy, column) for column in leaderboard.columns)]
-        row = [*([str(ranks.get(policy, "–"))] if ranks else []), *row]
-        rows.append([*row, *([timing_text(timings.get(policy))] if timings else [])])
+        row = [policy]
+        for column in leaderboard.columns:
+            row.append(entry_text(leaderboard, policy, column))
+        if ranks:
+            row.insert(0, str(ranks.get(policy, "–")))
+        if timings:
+            row.append(timing_text(timings.get(policy)))
+        rows.append(row)
     return rows
 
 
 def overall_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
     """Head and rows of the table of the policies that several ranked environments have; no rows
     without any."""
-    found = scores.overall(boards).items()
-    rows = [
-        [policy, str(len(env_ids)), f"{one.mean:.1%} [{one.low:.1%}, {one.high:.1%}]"]
-        for policy, (env_ids, one) in sorted(found, key=lambda item: -item[1][1].mean)
-    ]
-    return [["policy", "environments", "mean fraction"], *rows] if rows else []
+    policies = sorted(scores.overall(boards).items(), key=lambda item: -item[1][1].mean)
+    rows = [["policy", "environments", "mean fraction"]]
+    for policy, (env_ids, fraction) in policies:
+        interval = f"{fraction.mean:.1%} [{fraction.low:.1%}, {fraction.high:.1%}]"
+        rows.append([policy, str(len(env_ids)), interval])
+    return rows if policies else []
 
 
 def map_title(payload_map: scores.PayloadMap) -> str:
@@ -108,30 +134,28 @@ def map_title(payload_map: scores.PayloadMap) -> str:
 def map_rows(payload_map: scores.PayloadMap) -> list[list[str]]:
     """The table of a map: a row of parameter values, a row of best known payloads, if any, and one
     row per policy."""
-    rows = [["", *(f"{value * payload_map.axis.scale:g}" for value in payload_map.values)]]
-    if any(best is not None for best in payload_map.best_known):
-        known = ("–" if best is None else f"{best:.2f}" for best in payload_map.best_known)
-        rows.append(["best known payload", *known])
-    return rows + [
-        [policy, *map(_map_entry, entries)] for policy, entries in payload_map.policies.items()
-    ]
+    axis = payload_map.axis
+    rows = [["", *(f"{value * axis.scale:g}" for value in payload_map.values)]]
+    if any(payload is not None for payload in payload_map.best_known):
+        row = ["best known payload"]
+        for payload in payload_map.best_known:
+            row.append("–" if payload is None else f"{payload:.2f}")
+        rows.append(row)
+    for policy, entries in payload_map.policies.items():
+        rows.append([policy, *map(_map_entry, entries)])
+    return rows
 
 
 def map_note(payload_map: scores.PayloadMap) -> str:
     """One sentence on the cases with saturated motors; empty if the results do not contain them."""
-    found = [
-        score for entries in payload_map.policies.values() for score in entries if score is not None
-    ]
-    saturated = [
-        score.result["saturated"]
-        for score in found
-        if score.payload is not None and "saturated" in score.result
-    ]
-    return (
-        f"A motor saturates in {sum(saturated)} of {len(saturated)} feasible cases."
-        if saturated
-        else ""
-    )
+    saturated = []
+    for entries in payload_map.policies.values():
+        for score in entries:
+            if score is not None and score.payload is not None and "saturated" in score.result:
+                saturated.append(score.result["saturated"])
+    if not saturated:
+        return ""
+    return f"A motor saturates in {sum(saturated)} of {len(saturated)} feasible cases."
 
 
 def _map_entry(score: scores.Score | None) -> str:
@@ -142,19 +166,20 @@ def _map_entry(score: scores.Score | None) -> str:
     if score.error is None and score.score is not None:
         return f"{score.payload_text}, {score.score:.0%}"
     violation = score.result.get("violation") or {}
-    limit = (
-        [f"{violation['kind']} {violation['time']:.2f} s"]
-        if violation.get("time") is not None
-        else []
-    )
-    return ", ".join([_payload(score), *limit])
+    payload = _payload(score)
+    if violation.get("time") is None:
+        return payload
+    return f"{payload}, {violation['kind']} {violation['time']:.2f} s"
 
 
 def _payload(score: scores.Score) -> str:
     """Payload with more digits than ``payload_text``."""
-    if score.error is not None or score.payload is None:
-        return score.payload_text if score.error is None else "error"
-    return ("≥ " if score.result.get("scan_ended") else "") + _digits(score.payload)
+    if score.error is not None:
+        return "error"
+    if score.payload is None:
+        return score.payload_text
+    digits = _digits(score.payload)
+    return f"≥ {digits}" if score.result.get("scan_ended") else digits
 
 
 def _digits(payload: float) -> str:
@@ -164,10 +189,13 @@ def _digits(payload: float) -> str:
 
 def task_title(cell: Cell) -> str:
     """The motion of a cell and the parameters that are not at their defaults."""
-    motion = " ".join(
-        str(cell.trajectory[name]) for name in ("name", "seed") if name in cell.trajectory
-    )
-    return ", ".join([*filter(None, [cell.robot_name]), motion, *varied_texts(cell)])
+    words = []
+    if cell.robot_name is not None:
+        words.append(cell.robot_name)
+    motion = [str(cell.trajectory["name"])]
+    if "seed" in cell.trajectory:
+        motion.append(str(cell.trajectory["seed"]))
+    return ", ".join([*words, " ".join(motion), *varied_texts(cell)])
 
 
 def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:
@@ -180,23 +208,18 @@ def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:
     tables: dict[bool, list[list[str]]] = {}
     for (flexible, name), group in groups.items():
         robot = group[0].cell.robot
+        head = ["robot", "platform", "cables"]
+        row = [f"`{name}`", KIND_TEXTS[robot.kind], str(robot.cables)]
+        if not flexible:
+            head.append("exact tracking [kg]")
+            row.append(_digits(check_motion(robot).limit.largest))
+        for score in group:
+            head.append(f"{score.cell.policy} [kg]")
+            row.append(_payload(score))
+        head.append("limiting violation of the best")
         best = max(group, key=lambda score: score.payload or 0.0)
-        exact = [] if flexible else [_digits(check_motion(robot).limit.largest)]
-        head = ["robot", "platform", "cables", *([] if flexible else ["exact tracking [kg]"])]
-        head += [
-            *(f"{score.cell.policy} [kg]" for score in group),
-            "limiting violation of the best",
-        ]
         violation = best.result.get("violation")
-        limit = "–" if violation is None else str(Violation(**violation))
-        row = [
-            f"`{name}`",
-            KIND_TEXTS[robot.kind],
-            str(robot.cables),
-            *exact,
-            *map(_payload, group),
-            limit,
-        ]
+        row.append("–" if violation is None else str(Violation(**violation)))
         tables.setdefault(flexible, [head]).append(row)
     return [rows for _, rows in sorted(tables.items())]
 
@@ -212,33 +235,39 @@ def best_known_text(best: scores.BestKnown) -> str:
 
 def failures(records: Sequence[Record]) -> list[str]:
     """One sentence per distinct error of a policy."""
-    failed = [(one.cell, one.error) for one in records if one.error is not None]
-    lines = [
-        f"{cell.policy} failed on {cell.env_id}: {error}"
-        for cell, error in failed
-        if hasattr(cell, "policy")
-    ]
-    return list(dict.fromkeys(lines))
+    sentences = []
+    for record in records:
+        if record.error is not None and isinstance(record.cell, PolicyCell | TimingCell):
+            cell = record.cell
+            sentences.append(f"{cell.policy} failed on {cell.env_id}: {record.error}")
+    return list(dict.fromkeys(sentences))
 
 
 def left_out(records: Sequence[Record]) -> list[str]:
     """One sentence per held-out motion that counts for no policy."""
-    return [
-        f"{task_title(best.cell)} counts for no policy on {best.cell.env_id}: no best known payload was verified"
-        for best in scores.best_known_payloads(records).values()
-        if best.payload is None and "seed" in best.cell.trajectory
-    ]
+    sentences = []
+    for best in scores.best_known_payloads(records).values():
+        if best.payload is None and "seed" in best.cell.trajectory:
+            sentences.append(
+                f"{task_title(best.cell)} counts for no policy on {best.cell.env_id}: "
+                "no best known payload was verified"
+            )
+    return sentences
 
 
 def fallbacks(records: Sequence[Record]) -> list[str]:
     """One sentence per policy and environment with fallbacks at the DLCC."""
     groups: dict[tuple[str, str], list[float]] = {}
     for score in scores.scores(records):
-        if (number := score.result.get("fallbacks")) is not None:
+        number = score.result.get("fallbacks")
+        if number is not None:
             groups.setdefault((score.cell.policy, score.cell.env_id), []).append(number)
-    return [
-        f"{policy} on {env_id} used its fallback up to {max(numbers):.3g} times per episode, "
-        f"in {sum(number > 0 for number in numbers)} of {len(numbers)} cells"
-        for (policy, env_id), numbers in groups.items()
-        if max(numbers) > 0
-    ]
+    sentences = []
+    for (policy, env_id), numbers in groups.items():
+        if max(numbers) > 0:
+            cells = sum(number > 0 for number in numbers)
+            sentences.append(
+                f"{policy} on {env_id} used its fallback up to {max(numbers):.3g} times per "
+                f"episode, in {cells} of {len(numbers)} cells"
+            )
+    return sentences

@@ -73,20 +73,18 @@ def confirm(
     Raises:
         ValueError: if there is no cell with an uncertain payload.
     """
-    promises = {
-        record.cell.key: (record.cell, float(record.result["payload"]))
-        for record in records
-        if isinstance(record.cell, PolicyCell)
-        and record.result.get("assured")
-        and record.result.get("payload")
-    }
+    promises: dict[str, tuple[PolicyCell, float]] = {}
+    for record in records:
+        payload = record.result.get("payload")
+        if isinstance(record.cell, PolicyCell) and record.result.get("assured") and payload:
+            promises[record.cell.key] = (record.cell, float(payload))
     if not promises:
         raise ValueError(
             "the results have no payload under uncertainty; choose a suite with uncertain columns"
         )
-    chosen = random.Random(seed).sample(sorted(promises), min(cells, len(promises)))
+    sample = random.Random(seed).sample(sorted(promises), min(cells, len(promises)))
     jobs = []
-    for key in chosen:
+    for key in sample:
         cell, payload = promises[key]
         compute = partial(cell.success_rate, payload, draws, seed)
         jobs.append(Job(key=key, compute=compute, kind=(PolicyCell, cell.env_id)))
@@ -97,9 +95,14 @@ def confirm(
 
 def broken(confirmations: Sequence[Confirmation]) -> str:
     """One sentence if the promises are broken; empty if they hold."""
-    needed = ceil(KEPT * len(confirmations))
-    kept = sum(one.kept for one in confirmations)
-    if kept < needed:
-        return f"only {kept} of {len(confirmations)} payloads keep their promise; at least {needed} have to"
-    low = [one for one in confirmations if one.success_rate < one.cell.probability - SLACK]
-    return f"a success rate is more than {SLACK:.0%} below the promise: {low[0]}" if low else ""
+    required = ceil(KEPT * len(confirmations))
+    count = sum(confirmation.kept for confirmation in confirmations)
+    if count < required:
+        return (
+            f"only {count} of {len(confirmations)} payloads keep their promise; "
+            f"at least {required} have to"
+        )
+    for confirmation in confirmations:
+        if confirmation.success_rate < confirmation.cell.probability - SLACK:
+            return f"a success rate is more than {SLACK:.0%} below the promise: {confirmation}"
+    return ""

@@ -18,6 +18,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from cablebot_gym.cli.records import GroupedOptions, with_options
 from cablebot_gym.utils.console import notes_console
 from cablebot_gym.utils.streams import output_problem, protect_streams
 from cablebot_gym.utils.user_code import sentence_of_user_code
@@ -130,7 +131,7 @@ def add_commands(points: Mapping[str, EntryPoint]) -> None:
     present = {item.name for item in app.registered_commands}
     for name, point in points.items():
         if name not in present:
-            app.command(name=name)(point.load())
+            app.command(name=name, cls=GroupedOptions)(with_options(point.load()))
 
 
 def main() -> None:
@@ -147,20 +148,20 @@ def main() -> None:
 def _run() -> None:
     from cablebot_gym.policies import PolicyError
 
-    atexit.register(
-        gc.freeze
-    )  # the last collection of the process would take 0.2 s and free nothing that matters
-    sys.path.append(
-        ""
-    )  # package.module:factory of the working directory; last, so that no file there hides a package
+    # the last collection of the process would take 0.2 s and free nothing that matters
+    atexit.register(gc.freeze)
+    # package.module:factory of the working directory; last, so that no file there hides a package
+    sys.path.append("")
     try:
         if len(sys.argv) < 2:
             sys.argv.append("--help")
         typed = sys.argv[1]
-        add_commands({typed: BUILT_IN[typed]} if typed in BUILT_IN else command_points())
-        status = app(
-            standalone_mode=False
-        )  # a number if the parser ended the command, for example after Ctrl-C
+        if typed in BUILT_IN:
+            add_commands({typed: BUILT_IN[typed]})
+        else:
+            add_commands(command_points())
+        # a number if the parser ended the command, for example after Ctrl-C
+        status = app(standalone_mode=False)
         if status == INTERRUPTED:
             raise KeyboardInterrupt
         sys.exit(status if isinstance(status, int) else 0)
@@ -169,18 +170,15 @@ def _run() -> None:
     except (ValueError, ImportError) as error:
         _fail(sentence_of_user_code(error) or _with_option_names(str(error)), 2)
     except OSError as error:
-        _fail(
-            str(error)
-            if error.filename is None
-            else f"cannot write {error.filename!r}: {error.strerror}",
-            1,
-        )
+        message = str(error)
+        if error.filename is not None:
+            message = f"cannot write {error.filename!r}: {error.strerror}"
+        _fail(message, 1)
     except PolicyError as error:
         _fail(str(error), 1)
     except Exception as error:
-        format_message = getattr(
-            error, "format_message", None
-        )  # an error of the option parser has this method
+        # an error of the option parser has this method
+        format_message = getattr(error, "format_message", None)
         if format_message is None:
             if sentence := sentence_of_user_code(error):
                 _fail(sentence, 1)

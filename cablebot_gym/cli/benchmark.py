@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import json
 import secrets
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
 
 from cablebot_gym.cli.options import NoSandbox, Workers, choose_sandbox, split_names
+from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.console import command_line, notes_console, progress
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from cablebot_gym.benchmark.board import Board
     from cablebot_gym.benchmark.cells import Cell, Record
     from cablebot_gym.benchmark.engine import Backend
     from cablebot_gym.benchmark.leaderboard import Results
@@ -24,63 +27,45 @@ MARKDOWN, JSON = "leaderboard.md", "results.json"
 """Names of the files in the results folder."""
 
 
-def benchmark(
+@dataclass(frozen=True, kw_only=True)
+class CellOptions(Options):
+    """What is computed."""
+
+    title: ClassVar[str] = "Cells"
+
     suite: Annotated[
         str,
         typer.Option(
             help="Suite: smoke (minutes), standard (45 minutes on two cores), ranked, full (hours), maps, paper-maps "
             "or library (an hour)."
         ),
-    ] = "smoke",
+    ] = "smoke"
     policies: Annotated[
         str | None,
         typer.Option(
             help="Policies as for `dlcc --policy`, separated by commas. The default is all installed policies."
         ),
-    ] = None,
+    ] = None
     ids: Annotated[
         str | None,
         typer.Option(
             help="Environment ids, separated by commas. The default is those of the suite."
         ),
-    ] = None,
+    ] = None
     entries: Annotated[
         Path | None,
         typer.Option(
             metavar="FOLDER",
             help="Folder of entries of others, which run in a sandbox, as further policies.",
         ),
-    ] = None,
-    no_sandbox: NoSandbox = False,
-    workers: Workers = None,
-    ray: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Run on a Ray cluster: its address, auto, or local. Requires the extra ray.",
-        ),
-    ] = None,
-    out: Annotated[
-        Path, typer.Option(help="Results folder, for the tables and all finished cells.")
-    ] = Path("benchmark"),
-    page: Annotated[
-        Path | None,
-        typer.Option(
-            help=f"File of the leaderboard. The default is {MARKDOWN} in the results folder."
-        ),
-    ] = None,
-    any_source: Annotated[
-        bool,
-        typer.Option(
-            "--any-source", help="Reuse finished cells that were computed with different code."
-        ),
-    ] = False,
+    ] = None
+    no_sandbox: NoSandbox = False
     seed: Annotated[
         int | None,
         typer.Option(
             help="Evaluation seed, to repeat a run. The default is drawn once and stored in the folder."
         ),
-    ] = None,
+    ] = None
     real_time: Annotated[
         bool,
         typer.Option(
@@ -88,7 +73,76 @@ def benchmark(
             help="Replace an action that is later than one control period by the last. The payloads then depend on the "
             "machine and on its load.",
         ),
-    ] = False,
+    ] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComputingOptions(Options):
+    """Where the cells are computed."""
+
+    title: ClassVar[str] = "Computing"
+
+    workers: Workers = None
+    ray: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Run on a Ray cluster: its address, auto, or local. Requires the extra ray.",
+        ),
+    ] = None
+    any_source: Annotated[
+        bool,
+        typer.Option(
+            "--any-source", help="Reuse finished cells that were computed with different code."
+        ),
+    ] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputOptions(Options):
+    """Files of the results."""
+
+    title: ClassVar[str] = "Results"
+
+    out: Annotated[
+        Path, typer.Option(help="Results folder, for the tables and all finished cells.")
+    ] = Path("benchmark")
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            help=f"File of the leaderboard. The default is {MARKDOWN} in the results folder."
+        ),
+    ] = None
+    as_json: Annotated[bool, typer.Option("--json", help=f"Print the content of {JSON}.")] = False
+
+    @property
+    def files(self) -> tuple[Path, Path]:
+        """Files of the results and of the leaderboard."""
+        return self.out / JSON, self.page or self.out / MARKDOWN
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerificationOptions(Options):
+    """Fresh draws for stored results."""
+
+    title: ClassVar[str] = "Verification"
+
+    verify: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Confirm uncertain payloads of stored results with fresh draws and stop.",
+        ),
+    ] = None
+    cells: Annotated[int, typer.Option(help="Number of cells that --verify confirms.")] = 20
+    draws: Annotated[int, typer.Option(help="Number of fresh draws of --verify.")] = 1024
+
+
+def benchmark(
+    selection: CellOptions,
+    computing: ComputingOptions,
+    output: OutputOptions,
+    verification: VerificationOptions,
     commit: Annotated[
         str | None,
         typer.Option(
@@ -96,16 +150,6 @@ def benchmark(
             help="Draw the secret of a new board, write its commitment to the folder and stop.",
         ),
     ] = None,
-    verify: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Confirm uncertain payloads of stored results with fresh draws and stop.",
-        ),
-    ] = None,
-    cells: Annotated[int, typer.Option(help="Number of cells that --verify confirms.")] = 20,
-    draws: Annotated[int, typer.Option(help="Number of fresh draws of --verify.")] = 1024,
-    as_json: Annotated[bool, typer.Option("--json", help=f"Print the content of {JSON}.")] = False,
 ) -> None:
     """Score policies by their payload over the best known payload, on held-out motions and the
     paper's circle.
@@ -134,85 +178,157 @@ def benchmark(
     """
     from cablebot_gym.benchmark import board as boards
     from cablebot_gym.benchmark.cells import TimingCell
-    from cablebot_gym.benchmark.entries import find_entries, note, status
-    from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
+    from cablebot_gym.benchmark.leaderboard import print_page
     from cablebot_gym.benchmark.store import FOLDER, Store
-    from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite, suite_cells
+    from cablebot_gym.benchmark.suites import find_suite
     from cablebot_gym.benchmark.tables import failures
-    from cablebot_gym.isolation.installed import public_entries
-    from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, check_writable_file
+    from cablebot_gym.utils.files import check_writable_dir, check_writable_file
 
-    backend = _backend(workers, ray)
-    if verify is not None:
-        return _verify(verify, backend, cells, draws, seed)
-    chosen = find_suite(suite)
-    env_ids = find_env_ids(chosen, split_names(ids))
-    names = split_names(policies)
-    submitted: list[str] = []
-    if entries is not None:
-        choose_sandbox(no_sandbox)
-        own = find_entries(entries)
-        submitted = [name for name, entry in own.items() if set(entry.env_ids) & set(env_ids)]
-        names = [*(names or public_entries()), *submitted]
-    found = find_policies(names, env_ids)
-    names = sorted({name for own in found.values() for name in own})
+    backend = _backend(computing.workers, computing.ray)
+    if verification.verify is not None:
+        return _verify(verification.verify, backend, verification, selection.seed)
+    suite = find_suite(selection.suite)
+    policies, submitted = _policies(selection)
+    names = sorted({name for supported in policies.values() for name in supported})
+    out = output.out
     check_writable_dir(out / FOLDER)
     if commit is not None:
-        made = boards.commit(out, commit, found, chosen.hidden)
-        print(
-            f"board {made.version}: commitment {made.commitment}. Publish {out / boards.BOARD} before the run, and"
-        )
-        print(f"keep {out / boards.SECRET} secret until its results are published.")
-        return
-    board = boards.read_board(out) if chosen.hidden else None
+        return _print_board(boards.commit(out, commit, policies, suite.hidden), out)
+    board = boards.read_board(out) if suite.hidden else None
     if board is not None:
         board.check_policies(names)
-        if any_source or seed is not None:
+        if computing.any_source or selection.seed is not None:
             raise ValueError(
                 "a board accepts neither --seed nor --any-source: its results are not chosen"
             )
-    files = (out / JSON, page or out / MARKDOWN)
-    for path in files:
+    for path in output.files:
         check_writable_file(path)
-    todo = suite_cells(
-        chosen, found, seed=boards.run_seed(out, seed), board=board, real_time=real_time
-    )
-    options = {
-        "suite": suite,
-        "policies": policies,
-        "entries": entries,
-        "no_sandbox": no_sandbox,
-        "ids": ids,
-    }
-    options |= {"out": out, "page": page, "real_time": real_time}
-    command = command_line("benchmark", **options)
-    resume = command_line(
-        "benchmark", **options, workers=workers, ray=ray, any_source=any_source, seed=seed
-    )
-    say = notes_console().print
-    store = Store(out, say=say, any_source=any_source)
-    records = computed(todo, store, out, backend, resume)
+    store = Store(out, say=notes_console().print, any_source=computing.any_source)
+    records = _records(selection, computing, output, policies, board, store, backend)
     if board is not None:
         board.check_policies(names)  # files may have changed during the run
-    notes = [note(Path(name), status(Path(name), records)) for name in submitted]
-    results = Results(suite=suite, command=command, records=records, board=board, entries=notes)
-    contents = (results.to_json(), markdown(results))
-    for path, content in zip(files, contents, strict=True):
-        atomic_write_text(path, content)
+    results, page = _write(selection, output, records, board, submitted)
+    say = notes_console().print
     if store.foreign:
-        use = (
-            "they are reused"
-            if any_source
-            else "they are computed again (--any-source reuses them)"
-        )
+        use = "they are computed again (--any-source reuses them)"
+        if computing.any_source:
+            use = "they are reused"
         say(f"{store.foreign} cells exist only with results of different code: {use}")
-    say("wrote " + ", ".join(map(str, files)))
-    if as_json:
-        print(contents[0], end="")
+    say("wrote " + ", ".join(map(str, output.files)))
+    if output.as_json:
+        print(results, end="")
     else:
-        print_page(contents[1])
+        print_page(page)
     if failures([record for record in records if not isinstance(record.cell, TimingCell)]):
         raise typer.Exit(1)
+
+
+def _policies(
+    selection: CellOptions,
+) -> tuple[dict[str, tuple[str, ...]], list[str]]:
+    """Names of the policies by environment, and those that are entries of others."""
+    from cablebot_gym.benchmark.entries import find_entries
+    from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite
+    from cablebot_gym.isolation.installed import public_entries
+
+    env_ids = find_env_ids(find_suite(selection.suite), split_names(selection.ids))
+    names = split_names(selection.policies)
+    submitted: list[str] = []
+    if selection.entries is not None:
+        choose_sandbox(selection.no_sandbox)
+        for name, entry in find_entries(selection.entries).items():
+            if set(entry.env_ids) & set(env_ids):
+                submitted.append(name)
+        names = [*(names or public_entries()), *submitted]
+    return find_policies(names, env_ids), submitted
+
+
+def _print_board(board: Board, out: Path) -> None:
+    from cablebot_gym.benchmark.board import BOARD, SECRET
+
+    print(
+        f"board {board.version}: commitment {board.commitment}. "
+        f"Publish {out / BOARD} before the run, and"
+    )
+    print(f"keep {out / SECRET} secret until its results are published.")
+
+
+def _records(
+    selection: CellOptions,
+    computing: ComputingOptions,
+    output: OutputOptions,
+    policies: Mapping[str, tuple[str, ...]],
+    board: Board | None,
+    store: Store,
+    backend: Backend,
+) -> Sequence[Record]:
+    """Computes the missing cells of the suite."""
+    from cablebot_gym.benchmark.board import run_seed
+    from cablebot_gym.benchmark.suites import find_suite, suite_cells
+
+    cells = suite_cells(
+        find_suite(selection.suite),
+        policies,
+        seed=run_seed(output.out, selection.seed),
+        board=board,
+        real_time=selection.real_time,
+    )
+    resume = command_line(
+        "benchmark",
+        **_typed(selection, output),
+        workers=computing.workers,
+        ray=computing.ray,
+        any_source=computing.any_source,
+        seed=selection.seed,
+    )
+    return computed(cells, store, output.out, backend, resume)
+
+
+def _typed(selection: CellOptions, output: OutputOptions) -> dict[str, Any]:
+    """The options that determine the results, for their command line."""
+    return {
+        "suite": selection.suite,
+        "policies": selection.policies,
+        "entries": selection.entries,
+        "no_sandbox": selection.no_sandbox,
+        "ids": selection.ids,
+        "out": output.out,
+        "page": output.page,
+        "real_time": selection.real_time,
+    }
+
+
+def _write(
+    selection: CellOptions,
+    output: OutputOptions,
+    records: Sequence[Record],
+    board: Board | None,
+    submitted: Sequence[str],
+) -> tuple[str, str]:
+    """Writes results and leaderboard, and returns both texts.
+
+    Args:
+        selection: what was computed.
+        output: the files.
+        records: records of all cells.
+        board: board with the hidden motions; None without.
+        submitted: policies that are entries of others.
+    """
+    from cablebot_gym.benchmark.entries import note, status
+    from cablebot_gym.benchmark.leaderboard import Results, markdown
+    from cablebot_gym.utils.files import atomic_write_text
+
+    results = Results(
+        suite=selection.suite,
+        command=command_line("benchmark", **_typed(selection, output)),
+        records=records,
+        board=board,
+        entries=[note(Path(name), status(Path(name), records)) for name in submitted],
+    )
+    contents = (results.to_json(), markdown(results))
+    for path, content in zip(output.files, contents, strict=True):
+        atomic_write_text(path, content)
+    return contents
 
 
 def computed(
@@ -273,34 +389,39 @@ def read_results(folder: Path) -> Results:
     return results
 
 
-def _verify(folder: Path, backend: Backend, cells: int, draws: int, seed: int | None) -> None:
+def _verify(
+    folder: Path, backend: Backend, verification: VerificationOptions, seed: int | None
+) -> None:
     """Checks the board and prints promised payloads with their success rate in fresh draws."""
     from cablebot_gym.benchmark.verification import broken, confirm
     from cablebot_gym.utils.checks import whole
 
     results = read_results(folder)
-    whole("cells", cells, least=1)
-    whole("draws", draws, least=1)
+    cells = whole("cells", verification.cells, least=1)
+    draws = whole("draws", verification.draws, least=1)
+    say = notes_console().print
     if results.board is not None:
         results.check_board()
-        print(
-            f"board {results.board.version}: the secret matches the commitment and determines the motions"
-        )
-    seed = secrets.randbits(128) if seed is None else seed
+        version = results.board.version
+        print(f"board {version}: the secret matches the commitment and determines the motions")
+    if seed is None:
+        seed = secrets.randbits(128)
     confirmations = []
     with progress("confirming", "cells") as step:
-        for one in confirm(
-            results.records, backend, cells=cells, draws=draws, seed=seed, say=notes_console().print
+        for confirmation in confirm(
+            results.records, backend, cells=cells, draws=draws, seed=seed, say=say
         ):
-            confirmations.append(one)
-            print(one)
+            confirmations.append(confirmation)
+            print(confirmation)
             step(len(confirmations), cells)
-    kept = sum(one.kept for one in confirmations)
+    kept = sum(confirmation.kept for confirmation in confirmations)
     print(
-        f"{kept} of {len(confirmations)} payloads keep their promise in {draws} fresh draws (--seed {seed})"
+        f"{kept} of {len(confirmations)} payloads keep their promise in {draws} fresh draws "
+        f"(--seed {seed})"
     )
-    if sentence := broken(confirmations):
-        notes_console().print(sentence)
+    sentence = broken(confirmations)
+    if sentence:
+        say(sentence)
         raise typer.Exit(1)
 
 

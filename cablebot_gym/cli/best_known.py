@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from cablebot_gym.cli.options import BOUNDS, FittingEnvId, Json, episode_options, robot_of
+from cablebot_gym.cli.options import FittingEnvId, Json, TaskOptions, fitting_id, robot_of
 from cablebot_gym.utils.console import activity
 
 
-@episode_options("robot", "trajectory", *BOUNDS, "control_frequency")
 def best_known(
-    env_id: FittingEnvId,
-    episode: dict[str, Any],
+    *,
+    env_id: FittingEnvId = None,
+    task: TaskOptions,
     cache: Annotated[
         bool, typer.Option(help="Whether to store the result on disk, and to read a stored result.")
     ] = True,
@@ -32,9 +32,10 @@ def best_known(
     """
     from cablebot_gym.bounds.best_known import find_best_known
 
-    robot_of(env_id, episode)
+    env_id = fitting_id(env_id, task.robot)
+    robot_of(env_id, task)
     with activity() as say:
-        result = find_best_known(env_id, cache=cache, progress=say, **episode)
+        result = find_best_known(env_id, cache=cache, progress=say, **task.keywords())
     print(result.to_json() if as_json else result)
     if not result.verified:
         raise typer.Exit(1)

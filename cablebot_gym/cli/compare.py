@@ -39,9 +39,9 @@ _OVER_PAYLOAD = ("mean_error", "max_error", "max_rotation", "rms_torque")
 """Quantities that the table over the payload shows."""
 
 
-@options.episode_options()
 def compare(
-    env_id: options.FittingEnvId,
+    *,
+    env_id: options.FittingEnvId = None,
     policies: Annotated[
         str,
         typer.Option(
@@ -49,7 +49,7 @@ def compare(
             help="Policies as for `dlcc --policy`, separated by commas. The others are compared against the first.",
         ),
     ],
-    episode: dict[str, Any],
+    episode: options.EpisodeOptions,
     payload: options.Payload = None,
     payloads: Annotated[
         str | None,
@@ -79,18 +79,22 @@ def compare(
     )
     from cablebot_gym.utils.files import atomic_write_text
 
+    env_id = options.fitting_id(env_id, episode.robot)
     options.check_figure_folder(out, "comparison.json", "comparison.png")
     if payload is not None and payloads is not None:
         raise ValueError("--payload and --payloads exclude each other: give one of them")
-    grid = None if payloads is None else payload_grid(payloads)
+    grid = None
+    if payloads is not None:
+        grid = payload_grid(payloads)
     names = options.split_names(policies)
     robot = options.robot_of(env_id, episode)
     options.note_unsupported(names, env_id)
-    loaded = options.loaded_policies(names, robot, episode.pop("wrappers"))
-    common: dict[str, Any] = {"draws": draws, "progress": True, **episode}
+    loaded = options.loaded_policies(names, robot, episode.wrappers)
+    common: dict[str, Any] = {"draws": draws, "progress": True, **episode.keywords()}
     comparison: Comparison | PayloadComparison
     if grid is None:
-        payload = robot.defaults.payload(0.0) if payload is None else payload
+        if payload is None:
+            payload = robot.defaults.payload(0.0)
         comparison = compare_policies(loaded, env_id, payload=payload, **common)
     else:
         comparison = compare_over_payloads(loaded, env_id, payloads=grid, **common)
@@ -116,38 +120,48 @@ def payload_grid(text: str) -> list[float]:
         ValueError: if the text is neither FIRST:LAST:STEP nor a list of numbers, or has more than
             1000 payloads.
     """
+    is_range = ":" in text
     try:
-        parts = [float(part) for part in text.replace(":", ",").split(",")]
+        numbers = [float(number) for number in text.replace(":", ",").split(",")]
     except ValueError:
-        parts = []
-    if (
-        ":" in text
-        and len(parts) == 3
-        and parts[2] > 0
-        and 0 <= (parts[1] - parts[0]) / parts[2] < 1000
-    ):
-        first, last, step = parts
-        return [
-            round(first + index * step, 9) for index in range(int((last - first) / step + 1e-6) + 1)
-        ]
-    if not parts or ":" in text:
-        raise ValueError(
-            f"--payloads must be FIRST:LAST:STEP, such as 0:9:0.5, or a list such as 0,1,2, not {text!r}"
-        )
-    return parts
+        numbers = []
+    if numbers and not is_range:
+        return numbers
+    if len(numbers) == 3:
+        low, high, step = numbers
+        if step > 0 and 0 <= (high - low) / step < 1000:
+            count = int((high - low) / step + 1e-6) + 1
+            return [round(low + index * step, 9) for index in range(count)]
+    raise ValueError(
+        f"--payloads must be FIRST:LAST:STEP, such as 0:9:0.5, or a list such as 0,1,2, not {text!r}"
+    )
 
 
 def print_payload_comparison(comparison: PayloadComparison) -> None:
     """Prints a table of the policies over the payload."""
-    first = comparison.comparisons[0]
-    hidden = {"max_rotation"} if first.task.robot.point_mass else set()
-    columns = [column for column in _COLUMNS if column[0] in set(_OVER_PAYLOAD) - hidden]
+    lightest = comparison.comparisons[0]
+    columns = []
+    for column in _columns(lightest):
+        if column[0] in _OVER_PAYLOAD:
+            columns.append(column)
     rows = [["payload [kg]", "policy", "success rate", *(heading for _, heading, _ in columns)]]
-    for one in comparison.comparisons:
-        for index, metrics in enumerate(one.metrics):
-            rows.append(["" if index else f"{one.payload:g}", *_cells(metrics, columns)])
-    print_table(_title(first), rows)
-    _print_notes([metrics for one in comparison.comparisons for metrics in one.metrics])
+    all_metrics = []
+    for at_payload in comparison.comparisons:
+        payload = f"{at_payload.payload:g}"
+        for metrics in at_payload.metrics:
+            rows.append([payload, *_cells(metrics, columns)])
+            all_metrics.append(metrics)
+            payload = ""
+    print_table(_title(lightest), rows)
+    _print_notes(all_metrics)
+
+
+def _columns(comparison: Comparison) -> list[tuple[str, str, float]]:
+    """The columns that the robot has: a point mass has no rotation."""
+    columns = list(_COLUMNS)
+    if comparison.task.robot.point_mass:
+        columns = [column for column in columns if column[0] != "max_rotation"]
+    return columns
 
 
 def print_comparison(comparison: Comparison) -> None:
@@ -155,23 +169,19 @@ def print_comparison(comparison: Comparison) -> None:
     policy."""
     from cablebot_gym.evaluation.comparison import REDUCTION_QUANTITIES
 
-    columns = [
-        column
-        for column in _COLUMNS
-        if column[0] != "max_rotation" or not comparison.task.robot.point_mass
-    ]
+    columns = _columns(comparison)
     rows = [["policy", "success rate", *(heading for _, heading, _ in columns)]]
     rows += [_cells(metrics, columns) for metrics in comparison.metrics]
     if results_console().width < _NARROW:
         rows = [list(row) for row in zip(*rows, strict=True)]
     print_table(_title(comparison, f", payload {comparison.payload:g} kg"), rows)
-    first = comparison.metrics[0].policy
-    for index, one in enumerate(comparison.metrics[1:], 1):
-        changes = [
-            f"{name.replace('_', ' ')} {_change(comparison.reduction(index, name))}"
-            for name in REDUCTION_QUANTITIES
-        ]
-        print(f"{one.policy} against {first}: {', '.join(changes)}")
+    reference, *compared = comparison.metrics
+    for index, metrics in enumerate(compared, 1):
+        changes = []
+        for name in REDUCTION_QUANTITIES:
+            change = _change(comparison.reduction(index, name))
+            changes.append(f"{name.replace('_', ' ')} {change}")
+        print(f"{metrics.policy} against {reference.policy}: {', '.join(changes)}")
     _print_notes(comparison.metrics)
 
 
@@ -188,15 +198,18 @@ def _title(comparison: Comparison, payload: str = "") -> str:
 def _cells(metrics: PolicyMetrics, columns: Sequence[tuple[str, str, float]]) -> list[str]:
     """Name, success rate and quantities of a policy, with confidence intervals if there are several
     draws."""
-    success, several = metrics.success, len(metrics.carried) > 1
-    cells = [
-        metrics.policy,
-        f"{success.mean:.0%}" + (f" [{success.low:.0%}, {success.high:.0%}]" if several else ""),
-    ]
+    success = metrics.success
+    is_drawn = len(metrics.carried) > 1
+    rate = f"{success.mean:.0%}"
+    if is_drawn:
+        rate += f" [{success.low:.0%}, {success.high:.0%}]"
+    cells = [metrics.policy, rate]
     for name, _, scale in columns:
         estimate = metrics.estimate(name)
-        interval_text = f" ± {scale * (estimate.high - estimate.mean):.2g}" if several else ""
-        cells.append(f"{scale * estimate.mean:.3g}{interval_text}")
+        cell = f"{scale * estimate.mean:.3g}"
+        if is_drawn:
+            cell += f" ± {scale * (estimate.high - estimate.mean):.2g}"
+        cells.append(cell)
     return cells
 
 
@@ -205,7 +218,8 @@ def _print_notes(metrics: Sequence[PolicyMetrics]) -> None:
 
     if len(metrics[0].carried) > 1:
         print(f"± and brackets: {CONFIDENCE:.0%} confidence over draws")
-    if ended := sum(int(one.ended.sum()) for one in metrics):
+    ended = sum(int(of_policy.ended.sum()) for of_policy in metrics)
+    if ended:
         rule = "the remaining steps count with the termination radius as error"
         print(f"{options.counted(ended, 'episode')} ended early: {rule}")
 

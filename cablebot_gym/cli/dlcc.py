@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+import secrets
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
 
 from cablebot_gym.cli import options
+from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.console import notes_console, print_table
 
 if TYPE_CHECKING:
     from cablebot_gym.evaluation.result import DLCCResult
+    from cablebot_gym.policies import LoadedPolicy
 
 
 class CriterionChoice(StrEnum):
@@ -31,53 +35,66 @@ class SearchChoice(StrEnum):
     bisection = "bisection"
 
 
-@options.episode_options()
-def dlcc(
-    env_id: options.FittingEnvId,
-    policy: options.PolicyName,
-    episode: dict[str, Any],
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions(Options):
+    """The search for the payload."""
+
+    title: ClassVar[str] = "Search"
+
     criterion: Annotated[
         CriterionChoice,
         typer.Option(
-            help="Success criterion: task (saturated torques; position, rotation and tension), "
-            "paper (torques within the limits without saturation; position and slack), or both."
+            help=(
+                "Success criterion: task (saturated torques; position, rotation and tension), "
+                "paper (torques within the limits without saturation; position and slack), or both."
+            )
         ),
-    ] = CriterionChoice.both,
+    ] = CriterionChoice.both
     payload_max: Annotated[
         float | None,
         typer.Option(
-            help="Largest payload of the scan [kg]. The default is the end of the robot's payload range, or slightly "
-            "more than what the motors hold; for the paper's robots 10 (planar) and 20 (spatial)."
+            help=(
+                "Largest payload of the scan [kg]. The default is the end of the robot's payload range, or slightly "
+                "more than what the motors hold; for the paper's robots 10 (planar) and 20 (spatial)."
+            )
         ),
-    ] = None,
+    ] = None
     resolution: Annotated[
         float | None,
         typer.Option(
             help="Resolution of the payload [kg]. The default is 0.001 for one draw and 0.01 for several."
         ),
-    ] = None,
+    ] = None
     search: Annotated[
         SearchChoice,
         typer.Option(
-            help="scan, or bisection for policies that take seconds for an episode: it tries few payloads, and its "
-            "result is unranked."
+            help=(
+                "scan, or bisection for policies that take seconds for an episode: it tries few payloads, and its "
+                "result is unranked."
+            )
         ),
-    ] = SearchChoice.scan,
-    draws: options.Draws = None,
+    ] = SearchChoice.scan
+    draws: options.Draws = None
     probability: Annotated[
         float, typer.Option(help="Required success probability of the payload over the draws.")
-    ] = 0.95,
+    ] = 0.95
     confidence: Annotated[
         float,
         typer.Option(
             help="Confidence of the payload over the draws, which is a lower tolerance bound."
         ),
-    ] = 0.95,
-    isolate: options.Isolate = False,
-    sandbox: options.Sandbox = False,
-    deadline: options.Deadline = None,
+    ] = 0.95
+
+
+def dlcc(
+    *,
+    env_id: options.FittingEnvId = None,
+    policy: options.PolicyName,
     out: Annotated[Path | None, typer.Option(help="Folder for result.json and figures.")] = None,
     as_json: options.Json = False,
+    episode: options.EpisodeOptions,
+    search: SearchOptions,
+    process: options.ProcessOptions,
 ) -> None:
     """Find the largest payload that a policy carries along a trajectory (DLCC).
 
@@ -92,71 +109,98 @@ def dlcc(
 
     cablebot dlcc --policy fl,robust,adaptive --robot cogiro
     """
-    from cablebot_gym.evaluation.constraints import CRITERIA
-    from cablebot_gym.evaluation.evaluator import evaluate_dlcc
-    from cablebot_gym.utils.files import atomic_write_text
-
+    env_id = options.fitting_id(env_id, episode.robot)
     names = list(dict.fromkeys(options.split_names(policy)))
-    folders = {name: out if out is None or len(names) == 1 else out / name for name in names}
+    folders = {name: _folder(out, name, names) for name in names}
     for folder in folders.values():
         options.check_figure_folder(folder, "result.json")
-    wrappers = episode["wrappers"]
+    if episode.seed is None and process.isolate:
+        episode = replace(episode, seed=secrets.randbits(options.SEED_BITS))
     robot = options.robot_of(env_id, episode)
-    policies = [
-        options.loaded_policy(
-            name, robot, isolate=isolate, deadline=deadline, sandbox=sandbox, wrappers=wrappers
+    policies = []
+    for name in names:
+        policies.append(
+            options.loaded_policy(name, robot, wrappers=episode.wrappers, process=process)
         )
-        for name in names
-    ]
     options.note_unsupported(names, env_id)
-    settings: dict[str, Any] = {
-        "payload_max": payload_max,
-        "resolution": resolution,
-        "draws": draws,
-        "probability": probability,
-        "confidence": confidence,
-        "search": search.value,
-    }
-    evaluated = {key: value for key, value in episode.items() if key != "wrappers"}
-    found: list[dict[str, Any]] = []
+    data: list[dict[str, Any]] = []
     for loaded in policies:
-        chosen = list(CRITERIA) if criterion is CriterionChoice.both else [criterion.value]
-        inapplicable = []
-        if criterion is CriterionChoice.both and not loaded.declarations.unsaturated_actions:
-            chosen, inapplicable = ["task"], ["paper"]
-        results = [
-            evaluate_dlcc(loaded, env_id, criterion=one, progress=True, **settings, **evaluated)
-            for one in chosen
-        ]
-        data = [result.to_dict() for result in results]
-        if (folder := folders[loaded.name]) is not None:
-            from cablebot_gym.plotting.figures import save_figures
-
-            atomic_write_text(folder / "result.json", _json(data) + "\n")
-            written = [
-                folder / "result.json",
-                *(path for result in results for path in save_figures(result, folder)),
-            ]
-            notes_console().print("wrote " + ", ".join(map(str, written)))
-        found += data
-        if as_json:
-            continue
-        print_payloads(results, inapplicable)
-        for result in results:
-            if result.details.violation_seed is not None and not result.details.stochastic:
-                print(f"{result.criterion}: this command repeats the failure:")
-                print(f"  {_failure_command(result, loaded.name, episode)}")
+        results = _results(loaded, env_id, episode, search)
+        folder = folders[loaded.name]
+        if folder is not None:
+            _write(results, folder)
+        data += [result.to_dict() for result in results]
+        if not as_json:
+            _print_results(results, loaded, episode, search)
     if as_json:
-        print(_json(found))
-    elif isolate:
-        print(f"seed {episode['seed']}")
+        print(_json(data))
+    elif process.isolate:
+        print(f"seed {episode.seed}")
+
+
+def _folder(out: Path | None, name: str, names: list[str]) -> Path | None:
+    """Folder of the results of a policy: of its own if there are several."""
+    if out is None or len(names) == 1:
+        return out
+    return out / name
+
+
+def _criteria(policy: LoadedPolicy, search: SearchOptions) -> tuple[list[str], list[str]]:
+    """The criteria to evaluate, and those in ``both`` that do not apply to the policy."""
+    from cablebot_gym.evaluation.constraints import CRITERIA
+
+    if search.criterion is not CriterionChoice.both:
+        return [search.criterion.value], []
+    if not policy.declarations.unsaturated_actions:
+        return ["task"], ["paper"]
+    return list(CRITERIA), []
+
+
+def _results(
+    policy: LoadedPolicy, env_id: str, episode: options.EpisodeOptions, search: SearchOptions
+) -> list[DLCCResult]:
+    from cablebot_gym.evaluation.evaluator import evaluate_dlcc
+
+    settings = asdict(search) | {"search": search.search.value}
+    results = []
+    for criterion in _criteria(policy, search)[0]:
+        settings["criterion"] = criterion
+        results.append(
+            evaluate_dlcc(policy, env_id, progress=True, **settings, **episode.keywords())
+        )
+    return results
+
+
+def _write(results: list[DLCCResult], folder: Path) -> None:
+    from cablebot_gym.plotting.figures import save_figures
+    from cablebot_gym.utils.files import atomic_write_text
+
+    path = folder / "result.json"
+    atomic_write_text(path, _json([result.to_dict() for result in results]) + "\n")
+    written = [path]
+    for result in results:
+        written += save_figures(result, folder)
+    notes_console().print("wrote " + ", ".join(map(str, written)))
+
+
+def _print_results(
+    results: list[DLCCResult],
+    policy: LoadedPolicy,
+    episode: options.EpisodeOptions,
+    search: SearchOptions,
+) -> None:
+    print_payloads(results, _criteria(policy, search)[1])
+    for result in results:
+        if result.details.violation_seed is not None and not result.details.stochastic:
+            print(f"{result.criterion}: this command repeats the failure:")
+            print(f"  {_failure_command(result, policy.name, episode)}")
 
 
 def _json(data: list[dict[str, Any]]) -> str:
     return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
 
 
-def _failure_command(result: DLCCResult, policy: str, episode: dict[str, Any]) -> str:
+def _failure_command(result: DLCCResult, policy: str, episode: options.EpisodeOptions) -> str:
     """The command line that repeats and records the episode with the limiting violation."""
     return options.command_again(
         "rollout",
@@ -165,7 +209,7 @@ def _failure_command(result: DLCCResult, policy: str, episode: dict[str, Any]) -
         payload=repr(result.failed_payload or 0.0),
         criterion=None if result.criterion == "task" else result.criterion,
         out="failure.csv",
-        episode=episode | {"seed": result.details.violation_seed},
+        episode=replace(episode, seed=result.details.violation_seed),
     )
 
 
@@ -176,98 +220,90 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
         results: one evaluation for each criterion; at least one.
         inapplicable: names of the criteria that do not apply to the policy.
     """
-    from cablebot_gym.envs import described
 
-    first = results[0]
-    words = [described(first.conditions.env_id, first.rollout.task.robot.name), first.policy]
-    words += [first.details.environment["trajectory"].get("name", "")]
-    words += [first.conditions.payload_model]
-    words += [f"behind {', '.join(first.details.wrappers)}"] if first.details.wrappers else []
-    words += (
-        [first.conditions.uncertainty_name] if first.conditions.uncertainty_name is not None else []
-    )
-    words += ["stochastic policy"] if first.details.stochastic else []
-    words += [] if first.ranked else ["unranked"]
-    draws = "" if first.assured is None else f", {options.counted(first.draws, 'draw')}"
     rows = [["criterion", "payload", "total mass", "limiting violation", "margins at that payload"]]
-    for result in results:
-        failures = ", ".join(
-            f"{kind} in {number}" for kind, number in result.details.failures.items()
-        )
-        violation = result.violation_text
-        if failures:
-            violation = f"{failures} of {result.draws} draws; {violation}"
-        if result.payload is None:
-            intervals = ", ".join(
-                f"{low:.2f}–{high:.2f} kg" for low, high in result.details.feasible
-            )
-            rest = [
-                f"fails unloaded{draws}",
-                "–",
-                violation,
-                f"feasible: {intervals}" if intervals else "–",
-            ]
-        else:
-            total = f"{result.total_mass:.3f} kg"
-            rest = [f"{result.payload:.3f} kg{draws}", total, violation, _margins_text(result)]
-        rows.append(
-            [
-                f"{result.criterion} (declared)" if result.details.declared else result.criterion,
-                *rest,
-            ]
-        )
+    rows += [_row(result) for result in results]
     for criterion in inapplicable:
-        rows.append(
-            [
-                criterion,
-                "n/a",
-                "–",
-                "not applicable: the policy does not declare unsaturated_actions",
-                "–",
-            ]
-        )
-    print_table(", ".join(words), rows, right=False)
+        reason = "not applicable: the policy does not declare unsaturated_actions"
+        rows.append([criterion, "n/a", "–", reason, "–"])
+    print_table(_title(results[0]), rows, right=False)
     for note in _notes(results):
         print(note)
+
+
+def _title(result: DLCCResult) -> str:
+    from cablebot_gym.envs import described
+
+    conditions, details = result.conditions, result.details
+    words = [
+        described(conditions.env_id, conditions.robot.name),
+        result.policy,
+        details.environment["trajectory"].get("name", ""),
+        conditions.payload_model,
+    ]
+    if details.wrappers:
+        words.append(f"behind {', '.join(details.wrappers)}")
+    if conditions.uncertainty_name is not None:
+        words.append(conditions.uncertainty_name)
+    if details.stochastic:
+        words.append("stochastic policy")
+    if not result.ranked:
+        words.append("unranked")
+    return ", ".join(words)
+
+
+def _row(result: DLCCResult) -> list[str]:
+    """Row of the table of one evaluation."""
+    details = result.details
+    criterion = f"{result.criterion} (declared)" if details.declared else result.criterion
+    draws = "" if result.assured is None else f", {options.counted(result.draws, 'draw')}"
+    violation = result.violation_text
+    if details.failures:
+        counts = [f"{kind} in {number}" for kind, number in details.failures.items()]
+        violation = f"{', '.join(counts)} of {result.draws} draws; {violation}"
+    if result.payload is None:
+        margins = "–"
+        if details.feasible:
+            intervals = [f"{low:.2f}–{high:.2f} kg" for low, high in details.feasible]
+            margins = f"feasible: {', '.join(intervals)}"
+        return [criterion, f"fails unloaded{draws}", "–", violation, margins]
+    payload = f"{result.payload:.3f} kg{draws}"
+    return [criterion, payload, f"{result.total_mass:.3f} kg", violation, _margins_text(result)]
 
 
 def _notes(results: list[DLCCResult]) -> list[str]:
     from cablebot_gym.evaluation.statistics import fewest_draws
 
-    first = results[0]
-    bounds = f"error bounds: position {1e3 * (first.details.error_bounds['position'] or 0.0):g} mm"
-    rotations = [
-        result.details.error_bounds["rotation"]
-        for result in results
-        if result.details.error_bounds["rotation"] is not None
-    ]
-    notes = [f"{bounds}, rotation {1e3 * rotations[0]:g} mrad (task only)" if rotations else bounds]
-    if (resolution := max(result.resolution for result in results)) > 0:
+    score, details = results[0], results[0].details
+    bounds = f"error bounds: position {1e3 * (details.error_bounds['position'] or 0.0):g} mm"
+    for result in results:
+        rotation = result.details.error_bounds["rotation"]
+        if rotation is not None:
+            bounds += f", rotation {1e3 * rotation:g} mrad (task only)"
+            break
+    notes = [bounds]
+    resolution = max(result.resolution for result in results)
+    if resolution > 0:
         size = float(f"{resolution * 1e3:.2g}")
-        checked = "without" if first.details.discretisation is None else "with"
+        checked = "without" if details.discretisation is None else "with"
         notes.append(
             f"resolution {size:g} g, {checked} the discretisation error of the physics steps"
         )
-    if not first.ranked:
+    if not score.ranked:
         notes.append("unranked: a bisection tries few payloads and can miss a failure between them")
-    if first.assured is not None:
-        notes += (
-            [f"payload: {first.assurance}"]
-            if any(result.payload is not None for result in results)
-            else []
-        )
-        notes += [
-            _unloaded(result) for result in results if result.payload is None and result.draws > 1
-        ]
-    if first.assured is False:
-        fewest = fewest_draws(first.details.probability or 0.95, first.details.confidence or 0.95)
+    if score.assured is not None:
+        if any(result.payload is not None for result in results):
+            notes.append(f"payload: {score.assurance}")
+        for result in results:
+            if result.payload is None and result.draws > 1:
+                notes.append(_unloaded(result))
+    if score.assured is False:
+        fewest = fewest_draws(details.probability or 0.95, details.confidence or 0.95)
         notes.append(f"a lower tolerance bound needs at least {fewest} draws")
     if any(result.details.declared for result in results):
         notes.append("declared: only the policy itself says that its actions are not saturated")
     if any(result.scan_ended for result in results):
-        notes.append(
-            f"the scan ended at {first.details.payload_max:g} kg: try a larger --payload-max"
-        )
+        notes.append(f"the scan ended at {details.payload_max:g} kg: try a larger --payload-max")
     return notes
 
 

@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import MISSING, fields, is_dataclass
 from importlib.resources import files
+from itertools import pairwise
 from typing import Any
 
 from cablebot_gym.cli.options import Json
@@ -104,21 +105,19 @@ def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
         return _trajectory_fields(trajectory.motion) | {"dwell": dwell}
     if not is_dataclass(trajectory):
         return {}
-    found = {}
+    is_plane_or_point = getattr(trajectory, "name", "").endswith(("-planar", "-point"))
+    entries = {}
     for field in sorted(fields(trajectory), key=lambda field: field.name != "duration"):
-        if field.name != "name":
-            unit = _UNITS["trajectory"].get(field.name, "")
-            unit = (
-                unit.partition(",")[0]
-                if getattr(trajectory, "name", "").endswith(("-planar", "-point"))
-                else unit
-            )
-            # A field whose default is None gets its value from the other fields.
-            default = (
-                None if field.default is None else to_jsonable(getattr(trajectory, field.name))
-            )
-            found[field.name] = {"default": default, "unit": unit}
-    return found
+        if field.name == "name":
+            continue
+        unit = _UNITS["trajectory"].get(field.name, "")
+        if is_plane_or_point:
+            unit = unit.partition(",")[0]  # no angles
+        default = None
+        if field.default is not None:  # otherwise the value follows from the other fields
+            default = to_jsonable(getattr(trajectory, field.name))
+        entries[field.name] = {"default": default, "unit": unit}
+    return entries
 
 
 def _uncertainty_fields(name: str) -> list[dict[str, Any]]:
@@ -130,16 +129,18 @@ def _uncertainty_fields(name: str) -> list[dict[str, Any]]:
     from cablebot_gym.robots import find_robot
     from cablebot_gym.uncertainty import find_uncertainty
 
-    found: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
     for env_id in ENV_IDS:
         uncertainty = find_uncertainty(name, find_robot(env_robot(env_id)))
         for path, (value, unit) in _set_values(uncertainty).items():
-            same = [entry for entry in found if (entry["field"], entry["value"]) == (path, value)]
-            if not same:
-                found.append({"field": path, "value": value, "unit": unit, "env_ids": []})
-            (same or found)[-1]["env_ids"].append(env_id)
+            for entry in entries:
+                if (entry["field"], entry["value"]) == (path, value):
+                    entry["env_ids"].append(env_id)
+                    break
+            else:
+                entries.append({"field": path, "value": value, "unit": unit, "env_ids": [env_id]})
     groups = ("parameters", "wrench", "sensors", "sensor_bias", "delay")
-    return sorted(found, key=lambda entry: groups.index(entry["field"].partition(".")[0]))
+    return sorted(entries, key=lambda entry: groups.index(entry["field"].partition(".")[0]))
 
 
 def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
@@ -147,60 +148,67 @@ def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
     default values."""
     from cablebot_gym.uncertainty import PARAMETERS
 
-    found: dict[str, tuple[Any, str]] = {}
+    values: dict[str, tuple[Any, str]] = {}
     for name, distribution in uncertainty.parameters.items():
-        values = {
-            field.name: (getattr(distribution, field.name), field.default)
-            for field in fields(distribution)
-        }
-        changed = {field: value for field, (value, default) in values.items() if value != default}
-        found[f"parameters.{name}"] = (
-            changed,
-            "" if distribution.relative else PARAMETERS[name].unit,
-        )
+        changed = {}
+        for field in fields(distribution):
+            value = getattr(distribution, field.name)
+            if value != field.default:
+                changed[field.name] = value
+        unit = "" if distribution.relative else PARAMETERS[name].unit
+        values[f"parameters.{name}"] = (changed, unit)
     for group in ("wrench", "sensors", "sensor_bias"):
-        part = getattr(uncertainty, group)
-        for field in () if part is None else fields(part):
-            found[f"{group}.{field.name}"] = (
-                getattr(part, field.name),
-                _UNITS["uncertainty"].get(field.name, ""),
-            )
+        record = getattr(uncertainty, group)
+        if record is not None:
+            for field in fields(record):
+                unit = _UNITS["uncertainty"].get(field.name, "")
+                values[f"{group}.{field.name}"] = (getattr(record, field.name), unit)
     if uncertainty.delay:
-        found["delay"] = (uncertainty.delay, _UNITS["uncertainty"]["delay"])
-    return found
+        values["delay"] = (uncertainty.delay, _UNITS["uncertainty"]["delay"])
+    return values
 
 
 def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
     """Name, title, and header and rows of each table."""
-    from cablebot_gym.envs import ENV_IDS, env_robot
-    from cablebot_gym.policies import policy_entries
-    from cablebot_gym.robots import find_robot, robot_names
-    from cablebot_gym.trajectories import TRAJECTORIES
-    from cablebot_gym.uncertainty import (
-        PARAMETERS,
-        UNCERTAINTIES,
-        ExternalWrench,
-        ParameterDistribution,
-        SensorNoise,
+    yield "ids", "Environments", _environment_rows()
+    yield "robots", "Robots", _robot_rows()
+    yield "trajectories", 'Trajectories: {"name": NAME, FIELD: VALUE}', _trajectory_rows()
+    yield "uncertainties", "Uncertainties", _uncertainty_rows()
+    title = (
+        "Fields of an uncertainty in JSON\nFractions refer to the nominal value; "
+        'with "relative": false, the unit is that of the parameter.'
     )
+    yield "uncertainty-fields", title, _uncertainty_field_rows()
+    yield "parameters", "Uncertain parameters", _parameter_rows()
+    yield "installed-policies", "Policies", _policy_rows()
+
+
+def _environment_rows() -> list[list[str]]:
+    from cablebot_gym.envs import ENV_IDS, env_robot
+    from cablebot_gym.robots import find_robot
 
     rows = [["id", "robot", "cables", "coordinates", "transmission"]]
     for env_id in ENV_IDS:
         robot = find_robot(env_robot(env_id))
         rows.append([env_id, robot.name, str(robot.cables), str(robot.coordinates), robot.springs])
-    yield "ids", "Environments", rows
+    return rows
+
+
+def _robot_rows() -> list[list[str]]:
+    from cablebot_gym.robots import robot_names
 
     rows = [["name", "kind", "cables", "transmission", "values with a source"]]
     for entry in map(_robot_entry, robot_names()):
-        values = (
-            "the paper"
-            if not entry["sources"]
-            else f"{entry['documented']} of {len(entry['sources'])}"
-        )
-        rows.append(
-            [entry["name"], entry["kind"], str(entry["cables"]), entry["transmission"], values]
-        )
-    yield "robots", "Robots", rows
+        values = "the paper"
+        if entry["sources"]:
+            values = f"{entry['documented']} of {len(entry['sources'])}"
+        row = [entry["name"], entry["kind"], str(entry["cables"]), entry["transmission"], values]
+        rows.append(row)
+    return rows
+
+
+def _trajectory_rows() -> list[list[str]]:
+    from cablebot_gym.trajectories import TRAJECTORIES
 
     rows = [["name", "field", "default", "unit"]]
     for name, make in TRAJECTORIES.items():
@@ -211,50 +219,68 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
                 motion = getattr(trajectory, "motion", trajectory)
                 default += f" ({_json_text(getattr(motion, field))} with these fields)"
             rows.append([name, field, default, entry["unit"]])
-    yield "trajectories", 'Trajectories: {"name": NAME, FIELD: VALUE}', _without_repeats(rows)
+    return _without_repeats(rows)
+
+
+def _uncertainty_rows() -> list[list[str]]:
+    from cablebot_gym.envs import ENV_IDS
+    from cablebot_gym.uncertainty import UNCERTAINTIES
 
     rows = [["name", "field", "value"]]
     for name in UNCERTAINTIES:
         entries = _uncertainty_fields(name)
         for entry in entries:
-            only = (
-                ""
-                if len(entry["env_ids"]) == len(ENV_IDS)
-                else f" ({_short_ids(entry['env_ids'])} only)"
-            )
-            rows.append(
-                [
-                    name,
-                    entry["field"],
-                    f"{_json_text(entry['value'])} {entry['unit']}".strip() + only,
-                ]
-            )
+            value = f"{_json_text(entry['value'])} {entry['unit']}".strip()
+            if len(entry["env_ids"]) < len(ENV_IDS):
+                value += f" ({_short_ids(entry['env_ids'])} only)"
+            rows.append([name, entry["field"], value])
         if not entries:
             rows.append([name, "–", "no uncertainty"])
-    yield "uncertainties", "Uncertainties", _without_repeats(rows)
+    return _without_repeats(rows)
 
+
+def _uncertainty_field_rows() -> list[list[str]]:
+    from cablebot_gym.uncertainty import ExternalWrench, ParameterDistribution, SensorNoise
+
+    groups = {
+        "parameters.NAME": ParameterDistribution,
+        "wrench": ExternalWrench,
+        "sensors": SensorNoise,
+        "sensor_bias": SensorNoise,
+    }
     rows = [["group", "field", "default", "unit"]]
-    groups = {"parameters.NAME": ParameterDistribution, "wrench": ExternalWrench}
-    groups |= {"sensors": SensorNoise, "sensor_bias": SensorNoise}
     for group, kind in groups.items():
         for item in fields(kind):
             default = "required" if item.default is MISSING else _json_text(item.default)
             rows.append([group, item.name, default, _UNITS["uncertainty"].get(item.name, "")])
     rows.append(["delay", "–", "0", _UNITS["uncertainty"]["delay"]])
-    note = 'Fractions refer to the nominal value; with "relative": false, the unit is that of the parameter.'
-    yield "uncertainty-fields", f"Fields of an uncertainty in JSON\n{note}", _without_repeats(rows)
+    return _without_repeats(rows)
+
+
+def _parameter_rows() -> list[list[str]]:
+    from cablebot_gym.uncertainty import PARAMETERS
 
     rows = [["name", "unit", "robots"]]
     for name, parameter in PARAMETERS.items():
-        owners = [name for name, only in _PARAMETER_OWNERS.items() if getattr(parameter, only)]
-        rows.append([name, parameter.unit, owners[0] if owners else "all"])
-    yield "parameters", "Uncertain parameters", rows
+        robots = "all"
+        for owners, condition in reversed(_PARAMETER_OWNERS.items()):
+            if getattr(parameter, condition):
+                robots = owners
+        rows.append([name, parameter.unit, robots])
+    return rows
+
+
+def _policy_rows() -> list[list[str]]:
+    from cablebot_gym.envs import ENV_IDS
+    from cablebot_gym.policies import policy_entries
 
     rows = [["name", "kind", "environments", "summary"]]
     for policy in sorted(policy_entries().values(), key=lambda policy: (policy.kind, policy.name)):
-        ids = "all" if set(policy.env_ids) >= set(ENV_IDS) else _short_ids(policy.env_ids)
+        ids = _short_ids(policy.env_ids)
+        if set(policy.env_ids) >= set(ENV_IDS):
+            ids = "all"
         rows.append([policy.name, policy.kind, ids, policy.summary])
-    yield "installed-policies", "Policies", rows
+    return rows
 
 
 _PARAMETER_OWNERS = {
@@ -266,11 +292,11 @@ _PARAMETER_OWNERS = {
 
 def _without_repeats(rows: list[list[str]]) -> list[list[str]]:
     """The rows with an empty first cell where it repeats the cell above."""
-    above = [["", ""], *rows[:-1]]
-    return [
-        ["" if row[0] == before[0] else row[0], *row[1:]]
-        for row, before in zip(rows, above, strict=True)
-    ]
+    shown = [rows[0]]
+    for above, row in pairwise(rows):
+        is_repeated = row[0] == above[0]
+        shown.append(["" if is_repeated else row[0], *row[1:]])
+    return shown
 
 
 def _json_text(value: Any) -> str:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import inspect
 import json
-import secrets
-from collections.abc import Callable, Mapping, Sequence
-from functools import wraps
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
 
+from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.console import command_line, notes_console
 from cablebot_gym.utils.files import read_text
@@ -28,14 +27,14 @@ EnvId = Annotated[
     ),
 ]
 FittingEnvId = Annotated[
-    str,
+    str | None,
     typer.Argument(
         metavar="[ID]",
         help="Environment id, such as CableBot-Spatial-v0. The default is the one that fits --robot. `cablebot list` "
         "shows all.",
     ),
 ]
-"""The id of a command without another argument. :func:`episode_options` finds it by the robot."""
+"""The id of a command without another argument, for :func:`fitting_id`."""
 
 _POLICY = typer.Option(
     "--policy",
@@ -62,30 +61,16 @@ Workers = Annotated[
     int | None,
     typer.Option("--workers", help="Number of worker processes. The default is one per core."),
 ]
-Isolate = Annotated[
-    bool,
-    typer.Option(
-        "--isolate",
-        help="Run the policy in a process of its own, which gets only observations and tasks.",
-    ),
-]
-Sandbox = Annotated[
-    bool,
-    typer.Option(
-        "--sandbox",
-        help="Run the isolated policy in a sandbox without network, other processes, and most files.",
-    ),
-]
 NoSandbox = Annotated[
     bool, typer.Option("--no-sandbox", help="Run entries without a sandbox. They stay unverified.")
 ]
-Deadline = Annotated[
-    float | None,
-    typer.Option(
-        "--deadline", help="Deadline of a call of the isolated policy [s]. The default is 60."
-    ),
-]
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON.")]
+
+SEED_BITS = 53
+"""Size of a secret seed, which every JSON parser reads exactly [bits]."""
+
+LEAST_BOUND = 0.1
+"""Least value of an error bound [mm, mrad]: a smaller one was meant in metres."""
 
 
 def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
@@ -115,172 +100,199 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
         raise ValueError(f"{option} is not valid JSON: {error}") from error
 
 
-_EPISODE_OPTIONS: dict[str, tuple[Any, Any, Any]] = {
-    "robot": (
-        str | None,
-        None,
-        typer.Option(
-            help="Name, or TOML or JSON file, of a robot of the kind of ID, with its default motion, error bounds and "
-            "payloads."
-        ),
+TrajectoryData = Annotated[
+    str | None,
+    typer.Option(
+        "--trajectory",
+        callback=_read_data,
+        help='Name of a trajectory, JSON such as \'{"name": "circle-spatial", "duration": 1.5}\', a .json file, a '
+        ".csv file of waypoints with the columns t [s], x, y, … [m, rad], or file.py:name of a Trajectory or of a "
+        "function that makes one. `cablebot list` shows names and fields. The default is that of the "
+        "robot: for the paper's robots the paper's circle between two dwells, for a robot without a motion a "
+        "lemniscate about the home pose.",
     ),
-    "trajectory": (
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskOptions(Options):
+    """Robot, motion and error bounds."""
+
+    title: ClassVar[str] = "Task"
+
+    robot: Annotated[
         str | None,
-        None,
         typer.Option(
-            callback=_read_data,
-            help='Name of a trajectory, JSON such as \'{"name": "circle-spatial", "duration": 1.5}\', a .json file, a '
-            ".csv file of waypoints with the columns t [s], x, y, … [m, rad], or file.py:name of a Trajectory or of a "
-            "function that makes one. `cablebot list` shows names and fields. The default is that of the "
-            "robot: for the paper's robots the paper's circle between two dwells, for a robot without a motion a "
-            "lemniscate about the home pose.",
+            help=(
+                "Name, or TOML or JSON file, of a robot of the kind of ID, with its default motion, error bounds and "
+                "payloads."
+            )
         ),
-    ),
-    "payload_known": (
+    ] = None
+    trajectory: TrajectoryData = None
+    position_bound: Annotated[
+        float | None,
+        typer.Option(
+            help=(
+                "Largest allowed position error [mm]. The default is that of the robot; without one, 10, at most 1 % "
+                "and at least 0.1 % of its width."
+            )
+        ),
+    ] = None
+    rotation_bound: Annotated[
+        float | None,
+        typer.Option(
+            help="Largest allowed rotation error [mrad], of the task criterion. The default is that of the robot: 10."
+        ),
+    ] = None
+    control_frequency: Annotated[float, typer.Option(help="Control steps per second [Hz].")] = 500.0
+
+    @property
+    def error_bounds(self) -> dict[str, float]:
+        """The error bounds that are given [m, rad]."""
+        bounds = {}
+        if self.position_bound is not None:
+            bounds["position"] = number(
+                "--position-bound", self.position_bound, least=LEAST_BOUND, unit="mm"
+            )
+        if self.rotation_bound is not None:
+            bounds["rotation"] = number(
+                "--rotation-bound", self.rotation_bound, least=LEAST_BOUND, unit="mrad"
+            )
+        return {name: value / 1000 for name, value in bounds.items()}
+
+    def keywords(self) -> dict[str, Any]:
+        """Keywords of an evaluation."""
+        return {
+            "robot": self.robot,
+            "trajectory": self.trajectory,
+            "control_frequency": self.control_frequency,
+            "error_bounds": self.error_bounds,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeOptions(TaskOptions):
+    """Everything that determines an episode but the policy and the payload."""
+
+    title: ClassVar[str] = "Episode"
+
+    payload_known: Annotated[
         bool,
-        True,
         typer.Option(
             "--payload-known/--payload-unknown",
             help="Whether the policy's model includes the payload.",
         ),
-    ),
-    "model_payload_factor": (
-        float,
-        1.0,
-        typer.Option(help="Payload of the policy's model over the nominal payload."),
-    ),
-    "position_bound": (
-        float | None,
-        None,
-        typer.Option(
-            help="Largest allowed position error [mm]. The default is that of the robot; without one, 10, at most 1 % "
-            "and at least 0.1 % of its width."
-        ),
-    ),
-    "rotation_bound": (
-        float | None,
-        None,
-        typer.Option(
-            help="Largest allowed rotation error [mrad], of the task criterion. The default is that of the robot: 10."
-        ),
-    ),
-    "uncertainty": (
+    ] = True
+    model_payload_factor: Annotated[
+        float, typer.Option(help="Payload of the policy's model over the nominal payload.")
+    ] = 1.0
+    uncertainty: Annotated[
         str | None,
-        None,
         typer.Option(
             callback=_read_data,
-            help="Model error: a name such as table6, names joined by +, JSON, or a .json file. "
-            "`cablebot list` shows the names and fields.",
+            help=(
+                "Model error: a name such as table6, names joined by +, JSON, or a .json file. "
+                "`cablebot list` shows the names and fields."
+            ),
         ),
-    ),
-    "measurement": (
+    ] = None
+    measurement: Annotated[
         str | None,
-        None,
         typer.Option(
             callback=_read_data,
-            help="Sensors of the policy: pose, winches, winches+tensions, winches+tensions+imu, JSON such as "
-            '\'{"kind": "winches", "encoder_resolution": 0.001}\', or a .json file. With winches, --policy ekf+fl runs '
-            "the policy fl behind an estimator.",
+            help=(
+                "Sensors of the policy: pose, winches, winches+tensions, winches+tensions+imu, JSON such as "
+                '\'{"kind": "winches", "encoder_resolution": 0.001}\', or a .json file. '
+                "With winches, --policy ekf+fl runs the policy fl behind an estimator."
+            ),
         ),
-    ),
-    "control_frequency": (float, 500.0, typer.Option(help="Control steps per second [Hz].")),
-    "wrapper": (
+    ] = None
+    wrapper: Annotated[
         list[str] | None,
-        None,
         typer.Option(
-            "--wrapper",
-            help="Wrapper of the policy's training, file.py:name or package.module:name; again for each further one, "
-            "the innermost first. Installed policies of --policies take none.",
+            help=(
+                "Wrapper of the policy's training, file.py:name or package.module:name; again for each further one, "
+                "the innermost first. Installed policies of --policies take none."
+            )
         ),
-    ),
-    "normalize": (
+    ] = None
+    normalize: Annotated[
         str | None,
-        None,
         typer.Option(
-            "--normalize",
-            help="File with the statistics of Stable-Baselines3's VecNormalize, the outermost wrapper. The default is "
-            "vecnormalize.pkl beside a .zip file.",
+            help=(
+                "File with the statistics of Stable-Baselines3's VecNormalize, the outermost wrapper. The default is "
+                "vecnormalize.pkl beside a .zip file."
+            )
         ),
-    ),
-    "seed": (
+    ] = None
+    seed: Annotated[
         int | None,
-        None,
         typer.Option(
-            help="Seed of the environments. The default is 0; with `dlcc --isolate`, a secret number that is printed "
-            "after the evaluation."
+            help=(
+                "Seed of the environments. The default is 0; with `dlcc --isolate`, a secret number that is printed "
+                "after the evaluation."
+            )
         ),
-    ),
-}
-"""Type, default and typer's description of each option of an episode."""
+    ] = None
 
-SEED_BITS = 53
-"""Size of a secret seed, which every JSON parser reads exactly [bits]."""
+    @property
+    def wrappers(self) -> list[str]:
+        """Wrappers of the training of the policy, the innermost first."""
+        layers = list(self.wrapper or [])
+        if self.normalize:
+            layers.append(self.normalize)
+        return layers
 
-BOUNDS = {"position_bound": "mm", "rotation_bound": "mrad"}
-"""Options that a command receives as ``error_bounds`` in SI units, and their own units."""
+    def keywords(self) -> dict[str, Any]:
+        """Keywords of an evaluation, without the wrappers of the policy."""
+        keywords = super().keywords() | {
+            "payload_known": self.payload_known,
+            "model_payload_factor": self.model_payload_factor,
+            "uncertainty": self.uncertainty,
+            "seed": self.seed or 0,
+        }
+        if self.measurement is not None:
+            keywords["measurement"] = self.measurement
+        return keywords
 
-LEAST_BOUND = 0.1
-"""Least value of these options [mm, mrad]: a smaller one was meant in metres."""
+
+@dataclass(frozen=True, kw_only=True)
+class ProcessOptions(Options):
+    """The process of the policy."""
+
+    title: ClassVar[str] = "Process of the policy"
+
+    isolate: Annotated[
+        bool,
+        typer.Option(
+            "--isolate",
+            help="Run the policy in a process of its own, which gets only observations and tasks.",
+        ),
+    ] = False
+    sandbox: Annotated[
+        bool,
+        typer.Option(
+            "--sandbox",
+            help="Run the isolated policy in a sandbox without network, other processes, and most files.",
+        ),
+    ] = False
+    deadline: Annotated[
+        float | None,
+        typer.Option(help="Deadline of a call of the isolated policy [s]. The default is 60."),
+    ] = None
 
 
-def episode_options(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator that adds the options of an episode to a command.
+def fitting_id(env_id: str | None, robot: str | None) -> str:
+    """The environment id, or the one that fits ``--robot`` if there is none.
 
-    The command has a parameter ``episode``: the values as keywords of the environment, its seed,
-    and ``wrappers`` of the policy.
-
-    Args:
-        names: names of the options; all if empty.
+    Raises:
+        ValueError: if there is neither.
     """
-    chosen = [name for name in names or _EPISODE_OPTIONS]
-
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        @wraps(command)
-        def run(**values: Any) -> None:
-            episode = {name: values.pop(name) for name in chosen}
-            if episode.get("measurement") is None:
-                episode.pop("measurement", None)
-            if "seed" in episode and episode["seed"] is None:
-                episode["seed"] = secrets.randbits(SEED_BITS) if values.get("isolate") else 0
-            if "wrapper" in episode:
-                named = episode.pop("wrapper")
-                last = episode.pop("normalize")
-                episode["wrappers"] = [*(named or []), *([last] if last else [])]
-            bounds = {name: episode.pop(name) for name in BOUNDS if name in episode}
-            episode["error_bounds"] = {
-                name.removesuffix("_bound"): number(
-                    f"--{name.replace('_', '-')}", value, least=LEAST_BOUND, unit=BOUNDS[name]
-                )
-                / 1000
-                for name, value in bounds.items()
-                if value is not None
-            }
-            if values.get("env_id", "") is None:
-                values["env_id"] = _env_id_of(episode["robot"])
-            command(**values, episode=episode)
-
-        parameters = []
-        for own in inspect.signature(command, eval_str=True).parameters.values():
-            if own.name != "episode":
-                default = None if own.annotation == FittingEnvId else own.default
-                parameters.append(own.replace(kind=own.KEYWORD_ONLY, default=default))
-                continue
-            for name in chosen:
-                kind, default, option = _EPISODE_OPTIONS[name]
-                added = inspect.Parameter(
-                    name, own.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
-                )
-                parameters.append(added)
-        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        return run
-
-    return decorate
-
-
-def _env_id_of(robot: str | None) -> str:
-    """The environment id of a command without one."""
     from cablebot_gym.envs import ENV_IDS, fitting_env_id
 
+    if env_id is not None:
+        return env_id
     if robot is None:
         raise ValueError(
             f"give an environment id, one of {', '.join(ENV_IDS)}, or a robot with --robot"
@@ -288,33 +300,27 @@ def _env_id_of(robot: str | None) -> str:
     return fitting_env_id(robot)
 
 
-def command_again(
-    command: str, *arguments: object, episode: Mapping[str, Any], **options: Any
-) -> str:
+def command_again(command: str, *arguments: object, episode: EpisodeOptions, **options: Any) -> str:
     """The command line of a command with the options of an episode that differ from their defaults.
 
     Args:
         command: command of ``cablebot``.
         arguments: its positional arguments.
-        episode: the parameter ``episode`` of the present command, see :func:`episode_options`.
+        episode: options of the episode.
         options: further options, as for :func:`~cablebot_gym.utils.console.command_line`.
     """
-    episode = dict(episode)
-    others: dict[str, Any] = {
-        f"{name}_bound": f"{1000 * value:.12g}"
-        for name, value in episode.pop("error_bounds", {}).items()
-    }
-    others["payload_unknown"] = not episode.pop("payload_known", True)
-    others["wrapper"] = episode.pop("wrappers", [])
-    changed = {
-        name: value
-        for name, value in episode.items()
-        if value != _EPISODE_OPTIONS[name][1] and (name, value) != ("seed", 0)
-    }
-    return command_line(command, *arguments, **options, **changed, **others)
+    for item in fields(episode):
+        value = getattr(episode, item.name)
+        if item.name == "payload_known":
+            options["payload_unknown"] = not value
+        elif item.name in ("position_bound", "rotation_bound") and value is not None:
+            options[item.name] = f"{value:.12g}"
+        elif value != item.default and (item.name, value) != ("seed", 0):
+            options[item.name] = value
+    return command_line(command, *arguments, **options)
 
 
-def robot_of(env_id: str, episode: Mapping[str, Any]) -> Robot:
+def robot_of(env_id: str, task: TaskOptions) -> Robot:
     """The robot in ``--robot``, or that of the environment. Checks the motion too.
 
     An isolated policy gets the present search path of modules, so the file of a motion has to be
@@ -328,11 +334,9 @@ def robot_of(env_id: str, episode: Mapping[str, Any]) -> Robot:
     from cablebot_gym.robots import find_robot
     from cablebot_gym.trajectories import find_trajectory
 
-    check_robot(env_id, episode.get("robot"))
-    robot = find_robot(episode.get("robot") or env_robot(env_id))
-    note_waypoints(
-        robot, find_trajectory(episode.get("trajectory") or default_trajectory(robot), robot.kind)
-    )
+    check_robot(env_id, task.robot)
+    robot = find_robot(task.robot or env_robot(env_id))
+    note_waypoints(robot, find_trajectory(task.trajectory or default_trajectory(robot), robot.kind))
     return robot
 
 
@@ -365,28 +369,27 @@ def loaded_policy(
     name: str,
     robot: Robot,
     *,
-    isolate: bool = False,
-    deadline: float | None = None,
-    sandbox: bool = False,
     wrappers: Sequence[str] = (),
+    process: ProcessOptions = ProcessOptions(),
 ) -> LoadedPolicy:
-    """The policy with a name, made for a robot, in a process of its own with ``isolate``.
+    """The policy with a name, made for a robot, in a process of its own with ``--isolate``.
 
     Raises:
         ValueError: if the policy cannot be loaded, or if there is a deadline or a sandbox without
-            ``isolate``.
+            ``--isolate``.
     """
     from cablebot_gym.isolation import IsolatedPolicy
     from cablebot_gym.policies import load
 
-    if isolate:
-        limits = {} if deadline is None else {"deadline": deadline}
-        return IsolatedPolicy(name, robot, sandbox=sandbox, wrappers=wrappers, **limits).loaded
-    if sandbox:
+    if process.isolate:
+        limits = {} if process.deadline is None else {"deadline": process.deadline}
+        isolated = IsolatedPolicy(name, robot, sandbox=process.sandbox, wrappers=wrappers, **limits)
+        return isolated.loaded
+    if process.sandbox:
         raise ValueError(
             "--sandbox needs --isolate: only the process of an isolated policy can have one"
         )
-    if deadline is not None:
+    if process.deadline is not None:
         raise ValueError(
             "--deadline needs --isolate: only the process of an isolated policy can be ended"
         )
@@ -408,10 +411,11 @@ def loaded_policies(names: list[str], robot: Robot, wrappers: Sequence[str]) -> 
         raise ValueError(
             f"--wrapper and --normalize do not apply to installed policies, such as {names[0]}"
         )
-    return [
-        loaded_policy(name, robot, wrappers=() if own else wrappers)
-        for name, own in zip(names, installed, strict=True)
-    ]
+    policies = []
+    for name, is_installed in zip(names, installed, strict=True):
+        layers = () if is_installed else wrappers
+        policies.append(loaded_policy(name, robot, wrappers=layers))
+    return policies
 
 
 def choose_sandbox(no_sandbox: bool) -> None:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from cablebot_gym.cli.options import EnvId, Payload, PolicyNameOrNone, episode_options
+from cablebot_gym.cli.options import EnvId, EpisodeOptions, Payload, PolicyNameOrNone
 from cablebot_gym.cli.video import Policies, Size, picture_size, record_episodes
 from cablebot_gym.utils.console import notes_console
 
 
-@episode_options()
 def picture(
     env_id: EnvId,
     out: Annotated[Path, typer.Argument(help="File to write, ending in .png, .jpg or .webp.")],
-    episode: dict[str, Any],
+    episode: EpisodeOptions,
     policy: PolicyNameOrNone = None,
     policies: Policies = None,
     payload: Payload = None,

@@ -6,17 +6,18 @@ import json
 import math
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cablebot_gym.cli.importing import import_file
 from cablebot_gym.cli.options import (
+    EpisodeOptions,
     Json,
     Payload,
+    TrajectoryData,
     command_again,
     counted,
-    episode_options,
     note_waypoints,
 )
 from cablebot_gym.utils.checks import choice
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from cablebot_gym.robots import Robot
 
 
-@episode_options("trajectory")
 def robot(
     task: Annotated[str, typer.Argument(metavar="TASK", help="The task: check or import.")],
     name: Annotated[
@@ -39,8 +39,8 @@ def robot(
             "NAME_bodies.xml or NAME_cables.xml of CASPR, or a .wcrfx file of WireX.",
         ),
     ],
-    episode: dict[str, Any],
     payload: Payload = None,
+    trajectory: TrajectoryData = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -69,7 +69,7 @@ def robot(
     from cablebot_gym.bounds.robot_check import check_model, check_motion
 
     if choice("task", task, ["check", "import"]) == "import":
-        if payload is not None or episode["trajectory"] is not None or as_json:
+        if payload is not None or trajectory is not None or as_json:
             raise ValueError(
                 "--payload, --trajectory and --json are for `cablebot robot check`: remove them"
             )
@@ -86,7 +86,7 @@ def robot(
         print("\n".join(report(check)), flush=True)
     motion, refusal = None, ""
     try:
-        motion = check_motion(model, payload=payload, trajectory=episode["trajectory"])
+        motion = check_motion(model, payload=payload, trajectory=trajectory)
         note_waypoints(model, motion.trajectory)
     except ValueError as error:
         refusal = sentence_of_user_code(error) or str(error)
@@ -96,7 +96,9 @@ def robot(
         print(json.dumps({**check.to_dict(), **data, "questions": questions}, indent=2))
     elif motion is not None:
         law = "composite-tuned" if model.flexible else "fl"
-        evaluation = command_again("dlcc", policy=law, episode=episode | {"robot": name})
+        evaluation = command_again(
+            "dlcc", policy=law, episode=EpisodeOptions(robot=name, trajectory=trajectory)
+        )
         print("\n".join(motion_report(check, motion, evaluation)))
     if motion is None:
         notes_console().print(f"motion refused: {refusal}", style="red")

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from cablebot_gym.cli.options import FittingEnvId, Payload, PolicyName, episode_options, robot_of
+from cablebot_gym.cli.options import (
+    EpisodeOptions,
+    FittingEnvId,
+    Payload,
+    PolicyName,
+    fitting_id,
+    robot_of,
+)
 
 
-@episode_options()
 def rollout(
-    env_id: FittingEnvId,
+    *,
+    env_id: FittingEnvId = None,
     policy: PolicyName,
     out: Annotated[Path, typer.Option(help="File of the recording, ending in .npz or .csv.")],
-    episode: dict[str, Any],
+    episode: EpisodeOptions,
     payload: Payload = None,
     criterion: Annotated[str, typer.Option(help="Success criterion: task or paper.")] = "task",
 ) -> None:
@@ -33,14 +40,26 @@ def rollout(
 
     check_suffix(out)
     check_writable_file(out)
-    payload = robot_of(env_id, episode).defaults.payload(0.0) if payload is None else payload
+    env_id = fitting_id(env_id, episode.robot)
+    robot = robot_of(env_id, episode)
+    if payload is None:
+        payload = robot.defaults.payload(0.0)
     record = record_rollout(
-        policy, env_id, payload=payload, criterion=criterion, progress=True, **episode
+        policy,
+        env_id,
+        payload=payload,
+        criterion=criterion,
+        wrappers=episode.wrappers,
+        progress=True,
+        **episode.keywords(),
     )
     record.save(out)
     verdict = record.verdict
-    outcome = "carried" if verdict.carried else f"not carried: {verdict.violation}"
-    ended = f" (ended early: {record.reason})" if record.reason else ""
+    outcome = "carried"
+    if not verdict.carried:
+        outcome = f"not carried: {verdict.violation}"
+    if record.reason:
+        outcome += f" (ended early: {record.reason})"
     print(
-        f"{env_id}, {policy}, {payload:g} kg, {criterion} criterion: {outcome}{ended}; recorded in {out}"
+        f"{env_id}, {policy}, {payload:g} kg, {criterion} criterion: {outcome}; recorded in {out}"
     )

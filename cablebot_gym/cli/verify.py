@@ -63,20 +63,18 @@ def verify(
         command = f"cablebot verify {folder} --out {out}" + " --no-sandbox" * no_sandbox
         records = [*computed(cells, Store(work, say=notes_console().print), work, backend, command)]
         reasons = entries.refuted(claims, records)
-    found = entries.verification(folder, seed, records, reasons)
+    record = entries.verification(folder, seed, records, reasons)
     atomic_write_text(
-        folder / entries.VERIFICATION, json.dumps(found, indent=1, ensure_ascii=False) + "\n"
+        folder / entries.VERIFICATION, json.dumps(record, indent=1, ensure_ascii=False) + "\n"
     )
     shutil.rmtree(work / FOLDER, ignore_errors=True)  # the next verification draws another seed
     (work / RUN).unlink(missing_ok=True)
     if reasons:
         notes_console().print(f"cablebot: refused: {reasons[0]}", style="red")
         raise typer.Exit(1)
-    protection = (
-        f"in {found['sandbox']}, without network"
-        if found["sandbox"]
-        else "with network and all files"
-    )
+    protection = "with network and all files"
+    if record["sandbox"]:
+        protection = f"in {record['sandbox']}, without network"
     print(
-        f"{folder}: {found['outcome']}; {counted(len(records), 'payload')} rerun {protection}, seed {seed}"
+        f"{folder}: {record['outcome']}; {counted(len(records), 'payload')} rerun {protection}, seed {seed}"
     )

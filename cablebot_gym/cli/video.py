@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cablebot_gym.cli.options import (
     EnvId,
+    EpisodeOptions,
     Payload,
     PolicyNameOrNone,
-    episode_options,
     loaded_policies,
     robot_of,
     split_names,
@@ -36,11 +35,10 @@ Policies = Annotated[
 ]
 
 
-@episode_options()
 def video(
     env_id: EnvId,
     out: Annotated[Path, typer.Argument(help="File to write, ending in .mp4 or .gif.")],
-    episode: dict[str, Any],
+    episode: EpisodeOptions,
     policy: PolicyNameOrNone = None,
     policies: Policies = None,
     payload: Payload = None,
@@ -92,7 +90,7 @@ def record_episodes(
     policies: str | None,
     *,
     payload: float | None,
-    episode: Mapping[str, Any],
+    episode: EpisodeOptions,
     start: bool = False,
 ) -> list[Episode]:
     """Records one episode of the policy in ``--policy`` or of each one in ``--policies``.
@@ -116,23 +114,21 @@ def record_episodes(
 
     robot = robot_of(env_id, episode)
     place = described(env_id, robot.name)
-    keywords = {"payload": robot.defaults.payload(0.0) if payload is None else payload, **episode}
-    wrappers = keywords.pop("wrappers")
+    if payload is None:
+        payload = robot.defaults.payload(0.0)
+    keywords = episode.keywords() | {"payload": payload}
     if start:
         import_pygame()
-        return [
-            (place, record_rollout(lambda observation: np.zeros(robot.cables), env_id, **keywords))
-        ]
+        at_rest = record_rollout(lambda observation: np.zeros(robot.cables), env_id, **keywords)
+        return [(place, at_rest)]
     names = split_names(policies or policy)
     if (policy is None) == (policies is None) or not names:
         raise ValueError(
             "give either --policy with one name, or --policies with several. Example: --policies fl,trajopt"
         )
     import_pygame()
-    loaded = loaded_policies(names, robot, wrappers)
     episodes = []
-    for each in loaded:
-        episodes.append(
-            (f"{each.name} on {place}", record_rollout(each, env_id, progress=True, **keywords))
-        )
+    for policy_of_name in loaded_policies(names, robot, episode.wrappers):
+        rollout = record_rollout(policy_of_name, env_id, progress=True, **keywords)
+        episodes.append((f"{policy_of_name.name} on {place}", rollout))
     return episodes

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from cablebot_gym.cli.options import (
+    EpisodeOptions,
     FittingEnvId,
     Payload,
     PolicyNameOrNone,
     command_again,
-    episode_options,
+    fitting_id,
 )
 from cablebot_gym.cli.video import Policies, Size, Speed, picture_size, record_episodes
 from cablebot_gym.video import SPEED
 
 
-@episode_options()
 def watch(
-    env_id: FittingEnvId,
-    episode: dict[str, Any],
+    *,
+    env_id: FittingEnvId = None,
+    episode: EpisodeOptions,
     policy: PolicyNameOrNone = None,
     policies: Policies = None,
     payload: Payload = None,
@@ -36,15 +35,24 @@ def watch(
     from cablebot_gym.rendering.window import NoDisplayError
     from cablebot_gym.video.recording import check_speed, play
 
+    env_id = fitting_id(env_id, episode.robot)
     frame_size = picture_size(size)
     check_speed(speed)
     episodes = record_episodes(env_id, policy, policies, payload=payload, episode=episode)
     try:
         play(episodes, speed=speed, size=frame_size)
     except NoDisplayError as error:
-        given = {"policy": policy, "policies": policies, "payload": payload, "size": size}
-        given |= {} if speed == SPEED else {"speed": speed}
-        alternative = command_again("video", env_id, "video.gif", episode=episode, **given)
+        alternative = command_again(
+            "video",
+            env_id,
+            "video.gif",
+            episode=episode,
+            policy=policy,
+            policies=policies,
+            payload=payload,
+            size=size,
+            speed=None if speed == SPEED else speed,
+        )
         raise ValueError(
             f"there is no display for a window. Write a video instead: {alternative}"
         ) from error

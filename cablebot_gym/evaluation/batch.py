@@ -111,12 +111,11 @@ class Trial:
         """Index of the draw in which :attr:`violation` occurred, from 0; None without a
         violation."""
         kind = next(iter(self.failures), None)
-        violations = [verdict.violation for verdict in self.verdicts]
-        times = [
-            (one.time, draw)
-            for draw, one in enumerate(violations)
-            if one is not None and one.kind == kind
-        ]
+        times = []
+        for draw, verdict in enumerate(self.verdicts):
+            violation = verdict.violation
+            if violation is not None and violation.kind == kind:
+                times.append((violation.time, draw))
         return min(times)[1] if times else None
 
 
@@ -312,35 +311,39 @@ class Batch:
         Returns:
             One verdict for each row.
         """
-        verdicts: dict[int, Verdict] = {}
         if order is None:
             order = np.arange(len(rows)) if observer is not None else secret_order(len(rows))
-        for indices in (
-            [order] if observer is not None else np.array_split(order, -(-len(rows) // (2 * BATCH)))
-        ):
-            chosen = [rows[index] for index in indices.tolist()]
-            payloads = np.array([payload for payload, _ in chosen])
-            seeds = [seed for _, seed in chosen]
-            changes = {} if refinement == 1 else {"substeps": refinement * self.settings.substeps}
-            env = self._make(len(chosen), **changes)
-            self._last_rows = len(chosen)
-            noise = [noise_seed(seed, payload) for payload, seed in chosen]
-            observation, info = env.reset(
-                seed=seeds, options={"payload": payloads, "noise_seed": noise}
-            )
-            judge = Judge(self.conditions.criterion, self.task.robot.cables, len(chosen))
+        groups = [order]
+        if observer is None:
+            groups = np.array_split(order, -(-len(rows) // (2 * BATCH)))
+        changes: dict[str, Any] = {}
+        if refinement > 1:
+            changes["substeps"] = refinement * self.settings.substeps
+        verdicts: dict[int, Verdict] = {}
+        for indices in groups:
+            env = self._make(len(indices), **changes)
+            self._last_rows = len(indices)
+            group = [rows[index] for index in indices.tolist()]
+            options = {
+                "payload": np.array([payload for payload, _ in group]),
+                "noise_seed": [noise_seed(seed, payload) for payload, seed in group],
+            }
+            observation, info = env.reset(seed=[seed for _, seed in group], options=options)
+            judge = Judge(self.conditions.criterion, self.task.robot.cables, len(group))
             judge.reset(info, self.task)
             if observer is not None:
                 observer.start(env, observation, info)
-            others: dict[str, Any] = {
-                "observer": observer,
-                "count": count,
-                "full_motion": full_motion,
-            }
-            run_episodes(env, self.policy, observation, judge, **others)
-            verdicts |= {
-                index: judge.verdict(place) for place, index in enumerate(indices.tolist())
-            }
+            run_episodes(
+                env,
+                self.policy,
+                observation,
+                judge,
+                observer=observer,
+                count=count,
+                full_motion=full_motion,
+            )
+            for row, index in enumerate(indices.tolist()):
+                verdicts[index] = judge.verdict(row)
         return [verdicts[index] for index in range(len(rows))]
 
     def check_alone(self, payload: float, carried: int, count: StepCount | None = None) -> None:
@@ -357,13 +360,13 @@ class Batch:
         Raises:
             PolicyError: if fewer than the plausible number of :data:`ALONE` draws carry it.
         """
-        needed = plausible_successes(carried, self.draws, ALONE, RISK)
+        required = plausible_successes(carried, self.draws, ALONE, RISK)
         alone = 0
         for seed in derived_seeds(np.random.SeedSequence(), ALONE):
-            if alone == needed:
+            if alone == required:
                 return
             alone += self.run([(payload, seed)], count=count)[0].carried
-        if alone < needed:
+        if alone < required:
             text = f"{payload:.3f} kg is carried in {alone} of {ALONE} draws alone"
             text += f", in {carried} of {self.draws} together"
             raise PolicyError(f"policy {self.policy.name!r} {DEPENDENT.format(text)}")
@@ -428,9 +431,8 @@ def run_episodes(
             time=step / env.settings.control_frequency,
             ignored=over,
         )
-        observation, reward, start, _, info = env.step(
-            action
-        )  # the environment restarts terminated episodes
+        # the environment restarts terminated episodes
+        observation, reward, start, _, info = env.step(action)
         judge.observe(info, start)
         if observer is not None:
             observer.step(observation, reward, info, ~over)

@@ -108,11 +108,9 @@ class PolicyMetrics:
         Pearson."""
         fraction = float(self.carried.mean())
         draws = len(self.carried)
-        low, high = (
-            (fraction, fraction)
-            if draws == 1
-            else interval(int(self.carried.sum()), draws, CONFIDENCE)
-        )
+        if draws == 1:
+            return Estimate(mean=fraction, low=fraction, high=fraction)
+        low, high = interval(int(self.carried.sum()), draws, CONFIDENCE)
         return Estimate(mean=fraction, low=low, high=high)
 
 
@@ -156,14 +154,14 @@ class Comparison:
         draws. The interval is a seeded percentile bootstrap over the draws.
         """
         base = getattr(self.metrics[0], quantity)
-        other = getattr(self.metrics[index], quantity)
-        fraction = float(1 - other.mean() / base.mean())
+        values = getattr(self.metrics[index], quantity)
+        fraction = float(1 - values.mean() / base.mean())
         if self.draws == 1 or index == 0:
             return Estimate(mean=fraction, low=fraction, high=fraction)
-        chosen = np.random.default_rng(self.conditions.seed).integers(
+        resampled = np.random.default_rng(self.conditions.seed).integers(
             self.draws, size=(RESAMPLES, self.draws)
         )
-        fractions = 1 - other[chosen].mean(axis=1) / base[chosen].mean(axis=1)
+        fractions = 1 - values[resampled].mean(axis=1) / base[resampled].mean(axis=1)
         low, high = np.quantile(fractions, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
         return Estimate(mean=fraction, low=float(low), high=float(high))
 
@@ -233,7 +231,7 @@ class PayloadComparison:
     @property
     def payloads(self) -> Array:
         """Nominal payloads, (k,) [kg]."""
-        return np.array([one.payload for one in self.comparisons])
+        return np.array([comparison.payload for comparison in self.comparisons])
 
     @property
     def policies(self) -> tuple[str, ...]:
@@ -244,7 +242,7 @@ class PayloadComparison:
         """JSON-able data: the payloads and the comparison with each of them."""
         return {
             "payloads": self.payloads.tolist(),
-            "comparisons": [one.to_dict() for one in self.comparisons],
+            "comparisons": [comparison.to_dict() for comparison in self.comparisons],
         }
 
     def to_json(self) -> str:
@@ -350,18 +348,18 @@ def compare_over_payloads(
         raise ValueError(
             f"payloads must be increasing numbers, such as [0, 1, 2], not {payloads!r}"
         )
-    found: list[Comparison] = []
+    comparisons: list[Comparison] = []
     with chosen_progress(progress, "comparing") as step:
 
         def count(done: int, expected: int) -> None:
             if step is not None:
-                step(done + len(found) * expected, len(grid) * expected)
+                step(done + len(comparisons) * expected, len(grid) * expected)
 
         for payload in grid.tolist():
-            found.append(
+            comparisons.append(
                 compare_policies(policies, env_id, payload=payload, progress=count, **keywords)
             )
-    return PayloadComparison(comparisons=tuple(found))
+    return PayloadComparison(comparisons=tuple(comparisons))
 
 
 def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float) -> PolicyMetrics:
@@ -382,8 +380,8 @@ def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float
     final = np.maximum(
         [rollout.arrays["tracking_error"][-1] for rollout in rollouts], termination_radius
     )
-    rest = np.full((rollouts[0].task.steps - len(error), len(rollouts)), np.nan)
-    filled = np.concatenate([error, rest])
+    missing = np.full((rollouts[0].task.steps - len(error), len(rollouts)), np.nan)
+    filled = np.concatenate([error, missing])
     filled = np.where(np.isnan(filled), final, filled)
     peak = np.maximum(
         largest("tracking_error_peak"), [rollout.verdict.position_peak for rollout in rollouts]

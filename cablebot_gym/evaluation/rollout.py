@@ -143,9 +143,8 @@ class Recorder:
             motion = {name: observation[:, slices[name]] for name in ("pose", "velocity")} | motion
             if robot.flexible:
                 motion["motor_angle"] = observation[:, slices["motor_angle"]]
-        if (
-            robot.jointed and not robot.elastic
-        ):  # the length of an elastic cable does not tell the pulley angle
+        # the length of an elastic cable does not tell the pulley angle
+        if robot.jointed and not robot.elastic:
             motion["spring_deflection"] = (
                 observation[:, slices["motor_angle"]] - self._pulley_angle()
             )

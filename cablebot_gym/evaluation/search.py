@@ -247,9 +247,8 @@ class Search:
             low, high, math.ceil(min(self._points, 1.2 * gap / self._resolution)), 0.1
         )
         fewer = below.carried - above.carried
-        if (
-            self._several and 0 < fewer < self._batch.draws / 8
-        ):  # nearly linear: around the interpolation
+        # nearly linear: around the interpolation
+        if self._several and 0 < fewer < self._batch.draws / 8:
             half = max(0.4 * self._resolution, 0.1 * gap)
             place = low + gap * (below.carried - self._required + 0.5) / fewer
             place = min(max(place, low + 1.5 * half), high - 1.5 * half)

@@ -70,9 +70,8 @@ def prepare_sandbox(robot: Robot) -> None:
     Raises:
         ValueError: if there is no sandbox.
     """
-    from cablebot_gym.physics.inverse import (
-        inverse_dynamics,
-    )  # numba takes a second, which other commands save
+    # numba takes a second, which other commands save
+    from cablebot_gym.physics.inverse import inverse_dynamics
 
     check_sandbox()
     pose = np.zeros(robot.coordinates)
@@ -165,14 +164,12 @@ def _sources(names: Sequence[str], working: Path, prefixes: set[Path]) -> Iterat
         if not of_others and not any(map(folder.is_relative_to, prefixes)):
             folders.append(folder)
     for folder in folders:
-        if not folder.is_dir() or any(
-            folder.glob("*.dist-info")
-        ):  # a .zip of modules; a folder of pip
+        # a .zip of modules; a folder of pip
+        if not folder.is_dir() or any(folder.glob("*.dist-info")):
             yield folder
             continue
-        for path in sorted(
-            folder.iterdir()
-        ):  # other subfolders may have results, and hidden files passwords
+        # other subfolders may have results, and hidden files passwords
+        for path in sorted(folder.iterdir()):
             if not path.name.startswith(".") and (
                 path.is_file() or (path / "__init__.py").is_file()
             ):

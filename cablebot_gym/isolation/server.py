@@ -177,10 +177,8 @@ def main() -> None:
     os.dup2(null, 0)
     os.dup2(null, 1)
     _limit_resources()
-    parent, folder = (
-        os.getppid(),
-        tempfile.gettempdir(),
-    )  # the policy may change the environment variables
+    # the policy may change the environment variables
+    parent, folder = (os.getppid(), tempfile.gettempdir())
     threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
     with suppress(OSError):  # the parent process is gone, or the policy has closed the pipes
         serve(requests, replies)

@@ -184,9 +184,8 @@ class LoadedPolicy:
             PolicyError: if the policy raises anything but a KeyboardInterrupt, or if its actions
                 are not numbers of shape (N, m) that the environment accepts.
         """
-        from cablebot_gym.envs.outcome import (
-            LARGEST,
-        )  # slow to import; the environment has imported it
+        # slow to import; the environment has imported it
+        from cablebot_gym.envs.outcome import LARGEST
 
         def failure(cause: str, affected: Array) -> PolicyError:
             lightest = f"{affected.min():g}"

@@ -45,9 +45,8 @@ def load_model(path: Path) -> Any:
     for algorithm in _algorithms(path):
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter(
-                    "ignore"
-                )  # a model that cannot be loaded raises an error anyway
+                # a model that cannot be loaded raises an error anyway
+                warnings.simplefilter("ignore")
                 return algorithm.load(path, device="cpu")
         except Exception as error:
             failures.append(f"{algorithm.__name__}: {' '.join(str(error).split())[:200]}")

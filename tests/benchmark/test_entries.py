@@ -36,7 +36,7 @@ TEXTS = {
     "data": "none",
     "seeds": "none",
 }
-BLOCKS = (Block(), Block(uncertainty="sensors", draws=64))
+BLOCKS = (Block(), Block(conditions={"uncertainty": "sensors", "draws": 64}))
 TINY = Suite(name="tiny", summary="circle", env_ids=(ENV_ID,), blocks=BLOCKS)
 LAW = """
 import numpy as np

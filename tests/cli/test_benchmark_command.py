@@ -18,16 +18,23 @@ from cablebot_gym.isolation import IsolatedPolicy
 
 PLANAR = "CableBot-Planar-v0"
 CHANGES = {"payload_max": 4.0}
-BLOCKS = (Block(payload_known=(True, False), changes=CHANGES),)
+BLOCKS = (Block(conditions={"payload_known": [True, False], **CHANGES}),)
 TINY = Suite(name="tiny", summary="circle", env_ids=(PLANAR,), blocks=BLOCKS)
-TIMED = replace(TINY, name="timed", blocks=(Block(changes=CHANGES),), timing=True)
+TIMED = replace(TINY, name="timed", blocks=(Block(conditions=CHANGES),), timing=True)
 HIDDEN = Suite(
     name="hidden",
     summary="hidden motions",
     env_ids=(PLANAR,),
     blocks=(
-        Block(motion="hidden", motions=2, changes=CHANGES),
-        Block(payload_known=(False,), uncertainty="sensors", draws=64, changes=CHANGES),
+        Block(motion="hidden", motions=2, conditions=CHANGES),
+        Block(
+            conditions={
+                "payload_known": False,
+                "uncertainty": "sensors",
+                "draws": 64,
+                **CHANGES,
+            }
+        ),
     ),
 )
 

@@ -26,14 +26,14 @@ TINY = Suite(
     name="tiny",
     summary="circle",
     env_ids=(PLANAR,),
-    blocks=(Block(changes=CHANGES),),
+    blocks=(Block(conditions=CHANGES),),
     best_known=False,
 )
 HIDDEN = Suite(
     name="hidden",
     summary="hidden motions",
     env_ids=(PLANAR,),
-    blocks=(Block(motion="hidden", changes=CHANGES), Block(changes=CHANGES)),
+    blocks=(Block(motion="hidden", conditions=CHANGES), Block(conditions=CHANGES)),
     best_known=False,
 )
 CARD = (

@@ -1,0 +1,82 @@
+"""Options of commands as records: each field of a record becomes an option."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from copy import copy
+from dataclasses import MISSING, dataclass, fields
+from functools import wraps
+from typing import Annotated, Any, ClassVar, get_type_hints
+
+from typer.core import TyperCommand
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options that belong together. Each field of a subclass has a type that is annotated with
+    ``typer.Option``."""
+
+    title: ClassVar[str]
+    """Heading of the options in the help."""
+
+
+def with_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The command for typer: parameters that are records are replaced by their options."""
+    parameters: list[inspect.Parameter] = []
+    records: dict[str, type[Options]] = {}
+    for parameter in inspect.signature(command, eval_str=True).parameters.values():
+        annotation = parameter.annotation
+        if isinstance(annotation, type) and issubclass(annotation, Options):
+            records[parameter.name] = annotation
+            parameters += _parameters(annotation)
+        else:
+            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+    if not records:
+        return command
+
+    @wraps(command)
+    def run(**values: Any) -> None:
+        for name, record in records.items():
+            values[name] = record(**{item.name: values.pop(item.name) for item in fields(record)})
+        command(**values)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return run
+
+
+def _parameters(record: type[Options]) -> list[inspect.Parameter]:
+    types = get_type_hints(record, include_extras=True)
+    parameters = []
+    for item in fields(record):
+        (typed,) = types[item.name].__metadata__
+        typed = copy(typed)  # commands share the types
+        typed.rich_help_panel = record.title
+        parameters.append(
+            inspect.Parameter(
+                item.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=inspect.Parameter.empty if item.default is MISSING else item.default,
+                annotation=Annotated[types[item.name].__origin__, typed],
+            )
+        )
+    return parameters
+
+
+class GroupedOptions(TyperCommand):
+    """A command whose help groups the options by their record."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Writes the arguments, the options of the command alone, and those of each record."""
+        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for parameter in self.get_params(ctx):
+            row = parameter.get_help_record(ctx)
+            title = getattr(parameter, "rich_help_panel", None) or "Options"
+            if parameter.param_type_name == "argument":
+                title = "Arguments"
+            if row is not None:
+                groups.setdefault(title, []).append(row)
+        for title, rows in groups.items():
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
