@@ -61,20 +61,13 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import brentq, linprog, minimize_scalar
 
+from cablebot_gym.bounds.tube import ACCELERATION_FACTOR, REFINEMENT, Tube, norm, quadratic_splines
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics import textbook
 from cablebot_gym.physics.statics import hold_payload
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.utils.checks import whole
-
-REFINEMENT = 8
-"""Number of chords of the reference in each interval between knots."""
-
-ACCELERATION_FACTOR = 1.1
-"""Assumed largest ratio of the acceleration of the reference between samples to the largest sampled
-one."""
 
 _COARSE, _FINE = 80, 160
 """Number of intervals between knots: on the full motion, and on the support of the first
@@ -89,9 +82,6 @@ _ROUNDING = 1e-12
 """Fraction of the largest w below which a coefficient counts as zero."""
 _HEAVIEST = 1e12
 """Largest mass in the search [kg]."""
-_TURN = math.sqrt(4 / 3)
-"""Largest |d²u/dt²| of a direction u to a point during straight motion [V²/ρ²]: maximum of
-sin·√(sin² + 4 cos²)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,16 +106,15 @@ class Multiplier:
         position = (np.asarray(times, float) - self.start) / width
         interval = np.clip(np.floor(position).astype(int), 0, intervals - 1)
         inside = ((position >= 0) & (position <= intervals))[..., None]
-        at = np.stack(_spline(position - interval, width))  # (3, 3, …): derivative, coefficient
-        first, second = (
-            np.where(
-                inside,
-                np.einsum("dc...,c...i->d...i", at, np.stack([c[interval + j] for j in range(3)])),
-                0.0,
-            )
-            for c in (self.force, self.tension)
-        )
-        return first, second
+        at = np.stack(
+            quadratic_splines(position - interval, width)
+        )  # (3, 3, …): derivative, coefficient
+
+        def values(coefficients: Array) -> Array:
+            local = np.stack([coefficients[interval + j] for j in range(3)])
+            return np.where(inside, np.einsum("dc...,c...i->d...i", at, local), 0.0)
+
+        return values(self.force), values(self.tension)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -232,12 +221,15 @@ def planar_certificate(
             is known for this kind of robot.
     """
     trajectory, error_bounds = _checked(robot, trajectory, error_bounds)
-    multipliers = list(
-        _multipliers(robot, trajectory, error_bounds, whole("passes", passes, least=1))
-    )
-    best = multipliers[-1] if multipliers else None
+    passes = whole("passes", passes, least=1)
+    best = None
+    total_mass = math.inf
+    for multiplier in _multipliers(robot, trajectory, error_bounds, passes):
+        best = multiplier
+    if best is not None:
+        total_mass = proved_mass(robot, trajectory, error_bounds, best)
     return Certificate(
-        total_mass=math.inf if best is None else proved_mass(robot, trajectory, error_bounds, best),
+        total_mass=total_mass,
         platform_mass=robot.mass,
         error_bounds=error_bounds,
         conditions=CONDITIONS,
@@ -270,9 +262,8 @@ def proved_mass(
         raise ValueError(
             f"the knots of the multiplier must lie within the motion, 0 to {trajectory.duration:g} s"
         )
-    tube = _Tube(
-        robot, trajectory, error_bounds, multiplier.start, multiplier.end, len(multiplier.force) - 2
-    )
+    intervals = len(multiplier.force) - 2
+    tube = Tube(robot, trajectory, error_bounds, multiplier.start, multiplier.end, intervals)
     return _zero(tube, multiplier.force, multiplier.tension)
 
 
@@ -286,203 +277,7 @@ def _checked(
     return find_trajectory(trajectory, robot.kind), find_error_bounds(error_bounds, robot)
 
 
-def _spline(s: Array, width: float) -> tuple[tuple[Array, ...], ...]:
-    """Value, first and second derivative of the three quadratic B-splines at fractions s of an
-    interval."""
-    one = np.ones_like(s)
-    return (
-        ((1 - s) ** 2 / 2, 0.5 + s - s**2, s**2 / 2),
-        (-(1 - s) / width, (1 - 2 * s) / width, s / width),
-        (one / width**2, -2 * one / width**2, one / width**2),
-    )
-
-
-class _Tube:
-    """Chords of the reference between ``start`` and ``end``, with the quantities of (3) and (4).
-
-    Arrays over chords have shape (chords, …) with chords = REFINEMENT · intervals. Arrays over
-    their ends have shape (chords + 1, …).
-    """
-
-    def __init__(
-        self,
-        robot: Robot,
-        trajectory: Trajectory,
-        error_bounds: ErrorBounds,
-        start: float,
-        end: float,
-        intervals: int,
-    ) -> None:
-        self.robot = robot
-        self.start = start
-        self.end = end
-        self.intervals = intervals
-        self.width = (end - start) / intervals
-        self.chord = self.width / REFINEMENT
-        self.known_start = start == 0  # pose and velocity are known at t = 0
-        chords = intervals * REFINEMENT
-        twice = trajectory(
-            np.minimum(start + np.arange(2 * chords + 1) * (self.chord / 2), trajectory.duration)
-        )
-        self.acceleration = ACCELERATION_FACTOR * float(
-            np.linalg.norm(twice.acceleration, axis=-1).max()
-        )
-        self.radius = error_bounds.position + self.acceleration * self.chord**2 / 8
-        self.position = twice.position[::2]
-        self.first_velocity = twice.velocity[0]
-        self.speed = (
-            np.linalg.norm(np.diff(self.position, axis=0), axis=-1, keepdims=True) / self.chord
-        )
-
-        self.pull = (
-            robot.stall_torque + robot.coulomb_friction
-        ) / robot.pulley_radius - robot.minimum_tension
-        self.slope = (robot.speed_slope + robot.damping) / robot.pulley_radius**2
-        self.inertia = robot.pulley_inertia / robot.pulley_radius**2
-        self.away = textbook.jacobian(robot, self.position)  # u
-        self.length = np.linalg.norm(self.position[:, None] - robot.base, axis=-1)
-        shortest = np.minimum(self.length[1:], self.length[:-1]) - self.speed * self.chord / 2
-        if np.any(shortest <= self.radius):
-            cable = int(np.argmin(shortest.min(axis=0))) + 1
-            tube = f"the tube of {error_bounds.position:g} m reaches the anchor of cable {cable}"
-            raise ValueError(f"no certificate exists: {tube}. Choose a smaller position bound")
-        self.arc = np.arcsin(self.radius / self.length)
-        self.bulge = shortest - np.sqrt(shortest**2 - self.radius**2)  # κ
-        self.turning = self.speed / shortest
-        self.bending = _TURN * (self.speed / shortest) ** 2
-        nearest = shortest - self.radius
-        self.turning_in_tube = self.speed / nearest
-        self.bending_in_tube = _TURN * (self.speed / nearest) ** 2
-        self.sagging = self.speed**2 / shortest
-        self.fanning = self.radius * np.sum(1 / nearest, axis=-1)  # |D(p) − D(p_d)|
-
-        fractions = np.arange(REFINEMENT + 1) / REFINEMENT
-        self.splines: Array = np.array(
-            _spline(fractions, self.width)
-        )  # (derivative, coefficient, point in interval)
-        self.free_force = np.ones(intervals + 2, bool)
-        self.free_tension = np.ones(intervals + 2, bool)
-        self.free_tension[-2:] = self.free_force[-4:] = False
-        if not self.known_start:
-            self.free_tension[:2] = self.free_force[:4] = False
-        self._functionals()
-
-    def chords(self, coefficients: Array) -> tuple[Array, Array, Array]:
-        """Value and rate at both ends of each chord, shape (chords, 2, …), and second derivative,
-        shape (chords, …)."""
-        local = np.stack([coefficients[j : j + self.intervals] for j in range(3)])
-        value, rate, second = (np.einsum("cs,ck...->ks...", table, local) for table in self.splines)
-
-        def ends(at: Array) -> Array:
-            pairs = np.stack([at[:, :-1], at[:, 1:]], axis=2)
-            return pairs.reshape(-1, 2, *at.shape[2:])
-
-        return ends(value), ends(rate), second[:, :-1].reshape(-1, *second.shape[2:])
-
-    def _functionals(self) -> None:
-        """Computes the left side of (3) as linear functions of the coefficients. Every q_i is
-        linear along each chord.
-
-        The result is ``force`` (N + 2, 2), without its factor M, and ``tension`` (N + 2, m).
-        ``rest`` (N + 2, 2) is ∫ w·D by the trapezoidal rule.
-        """
-        n, eta = self.intervals, self.chord
-        self.force = np.zeros((n + 2, 2))
-        self.tension = np.zeros((n + 2, self.robot.cables))
-        self.rest = np.zeros((n + 2, 2))
-        points = np.arange(n)[:, None] * REFINEMENT + np.arange(REFINEMENT + 1)
-        position = self.position[points]
-        length = self.length[points]
-        towards = -self.away[points].sum(axis=2)
-        trapezoid = eta * np.concatenate([[0.5], np.ones(REFINEMENT - 1), [0.5]])
-        for j in range(3):
-            value, rate, second = self.splines[:, j]
-            self.rest[j : j + n] += np.einsum("s,ksi->ki", trapezoid * value, towards)
-            self.force[j : j + n] += np.einsum("s,ksi->ki", trapezoid * second, position)
-            area = self.width * (1 / 6, 2 / 3, 1 / 6)[j]
-            bent = np.einsum("s,ksi->ki", trapezoid * second, length)
-            # exact ∫ of a product of two functions that are linear along each chord
-            left, right = rate[:-1], rate[1:]
-            weight = np.zeros(REFINEMENT + 1)
-            weight[:-1] += eta * (2 * left + right) / 6
-            weight[1:] += eta * (left + 2 * right) / 6
-            turned = np.einsum("s,ksi->ki", weight, length)
-            self.tension[j : j + n] -= self.pull * area + self.inertia * bent - self.slope * turned
-        if self.known_start:
-            value, rate = self.splines[0, :, 0], self.splines[1, :, 0]
-            length_rate = self.away[0] @ self.first_velocity
-            self.force[:3] += np.outer(rate, self.position[0]) - np.outer(
-                value, self.first_velocity
-            )
-            self.tension[:3] -= self.inertia * (
-                np.outer(rate, self.length[0]) - np.outer(value, length_rate)
-            )
-            self.tension[:3] += self.slope * np.outer(value, self.length[0])
-
-    def deficits(self, force: Array, tension: Array) -> Array:
-        """Upper bound of the violation of (2) on each chord, shape (chords, m); ≤ 0 where (2)
-        holds."""
-        largest, fastest, w_second = self._sizes(force)
-        phi, _, phi_second = self.chords(tension)
-        bend = w_second[:, None] + 2 * fastest[:, None] * self.turning_in_tube
-        bend = bend + largest[:, None] * self.bending_in_tube + phi_second
-        margin = np.maximum(bend, 0.0) * self.chord**2 / 8
-        deficit = (self._support(force) - phi).max(axis=1) + margin
-        # Where w vanishes, (2) is φ ≥ 0, which follows from coefficients ≥ 0.
-        return np.where((largest > 0)[:, None], deficit, 0.0)
-
-    def _sizes(self, force: Array) -> tuple[Array, Array, Array]:
-        """Upper bounds of |w|, |ẇ| and |ẅ| on each chord, each (chords,)."""
-        w, rate, second = (_norm(x) for x in self.chords(force))
-        return w.max(axis=1) + second * self.chord**2 / 8, rate.max(axis=1), second
-
-    def _least_forces(self, force: Array) -> float:
-        """Lower bound of min(g, 0) in (4)."""
-        largest, fastest, second = self._sizes(force)
-        bend = (
-            second * self.robot.cables
-            + 2 * fastest * self.turning.sum(axis=1)
-            + largest * self.bending.sum(axis=1)
-        )
-        away = np.sum(bend * self.chord**2 / 8 + largest * self.fanning)
-        return min(
-            -self.robot.minimum_tension * float(np.sum(self.rest * force) + self.chord * away), 0.0
-        )
-
-    def _support(self, force: Array) -> Array:
-        """Maximum of w·d_i over the disc at both ends of each chord, shape (chords, 2, m)."""
-        w = self.chords(force)[0][:, :, None]  # (chords, 2, 1, 2)
-        towards = -np.stack([self.away[:-1], self.away[1:]], axis=1)
-        arc = np.stack([self.arc[:-1], self.arc[1:]], axis=1)
-        along = np.sum(w * towards, axis=-1)
-        across = np.abs(w[..., 0] * towards[..., 1] - w[..., 1] * towards[..., 0])
-        angle = np.arctan2(across, along)
-        return np.hypot(along, across) * np.cos(np.maximum(angle - arc, 0.0))
-
-    def surplus(self, mass: float, force: Array, tension: Array) -> float:
-        """Lower bound of h(M) in (4)."""
-        _, _, w_second = self.chords(force)
-        _, rate, second = self.chords(tension)
-        b = self.inertia * second[:, None] - self.slope * rate  # (chords, 2, m)
-        away = np.stack([self.away[:-1], self.away[1:]], axis=1)
-        psi = mass * w_second[:, None] - np.einsum("kei,keij->kej", b, away)
-        largest = np.abs(b).max(axis=1)
-        bend = np.sum(
-            2 * self.slope * np.abs(second) * self.turning + largest * self.bending, axis=-1
-        )
-        tube = self.radius * (_norm(psi).mean(axis=1) + bend * self.chord**2 / 8)
-        bulge = np.sum(np.maximum(b.max(axis=1), 0.0) * self.bulge, axis=-1)
-        sag = np.sum(np.maximum(-b.min(axis=1), 0.0) * self.sagging, axis=-1) * self.chord**2 / 8
-        known = mass * np.sum(self.force * force) + np.sum(self.tension * tension)
-        return float(known - self.chord * np.sum(tube + bulge + sag)) + self._least_forces(force)
-
-
-def _norm(vectors: Array) -> Array:
-    lengths: Array = np.linalg.norm(vectors, axis=-1)
-    return lengths
-
-
-def _zero(tube: _Tube, force: Array, tension: Array) -> float:
+def _zero(tube: Tube, force: Array, tension: Array) -> float:
     """The mass at which h becomes positive; ``inf`` if there is none or if (2) is violated."""
     vanishes = not (np.any(force[~tube.free_force]) or np.any(tension[~tube.free_tension]))
     if not vanishes or np.any(tension < 0) or np.any(tube.deficits(force, tension) > 0):
@@ -490,21 +285,20 @@ def _zero(tube: _Tube, force: Array, tension: Array) -> float:
     if tube.surplus(0.0, force, tension) > 0:
         return 0.0
     high = 1.0
-    while (
-        tube.surplus(2 * high, force, tension) > tube.surplus(high, force, tension)
-        and high < _HEAVIEST
-    ):
+
+    def surplus(mass: float) -> float:
+        return tube.surplus(mass, force, tension)
+
+    while surplus(2 * high) > surplus(high) and high < _HEAVIEST:
         high *= 2
     # h is concave, so its maximum is at most one doubling away.
-    top = minimize_scalar(
-        lambda mass: -tube.surplus(mass, force, tension), bounds=(high / 2, 2 * high)
-    ).x
-    if tube.surplus(top, force, tension) <= 0:
+    top = minimize_scalar(lambda mass: -surplus(mass), bounds=(high / 2, 2 * high)).x
+    if surplus(top) <= 0:
         return math.inf
-    return float(brentq(tube.surplus, 0.0, top, args=(force, tension), rtol=1e-12))
+    return float(brentq(surplus, 0.0, top, rtol=1e-12))
 
 
-def _lifted(tube: _Tube, force: Array, tension: Array) -> Array:
+def _lifted(tube: Tube, force: Array, tension: Array) -> Array:
     """Raises the coefficients of φ, approximately as little as possible, until (2) holds
     everywhere."""
     for _ in range(50):
@@ -529,23 +323,23 @@ def _multipliers(
     intervals = _COARSE
     mass = math.inf
     for _ in range(passes):
-        tube = _Tube(robot, trajectory, error_bounds, start, end, intervals)
-        before, mass, multiplier = mass, *_best(tube, mass)
+        tube = Tube(robot, trajectory, error_bounds, start, end, intervals)
+        before = mass
+        mass, multiplier = _best(tube, mass)
         if multiplier is None:
             return
         yield multiplier
         if mass > before * (1 - _ENOUGH):
             return
-        weight = _norm(multiplier.force)
-        used = np.flatnonzero(
-            weight > 1e-3 * weight.max()
-        )  # coefficient j acts on intervals j - 2 to j
+        weight = norm(multiplier.force)
+        # coefficient j acts on intervals j - 2 to j
+        used = np.flatnonzero(weight > 1e-3 * weight.max())
         start = max(0.0, start + float(used[0] - 8) * tube.width)
         end = min(end, multiplier.start + float(used[-1] + 6) * tube.width)
         intervals = _FINE
 
 
-def _best(tube: _Tube, mass: float) -> tuple[float, Multiplier | None]:
+def _best(tube: Tube, mass: float) -> tuple[float, Multiplier | None]:
     """The least bound of a multiplier on the knots of the tube, and the multiplier; None if not
     below ``mass``."""
     if tube.acceleration == 0:  # a reference at rest excludes no mass
@@ -581,7 +375,7 @@ class _LinearProgram:
     magnitude of w.
     """
 
-    def __init__(self, tube: _Tube) -> None:
+    def __init__(self, tube: Tube) -> None:
         self.tube = tube
         n, m = tube.intervals, tube.robot.cables
         middle = REFINEMENT // 2
@@ -593,22 +387,22 @@ class _LinearProgram:
             value = self._table(0, point)
             at = np.arange(n) * REFINEMENT + point
             towards, arc = -tube.away[at], tube.arc[at]
-            left = np.stack([-towards[..., 1], towards[..., 0]], axis=-1)
+            normal = np.stack([-towards[..., 1], towards[..., 0]], axis=-1)
             cosine = np.cos(arc)[..., None]
             sine = np.sin(arc)[..., None]
             # The hull of an arc of directions lies in the hull of its ends and the intersection of
             # its tangents.
-            for corner in (
-                towards * cosine + left * sine,
-                towards * cosine - left * sine,
+            corners = (
+                towards * cosine + normal * sine,
+                towards * cosine - normal * sine,
                 towards / cosine,
-            ):
+            )
+            for corner in corners:
                 for i in range(m):
-                    rows.append(
-                        [sparse.diags_array(corner[:, i, axis]) @ value for axis in range(2)]
-                        + [-value if i == j else None for j in range(m)]
-                        + [sparse.csr_array((n, n))]
-                    )
+                    force = [sparse.diags_array(corner[:, i, axis]) @ value for axis in range(2)]
+                    tension: list[Any] = [None] * m
+                    tension[i] = -value
+                    rows.append([*force, *tension, sparse.csr_array((n, n))])
         self.cone = sparse.block_array(rows, format="csr")
 
     def _table(self, derivative: int, point: int) -> Any:
@@ -629,19 +423,18 @@ class _LinearProgram:
         rows = []
         for direction in np.stack([np.cos(angle), np.sin(angle)], axis=-1):
             along = self.away @ direction
-            known = [component * self.second for component in direction]
-            pulled = [
-                sparse.diags_array(-along[:, i] / mass)
-                @ (tube.inertia[i] * self.second - tube.slope[i] * self.rate)
-                for i in range(m)
-            ]
-            rows.append([*known, *pulled, -sparse.eye_array(n)])
+            row = [component * self.second for component in direction]
+            for i in range(m):
+                pull = tube.inertia[i] * self.second - tube.slope[i] * self.rate
+                row.append(sparse.diags_array(-along[:, i] / mass) @ pull)
+            rows.append([*row, -sparse.eye_array(n)])
         inequalities: Any = sparse.vstack(
             [sparse.block_array(rows, format="csr"), self.cone], format="csr"
         )
+        force_gain = tube.force - tube.robot.minimum_tension / mass * tube.towards
         gain = np.concatenate(
             [
-                (tube.force - tube.robot.minimum_tension / mass * tube.rest).T.ravel(),
+                force_gain.T.ravel(),
                 tube.tension.T.ravel() / mass,
                 np.full(n, -tube.radius / tube.width),
             ]
@@ -666,7 +459,6 @@ class _LinearProgram:
         force = solution.x[:split].reshape(2, -1).T
         tension = solution.x[split : split + m * (n + 2)].reshape(m, -1).T
         noise = np.abs(force) < _ROUNDING * np.abs(force).max()
-        return (
-            np.where(tube.free_force[:, None] & ~noise, force, 0.0),
-            np.where(tube.free_tension[:, None], np.maximum(tension, 0.0), 0.0),
-        )
+        force = np.where(tube.free_force[:, None] & ~noise, force, 0.0)
+        tension = np.where(tube.free_tension[:, None], np.maximum(tension, 0.0), 0.0)
+        return force, tension

@@ -116,30 +116,35 @@ def exact_payload(
     minimum_tension = number("minimum_tension", minimum_tension, least=0, unit="N")
     line_speed = numbers("line_speed", line_speed)
     grid = number("grid", grid, above=0, unit="Hz")
-    times, reference = (
-        _all_times(robot, trajectory, grid)
-        if frequency is None
-        else control_instants(robot, trajectory, frequency)
-    )
+    if frequency is None:
+        times, reference = _all_times(robot, trajectory, grid)
+    else:
+        times, reference = control_instants(robot, trajectory, frequency)
     if robot.cables > robot.coordinates and robot.kind != "planar":
         return _redundant(robot, times, reference, minimum_tension, line_speed)
-    masses = _nodes(robot, reference, minimum_tension)
-    margins = _margins(robot, reference, masses, minimum_tension, line_speed)
-    starts, ends, indices = _violated(masses, margins)
+    return _affine(robot, times, reference, minimum_tension, line_speed)
 
+
+def _affine(
+    robot: Robot, times: Array, reference: Reference, minimum: float, line_speed: Array
+) -> ExactPayload:
+    """Result with tensions that are affine in the mass between nodes."""
+    masses = _nodes(robot, reference, minimum)
+    margins = _margins(robot, reference, masses, minimum, line_speed)
+    starts, ends, indices = _violated(masses, margins)
     gaps = _gaps(starts, ends)
     if not gaps:
-        first = np.lexsort((starts, -ends))[
-            0
-        ]  # the limit that is violated from the least mass upwards
-        return _result(robot, -np.inf, np.inf, times, indices[first])
+        # the limit that is violated from the least mass upwards
+        lowest_limit = np.lexsort((starts, -ends))[0]
+        return _result(robot, -np.inf, np.inf, times, indices[lowest_limit])
     low, high = min(gaps, key=lambda gap: max(gap[0] - robot.mass, robot.mass - gap[1], 0.0))
     # Several limits can end the interval together, up to rounding; ``indices`` lists the earliest
     # first.
-    ending = indices[(starts >= high) & (starts <= high + 1e-9 * (1 + high)) & np.isfinite(starts)]
-    return _result(
-        robot, high - robot.mass, low - robot.mass, times, ending[0] if len(ending) else None
-    )
+    at_end = (starts >= high) & (starts <= high + 1e-9 * (1 + high)) & np.isfinite(starts)
+    limit = None
+    if np.any(at_end):
+        limit = indices[at_end][0]
+    return _result(robot, high - robot.mass, low - robot.mass, times, limit)
 
 
 def control_instants(
@@ -172,11 +177,10 @@ def _all_times(robot: Robot, trajectory: Trajectory, grid: float) -> tuple[Array
 
 def _repeated(reference: Reference, count: int) -> tuple[Array, Array, Array]:
     """Pose, velocity and acceleration, repeated for each mass, shape (K, count, n)."""
-    x, v, a = (
-        np.repeat(array[:, None], count, axis=1)
-        for array in (reference.position, reference.velocity, reference.acceleration)
-    )
-    return x, v, a
+    pose = np.repeat(reference.position[:, None], count, axis=1)
+    velocity = np.repeat(reference.velocity[:, None], count, axis=1)
+    acceleration = np.repeat(reference.acceleration[:, None], count, axis=1)
+    return pose, velocity, acceleration
 
 
 def _nodes(robot: Robot, reference: Reference, minimum: float) -> Array:
@@ -194,10 +198,8 @@ def _nodes(robot: Robot, reference: Reference, minimum: float) -> Array:
             robot, masses, *_repeated(reference, 2), minimum=minimum
         )
         force = -np.einsum("kci,kbc->kbi", structure, tensions - minimum)
-        across = (
-            force[..., None, 0] * structure[:, None, :, 1]
-            - force[..., None, 1] * structure[:, None, :, 0]
-        )
+        across = force[..., None, 0] * structure[:, None, :, 1]
+        across = across - force[..., None, 1] * structure[:, None, :, 0]
         with np.errstate(divide="ignore", invalid="ignore"):
             kinks = robot.mass * across[:, 0] / (across[:, 0] - across[:, 1])
         kinks = np.sort(np.where(np.isfinite(kinks), np.maximum(kinks, 0.0), 0.0), axis=1)
@@ -222,7 +224,9 @@ def _margins(
     lower, upper = textbook.torque_limits(robot, line_speed * required.speeds)
     # The least tensions of a planar robot satisfy the minimum by construction; rounding must not
     # violate it.
-    surplus = np.zeros_like(required.tensions) if _pairs(robot) else required.tensions - minimum
+    surplus = required.tensions - minimum
+    if _pairs(robot):
+        surplus = np.zeros_like(surplus)
     return np.stack([upper - required.torques, required.torques - lower, surplus], axis=-1)
 
 
@@ -240,38 +244,41 @@ def _redundant(
     heaviest: float = 1e6,
 ) -> ExactPayload:
     """Result with redundant cables."""
-    pose = reference.position
-    velocity = reference.velocity
-    acceleration = reference.acceleration
-    lower, highest = tension_bounds(robot, reference, minimum, line_speed=line_speed)
-    empty, unit = (textbook.load(robot, mass, pose, velocity, acceleration) for mass in (0.0, 1.0))
+    motion = reference.position, reference.velocity, reference.acceleration
+    lower, upper = tension_bounds(robot, reference, minimum, line_speed=line_speed)
+    massless_load = textbook.load(robot, 0.0, *motion)
+    unit_load = textbook.load(robot, 1.0, *motion) - massless_load
     if np.any(np.isnan(lower)):
         raise ValueError(
             f"a cable of robot {robot.name!r} has no length on the motion: choose another trajectory"
         )
-    found = largest_scale(
-        textbook.jacobian(robot, pose), empty, unit - empty, lower, highest, heaviest
-    )
-    if np.any(found.status == SINGULAR):
+    structure = textbook.jacobian(robot, reference.position)
+    masses = largest_scale(structure, massless_load, unit_load, lower, upper, heaviest)
+    if np.any(masses.status == SINGULAR):
         raise ValueError(
             f"robot {robot.name!r} is singular on the motion: choose another trajectory"
         )
-    held = found.status == HELD
-    low, high = (
-        (float(max(found.least)), float(min(found.largest)))
-        if np.all(held)
-        else (math.inf, -math.inf)
-    )
-    at = int(np.argmin(found.largest)) if np.all(held) else int(np.argmin(held))
-    payload, lowest_payload = (
-        (high - robot.mass, low - robot.mass) if low <= high else (-math.inf, math.inf)
-    )
+    held = masses.status == HELD
+    if np.all(held):
+        low, high = float(max(masses.least)), float(min(masses.largest))
+        limiting_instant = int(np.argmin(masses.largest))
+    else:
+        low, high = math.inf, -math.inf
+        limiting_instant = int(np.argmin(held))
+    payload, lowest_payload = -math.inf, math.inf
+    if low <= high:
+        payload, lowest_payload = high - robot.mass, low - robot.mass
     if high == heaviest:
         return _result(robot, math.inf, lowest_payload, times, None)
-    share = found.coefficients[at]
-    motor = int(np.argmax(np.abs(share)))
-    kind = 0 if share[motor] > 0 else 1 if lower[at, motor] > minimum else 2
-    return _result(robot, payload, lowest_payload, times, np.array([at, motor, kind]))
+    coefficients = masses.coefficients[limiting_instant]
+    motor = int(np.argmax(np.abs(coefficients)))
+    limit: tuple[Kind, Line] = ("tension", "lower")
+    if coefficients[motor] > 0:
+        limit = ("torque", "upper")
+    elif lower[limiting_instant, motor] > minimum:
+        limit = ("torque", "lower")
+    index = np.array([limiting_instant, motor, _LIMITS.index(limit)])
+    return _result(robot, payload, lowest_payload, times, index)
 
 
 def _violated(masses: Array, margins: Array) -> tuple[Array, Array, Array]:
@@ -283,17 +290,19 @@ def _violated(masses: Array, margins: Array) -> tuple[Array, Array, Array]:
     """
     start = masses[:, :-1, None, None]
     end = masses[:, 1:, None, None]
-    first, last = margins[:, :-1], margins[:, 1:].copy()
+    start_margin = margins[:, :-1]
+    end_margin = margins[:, 1:].copy()
     with np.errstate(divide="ignore", invalid="ignore"):
-        change = np.where(
-            np.abs(last - first) > 1e-12 * (np.abs(last) + np.abs(first)), last - first, 0.0
-        )
-        zero = start - first * (end - start) / change
-    last[:, -1] = np.where(change[:, -1] == 0, first[:, -1], np.copysign(np.inf, change[:, -1]))
+        change = end_margin - start_margin
+        rounding = 1e-12 * (np.abs(end_margin) + np.abs(start_margin))
+        change = np.where(np.abs(change) > rounding, change, 0.0)
+        zero = start - start_margin * (end - start) / change
+    beyond = np.copysign(np.inf, change[:, -1])
+    end_margin[:, -1] = np.where(change[:, -1] == 0, start_margin[:, -1], beyond)
     end = np.concatenate([end[:, :-1], np.full_like(end[:, -1:], np.inf)], axis=1)
-    starts = np.where(first < 0, start, zero)
-    ends = np.where(last < 0, end, zero)
-    violated = (first < 0) | (last < 0)
+    starts = np.where(start_margin < 0, start, zero)
+    ends = np.where(end_margin < 0, end, zero)
+    violated = (start_margin < 0) | (end_margin < 0)
     k, _, motor, limit = np.nonzero(violated)
     return starts[violated], ends[violated], np.stack([k, motor, limit], axis=-1)
 

@@ -36,7 +36,8 @@ def doubtful_values(robot: Robot) -> Iterator[str]:
     """Questions about the robot. The ranges include every robot of the library with a wide
     margin."""
     for quantity in (
-        *_motors(robot),
+        *_motor_strength(robot),
+        *_motor_losses(robot),
         *_lengths(robot),
         *_platform(robot),
         *_springs(robot),
@@ -66,7 +67,7 @@ def _force(robot: Robot) -> float:
     return float(np.max(robot.stall_torque / robot.pulley_radius))
 
 
-def _motors(robot: Robot) -> Iterator[_Quantity]:
+def _motor_strength(robot: Robot) -> Iterator[_Quantity]:
     size, force = _size(robot), _force(robot)
     free_speed = robot.stall_torque / robot.speed_slope
     speed = float(np.max(free_speed * robot.pulley_radius))
@@ -85,18 +86,19 @@ def _motors(robot: Robot) -> Iterator[_Quantity]:
         f"motors.stall_torque gives {force:.3g} N at the cable, over 100 times the weight of {earth:.3g} N: is it in "
         "N·m, pulley_radius in m, and mass in kg?",
     )
-    needed = 0.05 * earth if robot.weightless else robot.mass * robot.gravity
+    least_force = robot.mass * robot.gravity
+    if robot.weightless:
+        least_force = 0.05 * earth
     together = robot.cables * force
     yield _Quantity(
         together,
-        needed,
+        least_force,
         math.inf,
         f"all motors together pull with {together:.3g} N and the weight is {earth:.3g} N: is motors.stall_torque in "
         "N·m at the pulley, and mass in kg?",
     )
-    inertia = robot.motor_inertia if robot.jointed else robot.pulley_inertia
-    seconds = float(np.max(inertia * free_speed / robot.stall_torque))
     name = "motor_inertia" if robot.jointed else "pulley_inertia"
+    seconds = float(np.max(getattr(robot, name) * free_speed / robot.stall_torque))
     yield _Quantity(
         seconds,
         0.0,
@@ -104,6 +106,11 @@ def _motors(robot: Robot) -> Iterator[_Quantity]:
         f"a motor without load needs {seconds:.3g} s to its free speed: is transmission.{name} in kg·m²? 1 kg·cm² is "
         "1e-4 kg·m²",
     )
+
+
+def _motor_losses(robot: Robot) -> Iterator[_Quantity]:
+    force = _force(robot)
+    free_speed = robot.stall_torque / robot.speed_slope
     drag = float(np.max(robot.damping * free_speed / robot.stall_torque))
     yield _Quantity(
         drag,

@@ -10,8 +10,8 @@ a choice::
 
 For example, the least tensions of eight cables on six coordinates, each at least 100 N::
 
-    found = least_norm(structure, load, 100.0, 5000.0)
-    found.tensions, found.status == HELD, found.missing
+    result = least_norm(structure, load, 100.0, 5000.0)
+    result.tensions, result.status == HELD, result.missing
 
 All arrays broadcast: structure (..., m, n), load (..., n), values of cables (..., m) or one number.
 Bounds may be infinite. With ``m == n`` the tensions are the unique solution.
@@ -142,15 +142,16 @@ def least_norm(
     """
     _check_problem(structure, load, lower, upper)
     shape, matrices, loads, (low, high) = _arrays(structure, load, lower, upper)
-    if reference is not None:
+    if reference is None:
+        nearest_to = _finite(low)
+    else:
         all_finite("reference", reference)
+        nearest_to = _values(reference, shape, low.shape[1])
     all_finite("weights", weights)
-    start = _finite(low) if reference is None else _values(reference, shape, low.shape[1])
     tensions = np.empty_like(low)
     status = np.empty(len(low), np.int64)
-    solve_least_norm(
-        matrices, loads, low, high, start, _values(weights, shape, loads.shape[1]), tensions, status
-    )
+    coordinate_weights = _values(weights, shape, loads.shape[1])
+    solve_least_norm(matrices, loads, low, high, nearest_to, coordinate_weights, tensions, status)
     return _distribution(shape, matrices, loads, tensions, status)
 
 
@@ -201,8 +202,9 @@ def least_largest_action(
     """
     if not 1e-9 <= smoothing < math.inf:
         raise ValueError(f"smoothing is {smoothing}; it must be finite and at least 1e-9")
-    for name, values in (("slope", slope), ("offset", offset), ("weights", weights)):
-        all_finite(name, values)
+    all_finite("slope", slope)
+    all_finite("offset", offset)
+    all_finite("weights", weights)
     _check_problem(structure, load, lower, upper)
     return unchecked_least_largest_action(
         structure, load, lower, slope, offset, upper, smoothing=smoothing, weights=weights
@@ -230,9 +232,18 @@ def unchecked_least_largest_action(
     )
     tensions = np.empty_like(low)
     status = np.empty(len(low), np.int64)
-    per = _values(weights, shape, loads.shape[1])
+    coordinate_weights = _values(weights, shape, loads.shape[1])
     solve_least_largest(
-        matrices, loads, low, high, slopes, offsets, float(smoothing), per, tensions, status
+        matrices,
+        loads,
+        low,
+        high,
+        slopes,
+        offsets,
+        float(smoothing),
+        coordinate_weights,
+        tensions,
+        status,
     )
     return _distribution(shape, matrices, loads, tensions, status)
 
@@ -251,7 +262,8 @@ def feasible(
     _check_problem(structure, load, lower, upper)
     shape, matrices, loads, (low, high) = _arrays(structure, load, lower, upper)
     items, m, n = matrices.shape
-    status, excess = np.zeros(items, np.int64), np.zeros(items)
+    status = np.zeros(items, np.int64)
+    excess = np.zeros(items)
     direction = np.zeros((items, n))
     coefficients = np.zeros((items, m))
     solve_feasible(
@@ -298,37 +310,48 @@ def largest_scale(
         ValueError: if the shapes do not match, a number is not finite, or the search is unbounded
             or empty. A bound may be infinite.
     """
-    for name, values in (
-        ("unit_load", unit_load),
-        ("unit_lower", unit_lower),
-        ("unit_upper", unit_upper),
-    ):
-        all_finite(name, values)
+    all_finite("unit_load", unit_load)
+    all_finite("unit_lower", unit_lower)
+    all_finite("unit_upper", unit_upper)
     _check_problem(structure, load, lower, upper)
-    ends = np.stack(
-        np.broadcast_arrays(np.asarray(least, float), np.asarray(largest, float)), axis=-1
-    )
-    if not (np.all(np.isfinite(ends)) and np.all(ends[..., 0] <= ends[..., 1])):
-        raise ValueError("the search needs finite ends with least <= largest")
+    ends = _search_ends(least, largest)
     batch = np.shape(unit_load)[:-1], ends.shape[:-1]
     shape, matrices, loads, (low, high, unit_low, unit_high) = _arrays(
         structure, load, lower, upper, unit_lower, unit_upper, batch=batch
     )
     items, m, n = matrices.shape
-    found = np.empty((items, 2))
+    interval = np.empty((items, 2))
     status = np.zeros(items, np.int64)
     coefficients = np.zeros((items, m))
     units = _values(unit_load, shape, n)
     search = _values(ends, shape, 2)
     solve_interval(
-        matrices, loads, units, low, high, unit_low, unit_high, search, found, status, coefficients
+        matrices,
+        loads,
+        units,
+        low,
+        high,
+        unit_low,
+        unit_high,
+        search,
+        interval,
+        status,
+        coefficients,
     )
     return ScaleInterval(
-        least=found[:, 0].reshape(shape),
-        largest=found[:, 1].reshape(shape),
+        least=interval[:, 0].reshape(shape),
+        largest=interval[:, 1].reshape(shape),
         status=status.reshape(shape),
         coefficients=coefficients.reshape(*shape, m),
     )
+
+
+def _search_ends(least: ArrayLike, largest: ArrayLike) -> Array:
+    """Ends of the search for a scale, shape (..., 2)."""
+    ends = np.broadcast_arrays(np.asarray(least, float), np.asarray(largest, float))
+    if not np.all(np.isfinite(ends)) or not np.all(ends[0] <= ends[1]):
+        raise ValueError("the search needs finite ends with least <= largest")
+    return np.stack(ends, axis=-1)
 
 
 def _finite(lower: Array) -> Array:
@@ -371,11 +394,11 @@ def _arrays(
         raise ValueError(
             f"structure {matrices.shape} and load {vectors.shape} do not match: use (..., m, n) and (..., n), m >= n"
         )
-    shape = np.broadcast_shapes(
-        matrices.shape[:-2], vectors.shape[:-1], *(np.shape(c)[:-1] for c in cables), *batch
-    )
+    batch += tuple(np.shape(values)[:-1] for values in cables)
+    shape = np.broadcast_shapes(matrices.shape[:-2], vectors.shape[:-1], *batch)
     matrices = _values(matrices, (*shape, m), n).reshape(-1, m, n)
-    return shape, matrices, _values(vectors, shape, n), [_values(c, shape, m) for c in cables]
+    values_of_cables = [_values(values, shape, m) for values in cables]
+    return shape, matrices, _values(vectors, shape, n), values_of_cables
 
 
 def _distribution(

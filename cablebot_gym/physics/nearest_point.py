@@ -8,6 +8,7 @@ combination of constraints that excludes every point.
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,36 +36,125 @@ def copy_negated(source, target):
             target[i, j] = -source[i, j]
 
 
+class Problem(NamedTuple):
+    """Memory of :func:`project`."""
+
+    normals: Any
+    """C, shape (constraints, size)."""
+    limits: Any
+    """d, shape (constraints,)."""
+    x: Any
+    """The point, shape (size,)."""
+    active: Any
+    """Active constraints in the order of their activation, shape (size + 1,)."""
+    multipliers: Any
+    """Multipliers of the active constraints, shape (size + 1,)."""
+    basis: Any
+    """Orthonormal basis of the normals of the active constraints, as rows, shape (size, size)."""
+    triangle: Any
+    """Components of these normals along the basis, as columns, shape (size, size)."""
+    used: Any
+    """Whether each constraint is active, shape (constraints,)."""
+    components: Any
+    """Components of the normal of the next constraint along the basis, shape (size,)."""
+    remainder: Any
+    """The part of this normal that is orthogonal to the basis, shape (size,)."""
+    change: Any
+    """Decrease of the multipliers per step, shape (size,)."""
+
+
+class Factors(NamedTuple):
+    """Memory of :func:`factorise`."""
+
+    matrix: Any
+    """The matrix, then R, shape (rows, n)."""
+    q: Any
+    """Qᵀ, shape (rows, rows)."""
+    order: Any
+    """Column of the matrix in each column of R, shape (n,)."""
+    scale: Any
+    """Squared length of each column, shape (max(rows, n),)."""
+    work: Any
+    """Memory for intermediate results, shape (max(rows, n),)."""
+
+
 @helper
-def _orthogonalise(normal, basis, count, components, rest):
-    """Splits a normal into components along ``count`` basis vectors and the rest; two passes for
-    full precision."""
-    copy_vector(normal, rest)
+def _orthogonalise(problem, normal, count):
+    """Splits a normal into components along ``count`` basis vectors and the remainder; two passes
+    for full precision. Returns the squared length of the remainder."""
+    basis, components, remainder = problem.basis, problem.components, problem.remainder
+    copy_vector(normal, remainder)
     components[:count] = 0.0
     for _ in range(2):
         for j in range(count):
             along = 0.0
-            for l in range(len(rest)):
-                along += basis[j, l] * rest[l]
-            for l in range(len(rest)):
-                rest[l] -= along * basis[j, l]
+            for l in range(len(remainder)):
+                along += basis[j, l] * remainder[l]
+            for l in range(len(remainder)):
+                remainder[l] -= along * basis[j, l]
             components[j] += along
     square = 0.0
-    for l in range(len(rest)):
-        square += rest[l] * rest[l]
+    for l in range(len(remainder)):
+        square += remainder[l] * remainder[l]
     return square
 
 
 @helper
-def _append(basis, triangle, count, components, rest, square):
+def _append(problem, count, square):
     """Extends the factorisation of the active normals, normals = basisᵀ · triangle, by one
     normal."""
     length = math.sqrt(square)
-    for l in range(len(rest)):
-        basis[count, l] = rest[l] / length
+    for l in range(len(problem.remainder)):
+        problem.basis[count, l] = problem.remainder[l] / length
     for j in range(count):
-        triangle[j, count] = components[j]
-    triangle[count, count] = length
+        problem.triangle[j, count] = problem.components[j]
+    problem.triangle[count, count] = length
+
+
+@helper
+def _slack(problem, constraint):
+    """By how much x satisfies a constraint."""
+    slack = -problem.limits[constraint]
+    for l in range(len(problem.x)):
+        slack += problem.normals[constraint, l] * problem.x[l]
+    return slack
+
+
+@helper
+def _most_violated(problem, tolerance):
+    """The inactive constraint that x violates most; −1 if none by more than the tolerance."""
+    worst, least = -1, -tolerance
+    for i in range(len(problem.limits)):
+        slack = _slack(problem, i)
+        if slack < least and not problem.used[i]:
+            worst, least = i, slack
+    return worst
+
+
+@helper
+def _multiplier_rates(problem, count):
+    """Decrease of the active multipliers per step along the remainder of a normal, by back
+    substitution."""
+    change = problem.change
+    for j in range(count - 1, -1, -1):
+        rate = problem.components[j]
+        for l in range(j + 1, count):
+            rate -= problem.triangle[j, l] * change[l]
+        change[j] = rate / problem.triangle[j, j]
+
+
+@helper
+def _drop(problem, position, count):
+    """Removes an active constraint and factorises the later ones again; returns the new count."""
+    active, multipliers = problem.active, problem.multipliers
+    problem.used[active[position]] = False
+    for j in range(position, count):
+        active[j] = active[j + 1]
+        multipliers[j] = multipliers[j + 1]
+    for j in range(position, count - 1):
+        square = _orthogonalise(problem, problem.normals[active[j]], j)
+        _append(problem, j, square)
+    return count - 1
 
 
 @helper
@@ -76,75 +166,67 @@ def project(problem, tolerance):
     exists, the positive multipliers of the active constraints and the next one satisfy ``Σ
     multipliers · normals = 0`` and ``Σ multipliers · limits > 0``.
     """
-    normals, limits, x, active, multipliers, basis, triangle, used, components, rest, change = (
-        problem
-    )
-    constraints, size = normals.shape
     if not math.isfinite(tolerance):
         return SINGULAR, 0
-    used[:] = False
+    problem.used[:] = False
     count = 0
-    for _ in range(20 * (constraints + size)):
-        worst, least = -1, -tolerance
-        for i in range(constraints):
-            slack = -limits[i]
-            for l in range(size):
-                slack += normals[i, l] * x[l]
-            if slack < least and not used[i]:
-                worst, least = i, slack
+    for _ in range(20 * (len(problem.limits) + len(problem.x))):
+        worst = _most_violated(problem, tolerance)
         if worst < 0:
             return HELD, count
-        active[count], multipliers[count] = worst, 0.0
-        while True:
-            square = _orthogonalise(normals[worst], basis, count, components, rest)
-            total = 0.0
-            slack = -limits[worst]
-            for l in range(size):
-                total += normals[worst, l] * normals[worst, l]
-                slack += normals[worst, l] * x[l]
-            dependent = count == size or square <= _INDEPENDENT * _INDEPENDENT * total
-            step, drop = np.inf, -1
-            for j in range(count - 1, -1, -1):
-                rate = components[j]
-                for l in range(j + 1, count):
-                    rate -= triangle[j, l] * change[l]
-                change[j] = rate / triangle[j, j]
-            for j in range(count):
-                if change[j] > 0.0 and multipliers[j] < step * change[j]:
-                    step, drop = multipliers[j] / change[j], j
-            if dependent and drop < 0:
-                for j in range(count):
-                    multipliers[j] = -change[j]
-                multipliers[count] = 1.0
-                return INFEASIBLE, count
-            full = not dependent and -slack <= step * square
-            if full:
-                step = -slack / square
-            for j in range(count):
-                multipliers[j] = max(multipliers[j] - step * change[j], 0.0)
-            multipliers[count] += step
-            if not dependent:
-                for l in range(size):
-                    x[l] += step * rest[l]
-            if full:
-                _append(basis, triangle, count, components, rest, square)
-                used[worst] = True
-                count += 1
-                break
-            used[active[drop]] = False
-            for j in range(drop, count):
-                active[j], multipliers[j] = active[j + 1], multipliers[j + 1]
-            count -= 1
-            for j in range(drop, count):
-                square = _orthogonalise(normals[active[j]], basis, j, components, rest)
-                _append(basis, triangle, j, components, rest, square)
+        feasible, count = _activate(problem, worst, count)
+        if not feasible:
+            return INFEASIBLE, count
     return SINGULAR, 0  # only if rounding makes the method cycle
+
+
+@helper
+def _activate(problem, worst, count):
+    """Moves x until it satisfies a violated constraint, which becomes active; drops constraints
+    whose multiplier becomes zero on the way.
+
+    Returns whether that is possible, and the number of active constraints.
+    """
+    x, multipliers, change = problem.x, problem.multipliers, problem.change
+    problem.active[count] = worst
+    multipliers[count] = 0.0
+    while True:
+        square = _orthogonalise(problem, problem.normals[worst], count)
+        total = 0.0
+        for l in range(len(x)):
+            total += problem.normals[worst, l] * problem.normals[worst, l]
+        slack = _slack(problem, worst)
+        dependent = count == len(x) or square <= _INDEPENDENT * _INDEPENDENT * total
+        _multiplier_rates(problem, count)
+        step, dropped = np.inf, -1
+        for j in range(count):
+            if change[j] > 0.0 and multipliers[j] < step * change[j]:
+                step, dropped = multipliers[j] / change[j], j
+        if dependent and dropped < 0:
+            for j in range(count):
+                multipliers[j] = -change[j]
+            multipliers[count] = 1.0
+            return False, count
+        full = not dependent and -slack <= step * square
+        if full:
+            step = -slack / square
+        for j in range(count):
+            multipliers[j] = max(multipliers[j] - step * change[j], 0.0)
+        multipliers[count] += step
+        if not dependent:
+            for l in range(len(x)):
+                x[l] += step * problem.remainder[l]
+        if full:
+            _append(problem, count, square)
+            problem.used[worst] = True
+            return True, count + 1
+        count = _drop(problem, dropped, count)
 
 
 @helper
 def new_problem(size, constraints):
     """Memory of :func:`project`."""
-    return (
+    return Problem(
         np.zeros((constraints, size)),
         np.zeros(constraints),
         np.zeros(size),
@@ -162,7 +244,7 @@ def new_problem(size, constraints):
 @helper
 def new_factors(cables, coordinates):
     """Memory of :func:`factorise`."""
-    return (
+    return Factors(
         np.zeros((cables, coordinates)),
         np.zeros((cables, cables)),
         np.zeros(coordinates, np.int64),
@@ -173,9 +255,9 @@ def new_factors(cables, coordinates):
 
 @helper
 def factorise(factors):
-    """Householder QR with column pivoting of the first array, in place; returns its rank.
+    """Householder QR with column pivoting of the matrix, in place; returns its rank.
 
-    The rows of the second array are the columns of Q: those from n on are the null space. A column
+    The rows of ``q`` are the columns of Q: those from n on are the null space. A column
     counts as dependent relative to its own length, so that the units of the coordinates have no
     effect.
     """
@@ -185,7 +267,8 @@ def factorise(factors):
     for i in range(rows):
         q[i, i] = 1.0
     for j in range(n):
-        order[j], scale[j] = j, 0.0
+        order[j] = j
+        scale[j] = 0.0
         for i in range(rows):
             scale[j] += matrix[i, j] * matrix[i, j]
     for k in range(n):
@@ -257,9 +340,8 @@ def solve_coordinates(factors, coefficients, direction):
 def set_bounds(problem, factors, u, per_unit, low, high):
     """Constraints ``low ≤ (u + N λ)·per_unit ≤ high``: row i is the lower bound of cable i, row m +
     i the upper."""
-    normals, limits = problem[0], problem[1]
-    matrix, q = factors[0], factors[1]
-    m, n = len(low), matrix.shape[1]
+    normals, limits, q = problem.normals, problem.limits, factors.q
+    m, n = len(low), factors.matrix.shape[1]
     for i in range(m):
         for l in range(len(q) - n):
             normals[i, l] = q[n + l, i] * per_unit

@@ -45,26 +45,29 @@ def _approximate(problem, factors, structure, load, low, high, weights, u):
     tensions. A smaller η makes the tensions jump where the set of cables between their bounds
     changes; a larger one makes them jump where the load becomes feasible.
     """
-    matrix, x = factors[0], problem[2]
+    matrix, x = factors.matrix, problem.x
     m, n = structure.shape
     total = 0.0
     for i in range(m):
         for j in range(n):
             weighted = weights[j] * structure[i, j]
             total += weighted * weighted
-    eta = _WRENCH_FIRST * (math.sqrt(total / (m * n)) if total > 0.0 else 1.0)
+    effect = 1.0
+    if total > 0.0:
+        effect = math.sqrt(total / (m * n))
+    eta = _WRENCH_FIRST * effect
     for i in range(m):
         for j in range(n):
             matrix[i, j] = -structure[i, j] / eta
+    matrix[m:] = 0.0
     for i in range(n):
-        for j in range(n):
-            matrix[m + i, j] = 1.0 / weights[j] if i == j else 0.0
+        matrix[m + i, i] = 1.0 / weights[i]
     factorise(factors)
     particular_solution(factors, load, u)
     x[:] = 0.0
     set_bounds(problem, factors, u, 1.0 / eta, low, high)
     state, _ = project(problem, TOLERANCE * (1.0 + largest_magnitude(u[:m]) / eta))
-    normals = problem[0]
+    normals = problem.normals
     for i in range(m):
         value = u[i] / eta
         for l in range(len(x)):
@@ -74,19 +77,20 @@ def _approximate(problem, factors, structure, load, low, high, weights, u):
 
 
 @helper
-def _start(structure, load, low, high, reference, below, above, rest):
+def _start(structure, load, low, high, reference, below, above, shifted_load):
     """Bounds and load relative to the reference tensions; returns whether each lower bound is below
     the upper."""
     m, n = structure.shape
     ordered = True
-    for j in range(n):
-        rest[j] = load[j]
+    copy_vector(load, shifted_load)
     for i in range(m):
-        below[i], above[i] = low[i] - reference[i], high[i] - reference[i]
+        below[i] = low[i] - reference[i]
+        above[i] = high[i] - reference[i]
         if below[i] > above[i]:
-            ordered, above[i] = False, below[i]
+            ordered = False
+            above[i] = below[i]
         for j in range(n):
-            rest[j] += structure[i, j] * reference[i]
+            shifted_load[j] += structure[i, j] * reference[i]
     return ordered
 
 
@@ -94,7 +98,9 @@ def _start(structure, load, low, high, reference, below, above, rest):
 def _within(value, low, high):
     """Value without the rounding that would exceed a bound; the lower bound takes precedence and
     replaces NaN."""
-    return min(value, high) if min(value, high) > low else low
+    if min(value, high) > low:
+        return min(value, high)
+    return low
 
 
 @compiled_when_frequent
@@ -107,16 +113,20 @@ def solve_least_norm(structure, load, lower, upper, reference, weights, tensions
     u = np.zeros(m + n)
     spare = new_problem(m, 2 * m)
     spare_factors = new_factors(m + n, n)
-    below, above, rest = np.zeros(m), np.zeros(m), np.zeros(n)
-    normals, x = problem[0], problem[2]
+    below = np.zeros(m)
+    above = np.zeros(m)
+    shifted_load = np.zeros(n)
+    normals, x = problem.normals, problem.x
     for item in range(items):
         s = structure[item]
         state = INFEASIBLE
-        if _start(s, load[item], lower[item], upper[item], reference[item], below, above, rest):
-            copy_negated(s, factors[0])
+        if _start(
+            s, load[item], lower[item], upper[item], reference[item], below, above, shifted_load
+        ):
+            copy_negated(s, factors.matrix)
             state = SINGULAR
             if factorise(factors) == n:
-                particular_solution(factors, rest, u)
+                particular_solution(factors, shifted_load, u)
                 set_bounds(problem, factors, u, 1.0, below, above)
                 x[:] = 0.0
                 state, _ = project(problem, TOLERANCE * (1.0 + largest_magnitude(u[:m])))
@@ -124,7 +134,7 @@ def solve_least_norm(structure, load, lower, upper, reference, weights, tensions
                     for l in range(m - n):
                         u[i] += normals[i, l] * x[l]
         if state != HELD:
-            _approximate(spare, spare_factors, s, rest, below, above, weights[item], u)
+            _approximate(spare, spare_factors, s, shifted_load, below, above, weights[item], u)
         status[item] = state
         for i in range(m):
             tensions[item, i] = _within(reference[item, i] + u[i], lower[item, i], upper[item, i])
@@ -146,26 +156,28 @@ def solve_least_largest(
     spare_factors = new_factors(m + n, n)
     below = np.zeros(m)
     above = np.zeros(m)
-    rest = np.zeros(n)
+    shifted_load = np.zeros(n)
     idle = np.zeros(m)
-    low, high = np.zeros(m), np.zeros(m)
-    normals, limits, x = problem[0], problem[1], problem[2]
+    low = np.zeros(m)
+    high = np.zeros(m)
+    normals, limits, x = problem.normals, problem.limits, problem.x
     for item in range(items):
         s = structure[item]
         for i in range(m):
             idle[i] = -offset[item, i] / slope[item, i]  # the tension at zero action
         state = INFEASIBLE
-        if _start(s, load[item], lower[item], upper[item], idle, below, above, rest):
+        if _start(s, load[item], lower[item], upper[item], idle, below, above, shifted_load):
             for i in range(m):  # in actions, which are slope · (T − idle)
                 factor = slope[item, i]
-                low[i], high[i] = below[i] * factor, above[i] * factor
+                low[i] = below[i] * factor
+                high[i] = above[i] * factor
                 if factor < 0.0:
                     low[i], high[i] = high[i], low[i]
                 for j in range(n):
-                    factors[0][i, j] = -s[i, j] / factor
+                    factors.matrix[i, j] = -s[i, j] / factor
             state = SINGULAR
             if factorise(factors) == n:
-                particular_solution(factors, rest, u)
+                particular_solution(factors, shifted_load, u)
                 set_bounds(problem, factors, u, 1.0, low, high)
                 # x = (√ε λ, t) makes the objective the distance from the origin
                 for i in range(m):
@@ -174,9 +186,12 @@ def solve_least_largest(
                         normals[m + i, l] /= root
                         normals[2 * m + i, l] = -normals[i, l]
                         normals[3 * m + i, l] = normals[i, l]
-                    normals[i, size - 1] = normals[m + i, size - 1] = 0.0
-                    normals[2 * m + i, size - 1] = normals[3 * m + i, size - 1] = 1.0
-                    limits[2 * m + i], limits[3 * m + i] = u[i], -u[i]
+                    normals[i, size - 1] = 0.0
+                    normals[m + i, size - 1] = 0.0
+                    normals[2 * m + i, size - 1] = 1.0
+                    normals[3 * m + i, size - 1] = 1.0
+                    limits[2 * m + i] = u[i]
+                    limits[3 * m + i] = -u[i]
                 x[:] = 0.0
                 state, _ = project(problem, TOLERANCE * (1.0 + largest_magnitude(u[:m])))
                 for i in range(m):
@@ -184,7 +199,7 @@ def solve_least_largest(
                         u[i] += normals[i, l] * x[l]
                     u[i] /= slope[item, i]
         if state != HELD:
-            _approximate(spare, spare_factors, s, rest, below, above, weights[item], u)
+            _approximate(spare, spare_factors, s, shifted_load, below, above, weights[item], u)
         status[item] = state
         for i in range(m):
             tensions[item, i] = _within(idle[i] + u[i], lower[item, i], upper[item, i])
@@ -194,18 +209,18 @@ def solve_least_largest(
 def _combine(problem, count, m, coefficients):
     """Combination of cables in the multipliers, scaled to a largest magnitude of 1; returns the
     scale."""
-    active, multipliers = problem[3], problem[4]
+    active, multipliers = problem.active, problem.multipliers
     coefficients[:] = 0.0
-    other = 0.0
+    end_multiplier = 0.0  # of the ends of the search
     for j in range(count):
         if active[j] < m:
             coefficients[active[j]] -= multipliers[j]
         elif active[j] < 2 * m:
             coefficients[active[j] - m] += multipliers[j]
         else:
-            other = multipliers[j]
+            end_multiplier = multipliers[j]
     scale = largest_magnitude(coefficients)
-    if scale <= 1e-9 * other:  # rounding
+    if scale <= 1e-9 * end_multiplier:  # rounding
         scale = 0.0
         coefficients[:] = 0.0
     if scale > 0.0:
@@ -218,7 +233,7 @@ def _combine(problem, count, m, coefficients):
 def _unreachable(factors, rank, load, direction):
     """Direction of coordinates on which no cable acts, largest component 1, along which the load is
     the largest."""
-    matrix, order, z = factors[0], factors[2], factors[4]
+    matrix, order, z = factors.matrix, factors.order, factors.work
     n, best = matrix.shape[1], -1.0
     for free in range(rank, n):
         z[:n] = 0.0
@@ -227,7 +242,8 @@ def _unreachable(factors, rank, load, direction):
             for j in range(k + 1, rank):
                 z[k] -= matrix[k, j] * z[j]
             z[k] = (z[k] - matrix[k, free]) / matrix[k, k]
-        along, scale = 0.0, largest_magnitude(z[:n])
+        along = 0.0
+        scale = largest_magnitude(z[:n])
         for k in range(n):
             along += z[k] * load[order[k]]
         if abs(along) / scale > best:
@@ -247,11 +263,13 @@ def solve_feasible(
     problem = new_problem(m - n, 2 * m)
     factors = new_factors(m, n)
     u = np.zeros(m)
-    below, above, rest = np.zeros(m), np.zeros(m), np.zeros(n)
-    limits = problem[1]
-    x = problem[2]
-    active = problem[3]
-    multipliers = problem[4]
+    below = np.zeros(m)
+    above = np.zeros(m)
+    shifted_load = np.zeros(n)
+    limits = problem.limits
+    x = problem.x
+    active = problem.active
+    multipliers = problem.multipliers
     for item in range(items):
         if not _start(
             structure[item],
@@ -261,19 +279,19 @@ def solve_feasible(
             reference[item],
             below,
             above,
-            rest,
+            shifted_load,
         ):
             status[item] = INFEASIBLE
             for i in range(m):
                 excess[item] = max(excess[item], lower[item, i] - upper[item, i])
             continue
-        copy_negated(structure[item], factors[0])
+        copy_negated(structure[item], factors.matrix)
         rank = factorise(factors)
         if rank < n:
             status[item] = SINGULAR
             excess[item] = _unreachable(factors, rank, load[item], direction[item])
             continue
-        particular_solution(factors, rest, u)
+        particular_solution(factors, shifted_load, u)
         set_bounds(problem, factors, u, 1.0, below, above)
         x[:] = 0.0
         status[item], count = project(problem, TOLERANCE * (1.0 + largest_magnitude(u)))
@@ -319,22 +337,22 @@ def solve_interval(
     unit_lower,
     unit_upper,
     ends,
-    found,
+    interval,
     status,
     coefficients,
 ):
     """Ends of the interval, see :func:`~cablebot_gym.physics.distribution.largest_scale`."""
     items, m, n = structure.shape
-    size = m - n + 1
+    size = m - n + 1  # the redundant cables and s
     problem = new_problem(size, 2 * m + 2)
     factors = new_factors(m, n)
     fixed = np.zeros(m)
     unit = np.zeros(m)
     before = np.zeros(size)
-    normals, limits, x = problem[0], problem[1], problem[2]
+    normals, limits, x = problem.normals, problem.limits, problem.x
     for item in range(items):
-        found[item, 0] = found[item, 1] = np.nan
-        copy_negated(structure[item], factors[0])
+        interval[item] = np.nan
+        copy_negated(structure[item], factors.matrix)
         if factorise(factors) < n:
             status[item] = SINGULAR
             continue
@@ -350,13 +368,17 @@ def solve_interval(
                 largest = max(largest, abs(normals[i, size - 1]))
                 scale = max(scale, abs(limits[i]))
         # s is measured by its effect on the tensions [N]
-        effect = largest if largest > 0.0 else 1.0
+        effect = 1.0
+        if largest > 0.0:
+            effect = largest
         scale = max(scale, 1.0)
         for i in range(2 * m):
             normals[i, size - 1] /= effect
         normals[2 * m :] = 0.0
-        normals[2 * m, size - 1], normals[2 * m + 1, size - 1] = 1.0, -1.0
-        limits[2 * m], limits[2 * m + 1] = ends[item, 0] * effect, -ends[item, 1] * effect
+        normals[2 * m, size - 1] = 1.0
+        normals[2 * m + 1, size - 1] = -1.0
+        limits[2 * m] = ends[item, 0] * effect
+        limits[2 * m + 1] = -ends[item, 1] * effect
         tolerance = TOLERANCE * (1.0 + largest_magnitude(fixed))
         x[:] = 0.0
         x[size - 1] = limits[2 * m]
@@ -365,8 +387,8 @@ def solve_interval(
             _combine(problem, count + 1, m, coefficients[item])
             continue
         _extreme(problem, -100.0 * scale, tolerance, scale, x, before)
-        found[item, 0] = min(max(x[size - 1] / effect, ends[item, 0]), ends[item, 1])
+        interval[item, 0] = min(max(x[size - 1] / effect, ends[item, 0]), ends[item, 1])
         count = _extreme(problem, 100.0 * scale, tolerance, scale, x, before)
-        found[item, 1] = min(max(x[size - 1] / effect, ends[item, 0]), ends[item, 1])
+        interval[item, 1] = min(max(x[size - 1] / effect, ends[item, 0]), ends[item, 1])
         if _combine(problem, count, m, coefficients[item]) == 0.0 and count > 0:
-            found[item, 1] = ends[item, 1]
+            interval[item, 1] = ends[item, 1]

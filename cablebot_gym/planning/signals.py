@@ -15,6 +15,7 @@ class SolverInterrupt:
 
     def __init__(self) -> None:
         self._requested = False
+        self._callback: Any = None
 
     @contextmanager
     def watch(self) -> Iterator[None]:
@@ -40,7 +41,7 @@ class SolverInterrupt:
         self._requested = True
 
     def callback(self, ca: Any, variables: int, constraints: int) -> Any:
-        """The ``iteration_callback`` for ``nlpsol``. The caller must keep a reference to it.
+        """The ``iteration_callback`` for ``nlpsol``, which needs it as long as it runs.
 
         Args:
             ca: the imported CasADi module.
@@ -63,9 +64,12 @@ class SolverInterrupt:
 
             def get_sparsity_in(self, index: int) -> Any:
                 size = sizes.get(ca.nlpsol_out(index), 0)
-                return ca.Sparsity.dense(size, 1) if size else ca.Sparsity(0, 0)
+                if size == 0:
+                    return ca.Sparsity(0, 0)
+                return ca.Sparsity.dense(size, 1)
 
             def eval(self, _: Any) -> list[int]:
                 return [int(interrupt._requested)]
 
-        return Callback()
+        self._callback = Callback()  # CasADi keeps no reference
+        return self._callback

@@ -77,14 +77,16 @@ def rigid_stage(robot: Robot, period: float = 0.0) -> Any:
     """
     ca = import_casadi()
     n, m = robot.coordinates, robot.cables
-    (xs, x), (vs, v), (as_, a), (ts, t), (ms, mass) = (
-        _symbols(ca, name, size)
-        for name, size in (("X", n), ("V", n), ("A", n), ("T", m), ("m", 1))
-    )
-    tensions = TENSION * t
+    xs, x = _symbols(ca, "X", n)
+    vs, v = _symbols(ca, "V", n)
+    as_, a = _symbols(ca, "A", n)
+    ts, scaled_tensions = _symbols(ca, "T", m)
+    ms, mass = _symbols(ca, "m", 1)
+    tensions = TENSION * scaled_tensions
     speed = textbook.pulley_speed(robot, x, v)
     torque = textbook.required_torques(robot, tensions, x, v, a)
-    actions = _actions(robot, torque, speed, textbook.pulley_acceleration(robot, x, v, a), period)
+    acceleration = textbook.pulley_acceleration(robot, x, v, a)
+    actions = _actions(robot, torque, speed, acceleration, period)
     balance = _balance(robot, mass[0], x, v, a, tensions)
     return _function(ca, "rigid", ca.vertcat(xs, vs, as_, ts, ms), balance, *actions)
 
@@ -99,25 +101,28 @@ def flexible_stage(robot: Robot, period: float = 0.0) -> tuple[Any, Any]:
     """
     ca = import_casadi()
     n, m = robot.coordinates, robot.cables
-    (xs, x), (vs, v), (as_, a), (bs, b), (us, u), (ws, w), (ms, mass) = (
-        _symbols(ca, name, size)
-        for name, size in (("X", n), ("V", n), ("A", n), ("B", m), ("U", m), ("W", m), ("m", 1))
-    )
+    xs, x = _symbols(ca, "X", n)
+    vs, v = _symbols(ca, "V", n)
+    as_, a = _symbols(ca, "A", n)
+    bs, b = _symbols(ca, "B", m)
+    us, u = _symbols(ca, "U", m)
+    ws, w = _symbols(ca, "W", m)
+    ms, mass = _symbols(ca, "m", 1)
     torque, spring_force = textbook.spring_drive(robot, x, v, b, u, w)
     if robot.jointed:
         speed = textbook.pulley_speed(robot, x, v)
         second = textbook.pulley_acceleration(robot, x, v, a)
-        tensions = (
-            spring_force
-            - (robot.pulley_inertia * second + robot.damping * speed) / robot.pulley_radius
-        )
+        pulley_torque = robot.pulley_inertia * second + robot.damping * speed
+        tensions = spring_force - pulley_torque / robot.pulley_radius
     else:
         tensions, _ = textbook.cable_springs(robot, x, v, b, u, cable="bilateral")
     numbers = ca.vertcat(xs, vs, as_, bs, us, ws, ms)
     actions = _actions(robot, torque, u, w, period)
+    balance = _balance(robot, mass[0], x, v, a, tensions)
+    limits = *actions, tensions / TENSION, spring_force / TENSION
     return (
-        _function(ca, "balance", numbers, _balance(robot, mass[0], x, v, a, tensions)),
-        _function(ca, "limits", numbers, *actions, tensions / TENSION, spring_force / TENSION),
+        _function(ca, "balance", numbers, balance),
+        _function(ca, "limits", numbers, *limits),
     )
 
 
@@ -132,16 +137,16 @@ def start_stage(
     mass between ``masses`` (k,).
     """
     ca = import_casadi()
-    (bs, b), (us, u), (ms, _) = (
-        _symbols(ca, name, size)
-        for name, size in (("B", robot.cables), ("U", robot.cables), ("m", 1))
-    )
-    table = start_motors(robot, np.array(masses), np.array(pose), np.array(velocity))
-    at_start = np.array(
-        [[_piecewise(ca, ms, np.array(masses), column) for column in part.T] for part in table]
-    )
-    values = b - at_start[:1], textbook.normalised_action(robot, 0.0, u - at_start[1:])
-    return _function(ca, "start", ca.vertcat(bs, us, ms), *values)
+    bs, angle = _symbols(ca, "B", robot.cables)
+    us, speed = _symbols(ca, "U", robot.cables)
+    ms, _ = _symbols(ca, "m", 1)
+    points = np.array(masses)
+    angles, speeds = start_motors(robot, points, np.array(pose), np.array(velocity))
+    start_angle = [_piecewise(ca, ms, points, column) for column in angles.T]
+    start_speed = [_piecewise(ca, ms, points, column) for column in speeds.T]
+    turned = angle - np.array([start_angle])
+    action = textbook.normalised_action(robot, 0.0, speed - np.array([start_speed]))
+    return _function(ca, "start", ca.vertcat(bs, us, ms), turned, action)
 
 
 def start_motors(robot: Robot, mass: Array, pose: Array, velocity: Array) -> tuple[Array, Array]:
@@ -152,9 +157,8 @@ def start_motors(robot: Robot, mass: Array, pose: Array, velocity: Array) -> tup
     """
     minimum = textbook.allocated_minimum(robot)
     poses = np.broadcast_to(pose, (*np.shape(mass), robot.coordinates))
-    start = motor_start(
-        robot, textbook.static_torque(robot, mass, poses, minimum=minimum), poses, velocity
-    )
+    torque = textbook.static_torque(robot, mass, poses, minimum=minimum)
+    start = motor_start(robot, torque, poses, velocity)
     return start.motor_angle, start.speed
 
 
@@ -177,9 +181,11 @@ def _actions(
     its limits at the end of the period. Each result has shape (1, m). For a period of 0 there is
     only one result.
     """
+    if period == 0:
+        return (textbook.normalised_action(robot, torque, speed),)
     half = period / 2 * acceleration
-    speeds = (speed - half, speed + half) if period > 0 else (speed,)
-    return tuple(textbook.normalised_action(robot, torque, one) for one in speeds)
+    start = textbook.normalised_action(robot, torque, speed - half)
+    return start, textbook.normalised_action(robot, torque, speed + half)
 
 
 def derivatives(function: Any) -> tuple[Any, Any]:
@@ -189,11 +195,12 @@ def derivatives(function: Any) -> tuple[Any, Any]:
     numbers = ca.SX.sym("w", function.size1_in(0))
     values = function(numbers)
     lam = ca.SX.sym("lam", values.shape[0])
-    first = ca.Function("first", [numbers], [ca.densify(ca.jacobian(values, numbers))])
-    second = ca.Function(
-        "second", [numbers, lam], [ca.densify(ca.hessian(ca.dot(lam, values), numbers)[0])]
+    jacobian = ca.densify(ca.jacobian(values, numbers))
+    hessian, _ = ca.hessian(ca.dot(lam, values), numbers)
+    return (
+        ca.Function("first", [numbers], [jacobian]),
+        ca.Function("second", [numbers, lam], [ca.densify(hessian)]),
     )
-    return first, second
 
 
 def _symbols(ca: Any, name: str, count: int) -> tuple[Any, Array]:
@@ -203,12 +210,8 @@ def _symbols(ca: Any, name: str, count: int) -> tuple[Any, Array]:
 
 
 def _function(ca: Any, name: str, numbers: Any, *values: Array) -> Any:
-    return ca.Function(
-        name,
-        [numbers],
-        [ca.vertcat(*(item for value in values for item in value[0]))],
-        {"cse": True},
-    )
+    outputs = ca.vertcat(*np.concatenate([value[0] for value in values]))
+    return ca.Function(name, [numbers], [outputs], {"cse": True})
 
 
 def _balance(robot: Robot, mass: Array, x: Array, v: Array, a: Array, tensions: Array) -> Array:

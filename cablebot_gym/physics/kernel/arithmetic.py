@@ -42,6 +42,24 @@ def cross(a, b):
 
 
 @inline
+def add(a, b):
+    """a + b."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@inline
+def subtract(a, b):
+    """a − b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@inline
+def scaled(factor, x):
+    """factor x."""
+    return factor * x[0], factor * x[1], factor * x[2]
+
+
+@inline
 def load_vector(array, row, at, lanes):
     """Three rows from ``row`` on for lane ``at``."""
     return array[row * lanes + at], array[(row + 1) * lanes + at], array[(row + 2) * lanes + at]
@@ -71,6 +89,7 @@ def sincos(angle):
     cosine = fma(z, fma(z, cosine, -2.75573143513906633035e-07), 2.48015872894767294178e-05)
     cosine = fma(z, fma(z, cosine, -1.38888888888741095749e-03), 4.16666666666666019037e-02)
     cosine = fma(z * z, cosine, fma(z, -0.5, 1.0))
+    # Conditional expressions become selects without branches, so that loops over lanes vectorise.
     quadrant = turns - 4.0 * np.floor(turns * 0.25)
     odd = (quadrant == 1.0) | (quadrant == 3.0)
     s = cosine if odd else sine
@@ -84,9 +103,13 @@ def sincos(angle):
 def atan2(y, x):
     """Vectorisable ``math.atan2``: reduction to ± π/8, then the minimax polynomial of fdlibm."""
     wide, high = abs(x), abs(y)
-    longer, shorter = max(wide, high), min(wide, high)
+    longer = max(wide, high)
+    shorter = min(wide, high)
+    # Conditional expressions become selects, as in :func:`sincos`.
     steep = shorter > 0.4142135623730950488 * longer
-    t = (shorter - longer if steep else shorter) / (longer + shorter if steep else longer)
+    numerator = shorter - longer if steep else shorter
+    denominator = longer + shorter if steep else longer
+    t = numerator / denominator
     z = t * t
     r = fma(z, 1.62858201153657823623e-02, -3.65315727442169155270e-02)
     r = fma(z, fma(z, r, 4.97687799461593236017e-02), -5.83357013379057348645e-02)
@@ -167,11 +190,10 @@ def factor_symmetric(a, b, c):
 def solve_factored(factors, f, g):
     """Both halves of the solution for the right side (f, g)."""
     inverse, e, complement = factors
-    half = symmetric_times(
-        complement, (g[0] - dot(e[0], f), g[1] - dot(e[1], f), g[2] - dot(e[2], f))
-    )
-    return add_scaled(
-        -half[0],
-        e[0],
-        add_scaled(-half[1], e[1], add_scaled(-half[2], e[2], symmetric_times(inverse, f))),
-    ), half
+    right = subtract(g, (dot(e[0], f), dot(e[1], f), dot(e[2], f)))
+    lower_half = symmetric_times(complement, right)
+    upper_half = symmetric_times(inverse, f)
+    upper_half = add_scaled(-lower_half[2], e[2], upper_half)
+    upper_half = add_scaled(-lower_half[1], e[1], upper_half)
+    upper_half = add_scaled(-lower_half[0], e[0], upper_half)
+    return upper_half, lower_half

@@ -32,7 +32,7 @@ class Compiled(NamedTuple):
     ``record``, the tensions for the torques in ``record``."""
     required: Any
     """``(parameters, minimum, p, w, mass, motion, results)``: tensions, torques, pulley speeds and
-    pulley accelerations (4, N, m), in the order of TENSIONS to WINDINGS. As many cables as
+    pulley accelerations (4, N, m), in the order of TENSIONS to PULLEY_ACCELERATIONS. As many cables as
     coordinates: the unique tensions; more cables, only of point masses in a plane: the smallest
     tensions of at least ``minimum``."""
     demanded: Any

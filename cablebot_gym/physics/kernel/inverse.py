@@ -14,6 +14,7 @@ from cablebot_gym.physics.kernel.arithmetic import (
     load_vector,
     solve_factored,
     store_vector,
+    subtract,
     symmetric_times,
 )
 from cablebot_gym.physics.kernel.motors import coulomb_friction
@@ -34,6 +35,7 @@ from cablebot_gym.physics.kernel.rows import (
     MASS,
     PAIR,
     PER_RADIUS,
+    PULLEY_ACCELERATIONS,
     RATE,
     RESULTS,
     ROW,
@@ -42,7 +44,6 @@ from cablebot_gym.physics.kernel.rows import (
     TENSIONS,
     TORQUES,
     UNKNOWNS,
-    WINDINGS,
 )
 from cablebot_gym.physics.kernel.space import inertia_tensor, spatial_y
 from cablebot_gym.physics.kernel.stage import copy_parameters, stage_kinematics
@@ -56,14 +57,15 @@ def _spatial_wrench(form, p, w, at, lanes):
     load = load_vector(w, LOAD, at, lanes)
     turn = load_vector(w, UNKNOWNS + 3, at, lanes)
     moment = load_vector(w, LOAD + 3, at, lanes)
-    inertia = load_vector(p, INERTIA, at, lanes)
-    g = (
-        fma(-inertia[0], turn[0], moment[0]),
-        fma(-inertia[1], turn[1], moment[1]),
-        fma(-inertia[2], turn[2], moment[2]),
-    )
     if form.lopsided:
         g = add_scaled(-1.0, symmetric_times(inertia_tensor(form, p, at, lanes), turn), moment)
+    else:
+        inertia = load_vector(p, INERTIA, at, lanes)
+        g = (
+            fma(-inertia[0], turn[0], moment[0]),
+            fma(-inertia[1], turn[1], moment[1]),
+            fma(-inertia[2], turn[2], moment[2]),
+        )
     store_vector(w, LOAD, at, lanes, add_scaled(-p[MASS * lanes + at], y, load))
     store_vector(w, LOAD + 3, at, lanes, g)
 
@@ -101,40 +103,45 @@ def _add_tensions(factors, f, g, w, at, lanes):
     push, turn = solve_factored(factors, f, g)
     for i in range(6):
         row = FIRST_CABLE + CABLE_ROWS * i
-        part = dot(load_vector(w, row + ROW, at, lanes), push) + dot(
-            load_vector(w, row + ROW + 3, at, lanes), turn
-        )
-        w[(row + RESULTS + TENSIONS) * lanes + at] += part
-        f, g = add_pull(f, g, part, w, at, lanes, i)
+        tension = dot(load_vector(w, row + ROW, at, lanes), push)
+        tension += dot(load_vector(w, row + ROW + 3, at, lanes), turn)
+        w[(row + RESULTS + TENSIONS) * lanes + at] += tension
+        f, g = add_pull(f, g, tension, w, at, lanes, i)
     return f, g
 
 
 @inline
 def _three_tensions(w, at, lanes):
     """Solves Σ row_i T_i = f for the tensions of three cables by Cramer's rule."""
-    row, f = FIRST_CABLE + ROW, load_vector(w, LOAD, at, lanes)
-    one = load_vector(w, row, at, lanes)
-    two = load_vector(w, row + CABLE_ROWS, at, lanes)
-    three = load_vector(w, row + 2 * CABLE_ROWS, at, lanes)
-    first = cross(two, three)
-    second = cross(three, one)
-    third = cross(one, two)
-    per = 1.0 / dot(one, first)
+    row = FIRST_CABLE + ROW
+    f = load_vector(w, LOAD, at, lanes)
+    a = load_vector(w, row, at, lanes)
+    b = load_vector(w, row + CABLE_ROWS, at, lanes)
+    c = load_vector(w, row + 2 * CABLE_ROWS, at, lanes)
+    b_cross_c = cross(b, c)
+    per = 1.0 / dot(a, b_cross_c)
     results = FIRST_CABLE + RESULTS + TENSIONS
-    w[results * lanes + at] = dot(first, f) * per
-    w[(results + CABLE_ROWS) * lanes + at] = dot(second, f) * per
-    w[(results + 2 * CABLE_ROWS) * lanes + at] = dot(third, f) * per
+    w[results * lanes + at] = dot(b_cross_c, f) * per
+    w[(results + CABLE_ROWS) * lanes + at] = dot(cross(c, a), f) * per
+    w[(results + 2 * CABLE_ROWS) * lanes + at] = dot(cross(a, b), f) * per
+
+
+@inline
+def _directions(w, at, lanes, i, j):
+    """Directions of cables i and j in a plane."""
+    row_i = FIRST_CABLE + CABLE_ROWS * i + ROW
+    row_j = FIRST_CABLE + CABLE_ROWS * j + ROW
+    ax = w[row_i * lanes + at]
+    ay = w[(row_i + 1) * lanes + at]
+    bx = w[row_j * lanes + at]
+    by = w[(row_j + 1) * lanes + at]
+    return ax, ay, bx, by
 
 
 @inline
 def _two_tensions(w, at, lanes):
     """Solves Σ u_i T_i = f for the tensions of two cables in a plane."""
-    row = FIRST_CABLE + ROW
-    other = FIRST_CABLE + CABLE_ROWS + ROW
-    ax = w[row * lanes + at]
-    ay = w[(row + 1) * lanes + at]
-    bx = w[other * lanes + at]
-    by = w[(other + 1) * lanes + at]
+    ax, ay, bx, by = _directions(w, at, lanes, 0, 1)
     fx = w[LOAD * lanes + at]
     fy = w[(LOAD + 1) * lanes + at]
     results = FIRST_CABLE + RESULTS + TENSIONS
@@ -148,12 +155,14 @@ def _planar_tensions(form, minimum, w, lanes):
     """Smallest T with Σ u_i T_i = f and T_i ≥ ``minimum``, pair by pair as
     :func:`textbook.tension_distribution`."""
     for at in range(lanes):
-        fx, fy = w[LOAD * lanes + at], w[(LOAD + 1) * lanes + at]
+        fx = w[LOAD * lanes + at]
+        fy = w[(LOAD + 1) * lanes + at]
         for i in range(form.cables):
             row = FIRST_CABLE + CABLE_ROWS * i + ROW
             fx = fx - minimum * w[row * lanes + at]
             fy = fy - minimum * w[(row + 1) * lanes + at]
-        w[LOAD * lanes + at], w[(LOAD + 1) * lanes + at] = fx, fy
+        w[LOAD * lanes + at] = fx
+        w[(LOAD + 1) * lanes + at] = fy
         w[LEAST_SUM * lanes + at] = np.inf
         for j in range(4):
             w[(PAIR + j) * lanes + at] = 0.0
@@ -163,13 +172,11 @@ def _planar_tensions(form, minimum, w, lanes):
                 _try_pair(w, at, lanes, i, j)
     for i in range(form.cables):
         for at in range(lanes):
-            one = w[PAIR * lanes + at]
-            other = w[(PAIR + 1) * lanes + at]
-            pull = (
-                w[(PAIR + 2) * lanes + at]
-                if one == i
-                else (w[(PAIR + 3) * lanes + at] if other == i else 0.0)
-            )
+            pull = 0.0
+            if w[PAIR * lanes + at] == i:
+                pull = w[(PAIR + 2) * lanes + at]
+            elif w[(PAIR + 1) * lanes + at] == i:
+                pull = w[(PAIR + 3) * lanes + at]
             row = FIRST_CABLE + CABLE_ROWS * i + RESULTS + TENSIONS
             w[row * lanes + at] = minimum + max(pull, 0.0)
 
@@ -178,25 +185,23 @@ def _planar_tensions(form, minimum, w, lanes):
 def _try_pair(w, at, lanes, i, j):
     """Stores cables i and j and their tensions in PAIR if they give the force with the smallest sum
     so far."""
-    first_row = FIRST_CABLE + CABLE_ROWS * i + ROW
-    second_row = FIRST_CABLE + CABLE_ROWS * j + ROW
-    ax = w[first_row * lanes + at]
-    ay = w[(first_row + 1) * lanes + at]
-    bx = w[second_row * lanes + at]
-    by = w[(second_row + 1) * lanes + at]
-    fx, fy = w[LOAD * lanes + at], w[(LOAD + 1) * lanes + at]
+    ax, ay, bx, by = _directions(w, at, lanes, i, j)
+    fx = w[LOAD * lanes + at]
+    fy = w[(LOAD + 1) * lanes + at]
     determinant = ax * by - ay * bx
-    first = (fx * by - fy * bx) / determinant
-    second = (ax * fy - ay * fx) / determinant
+    tension_i = (fx * by - fy * bx) / determinant
+    tension_j = (ax * fy - ay * fx) / determinant
     # A force along one of the two cables gives a tiny negative value by rounding.
-    slack = 1e-12 * (1.0 + abs(first) + abs(second))
-    pulls = (first >= -slack) & (second >= -slack) & (abs(determinant) > 1e-12)
-    better = pulls & (first + second < w[LEAST_SUM * lanes + at])
-    w[LEAST_SUM * lanes + at] = first + second if better else w[LEAST_SUM * lanes + at]
+    slack = 1e-12 * (1.0 + abs(tension_i) + abs(tension_j))
+    pulls = (tension_i >= -slack) & (tension_j >= -slack) & (abs(determinant) > 1e-12)
+    better = pulls & (tension_i + tension_j < w[LEAST_SUM * lanes + at])
+    # Every lane stores its value or the old one, a select: loops over lanes with branches do not
+    # vectorise.
+    w[LEAST_SUM * lanes + at] = tension_i + tension_j if better else w[LEAST_SUM * lanes + at]
     w[PAIR * lanes + at] = i if better else w[PAIR * lanes + at]
     w[(PAIR + 1) * lanes + at] = j if better else w[(PAIR + 1) * lanes + at]
-    w[(PAIR + 2) * lanes + at] = first if better else w[(PAIR + 2) * lanes + at]
-    w[(PAIR + 3) * lanes + at] = second if better else w[(PAIR + 3) * lanes + at]
+    w[(PAIR + 2) * lanes + at] = tension_i if better else w[(PAIR + 2) * lanes + at]
+    w[(PAIR + 3) * lanes + at] = tension_j if better else w[(PAIR + 3) * lanes + at]
 
 
 @inline
@@ -211,10 +216,12 @@ def _required_motor(form, p, w, at, lanes, i):
     damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * rate
     pull = w[(row + RESULTS + TENSIONS) * lanes + at] - inertia - damping
     speed = -rate * per_radius
-    friction = coulomb_friction(p, at, lanes, i, speed) if not form.flexible else 0.0
+    friction = 0.0
+    if not form.flexible:
+        friction = coulomb_friction(p, at, lanes, i, speed)
     w[(row + RESULTS + TORQUES) * lanes + at] = pull / per_radius + friction
     w[(row + RESULTS + SPEEDS) * lanes + at] = speed
-    w[(row + RESULTS + WINDINGS) * lanes + at] = -acceleration * per_radius
+    w[(row + RESULTS + PULLEY_ACCELERATIONS) * lanes + at] = -acceleration * per_radius
 
 
 @inline
@@ -240,12 +247,8 @@ def _wrench(form, p, w, lanes):
             masses = three_masses(form, p, at, lanes)
             y = load_vector(w, UNKNOWNS, at, lanes)
             load = load_vector(w, LOAD, at, lanes)
-            rest = (
-                load[0] - masses[0] * y[0],
-                load[1] - masses[1] * y[1],
-                load[2] - masses[2] * y[2],
-            )
-            store_vector(w, LOAD, at, lanes, rest)
+            momentum_rate = (masses[0] * y[0], masses[1] * y[1], masses[2] * y[2])
+            store_vector(w, LOAD, at, lanes, subtract(load, momentum_rate))
         else:
             w[LOAD * lanes + at] = -mass * w[UNKNOWNS * lanes + at]
             fall = p[GRAVITY * lanes + at] - w[(UNKNOWNS + 1) * lanes + at]
@@ -253,11 +256,11 @@ def _wrench(form, p, w, lanes):
 
 
 @inline
-def _tile_of_motion(form, lanes, first, p, w, mass, motion):
+def _tile_of_motion(form, lanes, start, p, w, mass, motion):
     """Copies a motion to a tile. The unused lanes of the last tile repeat the last robot."""
     count = mass.shape[0]
     for at in range(lanes):
-        lane = min(first + at, count - 1)
+        lane = min(start + at, count - 1)
         p[MASS * lanes + at] = mass[lane]
         for j in range(form.coordinates):
             w[(STAGE + j) * lanes + at] = motion[0, lane, j]
@@ -270,8 +273,8 @@ def required_tiles(form, lanes, parameters, minimum, p, w, mass, motion, results
     """Inverse dynamics of all lanes in tiles."""
     count = mass.shape[0]
     copy_parameters(parameters, p, lanes)
-    for first in range(0, count, lanes):
-        _tile_of_motion(form, lanes, first, p, w, mass, motion)
+    for start in range(0, count, lanes):
+        _tile_of_motion(form, lanes, start, p, w, mass, motion)
         _wrench(form, p, w, lanes)
         if form.coordinates == 6:
             for at in range(lanes):
@@ -288,10 +291,10 @@ def required_tiles(form, lanes, parameters, minimum, p, w, mass, motion, results
             for at in range(lanes):
                 _required_motor(form, p, w, at, lanes, i)
         for result in range(4):
-            for at in range(min(lanes, count - first)):
+            for at in range(min(lanes, count - start)):
                 for i in range(form.cables):
                     value = w[(FIRST_CABLE + CABLE_ROWS * i + RESULTS + result) * lanes + at]
-                    results[result, first + at, i] = value
+                    results[result, start + at, i] = value
 
 
 @inline
@@ -299,21 +302,21 @@ def demanded_tiles(form, lanes, parameters, p, w, mass, motion, structure, load,
     """S, load, pulley speeds and pulley accelerations of all lanes in tiles."""
     count = mass.shape[0]
     copy_parameters(parameters, p, lanes)
-    for first in range(0, count, lanes):
-        _tile_of_motion(form, lanes, first, p, w, mass, motion)
+    for start in range(0, count, lanes):
+        _tile_of_motion(form, lanes, start, p, w, mass, motion)
         _wrench(form, p, w, lanes)
         for i in range(form.cables):
             par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
             row = FIRST_CABLE + CABLE_ROWS * i
-            for at in range(min(lanes, count - first)):
+            for at in range(min(lanes, count - start)):
                 per_radius = p[(par + PER_RADIUS) * lanes + at]
-                results[0, first + at, i] = -w[(row + LENGTH_RATE) * lanes + at] * per_radius
+                results[0, start + at, i] = -w[(row + LENGTH_RATE) * lanes + at] * per_radius
                 acceleration = (
                     length_acceleration(form, w, at, lanes, i) + w[(row + BIAS) * lanes + at]
                 )
-                results[1, first + at, i] = -acceleration * per_radius
+                results[1, start + at, i] = -acceleration * per_radius
                 for j in range(form.coordinates):
-                    structure[first + at, i, j] = w[(row + ROW + j) * lanes + at]
-        for at in range(min(lanes, count - first)):
+                    structure[start + at, i, j] = w[(row + ROW + j) * lanes + at]
+        for at in range(min(lanes, count - start)):
             for j in range(form.coordinates):
-                load[first + at, j] = -w[(LOAD + j) * lanes + at]
+                load[start + at, j] = -w[(LOAD + j) * lanes + at]

@@ -40,18 +40,20 @@ def locate_tiles(
     """
     count = lengths.shape[0]
     copy_parameters(parameters, p, lanes)
-    for first in range(0, count, lanes):
+    for start in range(0, count, lanes):
         for at in range(lanes):
-            lane = min(first + at, count - 1)
+            lane = min(start + at, count - 1)
             for j in range(form.coordinates):
-                w[(START + j) * lanes + at] = w[(STAGE + j) * lanes + at] = pose[lane, j]
+                w[(START + j) * lanes + at] = pose[lane, j]
+                w[(STAGE + j) * lanes + at] = pose[lane, j]
                 w[(STAGE + 6 + j) * lanes + at] = 0.0
                 w[(SUM + j) * lanes + at] = np.nan
             for i in range(form.cables):
                 row = FIRST_CABLE + CABLE_ROWS * i
                 w[(row + REQUEST) * lanes + at] = lengths[lane, i]
                 w[(row + TAUT) * lanes + at] = 1.0
-            w[SQUARES * lanes + at], w[ENDED * lanes + at] = np.inf, 0.0
+            w[SQUARES * lanes + at] = np.inf
+            w[ENDED * lanes + at] = 0.0
         for _ in range(iterations):
             stage_kinematics(form, True, p, w, lanes)
             for at in range(lanes):
@@ -70,35 +72,36 @@ def locate_tiles(
                 finished *= _take_step(form, tolerance, w, at, lanes)
             if finished == 1.0:
                 break
-        for at in range(min(lanes, count - first)):
+        for at in range(min(lanes, count - start)):
             for j in range(form.coordinates):
-                pose[first + at, j] = w[(START + j) * lanes + at]
-            squares[first + at], ended[first + at] = (
-                w[SQUARES * lanes + at],
-                w[ENDED * lanes + at] == 1.0,
-            )
+                pose[start + at, j] = w[(START + j) * lanes + at]
+            squares[start + at] = w[SQUARES * lanes + at]
+            ended[start + at] = w[ENDED * lanes + at] == 1.0
 
 
 @inline
 def _take_step(form, tolerance, w, at, lanes):
     """Accepts the pose of the stage or halves the step to it; returns whether the lane had ended
     before."""
-    before = w[ENDED * lanes + at]
-    better = (w[TRIAL * lanes + at] <= w[SQUARES * lanes + at] + 1e-24) | (
-        before == 1.0
-    )  # NaN is not better
-    w[SQUARES * lanes + at] = w[TRIAL * lanes + at] if better else w[SQUARES * lanes + at]
+    ended_before = w[ENDED * lanes + at]
+    # NaN is not better.
+    smaller = w[TRIAL * lanes + at] <= w[SQUARES * lanes + at] + 1e-24
+    accepted = smaller | (ended_before == 1.0)
+    if accepted:
+        w[SQUARES * lanes + at] = w[TRIAL * lanes + at]
     size = 0.0
     for j in range(form.coordinates):
-        start = w[(STAGE + j) * lanes + at] if better else w[(START + j) * lanes + at]
-        step = (
-            w[(acceleration_row(form) + j) * lanes + at]
-            if better
-            else w[(SUM + j) * lanes + at] / 2
-        )
-        step = 0.0 if before == 1.0 else step
+        if accepted:
+            start = w[(STAGE + j) * lanes + at]
+            step = w[(acceleration_row(form) + j) * lanes + at]
+        else:
+            start = w[(START + j) * lanes + at]
+            step = w[(SUM + j) * lanes + at] / 2
+        if ended_before == 1.0:
+            step = 0.0
         size += abs(step)
-        w[(START + j) * lanes + at], w[(SUM + j) * lanes + at] = start, step
+        w[(START + j) * lanes + at] = start
+        w[(SUM + j) * lanes + at] = step
         w[(STAGE + j) * lanes + at] = start + step
     w[ENDED * lanes + at] = 1.0 if size <= tolerance else 0.0
-    return before
+    return ended_before

@@ -66,14 +66,29 @@ def twist_springs(form, unilateral, p, w, lanes):
             wound = p[(par + HOME_LENGTH) * lanes + at] - w[(row + LENGTH) * lanes + at]
             angle = wound * p[(par + PER_RADIUS) * lanes + at]
             twist = w[(row + MOTOR_STAGE) * lanes + at] - angle
-            twist = max(twist, 0.0) if unilateral else twist
+            if unilateral:
+                twist = max(twist, 0.0)
             spring = p[(par + STIFFNESS) * lanes + at] * twist
-            friction = (
-                p[(par + MOTOR_DAMPING) * lanes + at] * w[(row + MOTOR_STAGE + 1) * lanes + at]
-            )
-            rest = w[(row + MOTOR_TORQUE) * lanes + at] - spring - friction
             w[(row + DRIVE) * lanes + at] = spring
-            w[(row + MOTOR_RATE) * lanes + at] = rest * p[(par + PER_MOTOR_INERTIA) * lanes + at]
+            _turn_motor(spring, p, w, at, lanes, i)
+
+
+@inline
+def _turn_motor(spring, p, w, at, lanes, i):
+    """Acceleration of motor i behind a joint spring with a torque (Eq. 4)."""
+    par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
+    row = FIRST_CABLE + CABLE_ROWS * i
+    friction = p[(par + MOTOR_DAMPING) * lanes + at] * w[(row + MOTOR_STAGE + 1) * lanes + at]
+    net_torque = w[(row + MOTOR_TORQUE) * lanes + at] - spring - friction
+    w[(row + MOTOR_RATE) * lanes + at] = net_torque * p[(par + PER_MOTOR_INERTIA) * lanes + at]
+
+
+@inline
+def torque_row(form):
+    """Row of the motor torque of a cable: that on the pulley if the transmission is rigid."""
+    if form.flexible:
+        return MOTOR_TORQUE
+    return DRIVE
 
 
 @inline
@@ -93,7 +108,9 @@ def stretch_cables(form, unilateral, p, w, lanes):
         par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
         row = FIRST_CABLE + CABLE_ROWS * i
         more = stretch_row(form.cables, form.lopsided) + STRETCH_PARAMETERS * i
-        pulley = pulley_row(form, i) + PULLEY_STAGE if form.jointed else row + MOTOR_STAGE
+        pulley = row + MOTOR_STAGE
+        if form.jointed:
+            pulley = pulley_row(form, i) + PULLEY_STAGE
         for at in range(lanes):
             radius = p[(more + RADIUS) * lanes + at]
             stiffness = p[(more + AXIAL_STIFFNESS) * lanes + at]
@@ -105,31 +122,24 @@ def stretch_cables(form, unilateral, p, w, lanes):
             rate = (w[(row + LENGTH_RATE) * lanes + at] + radius * speed) * per_free
             tension = stiffness * strain + p[(more + AXIAL_DAMPING) * lanes + at] * rate
             wound = 0.5 * stiffness * strain * strain
-            if unilateral:
+            if unilateral:  # selects, as in :func:`sincos`
                 tension = 0.0 if strain <= 0.0 else max(tension, 0.0)
                 wound = 0.0 if strain <= 0.0 else wound
-            w[(row + KNOWN) * lanes + at] = w[(row + FREE_TENSION) * lanes + at] = tension
+            w[(row + KNOWN) * lanes + at] = tension
+            w[(row + FREE_TENSION) * lanes + at] = tension
             w[(row + TAUT) * lanes + at] = 1.0 if tension > 0.0 else 0.0
             damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * radius * radius * speed
             pulling = radius * (tension + wound) + damping
-            torque = w[(row + MOTOR_TORQUE) * lanes + at]
             per_inertia = p[(more + PER_PULLEY_INERTIA) * lanes + at]
             if form.jointed:
-                twist = p[(par + STIFFNESS) * lanes + at] * (
-                    w[(row + MOTOR_STAGE) * lanes + at] - angle
-                )
-                w[(pulley_row(form, i) + PULLEY_RATE) * lanes + at] = (
-                    twist - pulling
-                ) * per_inertia
-                friction = (
-                    p[(par + MOTOR_DAMPING) * lanes + at] * w[(row + MOTOR_STAGE + 1) * lanes + at]
-                )
-                rest = torque - twist - friction
-                w[(row + MOTOR_RATE) * lanes + at] = (
-                    rest * p[(par + PER_MOTOR_INERTIA) * lanes + at]
-                )
+                twist = w[(row + MOTOR_STAGE) * lanes + at] - angle
+                spring = p[(par + STIFFNESS) * lanes + at] * twist
+                rate_row = pulley_row(form, i) + PULLEY_RATE
+                w[rate_row * lanes + at] = (spring - pulling) * per_inertia
+                _turn_motor(spring, p, w, at, lanes, i)
             else:
-                w[(row + MOTOR_RATE) * lanes + at] = (torque - pulling) * per_inertia
+                net_torque = w[(row + MOTOR_TORQUE) * lanes + at] - pulling
+                w[(row + MOTOR_RATE) * lanes + at] = net_torque * per_inertia
 
 
 @inline
@@ -157,11 +167,13 @@ def request_torques(form, lags, h, p, w, record, lanes):
             record[(rec + SPEED) * lanes + at] = speed
         if lags:
             for at in range(lanes):
-                lag, gap, decay = p[(par + LAG) * lanes + at], 0.0, 0.0
+                lag = p[(par + LAG) * lanes + at]
+                gap, decay = 0.0, 0.0
                 if lag > 0.0:
                     gap = record[(rec + LAGGED) * lanes + at] - w[(row + REQUEST) * lanes + at]
                     decay = math.exp(-0.5 * h / lag)
-                w[(row + GAP) * lanes + at], w[(row + DECAY) * lanes + at] = gap, decay
+                w[(row + GAP) * lanes + at] = gap
+                w[(row + DECAY) * lanes + at] = decay
 
 
 @inline
@@ -176,13 +188,12 @@ def drive_motors(form, lags, stage, p, w, lanes):
                 w[(row + GAP) * lanes + at] *= w[(row + DECAY) * lanes + at]
         for at in range(lanes):
             stall = p[(par + STALL) * lanes + at]
-            drop = p[(par + SLOPE) * lanes + at]
-            drop *= _motor_speed(form, p, w, at, lanes, i)
+            drop = p[(par + SLOPE) * lanes + at] * _motor_speed(form, p, w, at, lanes, i)
             torque = w[(row + REQUEST) * lanes + at]
             if lags:
                 torque += w[(row + GAP) * lanes + at]
             torque = min(max(torque, -stall - drop), stall - drop)
-            w[(row + (MOTOR_TORQUE if form.flexible else DRIVE)) * lanes + at] = torque
+            w[(row + torque_row(form)) * lanes + at] = torque
 
 
 @inline
@@ -197,8 +208,7 @@ def coulomb_friction(p, at, lanes, i, speed):
 def subtract_friction(form, p, w, lanes):
     """Subtracts the Coulomb friction from the motor torques."""
     for i in range(form.cables):
-        row = FIRST_CABLE + CABLE_ROWS * i + (MOTOR_TORQUE if form.flexible else DRIVE)
+        row = FIRST_CABLE + CABLE_ROWS * i + torque_row(form)
         for at in range(lanes):
-            w[row * lanes + at] -= coulomb_friction(
-                p, at, lanes, i, _motor_speed(form, p, w, at, lanes, i)
-            )
+            speed = _motor_speed(form, p, w, at, lanes, i)
+            w[row * lanes + at] -= coulomb_friction(p, at, lanes, i, speed)

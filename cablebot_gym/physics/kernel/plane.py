@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from cablebot_gym.physics.inlining import inline
-from cablebot_gym.physics.kernel.arithmetic import sincos, store_vector
+from cablebot_gym.physics.kernel.arithmetic import sincos
 from cablebot_gym.physics.kernel.rows import (
     BASE,
     BIAS,
@@ -33,16 +33,13 @@ from cablebot_gym.physics.kernel.rows import (
 
 
 @inline
-def planar_cable(p, w, at, lanes, i):
-    """Direction, length rate and bias of cable i. The row is (u, 0) instead of (u, n)."""
-    par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE
-    dx = w[STAGE * lanes + at] - p[par * lanes + at]
-    dy = w[(STAGE + 1) * lanes + at] - p[(par + 1) * lanes + at]
-    vx = w[(STAGE + 6) * lanes + at]
-    vy = w[(STAGE + 7) * lanes + at]
+def _straight_cable(dx, dy, vx, vy, w, at, lanes, i):
+    """Stores direction, length, rate and bend of cable i, from the difference of its ends and its
+    rate."""
     length = math.sqrt(dx * dx + dy * dy)
     per_length = 1.0 / length
-    ux, uy = dx * per_length, dy * per_length
+    ux = dx * per_length
+    uy = dy * per_length
     rate = ux * vx + uy * vy
     row = FIRST_CABLE + CABLE_ROWS * i
     w[(row + ROW) * lanes + at] = ux
@@ -50,6 +47,18 @@ def planar_cable(p, w, at, lanes, i):
     w[(row + LENGTH) * lanes + at] = length
     w[(row + LENGTH_RATE) * lanes + at] = rate
     w[(row + BIAS) * lanes + at] = (vx * vx + vy * vy - rate * rate) * per_length
+    return ux, uy
+
+
+@inline
+def planar_cable(p, w, at, lanes, i):
+    """Direction, length rate and bias of cable i. The row is (u, 0) instead of (u, n)."""
+    par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + BASE
+    dx = w[STAGE * lanes + at] - p[par * lanes + at]
+    dy = w[(STAGE + 1) * lanes + at] - p[(par + 1) * lanes + at]
+    vx = w[(STAGE + 6) * lanes + at]
+    vy = w[(STAGE + 7) * lanes + at]
+    _straight_cable(dx, dy, vx, vy, w, at, lanes, i)
 
 
 @inline
@@ -59,10 +68,14 @@ def plane_platform(form, p, w, at, lanes):
     sine, cosine = sincos(w[(STAGE + 2) * lanes + at])
     omega = w[(STAGE + 8) * lanes + at]
     row = body_row(form.cables) + CENTER
-    cx, cy = p[row * lanes + at], p[(row + 1) * lanes + at]
-    sx, sy = cosine * cx - sine * cy, sine * cx + cosine * cy
-    w[TRIG * lanes + at], w[(TRIG + 1) * lanes + at] = sine, cosine
-    w[CENTRE * lanes + at], w[(CENTRE + 1) * lanes + at] = sx, sy
+    cx = p[row * lanes + at]
+    cy = p[(row + 1) * lanes + at]
+    sx = cosine * cx - sine * cy
+    sy = sine * cx + cosine * cy
+    w[TRIG * lanes + at] = sine
+    w[(TRIG + 1) * lanes + at] = cosine
+    w[CENTRE * lanes + at] = sx
+    w[(CENTRE + 1) * lanes + at] = sy
     w[BODY_VELOCITY * lanes + at] = w[(STAGE + 6) * lanes + at] - omega * sy
     w[(BODY_VELOCITY + 1) * lanes + at] = w[(STAGE + 7) * lanes + at] + omega * sx
     w[LOAD * lanes + at] = p[FORCE * lanes + at]
@@ -80,26 +93,18 @@ def plane_cable(p, w, at, lanes, i):
     sine = w[TRIG * lanes + at]
     cosine = w[(TRIG + 1) * lanes + at]
     omega = w[(STAGE + 8) * lanes + at]
-    ax, ay = cosine * bx - sine * by, sine * bx + cosine * by
-    dx = w[STAGE * lanes + at] + w[CENTRE * lanes + at] + ax - p[(par + BASE) * lanes + at]
-    dy = (
-        w[(STAGE + 1) * lanes + at]
-        + w[(CENTRE + 1) * lanes + at]
-        + ay
-        - p[(par + BASE + 1) * lanes + at]
-    )
+    ax = cosine * bx - sine * by
+    ay = sine * bx + cosine * by
+    x = w[STAGE * lanes + at] + w[CENTRE * lanes + at] + ax
+    y = w[(STAGE + 1) * lanes + at] + w[(CENTRE + 1) * lanes + at] + ay
+    dx = x - p[(par + BASE) * lanes + at]
+    dy = y - p[(par + BASE + 1) * lanes + at]
     vx = w[BODY_VELOCITY * lanes + at] - omega * ay
     vy = w[(BODY_VELOCITY + 1) * lanes + at] + omega * ax
-    length = math.sqrt(dx * dx + dy * dy)
-    per_length = 1.0 / length
-    ux, uy = dx * per_length, dy * per_length
-    rate = ux * vx + uy * vy
+    ux, uy = _straight_cable(dx, dy, vx, vy, w, at, lanes, i)
     row = FIRST_CABLE + CABLE_ROWS * i
-    store_vector(w, row + ROW, at, lanes, (ux, uy, ax * uy - ay * ux))
-    w[(row + LENGTH) * lanes + at] = length
-    w[(row + LENGTH_RATE) * lanes + at] = rate
-    centripetal = omega * omega * (ux * ax + uy * ay)
-    w[(row + BIAS) * lanes + at] = (vx * vx + vy * vy - rate * rate) * per_length - centripetal
+    w[(row + ROW + 2) * lanes + at] = ax * uy - ay * ux
+    w[(row + BIAS) * lanes + at] -= omega * omega * (ux * ax + uy * ay)  # centripetal
 
 
 @inline
@@ -107,7 +112,9 @@ def three_masses(form, p, at, lanes):
     """Diagonal of the mass matrix: (m, m, m) of a point mass, (m, m, I_zz) of a platform in a
     plane."""
     mass = p[MASS * lanes + at]
-    return mass, mass, p[(INERTIA + 2) * lanes + at] if form.dimensions == 2 else mass
+    if form.dimensions == 2:
+        return mass, mass, p[(INERTIA + 2) * lanes + at]
+    return mass, mass, mass
 
 
 @inline

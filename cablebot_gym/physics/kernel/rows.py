@@ -100,11 +100,9 @@ MOTOR_STAGE = 17
 MOTOR_RATE = 19
 MOTOR_TORQUE = 20
 RESULTS = 21
-GAP, DECAY, KNOWN = (
-    25,
-    26,
-    27,
-)  # lagged minus requested torque, its decay in half a physics step, known tension
+GAP = 25  # lagged minus requested torque
+DECAY = 26  # of the gap in half a physics step
+KNOWN = 27  # tension without the unknown acceleration
 CABLE_ROWS = 28
 # Forward kinematics: START and SUM have the best pose and the step from there; their last rows
 # serve sums and flags.
@@ -116,7 +114,7 @@ PULLEY_STAGE = 4
 PULLEY_RATE = 6
 PULLEY_ROWS = 7
 
-TENSIONS, TORQUES, SPEEDS, WINDINGS = 0, 1, 2, 3
+TENSIONS, TORQUES, SPEEDS, PULLEY_ACCELERATIONS = 0, 1, 2, 3
 """Order of the results of the inverse dynamics."""
 
 
@@ -153,19 +151,17 @@ class Form(NamedTuple):
     @property
     def robot_text(self) -> str:
         """The kind of robot in words, without the number of lanes."""
-        body = "point mass" if self.coordinates == self.dimensions else "platform"
-        place = "in space" if self.dimensions == 3 else "in a plane"
-        springs = [
-            text
-            for flag, text in ((self.jointed, "joint springs"), (self.elastic, "elastic cables"))
-            if flag
-        ]
-        return " with ".join(
-            [
-                f"{body} {place} on {self.cables} cables",
-                *([" and ".join(springs)] if springs else []),
-            ]
-        )
+        point = self.coordinates == self.dimensions
+        body = "point mass" if point else "platform"
+        space = "in space" if self.dimensions == 3 else "in a plane"
+        text = f"{body} {space} on {self.cables} cables"
+        if self.double:
+            return f"{text} with joint springs and elastic cables"
+        if self.jointed:
+            return f"{text} with joint springs"
+        if self.elastic:
+            return f"{text} with elastic cables"
+        return text
 
 
 def body_parameter(cables: int) -> int:
@@ -191,20 +187,15 @@ def parameter_rows(form: Form) -> int:
 
 def record_rows(form: Form) -> int:
     """Number of record rows of a tile."""
-    return pulley_record(form.cables) + PULLEY_RECORDS * form.cables * (
-        form.elastic and form.jointed
-    )
+    return pulley_record(form.cables) + PULLEY_RECORDS * form.cables * form.double
 
 
 def scratch_rows(form: Form) -> int:
     """Number of rows of the scratch memory."""
-    return (
-        FIRST_CABLE
-        + CABLE_ROWS * form.cables
-        + PULLEY_ROWS * form.cables * (form.elastic and form.jointed)
-    )
+    pulleys = PULLEY_ROWS * form.cables * form.double
+    return FIRST_CABLE + CABLE_ROWS * form.cables + pulleys
 
 
-body_row, stretch_row, pulley_record_row = (
-    inline(row) for row in (body_parameter, stretch_parameter, pulley_record)
-)
+body_row = inline(body_parameter)
+stretch_row = inline(stretch_parameter)
+pulley_record_row = inline(pulley_record)

@@ -80,4 +80,6 @@ def stage_accelerations(form, p, w, lanes):
 @inline
 def acceleration_row(form):
     """Row of Ẍ after :func:`stage_dynamics`: y itself of point masses."""
-    return UNKNOWNS if form.dimensions == form.coordinates else RATE
+    if form.dimensions == form.coordinates:
+        return UNKNOWNS
+    return RATE

@@ -10,6 +10,7 @@ from cablebot_gym.physics.kernel.arithmetic import (
     factor_symmetric,
     fma,
     load_vector,
+    scaled,
     solve_factored,
     store_vector,
     symmetric_inverse,
@@ -77,34 +78,30 @@ def add_row(a, b, c, weight, w, at, lanes, i):
     row = FIRST_CABLE + CABLE_ROWS * i + ROW
     u = load_vector(w, row, at, lanes)
     n = load_vector(w, row + 3, at, lanes)
-    heavy = (weight * u[0], weight * u[1], weight * u[2])
-    a = add_outer(a, heavy, u)
-    c = add_outer(c, (weight * n[0], weight * n[1], weight * n[2]), n)
-    return (
-        a,
-        (
-            add_scaled(heavy[0], n, b[0]),
-            add_scaled(heavy[1], n, b[1]),
-            add_scaled(heavy[2], n, b[2]),
-        ),
-        c,
+    weighted = scaled(weight, u)
+    b = (
+        add_scaled(weighted[0], n, b[0]),
+        add_scaled(weighted[1], n, b[1]),
+        add_scaled(weighted[2], n, b[2]),
     )
+    return add_outer(a, weighted, u), b, add_outer(c, scaled(weight, n), n)
 
 
 @inline
 def add_pull(f, g, tension, w, at, lanes, i):
     """Subtracts the pull of cable i, row_i · tension, from (f, g)."""
     row = FIRST_CABLE + CABLE_ROWS * i + ROW
-    return add_scaled(-tension, load_vector(w, row, at, lanes), f), add_scaled(
-        -tension, load_vector(w, row + 3, at, lanes), g
-    )
+    f = add_scaled(-tension, load_vector(w, row, at, lanes), f)
+    g = add_scaled(-tension, load_vector(w, row + 3, at, lanes), g)
+    return f, g
 
 
 @inline
 def _spatial_solve(form, p, w, at, lanes):
     """y for the current set of taut cables. The cables are not in a loop: a loop that carries
     tuples is slower."""
-    mass, zero = p[MASS * lanes + at], (0.0, 0.0, 0.0)
+    mass = p[MASS * lanes + at]
+    zero = (0.0, 0.0, 0.0)
     a = (mass, 0.0, 0.0, mass, 0.0, mass)
     b = (zero, zero, zero)
     c = inertia_tensor(form, p, at, lanes)
@@ -131,7 +128,8 @@ def _spatial_solve(form, p, w, at, lanes):
 def _planar_solve(form, p, w, at, lanes):
     """y = Ẍ for the current set of taut cables, from two equations. Gravity acts along y."""
     mass = p[MASS * lanes + at]
-    xx, xy, yy, fx = mass, 0.0, mass, p[FORCE * lanes + at]
+    xx, xy, yy = mass, 0.0, mass
+    fx = p[FORCE * lanes + at]
     fy = fma(mass, p[GRAVITY * lanes + at], p[(FORCE + 1) * lanes + at])
     for i in range(form.cables):
         row = FIRST_CABLE + CABLE_ROWS * i
@@ -141,7 +139,8 @@ def _planar_solve(form, p, w, at, lanes):
         xx = xx + mu * ux * ux
         xy = xy + mu * ux * uy
         yy = yy + mu * uy * uy
-        fx, fy = fx - known * ux, fy - known * uy
+        fx = fx - known * ux
+        fy = fy - known * uy
     per = 1.0 / (xx * yy - xy * xy)
     w[UNKNOWNS * lanes + at] = (yy * fx - xy * fy) * per
     w[(UNKNOWNS + 1) * lanes + at] = (xx * fy - xy * fx) * per
@@ -166,13 +165,8 @@ def _three_solve(form, p, w, at, lanes):
         fx = fma(-known, ux, fx)
         fy = fma(-known, uy, fy)
         fz = fma(-known, uz, fz)
-    store_vector(
-        w,
-        UNKNOWNS,
-        at,
-        lanes,
-        symmetric_times(symmetric_inverse((xx, xy, xz, yy, yz, zz)), (fx, fy, fz)),
-    )
+    y = symmetric_times(symmetric_inverse((xx, xy, xz, yy, yz, zz)), (fx, fy, fz))
+    store_vector(w, UNKNOWNS, at, lanes, y)
 
 
 @inline
@@ -207,27 +201,20 @@ def pulled_lane(form, p, w, at, lanes):
         f = load_vector(w, LOAD, at, lanes)
         g = load_vector(w, LOAD + 3, at, lanes)
         for i in range(form.cables):
-            f, g = add_pull(
-                f, g, w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at], w, at, lanes, i
-            )
+            tension = w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at]
+            f, g = add_pull(f, g, tension, w, at, lanes, i)
+        per_inertia = symmetric_inverse(inertia_tensor(form, p, at, lanes))
         store_vector(w, UNKNOWNS, at, lanes, (f[0] / mass, f[1] / mass, f[2] / mass))
-        store_vector(
-            w,
-            UNKNOWNS + 3,
-            at,
-            lanes,
-            symmetric_times(symmetric_inverse(inertia_tensor(form, p, at, lanes)), g),
-        )
+        store_vector(w, UNKNOWNS + 3, at, lanes, symmetric_times(per_inertia, g))
     elif form.coordinates == 3:
         masses = three_masses(form, p, at, lanes)
-        (fx, fy, fz) = load_vector(w, LOAD, at, lanes)
+        f = load_vector(w, LOAD, at, lanes)
         for i in range(form.cables):
             tension = w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at]
-            ux, uy, uz = load_vector(w, FIRST_CABLE + CABLE_ROWS * i + ROW, at, lanes)
-            fx = fma(-tension, ux, fx)
-            fy = fma(-tension, uy, fy)
-            fz = fma(-tension, uz, fz)
-        store_vector(w, UNKNOWNS, at, lanes, (fx / masses[0], fy / masses[1], fz / masses[2]))
+            u = load_vector(w, FIRST_CABLE + CABLE_ROWS * i + ROW, at, lanes)
+            f = add_scaled(-tension, u, f)
+        y = (f[0] / masses[0], f[1] / masses[1], f[2] / masses[2])
+        store_vector(w, UNKNOWNS, at, lanes, y)
     else:
         fx = p[FORCE * lanes + at]
         fy = fma(mass, p[GRAVITY * lanes + at], p[(FORCE + 1) * lanes + at])
@@ -236,7 +223,8 @@ def pulled_lane(form, p, w, at, lanes):
             tension = w[(row + KNOWN) * lanes + at]
             fx = fma(-tension, w[(row + ROW) * lanes + at], fx)
             fy = fma(-tension, w[(row + ROW + 1) * lanes + at], fy)
-        w[UNKNOWNS * lanes + at], w[(UNKNOWNS + 1) * lanes + at] = fx / mass, fy / mass
+        w[UNKNOWNS * lanes + at] = fx / mass
+        w[(UNKNOWNS + 1) * lanes + at] = fy / mass
 
 
 @inline

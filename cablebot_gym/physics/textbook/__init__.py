@@ -1,0 +1,102 @@
+"""The equations of motion of the paper with its errata corrected, in batched numpy.
+
+This package is the readable reference for control laws and for tests of the compiled kernel. The
+payload is a point mass at the platform's centre of mass, so it does not change the inertia about
+it. All functions have these arguments:
+
+    robot: the robot, or N robots whose uncertain values have a leading axis N.
+    mass: mass of the platform and its payload [kg], shape (...).
+    pose: X = (x, y), (x, y, φ), (x, y, z) or (x, y, z, ψ, θ, φ) [m, rad], shape (..., n).
+    velocity, acceleration: Ẋ and Ẍ, shape (..., n).
+
+``platform`` has the equations of the platform and its cables, ``drives`` those of motors and
+springs.
+"""
+
+from cablebot_gym.physics.textbook.drives import (
+    FRICTION_SPEED,
+    MINIMUM_TENSION,
+    TENSION_RESERVE,
+    InverseDynamics,
+    LinearModel,
+    allocated_minimum,
+    cable_equivalent,
+    cable_springs,
+    coulomb_torque,
+    fastest_decay_rate,
+    forward_dynamics,
+    highest_frequency,
+    holding_torque,
+    inverse_dynamics,
+    joint_equivalent,
+    joint_stiffness,
+    least_action_tensions,
+    linear_model,
+    motor_friction,
+    motor_torques,
+    normalised_action,
+    required_tensions,
+    required_torques,
+    rest_angles,
+    spring_drive,
+    static_motor_angle,
+    static_torque,
+    stretched_torque,
+    torque_limits,
+)
+from cablebot_gym.physics.textbook.platform import (
+    bias,
+    cable_lengths,
+    jacobian,
+    jacobian_rate,
+    load,
+    mass_matrix,
+    pulley_acceleration,
+    pulley_angle,
+    pulley_speed,
+    smooth_tension_distribution,
+    tension_distribution,
+)
+
+__all__ = [
+    "FRICTION_SPEED",
+    "MINIMUM_TENSION",
+    "TENSION_RESERVE",
+    "InverseDynamics",
+    "LinearModel",
+    "allocated_minimum",
+    "bias",
+    "cable_equivalent",
+    "cable_lengths",
+    "cable_springs",
+    "coulomb_torque",
+    "fastest_decay_rate",
+    "forward_dynamics",
+    "highest_frequency",
+    "holding_torque",
+    "inverse_dynamics",
+    "jacobian",
+    "jacobian_rate",
+    "joint_equivalent",
+    "joint_stiffness",
+    "least_action_tensions",
+    "linear_model",
+    "load",
+    "mass_matrix",
+    "motor_friction",
+    "motor_torques",
+    "normalised_action",
+    "pulley_acceleration",
+    "pulley_angle",
+    "pulley_speed",
+    "required_tensions",
+    "required_torques",
+    "rest_angles",
+    "smooth_tension_distribution",
+    "spring_drive",
+    "static_motor_angle",
+    "static_torque",
+    "stretched_torque",
+    "tension_distribution",
+    "torque_limits",
+]
