@@ -290,9 +290,8 @@ def _unit_and_rate(
     if swivel is not None:
         return _Swivelled(vectors, as_numbers(swivel)).unit_and_rate(point_velocity)
     length = np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True))
-    with np.errstate(
-        divide="ignore", invalid="ignore"
-    ):  # the direction of a cable of zero length is NaN
+    # the direction of a cable of zero length is NaN
+    with np.errstate(divide="ignore", invalid="ignore"):
         unit = vectors / length
         length_rate = np.sum(unit * point_velocity, axis=-1, keepdims=True)
         return unit, (point_velocity - unit * length_rate) / length

@@ -85,9 +85,8 @@ apidoc_modules = [
 
 autodoc_type_aliases = {"Array": "Array", "ArrayLike": "ArrayLike"}
 autodoc_member_order = "bysource"
-autodoc_default_options = {
-    "ignore-module-all": True
-}  # a package does not repeat what its modules document
+# a package does not repeat what its modules document
+autodoc_default_options = {"ignore-module-all": True}
 autodoc_preserve_defaults = True
 autodoc_typehints_format = "short"
 napoleon_numpy_docstring = False

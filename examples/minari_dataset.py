@@ -37,9 +37,8 @@ def record() -> None:
         state, ended = None, False
         while not ended:
             action, state = expert.predict(observation, state)
-            action = action.astype(
-                env.action_space.dtype
-            )  # the dataset holds exactly the actions of the episode
+            # the dataset holds exactly the actions of the episode
+            action = action.astype(env.action_space.dtype)
             observation, _, terminated, truncated, _ = env.step(action)
             ended = terminated or truncated
     env.create_dataset(

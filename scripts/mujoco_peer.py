@@ -80,9 +80,8 @@ class MujocoCableBotEnv(gymnasium.Env[Array, Array]):
         self._stall = robot.stall_torque.copy()
         self._slope = robot.speed_slope
         self._per_radius = 1 / robot.pulley_radius
-        self._tendon_jacobian = self._data.ten_J.reshape(
-            robot.cables, -1
-        )  # a view; the model option makes it dense
+        # a view; the model option makes it dense
+        self._tendon_jacobian = self._data.ten_J.reshape(robot.cables, -1)
         self._to_motor = -self._per_radius
 
         self._table = np.array(reference_table, dtype=float)

@@ -32,9 +32,8 @@ ABOUT = {"license": "MIT", "purpose": "A test.", "published": date(2026, 1, 31)}
 def recorded(env, name, **origin):
     """A Minari dataset of two episodes of five steps."""
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", ResourceWarning
-        )  # Minari leaves its temporary folders to the garbage collector
+        # Minari leaves its temporary folders to the garbage collector
+        warnings.simplefilter("ignore", ResourceWarning)
         collector = minari.DataCollector(env)
         for seed, payload in enumerate(PAYLOADS):
             collector.reset(seed=seed, options={"payload": payload})

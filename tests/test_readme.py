@@ -14,9 +14,8 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 @pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_python_of_the_readme_runs(index, tmp_path):
-    code = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[index].replace(
-        "400_000", "1_000"
-    )  # seconds
+    # seconds
+    code = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[index].replace("400_000", "1_000")
     ran = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
     )

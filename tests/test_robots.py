@@ -125,9 +125,8 @@ THREE = PLANAR.base_anchors
 SIX = SPATIAL.base_anchors
 PLATFORM = SPATIAL.platform_anchors
 WIDE = ((-1.0, 1.0), (-1.0, 1.0))
-UPRIGHT = -np.array(PLATFORM)[
-    [2, 3, 0, 1, 4, 5]
-]  # the triangles of base and platform point in one direction
+# the triangles of base and platform point in one direction
+UPRIGHT = -np.array(PLATFORM)[[2, 3, 0, 1, 4, 5]]
 UPSIDE_DOWN = [(x, y, 2 * CAMERA.home[2] - z) for x, y, z in CAMERA.base]
 """Anchors as in a frame with z up."""
 ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]

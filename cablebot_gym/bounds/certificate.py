@@ -106,9 +106,8 @@ class Multiplier:
         position = (np.asarray(times, float) - self.start) / width
         interval = np.clip(np.floor(position).astype(int), 0, intervals - 1)
         inside = ((position >= 0) & (position <= intervals))[..., None]
-        at = np.stack(
-            quadratic_splines(position - interval, width)
-        )  # (3, 3, …): derivative, coefficient
+        # (3, 3, …): derivative, coefficient
+        at = np.stack(quadratic_splines(position - interval, width))
 
         def values(coefficients: Array) -> Array:
             local = np.stack([coefficients[interval + j] for j in range(3)])
@@ -145,9 +144,8 @@ class Certificate:
         return {
             "total_mass": self.total_mass if math.isfinite(self.total_mass) else None,
             "payload": self.payload if math.isfinite(self.payload) else None,
-            "error_bounds": {
-                "position": self.error_bounds.position
-            },  # the rotation bound has no effect
+            # the rotation bound has no effect
+            "error_bounds": {"position": self.error_bounds.position},
             "conditions": self.conditions,
             "method": self.method,
         }

@@ -88,10 +88,8 @@ def fitting_env_id(robot: Any) -> str:
     Raises:
         ValueError: if the robot is invalid, or there is no id for its kind.
     """
-    from cablebot_gym.robots import (
-        KIND_TEXTS,
-        find_robot,
-    )  # imported here: importing cablebot_gym must stay fast
+    # imported here: importing cablebot_gym must stay fast
+    from cablebot_gym.robots import KIND_TEXTS, find_robot
 
     given = find_robot(robot)
     for env_id, kind in ENV_KINDS.items():

@@ -83,9 +83,8 @@ class Disturbances:
             )
             self._wrench = NormalRows(self._streams, Purpose.WRENCH, self._count, mean.size)
         self._wrench.restart(env_indices)
-        periods = min(
-            uncertainty.wrench.correlation_time * self._frequency, 2.0**62
-        )  # the largest int64 is 2^63 − 1
+        # the largest int64 is 2^63 − 1
+        periods = min(uncertainty.wrench.correlation_time * self._frequency, 2.0**62)
         self._wrench_interval[env_indices] = max(1, round(periods))
         self._wrench_mean[env_indices], self._wrench_std[env_indices] = mean, std
         low, high = uncertainty.wrench.factor

@@ -463,9 +463,8 @@ def info_dict(scalars: Array, cables: Array) -> dict[str, Any]:
         cables: quantities with one value per cable, (quantities, m) or (quantities, N, m).
     """
     single = scalars.ndim == 1
-    columns = (
-        scalars.tolist() if single else scalars.T.copy()
-    )  # tolist() converts all scalars at once
+    # tolist() converts all scalars at once
+    columns = scalars.tolist() if single else scalars.T.copy()
     named: dict[str, Any] = dict(zip(INFO_SCALARS, columns, strict=True))
     named.update(zip(INFO_CABLES, cables.copy(), strict=True))
     named["violated"] = named["violated"] > _TRUE

@@ -37,9 +37,8 @@ def check_render_mode(mode: str | None, modes: list[str]) -> str | None:
     """
     if mode is None:
         return None
-    from cablebot_gym.rendering.painter import (
-        import_pygame,
-    )  # here, because most environments have no pictures
+    # here, because most environments have no pictures
+    from cablebot_gym.rendering.painter import import_pygame
 
     import_pygame()
     return choice("render_mode", mode, modes, ", or None")

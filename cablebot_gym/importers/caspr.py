@@ -61,9 +61,8 @@ JOINTS = {
     "SPATIAL_EULER_XYZ": _Joint((0, 1, 2), spatial=True),
     "T_XYZ": _Joint((0, 1, 2)),
     "PLANAR_XY": _Joint((0, 1), turn=1.0),
-    "PLANAR_XZ": _Joint(
-        (0, 2), turn=1.0, moment=1
-    ),  # the source turns from z to x, which is from −y to x here
+    # the source turns from z to x, which is from −y to x here
+    "PLANAR_XZ": _Joint((0, 2), turn=1.0, moment=1),
     "PLANAR_YZ": _Joint((1, 2), turn=-1.0, moment=0),
     "P_XY": _Joint((0, 1)),
     "P_XZ": _Joint((0, 2)),

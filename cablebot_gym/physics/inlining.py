@@ -102,9 +102,8 @@ class _ReadConstants(FunctionPass):
         return bool(constants)
 
 
-_NOT_CALLABLE = (
-    ctypes.cast(ctypes.pythonapi.PyObject_Call, ctypes.c_void_p).value or 0
-)  # it calls a record of numba's
+# it calls a record of numba's
+_NOT_CALLABLE = ctypes.cast(ctypes.pythonapi.PyObject_Call, ctypes.c_void_p).value or 0
 
 
 class _NoEnvironment:

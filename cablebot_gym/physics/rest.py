@@ -79,9 +79,8 @@ def motor_start(robot: RobotArrays, torque: Array, pose: Array, velocity: Array)
         velocity: velocities Ẋ, (k, n).
     """
     speed = np.zeros_like(torque)
-    if robot.flexible or np.any(
-        velocity
-    ):  # most motions start at rest, and the Jacobian makes resets slow
+    # most motions start at rest, and the Jacobian makes resets slow
+    if robot.flexible or np.any(velocity):
         speed = textbook.pulley_speed(robot, pose, velocity)
     if not robot.flexible:
         no_angle = np.zeros_like(speed)

@@ -56,12 +56,13 @@ def _spatial_paper() -> Robot:
 
 
 def _flexible_paper(rigid: Robot) -> Robot:
+    # Eq. 4 has no damping
     transmission = Transmission(
         pulley_radius=rigid.transmission.pulley_radius,  # Table 5
         pulley_inertia=4e-4,  # Table 5
         stiffness=3.0,  # §5.2.3 (Table 5: 2); not in the paper for the planar robot
         motor_inertia=4e-4,  # Table 5
-    )  # Eq. 4 has no damping
+    )
     return rigid.replace(name=f"flex-{rigid.name}", transmission=transmission)
 
 

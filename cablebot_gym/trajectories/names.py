@@ -117,10 +117,8 @@ def _motions_of(
 
 
 _PLANAR_CIRCLE: dict[str, Any] = {"radius": 0.2165, "center": (0.0, 0.0)}  # Table 1
-_SPATIAL_CIRCLE: dict[str, Any] = {
-    "radius": 0.1,
-    "center": (0.0, 0.0, 0.1, 0.1, 0.1, 0.1),
-}  # Table 3
+# Table 3
+_SPATIAL_CIRCLE: dict[str, Any] = {"radius": 0.1, "center": (0.0, 0.0, 0.1, 0.1, 0.1, 0.1)}
 
 TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
     "circle-planar": _between_dwells(PaperCircle, name="circle-planar", **_PLANAR_CIRCLE),

@@ -16,9 +16,8 @@ _BAR = re.compile(r"(``.*?``)|\|")
 
 def setup(app: Sphinx) -> None:
     """Connects the event handlers of this module."""
-    app.connect(
-        "autodoc-process-docstring", docstring, priority=400
-    )  # before napoleon reads it, at 500
+    # before napoleon reads it, at 500
+    app.connect("autodoc-process-docstring", docstring, priority=400)
     app.connect("autodoc-process-bases", bases)
 
 
@@ -32,11 +31,8 @@ def docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: 
         ]
     # Bars mark absolute values; reStructuredText would read them as substitutions.
     lines[:] = _BAR.sub(lambda match: match[1] or r"\|", "\n".join(lines)).split("\n")
-    if what in (
-        "attribute",
-        "data",
-        "property",
-    ):  # napoleon reads words before a colon in the first line as a type
+    # napoleon reads words before a colon in the first line as a type
+    if what in ("attribute", "data", "property"):
         lines.insert(0, r"\ ")
 
 

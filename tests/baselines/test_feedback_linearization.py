@@ -61,11 +61,12 @@ def test_actions_equal_the_paper_s_equations(kind, motors, gains, minimum):
     law = FeedbackLinearization(robot, gains=gains, minimum_tension=minimum)
     x = law.split(observation)
     stiffness, damping = gains or GAINS[kind]
+    # Eq. 18
     v = (
         x["reference_acceleration"]
         + damping * (x["reference_velocity"] - x["velocity"])
         + stiffness * (x["reference_pose"] - x["pose"])
-    )  # Eq. 18
+    )
     mass = {"planar": 1.0, "spatial": 10.0}[kind] + x["model_payload"][:, 0]
     tensions = textbook.required_tensions(robot, mass, x["pose"], x["velocity"], v, minimum=minimum)
     torques = textbook.required_torques(robot, tensions, x["pose"], x["velocity"], v)

@@ -82,9 +82,8 @@ def test_single_observation_gives_the_action_of_its_row(started, entry, env_id):
     """For three steps, so that a law's state matters; the second action is beyond the motors'
     limits."""
     robot = started[0][env_id][0].robot
-    moving = (
-        {"trajectory": f"paper-{robot.kind}"} if env_id in PAPER_ENV_IDS else {}
-    )  # from the first step on
+    # from the first step on
+    moving = {"trajectory": f"paper-{robot.kind}"} if env_id in PAPER_ENV_IDS else {}
     env = gym.make_vec(env_id, num_envs=3, payload=[0.0, 3.0, 8.0], **moving)
     law = entry.factory(robot)
     observation, _ = env.reset(seed=0)

@@ -48,9 +48,8 @@ def saved(tmp_path):
 
 
 def test_motion_of_a_base_alone_is_the_task_soon():
-    bundle = dataclasses.replace(
-        bundle_of("preview"), base=Base()
-    )  # an estimator would remember the start
+    # an estimator would remember the start
+    bundle = dataclasses.replace(bundle_of("preview"), base=Base())
     alone = LearnedPolicy(bundle.base_alone, SPATIAL)
     robot = bundle.base.make(SPATIAL)
     rows, tasks = observations(SPATIAL_ID, 300)

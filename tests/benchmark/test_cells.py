@@ -168,9 +168,8 @@ def test_draws_and_probability_reach_the_evaluation():
 
 @pytest.mark.slow
 def test_late_actions_lower_the_payload_of_a_slow_policy(module, monkeypatch):
-    monkeypatch.setattr(
-        "cablebot_gym.evaluation.search.SEARCH_DRAWS", 1
-    )  # each episode takes its time
+    # each episode takes its time
+    monkeypatch.setattr("cablebot_gym.evaluation.search.SEARCH_DRAWS", 1)
     module("toy_slow.py", SLEEPS)
     slow = changed(
         policy="toy_slow:make",

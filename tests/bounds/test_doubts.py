@@ -47,12 +47,13 @@ def changed(robot, name, value):
 @pytest.mark.parametrize(
     ("robot", "field", "value", "question"),
     [
+        # rpm
         (
             HANGING,
             "motors.free_speed",
             300.0,
             "12 m/s at the cable of a robot of 4 m: is it in rad/s",
-        ),  # rpm
+        ),
         (CAMERA, "motors.stall_torque", "×1000", "over 100 times the weight"),  # N·mm
         (HANGING, "mass", "×1000", "and mass in kg"),  # g
         (SPATIAL, "inertia", "×1e4", "is inertia in kg·m²"),  # kg·cm²
@@ -71,34 +72,33 @@ def changed(robot, name, value):
         (PLANAR, "base_anchors", "×100", "are both in m"),
         (CAMERA, "cable_density", "×1000", "1 g/m is"),
         (CAMERA, "gravity", 9810.0, "is it in m/s²"),
+        # degrees
         (
             find_robot("ttk4900"),
             "workspace",
             ((-0.5, 0.5), (-0.25, 0.25), (-17.0, 17.0)),
             "exceed 2π",
-        ),  # degrees
+        ),
         (FLEX_SPATIAL, "transmission.stiffness", 3 / 57.3, "Multiply a stiffness per degree"),
+        # N/m
         (
             HANGING,
             "transmission.axial_stiffness",
             5000.0,
             "the stall torque stretches a cable by 4.0%",
-        ),  # N/m
-        (
-            HANGING,
-            "transmission.axial_stiffness",
-            20.0,
-            "the platform alone stretches a cable by",
-        ),  # kN
+        ),
+        # kN
+        (HANGING, "transmission.axial_stiffness", 20.0, "the platform alone stretches a cable by"),
         (HANGING, "transmission.axial_stiffness", 2e10, "the platform alone stretches a cable by"),
         (CAMERA, "workspace", ((-400, 400), (-25, 25), (-22, -2)), "wider than the base anchors"),
         (CAMERA, "transmission.extra_length", "×1000", "transmission.extra_length is"),
+        # mm
         (
             HANGING,
             "defaults",
             Defaults(error_bounds={"position": 10.0}),
             "a bound of 10 mm is 0.01",
-        ),  # mm
+        ),
         (HANGING, "defaults", Defaults(error_bounds={"position": 1.0}), "is it in m?"),
         (SPATIAL, "defaults", Defaults(error_bounds={"rotation": 0.5}), "1 degree is"),
         (HANGING, "defaults", Defaults(payload_range=(0.0, 40000.0)), "is it in kg"),  # g

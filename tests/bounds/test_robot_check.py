@@ -23,9 +23,8 @@ def test_payload_limit_is_the_closed_form(robot):
         minimum_tension=1.0,
     )
     check = check_motion(robot, trajectory=motion)
-    assert (
-        exact.payload <= check.limit.largest <= 1.005 * exact.payload
-    )  # which looks at more instants
+    # which looks at more instants
+    assert exact.payload <= check.limit.largest <= 1.005 * exact.payload
     assert f"cable {exact.motor} at the torque limit" in check.limit.reason
 
 

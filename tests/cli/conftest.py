@@ -102,9 +102,8 @@ def cablebot(monkeypatch, capfd, tmp_path):
     folder = tmp_path / "work"
     folder.mkdir()
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(
-        "cablebot_gym.utils.console.FIRST_LINE", 1e9
-    )  # no lines of progress on a slow machine
+    # no lines of progress on a slow machine
+    monkeypatch.setattr("cablebot_gym.utils.console.FIRST_LINE", 1e9)
 
     def run(line, *arguments):
         typed = [*shlex.split(line), *map(str, arguments)]

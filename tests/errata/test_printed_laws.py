@@ -80,17 +80,15 @@ def test_eq22_measured_one_sample_late_diverges(stiffness):
     period = 1 / 500
     inertia = 4e-4
     plant = expm(period * np.array([[0, 1, 0], [-stiffness / inertia, 0, 1 / inertia], [0, 0, 0]]))
-    loop = np.zeros(
-        (3, 3)
-    )  # β′, β̇′ and β̇′ one sample ago, the pulley held: τ = J′ (β̇′ − its last value)/h
+    # β′, β̇′ and β̇′ one sample ago, the pulley held: τ = J′ (β̇′ − its last value)/h
+    loop = np.zeros((3, 3))
     loop[:2] = plant[:2, [0, 1, 2]] @ np.array(
         [[1, 0, 0], [0, 1, 0], [0, inertia / period, -inertia / period]]
     )
     loop[2, 1] = 1.0
     rate = np.log(np.abs(np.linalg.eigvals(loop)).max()) / period
-    assert rate == pytest.approx(
-        np.cbrt(stiffness / (inertia * period)) / 2, rel=0.1
-    )  # s³ + K/(J′ h) = 0
+    # s³ + K/(J′ h) = 0
+    assert rate == pytest.approx(np.cbrt(stiffness / (inertia * period)) / 2, rel=0.1)
     assert rate * 0.1 > 6
 
 
@@ -288,9 +286,8 @@ def test_eq27_fewer_inputs_than_coordinates_are_controllable():
     plant = 0.01 * plant * scale[:, None] / scale
     inputs = 0.01 * inputs * scale[:, None]
     ends = (np.hstack([pole * np.eye(24) - plant, inputs]) for pole in np.linalg.eigvals(plant))
-    assert (
-        min(np.linalg.svd(end, compute_uv=False)[-1] for end in ends) > 1e-5
-    )  # the test of Hautus
+    # the test of Hautus
+    assert min(np.linalg.svd(end, compute_uv=False)[-1] for end in ends) > 1e-5
     outputs = np.eye(6, 24)
     for power in range(3):
         assert_allclose(
@@ -305,10 +302,8 @@ def test_eq27_fewer_inputs_than_coordinates_are_controllable():
 def test_eq31_is_positive_feedback_and_eq18_is_not(error):
     """Poles of z̈ = v in the error e = ± (z_d − z), v − z̈_d = sign (K_D (ż_d − ż) + K_P (z_d −
     z))."""
-    for sign, least, most in (
-        (-1, 1, 100),
-        (1, -100, -1),
-    ):  # as printed, and corrected
+    # as printed, and corrected
+    for sign, least, most in ((-1, 1, 100), (1, -100, -1)):
         feedback = -error * sign * error * np.array([KP, KD])
         assert least < np.linalg.eigvals(np.array([[0, 1], feedback])).real.max() < most
 
@@ -398,14 +393,12 @@ def test_eq36_printed_system_has_no_lyapunov_matrix():
 
 
 def test_eq36_input_matrix_has_two_rows_too_many():
-    printed = np.array(
-        [row for k in (0, 1, 2, 3, 3, 4, 5) for row in (np.zeros(6), np.eye(6)[k])]
-    )  # ψ's twice
+    # ψ's twice
+    printed = np.array([row for k in (0, 1, 2, 3, 3, 4, 5) for row in (np.zeros(6), np.eye(6)[k])])
     with pytest.raises(ValueError, match="mismatch"):
         printed.T @ np.eye(12)
-    corrected = np.kron(
-        np.eye(6), [[0.0], [1.0]]
-    )  # an input is the second derivative of its own error
+    # an input is the second derivative of its own error
+    corrected = np.kron(np.eye(6), [[0.0], [1.0]])
     assert_array_equal(np.delete(printed, [8, 9], axis=0), corrected)
 
 
@@ -432,9 +425,8 @@ def test_eq36_bracket_of_rho_closes_after_the_last_term():
     unknown = gain * phi
 
     def slack(rho):
-        return rho - (
-            zeta * (requested + drift + rho) + unknown
-        )  # less ‖η(v)‖ at v = ‖z̈_d‖ + ‖Ae‖ + ρ
+        # less ‖η(v)‖ at v = ‖z̈_d‖ + ‖Ae‖ + ρ
+        return rho - (zeta * (requested + drift + rho) + unknown)
 
     assert_allclose(slack((known + unknown) / (1 - zeta)), 0, atol=1e-9)
     assert slack(known / (1 - zeta) + unknown).max() < 0

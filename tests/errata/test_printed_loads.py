@@ -130,12 +130,10 @@ def test_eq41_least_tensions_are_not_linear_in_the_mass():
 
     bent, s = second_difference(PLANAR, (0.1, 2.1, 4.1), 5.0)
     assert_allclose(np.einsum("kij,ki->kj", s, bent), 0, atol=1e-12)  # S τ is, as Eq. 41 says
-    assert (
-        np.abs(bent).max() > 0.1
-    )  # τ is not: it has a kink where the pair of cables above T_min changes
-    assert_allclose(
-        second_difference(PLANAR, (0.1, 2.1, 4.1), 0.0)[0], 0, atol=1e-12
-    )  # none at T_min = 0
+    # τ is not: it has a kink where the pair of cables above T_min changes
+    assert np.abs(bent).max() > 0.1
+    # none at T_min = 0
+    assert_allclose(second_difference(PLANAR, (0.1, 2.1, 4.1), 0.0)[0], 0, atol=1e-12)
     assert_allclose(second_difference(SPATIAL, (10.0, 12.0, 14.0), 0.0)[0], 0, atol=1e-10)
 
 
@@ -172,9 +170,8 @@ def test_table4_no_platform_of_this_size_has_this_inertia():
     )
     assert -best.fun == pytest.approx(0.32, abs=0.005)
     assert math.sqrt(1.16 / 11) == pytest.approx(0.325, abs=5e-4)  # radius of gyration
-    assert SPATIAL.inertia[0] + SPATIAL.inertia[1] == pytest.approx(
-        SPATIAL.inertia[2]
-    )  # of a flat plate: no misprint
+    # of a flat plate: no misprint
+    assert SPATIAL.inertia[0] + SPATIAL.inertia[1] == pytest.approx(SPATIAL.inertia[2])
 
 
 def test_table5_inertias_are_halves_of_table4():
@@ -189,9 +186,8 @@ def test_table5_inertias_are_halves_of_table4():
 
 
 def test_table6_variance_is_in_square_newtons():
-    assert UNCERTAINTIES["table6"](SPATIAL).wrench.force_std ** 2 == pytest.approx(
-        0.2
-    )  # N²: 0.45 N, not 0.2
+    # N²: 0.45 N, not 0.2
+    assert UNCERTAINTIES["table6"](SPATIAL).wrench.force_std ** 2 == pytest.approx(0.2)
     x, v, _ = motion(SPATIAL, 0.1)
     light, model = (parts_of_law(SPATIAL.replace(mass=mass), x, v)[1] for mass in (9.0, 10.0))
     assert 0.1 < np.linalg.norm(np.linalg.solve(light, model) - np.eye(6), 2) < 1 / 0.9 - 1 + 0.01

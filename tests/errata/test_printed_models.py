@@ -37,10 +37,8 @@ def test_eq1_and_eq7_inertia_times_the_whole_acceleration(time):
     tensions = np.linalg.solve(RADIUS * g.T, needed_force(UNEVEN, time, pulleys=False))
     corrected = (torques - j * (rate @ v + g @ a) - friction) / RADIUS
     assert_allclose(corrected, tensions, rtol=0, atol=1e-6)
-    for printed in (
-        j * (g @ a),
-        j * rate @ v + g @ a,
-    ):  # in Eq. 1, ∂β/∂X does not depend on T
+    # in Eq. 1, ∂β/∂X does not depend on T
+    for printed in (j * (g @ a), j * rate @ v + g @ a):
         assert np.abs((torques - printed - friction) / RADIUS - tensions).max() > 0.1
 
 
@@ -56,9 +54,8 @@ def test_eq2_with_the_jacobian_of_eq3_loses_the_pulleys_inertia(time):
     theta = np.arctan2(*(x - RUBBING.base).T[::-1])  # from the anchor to the platform
     s = -np.array([np.cos(theta), np.sin(theta)])
     assert_allclose(equation(s), required, rtol=0, atol=1e-8)
-    assert_allclose(
-        s, RADIUS * g.T, rtol=0, atol=1e-12
-    )  # S τ is r times the generalised force of τ
+    # S τ is r times the generalised force of τ
+    assert_allclose(s, RADIUS * g.T, rtol=0, atol=1e-12)
     assert np.abs(equation(-s) - required).max() > 0.01
 
 
@@ -196,9 +193,8 @@ def test_eq15_and_eq16_printed_sign_drops_the_platform():
     transposed = textbook.jacobian(SPATIAL, SPATIAL.home).T
     gravity = textbook.bias(SPATIAL, 10.0, SPATIAL.home, still)
     hanging = np.linalg.solve(-transposed, gravity)
-    assert (
-        hanging.min() > 20
-    )  # so z points down (Eq. 3); upwards, and with the sign of Eq. 16, all cables push
+    # so z points down (Eq. 3); upwards, and with the sign of Eq. 16, all cables push
+    assert hanging.min() > 20
     printed = np.linalg.solve(
         textbook.mass_matrix(SPATIAL, 10.0, SPATIAL.home),
         -gravity + transposed @ hanging,

@@ -213,9 +213,8 @@ def test_margins_are_those_of_the_tightest_single_episodes():
     carried = [verdict for verdict in verdicts(result.payload) if verdict.carried]
     actions = np.abs(result.rollout.arrays["commanded_action"])
     assert len(actions) == 125
-    assert actions.max() == pytest.approx(
-        max(carried[0].peak_action), abs=1e-9
-    )  # the recorded draw
+    # the recorded draw
+    assert actions.max() == pytest.approx(max(carried[0].peak_action), abs=1e-9)
     expected = {
         "position": 1 - max(verdict.position_peak for verdict in carried) / BOUND,
         "rotation": 1 - max(verdict.rotation_peak for verdict in carried) / 0.01,

@@ -210,9 +210,8 @@ class MujocoRobot:
         self.model = self._mujoco.MjModel.from_xml_string(mjcf(robot, payload, timestep))
         self.data = self._mujoco.MjData(self.model)
         self._platform_speeds = robot.coordinates
-        self._platform_positions = robot.coordinates + (
-            robot.kind == "spatial"
-        )  # a quaternion has four numbers
+        # a quaternion has four numbers
+        self._platform_positions = robot.coordinates + (robot.kind == "spatial")
         self._home_lengths = cable_lengths(robot.base, robot.platform, robot.home)
         self.set_state(robot.home, np.zeros(robot.coordinates))
 

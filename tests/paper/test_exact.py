@@ -64,9 +64,8 @@ def assert_limited_by_lower_line(profile, limit):
 @pytest.mark.slow
 def test_lower_line_can_limit_the_payload_of_the_state_space():
     interpretation = Interpretation(line="reversed")
-    light = interpretation.flexible("payload").replace(
-        gravity=0.3
-    )  # the motors also have to push the platform
+    # the motors also have to push the platform
+    light = interpretation.flexible("payload").replace(gravity=0.3)
     profile = partial(state_space_profile, interpretation, light)
     assert_limited_by_lower_line(profile, state_space_limit(interpretation, light))
 

@@ -18,14 +18,10 @@ FOLDER = Path(__file__).parents[2] / "docs" / "reproduction"
 AGAIN = "refresh it: cablebot reproduce --out docs/reproduction"
 
 TOLERANCES = {
-    r"^(fig14|fig15|fig9|fig7)\.(eq22|closed_loop)_": (
-        1e-3,
-        0.05,
-    ),  # an unstable loop amplifies rounding
-    r"^scan\.(with_equilibrium|with_positive_payload|hits)": (
-        2.0,
-        0.005,
-    ),  # geometries on the border of what counts
+    # an unstable loop amplifies rounding
+    r"^(fig14|fig15|fig9|fig7)\.(eq22|closed_loop)_": (1e-3, 0.05),
+    # geometries on the border of what counts
+    r"^scan\.(with_equilibrium|with_positive_payload|hits)": (2.0, 0.005),
     r"_kg$": (1.1e-3, 1e-6),  # the resolution of a search
     r"": (1e-6, 1e-3),
 }

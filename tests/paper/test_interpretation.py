@@ -79,9 +79,8 @@ def test_line_that_no_motor_has_allows_no_closed_loop(line):
     with pytest.raises(ValueError, match="flat or physical"):
         interpretation.motors(FLEX_SPATIAL)
     assert interpretation.closed_loop_robot(FLEX_SPATIAL) == FLEX_SPATIAL
-    assert interpretation.closed_loop_possible is (
-        line == "pulley"
-    )  # a rigid motor turns with its pulley
+    # a rigid motor turns with its pulley
+    assert interpretation.closed_loop_possible is (line == "pulley")
 
 
 @pytest.mark.parametrize(

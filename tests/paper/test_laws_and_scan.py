@@ -186,9 +186,8 @@ def test_motors_control_all_states_of_the_flexible_robot():
     robot = DEFAULT.flexible("control")
     transition, drive = linear_plant(robot)
     assert uncontrollable_modes(transition, drive) == 0
-    assert (
-        uncontrollable_modes(transition, drive.sum(axis=1, keepdims=True)) > 0
-    )  # one action for all motors
+    # one action for all motors
+    assert uncontrollable_modes(transition, drive.sum(axis=1, keepdims=True)) > 0
     assert linearised.controllable_states(robot) == len(transition) == 24
 
 

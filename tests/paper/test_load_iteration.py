@@ -59,9 +59,8 @@ def test_corrected_form_finds_the_payload_and_printed_form_half(name):
         assert corrected.converged
         assert corrected.payload == pytest.approx(bound.payload, abs=2e-6)
         assert corrected.loads[-1] == pytest.approx(bound.payload, abs=2e-6)
-        if not name.startswith(
-            ("dwell", "chain")
-        ):  # where all motors saturate together, or at two times
+        # where all motors saturate together, or at two times
+        if not name.startswith(("dwell", "chain")):
             assert (corrected.motor, corrected.time) == (bound.motor, bound.time)
         if minimum == 0.0:
             printed = iterate_load(robot, trajectory, guess=guess, corrected=False, **options)

@@ -109,9 +109,8 @@ def test_robot_that_fails_unloaded_is_reported():
         title = draw(name, interpretation, computed)[1]
         for text in ("fails unloaded", "slack", "the episode ends at"):
             assert text in title
-    assert (
-        numbers("fig11", interpretation, computed)["within"] is False
-    )  # the episode is not complete
+    # the episode is not complete
+    assert numbers("fig11", interpretation, computed)["within"] is False
 
 
 def test_mark_without_payload_is_the_first_saturation_unloaded():

@@ -46,9 +46,8 @@ def test_catenary_is_the_integrated_equilibrium(across, rise, tension, weight):
     )
     chord = np.hypot(across, rise)
     depth, extra = catenary(across, rise, tension, weight)
-    assert end.y[1, -1] == pytest.approx(
-        rise, abs=1e-7
-    )  # the closed form of the first slope is that of this chord
+    # the closed form of the first slope is that of this chord
+    assert end.y[1, -1] == pytest.approx(rise, abs=1e-7)
     assert end.y[3, -1] - chord == pytest.approx(float(extra), rel=1e-6)
     assert (rise / 2 - end.sol(across / 2)[1]) * across / chord == pytest.approx(
         float(depth), rel=1e-6

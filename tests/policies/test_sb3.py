@@ -82,15 +82,8 @@ def test_loaded_model_predicts_like_the_saved_one(tmp_path, package, algorithm):
     path = tmp_path / "model.zip"
     model = saved(path, *spaces_of(PLANAR_ID), algorithm, package)
     loaded = load_policy(str(path), PLANAR)
-    if algorithm in (
-        "PPO",
-        "SAC",
-        "TD3",
-        "TQC",
-        "CrossQ",
-        "RecurrentPPO",
-        "ARS",
-    ):  # others' files look the same
+    # others' files look the same
+    if algorithm in ("PPO", "SAC", "TD3", "TQC", "CrossQ", "RecurrentPPO", "ARS"):
         assert type(loaded).__name__ == algorithm
     observation, _ = gym.make(PLANAR_ID).reset(seed=0)
     batch = np.stack([observation, observation / 2])

@@ -168,12 +168,8 @@ def test_table_sorts_and_filters(opened):
     assert policies(page) == ["best known payload", "fl", "adaptive", "nobody</script>"]
     fraction = page.locator("#leaderboard-table th", has_text="fraction")
     fraction.locator("button").click()
-    assert policies(page) == [
-        "nobody</script>",
-        "adaptive",
-        "fl",
-        "best known payload",
-    ]  # an error counts as zero
+    # an error counts as zero
+    assert policies(page) == ["nobody</script>", "adaptive", "fl", "best known payload"]
     assert fraction.get_attribute("aria-sort") == "ascending"
     page.select_option("#filter-condition", "payload known, table6, 512 draws")
     assert policies(page) == ["fl"]
@@ -191,9 +187,8 @@ def test_episode_plays_and_moves_with_the_slider(opened):
     page = opened()
     assert page.inner_text("#episode-title").startswith("fl on CableBot-Planar-v0")
     assert page.inner_text("#verdict").endswith(" kg: carried")
-    assert (
-        page.locator("figure:visible svg path.curve").count() == 3 + 1 + 3 + 2
-    )  # actions, error, tensions, the map
+    # actions, error, tensions, the map
+    assert page.locator("figure:visible svg path.curve").count() == 3 + 1 + 3 + 2
     picture = "document.getElementById('scene').toDataURL()"
     before = page.evaluate(picture)
     cursor = page.locator("#chart-action .cursor").get_attribute("x1")

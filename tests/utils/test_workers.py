@@ -145,9 +145,8 @@ def test_interrupt_is_deferred_while_a_process_starts(monkeypatch):
         signal.pthread_kill(threading.get_ident(), signal.SIGINT)
         gone.set()
 
-    thread = threading.Thread(
-        target=interrupt
-    )  # started before interrupts are blocked, which threads inherit
+    # started before interrupts are blocked, which threads inherit
+    thread = threading.Thread(target=interrupt)
     thread.start()
     start = multiprocessing.context.SpawnProcess.start
 

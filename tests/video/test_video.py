@@ -85,9 +85,8 @@ def read_gif(path):
     return pictures, milliseconds / 1000
 
 
-@pytest.mark.filterwarnings(
-    "ignore::pytest.PytestUnraisableExceptionWarning"
-)  # imageio_ffmpeg leaves read pipes open
+# imageio_ffmpeg leaves read pipes open
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
     ("suffix", "read", "rate"),
     [(".mp4", read_mp4, 30), pytest.param(".gif", read_gif, 25, marks=pytest.mark.slow)],
