@@ -178,7 +178,6 @@ def benchmark(
     """
     from cablebot_gym.benchmark import board as boards
     from cablebot_gym.benchmark.cells import TimingCell
-    from cablebot_gym.benchmark.leaderboard import print_page
     from cablebot_gym.benchmark.store import FOLDER, Store
     from cablebot_gym.benchmark.suites import find_suite
     from cablebot_gym.benchmark.tables import failures
@@ -207,20 +206,20 @@ def benchmark(
     records = _records(selection, computing, output, policies, board, store, backend)
     if board is not None:
         board.check_policies(names)  # files may have changed during the run
-    results, page = _write(selection, output, records, board, submitted)
-    say = notes_console().print
+    _note_foreign(store, computing)
+    _write(selection, output, records, board, submitted)
+    if failures([record for record in records if not isinstance(record.cell, TimingCell)]):
+        raise typer.Exit(1)
+
+
+def _note_foreign(store: Store, computing: ComputingOptions) -> None:
     if store.foreign:
         use = "they are computed again (--any-source reuses them)"
         if computing.any_source:
             use = "they are reused"
-        say(f"{store.foreign} cells exist only with results of different code: {use}")
-    say("wrote " + ", ".join(map(str, output.files)))
-    if output.as_json:
-        print(results, end="")
-    else:
-        print_page(page)
-    if failures([record for record in records if not isinstance(record.cell, TimingCell)]):
-        raise typer.Exit(1)
+        notes_console().print(
+            f"{store.foreign} cells exist only with results of different code: {use}"
+        )
 
 
 def _policies(
@@ -304,8 +303,8 @@ def _write(
     records: Sequence[Record],
     board: Board | None,
     submitted: Sequence[str],
-) -> tuple[str, str]:
-    """Writes results and leaderboard, and returns both texts.
+) -> None:
+    """Writes and prints results and leaderboard.
 
     Args:
         selection: what was computed.
@@ -315,7 +314,7 @@ def _write(
         submitted: policies that are entries of others.
     """
     from cablebot_gym.benchmark.entries import note, status
-    from cablebot_gym.benchmark.leaderboard import Results, markdown
+    from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
     from cablebot_gym.utils.files import atomic_write_text
 
     results = Results(
@@ -328,7 +327,11 @@ def _write(
     contents = (results.to_json(), markdown(results))
     for path, content in zip(output.files, contents, strict=True):
         atomic_write_text(path, content)
-    return contents
+    notes_console().print("wrote " + ", ".join(map(str, output.files)))
+    if output.as_json:
+        print(contents[0], end="")
+    else:
+        print_page(contents[1])
 
 
 def computed(

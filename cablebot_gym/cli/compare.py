@@ -77,40 +77,41 @@ def compare(
         compare_over_payloads,
         compare_policies,
     )
-    from cablebot_gym.utils.files import atomic_write_text
 
     env_id = options.fitting_id(env_id, episode.robot)
     options.check_figure_folder(out, "comparison.json", "comparison.png")
     if payload is not None and payloads is not None:
         raise ValueError("--payload and --payloads exclude each other: give one of them")
-    grid = None
-    if payloads is not None:
-        grid = payload_grid(payloads)
+    grid = [] if payloads is None else payload_grid(payloads)
     names = options.split_names(policies)
     robot = options.robot_of(env_id, episode)
     options.note_unsupported(names, env_id)
     loaded = options.loaded_policies(names, robot, episode.wrappers)
     common: dict[str, Any] = {"draws": draws, "progress": True, **episode.keywords()}
     comparison: Comparison | PayloadComparison
-    if grid is None:
+    if payloads is not None:
+        comparison = compare_over_payloads(loaded, env_id, payloads=grid, **common)
+    else:
         if payload is None:
             payload = robot.defaults.payload(0.0)
         comparison = compare_policies(loaded, env_id, payload=payload, **common)
-    else:
-        comparison = compare_over_payloads(loaded, env_id, payloads=grid, **common)
     if out is not None:
-        from cablebot_gym.plotting.comparison import save_comparison
-
-        atomic_write_text(out / "comparison.json", comparison.to_json() + "\n")
-        notes_console().print(
-            f"wrote {out / 'comparison.json'}, {save_comparison(comparison, out)}"
-        )
+        _write(comparison, out)
     if as_json:
         print(comparison.to_json())
     elif isinstance(comparison, PayloadComparison):
         print_payload_comparison(comparison)
     else:
         print_comparison(comparison)
+
+
+def _write(comparison: Comparison | PayloadComparison, folder: Path) -> None:
+    from cablebot_gym.plotting.comparison import save_comparison
+    from cablebot_gym.utils.files import atomic_write_text
+
+    path = folder / "comparison.json"
+    atomic_write_text(path, comparison.to_json() + "\n")
+    notes_console().print(f"wrote {path}, {save_comparison(comparison, folder)}")
 
 
 def payload_grid(text: str) -> list[float]:

@@ -6,7 +6,7 @@ import json
 import math
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -66,8 +66,6 @@ def robot(
 
     cablebot robot import SEGESTA_bodies.xml --out segesta.toml
     """
-    from cablebot_gym.bounds.robot_check import check_model, check_motion
-
     if choice("task", task, ["check", "import"]) == "import":
         if payload is not None or trajectory is not None or as_json:
             raise ValueError(
@@ -78,6 +76,15 @@ def robot(
         raise ValueError("--cable-set is for `cablebot robot import`: remove it")
     if out is not None and out.suffix not in (".svg", ".png", ".pdf"):
         raise ValueError(f"--out must end in .svg, .png or .pdf, not {out.name!r}")
+    _check(name, payload, trajectory, out, as_json)
+
+
+def _check(
+    name: str, payload: float | None, trajectory: Any, out: Path | None, as_json: bool
+) -> None:
+    """Prints and draws the check of a robot."""
+    from cablebot_gym.bounds.robot_check import check_model, check_motion
+
     model = _loaded(name)
     if model is None:
         raise typer.Exit(1)

@@ -5,17 +5,38 @@ from __future__ import annotations
 import shlex
 import shutil
 import sys
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
 from cablebot_gym.cli.options import Workers, counted, split_names
+from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.console import notes_console
+
+if TYPE_CHECKING:
+    from cablebot_gym.benchmark.engine import Backend
+    from cablebot_gym.benchmark.leaderboard import Results
 
 WORK = "work"
 """Folder of finished cells in the folder of an unfinished entry."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CardOptions(Options):
+    """Fields of the card of an entry."""
+
+    title: ClassVar[str] = "Card"
+
+    authors: Annotated[str, typer.Option(help="Authors.")]
+    licence: Annotated[str, typer.Option(help="Licence of code and weights, such as MIT.")]
+    compute: Annotated[
+        str,
+        typer.Option(help="Compute for training and tuning, such as '3 h on 8 cores', or none."),
+    ]
+    data: Annotated[str, typer.Option(help="Data and motions for training and tuning, or none.")]
+    seeds: Annotated[str, typer.Option(help="Seeds of the training, or none.")]
 
 
 def submit(
@@ -30,14 +51,7 @@ def submit(
     out: Annotated[
         Path, typer.Option(help="Folder of the entry; its name is the name in the table.")
     ],
-    authors: Annotated[str, typer.Option(help="Authors.")],
-    licence: Annotated[str, typer.Option(help="Licence of code and weights, such as MIT.")],
-    compute: Annotated[
-        str,
-        typer.Option(help="Compute for training and tuning, such as '3 h on 8 cores', or none."),
-    ],
-    data: Annotated[str, typer.Option(help="Data and motions for training and tuning, or none.")],
-    seeds: Annotated[str, typer.Option(help="Seeds of the training, or none.")],
+    card: CardOptions,
     suite: Annotated[
         str,
         typer.Option(
@@ -57,13 +71,10 @@ def submit(
     cablebot submit p:make --id CableBot-Planar-v0 --out p --authors A --licence MIT --compute 1h --data none --seeds 0
     """
     from cablebot_gym.benchmark import entries
-    from cablebot_gym.benchmark.board import run_seed
     from cablebot_gym.benchmark.engine import local
-    from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
-    from cablebot_gym.benchmark.store import Store
+    from cablebot_gym.benchmark.leaderboard import markdown, print_page
     from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite
     from cablebot_gym.benchmark.tables import failures
-    from cablebot_gym.cli.benchmark import computed
     from cablebot_gym.isolation import sandbox
     from cablebot_gym.policies.entry import CARD
     from cablebot_gym.utils.files import atomic_write_text, check_writable_dir
@@ -76,31 +87,38 @@ def submit(
     if problem := sandbox.sandbox_problem():
         say(f"note: your policy runs without a sandbox ({problem}); the verification has one")
         sandbox.opt_out()
-    texts = {
-        "authors": authors,
-        "licence": licence,
-        "compute": compute,
-        "data": data,
-        "seeds": seeds,
-    }
-    entry = entries.make_entry(out, policy, env_ids, texts)
+    entry = entries.make_entry(out, policy, env_ids, asdict(card))
     find_policies([str(out)], env_ids)
-    work = out / WORK
-    cells = entries.entry_cells(out, suite, seed=run_seed(work))
-    command = shlex.join(["cablebot", *sys.argv[1:]])
-    records = computed(cells, Store(work, say=say), work, backend, command)
-    notes = [replace(entries.note(out, "unverified"), policy=entry.name)]
-    results = Results(
-        suite=suite, command=command, records=entries.renamed(records, entry.name), entries=notes
-    )
+    results = _results(out, entry.name, suite, backend)
     atomic_write_text(out / entries.CLAIMS, results.to_json())
     print_page(markdown(results))
-    shutil.rmtree(work)
+    shutil.rmtree(out / WORK)
     say(
         f"wrote {counted(len(entry.files), 'file')} of the policy, {CARD} and {entries.CLAIMS} to {out}"
     )
     say(
         "The entry is unverified. To submit it, open a pull request that adds this folder to entries/."
     )
-    if failures(records):
+    if failures(results.records):
         raise typer.Exit(1)
+
+
+def _results(folder: Path, name: str, suite: str, backend: Backend) -> Results:
+    """The local results of an entry, with its name in place of its folder."""
+    from cablebot_gym.benchmark import entries
+    from cablebot_gym.benchmark.board import run_seed
+    from cablebot_gym.benchmark.leaderboard import Results
+    from cablebot_gym.benchmark.store import Store
+    from cablebot_gym.cli.benchmark import computed
+
+    work = folder / WORK
+    cells = entries.entry_cells(folder, suite, seed=run_seed(work))
+    command = shlex.join(["cablebot", *sys.argv[1:]])
+    store = Store(work, say=notes_console().print)
+    records = computed(cells, store, work, backend, command)
+    return Results(
+        suite=suite,
+        command=command,
+        records=entries.renamed(records, name),
+        entries=[replace(entries.note(folder, "unverified"), policy=name)],
+    )

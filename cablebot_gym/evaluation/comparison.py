@@ -283,15 +283,7 @@ def compare_policies(
         cablebot_gym.policies.protocol.PolicyError: if a policy raises or returns anything but
             finite actions.
     """
-    if isinstance(policies, str):
-        raise ValueError(f"policies must be a list, such as [{policies!r}], not one name")
-    labels = [name_of(policy) for policy in policies] if names is None else list(names)
-    if not labels:
-        raise ValueError("there is no policy to compare: give at least one policy")
-    if len(set(labels)) < len(labels) or len(labels) != len(policies):
-        raise ValueError(
-            f"every policy needs its own name, but the names are {', '.join(labels)}: give distinct names"
-        )
+    labels = _labels(policies, names)
     wrappers_of = [()] * len(labels) if wrappers is None else list(wrappers)
     if len(wrappers_of) != len(labels):
         raise ValueError(
@@ -319,6 +311,26 @@ def compare_policies(
         environment=batch.environment(),
         task=batch.task,
     )
+
+
+def _labels(policies: Sequence[Any], names: Sequence[str] | None) -> list[str]:
+    """Distinct names of the policies.
+
+    Raises:
+        ValueError: if there is no policy, or if two have the same name.
+    """
+    if isinstance(policies, str):
+        raise ValueError(f"policies must be a list, such as [{policies!r}], not one name")
+    if names is None:
+        names = [name_of(policy) for policy in policies]
+    if not names:
+        raise ValueError("there is no policy to compare: give at least one policy")
+    if len(set(names)) < len(names) or len(names) != len(policies):
+        raise ValueError(
+            f"every policy needs its own name, but the names are {', '.join(names)}: "
+            "give distinct names"
+        )
+    return list(names)
 
 
 def compare_over_payloads(

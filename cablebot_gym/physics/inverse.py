@@ -60,32 +60,25 @@ def inverse_dynamics(
     motion[0], motion[1], motion[2], masses[...] = pose, velocity, acceleration, mass
     all_finite("pose, velocity and acceleration", motion)
     all_finite("mass", masses)
-    (form, packed), count = _prepared(robot), masses.size
+    form, packed = _prepared(robot)
     compiled = kernel.compiled(form, kernel.LANES)
     memory = (
         np.empty(kernel.parameter_rows(form) * kernel.LANES),
         np.empty(kernel.scratch_rows(form) * kernel.LANES),
     )
-    given = masses.reshape(-1), motion.reshape(3, -1, robot.coordinates)
+    items = masses.reshape(-1), motion.reshape(3, -1, robot.coordinates)
+    results = np.empty((4, masses.size, robot.cables))
     if robot.cables > robot.coordinates and robot.kind != "planar":
-        structure = np.empty((count, robot.cables, robot.coordinates))
-        load = np.empty((count, robot.coordinates))
-        speeds, pulley_accelerations = moving = np.empty((2, count, robot.cables))
-        compiled.demanded(packed, *memory, *given, structure, load, moving)
-        tensions = textbook.least_action_tensions(
-            robot, structure, load, speeds, pulley_accelerations, minimum
+        structure = np.empty((masses.size, robot.cables, robot.coordinates))
+        load = np.empty((masses.size, robot.coordinates))
+        compiled.demanded(packed, *memory, *items, structure, load, results[2:])
+        results[0] = textbook.least_action_tensions(
+            robot, structure, load, results[2], results[3], minimum
         )
-        torques = textbook.motor_torques(robot, tensions, speeds, pulley_accelerations)
-        tensions, torques, speeds, pulley_accelerations = (
-            values.reshape(*shape[:-1], robot.cables)
-            for values in (tensions, torques, speeds, pulley_accelerations)
-        )
+        results[1] = textbook.motor_torques(robot, results[0], *results[2:])
     else:
-        results = np.empty((4, *shape[:-1], robot.cables))
-        compiled.required(
-            packed, float(minimum), *memory, *given, results.reshape(4, -1, robot.cables)
-        )
-        tensions, torques, speeds, pulley_accelerations = results
+        compiled.required(packed, float(minimum), *memory, *items, results)
+    tensions, torques, speeds, accelerations = results.reshape(4, *shape[:-1], robot.cables)
     return InverseDynamics(
-        tensions=tensions, torques=torques, speeds=speeds, pulley_accelerations=pulley_accelerations
+        tensions=tensions, torques=torques, speeds=speeds, pulley_accelerations=accelerations
     )
