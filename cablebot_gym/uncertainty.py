@@ -156,7 +156,8 @@ PARAMETERS: Mapping[str, _Parameter] = {
     "coulomb_friction": _Parameter("coulomb_friction", "N·m"),
     "axial_stiffness": _Parameter("axial_stiffness", "N", positive=True, elastic=True),
 }
-"""The parameters that may be uncertain. ``motor_strength`` scales the stall torque; the free speed
+"""The parameters that may be uncertain. A new one comes last: a parameter takes its random numbers
+after those before it, so the draws of the others stay. ``motor_strength`` scales the stall torque; the free speed
 does not change."""
 
 
@@ -384,7 +385,7 @@ class Uncertainty:
             robot: nominal robot, for which :meth:`check` has passed.
             payload: nominal payloads, shape (N,) [kg].
             uniform: numbers in [0, 1), shape (N, :func:`draw_size`). Each parameter has its own
-                columns, so adding an uncertain parameter does not change the draws of the others.
+                columns, whether it is uncertain or not.
 
         Raises:
             ValueError: if a number is not finite.

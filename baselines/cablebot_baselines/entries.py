@@ -20,5 +20,11 @@ DATA: dict[str, dict[str, Any]] = {
 
 
 def entry(name: str, factory: Callable[[Robot], Policy]) -> PolicyEntry:
-    """The entry of a policy that ``factory`` builds for a nominal robot."""
+    """The entry of a policy that ``factory`` builds for a nominal robot.
+
+    Raises:
+        ValueError: if ``policies.toml`` does not have the policy.
+    """
+    if name not in DATA:
+        raise ValueError(f"policy {name!r} has no table in policies.toml: add it there")
     return PolicyEntry(factory=factory, **DATA[name])

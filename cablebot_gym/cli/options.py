@@ -162,13 +162,13 @@ class TaskOptions(Options):
         return {name: value / 1000 for name, value in bounds.items()}
 
     def keywords(self) -> dict[str, Any]:
-        """Keywords of an evaluation."""
-        return {
-            "robot": self.robot,
-            "trajectory": self.trajectory,
-            "control_frequency": self.control_frequency,
-            "error_bounds": self.error_bounds,
-        }
+        """Keywords of an evaluation: the options, but with ``error_bounds`` for the bounds and without
+        the wrappers of the policy."""
+        keywords: dict[str, Any] = {"error_bounds": self.error_bounds}
+        for item in fields(self):
+            if item.name not in ("position_bound", "rotation_bound", "wrapper", "normalize"):
+                keywords[item.name] = getattr(self, item.name)
+        return keywords
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,15 +245,11 @@ class EpisodeOptions(TaskOptions):
         return layers
 
     def keywords(self) -> dict[str, Any]:
-        """Keywords of an evaluation, without the wrappers of the policy."""
-        keywords = super().keywords() | {
-            "payload_known": self.payload_known,
-            "model_payload_factor": self.model_payload_factor,
-            "uncertainty": self.uncertainty,
-            "seed": self.seed or 0,
-        }
-        if self.measurement is not None:
-            keywords["measurement"] = self.measurement
+        """Keywords of an evaluation, with the default seed 0."""
+        keywords = super().keywords()
+        keywords["seed"] = self.seed or 0
+        if self.measurement is None:  # the sensors of the robot
+            del keywords["measurement"]
         return keywords
 
 

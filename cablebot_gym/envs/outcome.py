@@ -58,13 +58,16 @@ _ROTATION_PEAK = INFO_SCALARS.index("rotation_error_peak")
 _FIRST_TERM, _VIOLATED, _COST = (
     INFO_SCALARS.index(name) for name in ("reward_inside", "violated", "cost")
 )
+_INSIDE_TERM, _POSITION_TERM, _ROTATION_TERM, _SATURATION_TERM, _VIOLATION_TERM = range(
+    len(REWARD_TERMS)
+)
 _TENSION, _TORQUE, _SPEED, _COMMANDED, _MARGIN, _LEAST_TENSION, _SLACK_CABLE = range(
     len(INFO_CABLES)
 )
 _TRUE = 0.5  # true is 1 in the columns of ``violated`` and ``slack``, false is 0
 
 # Columns of the episode settings.
-PAYLOAD, MODEL_PAYLOAD, KNOWN, POSITION_BOUND, ROTATION_BOUND, STARTS_AT_REST = range(6)
+TRUE_PAYLOAD, MODEL_PAYLOAD, KNOWN, POSITION_BOUND, ROTATION_BOUND, STARTS_AT_REST = range(6)
 EPISODE_SETTINGS = 6
 
 LARGEST = 1e6
@@ -236,7 +239,7 @@ def _update(fresh, env_index, batch, now, out):
     info = out.info[env_index]
     info[_TIME] = step * batch.period
     info[_ACTION_TIME] = max(step - 1, 0) * batch.period
-    info[_PAYLOAD] = settings[PAYLOAD]
+    info[_PAYLOAD] = settings[TRUE_PAYLOAD]
     finite, inside = _check_state(lane, batch, now.stall.shape[1])
     _state_info(lane, batch, finite, reference, info)
     cables = _step_info(fresh, lane, batch, now.stall[env_index], out.cables[:, env_index])
@@ -438,18 +441,18 @@ def _reward(fresh, batch, settings, violated, penalty, cables, info):
     weights = batch.weights
     if not fresh:
         if not violated:
-            inside = weights[0]
-        position = weights[1] / (1.0 + info[_POSITION] / settings[POSITION_BOUND])
+            inside = weights[_INSIDE_TERM]
+        position = weights[_POSITION_TERM] / (1.0 + info[_POSITION] / settings[POSITION_BOUND])
         if batch.workspace.shape[1] > batch.dimensions:
-            rotation = weights[2] / (1.0 + info[_ROTATION] / settings[ROTATION_BOUND])
-        saturation = -weights[3] * cables.excess / cables.motors
+            rotation = weights[_ROTATION_TERM] / (1.0 + info[_ROTATION] / settings[ROTATION_BOUND])
+        saturation = -weights[_SATURATION_TERM] * cables.excess / cables.motors
         if penalty > 0:
-            violation = -weights[4] * penalty
-    info[_FIRST_TERM] = inside
-    info[_FIRST_TERM + 1] = position
-    info[_FIRST_TERM + 2] = rotation
-    info[_FIRST_TERM + 3] = saturation
-    info[_FIRST_TERM + 4] = violation
+            violation = -weights[_VIOLATION_TERM] * penalty
+    info[_FIRST_TERM + _INSIDE_TERM] = inside
+    info[_FIRST_TERM + _POSITION_TERM] = position
+    info[_FIRST_TERM + _ROTATION_TERM] = rotation
+    info[_FIRST_TERM + _SATURATION_TERM] = saturation
+    info[_FIRST_TERM + _VIOLATION_TERM] = violation
     return inside + position + rotation + saturation + violation
 
 

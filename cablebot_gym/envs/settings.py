@@ -153,6 +153,7 @@ def _uncertainties(name: str, value: Any, scope: Scope) -> tuple[Uncertainty, ..
 
 
 def _reward_weights(name: str, value: Any, scope: Scope) -> Array:
+    """Finite weights in the order of the terms; a negative one makes a penalty of a reward."""
     weights = DEFAULT_WEIGHTS | mapping(name, value or {}, REWARD_TERMS)
     return np.array([number(f"reward weight {term!r}", weights[term]) for term in REWARD_TERMS])
 

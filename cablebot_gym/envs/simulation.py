@@ -115,7 +115,7 @@ class Simulation:
 
     def __getstate__(self) -> dict[str, Any]:
         """The attributes without those of :meth:`_bind`."""
-        bound = ("_records", "_advance", "_judge", "_advance_and_judge")
+        bound = ("_records", "_advance_calls", "_outcome_calls", "_step_calls")
         return {name: value for name, value in self.__dict__.items() if name not in bound}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -149,19 +149,21 @@ class Simulation:
             info=self.info,
             cables=self.cables,
         )
-        self._advance = plant.advance_calls(
+        self._advance_calls = plant.advance_calls(
             tables.physics,
             tables.physics_ends,
             substeps=self.settings.substeps,
             step=self.settings.physics_step,
         )
         self._records = tuple(self._constants), tuple(episodes), tuple(outputs)
-        self._judge = []
-        self._advance_and_judge = []
-        for robots, advance in zip(plant.parts, self._advance, strict=True):
-            judge = partial(outcome.outcome, False, self._all_indices[robots], *self._records)
-            self._judge.append(judge)
-            self._advance_and_judge.append(partial(_call_in_turn, advance, judge))
+        self._outcome_calls = []
+        self._step_calls = []
+        for robots, advance in zip(plant.parts, self._advance_calls, strict=True):
+            find_outcome = partial(
+                outcome.outcome, False, self._all_indices[robots], *self._records
+            )
+            self._outcome_calls.append(find_outcome)
+            self._step_calls.append(partial(_call_in_turn, advance, find_outcome))
 
     @property
     def tasks(self) -> tuple[Task, ...]:
@@ -332,9 +334,10 @@ class Simulation:
                 env_indices, Purpose.PARAMETERS, draw_size(self.settings.robot)
             )
             robot = true = uncertainty.draw(self.settings.robot, payload, uniform)
-            parameters, payload = pack_parameters(true), true.payload
+            parameters = pack_parameters(true)
+            payload = true.payload  # nominal before, true from here on
         rows = np.array(np.broadcast_to(parameters, (len(env_indices), parameters.shape[-1])))
-        rows[:, kernel.MASS] += payload
+        rows[:, kernel.MASS] += payload  # the plant knows one mass
         moved = any(PARAMETERS[name].position for name in uncertainty.parameters)
         try:
             torque = equilibrium_torques(
@@ -350,7 +353,7 @@ class Simulation:
 
         def apply() -> None:
             self.stall_torque[env_indices] = robot.stall_torque
-            self._episode_settings[env_indices, outcome.PAYLOAD] = payload
+            self._episode_settings[env_indices, outcome.TRUE_PAYLOAD] = payload
             self._store_truth(env_indices, robot, payload)
             self._plant.set_parameters(env_indices, rows)
             self._plant.set_state(env_indices, pose, velocity)
@@ -397,11 +400,11 @@ class Simulation:
         plant.set_action(checked)
         if self._disturbances.quiet and not self.settings.measurement.winches:
             # Nothing to measure between the calls: threads wait for each other once.
-            call_all(self._advance_and_judge)
+            call_all(self._step_calls)
             return
-        call_all(self._advance)
+        call_all(self._advance_calls)
         self._measure(self._all_indices, fresh=False)
-        call_all(self._judge)
+        call_all(self._outcome_calls)
 
     def _measure(self, env_indices: NDArray[np.int64], *, fresh: bool) -> None:
         """Draws the noise and reads the sensors of the next observation."""

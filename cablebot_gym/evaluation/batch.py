@@ -178,7 +178,9 @@ def derived_seeds(sequence: np.random.SeedSequence, count: int) -> list[int]:
 class Batch:
     """Rolls out payloads and draws with one policy in vector environments.
 
-    The judge's task is read once, before the policy is loaded; the policy receives copies.
+    The judge's task is read once, before the policy is loaded, and the policy receives copies. That
+    protects against mistakes: a policy in this process can read and change everything. Only
+    :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy` stops a policy that wants to cheat.
 
     Args:
         policy: a loaded policy, an object with ``predict``, a callable ``observation -> action``, a

@@ -1,5 +1,12 @@
 """Search for the largest payload that a policy carries, in four steps: scan, refine, audit,
-confirm."""
+confirm.
+
+An episode is carried (:class:`~cablebot_gym.evaluation.constraints.Verdict`), a payload is carried
+if enough of its draws are (:meth:`Search._gap`). What is random follows from the seed of the
+conditions: grid and refined payloads, payloads of the dense check, repeated episodes, seeds of the
+draws. The order of a batch and the seeds of draws that are tried alone come from the operating
+system: no policy can foresee them.
+"""
 
 from __future__ import annotations
 

@@ -122,8 +122,8 @@ def _rk4(form, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
         if stage == 0:
             _note_tensions(form, period_starts, unilateral, w, record, lanes)
         # Positions first: their rate is the velocity of the stage, which changes next.
-        # A conditional expression and sums of rows within the calls: statements in their place make
-        # a batch up to 15 % slower.
+        # A conditional expression and sums of rows within the calls: a batch was slower with
+        # statements in their place.
         for half in range(2):
             rate_row = STAGE + 6 if half == 0 else acceleration_row(form)
             for j in range(form.coordinates):
@@ -251,10 +251,7 @@ def _store_tile(form, lags, record, w, lanes):
 def advance_tiles(
     form, lanes, unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
 ):
-    """One control period of all tiles, see :class:`entry_points.Compiled`.
-
-    A record of the arrays in place of single ones makes the code 8 % slower.
-    """
+    """One control period of all tiles, see :class:`entry_points.Compiled`."""
     for tile in range(record.shape[0]):
         p = parameters[tile]
         r = record[tile]

@@ -1,8 +1,8 @@
 """Rows of a tile's memory, and the form of a robot for which the kernel is compiled.
 
-Robots are stored in tiles of ``lanes`` lanes. Each tile is a flat array of rows, ``array[row *
-lanes + lane]``, so the innermost loops run over lanes and vectorise. An array with two indices
-would be three times slower.
+Robots are stored in tiles of ``lanes`` lanes, one robot a lane. Each tile is a flat array of rows,
+``array[row * lanes + at]`` with the lane ``at``, so the innermost loops run over lanes and
+vectorise. An array with two indices would be three times slower.
 """
 
 from __future__ import annotations
