@@ -37,12 +37,13 @@ REAL_TIME_DRAWS = fewest_draws(0.95, 0.95)
 between runs."""
 
 OWN_RESOLUTION = 1e-3
-"""Payload resolution of robots with a payload range of their own, as a fraction of its end."""
+"""Payload resolution in blocks with the motion ``library``, as a fraction of the end of the robot's
+payload range."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """Conditions under which every policy is evaluated."""
+    """Conditions under which policies are evaluated."""
 
     policies: tuple[str, ...] = ()
     """The only policies of the block; all policies if empty."""
@@ -60,8 +61,8 @@ class Block:
     values: tuple[float, ...] = ()
     """Values of the varied parameter, SI."""
     conditions: Mapping[str, Any] = field(default_factory=dict)
-    """Further fields of the policies' cells. A nested mapping changes the values that it names; a
-    list stands for a cell with each of its values."""
+    """Further fields of the policies' cells. A nested mapping changes only the values that it names.
+    A list makes one cell for each of its values."""
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Block:
@@ -69,7 +70,7 @@ class Block:
         names = {item.name for item in fields(cls)}
         settings = {name: value for name, value in data.items() if name in names}
         conditions = {name: value for name, value in data.items() if name not in names}
-        return cls(**_tuples(settings), conditions=conditions)
+        return cls(**_lists_as_tuples(settings), conditions=conditions)
 
     @property
     def is_nominal(self) -> bool:
@@ -95,7 +96,7 @@ class Suite:
     summary: str
     """Description in one line."""
     blocks: tuple[Block, ...]
-    """Conditions."""
+    """Blocks of conditions."""
     env_ids: tuple[str, ...] = PAPER_ENV_IDS
     """Environment ids."""
     best_known: bool = True
@@ -105,7 +106,7 @@ class Suite:
 
     @property
     def hidden(self) -> int:
-        """Number of hidden motions of each environment, which take a board."""
+        """Number of hidden motions of each environment. They need a board."""
         return max((block.motions for block in self.blocks if block.motion == "hidden"), default=0)
 
 
@@ -117,13 +118,16 @@ def _suites() -> Iterator[Suite]:
     for name, suite in data.items():
         defaults = suite.pop("defaults", {})
         blocks = tuple(Block.from_dict(merged(defaults, block)) for block in suite.pop("blocks"))
-        yield Suite(name=name, blocks=blocks, **_tuples(suite))
+        yield Suite(name=name, blocks=blocks, **_lists_as_tuples(suite))
 
 
-def _tuples(fields: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()
-    }
+def _lists_as_tuples(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The data with a tuple in place of each list: TOML has lists only."""
+    converted = dict(data)
+    for name, value in data.items():
+        if isinstance(value, list):
+            converted[name] = tuple(value)
+    return converted
 
 
 SUITES = MappingProxyType({suite.name: suite for suite in _suites()})
@@ -207,6 +211,7 @@ def suite_cells(
     """
     cells: list[Cell] = []
     for env_id, names in policies.items():
+        # Rigid robots have no joint stiffness; flexible ones have no varied pulley friction.
         absent_parameter = "damping" if env_id in FLEXIBLE_ENV_IDS else "stiffness"
         blocks = [block for block in suite.blocks if block.axis != absent_parameter]
         if suite.best_known:
@@ -215,13 +220,13 @@ def suite_cells(
         for block in blocks:
             cells += _policy_cells(block, env_id, names, board, seed, real_time)
         if suite.timing:
-            (circle,) = _tasks(env_id, Block(), board)
+            (circle,) = _tasks(env_id, Block(motion="circle"), board)
             cells += [TimingCell(env_id=env_id, policy=name, **circle) for name in names]
     return {cell.key: cell for cell in cells}
 
 
 def _best_known_cells(block: Block, env_id: str, board: Board | None) -> list[BestKnownCell]:
-    """The yardsticks of a block."""
+    """Cells of the best known payloads of a block."""
     if not block.is_nominal:
         return []
     cells: list[BestKnownCell] = []
@@ -240,9 +245,8 @@ def _policy_cells(
 ) -> list[PolicyCell]:
     included = _included(block, names)
     cells: list[PolicyCell] = []
-    for task, name, conditions in product(
-        _tasks(env_id, block, board), included, block.combinations()
-    ):
+    tasks = _tasks(env_id, block, board)
+    for task, name, conditions in product(tasks, included, block.combinations()):
         data = merged({"env_id": env_id, "policy": name, **task}, conditions)
         if block.motion == "library":
             payload_range = find_robot(task["robot_name"]).defaults.payload_range
@@ -275,8 +279,8 @@ def _varied(block: Block, cell: AnyCell) -> list[AnyCell]:
 
 
 def _tasks(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any]]:
-    """Motions, and robots and error bounds if they are not those of the environment, as fields of
-    the cells."""
+    """Tasks of a block as fields of cells: the motion, and in ``library`` blocks also the robot and
+    the error bounds."""
     if block.motion == "library":
         names = [*library(), *(ELASTIC + name for name in library())]
         return [_own_task(name) for name in names if fitting_env_id(name) == env_id]
@@ -299,21 +303,21 @@ def _motions(env_id: str, block: Block, board: Board | None) -> list[dict[str, A
     kind = find_robot(env_robot(env_id)).kind
     if block.motion in ("circle", "paper"):
         return [{"name": f"{block.motion}-{kind}"}]
-    if block.motion == "hidden" and board is None:
+    seeds: Sequence[int]
+    if block.motion != "hidden":
+        seeds = held_out_seeds(block.motions)
+    elif board is None:
         raise ValueError(
             "hidden motions need a board: commit one first, with the option --commit VERSION"
         )
-    seeds: Sequence[int]
-    if board is not None and block.motion == "hidden":
-        seeds = board.seeds(env_id, block.motions)
     else:
-        seeds = held_out_seeds(block.motions)
+        seeds = board.seeds(env_id, block.motions)
     return [{"name": f"loop-{kind}", "seed": seed} for seed in seeds]
 
 
 def _check_loadable(name: str, env_ids: Sequence[str]) -> None:
-    """Rejects a policy that cannot be loaded for any of the environments. It is loaded in a process
-    of its own."""
+    """Raises a ValueError if a policy can be loaded for none of the environments. It is loaded in a
+    process of its own."""
     errors: list[Exception] = []
     for env_id in env_ids:
         try:

@@ -53,8 +53,8 @@ Draws = Annotated[
     int | None,
     typer.Option(
         "--draws",
-        help="Number of sampled episodes of each policy and payload. The default is 512 if the uncertainty is random, "
-        "else 1.",
+        help="Number of sampled episodes of each policy and payload. The default is 512 if the uncertainty is random "
+        "or the policy is stochastic, else 1.",
     ),
 ]
 Workers = Annotated[
@@ -67,10 +67,10 @@ NoSandbox = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON.")]
 
 SEED_BITS = 53
-"""Size of a secret seed, which every JSON parser reads exactly [bits]."""
+"""Number of bits of a secret seed: every JSON parser reads such integers exactly."""
 
 LEAST_BOUND = 0.1
-"""Least value of an error bound [mm, mrad]: a smaller one was meant in metres."""
+"""Least valid error bound [mm, mrad]. A smaller value is probably in metres or radians."""
 
 
 def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
@@ -134,15 +134,16 @@ class TaskOptions(Options):
         float | None,
         typer.Option(
             help=(
-                "Largest allowed position error [mm]. The default is that of the robot; without one, 10, at most 1 % "
-                "and at least 0.1 % of its width."
+                "Largest allowed position error [mm]. The default is in the robot's data; without data, 10 within "
+                "0.1 to 1 % of the width of the base."
             )
         ),
     ] = None
     rotation_bound: Annotated[
         float | None,
         typer.Option(
-            help="Largest allowed rotation error [mrad], of the task criterion. The default is that of the robot: 10."
+            help="Largest allowed rotation error of the task criterion [mrad]. The default is in the robot's data; "
+            "without data, 10."
         ),
     ] = None
     control_frequency: Annotated[float, typer.Option(help="Control steps per second [Hz].")] = 500.0
@@ -306,21 +307,26 @@ def command_again(command: str, *arguments: object, episode: EpisodeOptions, **o
         options: further options, as for :func:`~cablebot_gym.utils.console.command_line`.
     """
     for item in fields(episode):
-        value = getattr(episode, item.name)
-        if item.name == "payload_known":
+        name, value = item.name, getattr(episode, item.name)
+        if name == "payload_known":  # its flag is --payload-unknown
             options["payload_unknown"] = not value
-        elif item.name in ("position_bound", "rotation_bound") and value is not None:
-            options[item.name] = f"{value:.12g}"
-        elif value != item.default and (item.name, value) != ("seed", 0):
-            options[item.name] = value
+            continue
+        is_default = value == item.default
+        if name == "seed" and value == 0:  # None stands for 0
+            is_default = True
+        if is_default:
+            continue
+        if name in ("position_bound", "rotation_bound"):
+            value = f"{value:.12g}"  # 10 in place of 10.0
+        options[name] = value
     return command_line(command, *arguments, **options)
 
 
 def robot_of(env_id: str, task: TaskOptions) -> Robot:
-    """The robot in ``--robot``, or that of the environment. Checks the motion too.
+    """The robot in ``--robot``, or that of the environment.
 
-    An isolated policy gets the present search path of modules, so the file of a motion has to be
-    imported before.
+    Imports and checks the motion, and prints a note if it has waypoints. The import has to precede
+    the start of an isolated policy, which inherits the search path of modules.
 
     Raises:
         ValueError: if the id is unknown, the robot does not fit, or there is no such motion.

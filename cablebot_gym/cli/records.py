@@ -31,6 +31,7 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
             records[parameter.name] = annotation
             parameters += _parameters(annotation)
         else:
+            # Options come in any order: no parameter has a position.
             parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
     if not records:
         return command
@@ -38,7 +39,10 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def run(**values: Any) -> None:
         for name, record in records.items():
-            values[name] = record(**{item.name: values.pop(item.name) for item in fields(record)})
+            options = {}
+            for item in fields(record):
+                options[item.name] = values.pop(item.name)
+            values[name] = record(**options)
         command(**values)
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
@@ -49,17 +53,19 @@ def _parameters(record: type[Options]) -> list[inspect.Parameter]:
     types = get_type_hints(record, include_extras=True)
     parameters = []
     for item in fields(record):
-        (typed,) = types[item.name].__metadata__
-        typed = copy(typed)  # commands share the types
-        typed.rich_help_panel = record.title
-        parameters.append(
-            inspect.Parameter(
-                item.name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=inspect.Parameter.empty if item.default is MISSING else item.default,
-                annotation=Annotated[types[item.name].__origin__, typed],
-            )
+        (shared_option,) = types[item.name].__metadata__
+        option = copy(shared_option)  # commands share it, each with its own heading
+        option.rich_help_panel = record.title
+        default = item.default
+        if default is MISSING:
+            default = inspect.Parameter.empty
+        parameter = inspect.Parameter(
+            item.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=default,
+            annotation=Annotated[types[item.name].__origin__, option],
         )
+        parameters.append(parameter)
     return parameters
 
 

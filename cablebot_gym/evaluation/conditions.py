@@ -15,8 +15,15 @@ from cablebot_gym.task import ErrorBounds, find_error_bounds, payload_model_text
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 from cablebot_gym.utils.checks import whole
 
-_RESERVED = ("payload", "payload_range", "num_envs", "max_episode_steps", "autoreset_mode")
-"""Keywords of the environment that an evaluation sets itself."""
+_RESERVED = (
+    "payload",
+    "payload_range",
+    "num_envs",
+    "threads",
+    "max_episode_steps",
+    "autoreset_mode",
+)
+"""Keywords of the environment that an evaluation sets itself or does not support."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,11 +44,11 @@ class Conditions:
     uncertainty_name: str | None
     """Name of the uncertainty, ``custom`` for data; None without uncertainty."""
     draws: int | None
-    """Number of episodes at each payload; None for
-    :data:`~cablebot_gym.evaluation.batch.DEFAULT_DRAWS` under a random uncertainty or with a policy
-    that declares ``stochastic = True``, else 1."""
+    """Number of episodes at each payload. None for
+    :data:`~cablebot_gym.evaluation.batch.DEFAULT_DRAWS` if the uncertainty is random or the policy
+    declares ``stochastic = True``, and for 1 otherwise."""
     seed: int
-    """Seed that alone determines payloads and draws, so all policies share them."""
+    """Seed of the draws and of the payloads of the scan, which all policies therefore share."""
     keywords: Mapping[str, Any]
     """Further keywords of the environment: ``trajectory``, ``payload_known``,
     ``control_frequency``, …"""
@@ -61,16 +68,16 @@ class Conditions:
     ) -> Conditions:
         """Checked conditions. None stands for the default of the robot or of the environment.
 
-        ``keywords`` are those of the environment, without ``normalised_observation`` and
-        ``observation_dtype``: a Stable-Baselines3 model that reads normalised observations gets
-        them.
+        ``keywords`` are those of the environment. Normalised or float32 observations are refused:
+        policies read SI units in float64. A Stable-Baselines3 model that was trained on normalised
+        observations still receives them.
 
         Raises:
             ValueError: if an argument is invalid.
         """
-        for key in _RESERVED:
-            if key in keywords:
-                raise ValueError(f"{key} is set by the evaluation: remove it from the keywords")
+        for keyword in _RESERVED:
+            if keyword in keywords:
+                raise ValueError(f"{keyword} is set by the evaluation: remove it from the keywords")
         if keywords.get("normalised_observation"):
             raise ValueError(
                 "policies are evaluated with observations in SI units: "
@@ -82,8 +89,12 @@ class Conditions:
             )
         criterion = find_criterion(criterion)
         seed = whole("seed", seed)
+        if draws is not None:
+            draws = whole("draws", draws, least=1)
         check_robot(env_id, robot)
-        nominal = deepcopy(find_robot(env_robot(env_id) if robot is None else robot))
+        if robot is None:
+            robot = env_robot(env_id)
+        nominal = deepcopy(find_robot(robot))  # the caller may change its objects later
         bounds = deepcopy(find_error_bounds(error_bounds, nominal))
         name = uncertainty if isinstance(uncertainty, str | None) else "custom"
         return cls(
@@ -93,7 +104,7 @@ class Conditions:
             error_bounds=bounds,
             uncertainty=find_uncertainty(uncertainty, nominal),
             uncertainty_name=name,
-            draws=None if draws is None else whole("draws", draws, least=1),
+            draws=draws,
             seed=seed,
             keywords=MappingProxyType(deepcopy(keywords)),
         )
@@ -115,7 +126,8 @@ class Conditions:
         return payload_model_text(self.payload_known, self.model_payload_factor)
 
     def to_dict(self) -> dict[str, Any]:
-        """The fields of results about the conditions, JSON-able, without the environment's."""
+        """JSON-able fields of a result that describe the conditions. ``Details.environment`` has the
+        settings of the environment."""
         return {
             "env_id": self.env_id,
             "criterion": self.criterion,

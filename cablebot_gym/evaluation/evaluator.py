@@ -21,14 +21,16 @@ SEARCHES = ("scan", "bisection")
 """Kinds of search. Only a scan gives a ranked result."""
 
 SCAN_MARGIN = 1.25
-"""End of the scan of a robot without a payload range, over the payload that no controller can be
-expected to carry."""
+"""Ratio of the end of the scan to the payload that the motors can hold, for a robot without a payload
+range."""
 
-DEFAULT_RESOLUTION = 1e-3
-"""Default resolution for one draw: gap between the DLCC and the least failed payload [kg]."""
+FINE_RESOLUTION = 1e-3
+"""Default resolution of a scan with one draw: gap between the DLCC and the least failed payload
+[kg]."""
 
-DRAWN_RESOLUTION = 1e-2
-"""Default resolution for several draws, whose number limits the accuracy [kg]."""
+COARSE_RESOLUTION = 1e-2
+"""Default resolution of every other search [kg]: the number of draws limits the accuracy, or it is a
+bisection."""
 
 
 def evaluate_dlcc(
@@ -48,30 +50,30 @@ def evaluate_dlcc(
     """Evaluates the DLCC of a policy: the largest payload in the feasible interval that contains
     zero.
 
-    A scan tries :data:`~cablebot_gym.evaluation.search.SCAN_POINTS` payloads; the gap below the
-    first failed one is subdivided to ``resolution``. Episodes are repeated in another order, random
-    payloads below the result and finer physics steps are tried. Under a random ``uncertainty`` the
-    scan has :data:`~cablebot_gym.evaluation.search.SEARCH_DRAWS` draws; ``draws`` other ones, which
-    all payloads share, confirm the payload.
+    A scan tries :data:`~cablebot_gym.evaluation.search.SCAN_POINTS` payloads. The gap below the first
+    failed one is subdivided to ``resolution``. The search then repeats episodes in another order and
+    tries random payloads below the result. With one draw, it also tries finer physics steps. With
+    several draws, the scan has :data:`~cablebot_gym.evaluation.search.SEARCH_DRAWS` draws of each
+    payload, and ``draws`` other draws confirm the result. All payloads share these draws.
 
     Args:
         policy: a loaded policy, an object with ``predict``, a callable ``observation -> action``, a
             class that makes one of them, or a name as on the command line.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         payload_max: end of the scan [kg]; None for that of :func:`default_payload_max`.
-        resolution: largest gap to the least failed payload [kg]; None for
-            :data:`DEFAULT_RESOLUTION`, or :data:`DRAWN_RESOLUTION` with several draws.
+        resolution: largest gap to the least failed payload [kg]; None for :data:`FINE_RESOLUTION` in
+            a scan with one draw, else :data:`COARSE_RESOLUTION`.
         probability: required success probability; no effect with one draw.
         confidence: confidence of the payload as a one-sided lower tolerance bound; no effect with
             one draw.
-        search: ``scan``, or ``bisection`` for policies that take seconds for an episode: it bisects
-            the lowest gap between :data:`~cablebot_gym.evaluation.search.BISECTION_POINTS` payloads
-            and can miss a failure, so its result is marked as unranked.
+        search: ``scan``, or ``bisection`` for policies that take seconds for an episode. A bisection
+            tries :data:`~cablebot_gym.evaluation.search.BISECTION_POINTS` payloads and bisects the
+            gap below the first failed one. It can miss failures, so its result is unranked.
         name: name of the policy in the result; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first: classes or functions,
             their names, or the file of a ``VecNormalize``. They wrap a stand-in of the environment,
             see :data:`cablebot_gym.policies.wrappers.Wrapper`.
-        progress: callback after every control step; True shows it on standard error.
+        progress: callback after every control step; True shows a bar on standard error.
         conditions: ``criterion``, ``uncertainty``, ``draws``, ``seed``, ``error_bounds``, ``robot``
             and keywords of the environment, such as ``payload_known`` and ``trajectory``: see
             :class:`~cablebot_gym.evaluation.conditions.Conditions`.
@@ -98,25 +100,23 @@ def evaluate_dlcc(
     payload_max = number("payload_max", payload_max, above=0, unit="kg")
     is_scan = search == "scan"
     if resolution is None:
-        resolution = DRAWN_RESOLUTION
+        resolution = COARSE_RESOLUTION
         if is_scan and batch.draws == 1:
-            resolution = DEFAULT_RESOLUTION
+            resolution = FINE_RESOLUTION
     resolution = number("resolution", resolution, above=0, unit="kg")
     title = f"{batch.policy.name}, {batch.conditions.criterion} criterion"
-    with chosen_progress(progress, title) as step:
+    with chosen_progress(progress, title) as on_step:
         outcome = Search(
-            batch, payload_max, resolution, probability, confidence, step, thorough=is_scan
+            batch, payload_max, resolution, probability, confidence, on_step, is_scan=is_scan
         ).run()
     details = _details(batch, outcome, payload_max, probability, confidence)
     return _result(batch, outcome, details, ranked=is_scan)
 
 
 def default_payload_max(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
-    """Default end of the scan of a robot [kg]: the end of its payload range, or slightly more than
-    its motors hold.
-
-    For the paper's robots it is :data:`~cablebot_gym.robots.paper.PAPER_PAYLOAD_MAX`.
-    """
+    """Default end of the scan [kg]: the end of the robot's payload range; without one,
+    :data:`~cablebot_gym.robots.PAPER_PAYLOAD_MAX` for the paper's robots, and :data:`SCAN_MARGIN`
+    times the payload that the motors can hold for others."""
     if robot.defaults.payload_range is not None:
         return robot.defaults.payload_range[1]
     if has_paper_capacity(robot):
@@ -124,25 +124,33 @@ def default_payload_max(robot: Robot, trajectory: Trajectory, error_bounds: Erro
     ceiling = payload_ceiling(robot, trajectory, error_bounds)
     if ceiling <= 0:  # the motors do not even hold the platform
         ceiling = robot.mass
-    return float(f"{SCAN_MARGIN * ceiling:.2g}")
+    return float(f"{SCAN_MARGIN * ceiling:.2g}")  # two digits are enough
 
 
-def _result(batch: Batch, outcome: SearchOutcome, details: Details, ranked: bool) -> DLCCResult:
-    """The score of a search."""
+def _result(batch: Batch, outcome: SearchOutcome, details: Details, *, ranked: bool) -> DLCCResult:
+    """The result of a search."""
     below, above = outcome.below, outcome.above
+    payload = failed_payload = violation = assured = None
     gap = 0.0
-    if below is not None and above is not None:
-        gap = above.payload - below.payload
+    if below is not None:
+        payload = below.payload
+    if above is not None:
+        failed_payload = above.payload
+        violation = above.violation
+    if payload is not None and failed_payload is not None:
+        gap = failed_payload - payload
+    if batch.random:
+        assured = outcome.assured
     return DLCCResult(
         policy=batch.policy.name,
         conditions=batch.conditions,
-        payload=None if below is None else below.payload,
-        failed_payload=None if above is None else above.payload,
+        payload=payload,
+        failed_payload=failed_payload,
         resolution=max(gap, outcome.discretisation or 0.0),
-        violation=None if above is None else above.violation,
+        violation=violation,
         ranked=ranked,
         draw_seeds=tuple(batch.seeds),
-        assured=outcome.assured if batch.random else None,
+        assured=assured,
         rollout=outcome.rollout,
         details=details,
     )
@@ -162,6 +170,7 @@ def _details(
     failures: dict[str, int] = {}
     violation_seed = None
     if above is not None:
+        # A failed trial has a violation; 0 is for the type checker only.
         violation_seed = above.seeds[above.violation_draw or 0]
         if len(above.verdicts) > 1:
             failures = above.failures

@@ -2,7 +2,7 @@
 confirm.
 
 An episode is carried (:class:`~cablebot_gym.evaluation.constraints.Verdict`), a payload is carried
-if enough of its draws are (:meth:`Search._gap`). What is random follows from the seed of the
+if enough of its draws are (``Search._bracket``). What is random follows from the seed of the
 conditions: grid and refined payloads, payloads of the dense check, repeated episodes, seeds of the
 draws. The order of a batch and the seeds of draws that are tried alone come from the operating
 system: no policy can foresee them.
@@ -32,24 +32,39 @@ from cablebot_gym.evaluation.batch import (
 from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import plausible_successes, required_successes
+from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import PolicyError
 
 SCAN_POINTS = 64
-"""Number of payloads in the scan, including both ends, and in the dense check below the payload."""
+"""Number of payloads in the scan, including both ends."""
+
+SCAN_JITTER = 0.25
+"""Largest random shift of a payload of the scan, as a fraction of the distance between payloads."""
+
+DENSE_POINTS = SCAN_POINTS
+"""Number of random payloads in the dense check with one draw. With several draws, each draw tries
+one."""
+
+REPEATED_EPISODES = SCAN_POINTS
+"""Largest number of episodes of the scan that are repeated."""
 
 REFINED_POINTS = 32
 """Largest number of payloads in a refinement."""
+
+REFINED_JITTER = 0.1
+"""Largest random shift of a payload of a refinement, as a fraction of the distance between them."""
 
 BISECTION_POINTS = 5
 """Number of payloads that a bisection tries first, including both ends."""
 
 SEARCH_DRAWS = 16
-"""Number of draws of each payload of the scan, if there are several. The confirmation has other
-draws."""
+"""Number of draws of each payload of a scan under uncertainty. The payload is confirmed with other
+draws. A bisection has the draws of the confirmation only."""
 
 REPEAT_TOLERANCE = 1e-6
-"""Largest difference of the peaks of an episode and of its repetition, as a fraction of the bound.
-Products of matrices round differently in batches of another order."""
+"""Largest difference between the peaks of an episode and of its repetition: as a fraction of the
+bound, or of the peak if that is larger. Matrix products round differently if the rows of a batch have
+another order."""
 
 DIAGNOSES = 3
 """Largest number of further runs of the scan that look for randomness after a repeated episode
@@ -58,26 +73,30 @@ differs."""
 FINER = 10
 """Factor of the number of physics steps in the episodes that measure the discretisation error."""
 
-_RANDOM = (
+_NOT_REPRODUCIBLE = (
     "is not reproducible: {}. If its actions are random, declare stochastic = True; otherwise reset() must restore "
     "everything that it remembers"
 )
 
 _Verdicts = Sequence[Verdict]
-_Intervals = tuple[tuple[float, float], ...]
+_Pairs = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchOutcome:
-    """What a search tells; see the fields of the same names of
+    """Outcome of a search. ``feasible``, ``success`` and ``discretisation`` are fields of
+    :class:`~cablebot_gym.evaluation.result.Details`, ``assured`` and ``rollout`` of
     :class:`~cablebot_gym.evaluation.result.DLCCResult`."""
 
     below: Trial | None
     """Trial of the payload; None if the policy fails unloaded."""
     above: Trial | None
     """Trial of the least failed payload above; None if there is none."""
-    feasible: _Intervals
-    success: _Intervals
+    feasible: _Pairs
+    """Intervals of carried payloads on the grid of the scan [kg]."""
+    success: _Pairs
+    """Payload [kg] and fraction of the draws that carry it, for each payload of the scan; empty for
+    one draw."""
     discretisation: float | None
     assured: bool
     rollout: Rollout
@@ -93,7 +112,8 @@ class Search:
         probability: required success probability.
         confidence: confidence of the payload.
         progress: callback after every control step.
-        thorough: whether to scan; otherwise a bisection, with few checks.
+        is_scan: whether to scan; a bisection otherwise, which has no dense check, no repetitions of
+            the scan and no discretisation check.
     """
 
     def __init__(
@@ -105,33 +125,39 @@ class Search:
         confidence: float,
         progress: Progress | None,
         *,
-        thorough: bool,
+        is_scan: bool,
     ) -> None:
         self._batch = batch
         self._resolution = resolution
         self._probability = probability
-        self._thorough = thorough
-        self._several = batch.draws > 1
+        self._is_scan = is_scan
+        self._is_drawn = batch.draws > 1
         self._required, self._assured = required_successes(batch.draws, probability, confidence)
-        jitter, draws = (
-            np.random.SeedSequence(batch.conditions.seed, spawn_key=(key,)) for key in (1, 2)
-        )
-        self._random = np.random.default_rng(jitter)
+        seed = batch.conditions.seed
+        self._rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+        scan_sequence = np.random.SeedSequence(seed, spawn_key=(2,))
         self._scan_seeds = batch.seeds
-        if thorough:
-            points = SCAN_POINTS
-            self._points = max(2, min(REFINED_POINTS, BATCH // batch.draws))
-            if self._several:
-                self._scan_seeds = derived_seeds(draws, SEARCH_DRAWS)
+        if is_scan:
+            scan_points = SCAN_POINTS
+            self._refined_points = max(2, min(REFINED_POINTS, BATCH // batch.draws))
+            if self._is_drawn:
+                self._scan_seeds = derived_seeds(scan_sequence, SEARCH_DRAWS)
         else:
-            points = BISECTION_POINTS
-            self._points = 1
-        self._grid = [0.0, *self._between(0.0, payload_max, points - 2, 0.25), payload_max]
-        narrowing = math.log(max(1.0, 1.5 * payload_max / points / resolution)) / math.log(
-            (self._points + 1) / 1.2
-        )
-        alone = plausible_successes(self._required, batch.draws, ALONE, RISK)
-        batches = 3 + thorough + self._several + alone + max(1, math.ceil(narrowing))
+            scan_points = BISECTION_POINTS
+            self._refined_points = 1
+        inner = self._between(0.0, payload_max, scan_points - 2, SCAN_JITTER)
+        self._grid = [0.0, *inner, payload_max]
+        # Estimated number of batches, for the progress only. Shifted payloads are at most
+        # 1 + 2 · jitter distances apart.
+        scan_gap = (1 + 2 * SCAN_JITTER) * payload_max / scan_points
+        narrowing = (self._refined_points + 1) / (1 + 2 * REFINED_JITTER)
+        refinements = math.log(max(1.0, scan_gap / resolution)) / math.log(narrowing)
+        batches = 3 + max(1, math.ceil(refinements))
+        batches += plausible_successes(self._required, batch.draws, ALONE, RISK)
+        if is_scan:
+            batches += 1
+        if self._is_drawn:
+            batches += 1
         self._count = StepCount(progress, batches * batch.task.steps)
         self._trials: dict[float, Trial] = {}
 
@@ -143,8 +169,8 @@ class Search:
         """
         self._scan()
         while True:
-            payloads = self._refine()
-            dense_rows, repeated = self._audit()
+            payloads = self._next_payloads()
+            dense_rows, repeated = self._due_checks()
             refined_rows = _rows(payloads, self._batch.seeds)
             rows = refined_rows + dense_rows + [self._scan_rows[index] for index in repeated]
             if not rows:
@@ -167,59 +193,61 @@ class Search:
             self._scan_rows, count=self._count, order=self._scan_order
         )
         self._scan_trials = _trials(self._grid, self._scan_seeds, self._scan_verdicts)
-        if not (self._thorough and self._several):  # the scan has the draws of the confirmation
+        has_other_draws = self._is_scan and self._is_drawn
+        if not has_other_draws:  # the scan has the draws of the confirmation
             self._trials = {trial.payload: trial for trial in self._scan_trials}
-        self._dense_due = self._thorough
-        self._repeated: list[int] = self._random.permutation(len(self._scan_rows))[
-            :SCAN_POINTS
-        ].tolist()
-        if not self._thorough or self._batch.policy.declarations.stochastic:
-            self._repeated = []
+        self._dense_due = self._is_scan
+        # Drawn in every case: the next payloads depend on the state of the generator.
+        shuffled = self._rng.permutation(len(self._scan_rows))
+        self._repeated: list[int] = []
+        if self._is_scan and not self._batch.policy.declarations.stochastic:
+            self._repeated = shuffled[:REPEATED_EPISODES].tolist()
 
-    def _refine(self) -> list[float]:
+    def _next_payloads(self) -> list[float]:
         """Payloads to try next; none when the gap is narrow enough."""
-        below, above = self._gap()
+        below, above = self._bracket()
         if below is not None and above is not None:
             payloads = self._inside(below, above)
-        elif above is not None:  # no carried payload yet
+        elif above is not None:  # no carried payload yet: try zero and the nearest payload below
             lower = [payload for payload in self._grid if payload < above.payload]
-            payloads = list(dict.fromkeys([*lower[:1], *lower[-1:]]))
+            payloads = sorted({*lower[:1], *lower[-1:]})
         elif below is not None:  # no failed payload yet
-            payloads = [payload for payload in self._grid if payload > below.payload][
-                : self._points
-            ]
-        else:  # several draws: the confirmation starts where the payloads of the scan begin to fail
-            failed = [*self._scan_carried()[:-1], False].index(False)
-            payloads = [self._grid[max(0, failed - 1)], self._grid[max(1, failed)]]
+            higher = [payload for payload in self._grid if payload > below.payload]
+            payloads = higher[: self._refined_points]
+        else:
+            # No payload has been tried in the draws of the confirmation. It starts on both sides of
+            # the first failure in the scan, or at the end of the scan.
+            carried = self._scan_carried()
+            carried[-1] = False
+            upper = max(1, carried.index(False))
+            payloads = [self._grid[upper - 1], self._grid[upper]]
         return [payload for payload in payloads if payload not in self._trials]
 
-    def _audit(self) -> tuple[list[Row], list[int]]:
-        """Episodes of the dense check, once a payload is carried, and indices of those of the scan
-        that are repeated.
-
-        Each of them is due once.
-        """
-        repeated, self._repeated = self._repeated, []
-        below, _ = self._gap()
+    def _due_checks(self) -> tuple[list[Row], list[int]]:
+        """Checks to run with the next refinement, each once: episodes of the dense check, as soon as
+        a payload is carried, and indices of the episodes of the scan to repeat."""
+        repeated = self._repeated
+        self._repeated = []
+        below, _ = self._bracket()
         if not self._dense_due or below is None or below.payload == 0:
             return [], repeated
         self._dense_due = False
         seeds = self._batch.seeds
-        if not self._several:
-            seeds = seeds * SCAN_POINTS
-        payloads = self._random.uniform(0.0, below.payload, len(seeds)).tolist()
+        if not self._is_drawn:
+            seeds = seeds * DENSE_POINTS
+        payloads = self._rng.uniform(0.0, below.payload, len(seeds)).tolist()
         return list(zip(payloads, seeds, strict=True)), repeated
 
     def _confirm(self) -> SearchOutcome:
         """Checks the discretisation, or tries fresh draws, and records the episode at the
         payload."""
-        below, above = self._gap()
+        below, above = self._bracket()
         discretisation = None
-        if self._thorough and not self._several:
+        if self._is_scan and not self._is_drawn:
             discretisation = self._discretisation(below, above)
         rollout, below, above = self._record(below, above)
-        success: _Intervals = ()
-        if self._several:
+        success: _Pairs = ()
+        if self._is_drawn:
             success = tuple(
                 (trial.payload, trial.carried / len(trial.verdicts)) for trial in self._scan_trials
             )
@@ -233,9 +261,9 @@ class Search:
             rollout=rollout,
         )
 
-    def _gap(self) -> tuple[Trial | None, Trial | None]:
-        """The trials below and at the first payload that too few draws carry; None where there is
-        none."""
+    def _bracket(self) -> tuple[Trial | None, Trial | None]:
+        """The trials on both sides of the first failure: the largest carried payload below it and
+        the least failed one; None for a side without a trial."""
         below = None
         for payload in sorted(self._trials):
             trial = self._trials[payload]
@@ -250,79 +278,87 @@ class Search:
         gap = high - low
         if gap <= self._resolution:
             return []
-        payloads = self._between(
-            low, high, math.ceil(min(self._points, 1.2 * gap / self._resolution)), 0.1
-        )
-        fewer = below.carried - above.carried
-        # nearly linear: around the interpolation
-        if self._several and 0 < fewer < self._batch.draws / 8:
-            half = max(0.4 * self._resolution, 0.1 * gap)
-            place = low + gap * (below.carried - self._required + 0.5) / fewer
-            place = min(max(place, low + 1.5 * half), high - 1.5 * half)
-            payloads = [place - half, place + half]
+        points = min(self._refined_points, (1 + 2 * REFINED_JITTER) * gap / self._resolution)
+        payloads = self._between(low, high, math.ceil(points), REFINED_JITTER)
+        lost_draws = below.carried - above.carried
+        if self._is_drawn and 0 < lost_draws < self._batch.draws / 8:
+            # The number of carried draws is nearly linear in such a gap: try both sides of the
+            # interpolated payload.
+            half_width = max(0.4 * self._resolution, 0.1 * gap)
+            center = low + gap * (below.carried - self._required + 0.5) / lost_draws
+            center = min(max(center, low + 1.5 * half_width), high - 1.5 * half_width)
+            payloads = [center - half_width, center + half_width]
+        # In a gap near the resolution, a payload can fall on an end.
         return [payload for payload in payloads if low < payload < high]
 
     def _between(self, low: float, high: float, count: int, jitter: float) -> list[float]:
         """Equidistant payloads between two others, each moved by up to the fraction ``jitter`` of
         the distance."""
-        places = (1 + np.arange(count) + self._random.uniform(-jitter, jitter, count)) / (count + 1)
+        places = (1 + np.arange(count) + self._rng.uniform(-jitter, jitter, count)) / (count + 1)
         return [float(payload) for payload in low + (high - low) * places]
 
     def _scan_carried(self) -> list[bool]:
-        needed = max(1, math.ceil(len(self._scan_seeds) * self._probability - 1e-9))
-        return [trial.carried >= needed for trial in self._scan_trials]
+        """Whether enough draws of the scan carry each payload."""
+        # the product may be rounded up
+        required = max(1, math.ceil(len(self._scan_seeds) * self._probability - 1e-9))
+        return [trial.carried >= required for trial in self._scan_trials]
 
-    def _feasible(self, below: Trial | None) -> _Intervals:
-        """Intervals of carried payloads on the grid of the scan [kg]. The first one ends at the
-        payload."""
-        edges = np.flatnonzero(
-            np.diff(np.concatenate([[False], self._scan_carried(), [False]]).astype(int))
-        )
-        intervals = [
-            (self._grid[low], self._grid[high - 1]) for low, high in edges.reshape(-1, 2) if low > 0
-        ]
+    def _feasible(self, below: Trial | None) -> _Pairs:
+        """Intervals of carried payloads on the grid of the scan [kg]. The one that contains zero ends
+        at the payload; without a payload it is left out."""
+        padded = np.concatenate([[False], self._scan_carried(), [False]])
+        edges = np.flatnonzero(np.diff(padded.astype(int)))
+        intervals = []
         if below is not None:
-            intervals.insert(0, (0.0, below.payload))
+            intervals.append((0.0, below.payload))
+        for start, end in edges.reshape(-1, 2):
+            if start > 0:  # the interval that contains zero is the refined one above
+                intervals.append((self._grid[start], self._grid[end - 1]))
         return tuple(intervals)
 
     def _add_dense(self, rows: list[Row], verdicts: _Verdicts) -> None:
-        """Adds the first payload of the dense check up to which too many episodes fail.
+        """Adds a failed trial if too many episodes of the dense check fail.
 
-        These are more than the required number of draws allows, plus three standard deviations:
-        noise differs between payloads.
+        Too many are more than the required number of draws allows plus three standard deviations,
+        because noise differs between payloads. The trial has the payload at which the number of
+        failures, counted from zero, exceeds this.
         """
-        failed = sorted(
-            (row, index) for index, row in enumerate(rows) if not verdicts[index].carried
-        )
+        failed = []
+        for row, verdict in zip(rows, verdicts, strict=True):
+            if not verdict.carried:
+                failed.append((row, verdict))
+        failed.sort(key=lambda failure: failure[0])
         allowed = self._batch.draws - self._required
         allowed += int(3 * math.sqrt(allowed))
         if len(failed) > allowed:
-            (payload, seed), index = failed[allowed]
-            self._trials[payload] = Trial(
-                payload=payload, verdicts=(verdicts[index],), seeds=(seed,)
-            )
+            (payload, seed), verdict = failed[allowed]
+            self._trials[payload] = Trial(payload=payload, verdicts=(verdict,), seeds=(seed,))
 
     def _discretisation(self, below: Trial | None, above: Trial | None) -> float:
-        """Largest deviation of the payload with finer physics steps from the payload [kg]."""
+        """Upper bound of the change of the payload under finer physics steps [kg]."""
         if below is None:
             return 0.0
-        payload, step = below.payload, self._resolution
+        payload = below.payload
+        spacing = self._resolution
         if above is not None:
-            step = above.payload - payload
-        offsets = step * 4.0 ** np.arange(7)
-        around = {payload, *(payload - offsets).tolist(), *(payload + offsets).tolist()}
-        payloads = sorted(near for near in around if 0 <= near <= self._grid[-1])
+            spacing = above.payload - payload
+        # Growing distances: small changes are resolved, large ones are still found.
+        offsets = spacing * 4.0 ** np.arange(7)
+        candidates = {payload, *(payload - offsets).tolist(), *(payload + offsets).tolist()}
+        payloads = sorted(near for near in candidates if 0 <= near <= self._grid[-1])
         rows = _rows(payloads, self._batch.seeds)
-        carried = [
-            verdict.carried
-            for verdict in self._batch.run(rows, count=self._count, refinement=FINER)
-        ]
-        failed = [*carried, False].index(False)
-        low = [0.0, *payloads][failed]
-        high = [*payloads, payloads[-1]][failed]
-        if low > payload:
-            return high - payload
-        return max(0.0, payload - low)
+        verdicts = self._batch.run(rows, count=self._count, refinement=FINER)
+        carried = [verdict.carried for verdict in verdicts]
+        largest_carried = least_failed = payloads[-1]
+        if not all(carried):
+            index = carried.index(False)
+            least_failed = payloads[index]
+            largest_carried = 0.0
+            if index > 0:
+                largest_carried = payloads[index - 1]
+        if largest_carried > payload:
+            return least_failed - payload
+        return payload - largest_carried
 
     def _record(
         self, below: Trial | None, above: Trial | None
@@ -338,24 +374,27 @@ class Search:
             repeated episodes, which do not depend on the order of the batches.
         """
         batch = self._batch
-        draws = [
-            (trial, trial.violation_draw or 0) for trial in (below, above) if trial is not None
-        ]
-        if below is not None and self._several:
-            draws = [(below, [verdict.carried for verdict in below.verdicts].index(True))]
+        if below is not None and self._is_drawn:
+            first_carried = [verdict.carried for verdict in below.verdicts].index(True)
+            repeats = [(below, first_carried)]
             batch.check_alone(below.payload, self._required, self._count)
-        self._count.expected = min(
-            self._count.expected, self._count.done + len(draws) * batch.task.steps
-        )
+        else:
+            # A trial of one draw that is carried has no violation.
+            trials = [trial for trial in (below, above) if trial is not None]
+            repeats = [(trial, trial.violation_draw or 0) for trial in trials]
+        # The rest of the work is known now: the progress ends at 100 %.
+        remaining = len(repeats) * batch.task.steps
+        self._count.expected = min(self._count.expected, self._count.done + remaining)
+        rows = [(trial.payload, trial.seeds[draw]) for trial, draw in repeats]
         recorder = Recorder([0])
-        rows = [(trial.payload, trial.seeds[draw]) for trial, draw in draws]
+        # The recorded episode runs last: Batch.fallbacks counts those of the last batch.
         unrecorded = [batch.run([row], count=self._count)[0] for row in rows[1:]]
         verdicts = batch.run(rows[:1], observer=recorder, count=self._count) + unrecorded
         rollout = recorder.rollouts(verdicts)[0]
         if batch.policy.declarations.stochastic:
             return rollout, below, above
-        self._check_repetition([trial.verdicts[draw] for trial, draw in draws], verdicts)
-        if not self._several:
+        self._check_repetition([trial.verdicts[draw] for trial, draw in repeats], verdicts)
+        if not self._is_drawn:
             if below is not None:
                 below = replace(below, verdicts=(verdicts[0],))
             if above is not None:
@@ -375,7 +414,7 @@ class Search:
         for _ in range(DIAGNOSES):
             verdicts = self._batch.run(self._scan_rows, count=self._count, order=self._scan_order)
             if self._difference(self._scan_verdicts, verdicts) is not None:
-                reason = _RANDOM
+                reason = _NOT_REPRODUCIBLE
                 break
         raise PolicyError(f"policy {self._batch.policy.name!r} {reason.format(difference)}")
 
@@ -384,29 +423,35 @@ class Search:
         none."""
         bounds = self._batch.conditions.error_bounds
         scale = 1 / np.array([bounds.position, bounds.rotation])
-        for pair in zip(first, repeated, strict=True):
-            ends = [
-                verdict.violation and (verdict.violation.kind, verdict.violation.time)
-                for verdict in pair
-            ]
-            peaks = [
-                np.array([*(scale * [v.position_peak, v.rotation_peak]), *v.peak_action])
-                for v in pair
-            ]
-            apart = np.abs(peaks[1] - peaks[0]) > REPEAT_TOLERANCE * np.maximum(
-                1.0, np.abs(peaks[0])
-            )
-            if ends[0] != ends[1] or apart.any():
-                index = int(apart.argmax())
-                name = ("position error / bound", "rotation error / bound")[min(index, 1)]
-                if index > 1:
-                    name = f"|a| of motor {index - 1}"
-                values = " and then ".join(f"{peak[index]:.6g}" for peak in peaks)
-                outcome = " and then ".join(
-                    dict.fromkeys(str(verdict.violation or "carried") for verdict in pair)
-                )
-                return f"at {pair[0].payload:.3f} kg: {outcome}, with a largest {name} of {values}"
+        for original, repetition in zip(first, repeated, strict=True):
+            peaks = _peaks(original, scale)
+            repeated_peaks = _peaks(repetition, scale)
+            tolerance = REPEAT_TOLERANCE * np.maximum(1.0, np.abs(peaks))
+            apart = np.abs(repeated_peaks - peaks) > tolerance
+            if _end(original) == _end(repetition) and not apart.any():
+                continue
+            index = int(apart.argmax())
+            name = f"|a| of motor {index - 1}"
+            if index < 2:
+                name = ("position error / bound", "rotation error / bound")[index]
+            ends = [str(verdict.violation or "carried") for verdict in (original, repetition)]
+            outcome = " and then ".join(dict.fromkeys(ends))
+            values = f"{peaks[index]:.6g} and then {repeated_peaks[index]:.6g}"
+            return f"at {original.payload:.3f} kg: {outcome}, with a largest {name} of {values}"
         return None
+
+
+def _end(verdict: Verdict) -> tuple[str, float | None] | None:
+    """Kind and time of the violation; None without one."""
+    if verdict.violation is None:
+        return None
+    return verdict.violation.kind, verdict.violation.time
+
+
+def _peaks(verdict: Verdict, scale: Array) -> Array:
+    """Largest errors as fractions of their bounds, then the largest |a| of each motor."""
+    errors = scale * [verdict.position_peak, verdict.rotation_peak]
+    return np.array([*errors, *verdict.peak_action])
 
 
 def _rows(payloads: Sequence[float], seeds: Sequence[int]) -> list[Row]:
