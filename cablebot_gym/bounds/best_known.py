@@ -500,7 +500,7 @@ class _Case:
         steps = itertools.count()
 
         def track(observation: Array) -> Array:
-            state = State.of(layout.split(observation), np.asarray(next(steps) * period))
+            state = State.from_blocks(layout.split(observation), np.asarray(next(steps) * period))
             return np.clip(
                 follower.action(motion, state, np.asarray(motion.payload), period), -1.0, 1.0
             )

@@ -1,4 +1,4 @@
-"""Entries of installed policies, without code of other packages in this process."""
+"""Public entries of installed policies: no code of other packages runs in this process."""
 
 from __future__ import annotations
 
@@ -17,55 +17,91 @@ from cablebot_gym.policies.spec import PolicySpec, policy_names
 
 
 def public_entries() -> dict[str, PolicyEntry]:
-    """All installed policies by name, sorted, see :func:`public_entry`. A policy without entry is
-    skipped."""
-    entries = {name: public_entry(name) for name in policy_names()}
-    return {name: entry for name, entry in entries.items() if entry is not None}
+    """Public entries of all installed policies by name, sorted, see :func:`public_entry`. A policy
+    without one is left out."""
+    entries = {}
+    for name in policy_names():
+        entry = public_entry(name)
+        if entry is not None:
+            entries[name] = entry
+    return entries
 
 
+# The cache also keeps None: the package of a skipped policy is not imported again for each question,
+# and its warning appears once.
 @cache
 def public_entry(name: str) -> PolicyEntry | None:
-    """The entry of an installed policy, without code of other packages; None if there is none.
+    """The public entry of an installed policy: what evaluations may know of it without running code
+    of other packages in this process.
 
-    The package of another project is imported in a process of its own, which sends the environment
-    ids, the data files and whether the policy is slow. The factory of such an entry makes an
-    :class:`IsolatedPolicy`. A policy whose package cannot be imported is skipped with a warning.
+    The entry of a policy of this project is imported. For a policy of another project, a separate
+    process imports its package and sends the environment ids, the data files and whether the policy
+    is slow; the factory of the entry makes an :class:`IsolatedPolicy`. A policy with estimators,
+    such as ``ekf+fl``, has the entry of its target ``fl`` under its own name.
+
+    Returns:
+        None if the name is not that of an installed policy, or if its package cannot be imported.
+        The latter logs a warning.
     """
     spec = PolicySpec.parse(name)
     if spec.estimators:
         entry = public_entry(spec.target)
-        return None if entry is None else replace(entry, name=name, unsaturated_actions=False)
+        if entry is None:
+            return None
+        # The tests hold the target alone to its declaration, not behind an estimator.
+        return replace(entry, name=name, unsaturated_actions=False)
     if not spec.installed:
         return None
     if spec.own:
+        # A policy of another package can have the same name. The first entry point is that of this
+        # project; only this one may be imported here.
         return replace(spec, points=spec.points[:1]).entry()
     try:
-        return _described(name)
-    except Exception as error:
+        return _entry_from_own_process(name)
+    except Exception as error:  # whatever another package does, the other policies stay usable
         logging.getLogger("cablebot_gym").warning("policy %r is skipped: %s", name, error)
         return None
 
 
-def _described(name: str) -> PolicyEntry:
+def _entry_from_own_process(name: str) -> PolicyEntry:
+    """The entry of a policy of another package, which a process of its own imports.
+
+    Raises:
+        queue.Empty: if the process does not reply before the deadline.
+        EndedError: if the process ends, or if its reply cannot be read.
+        KeyError: if the reply lacks a value.
+        TypeError: if a value of the reply is of a wrong type.
+        ValueError: if the package cannot be imported, or if the reply is no JSON object.
+    """
+    # No sandbox: the user has installed the package and runs its code anyway. The process only keeps
+    # this code away from the evaluation.
     process = PolicyProcess()
     try:
-        request = pickle.dumps((name, search_path()))
-        kind, body = process.exchange(DESCRIBE, request, 0, START_UP * DEADLINE)
+        kind, body = process.exchange(
+            DESCRIBE,
+            pickle.dumps((name, search_path())),
+            largest=0,  # no actions in the reply; its text has a limit of its own
+            seconds=START_UP * DEADLINE,
+        )
     finally:
         process.end()
-    data = parse_json(body)
+    description = parse_json(body)
+    if not isinstance(description, dict):
+        raise ValueError("its process sent invalid data")
     if kind != ANSWER:
-        raise ValueError(plain(data["error"]))
+        raise ValueError(plain(description["error"]))
     files = None
-    if data["files"] is not None:
-        paths = [Path(str(path)) for path in data["files"]]
+    if description["files"] is not None:
+        paths = [Path(str(path)) for path in description["files"]]
+        # Hashes of results read these files, and a missing file would raise there.
         files = tuple(path for path in paths if path.is_file())
     return PolicyEntry(
         name=name,
+        # The process does not send kind and summary: only lists show them, from imported entries.
         kind="learned",
-        env_ids=tuple(map(str, data["env_ids"])),
-        factory=partial(IsolatedPolicy, name),
         summary="",
-        slow=data["slow"] is True,
+        env_ids=tuple(map(str, description["env_ids"])),
+        factory=partial(IsolatedPolicy, name),
+        slow=description["slow"] is True,
         files=files,
     )

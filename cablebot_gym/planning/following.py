@@ -32,23 +32,31 @@ class State:
     """Motor speed β̇′ of a flexible robot [rad/s]; None if rigid."""
 
     @classmethod
-    def of(cls, blocks: Mapping[str, Array], time: Array) -> State:
-        """The state from the blocks of an observation at a time [s]."""
-        motor = {name: blocks[name] for name in ("motor_angle", "motor_speed") if name in blocks}
-        return cls(time=time, pose=blocks["pose"], velocity=blocks["velocity"], **motor)
+    def from_blocks(cls, blocks: Mapping[str, Array], time: Array) -> State:
+        """The state from the blocks of an observation by name, at a time since the start of the
+        motion, shape (...) [s]."""
+        return cls(
+            time=time,
+            pose=blocks["pose"],
+            velocity=blocks["velocity"],
+            motor_angle=blocks.get("motor_angle"),
+            motor_speed=blocks.get("motor_speed"),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Follower:
-    """Controller for a planned motion: computed torque if rigid, PD control of the planned motor
-    angles if flexible.
+    """Controller that follows a planned motion: computed torque on a rigid robot, PD control of the
+    motor angles on a flexible robot.
 
     The torque is constant over a control period h. The controller therefore uses the mean
     acceleration of the plan over the period, (Ẋ(t+h) − Ẋ(t))/h, and the inverse dynamics at the
-    middle of the period. After the period the velocity matches the plan up to O(h³). On a flexible
-    robot the same applies to β̈′. There the correction v = K_P e + K_D ė of the platform error
-    requires the additional spring torque ∂κ/∂Ẍ v, which shifts the motor angles by this torque over
-    the stiffness of the springs, which are joint springs or elastic cables.
+    middle of the period. At the end of the period the velocity then equals that of the plan up to
+    O(h³).
+
+    On a flexible robot the mean motor acceleration is used in the same way. The correction v = K_P
+    e + K_D ė, with the pose error e, changes the spring torque κ by ∂κ/∂Ẍ v; the motor angles move
+    by this torque over the stiffness of the springs (joint springs or elastic cables).
 
     Raises:
         ValueError: if a gain is negative, or another number is not positive.
@@ -57,91 +65,145 @@ class Follower:
     robot: Robot
     """Nominal robot."""
     gains: tuple[float, float]
-    """Gains (K_P, K_D) on the platform error [1/s², 1/s]; ≥ 0."""
+    """Gains K_P on the pose error and K_D on the velocity error of the platform [1/s², 1/s]; ≥ 0."""
     motor_frequency: float = 100.0
-    """Frequency of the motor loop of a flexible robot [rad/s]; > 0."""
-    motor_damping: float = 0.7
-    """Damping ratio of the motor loop; > 0."""
+    """Natural angular frequency of the motor loop of a flexible robot [rad/s]; > 0."""
+    motor_damping_ratio: float = 0.7
+    """Damping ratio of the motor loop [-]; > 0."""
 
     def __post_init__(self) -> None:
+        # Checks only: the converted numbers are not stored.
         numbers("gains", self.gains, shapes=[(2,)], least=0.0)
         number("motor_frequency", self.motor_frequency, above=0.0, unit="rad/s")
-        number("motor_damping", self.motor_damping, above=0.0)
+        number("motor_damping_ratio", self.motor_damping_ratio, above=0.0)
 
     def action(self, plan: PlannedMotion, state: State, payload: Array, period: float) -> Array:
         """Actions for the torques of :meth:`torques`, shape (..., m)."""
-        return textbook.normalised_action(self.robot, *self.torques(plan, state, payload, period))
+        torques, motor_speeds = self.torques(plan, state, payload, period)
+        return textbook.normalised_action(self.robot, torques, motor_speeds)
 
     def torques(
         self, plan: PlannedMotion, state: State, payload: Array, period: float
     ) -> tuple[Array, Array]:
-        """Requested torques [N·m] and current motor speeds [rad/s], each (..., m).
+        """Requested torques [N·m] and present motor speeds [rad/s], each (..., m).
 
         Args:
-            plan: planned motion for this kind of robot.
+            plan: planned motion, with motor angles if the robot is flexible.
             state: state at the control instant.
             payload: payload of the controller's model [kg], shape (...).
             period: control period, over which the torque is constant [s].
         """
-        # The plan rests after its end. Without the minimum, a last period that ends late by
-        # rounding would brake.
-        end = np.minimum(state.time + period, plan.duration)
-        now, after = plan(state.time), plan(end)
-        error = now.position - state.pose
-        rate = now.velocity - state.velocity
-        correction = self.gains[0] * error + self.gains[1] * rate
+        planned = plan(state.time)
+        pose_error = planned.position - state.pose
+        velocity_error = planned.velocity - state.velocity
+        pose_gain, velocity_gain = self.gains
+        # Additional acceleration of the platform [m/s², rad/s²].
+        correction = pose_gain * pose_error + velocity_gain * velocity_error
         if self.robot.flexible:
             return self._motor_pd(plan, state, payload, period, correction)
-        span = np.where(end > state.time, end - state.time, period)[..., None]
-        acceleration = (after.velocity - now.velocity) / span + correction
+        # After its end the plan has velocity 0. If rounding put the end of the last period there,
+        # the mean acceleration would contain this stop, and the robot would brake.
+        period_end = np.minimum(state.time + period, plan.duration)
+        velocity_change = plan(period_end).velocity - planned.velocity
+        # A period that starts at the end of the plan or later has no time left to divide by.
+        duration = np.where(period_end > state.time, period_end - state.time, period)
+        acceleration = velocity_change / duration[..., None] + correction
         return self._computed_torque(state, payload, period, acceleration, plan.minimum_tension)
 
     def _computed_torque(
-        self, state: State, payload: Array, period: float, acceleration: Array, minimum: float
+        self,
+        state: State,
+        payload: Array,
+        period: float,
+        acceleration: Array,
+        minimum_tension: float,
     ) -> tuple[Array, Array]:
-        robot, half = self.robot, period / 2
-        mass = robot.mass + payload
-        velocity = state.velocity + half * acceleration
-        pose = state.pose + half * (state.velocity + half / 2 * acceleration)
-        needed = inverse_dynamics(robot, mass, pose, velocity, acceleration, minimum=minimum)
-        speeds = inverse_dynamics(robot, mass, state.pose, state.velocity, acceleration).speeds
-        return needed.torques, speeds
+        """Torques [N·m] and present motor speeds [rad/s] of a rigid robot, each (..., m): inverse
+        dynamics at the middle of the period.
+
+        Args:
+            state: state at the control instant.
+            payload: payload of the controller's model [kg], shape (...).
+            period: control period [s].
+            acceleration: platform acceleration Ẍ over the period, shape (..., n) [m/s², rad/s²].
+            minimum_tension: minimum tension of all cables [N].
+        """
+        mass = self.robot.mass + payload
+        half_period = period / 2
+        middle_velocity = state.velocity + half_period * acceleration
+        middle_pose = state.pose + half_period * (state.velocity + half_period / 2 * acceleration)
+        required = inverse_dynamics(
+            self.robot, mass, middle_pose, middle_velocity, acceleration, minimum=minimum_tension
+        )
+        present = inverse_dynamics(self.robot, mass, state.pose, state.velocity, acceleration)
+        return required.torques, present.speeds
 
     def _motor_pd(
         self, plan: PlannedMotion, state: State, payload: Array, period: float, correction: Array
     ) -> tuple[Array, Array]:
-        model = textbook.cable_equivalent(self.robot)
-        time = state.time
-        inertia = model.motor_inertia if model.jointed else model.pulley_inertia
+        """Torques [N·m] and measured motor speeds [rad/s] of a flexible robot, each (..., m):
+        feedforward at the middle of the period, and PD control of the motor angles.
+
+        Args:
+            plan: planned motion with motor angles.
+            state: state at the control instant, with motor angles and speeds.
+            payload: payload of the controller's model [kg], shape (...).
+            period: control period [s].
+            correction: additional platform acceleration v, shape (..., n) [m/s², rad/s²].
+        """
         assert state.motor_angle is not None
         assert state.motor_speed is not None
-        angle, speed, _ = plan.motor_motion(time, payload)
-        middle, middle_speed, _ = plan.motor_motion(time + period / 2, payload)
-        _, speed_after, _ = plan.motor_motion(time + period, payload)
-        half = plan(time + period / 2)
-        change = self._spring_change(model, model.mass + payload, state.pose, correction)
-        moved = half.position, half.velocity, middle, middle_speed, (speed_after - speed) / period
-        feedforward = textbook.spring_drive(model, *moved)[0] + change
-        angle = angle + change / textbook.joint_stiffness(model, state.pose)
-        stiffness = inertia * self.motor_frequency**2
-        damping = 2 * self.motor_damping * inertia * self.motor_frequency
-        feedback = stiffness * (angle - state.motor_angle) + damping * (speed - state.motor_speed)
+        model = textbook.cable_equivalent(self.robot)
+        inertia = model.pulley_inertia  # without joint springs the pulley turns with the motor
+        if model.jointed:
+            inertia = model.motor_inertia
+        middle_time = state.time + period / 2
+        planned_angle, planned_speed, _ = plan.motor_motion(state.time, payload)
+        middle_angle, middle_speed, _ = plan.motor_motion(middle_time, payload)
+        _, end_speed, _ = plan.motor_motion(state.time + period, payload)
+        middle = plan(middle_time)
+        plan_torque, _ = textbook.spring_drive(
+            model,
+            middle.position,
+            middle.velocity,
+            middle_angle,
+            middle_speed,
+            (end_speed - planned_speed) / period,
+        )
+        correction_torque = self._correction_torque(
+            model, model.mass + payload, state.pose, correction
+        )
+        feedforward = plan_torque + correction_torque
+        spring_stiffness = textbook.joint_stiffness(model, state.pose)
+        desired_angle = planned_angle + correction_torque / spring_stiffness
+        # With these gains the angle error δ obeys δ̈ + 2 ζ ω δ̇ + ω² δ = 0.
+        angle_gain = inertia * self.motor_frequency**2
+        speed_gain = 2 * self.motor_damping_ratio * inertia * self.motor_frequency
+        angle_error = desired_angle - state.motor_angle
+        speed_error = planned_speed - state.motor_speed
+        feedback = angle_gain * angle_error + speed_gain * speed_error
         return feedforward + feedback, state.motor_speed
 
     @staticmethod
-    def _spring_change(robot: Robot, mass: Array, pose: Array, acceleration: Array) -> Array:
-        """Spring torque ∂κ/∂Ẍ times an acceleration [N·m], with the smallest change of tensions;
-        shape (..., m)."""
+    def _correction_torque(robot: Robot, mass: Array, pose: Array, correction: Array) -> Array:
+        """Change ∂κ/∂Ẍ v of the spring torques [N·m] for an additional platform acceleration v,
+        shape (..., m). Of all suitable changes of the tensions, the one with
+        the least norm is taken.
+
+        Args:
+            robot: flexible robot.
+            mass: mass of platform and payload [kg], shape (...).
+            pose: X, shape (..., n).
+            correction: v, shape (..., n) [m/s², rad/s²].
+        """
         structure = textbook.jacobian(robot, pose)
         transposed = np.swapaxes(structure, -1, -2)
-        wrench = textbook.mass_matrix(robot, mass, pose) @ acceleration[..., None]
+        wrench = textbook.mass_matrix(robot, mass, pose) @ correction[..., None]  # D(X) v
+        # The cables pull along −Sᵀ: −Sᵀ T = D v, so T = −S (SᵀS)⁻¹ D v.
         tensions = -(structure @ np.linalg.solve(transposed @ structure, wrench))[..., 0]
-        change: Array = robot.pulley_radius * tensions
+        cable_torque: Array = robot.pulley_radius * tensions
         if not robot.jointed:
-            return change
-        return (
-            change
-            - robot.pulley_inertia
-            * (structure @ acceleration[..., None])[..., 0]
-            / robot.pulley_radius
-        )
+            return cable_torque
+        # The joint springs also accelerate the pulleys, by J β̈ with β̈ = −S v/r.
+        cable_acceleration = (structure @ correction[..., None])[..., 0]  # S v
+        return cable_torque - robot.pulley_inertia * cable_acceleration / robot.pulley_radius

@@ -126,7 +126,7 @@ def test_default_settings_follow_from_the_robot(env_id):
     periods = plant.trajectory.duration * plant.control_frequency
     assert env.steering.periods * ACTIONS == pytest.approx(periods, rel=0.01)
     assert (env.steering.base.law == "motor-pd") == plant.robot.flexible
-    assert 0 < env.env.ceiling < env.env._heaviest
+    assert 0 < env.env.ceiling < env.env._highest_ceiling
 
 
 def test_curriculum_without_exact_tracking_needs_a_payload():

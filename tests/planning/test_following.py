@@ -54,7 +54,7 @@ def follow(name, gains, *, error=0.0):
     observation, _ = env.reset(seed=0)
     distances = []
     for step in range(round(motion.duration * 500)):
-        state = State.of(env.layout.split(observation), np.asarray(step / 500))
+        state = State.from_blocks(env.layout.split(observation), np.asarray(step / 500))
         action = follower.action(motion, state, np.asarray(motion.payload), 1 / 500)
         observation, _, terminated, _, info = env.step(np.clip(action, -1, 1))
         assert not terminated
@@ -141,7 +141,7 @@ def test_plan_is_followed_and_an_initial_error_corrected(name):
 
 @pytest.mark.parametrize(
     "arguments",
-    [{"gains": (-1.0, 1.0)}, {"motor_frequency": 0.0}, {"motor_damping": 0.0}],
+    [{"gains": (-1.0, 1.0)}, {"motor_frequency": 0.0}, {"motor_damping_ratio": 0.0}],
 )
 def test_invalid_gains_raise(arguments):
     with pytest.raises(ValueError, match="must be"):

@@ -139,7 +139,7 @@ class PlanLaw(ClassicalLaw):
     def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
         """Requested torques [N·m] and motor speeds [rad/s], each (..., m)."""
         plan = self._plan
-        state = State.of(blocks, plan.duration - blocks["time_to_go"][..., 0])
+        state = State.from_blocks(blocks, plan.duration - blocks["time_to_go"][..., 0])
         return self._follower.torques(plan, state, mass - self.robot.mass, self._period)
 
     @property

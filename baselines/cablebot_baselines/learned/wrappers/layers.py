@@ -42,14 +42,14 @@ class BatchWrapper(_Wrapper):
 
     def __init__(self, env: VectorEnv[Array, ArrayLike, Array]) -> None:
         name = type(self).__name__
-        plant: Any = getattr(env, "unwrapped", None)
+        base_env: Any = getattr(env, "unwrapped", None)
         is_steered = any(hasattr(layer, "steering") for layer in layers(env))
-        if isinstance(plant, OneRow):
-            (single,) = plant.envs
+        if isinstance(base_env, OneRow):
+            (single,) = base_env.envs
             is_steered = single.has_wrapper_attr("steering")
-            plant = single.unwrapped
+            base_env = single.unwrapped
         if not isinstance(env, VectorEnv) or not isinstance(
-            plant, (CableBotVectorEnv, CableBotEnv)
+            base_env, (CableBotVectorEnv, CableBotEnv)
         ):
             raise TypeError(
                 f"{name} needs a vector environment of this package, from gym.make_vec, not {env!r}"
@@ -61,14 +61,14 @@ class BatchWrapper(_Wrapper):
             raise ValueError(
                 f"{name} is outside a wrapper that must be outside it: Steered must be outermost"
             )
-        self._plant = plant
+        self._base_env = base_env
 
     @property
     def tasks(self) -> Sequence[Task]:
         """Tasks of the present episodes."""
-        if isinstance(self._plant, CableBotEnv):
-            return (self._plant.task,)
-        return self._plant.tasks
+        if isinstance(self._base_env, CableBotEnv):
+            return (self._base_env.task,)
+        return self._base_env.tasks
 
 
 class OneRow(SyncVectorEnv):

@@ -53,19 +53,19 @@ class SteeredVector(BatchWrapper):
         effort: float = 0.0,
     ) -> None:
         super().__init__(env)
-        plant_settings = self._plant.settings
-        if plant_settings.normalised_observation:
+        env_settings = self._base_env.settings
+        if env_settings.normalised_observation:
             raise ValueError(
                 "Steered reads observations in physical units: leave out normalised_observation"
             )
-        if plant_settings.observation_dtype != "float64":
+        if env_settings.observation_dtype != "float64":
             raise ValueError("Steered reads observations in float64: leave out observation_dtype")
         self._effort = number("effort", effort, least=0.0)
-        robot = plant_settings.robot
+        robot = env_settings.robot
         if base is None:
             base = default_base(robot)
         if steering is None:
-            steering = Shift(action_period=plant_settings.trajectory.duration / ACTIONS)
+            steering = Shift(action_period=env_settings.trajectory.duration / ACTIONS)
         self.steering = Steering(
             robot,
             base=find_base(base),
@@ -81,7 +81,7 @@ class SteeredVector(BatchWrapper):
         self._blocks: dict[str, Array] = {}
         self._start = np.zeros(self.num_envs, np.bool_)
         self._ended = np.zeros(self.num_envs, np.bool_)
-        self._start_observation = np.zeros((self.num_envs, self._plant.layout.size))
+        self._start_observation = np.zeros((self.num_envs, self._base_env.layout.size))
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
