@@ -64,11 +64,11 @@ _INSIDE_TERM, _POSITION_TERM, _ROTATION_TERM, _SATURATION_TERM, _VIOLATION_TERM 
 _TENSION, _TORQUE, _SPEED, _COMMANDED, _MARGIN, _LEAST_TENSION, _SLACK_CABLE = range(
     len(INFO_CABLES)
 )
-_TRUE = 0.5  # true is 1 in the columns of ``violated`` and ``slack``, false is 0
+_BOOLEAN_THRESHOLD = 0.5  # columns of booleans hold 0 and 1
 
 # Columns of the episode settings.
 TRUE_PAYLOAD, MODEL_PAYLOAD, KNOWN, POSITION_BOUND, ROTATION_BOUND, STARTS_AT_REST = range(6)
-EPISODE_SETTINGS = 6
+SETTING_COLUMNS = 6
 
 LARGEST = 1e6
 """Largest magnitude in ``info``: larger and non-finite values become ±1e6. Actions must be
@@ -251,7 +251,7 @@ def _update(fresh, env_index, batch, now, out):
     else:
         if cables.slack:
             slack_for = now.slack_for[env_index] + batch.period
-        reason = _terminate(batch, finite, inside, info[_POSITION], slack_for)
+        reason = _termination_reason(batch, finite, inside, info[_POSITION], slack_for)
         violates = reason > 0 or cables.slack or not cables.taut
     position_kept = _within_bound(info[_POSITION_PEAK], settings[POSITION_BOUND])
     rotation_kept = _within_bound(info[_ROTATION_PEAK], settings[ROTATION_BOUND])
@@ -417,7 +417,7 @@ def _step_info(fresh, lane, batch, stall, cables):
 
 
 @inline
-def _terminate(batch, finite, inside, position_error, slack_for):
+def _termination_reason(batch, finite, inside, position_error, slack_for):
     """The termination reason, 0 for none."""
     if not finite:
         return _NON_FINITE
@@ -470,6 +470,6 @@ def info_dict(scalars: Array, cables: Array) -> dict[str, Any]:
     columns = scalars.tolist() if single else scalars.T.copy()
     named: dict[str, Any] = dict(zip(INFO_SCALARS, columns, strict=True))
     named.update(zip(INFO_CABLES, cables.copy(), strict=True))
-    named["violated"] = named["violated"] > _TRUE
-    named["slack"] = named["slack"] > _TRUE
+    named["violated"] = named["violated"] > _BOOLEAN_THRESHOLD
+    named["slack"] = named["slack"] > _BOOLEAN_THRESHOLD
     return named

@@ -35,18 +35,19 @@ from cablebot_gym.utils.checks import (
 )
 
 LONGEST_PHYSICS_STEP = 1e-3
-"""Largest default physics step [s]. On the paper's robots, RK4's error over 0.5 s is below 1e-9 at
-this step. Accuracy allows longer steps, but checks of slack and errors every 2 ms find later
-violations."""
+"""Largest default physics step [s]. With it, the error of RK4 on the paper's robots is below 1e-9 over
+0.5 s. Longer steps would be accurate enough, but limits are checked once a step: with steps of 2 ms,
+violations are found later."""
 
 FREQUENCY = 500.0
 """Default number of actions per second [Hz]."""
 
 MODE_LOSS = {"planar": 1e-6, "spatial": 1e-5}
-"""Bound of the fraction of its energy that a flexible robot's fastest mode loses per second to RK4
-with the default physics step. RK4 dissipates φ⁶/72 per step h, with φ = ω h. A planar robot can
-oscillate in this mode alone. A spatial robot without torque falls, and loses less than 1e-6 of its
-kinetic energy. A robot that is held at rest can lose the whole fraction."""
+"""Largest fraction of its energy that RK4 may take from the fastest mode of a flexible robot per
+second, with the default physics step: ``planar`` for planar point masses, ``spatial`` for all other
+kinds. A step h takes φ⁶/72, with φ = ω h. A planar robot can oscillate in this mode alone. A spatial
+robot without torque falls, and loses less than 1e-6 of its kinetic energy; held at rest, it can lose
+the whole fraction."""
 
 MOST_SUBSTEPS = 1000
 """Largest default number of physics steps per control period. A need for more indicates an error in
@@ -189,8 +190,8 @@ class Settings:
     reset options of an episode, those of this episode.
 
     Each field is a keyword, and this is the only place that defines it: type, default, check,
-    meaning and whether it is a reset option. A field without a default depends on the robot. A
-    value that is given once per environment has a leading axis N.
+    meaning and whether it is a reset option. A field without a default gets one from its check or
+    from :func:`make_settings`. A value that is given once per environment has a leading axis N.
     """
 
     robot: Annotated[
@@ -373,7 +374,8 @@ FOREIGN_OPTIONS = ("reset_mask", "minari_autoseed")
 """Reset options of Gymnasium's vector API and of Minari, which the checks here ignore."""
 
 _DEFAULTS = {name: getattr(Settings, name, None) for name in KEYWORDS}
-"""Default of each keyword; None also for those that depend on the robot."""
+"""Default of each keyword; None for those that get one from their check or from
+:func:`make_settings`."""
 
 
 def keyword_table() -> str:
@@ -404,10 +406,12 @@ def make_settings(*, robot: str | dict[str, Any] | Robot, count: int, **keywords
     Args:
         robot: nominal robot.
         count: number of environments, N.
-        keywords: objects or JSON-able data by the names of :data:`KEYWORDS`. None stands for the
-            default: no payload, the motion of :func:`default_trajectory`, the start pose of
-            :func:`cablebot_gym.task.start_pose`, no uncertainty, pose and velocity as the
-            measurement, the default error bounds, :data:`DEFAULT_WEIGHTS`, and :func:`fewest_substeps`.
+        keywords: objects or JSON-able data by the names of :data:`KEYWORDS`. None is valid for
+            ``payload`` (no payload), ``payload_range`` and ``initial_error_range`` (no random part),
+            ``trajectory`` (:func:`default_trajectory`), ``initial_error``
+            (:func:`cablebot_gym.task.start_pose`), ``uncertainty`` (none), ``measurement`` (pose and
+            velocity), ``error_bounds`` (those of the robot), ``reward_weights``
+            (:data:`DEFAULT_WEIGHTS`) and ``substeps`` (:func:`fewest_substeps`).
 
     Raises:
         TypeError: if a keyword is unknown.
@@ -490,11 +494,12 @@ def fewest_substeps(
     fastest = max(_fastest_rate(robot, uncertainty) for uncertainty in uncertainties)
     longest = min(LONGEST_PHYSICS_STEP, STABLE_PHASE / fastest)
     if robot.flexible:
-        frequency = highest_frequency(robot)
-        phase = (
-            72 * MODE_LOSS["planar" if robot.kind == "planar" else "spatial"] / frequency
-        ) ** 0.2
-        longest = min(longest, phase / frequency)
+        loss = MODE_LOSS["spatial"]
+        if robot.kind == "planar":
+            loss = MODE_LOSS["planar"]
+        rate = highest_frequency(robot)  # [rad/s]
+        phase = (72 * loss / rate) ** 0.2  # φ⁶/72 in each of ω/φ steps per second
+        longest = min(longest, phase / rate)
     needed = 1 / (control_frequency * longest)
     if needed > MOST_SUBSTEPS:
         raise ValueError(

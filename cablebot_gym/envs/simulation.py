@@ -64,7 +64,7 @@ class Simulation:
         )
         self.stall_torque = np.tile(robot.stall_torque, (count, 1))
         """True stall torques τ_s [N·m], (N, m)."""
-        self._episode_settings = np.zeros((count, outcome.EPISODE_SETTINGS))
+        self._setting_columns = np.zeros((count, outcome.SETTING_COLUMNS))
         self._sent = np.zeros((count, robot.cables))
         self._slack_for = np.zeros(count)
         self._violated = np.zeros(count, np.bool_)
@@ -79,7 +79,7 @@ class Simulation:
         """Number of control steps of each environment's motion, (N,)."""
         self.truth: dict[str, Array] = {}
         """True parameters of the present episodes by name, each (N, …)."""
-        self._episodes = [settings] * count
+        self._settings_of_episodes = [settings] * count
         self.observation = np.zeros((count, self.layout.size))
         self.reward = np.zeros(count)
         self.reason = np.zeros(count, np.int64)
@@ -90,9 +90,8 @@ class Simulation:
         self._bind()
 
     def _make_constants(self) -> outcome.Constants:
-        """What the compiled outcome needs to know of all episodes. The arrays are copies, which are
-        writable and C-ordered as those of a copied environment: numba compiles once for each
-        kind."""
+        """Constants of the compiled outcome. Their arrays are writable and C-ordered, as after a copy
+        or a pickle of the environment: numba would compile again for read-only arrays."""
         settings = self.settings
         robot = settings.robot
         space = self.layout.space()
@@ -115,7 +114,7 @@ class Simulation:
 
     def __getstate__(self) -> dict[str, Any]:
         """The attributes without those of :meth:`_bind`."""
-        bound = ("_records", "_advance_calls", "_outcome_calls", "_step_calls")
+        bound = ("_outcome_arguments", "_advance_calls", "_outcome_calls", "_step_calls")
         return {name: value for name, value in self.__dict__.items() if name not in bound}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -133,7 +132,7 @@ class Simulation:
             trajectory_index=plant.trajectory_index,
             references=tables.control,
             last_rows=tables.control_ends,
-            settings=self._episode_settings,
+            settings=self._setting_columns,
             stall=self.stall_torque,
             readings=self._sensors.readings,
             noise=self._disturbances.noise,
@@ -155,12 +154,13 @@ class Simulation:
             substeps=self.settings.substeps,
             step=self.settings.physics_step,
         )
-        self._records = tuple(self._constants), tuple(episodes), tuple(outputs)
+        # Plain tuples: numba finds their type several times faster than that of named ones.
+        self._outcome_arguments = tuple(self._constants), tuple(episodes), tuple(outputs)
         self._outcome_calls = []
         self._step_calls = []
         for robots, advance in zip(plant.parts, self._advance_calls, strict=True):
             find_outcome = partial(
-                outcome.outcome, False, self._all_indices[robots], *self._records
+                outcome.outcome, False, self._all_indices[robots], *self._outcome_arguments
             )
             self._outcome_calls.append(find_outcome)
             self._step_calls.append(partial(_call_in_turn, advance, find_outcome))
@@ -172,16 +172,16 @@ class Simulation:
 
     def task(self, env_index: int) -> Task:
         """Task of one environment's episode."""
-        episode = self._episodes[env_index]
-        row = self._episode_settings[env_index]
+        episode = self._settings_of_episodes[env_index]
+        columns = self._setting_columns[env_index]
         return Task(
             robot=episode.robot,
             trajectory=episode.trajectory,
             error_bounds=episode.error_bounds,
             control_frequency=episode.control_frequency,
             cable=episode.cable,
-            model_payload=float(row[outcome.MODEL_PAYLOAD]),
-            payload_known=bool(row[outcome.KNOWN]),
+            model_payload=float(columns[outcome.MODEL_PAYLOAD]),
+            payload_known=bool(columns[outcome.KNOWN]),
             measurement=episode.measurement,
         )
 
@@ -239,21 +239,26 @@ class Simulation:
         start = episode.trajectory(0.0)
         pose = self._start_pose(env_indices, episode, start)
         velocity = np.broadcast_to(start.velocity, pose.shape)
-        # Nothing has changed yet but the streams, which reset() restores after an error.
-        starts = []
-        for uncertainty, rows in self._by_uncertainty(env_indices, episode.uncertainty):
-            start_of_rows = self._prepared_start(
-                env_indices[rows], uncertainty, payload[rows], pose[rows], velocity[rows]
+        # So far only the streams have changed, which reset() restores after an error. A table that
+        # prepare() has added and nobody follows does no harm.
+        start_calls = []
+        for uncertainty, positions in self._by_uncertainty(env_indices, episode.uncertainty):
+            call = self._start_call(
+                env_indices[positions],
+                uncertainty,
+                payload[positions],
+                pose[positions],
+                velocity[positions],
             )
-            starts.append(start_of_rows)
+            start_calls.append(call)
 
         self._store_settings(env_indices, episode, payload, rests=at_rest(start))
-        for apply in starts:
-            apply()
+        for call in start_calls:
+            call()
         self._tables.follow(env_indices, episode.trajectory, self._plant.trajectory_index)
         self._bind()  # the tables and the noise may be new arrays
         self._measure(env_indices, fresh=True)
-        outcome.outcome(True, env_indices, *self._records)
+        outcome.outcome(True, env_indices, *self._outcome_arguments)
 
     def _nominal_payload(self, env_indices: NDArray[np.int64], episode: Settings) -> Array:
         """Nominal payloads [kg], (k,)."""
@@ -281,10 +286,10 @@ class Simulation:
     def _store_settings(
         self, env_indices: NDArray[np.int64], episode: Settings, payload: Array, *, rests: bool
     ) -> None:
-        """Stores what the outcome and the tasks of the episodes need."""
+        """Stores the columns that the outcome and the tasks of the episodes read."""
         known = self._values_of(env_indices, episode.payload_known)
         factor = self._values_of(env_indices, episode.model_payload_factor)
-        columns = self._episode_settings.T
+        columns = self._setting_columns.T
         columns[outcome.MODEL_PAYLOAD, env_indices] = payload * known * factor
         columns[outcome.KNOWN, env_indices] = known
         columns[outcome.POSITION_BOUND, env_indices] = episode.error_bounds.position
@@ -293,7 +298,7 @@ class Simulation:
         steps = round(episode.trajectory.duration * episode.control_frequency)
         self.motion_steps[env_indices] = max(1, steps)
         for env_index in env_indices:
-            self._episodes[env_index] = episode
+            self._settings_of_episodes[env_index] = episode
 
     def _values_of(self, env_indices: NDArray[np.int64], value: Any) -> Any:
         """Values for ``env_indices`` of a value that is given once for all environments or once per
@@ -307,17 +312,17 @@ class Simulation:
         if len(uncertainties) == 1:
             yield uncertainties[0], np.arange(len(env_indices))
             return
-        rows_of: dict[Uncertainty, list[int]] = {}
-        for row, env_index in enumerate(env_indices):
-            rows_of.setdefault(uncertainties[env_index], []).append(row)
-        for uncertainty, rows in rows_of.items():
-            yield uncertainty, np.array(rows)
+        positions_of: dict[Uncertainty, list[int]] = {}
+        for position, env_index in enumerate(env_indices):
+            positions_of.setdefault(uncertainties[env_index], []).append(position)
+        for uncertainty, positions in positions_of.items():
+            yield uncertainty, np.array(positions)
 
-    def _prepared_start(
+    def _start_call(
         self,
         env_indices: NDArray[np.int64],
         uncertainty: Uncertainty,
-        payload: Array,
+        nominal_payload: Array,
         pose: Array,
         velocity: Array,
     ) -> Callable[[], None]:
@@ -327,50 +332,51 @@ class Simulation:
         Raises:
             ValueError: if no cable tensions hold a robot at rest at its start pose.
         """
-        robot: RobotArrays = self.settings.robot
+        nominal = self.settings.robot
+        true_robots: RobotArrays = nominal
+        true_payload = nominal_payload
         parameters = self._parameters
         if uncertainty.parameters:
-            uniform = self.streams.uniform(
-                env_indices, Purpose.PARAMETERS, draw_size(self.settings.robot)
-            )
-            robot = true = uncertainty.draw(self.settings.robot, payload, uniform)
-            parameters = pack_parameters(true)
-            payload = true.payload  # nominal before, true from here on
-        rows = np.array(np.broadcast_to(parameters, (len(env_indices), parameters.shape[-1])))
-        rows[:, kernel.MASS] += payload  # the plant knows one mass
+            uniform = self.streams.uniform(env_indices, Purpose.PARAMETERS, draw_size(nominal))
+            drawn = uncertainty.draw(nominal, nominal_payload, uniform)
+            true_robots = drawn
+            true_payload = drawn.payload
+            parameters = pack_parameters(drawn)
+        shape = (len(env_indices), parameters.shape[-1])
+        robot_parameters = np.array(np.broadcast_to(parameters, shape))
+        robot_parameters[:, kernel.MASS] += true_payload  # the plant knows one mass
         moved = any(PARAMETERS[name].position for name in uncertainty.parameters)
         try:
             torque = equilibrium_torques(
-                self.settings.robot, robot, robot.mass + payload, pose, moved=moved
+                nominal, true_robots, true_robots.mass + true_payload, pose, moved=moved
             )
         except np.linalg.LinAlgError as error:
             raise ValueError(
                 "no tensions hold the robot at rest at its start pose: choose another one"
             ) from error
-        motors = motor_start(
-            robot, np.broadcast_to(torque, (len(env_indices), robot.cables)), pose, velocity
-        )
+        torque = np.broadcast_to(torque, (len(env_indices), nominal.cables))
+        motors = motor_start(true_robots, torque, pose, velocity)
 
-        def apply() -> None:
-            self.stall_torque[env_indices] = robot.stall_torque
-            self._episode_settings[env_indices, outcome.TRUE_PAYLOAD] = payload
-            self._store_truth(env_indices, robot, payload)
-            self._plant.set_parameters(env_indices, rows)
+        def write_to_plant() -> None:
+            self.stall_torque[env_indices] = true_robots.stall_torque
+            self._setting_columns[env_indices, outcome.TRUE_PAYLOAD] = true_payload
+            self._store_truth(env_indices, true_robots, true_payload)
+            self._plant.set_parameters(env_indices, robot_parameters)
             self._plant.set_state(env_indices, pose, velocity)
-            if robot.flexible:
+            if nominal.flexible:
                 self._plant.set_motors(env_indices, motors.motor_angle, motors.speed)
-            if robot.jointed and robot.elastic:
+            if nominal.jointed and nominal.elastic:
                 self._plant.set_pulleys(env_indices, motors.pulley_angle, motors.speed)
             self._plant.set_torques(env_indices, motors.torque)
-            holding = np.clip(normalised_action(robot, motors.torque, motors.speed), -1.0, 1.0)
-            self._disturbances.reset(env_indices, uncertainty, holding)
+            action = normalised_action(true_robots, motors.torque, motors.speed)
+            self._disturbances.reset(env_indices, uncertainty, np.clip(action, -1.0, 1.0))
 
-        return apply
+        return write_to_plant
 
     def _store_truth(
         self, env_indices: NDArray[np.int64], robot: RobotArrays, payload: Array
     ) -> None:
-        """Stores the true parameters that the robot has in :attr:`truth`."""
+        """Writes to :attr:`truth` the true value of each parameter that this kind of robot has."""
         for name, parameter in PARAMETERS.items():
             if not parameter.belongs_to(self.settings.robot):
                 continue
@@ -392,14 +398,16 @@ class Simulation:
                 ``LARGEST``.
         """
         plant = self._plant
-        checked = _check_actions(actions, self._action_shape)
-        self._sent[...] = checked
+        sent = _check_actions(actions, self._action_shape)
+        self._sent[...] = sent
+        applied = sent
         if not self._disturbances.quiet:
-            checked = self._disturbances.delayed(checked)
+            applied = self._disturbances.delayed(sent)
             self._disturbances.update_wrench(plant)
-        plant.set_action(checked)
+        plant.set_action(applied)
         if self._disturbances.quiet and not self.settings.measurement.winches:
-            # Nothing to measure between the calls: threads wait for each other once.
+            # Nothing is measured in between: each thread makes both calls, and threads wait for
+            # each other once.
             call_all(self._step_calls)
             return
         call_all(self._advance_calls)
@@ -414,9 +422,9 @@ class Simulation:
             self._sensors.read(env_indices, self._plant, self.truth, fresh=fresh)
 
 
-def _call_in_turn(advance: Callable[[], None], judge: Callable[[], None]) -> None:
+def _call_in_turn(advance: Callable[[], None], find_outcome: Callable[[], None]) -> None:
     advance()
-    judge()
+    find_outcome()
 
 
 def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:

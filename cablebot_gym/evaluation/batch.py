@@ -418,7 +418,7 @@ def run_episodes(
     state, start = None, np.ones(env.num_envs, np.bool_)
     terminated = np.zeros(env.num_envs, np.bool_)
     count = count or StepCount(None, 0)
-    longest = int(judge.steps.max())
+    longest = int(judge.motion_steps.max())
     for step in range(longest):
         over = (terminated if full_motion else judge.failed) | judge.finished
         if over.all():

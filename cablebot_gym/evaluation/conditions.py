@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 from cablebot_gym.envs import check_robot, env_robot
@@ -106,7 +105,7 @@ class Conditions:
             uncertainty_name=name,
             draws=draws,
             seed=seed,
-            keywords=MappingProxyType(deepcopy(keywords)),
+            keywords=deepcopy(keywords),
         )
 
     @property

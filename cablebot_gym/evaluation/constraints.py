@@ -42,38 +42,42 @@ class Violation:
     kind: ViolationKind
     """Kind of limit. ``torque``: |a| > 1, or the motor cannot hold the robot at rest at the start.
     ``position``, ``rotation``: a tracking error exceeds its bound. ``slack``: a tension falls below
-    its bound, or a cable is slack (paper criterion). ``terminated``: the environment terminated the
-    episode."""
+    its bound (unilateral cables, task criterion), or a cable is slack. ``terminated``: the
+    environment terminated the episode."""
     index: int | None
     """Number of the motor or cable from 1, as in the paper; None for the other kinds."""
     time: float | None
-    """Time of the violation [s]: the control instant for torque, else the end of the control
-    period."""
+    """Time of the violation [s]: 0 at the start, the control instant for torque, else the end of the
+    control period. The judge always sets it."""
     excess: float | None
     """Excess: torque beyond U± [N·m], error beyond its bound [m or rad], or missing tension [N];
-    None for the other kinds."""
+    None for a slack cable and for ``terminated``."""
     reason: str = ""
     """Name of the environment's ``termination_reason`` if ``kind`` is ``terminated``; ``start`` if
     a motor cannot hold the robot at the start; else empty."""
     bound: float | None = None
-    """Bound of the error [m or rad] or of the tension [N]; None for the other kinds."""
+    """Bound of the error [m or rad] or of the tension [N]; None if the limit has none."""
 
     def __str__(self) -> str:
-        unit = {"position": "mm", "rotation": "mrad"}.get(self.kind)
-        bound = "" if self.bound is None else f" of {1e3 * self.bound:g} {unit}"
-        slack = (
-            "is slack"
-            if self.bound is None
-            else f"falls below its tension bound of {self.bound:g} N"
-        )
-        torque = "cannot hold the robot at rest" if self.reason else "reaches its torque limit"
-        texts = {
-            "torque": f"motor {self.index} {torque}",
-            "slack": f"cable {self.index} {slack}",
-            "terminated": f"terminated ({self.reason.replace('_', ' ')})",
-        }
-        text = texts.get(self.kind, f"{self.kind} error reaches its bound{bound}")
-        return text if self.time is None else f"{text} at t = {self.time:.3f} s"
+        if self.time is None:
+            return self._limit_text()
+        return f"{self._limit_text()} at t = {self.time:.3f} s"
+
+    def _limit_text(self) -> str:
+        if self.kind == "torque":
+            if self.reason:  # at the start
+                return f"motor {self.index} cannot hold the robot at rest"
+            return f"motor {self.index} reaches its torque limit"
+        if self.kind == "slack":
+            if self.bound is None:
+                return f"cable {self.index} is slack"
+            return f"cable {self.index} falls below its tension bound of {self.bound:g} N"
+        if self.kind == "terminated":
+            return f"terminated ({self.reason.replace('_', ' ')})"
+        if self.bound is None:
+            return f"{self.kind} error reaches its bound"
+        unit = {"position": "mm", "rotation": "mrad"}[self.kind]
+        return f"{self.kind} error reaches its bound of {1e3 * self.bound:g} {unit}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,8 +94,8 @@ class Verdict:
     payload: float
     """True payload [kg]."""
     peak_action: tuple[float, ...]
-    """Largest |a| of each motor. This extreme and the following ones end with the step of the
-    violation."""
+    """Largest |a| of each motor. This and the following values include the step of the violation and
+    no later one."""
     position_peak: float
     """Largest position error at any physics step [m]."""
     rotation_peak: float
@@ -101,10 +105,11 @@ class Verdict:
 
 
 class Judge:
-    """Checks N episodes step by step. Keeps the first violations and the extremes, no time series.
+    """Checks N episodes step by step. It stores the first violations and the extremes, but no time
+    series.
 
     The checks of a step are, in this order: torque (paper criterion), tension, position error,
-    rotation error (task criterion), termination. They stop at the first violation and at the end of
+    rotation error (task criterion), termination. The checks of an episode stop at its first violation and at the end of
     the motion.
 
     Args:
@@ -120,12 +125,16 @@ class Judge:
         self.failed = np.zeros(count, np.bool_)
         """Mask of the episodes with a violation, (N,)."""
         self._violations: list[Violation | None] = [None] * count
-        self._position_bound, self._rotation_bound, self._tension_bound = np.zeros((3, count))
-        self._step = np.zeros(count, np.int64)
-        self.steps = np.zeros(count, np.int64)
+        self._position_bound = np.zeros(count)
+        self._rotation_bound = np.zeros(count)
+        self._tension_bound = np.zeros(count)
+        self._steps_done = np.zeros(count, np.int64)
+        self.motion_steps = np.zeros(count, np.int64)
         """Number of control steps of the motion, (N,)."""
-        self.payload, self._position_peak, self._rotation_peak = np.zeros((3, count))
+        self.payload = np.zeros(count)
         """True payloads, (N,) [kg]."""
+        self._position_peak = np.zeros(count)
+        self._rotation_peak = np.zeros(count)
         self._peak_action = np.zeros((count, cables))
         self._least_tension = np.zeros(count)
 
@@ -137,7 +146,7 @@ class Judge:
     @property
     def finished(self) -> NDArray[np.bool_]:
         """Mask of the episodes whose full motion was observed, (N,)."""
-        return self._step >= self.steps
+        return self._steps_done >= self.motion_steps
 
     def reset(
         self, info: Mapping[str, Array], task: Task, mask: NDArray[np.bool_] | None = None
@@ -157,10 +166,13 @@ class Judge:
         if self.criterion == "task":
             self._rotation_bound[mask] = task.error_bounds.rotation
             self._tension_bound[mask] = limits.minimum_tension(task.robot, task.cable)
-        self._step[mask], self.steps[mask] = 0, task.steps
+        self._steps_done[mask] = 0
+        self.motion_steps[mask] = task.steps
         self.payload[mask] = info["payload"][mask]
-        self._position_peak[mask], self._rotation_peak[mask] = 0.0, 0.0
-        self._peak_action[mask], self._least_tension[mask] = 0.0, np.inf
+        self._position_peak[mask] = 0.0
+        self._rotation_peak[mask] = 0.0
+        self._peak_action[mask] = 0.0
+        self._least_tension[mask] = np.inf
         self.failed[mask] = False
         if self.criterion == "task" and task.starts_at_rest:
             margin = info["torque_margin"]
@@ -183,7 +195,7 @@ class Judge:
             terminated: whether the environment terminated the episode, (N,).
         """
         running = ~self.failed & ~self.finished
-        self._step += 1
+        self._steps_done += 1
         action = np.abs(info["commanded_action"])
         time = info["time"]
         np.maximum(self._peak_action, action, out=self._peak_action, where=running[:, None])
@@ -196,10 +208,12 @@ class Judge:
                 excess = -np.take_along_axis(info["torque_margin"], motor[:, None], 1)[:, 0]
                 self._fail("torque", saturated, info["action_time"], index=motor + 1, excess=excess)
         bound = self._tension_bound
-        low = running & ~limits.is_taut(tension, bound)
-        if low.any():
+        below_bound = running & ~limits.is_taut(tension, bound)
+        if below_bound.any():
             cable = info["least_tensions"].argmin(axis=1)
-            self._fail("slack", low, time, index=cable + 1, excess=bound - tension, bound=bound)
+            self._fail(
+                "slack", below_bound, time, index=cable + 1, excess=bound - tension, bound=bound
+            )
         slack = running & info["slack"].any(axis=1)
         if slack.any():
             cable = info["slack"].argmax(axis=1)
@@ -210,15 +224,23 @@ class Judge:
             self._fail("terminated", ended, time, reason=_REASONS[info["termination_reason"]])
 
     def _check_errors(self, info: Mapping[str, Array], running: NDArray[np.bool_]) -> None:
-        errors: tuple[tuple[ViolationKind, Array, Array, Array], ...] = (
-            ("position", info["tracking_error_peak"], self._position_peak, self._position_bound),
-            ("rotation", info["rotation_error_peak"], self._rotation_peak, self._rotation_bound),
-        )
-        for kind, error, peak, bound in errors:
-            np.maximum(peak, error, out=peak, where=running)
-            beyond = running & ~limits.within_bound(error, bound)
-            if beyond.any():
-                self._fail(kind, beyond, info["time"], excess=error - bound, bound=bound)
+        position, rotation = info["tracking_error_peak"], info["rotation_error_peak"]
+        np.maximum(self._position_peak, position, out=self._position_peak, where=running)
+        np.maximum(self._rotation_peak, rotation, out=self._rotation_peak, where=running)
+        self._check_error("position", position, self._position_bound, info["time"], running)
+        self._check_error("rotation", rotation, self._rotation_bound, info["time"], running)
+
+    def _check_error(
+        self,
+        kind: ViolationKind,
+        error: Array,
+        bound: Array,
+        time: Array,
+        running: NDArray[np.bool_],
+    ) -> None:
+        beyond = running & ~limits.within_bound(error, bound)
+        if beyond.any():
+            self._fail(kind, beyond, time, excess=error - bound, bound=bound)
 
     def _fail(
         self, kind: ViolationKind, mask: NDArray[np.bool_], time: Array, **values: ArrayLike
@@ -232,13 +254,16 @@ class Judge:
             fields: dict[str, Any] = {"index": None, "excess": None, "time": time[env_index].item()}
             for name, column in columns.items():
                 fields[name] = column[env_index].item()
+            # −∞ stands for a limit without a tension bound
             if not np.isfinite(fields.get("bound", 0.0)):
                 fields["bound"] = None
             self._violations[env_index] = Violation(kind=kind, **fields)
 
     def violation(self, env_index: int) -> Violation | None:
         """The first violation of one episode; None without a violation."""
-        return self._violations[env_index] if self.failed[env_index] else None
+        if not self.failed[env_index]:  # reset() clears only the mask
+            return None
+        return self._violations[env_index]
 
     def verdict(self, env_index: int) -> Verdict:
         """Outcome of one episode up to the present step."""

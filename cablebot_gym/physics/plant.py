@@ -143,9 +143,11 @@ class Plant:
         """Index of the reference trajectory of each lane, shape (width,)."""
         self.step_index = np.zeros(self.width, np.int64)
         """Control steps since the reset of each lane, shape (width,)."""
-        self._lags = self._rubs = (
-            False  # whether some robot has had a lag or Coulomb friction so far
-        )
+        # Never reset to False: code that has a lag or friction of zero gives the same result.
+        self._has_lag = False
+        """Whether some robot has had a motor lag so far."""
+        self._has_friction = False
+        """Whether some robot has had Coulomb friction so far."""
         self._bind()
         self.set_parameters(
             np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows))
@@ -214,8 +216,10 @@ class Plant:
         rows = np.asarray(rows, float)
         self._write(self._parameters, 0, np.asarray(index), rows)
         cables = rows[:, kernel.FIRST_CABLE_PARAMETER : kernel.body_parameter(self.robot.cables)]
-        self._lags |= bool(np.any(cables[:, kernel.LAG :: kernel.CABLE_PARAMETERS]))
-        self._rubs |= bool(np.any(cables[:, kernel.COULOMB_FRICTION :: kernel.CABLE_PARAMETERS]))
+        self._has_lag |= bool(np.any(cables[:, kernel.LAG :: kernel.CABLE_PARAMETERS]))
+        self._has_friction |= bool(
+            np.any(cables[:, kernel.COULOMB_FRICTION :: kernel.CABLE_PARAMETERS])
+        )
 
     def set_wrench(self, index: Array, force: Array, moment: Array | None = None) -> None:
         """Sets the external wrench on the platforms of the robots at ``index``. It stays until it
@@ -326,8 +330,8 @@ class Plant:
             partial(
                 self._advance,
                 self.unilateral,
-                self._lags,
-                self._rubs,
+                self._has_lag,
+                self._has_friction,
                 parameters,
                 record,
                 scratch,

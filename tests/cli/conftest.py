@@ -81,9 +81,9 @@ class Ended:
 
     @property
     def data(self):
-        """Standard output as JSON; asserts that there are neither messages nor NaN or infinity."""
+        """Standard output as JSON without NaN and infinity. Standard error may have progress, which
+        depends on the time."""
         assert self.status == 0
-        assert self.err == ""
         return json.loads(self.out, parse_constant=pytest.fail)
 
     def message(self, status):

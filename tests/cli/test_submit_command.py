@@ -31,13 +31,16 @@ TINY = Suite(
 HIDDEN = replace(
     TINY, name="hidden", blocks=(Block(motion="hidden", conditions=CHANGES), *TINY.blocks)
 )
-CARD = {"authors": "A. Author", "licence": "BSD-3-Clause", "compute": "1 h"}
-
-
+CARD = {
+    "authors": "A. Author",
+    "licence": "BSD-3-Clause",
+    "compute": "1 h",
+    "data": "none",
+    "seeds": "0",
+}
 SUBMIT = f"--id {PLANAR} --suite tiny " + " ".join(
     f"--{name} '{text}'" for name, text in CARD.items()
 )
-CARD |= {"data": "none", "seeds": "0"}
 LAW = """
 from pathlib import Path
 import numpy as np

@@ -4,6 +4,7 @@ misbehave."""
 import dataclasses
 import json
 import math
+import pickle
 from functools import cache
 
 import gymnasium as gym
@@ -384,6 +385,7 @@ def test_bad_comparison_is_rejected(policies, arguments, message):
 def test_environment_of_the_json_repeats_the_evaluation():
     keywords = {"seed": np.int64(3), "control_frequency": np.float32(400.0)}
     result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, trajectory=HANG, resolution=0.01, **keywords)
+    result = pickle.loads(pickle.dumps(result))  # as worker processes return it
     data = json.loads(result.to_json(), parse_constant=pytest.fail)
     assert data["violation"] == dataclasses.asdict(result.violation)
     assert data["versions"]["cablebot-gym"] == cablebot_gym.__version__

@@ -266,7 +266,7 @@ def test_isolated_wrappers_give_the_same_payload(module):
     names = [f"{module}:Spies", f"{module}:Half"]
     with IsolatedPolicy("fl", PLANAR_ID, wrappers=names) as policy:
         isolated = evaluate_dlcc(policy, PLANAR_ID, **FEW)
-        assert isolated.wrappers == tuple(names)
+        assert isolated.details.wrappers == tuple(names)
         with pytest.raises(
             ValueError, match="is loaded already: give the wrappers where it is loaded"
         ):

@@ -1,4 +1,9 @@
-"""RK4 steps of a tile, and what its record notes of them."""
+"""RK4 steps of a tile and the record of each control period.
+
+``p``: parameters of the tile; ``w``: scratch memory; ``record`` or ``r``: record; ``at``: lane;
+``row``, ``rec``: first row of a cable in the scratch memory and in the record; ``half``: 0 for
+positions, 1 for velocities, which are 6 rows further on; h: physics step [s].
+"""
 
 from __future__ import annotations
 
@@ -165,10 +170,8 @@ def _rk4(form, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
 @inline
 def _note_errors(form, period_starts, w, record, at, lanes, paths, path, line):
     """Updates the largest position and rotation error after a physics step, against a line of a
-    path.
-
-    A view of the line would count a reference.
-    """
+    path."""
+    # Indexed in full: numba would count a reference for a view of the line.
     dx = w[START * lanes + at] - paths[path, line, 0]
     dy = w[(START + 1) * lanes + at] - paths[path, line, 1]
     square = dx * dx + dy * dy
@@ -188,8 +191,8 @@ def _note_errors(form, period_starts, w, record, at, lanes, paths, path, line):
 
 @inline
 def _load_tile(form, record, w, lanes):
-    """Copies the state to the scratch memory. The search starts with the last known slack
-    cables."""
+    """Copies the state to the scratch memory. The search for the taut cables starts from those that
+    were slack in the last control period."""
     for j in range(form.coordinates):
         for at in range(lanes):
             w[(START + j) * lanes + at] = record[(POSE + j) * lanes + at]
@@ -283,6 +286,7 @@ def evaluate_tiles(form, lanes, unilateral, parameters, record, w, acceleration)
             rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
             for at in range(lanes):
                 w[(row + torque_row(form)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
+                # All cables taut at first: the record may belong to other torques.
                 w[(row + TAUT) * lanes + at] = 1.0
         stage_kinematics(form, form.flexible, p, w, lanes)
         subtract_friction(form, p, w, lanes)
