@@ -1,11 +1,13 @@
 """Largest payload with which a rigid robot can track a motion exactly, in closed form.
 
 On the reference, lengths and speeds of the cables do not depend on the payload, and the required
-torques are piecewise affine in it. Therefore no simulation and no search is necessary: the margin
-of each limit is piecewise affine too, and the payloads where it is zero are the ends of the
-intervals that violate the limit. The result is an end of an interval between them. Where redundant
-cables leave a choice of tensions, :func:`~cablebot_gym.physics.distribution.largest_scale` gives
-the interval of each instant instead, and the result is an end of their intersection.
+torques are piecewise affine in it. Therefore no simulation and no search is necessary. The margin
+of each limit is piecewise affine, too, and its zeros are the ends of the intervals of payloads that
+violate the limit. The result is the end of an interval without violations.
+
+Where redundant cables leave a choice of tensions,
+:func:`~cablebot_gym.physics.distribution.largest_scale` gives the feasible interval of each
+instant. The result is the upper end of the intersection of these intervals.
 
 The episode starts on the reference, as with the environment option ``initial_error=0``. By default
 a robot under gravity whose motion starts at rest starts lower
@@ -47,7 +49,7 @@ _LIMITS: tuple[tuple[Kind, Line], ...] = (
     ("torque", "lower"),
     ("tension", "lower"),
 )
-"""Limits along the last axis of :func:`_margins`."""
+"""Kind and line of the limits along the last axis of :func:`_margins`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,9 +103,9 @@ def exact_payload(
     limits.
 
     The limits are ``U⁻ ≤ τ ≤ U⁺`` with ``U± = ±τ_s − (τ_s/ω_n) β̇`` and ``T ≥ minimum_tension``.
-    They hold at all times from 0 up to, but excluding, ``duration``. A fine grid approximates these
+    They apply at all times from 0 up to, but excluding, ``duration``. A fine grid approximates these
     times. It has both sides of each instant, because both accelerations count where the
-    acceleration of the paper's circles jumps. With ``frequency`` the limits hold only at the
+    acceleration of the paper's circles jumps. With ``frequency`` the limits apply only at the
     control instants of a simulated episode: of a jump they contain one side, and the other at most
     one period away.
 
@@ -146,8 +148,8 @@ def exact_payload(
 
 
 def _uses_best_tensions(robot: Robot) -> bool:
-    """Whether the tensions may be any within the limits: redundant cables, except on a planar point
-    mass."""
+    """Whether a motion may use any tensions within the limits: redundant cables, except on a planar
+    point mass."""
     return robot.cables > robot.coordinates and robot.kind != "planar"
 
 
@@ -187,7 +189,7 @@ def _all_times(robot: Robot, trajectory: Trajectory, grid: float) -> tuple[Array
 
 
 class _ActiveLimit(NamedTuple):
-    """A limit of a cable or motor at an instant, as indices."""
+    """An active or violated limit, as indices."""
 
     instant: int
     motor: int
@@ -210,7 +212,8 @@ class _Violations:
 def _payload_of_affine_tensions(
     robot: Robot, times: Array, reference: Reference, minimum_tension: float, line_speed: Array
 ) -> ExactPayload:
-    """Result with tensions that are affine in the mass between nodes."""
+    """Result with tensions that are affine in the mass between nodes: the unique ones, or the least
+    ones of a planar point mass."""
     node_masses = _nodes(robot, reference, minimum_tension)
     margins = _margins(robot, reference, node_masses, minimum_tension, line_speed)
     violations = _violations(node_masses, margins)
@@ -330,8 +333,8 @@ def _violations(node_masses: Array, margins: Array) -> _Violations:
     start_margin = margins[:, :-1]
     end_margin = margins[:, 1:].copy()
     change = end_margin - start_margin
-    # A change within the rounding of the margins is none: it would give the last piece, which has
-    # no end, a sign at infinity.
+    # A change within the rounding of the margins counts as none. On the last piece, which has no
+    # end, even a tiny change decides the sign of the margin at infinity.
     rounding = 1e-12 * (np.abs(end_margin) + np.abs(start_margin))
     change = np.where(np.abs(change) > rounding, change, 0.0)
     # Without a change there is no zero, and the margin has one sign on the piece.
@@ -345,7 +348,7 @@ def _violations(node_masses: Array, margins: Array) -> _Violations:
     high = np.where(end_margin < 0, piece_end, zero)
     is_violated = (start_margin < 0) | (end_margin < 0)
     instant_piece_motor_limit = np.argwhere(is_violated)
-    limits = np.delete(instant_piece_motor_limit, 1, axis=1)
+    limits = np.delete(instant_piece_motor_limit, 1, axis=1)  # without the piece
     return _Violations(low=low[is_violated], high=high[is_violated], limits=limits)
 
 
@@ -364,7 +367,7 @@ def _payload_of_best_tensions(
     """Result with the best tensions of redundant cables at each instant."""
     motion = reference.position, reference.velocity, reference.acceleration
     lower, upper = tension_bounds(robot, reference, minimum_tension, line_speed=line_speed)
-    if np.any(np.isnan(lower)):  # see tension_bounds
+    if np.any(np.isnan(lower)):  # tension_bounds marks a cable without length by NaN
         raise ValueError(
             f"a cable of robot {robot.name!r} has no length on the motion: choose another trajectory"
         )
