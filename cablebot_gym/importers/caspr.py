@@ -150,7 +150,7 @@ def _body(name: str, link: Element, element: Element, joint: _Joint) -> FileValu
         base_anchors=no_cables,
         platform_anchors=no_cables,
         mass=_value(physical, "mass"),
-        home=_home(link, element, joint),
+        home_pose=_home(link, element, joint),
         plane="vertical" if joint.vertical else "horizontal",
         sources={"mass": label, "home_pose": f"{label}: q_initial"},
     )

@@ -1,5 +1,5 @@
-"""Values of a robot in a file of another program, and the robot that they give with assumptions for
-missing values."""
+"""Values of a robot from a file of another program, and a robot from these values, with assumptions
+for missing ones."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from cablebot_gym.robots import GRAVITY, Motors, Plane, Robot, Transmission
 from cablebot_gym.utils.files import read_text
 
 ASSUMED_BASE_WIDTH_OVER_DRUM_RADIUS = 100.0
-"""Assumed ratio of the width of the base to the drum radius, between 20 of a small robot and 220 of
-a large one."""
+"""Assumed ratio of the width of the base to the drum radius. Small robots have about 20, large ones
+220."""
 
 ASSUMED_DRUM_RADII = (0.01, 0.5)
 """Least and largest assumed drum radius [m]."""
@@ -33,7 +33,7 @@ ASSUMED_LARGEST_TENSION_OVER_PLATFORM_WEIGHT = 4.0
 """Assumed largest tension, as a multiple of the platform's weight."""
 
 FRAME_CHANGE = "turned by 180° about x, so that z points down"
-"""Change of the frame of a robot in space, in the text of a source."""
+"""Change of the frame of a robot in space, as the sources of its values describe it."""
 
 
 @dataclass(kw_only=True)
@@ -56,7 +56,7 @@ class FileValues:
     mass. A platform without inertia becomes a point mass."""
     center_of_mass: Array | None = None
     """Centre of mass, shape (d,) [m]; None for the origin."""
-    home: Array | None = None
+    home_pose: Array | None = None
     """Home pose, shape (n,) [m, rad]; None if the file has none."""
     plane: Plane = "horizontal"
     """Plane of a planar robot."""
@@ -96,8 +96,8 @@ class ImportedRobot:
         motors = data.pop("motors")
         transmission = data.pop("transmission")
         lines = ["# SI units and radians; z points down. Check it with `cablebot robot check`."]
-        # A 0 of the robot can have an effect, as with minimum_tension. In the tables of motors and
-        # transmission it means a part that is missing.
+        # A 0 in the table of the robot has an effect, for example as minimum_tension. In the tables
+        # of motors and transmission it is a default and means no effect, for example no friction.
         unused = (None, ())
         unused_parts = (*unused, 0.0)
         lines += _toml_lines(data, unused)
@@ -115,8 +115,8 @@ class ImportedRobot:
 
 
 def _toml_lines(values: Mapping[str, Any], unused: tuple[Any, ...]) -> Iterator[str]:
-    """Lines of the values by name, except for ``unused`` ones; a table of numbers with one line a
-    row."""
+    """Lines with name and value, except for the values in ``unused``. A table of numbers gets one
+    line per row."""
     for name, value in values.items():
         if value in unused:
             continue
@@ -176,29 +176,30 @@ def with_assumptions(values: FileValues) -> ImportedRobot:
         ValueError: if no pose is found that positive tensions hold, or a value is not physical.
     """
     sources = dict(values.sources)
-    fields: dict[str, Any] = {
+    robot_fields: dict[str, Any] = {
         "name": values.name,
         "base_anchors": values.base_anchors,
         "mass": values.mass,
         "plane": values.plane,
         "cable_density": values.cable_density,
     }
+    # Without inertia, the platform becomes a point mass.
     if values.platform_anchors is not None and values.inertia is not None:
-        fields["platform_anchors"] = values.platform_anchors
-        fields["inertia"] = values.inertia
+        robot_fields["platform_anchors"] = values.platform_anchors
+        robot_fields["inertia"] = values.inertia
         if values.center_of_mass is not None and np.any(values.center_of_mass):
-            fields["center_of_mass"] = values.center_of_mass
+            robot_fields["center_of_mass"] = values.center_of_mass
     if values.swivel_radii:
-        fields["swivel_radius"] = values.swivel_radii
+        robot_fields["swivel_radius"] = values.swivel_radii
     if values.minimum_tension is None:
         sources["minimum_tension"] = "assumed: the default of this package"
     else:
-        fields["minimum_tension"] = values.minimum_tension
+        robot_fields["minimum_tension"] = values.minimum_tension
     drum_radius = _drum_radius(values, sources)
-    fields["motors"] = _motors(values, drum_radius, sources)
-    fields["transmission"] = _transmission(values, drum_radius, sources)
+    robot_fields["motors"] = _motors(values, drum_radius, sources)
+    robot_fields["transmission"] = _transmission(values, drum_radius, sources)
     notes = list(values.notes)
-    robot = _robot_at_home(values, fields, sources, notes)
+    robot = _robot_at_home(values, robot_fields, sources, notes)
     return ImportedRobot(robot=robot, notes=tuple(notes))
 
 
@@ -255,7 +256,7 @@ def _six_digits(value: float) -> float:
 
 
 def _robot_at_home(
-    values: FileValues, fields: dict[str, Any], sources: dict[str, str], notes: list[str]
+    values: FileValues, robot_fields: dict[str, Any], sources: dict[str, str], notes: list[str]
 ) -> Robot:
     """The robot at the home pose of the file, or at the first pose of a search that positive
     tensions hold.
@@ -267,17 +268,17 @@ def _robot_at_home(
     """
     first_error = None
     for pose in _home_poses(values):
-        home_pose = tuple(_six_digits(coordinate) for coordinate in pose)
+        rounded_pose = tuple(_six_digits(coordinate) for coordinate in pose)
         try:
-            robot = Robot(**fields, home_pose=home_pose, sources=sources)
+            robot = Robot(**robot_fields, home_pose=rounded_pose, sources=sources)
         except ValueError as error:
             if first_error is None:
                 first_error = error
             continue
-        is_searched = values.home is None or first_error is not None
+        is_searched = values.home_pose is None or first_error is not None
         if not is_searched:
             return robot
-        if values.home is not None:
+        if values.home_pose is not None:
             notes.append(f"the initial pose is left out: {first_error}")
         text = (
             "assumed: on the vertical line through the middle of the base anchors, the held pose "
@@ -290,8 +291,8 @@ def _robot_at_home(
 def _home_poses(values: FileValues) -> Iterator[Array]:
     """The home pose of the file, then poses of a search: the middle of the base anchors, and other
     poses on the vertical line through it if gravity acts along the robot's last axis."""
-    if values.home is not None:
-        yield values.home
+    if values.home_pose is not None:
+        yield values.home_pose
     low = values.base_anchors.min(axis=0)
     high = values.base_anchors.max(axis=0)
     middle = (low + high) / 2
