@@ -1,20 +1,24 @@
 """Largest payload with which a rigid robot can track a motion exactly, in closed form.
 
 On the reference, lengths and speeds of the cables do not depend on the payload, and the required
-torques are piecewise affine in it. Therefore no simulation and no search is necessary. Each limit
-is violated on intervals of payloads whose ends are ratios. The result is an end of one of the
-remaining intervals.
+torques are piecewise affine in it. Therefore no simulation and no search is necessary. The margin
+of each limit is piecewise affine, too, and its zeros are the ends of the intervals of payloads that
+violate the limit. The result is the end of an interval without violations.
+
+Where redundant cables leave a choice of tensions,
+:func:`~cablebot_gym.physics.distribution.largest_scale` gives the feasible interval of each
+instant. The result is the upper end of the intersection of these intervals.
 
 The episode starts on the reference, as with the environment option ``initial_error=0``. By default
-a spatial robot whose motion starts at rest starts lower (:func:`~cablebot_gym.task.start_pose`),
-which exact tracking excludes.
+a robot under gravity whose motion starts at rest starts lower
+(:func:`~cablebot_gym.task.start_pose`), which exact tracking excludes.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,25 +26,30 @@ from numpy.typing import ArrayLike
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, SINGULAR, largest_scale
-from cablebot_gym.physics.inverse import inverse_dynamics
+from cablebot_gym.physics.inverse import inverse_dynamics as compiled_inverse_dynamics
 from cablebot_gym.physics.statics import tension_bounds
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
+from cablebot_gym.trajectories.base import ORDERS
 from cablebot_gym.utils.checks import number, numbers
 
 Kind = Literal["torque", "tension"]
 Line = Literal["upper", "lower"]
 
 GRID = 2000.0
-"""Default number of instants per second that approximate all times [Hz]. The error at smooth
-extrema is quadratic in their distance."""
+"""Default frequency of the instants that approximate all times [Hz]. The error at a smooth extremum
+is proportional to the square of the period between two instants."""
+
+_HEAVIEST = 1e6
+"""Largest total mass in the search with the best tensions [kg]. If it is feasible, no limit is
+active."""
 
 _LIMITS: tuple[tuple[Kind, Line], ...] = (
     ("torque", "upper"),
     ("torque", "lower"),
     ("tension", "lower"),
 )
-"""Limits along the last axis of :func:`_margins`."""
+"""Kind and line of the limits along the last axis of :func:`_margins`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,18 +58,26 @@ class ExactPayload:
     upper end."""
 
     payload: float
-    """Largest payload [kg]. A negative value means that the platform alone is too heavy by this
-    mass. ``inf``: no limit is active. ``-inf``: the motion is infeasible for every mass, and the
-    next fields name one violated limit."""
+    """Largest payload [kg].
+
+    * Negative: the platform alone is too heavy by this mass.
+    * ``inf``: no limit is active.
+    * ``-inf``: the motion is infeasible for every mass; ``motor``, ``time``, ``kind`` and ``line``
+      name one violated limit.
+    """
     lowest: float
-    """Least payload of the same interval [kg]: minus the platform mass if every lighter mass is
-    feasible, positive if the platform needs ballast, ``inf`` if ``payload`` is ``-inf``."""
+    """Least payload of the same interval [kg].
+
+    * Minus the platform mass: every lighter mass is feasible.
+    * Positive: the platform needs ballast.
+    * ``inf``: the motion is infeasible for every mass.
+    """
     platform_mass: float
     """Mass of the platform [kg]."""
     motor: int | None
     """Number of the motor or cable of the limit at the upper end, from 1; None without a limit."""
     time: float | None
-    """Earliest time of the limit [s]; None without a limit."""
+    """Earliest time at which the limit is active [s]; None without a limit."""
     kind: Kind | None
     """Kind of the limit: torque of the motor or tension of the cable; None without a limit."""
     line: Line | None
@@ -86,16 +103,21 @@ def exact_payload(
     limits.
 
     The limits are ``U⁻ ≤ τ ≤ U⁺`` with ``U± = ±τ_s − (τ_s/ω_n) β̇`` and ``T ≥ minimum_tension``.
-    The infimum covers all times from 0 up to, but excluding, ``duration``. It uses a fine grid with
-    both sides of each instant, so that both accelerations count where the circles of the paper
-    jump. With ``frequency`` it covers only the control instants of a simulated episode, which
-    contain one side of a jump and a point close to the other side.
+    They apply at all times from 0 up to, but excluding, ``duration``. A fine grid approximates these
+    times. It has both sides of each instant, because both accelerations count where the
+    acceleration of the paper's circles jumps. With ``frequency`` the limits apply only at the
+    control instants of a simulated episode: of a jump they contain one side, and the other at most
+    one period away.
 
-    With as many cables as coordinates the feasible payloads form one interval, because the tensions
-    are affine in the mass. So they do with more cables, for which the limits are those of the best
-    tensions at each instant, see :func:`~cablebot_gym.physics.distribution.largest_scale`. A planar
-    point mass uses the least tensions, which have kinks, so there can be several intervals. The
-    result is the interval that contains zero payload, or the one nearest to it.
+    The tensions determine how many intervals of payloads are feasible:
+
+    * As many cables as coordinates: one interval, because the tensions are affine in the mass.
+    * More cables: one interval, with the best tensions at each instant, see
+      :func:`~cablebot_gym.physics.distribution.largest_scale`.
+    * More cables on a planar point mass: possibly several intervals, because it uses the least
+      tensions, which have kinks.
+
+    The result is the interval that contains zero payload, or the one nearest to it.
 
     Args:
         robot: robot with a rigid transmission.
@@ -104,10 +126,10 @@ def exact_payload(
             task criterion, 0 for the paper's. Planar point masses use the least tensions that
             satisfy it.
         frequency: control instants per second [Hz]; None for all times.
-        line_speed: speed in the torque-speed lines as a multiple of β̇, one value or one per motor;
-            0 for limits independent of the speed.
-        grid: instants per second that approximate all times, without ``frequency`` [Hz]; 100
-            suffices for a map.
+        line_speed: factor of β̇ in the torque-speed lines, one value or one per motor; 0 for limits
+            independent of the speed.
+        grid: frequency of the instants that approximate all times [Hz]; no effect with
+            ``frequency``. 100 suffices for a map.
 
     Raises:
         ValueError: if an argument is invalid, or if no tensions produce the accelerations of the
@@ -120,31 +142,20 @@ def exact_payload(
         times, reference = _all_times(robot, trajectory, grid)
     else:
         times, reference = control_instants(robot, trajectory, frequency)
-    if robot.cables > robot.coordinates and robot.kind != "planar":
-        return _redundant(robot, times, reference, minimum_tension, line_speed)
-    return _affine(robot, times, reference, minimum_tension, line_speed)
+    if _uses_best_tensions(robot):
+        return _payload_of_best_tensions(robot, times, reference, minimum_tension, line_speed)
+    return _payload_of_affine_tensions(robot, times, reference, minimum_tension, line_speed)
 
 
-def _affine(
-    robot: Robot, times: Array, reference: Reference, minimum: float, line_speed: Array
-) -> ExactPayload:
-    """Result with tensions that are affine in the mass between nodes."""
-    masses = _nodes(robot, reference, minimum)
-    margins = _margins(robot, reference, masses, minimum, line_speed)
-    starts, ends, indices = _violated(masses, margins)
-    gaps = _gaps(starts, ends)
-    if not gaps:
-        # the limit that is violated from the least mass upwards
-        lowest_limit = np.lexsort((starts, -ends))[0]
-        return _result(robot, -np.inf, np.inf, times, indices[lowest_limit])
-    low, high = min(gaps, key=lambda gap: max(gap[0] - robot.mass, robot.mass - gap[1], 0.0))
-    # Several limits can end the interval together, up to rounding; ``indices`` lists the earliest
-    # first.
-    at_end = (starts >= high) & (starts <= high + 1e-9 * (1 + high)) & np.isfinite(starts)
-    limit = None
-    if np.any(at_end):
-        limit = indices[at_end][0]
-    return _result(robot, high - robot.mass, low - robot.mass, times, limit)
+def _uses_best_tensions(robot: Robot) -> bool:
+    """Whether a motion may use any tensions within the limits: redundant cables, except on a planar
+    point mass."""
+    return robot.cables > robot.coordinates and robot.kind != "planar"
+
+
+def _uses_least_tensions(robot: Robot) -> bool:
+    """Whether the tensions are the least ones: redundant cables on a planar point mass."""
+    return robot.cables > robot.coordinates and robot.kind == "planar"
 
 
 def control_instants(
@@ -158,178 +169,260 @@ def control_instants(
             instant.
     """
     trajectory = find_trajectory(trajectory, robot.kind)
+    # At 0.5 / duration and below, the number of instants rounds to 0.
     frequency = number("frequency", frequency, above=0.5 / trajectory.duration, unit="Hz")
     times = np.arange(round(trajectory.duration * frequency)) / frequency
     return times, trajectory(times)
 
 
 def _all_times(robot: Robot, trajectory: Trajectory, grid: float) -> tuple[Array, Reference]:
-    """Grid that approximates all times, with both sides of each instant. It contains half time,
-    where circles jump."""
+    """Instants at a frequency [Hz], each with a time just before and just after it, shape (K,) [s],
+    and the reference at these times."""
     trajectory = find_trajectory(trajectory, robot.kind)
-    grid = number("grid", grid, above=0, unit="Hz")
+    # An even number, so that half time, where circles jump, is an instant.
     count = 2 * max(1, round(grid / 4), round(grid * trajectory.duration / 2))
     instants = np.arange(count) * (trajectory.duration / count)
-    side = 1e-9 * trajectory.duration
-    times = np.stack([instants - side, instants, instants + side], axis=1).ravel()[1:]
+    offset = 1e-9 * trajectory.duration
+    times = np.stack([instants - offset, instants, instants + offset], axis=1).ravel()
+    times = times[1:]  # the first one is before the motion
     return times, trajectory(times)
 
 
-def _repeated(reference: Reference, count: int) -> tuple[Array, Array, Array]:
-    """Pose, velocity and acceleration, repeated for each mass, shape (K, count, n)."""
-    pose = np.repeat(reference.position[:, None], count, axis=1)
-    velocity = np.repeat(reference.velocity[:, None], count, axis=1)
-    acceleration = np.repeat(reference.acceleration[:, None], count, axis=1)
-    return pose, velocity, acceleration
+class _ActiveLimit(NamedTuple):
+    """An active or violated limit, as indices."""
+
+    instant: int
+    motor: int
+    limit: int
+    """Index in :data:`_LIMITS`."""
 
 
-def _nodes(robot: Robot, reference: Reference, minimum: float) -> Array:
+@dataclass(frozen=True, eq=False)
+class _Violations:
+    """Intervals of total masses, each of which violates one limit."""
+
+    low: Array
+    """Lower ends, shape (count,) [kg]."""
+    high: Array
+    """Upper ends, shape (count,) [kg]."""
+    limits: Array
+    """Limits as in :class:`_ActiveLimit`, shape (count, 3), the earliest first."""
+
+
+def _payload_of_affine_tensions(
+    robot: Robot, times: Array, reference: Reference, minimum_tension: float, line_speed: Array
+) -> ExactPayload:
+    """Result with tensions that are affine in the mass between nodes: the unique ones, or the least
+    ones of a planar point mass."""
+    node_masses = _nodes(robot, reference, minimum_tension)
+    margins = _margins(robot, reference, node_masses, minimum_tension, line_speed)
+    violations = _violations(node_masses, margins)
+    intervals = _feasible_masses(violations)
+    if not intervals:
+        # Of the violations that reach the largest mass, the one that begins at the least mass.
+        # lexsort sorts by its last key first.
+        order = np.lexsort((violations.low, -violations.high))
+        limit = _ActiveLimit(*violations.limits[order[0]])
+        return _result(robot, times, low=math.inf, high=-math.inf, active_limit=limit)
+
+    def distance_from_no_payload(interval: tuple[float, float]) -> float:
+        low, high = interval
+        return max(low - robot.mass, robot.mass - high, 0.0)
+
+    low, high = min(intervals, key=distance_from_no_payload)
+    if high == math.inf:
+        return _result(robot, times, low=low, high=high, active_limit=None)
+    # Several violations can begin here together, up to rounding. The first one is the earliest.
+    begins_here = (violations.low >= high) & (violations.low <= high + 1e-9 * (1 + high))
+    limit = _ActiveLimit(*violations.limits[begins_here][0])
+    return _result(robot, times, low=low, high=high, active_limit=limit)
+
+
+def _nodes(robot: Robot, reference: Reference, minimum_tension: float) -> Array:
     """Total masses between which every tension is affine, ascending from 0, shape (K, nodes) [kg].
 
-    The last node only defines the slope beyond the previous one. The force ``w(M) = −Sᵀ(T −
-    minimum)`` is affine in the mass M. The least tensions of a planar robot have a kink where it is
-    parallel to a cable, because a different pair of cables becomes active.
+    The last node only defines the slope beyond the previous one.
     """
-    kinks = np.zeros((len(reference.position), 0))
-    if _pairs(robot):
-        structure = textbook.jacobian(robot, reference.position)
-        masses = np.broadcast_to([0.0, robot.mass], (len(structure), 2))
-        tensions = textbook.required_tensions(
-            robot, masses, *_repeated(reference, 2), minimum=minimum
-        )
-        force = -np.einsum("kci,kbc->kbi", structure, tensions - minimum)
-        across = force[..., None, 0] * structure[:, None, :, 1]
-        across = across - force[..., None, 1] * structure[:, None, :, 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            kinks = robot.mass * across[:, 0] / (across[:, 0] - across[:, 1])
-        kinks = np.sort(np.where(np.isfinite(kinks), np.maximum(kinks, 0.0), 0.0), axis=1)
-    kinks = np.concatenate([np.zeros((len(kinks), 1)), kinks], axis=1)
-    return np.concatenate([kinks, 2 * kinks[:, -1:] + robot.mass], axis=1)
+    nodes = np.zeros((len(reference.position), 1))
+    if _uses_least_tensions(robot):
+        nodes = np.concatenate([nodes, _kinks(robot, reference, minimum_tension)], axis=1)
+    beyond = 2 * nodes[:, -1:] + robot.mass
+    return np.concatenate([nodes, beyond], axis=1)
+
+
+def _kinks(robot: Robot, reference: Reference, minimum_tension: float) -> Array:
+    """Total masses at which the least tensions of a planar robot may have a kink, one per cable,
+    ascending, shape (K, m) [kg]; 0 without a kink.
+
+    A pair of cables applies the force ``w(M) = −Sᵀ(T − minimum_tension)`` in addition to the
+    minimum tension. Where w is parallel to a cable, a different pair becomes active.
+    """
+    structure = textbook.jacobian(robot, reference.position)
+    # w is affine in the mass M, so that its values at two masses determine it.
+    sample_masses = np.broadcast_to([0.0, robot.mass], (len(structure), 2))
+    motion = _repeated(reference, 2)
+    tensions = textbook.required_tensions(
+        robot,
+        sample_masses,
+        motion.position,
+        motion.velocity,
+        motion.acceleration,
+        minimum=minimum_tension,
+    )
+    # k instants, s samples of the mass, c cables, i coordinates
+    force = -np.einsum("kci,ksc->ksi", structure, tensions - minimum_tension)
+    # Zero where w is parallel to the cable, shape (K, 2, m).
+    cross_product = (
+        force[..., None, 0] * structure[:, None, :, 1]
+        - force[..., None, 1] * structure[:, None, :, 0]
+    )
+    unloaded, loaded = cross_product[:, 0], cross_product[:, 1]
+    # If the cross product does not change with the mass, the zero is infinite or NaN: no kink.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        zeros = robot.mass * unloaded / (unloaded - loaded)
+    is_kink = np.isfinite(zeros) & (zeros > 0)
+    return np.sort(np.where(is_kink, zeros, 0.0), axis=1)
+
+
+def _repeated(reference: Reference, count: int) -> Reference:
+    """The reference for ``count`` masses at each instant, each array of shape (K, count, n)."""
+    arrays = {}
+    for order in ORDERS:
+        arrays[order] = np.repeat(getattr(reference, order)[:, None], count, axis=1)
+    return Reference(**arrays)
 
 
 def _margins(
-    robot: Robot, reference: Reference, masses: Array, minimum: float, line_speed: Array
-) -> Array:
-    """Margin of each limit for each mass, shape (K, nodes, m, limits); negative if the limit is
-    violated."""
-    motion = _repeated(reference, masses.shape[1])
-    if _pairs(robot):  # raises an error if no tensions produce the motion
-        required = textbook.inverse_dynamics(robot, masses, *motion, minimum=minimum)
-    else:
-        required = inverse_dynamics(robot, masses, *motion)
-    if not np.all(np.isfinite(required.torques)):
-        raise ValueError(
-            f"robot {robot.name!r} is singular on the motion: choose another trajectory"
-        )
-    lower, upper = textbook.torque_limits(robot, line_speed * required.speeds)
-    # The least tensions of a planar robot satisfy the minimum by construction; rounding must not
-    # violate it.
-    surplus = required.tensions - minimum
-    if _pairs(robot):
-        surplus = np.zeros_like(surplus)
-    return np.stack([upper - required.torques, required.torques - lower, surplus], axis=-1)
-
-
-def _pairs(robot: Robot) -> bool:
-    """Whether the tensions are the least ones of a planar point mass with redundant cables."""
-    return robot.kind == "planar" and robot.cables > robot.coordinates
-
-
-def _redundant(
     robot: Robot,
-    times: Array,
     reference: Reference,
-    minimum: float,
+    node_masses: Array,
+    minimum_tension: float,
     line_speed: Array,
-    heaviest: float = 1e6,
-) -> ExactPayload:
-    """Result with redundant cables."""
-    motion = reference.position, reference.velocity, reference.acceleration
-    lower, upper = tension_bounds(robot, reference, minimum, line_speed=line_speed)
-    massless_load = textbook.load(robot, 0.0, *motion)
-    unit_load = textbook.load(robot, 1.0, *motion) - massless_load
-    if np.any(np.isnan(lower)):
-        raise ValueError(
-            f"a cable of robot {robot.name!r} has no length on the motion: choose another trajectory"
-        )
-    structure = textbook.jacobian(robot, reference.position)
-    masses = largest_scale(structure, massless_load, unit_load, lower, upper, heaviest)
-    if np.any(masses.status == SINGULAR):
-        raise ValueError(
-            f"robot {robot.name!r} is singular on the motion: choose another trajectory"
-        )
-    held = masses.status == HELD
-    if np.all(held):
-        low, high = float(max(masses.least)), float(min(masses.largest))
-        limiting_instant = int(np.argmin(masses.largest))
+) -> Array:
+    """Margin of each limit for each mass, shape (K, nodes, m, limits) [N·m or N]; negative if the
+    limit is violated."""
+    repeated = _repeated(reference, node_masses.shape[1])
+    motion = repeated.position, repeated.velocity, repeated.acceleration
+    if _uses_least_tensions(robot):
+        # The textbook raises an error if no tensions produce the motion.
+        required = textbook.inverse_dynamics(robot, node_masses, *motion, minimum=minimum_tension)
+        # The tensions satisfy the minimum by construction; rounding must not violate it.
+        tension_margin = np.zeros_like(required.tensions)
     else:
-        low, high = math.inf, -math.inf
-        limiting_instant = int(np.argmin(held))
-    payload, lowest_payload = -math.inf, math.inf
-    if low <= high:
-        payload, lowest_payload = high - robot.mass, low - robot.mass
-    if high == heaviest:
-        return _result(robot, math.inf, lowest_payload, times, None)
-    coefficients = masses.coefficients[limiting_instant]
-    motor = int(np.argmax(np.abs(coefficients)))
-    limit: tuple[Kind, Line] = ("tension", "lower")
-    if coefficients[motor] > 0:
-        limit = ("torque", "upper")
-    elif lower[limiting_instant, motor] > minimum:
-        limit = ("torque", "lower")
-    index = np.array([limiting_instant, motor, _LIMITS.index(limit)])
-    return _result(robot, payload, lowest_payload, times, index)
+        required = compiled_inverse_dynamics(robot, node_masses, *motion)
+        tension_margin = required.tensions - minimum_tension
+    if not np.all(np.isfinite(required.torques)):
+        raise _singular_error(robot)
+    lower, upper = textbook.torque_limits(robot, line_speed * required.speeds)
+    return np.stack([upper - required.torques, required.torques - lower, tension_margin], axis=-1)
 
 
-def _violated(masses: Array, margins: Array) -> tuple[Array, Array, Array]:
-    """Intervals of total masses with a violated limit: lower ends, upper ends (count,), and indices
-    (k, motor, limit).
+def _singular_error(robot: Robot) -> ValueError:
+    """Error for a motion on which some pose has no unique tensions."""
+    return ValueError(f"robot {robot.name!r} is singular on the motion: choose another trajectory")
 
-    There is one interval per limit and piece between two nodes. A margin is affine there and beyond
-    the last node.
+
+def _violations(node_masses: Array, margins: Array) -> _Violations:
+    """Intervals of total masses with a violated limit, one per limit and piece between two nodes.
+
+    A margin is affine on a piece. The last piece continues without end.
     """
-    start = masses[:, :-1, None, None]
-    end = masses[:, 1:, None, None]
+    # shape (K, pieces, m, limits), the masses (K, pieces, 1, 1)
+    piece_start = node_masses[:, :-1, None, None]
+    piece_end = node_masses[:, 1:, None, None].copy()
     start_margin = margins[:, :-1]
     end_margin = margins[:, 1:].copy()
+    change = end_margin - start_margin
+    # A change within the rounding of the margins counts as none. On the last piece, which has no
+    # end, even a tiny change decides the sign of the margin at infinity.
+    rounding = 1e-12 * (np.abs(end_margin) + np.abs(start_margin))
+    change = np.where(np.abs(change) > rounding, change, 0.0)
+    # Without a change there is no zero, and the margin has one sign on the piece.
     with np.errstate(divide="ignore", invalid="ignore"):
-        change = end_margin - start_margin
-        rounding = 1e-12 * (np.abs(end_margin) + np.abs(start_margin))
-        change = np.where(np.abs(change) > rounding, change, 0.0)
-        zero = start - start_margin * (end - start) / change
-    beyond = np.copysign(np.inf, change[:, -1])
-    end_margin[:, -1] = np.where(change[:, -1] == 0, start_margin[:, -1], beyond)
-    end = np.concatenate([end[:, :-1], np.full_like(end[:, -1:], np.inf)], axis=1)
-    starts = np.where(start_margin < 0, start, zero)
-    ends = np.where(end_margin < 0, end, zero)
-    violated = (start_margin < 0) | (end_margin < 0)
-    k, _, motor, limit = np.nonzero(violated)
-    return starts[violated], ends[violated], np.stack([k, motor, limit], axis=-1)
+        zero = piece_start - start_margin * (piece_end - piece_start) / change
+    piece_end[:, -1] = np.inf
+    last_change = change[:, -1]
+    margin_at_infinity = np.copysign(np.inf, last_change)
+    end_margin[:, -1] = np.where(last_change == 0, start_margin[:, -1], margin_at_infinity)
+    low = np.where(start_margin < 0, piece_start, zero)
+    high = np.where(end_margin < 0, piece_end, zero)
+    is_violated = (start_margin < 0) | (end_margin < 0)
+    instant_piece_motor_limit = np.argwhere(is_violated)
+    limits = np.delete(instant_piece_motor_limit, 1, axis=1)  # without the piece
+    return _Violations(low=low[is_violated], high=high[is_violated], limits=limits)
 
 
-def _gaps(starts: Array, ends: Array) -> list[tuple[float, float]]:
-    """Complement of intervals in the half line from 0, ascending."""
-    order = np.argsort(starts)
-    lows = np.maximum.accumulate(np.append(0.0, ends[order]))
-    highs = np.append(starts[order], np.inf)
+def _feasible_masses(violations: _Violations) -> list[tuple[float, float]]:
+    """Intervals of total masses from 0 that violate no limit, ascending [kg]."""
+    order = np.argsort(violations.low)
+    # An interval begins where all violations so far have ended, and ends where the next one begins.
+    lows = np.maximum.accumulate(np.append(0.0, violations.high[order]))
+    highs = np.append(violations.low[order], np.inf)
     return [(float(low), float(high)) for low, high in zip(lows, highs, strict=True) if low < high]
 
 
-def _result(
-    robot: Robot, payload: float, lowest: float, times: Array, index: Array | None
+def _payload_of_best_tensions(
+    robot: Robot, times: Array, reference: Reference, minimum_tension: float, line_speed: Array
 ) -> ExactPayload:
-    if index is None:
-        motor, time, kind, line = None, None, None, None
+    """Result with the best tensions of redundant cables at each instant."""
+    motion = reference.position, reference.velocity, reference.acceleration
+    lower, upper = tension_bounds(robot, reference, minimum_tension, line_speed=line_speed)
+    if np.any(np.isnan(lower)):  # tension_bounds marks a cable without length by NaN
+        raise ValueError(
+            f"a cable of robot {robot.name!r} has no length on the motion: choose another trajectory"
+        )
+    massless_load = textbook.load(robot, 0.0, *motion)
+    unit_load = textbook.load(robot, 1.0, *motion) - massless_load
+    structure = textbook.jacobian(robot, reference.position)
+    # the interval of total masses at each instant
+    intervals = largest_scale(structure, massless_load, unit_load, lower, upper, _HEAVIEST)
+    if np.any(intervals.status == SINGULAR):
+        raise _singular_error(robot)
+    is_feasible = intervals.status == HELD
+    if np.all(is_feasible):
+        low, high = float(max(intervals.least)), float(min(intervals.largest))
+        instant = int(np.argmin(intervals.largest))
     else:
-        motor = int(index[1]) + 1
-        time = round(float(times[index[0]]), 7)
-        kind, line = _LIMITS[index[2]]
-    return ExactPayload(
-        payload=payload,
-        lowest=lowest,
+        low, high = math.inf, -math.inf  # no mass at all
+        instant = int(np.argmin(is_feasible))  # the first infeasible one
+    if high == _HEAVIEST:
+        return _result(robot, times, low=low, high=math.inf, active_limit=None)
+    if low > high:  # no mass is feasible at all instants
+        low, high = math.inf, -math.inf
+    coefficients = intervals.coefficients[instant]
+    motor = int(np.argmax(np.abs(coefficients)))
+    # A positive coefficient means the upper bound of the tension, thus U⁺. A negative one means the
+    # lower bound, which is U⁻ where it exceeds the minimum tension.
+    kind_and_line: tuple[Kind, Line] = ("tension", "lower")
+    if coefficients[motor] > 0:
+        kind_and_line = ("torque", "upper")
+    elif lower[instant, motor] > minimum_tension:
+        kind_and_line = ("torque", "lower")
+    limit = _ActiveLimit(instant, motor, _LIMITS.index(kind_and_line))
+    return _result(robot, times, low=low, high=high, active_limit=limit)
+
+
+def _result(
+    robot: Robot, times: Array, *, low: float, high: float, active_limit: _ActiveLimit | None
+) -> ExactPayload:
+    """Result from the ends of an interval of total masses [kg] and the limit at its upper end."""
+    interval = ExactPayload(
+        payload=high - robot.mass,
+        lowest=low - robot.mass,
         platform_mass=robot.mass,
-        motor=motor,
-        time=time,
+        motor=None,
+        time=None,
+        kind=None,
+        line=None,
+    )
+    if active_limit is None:
+        return interval
+    kind, line = _LIMITS[active_limit.limit]
+    return replace(
+        interval,
+        motor=int(active_limit.motor) + 1,
+        # without the offset of the times just before and after an instant
+        time=round(float(times[active_limit.instant]), 7),
         kind=kind,
         line=line,
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cablebot_gym.importers import caspr, wirex
-from cablebot_gym.importers.source import ImportedRobot, completed, read_xml
+from cablebot_gym.importers.source import ImportedRobot, read_xml, with_assumptions
 
 __all__ = ["ImportedRobot", "import_robot"]
 
@@ -29,9 +29,9 @@ def import_robot(path: str | Path, *, cable_set: str | None = None) -> ImportedR
     try:
         root = read_xml(path)
         if root.tag == wirex.ROOT:
-            return completed(wirex.read(root, path, cable_set))
+            return with_assumptions(wirex.read(root, path, cable_set))
         if root.tag in caspr.ROOTS:
-            return completed(caspr.read(path, cable_set))
+            return with_assumptions(caspr.read(path, cable_set))
         raise ValueError(
             f"its root is <{root.tag}>. CASPR has <bodies_system> and <cables>, WireX has <models>"
         )

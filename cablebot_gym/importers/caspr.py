@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from cablebot_gym.importers.source import FRAME, Source, child_of, read_xml
+from cablebot_gym.importers.source import FRAME_CHANGE, FileValues, child_of, read_xml
 from cablebot_gym.kinematics import Array, rotation_matrix
 from cablebot_gym.utils.checks import choice
 
@@ -26,9 +26,9 @@ class _Joint:
     """A joint between the base and the body."""
 
     axes: tuple[int, ...]
-    """Axes of the source along which the body moves."""
+    """Axes of the file along which the body moves."""
     turn: float | None = None
-    """Sign of the source's angle in this package's plane; None if the body does not turn in a
+    """Sign of the file's angle in this package's plane; None if the body does not turn in a
     plane."""
     spatial: bool = False
     """Whether the body turns in space."""
@@ -37,7 +37,7 @@ class _Joint:
 
     @property
     def frame(self) -> Array:
-        """Matrix from the source's axes, z up, to this package's, where the vertical axis points
+        """Matrix from the file's axes, z up, to this package's, where the vertical axis points
         down."""
         matrix = np.eye(3)[list(self.axes)]
         if self.axes == (0, 1, 2):
@@ -61,7 +61,7 @@ JOINTS = {
     "SPATIAL_EULER_XYZ": _Joint((0, 1, 2), spatial=True),
     "T_XYZ": _Joint((0, 1, 2)),
     "PLANAR_XY": _Joint((0, 1), turn=1.0),
-    # the source turns from z to x, which is from −y to x here
+    # the angle of the file turns from z to x, which is from −y to x here
     "PLANAR_XZ": _Joint((0, 2), turn=1.0, moment=1),
     "PLANAR_YZ": _Joint((1, 2), turn=-1.0, moment=0),
     "P_XY": _Joint((0, 1)),
@@ -70,7 +70,7 @@ JOINTS = {
 """Joints of CASPR between base and body that are kinds of robots here."""
 
 
-def read(path: Path, cable_set: str | None) -> Source:
+def read(path: Path, cable_set: str | None) -> FileValues:
     """The robot of two files, of which ``path`` is one.
 
     Raises:
@@ -90,14 +90,14 @@ def read(path: Path, cable_set: str | None) -> Source:
             f"its joint is {element.get('type')}. Only {', '.join(JOINTS)} are imported"
         )
     name = path.stem.rpartition("_")[0]
-    source = _body(name, links[0], element, joint)
+    values = _body(name, links[0], element, joint)
     cables = _cable_set(cables, cable_set)
     label = f"CASPR, {name}_cables.xml, set {cables.get('id')}"
-    _add_cables(source, cables, joint, label, _center(links[0]))
-    source.notes.append(
+    _add_cables(values, cables, joint, label, _center(links[0]))
+    values.notes.append(
         "q_min and q_max are not read: without `workspace`, it is the box of the base anchors"
     )
-    return source
+    return values
 
 
 def _files(path: Path) -> tuple[Path, Path]:
@@ -136,39 +136,39 @@ def _vector(element: Element, tag: str) -> Array:
 
 
 def _center(link: Element) -> Array:
-    """Centre of mass from the joint in the source's frame [m]."""
+    """Centre of mass from the joint in the file's frame [m]."""
     return _vector(child_of(link, "physical"), "com_location")
 
 
-def _body(name: str, link: Element, element: Element, joint: _Joint) -> Source:
+def _body(name: str, link: Element, element: Element, joint: _Joint) -> FileValues:
     """The body of a robot without its cables."""
     physical = child_of(link, "physical")
     label = f"CASPR, {name}_bodies.xml"
     no_cables = np.empty((0, len(joint.axes)))
-    source = Source(
+    values = FileValues(
         name=name,
-        base=no_cables,
-        platform=no_cables,
+        base_anchors=no_cables,
+        platform_anchors=no_cables,
         mass=_value(physical, "mass"),
-        home=_home(link, element, joint),
+        home_pose=_home(link, element, joint),
         plane="vertical" if joint.vertical else "horizontal",
         sources={"mass": label, "home_pose": f"{label}: q_initial"},
     )
     if not joint.turns:
-        source.platform = None
-        return source
+        values.platform_anchors = None
+        return values
     frame = joint.frame
     tensor = _inertia(physical)
-    source.center_of_mass = frame @ _center(link)
-    source.sources["center_of_mass"] = label
-    source.inertia = tensor[joint.moment, joint.moment].reshape(1)
+    values.center_of_mass = frame @ _center(link)
+    values.sources["center_of_mass"] = label
+    values.inertia = tensor[joint.moment, joint.moment].reshape(1)
     if joint.spatial:
-        source.inertia = frame @ tensor @ frame.T
-        diagonal = np.diag(source.inertia)
-        if not np.any(source.inertia - np.diag(diagonal)):
-            source.inertia = diagonal
-    source.sources["inertia"] = f"{label}; the entries are those of the tensor, as CASPR uses them"
-    return source
+        values.inertia = frame @ tensor @ frame.T
+        diagonal = np.diag(values.inertia)
+        if not np.any(values.inertia - np.diag(diagonal)):
+            values.inertia = diagonal
+    values.sources["inertia"] = f"{label}; the entries are those of the tensor, as CASPR uses them"
+    return values
 
 
 def _home(link: Element, element: Element, joint: _Joint) -> Array:
@@ -184,14 +184,14 @@ def _home(link: Element, element: Element, joint: _Joint) -> Array:
         offset = _vector(parent, "location")
     rotation = pose[axes:]
     if joint.spatial:
-        rotation = _euler_angles(frame @ _rotation_of_source(rotation) @ frame.T)
+        rotation = _euler_angles(frame @ _rotation_of_file(rotation) @ frame.T)
     elif joint.turn is not None:
         rotation = joint.turn * rotation
     return np.concatenate([signs * pose[:axes] + frame @ offset, rotation])
 
 
 def _inertia(physical: Element) -> Array:
-    """Inertia tensor about the centre of mass, along the source's axes [kg·m²]."""
+    """Inertia tensor about the centre of mass, along the file's axes [kg·m²]."""
     element = child_of(physical, "inertia")
     xx, yy, zz, xy, xz, yz = (
         _value(element, name) for name in ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
@@ -207,7 +207,7 @@ def _inertia(physical: Element) -> Array:
     return tensor
 
 
-def _rotation_of_source(angles: Array) -> Array:
+def _rotation_of_file(angles: Array) -> Array:
     """Rx(α) Ry(β) Rz(γ), in the order opposite to this package's."""
     return np.asarray(rotation_matrix(-angles).T)
 
@@ -231,7 +231,9 @@ def _cable_set(cables: Element, name: str | None) -> Element:
     return sets[choice("cable set", name, sets)]
 
 
-def _add_cables(source: Source, cables: Element, joint: _Joint, label: str, center: Array) -> None:
+def _add_cables(
+    values: FileValues, cables: Element, joint: _Joint, label: str, center: Array
+) -> None:
     """Anchors and tensions of the cables of a set."""
     frame = joint.frame
     across = [axis for axis in range(3) if axis not in joint.axes]
@@ -248,39 +250,39 @@ def _add_cables(source: Source, cables: Element, joint: _Joint, label: str, cent
         radii.append(radius)
         properties = child_of(cable, "properties")
         forces.append([_value(properties, "force_min"), _value(properties, "force_max")])
-        if cable.tag != "cable_ideal" and not any("springs" in note for note in source.notes):
-            source.notes.append(
+        if cable.tag != "cable_ideal" and not any("springs" in note for note in values.notes):
+            values.notes.append(
                 f"the springs of the cables ({cable.tag}) are left out: see transmission"
             )
     if not forces:
         raise ValueError(f"cable set {cables.get('id')!r} has no cables")
     anchor_label = label
     if joint.axes == (0, 1, 2):
-        anchor_label += f"; {FRAME}"
+        anchor_label += f"; {FRAME_CHANGE}"
     elif joint.vertical:
         anchor_label += "; the second axis points down"
-    source.base = np.array(bases)
-    source.sources["base_anchors"] = anchor_label
+    values.base_anchors = np.array(bases)
+    values.sources["base_anchors"] = anchor_label
     if joint.turns:
-        source.platform = np.array(anchors)
-        source.sources["platform_anchors"] = anchor_label
+        values.platform_anchors = np.array(anchors)
+        values.sources["platform_anchors"] = anchor_label
     else:  # the anchors of a body that does not turn shift the base
-        source.base -= np.array(anchors)
+        values.base_anchors -= np.array(anchors)
     if any(radii):
-        source.swivel_radius = tuple(radii)
-        source.sources["swivel_radius"] = label
+        values.swivel_radii = tuple(radii)
+        values.sources["swivel_radius"] = label
     least, largest = np.array(forces).T
     if least.max() > SMALLEST_FORCE:
-        source.least_tension = float(least.max())
-        source.sources["minimum_tension"] = f"{label}: force_min"
-    source.largest_tensions = largest
-    source.sources["motors.stall_torque"] = (
+        values.minimum_tension = float(least.max())
+        values.sources["minimum_tension"] = f"{label}: force_min"
+    values.largest_tensions = largest
+    values.sources["motors.stall_torque"] = (
         f"assumed: the torque of force_max at the assumed drum ({label})"
     )
 
 
 def _ends(cable: Element, name: str, center: Array) -> tuple[Array, Array, float]:
-    """Ends of a cable at base and body in the source's frame, and the radius of its swivel pulley
+    """Ends of a cable at base and body in the file's frame, and the radius of its swivel pulley
     [m]."""
     points: dict[int, Array] = {}
     radius = 0.0

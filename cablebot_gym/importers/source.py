@@ -1,5 +1,5 @@
-"""Values of a robot in a file of another program, and the robot that they give with assumptions for
-missing values."""
+"""Values of a robot from a file of another program, and a robot from these values, with assumptions
+for missing ones."""
 
 from __future__ import annotations
 
@@ -16,51 +16,54 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import GRAVITY, Motors, Plane, Robot, Transmission
 from cablebot_gym.utils.files import read_text
 
-SIZE_OVER_DRUM = 100.0
-"""Assumed ratio of the width of the base to the drum radius, between 20 of a small robot and 220 of
-a large one."""
+ASSUMED_BASE_WIDTH_OVER_DRUM_RADIUS = 100.0
+"""Assumed ratio of the width of the base to the drum radius. Small robots have about 20, large ones
+220."""
 
-DRUM_RADII = (0.01, 0.5)
+ASSUMED_DRUM_RADII = (0.01, 0.5)
 """Least and largest assumed drum radius [m]."""
 
-CABLE_SPEED = 2.0
+ASSUMED_FREE_CABLE_SPEED = 2.0
 """Assumed speed of a cable at the free speed of its motor [m/s]."""
 
-MASS_FRACTION = 0.1
+ASSUMED_WINCH_MASS_OVER_PLATFORM_MASS = 0.1
 """Assumed inertia of a winch, reflected to its cable, as a fraction of the platform's mass."""
 
-FORCE_RESERVE = 4.0
+ASSUMED_LARGEST_TENSION_OVER_PLATFORM_WEIGHT = 4.0
 """Assumed largest tension, as a multiple of the platform's weight."""
 
-FRAME = "turned by 180° about x, so that z points down"
-"""Change of the frame of a robot in space, in the sources."""
+FRAME_CHANGE = "turned by 180° about x, so that z points down"
+"""Change of the frame of a robot in space, as the sources of its values describe it."""
 
 
 @dataclass(kw_only=True)
-class Source:
-    """Values of a file in SI units and in the frame of this package, z down."""
+class FileValues:
+    """Values of a robot in a file, in SI units and in the frame of this package, z down.
+
+    It is not frozen, because the readers fill it step by step.
+    """
 
     name: str
     """Name of the robot."""
-    base: Array
+    base_anchors: Array
     """Base anchors, shape (m, d) [m]."""
-    platform: Array | None
+    platform_anchors: Array | None
     """Platform anchors, shape (m, d) [m]; None for a point mass."""
     mass: float
     """Platform mass [kg]."""
     inertia: Array | None = None
     """Tensor about the centre of mass, shape (3, 3), or (1,) in a plane [kg·m²]; None for a point
-    mass."""
+    mass. A platform without inertia becomes a point mass."""
     center_of_mass: Array | None = None
     """Centre of mass, shape (d,) [m]; None for the origin."""
-    home: Array | None = None
+    home_pose: Array | None = None
     """Home pose, shape (n,) [m, rad]; None if the file has none."""
     plane: Plane = "horizontal"
     """Plane of a planar robot."""
-    swivel_radius: tuple[float, ...] = ()
+    swivel_radii: tuple[float, ...] = ()
     """Radii of the swivel pulleys, one per cable [m]; empty if there are none."""
-    least_tension: float | None = None
-    """Least tension [N]; None if the file has none."""
+    minimum_tension: float | None = None
+    """Minimum tension of every cable [N]; None if the file has none."""
     largest_tensions: Array | None = None
     """Largest tension of each cable [N]; None if the file has none."""
     drum_radius: float | None = None
@@ -90,11 +93,16 @@ class ImportedRobot:
     def to_toml(self) -> str:
         """The robot as a TOML file for :func:`~cablebot_gym.robots.names.load_robot`."""
         data = self.robot.to_dict()
-        motors, transmission = data.pop("motors"), data.pop("transmission")
+        motors = data.pop("motors")
+        transmission = data.pop("transmission")
         lines = ["# SI units and radians; z points down. Check it with `cablebot robot check`."]
-        lines += _toml_lines(data, unused=(None, ()))
-        lines += ["", "[motors]", *_toml_lines(motors, unused=(None, 0.0))]
-        lines += ["", "[transmission]", *_toml_lines(transmission, unused=(None, 0.0))]
+        # A 0 in the table of the robot has an effect, for example as minimum_tension. In the tables
+        # of motors and transmission it is a default and means no effect, for example no friction.
+        unused = (None, ())
+        unused_parts = (*unused, 0.0)
+        lines += _toml_lines(data, unused)
+        lines += ["", "[motors]", *_toml_lines(motors, unused_parts)]
+        lines += ["", "[transmission]", *_toml_lines(transmission, unused_parts)]
         lines += ["", "[sources]"]
         for name, text in self.sources.items():
             lines.append(f"{json.dumps(name)} = {_toml_value(text)}")
@@ -102,12 +110,13 @@ class ImportedRobot:
 
     @property
     def sources(self) -> Mapping[str, str]:
-        """Source of each value by the field of the robot."""
+        """Source of each value, by the field of the robot."""
         return self.robot.sources
 
 
 def _toml_lines(values: Mapping[str, Any], unused: tuple[Any, ...]) -> Iterator[str]:
-    """Lines of the values, except for those that have no effect."""
+    """Lines with name and value, except for the values in ``unused``. A table of numbers gets one
+    line per row."""
     for name, value in values.items():
         if value in unused:
             continue
@@ -119,19 +128,22 @@ def _toml_lines(values: Mapping[str, Any], unused: tuple[Any, ...]) -> Iterator[
 
 
 def _toml_value(value: Any) -> str:
+    """A number, text, or tuple of them in TOML."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml_value, value))}]"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
-    return repr(float(value) + 0.0)  # without −0.0
+    return repr(float(value) + 0.0)  # + 0.0 turns −0.0 into 0.0
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """The root of an XML file. Its document type is not read, and entities are refused: they can
-    grow without limit.
+    """The root of an XML file.
+
+    Its document type is not read. Entities are refused: expanded, they can grow without limit.
 
     Raises:
-        ValueError: if the file cannot be read, or is not such XML.
+        ValueError: if the file cannot be read, is not valid XML, or defines entities. The message
+            starts with "it", because ``import_robot`` puts the file's name before it.
     """
     try:
         text = read_text(path)
@@ -157,106 +169,144 @@ def child_of(element: ElementTree.Element, tag: str) -> ElementTree.Element:
     return child
 
 
-def completed(source: Source) -> ImportedRobot:
-    """The robot of a source, with assumptions for what it lacks.
+def with_assumptions(values: FileValues) -> ImportedRobot:
+    """The robot with the values of a file, and with assumptions for missing values.
 
     Raises:
         ValueError: if no pose is found that positive tensions hold, or a value is not physical.
     """
-    sources, m = dict(source.sources), len(source.base)
-    fields = {
-        "name": source.name,
-        "base_anchors": source.base,
-        "mass": source.mass,
-        "plane": source.plane,
-        "swivel_radius": source.swivel_radius or 0.0,
-        "cable_density": source.cable_density,
+    sources = dict(values.sources)
+    robot_fields: dict[str, Any] = {
+        "name": values.name,
+        "base_anchors": values.base_anchors,
+        "mass": values.mass,
+        "plane": values.plane,
+        "cable_density": values.cable_density,
     }
-    if source.platform is not None and source.inertia is not None:
-        fields |= {"platform_anchors": source.platform, "inertia": source.inertia}
-        if source.center_of_mass is not None and np.any(source.center_of_mass):
-            fields["center_of_mass"] = source.center_of_mass
-    if source.least_tension:
-        fields["minimum_tension"] = source.least_tension
-    else:
+    # Without inertia, the platform becomes a point mass.
+    if values.platform_anchors is not None and values.inertia is not None:
+        robot_fields["platform_anchors"] = values.platform_anchors
+        robot_fields["inertia"] = values.inertia
+        if values.center_of_mass is not None and np.any(values.center_of_mass):
+            robot_fields["center_of_mass"] = values.center_of_mass
+    if values.swivel_radii:
+        robot_fields["swivel_radius"] = values.swivel_radii
+    if values.minimum_tension is None:
         sources["minimum_tension"] = "assumed: the default of this package"
-    radius = _drum_radius(source, sources)
-    tensions = source.largest_tensions
-    if tensions is None:
-        tensions = np.full(m, FORCE_RESERVE * source.mass * GRAVITY)
-        sources["motors.stall_torque"] = (
-            f"assumed: tension of {FORCE_RESERVE:g} × the platform's weight at the drum"
-        )
-    speed = source.cable_speed
-    if speed is None:
-        speed = CABLE_SPEED
-        sources["motors.free_speed"] = f"assumed: a cable runs at {CABLE_SPEED:g} m/s without load"
-    inertia = source.winch_inertia
-    if inertia is None:
-        inertia = MASS_FRACTION * source.mass * radius**2
-        sources["transmission.pulley_inertia"] = (
-            f"assumed: at the cable, a winch has {MASS_FRACTION:g} of the platform's mass"
-        )
-    sources["transmission.damping"] = "assumed: no friction"
-    torques = tuple(_rounded(tensions * radius))
-    if len(set(torques)) == 1:
-        torques = torques[0]
-    fields["motors"] = Motors(stall_torque=torques, free_speed=_rounded(speed / radius))
-    fields["transmission"] = Transmission(pulley_radius=radius, pulley_inertia=_rounded(inertia))
-    notes = list(source.notes)
-    robot = _at_home(source, fields, sources, notes)
+    else:
+        robot_fields["minimum_tension"] = values.minimum_tension
+    drum_radius = _drum_radius(values, sources)
+    robot_fields["motors"] = _motors(values, drum_radius, sources)
+    robot_fields["transmission"] = _transmission(values, drum_radius, sources)
+    notes = list(values.notes)
+    robot = _robot_at_home(values, robot_fields, sources, notes)
     return ImportedRobot(robot=robot, notes=tuple(notes))
 
 
-def _rounded(values: Any) -> Any:
-    """Derived values with six digits."""
-    if np.ndim(values):
-        return [_rounded(value) for value in values]
-    return float(f"{values:.6g}") + 0.0  # without −0.0
-
-
-def _drum_radius(source: Source, sources: dict[str, str]) -> float:
-    if source.drum_radius is not None:
-        return source.drum_radius
-    width = float(np.max(np.ptp(source.base, axis=0)))
+def _drum_radius(values: FileValues, sources: dict[str, str]) -> float:
+    """Drum radius [m]. If it is assumed, ``sources`` gets an entry that says so."""
+    if values.drum_radius is not None:
+        return values.drum_radius
     sources["transmission.pulley_radius"] = (
-        f"assumed: 1/{SIZE_OVER_DRUM:g} of the width of the base"
+        f"assumed: 1/{ASSUMED_BASE_WIDTH_OVER_DRUM_RADIUS:g} of the width of the base"
     )
-    return float(_rounded(np.clip(width / SIZE_OVER_DRUM, *DRUM_RADII)))
+    width = float(np.max(np.ptp(values.base_anchors, axis=0)))
+    least, largest = ASSUMED_DRUM_RADII
+    radius = np.clip(width / ASSUMED_BASE_WIDTH_OVER_DRUM_RADIUS, least, largest)
+    return _six_digits(radius)
 
 
-def _at_home(
-    source: Source, fields: dict[str, Any], sources: dict[str, str], notes: list[str]
+def _motors(values: FileValues, drum_radius: float, sources: dict[str, str]) -> Motors:
+    """The motors. For each assumption, ``sources`` gets an entry that says so."""
+    tensions = values.largest_tensions
+    if tensions is None:
+        factor = ASSUMED_LARGEST_TENSION_OVER_PLATFORM_WEIGHT
+        tensions = np.full(len(values.base_anchors), factor * values.mass * GRAVITY)
+        sources["motors.stall_torque"] = (
+            f"assumed: tension of {factor:g} × the platform's weight at the drum"
+        )
+    cable_speed = values.cable_speed
+    if cable_speed is None:
+        cable_speed = ASSUMED_FREE_CABLE_SPEED
+        sources["motors.free_speed"] = f"assumed: a cable runs at {cable_speed:g} m/s without load"
+    torques = tuple(_six_digits(torque) for torque in tensions * drum_radius)
+    free_speed = _six_digits(cable_speed / drum_radius)
+    if len(set(torques)) == 1:
+        return Motors(stall_torque=torques[0], free_speed=free_speed)
+    return Motors(stall_torque=torques, free_speed=free_speed)
+
+
+def _transmission(values: FileValues, drum_radius: float, sources: dict[str, str]) -> Transmission:
+    """The transmission, in which the drum is called pulley. For each assumption, ``sources`` gets
+    an entry that says so."""
+    inertia = values.winch_inertia
+    if inertia is None:
+        fraction = ASSUMED_WINCH_MASS_OVER_PLATFORM_MASS
+        inertia = fraction * values.mass * drum_radius**2
+        sources["transmission.pulley_inertia"] = (
+            f"assumed: at the cable, a winch has {fraction:g} of the platform's mass"
+        )
+    sources["transmission.damping"] = "assumed: no friction"
+    return Transmission(pulley_radius=drum_radius, pulley_inertia=_six_digits(inertia))
+
+
+def _six_digits(value: float) -> float:
+    """A derived value with six significant digits."""
+    return float(f"{value:.6g}") + 0.0  # + 0.0 turns −0.0 into 0.0
+
+
+def _robot_at_home(
+    values: FileValues, robot_fields: dict[str, Any], sources: dict[str, str], notes: list[str]
 ) -> Robot:
-    """The robot at the home pose of the source, or at the first pose of a search that positive
-    tensions hold."""
-    refusal = None
-    for pose in _home_poses(source):
+    """The robot at the home pose of the file, or at the first pose of a search that positive
+    tensions hold.
+
+    If the home pose of the file is not held, ``notes`` gets a text that says so.
+
+    Raises:
+        ValueError: if no pose is held. The message is that of the first pose.
+    """
+    first_error = None
+    for pose in _home_poses(values):
+        rounded_pose = tuple(_six_digits(coordinate) for coordinate in pose)
         try:
-            robot = Robot(**fields, home_pose=tuple(_rounded(pose)), sources=sources)
+            robot = Robot(**robot_fields, home_pose=rounded_pose, sources=sources)
         except ValueError as error:
-            refusal = refusal or error
+            if first_error is None:
+                first_error = error
             continue
-        if source.home is not None and refusal is not None:
-            notes.append(f"the initial pose is left out: {refusal}")
-        if source.home is None or refusal is not None:
-            text = "assumed: below the middle of the base anchors, the pose nearest to their mean height that is held"
-            return robot.replace(sources={**sources, "home_pose": text})
-        return robot
-    raise ValueError(str(refusal))
+        is_searched = values.home_pose is None or first_error is not None
+        if not is_searched:
+            return robot
+        if values.home_pose is not None:
+            notes.append(f"the initial pose is left out: {first_error}")
+        text = (
+            "assumed: on the vertical line through the middle of the base anchors, the held pose "
+            "nearest to the middle"
+        )
+        return robot.replace(sources={**sources, "home_pose": text})
+    raise ValueError(str(first_error))
 
 
-def _home_poses(source: Source) -> Iterator[Array]:
-    """The pose of the source, then poses on a vertical line through the middle of the base
-    anchors."""
-    if source.home is not None:
-        yield source.home
-    low, high = source.base.min(axis=0), source.base.max(axis=0)
-    middle, depth = (low + high) / 2, float(np.max(high - low))
-    angles = {(2, True): 1, (3, True): 3}.get((len(middle), source.platform is not None), 0)
+def _home_poses(values: FileValues) -> Iterator[Array]:
+    """The home pose of the file, then poses of a search: the middle of the base anchors, and other
+    poses on the vertical line through it if gravity acts along the robot's last axis."""
+    if values.home_pose is not None:
+        yield values.home_pose
+    low = values.base_anchors.min(axis=0)
+    high = values.base_anchors.max(axis=0)
+    middle = (low + high) / 2
+    size = float(np.max(high - low))
+    is_spatial = len(middle) == 3
+    angles = 0
+    if values.platform_anchors is not None:
+        angles = 3 if is_spatial else 1
     steps = [0.0]
-    if len(middle) == 3 or source.plane == "vertical":
-        steps = [sign * depth * step / 20 for step in range(21) for sign in (1, -1)]
+    if is_spatial or values.plane == "vertical":
+        # nearest first; + is down
+        for twentieths in range(1, 21):
+            step = size * twentieths / 20
+            steps += [step, -step]
     for step in steps:
         position = middle.copy()
         position[-1] += step

@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from cablebot_gym.importers.source import FRAME, Source, child_of
+from cablebot_gym.importers.source import FRAME_CHANGE, FileValues, child_of
 from cablebot_gym.kinematics import Array
 
 ROOT = "models"
@@ -32,7 +32,7 @@ _MOMENTS = ("Ixx", "Iyy", "Izz")
 _UP_TO_DOWN = np.array([1.0, -1.0, -1.0])
 
 
-def read(root: Element, path: Path, cable_set: str | None) -> Source:
+def read(root: Element, path: Path, cable_set: str | None) -> FileValues:
     """The robot of a file.
 
     Raises:
@@ -50,28 +50,28 @@ def read(root: Element, path: Path, cable_set: str | None) -> Source:
     platform = _anchors(chains, "platform")
     body = child_of(robot, "platform")
     label = f"WireX, {path.name}"
-    source = Source(
+    values = FileValues(
         name=path.stem,
-        base=base,
-        platform=platform,
+        base_anchors=base,
+        platform_anchors=platform,
         mass=_number(body, "mass"),
-        sources={"base_anchors": f"{label}; {FRAME}", "mass": label + _doubt(body, "mass")},
+        sources={"base_anchors": f"{label}; {FRAME_CHANGE}", "mass": label + _doubt(body, "mass")},
     )
     if pattern == "3R3T":
-        source.sources["platform_anchors"] = f"{label}; {FRAME}"
-        _add_inertia(source, body, label, platform)
+        values.sources["platform_anchors"] = f"{label}; {FRAME_CHANGE}"
+        _add_inertia(values, body, label, platform)
     else:  # the anchors of a body that does not turn shift the base
-        source.base = base - platform
-        source.platform = None
+        values.base_anchors = base - platform
+        values.platform_anchors = None
     radii = {_number(child_of(chain, "base"), "radius", 0.0) for chain in chains}
     if any(radii):
         text = ", ".join(f"{radius:g} m" for radius in sorted(radii))
-        source.notes.append(
+        values.notes.append(
             f"swivel pulleys of {text} are left out, as WireX does by default: see swivel_radius"
         )
-    _add_winch(source, root, label)
-    _add_cable(source, root, label)
-    return source
+    _add_winch(values, root, label)
+    _add_cable(values, root, label)
+    return values
 
 
 def _anchors(chains: list[Element], tag: str) -> Array:
@@ -104,71 +104,71 @@ def _doubt(element: Element, name: str) -> str:
     return ""
 
 
-def _add_inertia(source: Source, body: Element, label: str, anchors: Array) -> None:
+def _add_inertia(values: FileValues, body: Element, label: str, anchors: Array) -> None:
     """Centre of mass and inertia; assumed where the file has what WireX writes for every robot."""
-    source.sources["center_of_mass"] = (
+    values.sources["center_of_mass"] = (
         "assumed: the origin of the platform frame; the file has WireX's default"
     )
     element = body.find("centerofgravity")
     if element is not None:
         center = _vector(element)
         if not np.allclose(center, _UP_TO_DOWN * DEFAULT_CENTER):
-            source.center_of_mass = center
-            source.sources["center_of_mass"] = f"{label}; {FRAME}"
+            values.center_of_mass = center
+            values.sources["center_of_mass"] = f"{label}; {FRAME_CHANGE}"
     tensor = body.find("inertiatensor")
     if tensor is not None and all(tensor.get(name) for name in _MOMENTS):
-        source.inertia = np.diag([_number(tensor, name) for name in _MOMENTS])
+        values.inertia = np.diag([_number(tensor, name) for name in _MOMENTS])
         for index, name in ((0, 1), "Ixy"), ((0, 2), "Ixz"), ((1, 2), "Iyz"):
             sign = _UP_TO_DOWN[index[0]] * _UP_TO_DOWN[index[1]]
-            source.inertia[index] = source.inertia[index[::-1]] = sign * _number(tensor, name, 0.0)
-        source.sources["inertia"] = f"{label}; {FRAME}"
+            values.inertia[index] = values.inertia[index[::-1]] = sign * _number(tensor, name, 0.0)
+        values.sources["inertia"] = f"{label}; {FRAME_CHANGE}"
         return
     sides = np.maximum(np.ptp(anchors, axis=0), np.ptp(anchors) / 10) ** 2
-    moments = source.mass * (sides.sum() - sides) / 12
-    source.inertia = np.diag([float(f"{moment:.4g}") for moment in moments])
-    source.sources["inertia"] = (
+    moments = values.mass * (sides.sum() - sides) / 12
+    values.inertia = np.diag([float(f"{moment:.4g}") for moment in moments])
+    values.sources["inertia"] = (
         "assumed: a homogeneous box around the platform anchors; the file has only Ixx"
     )
 
 
-def _add_winch(source: Source, root: Element, label: str) -> None:
+def _add_winch(values: FileValues, root: Element, label: str) -> None:
     """Force, speed, drum and inertia of the first winch."""
     winch = root.find("winch")
     if winch is None:
-        source.notes.append("the file has no winch")
+        values.notes.append("the file has no winch")
         return
     cable, motor, drum = (winch.find(tag) for tag in ("cable", "motor", "drum"))
     if drum is not None and _number(drum, "r_drum", 0.0) > 0:
-        source.drum_radius = _number(drum, "r_drum")
-        source.sources["transmission.pulley_radius"] = label + _doubt(drum, "r_drum")
+        values.drum_radius = _number(drum, "r_drum")
+        values.sources["transmission.pulley_radius"] = label + _doubt(drum, "r_drum")
     if cable is not None and _number(cable, "f_max", 0.0) > 0:
-        source.largest_tensions = np.full(len(source.base), _number(cable, "f_max"))
-        source.sources["motors.stall_torque"] = (
+        values.largest_tensions = np.full(len(values.base_anchors), _number(cable, "f_max"))
+        values.sources["motors.stall_torque"] = (
             f"{label}: f_max at the drum{_doubt(cable, 'f_max')}"
         )
     if cable is not None and _number(cable, "max_velocity", 0.0) > 0:
-        source.cable_speed = _number(cable, "max_velocity")
-        source.sources["motors.free_speed"] = (
+        values.cable_speed = _number(cable, "max_velocity")
+        values.sources["motors.free_speed"] = (
             f"{label}: max_velocity of the cable{_doubt(cable, 'max_velocity')}"
         )
     if motor is not None and _number(motor, "inertia", 0.0) > 0:
-        source.winch_inertia = _number(motor, "inertia") * _number(motor, "gear_ratio", 1.0) ** 2
+        values.winch_inertia = _number(motor, "inertia") * _number(motor, "gear_ratio", 1.0) ** 2
         text = f"{label}: inertia of the motor × gear_ratio²{_doubt(motor, 'inertia')}"
-        source.sources["transmission.pulley_inertia"] = text
+        values.sources["transmission.pulley_inertia"] = text
 
 
-def _add_cable(source: Source, root: Element, label: str) -> None:
+def _add_cable(values: FileValues, root: Element, label: str) -> None:
     """Mass and stiffness of the first cable."""
     cable = root.find("cable")
     if cable is None:
-        source.notes.append("the file has no cable")
+        values.notes.append("the file has no cable")
         return
     if _number(cable, "weight", 0.0) > 0:
-        source.cable_density = _number(cable, "weight")
-        source.sources["cable_density"] = label + _doubt(cable, "weight")
+        values.cable_density = _number(cable, "weight")
+        values.sources["cable_density"] = label + _doubt(cable, "weight")
     stiffness = _number(cable, "elasticity", 0.0) * math.pi * _number(cable, "radius", 0.0) ** 2
     if stiffness > 0:
         text = f"elasticity and radius give EA = {stiffness:.4g} N"
-        source.notes.append(
+        values.notes.append(
             f"the cables do not stretch here; {text}, for transmission.axial_stiffness"
         )
