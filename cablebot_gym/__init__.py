@@ -102,6 +102,8 @@ PUBLIC_MODULES = (
     "cablebot_gym.physics.inverse",
     "cablebot_gym.physics.plant",
     "cablebot_gym.physics.textbook",
+    "cablebot_gym.physics.textbook.drives",
+    "cablebot_gym.physics.textbook.platform",
     "cablebot_gym.planning",
     "cablebot_gym.planning.following",
     "cablebot_gym.planning.library",

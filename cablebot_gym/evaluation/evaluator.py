@@ -115,7 +115,7 @@ def evaluate_dlcc(
 
 def default_payload_max(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
     """Default end of the scan [kg]: the end of the robot's payload range; without one,
-    :data:`~cablebot_gym.robots.PAPER_PAYLOAD_MAX` for the paper's robots, and :data:`SCAN_MARGIN`
+    :data:`~cablebot_gym.robots.paper.PAPER_PAYLOAD_MAX` for the paper's robots, and :data:`SCAN_MARGIN`
     times the payload that the motors can hold for others."""
     if robot.defaults.payload_range is not None:
         return robot.defaults.payload_range[1]

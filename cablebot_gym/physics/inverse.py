@@ -32,7 +32,7 @@ def inverse_dynamics(
     *,
     minimum: float = 0.0,
 ) -> InverseDynamics:
-    """Inverse dynamics as in :func:`cablebot_gym.physics.textbook.inverse_dynamics` with
+    """Inverse dynamics as in :func:`cablebot_gym.physics.textbook.drives.inverse_dynamics` with
     ``strict=False``.
 
     The results are equal up to rounding. The relative difference of spatial tensions is about 1e-15

@@ -83,7 +83,7 @@ class Transmission:
     J β̈ + c β̇``.
 
     Elastic cables (``axial_stiffness``) are slack until they are stretched. Then T depends on their
-    strain, see :func:`~cablebot_gym.physics.textbook.cable_springs`. Without joint springs, J
+    strain, see :func:`~cablebot_gym.physics.textbook.drives.cable_springs`. Without joint springs, J
     includes the motor and τ acts on it: ``J β̈ + c β̇ = τ − r T``. With joint springs, J is the
     inertia between the two springs.
     """
@@ -98,7 +98,7 @@ class Transmission:
     """Coulomb friction τ_c on the motor's shaft [N·m], one value or one per motor; ≥ 0.
 
     A rigid transmission has one shaft with motor and pulley. The torque is smooth at standstill,
-    see :func:`~cablebot_gym.physics.textbook.coulomb_torque`. The paper has no Coulomb friction.
+    see :func:`~cablebot_gym.physics.textbook.drives.coulomb_torque`. The paper has no Coulomb friction.
     """
     stiffness: PerMotor | None = None
     """Stiffness K of the joint springs [N·m/rad], one value or one per motor; > 0. None for a rigid

@@ -47,7 +47,7 @@ class ClassicalLaw:
     Args:
         robot: nominal robot.
         minimum_tension: least tension that the law allocates with more cables than coordinates [N];
-            ≥ 0. None for :func:`~cablebot_gym.physics.textbook.allocated_minimum`.
+            ≥ 0. None for :func:`~cablebot_gym.physics.textbook.drives.allocated_minimum`.
 
     Raises:
         ValueError: if ``minimum_tension`` is negative.

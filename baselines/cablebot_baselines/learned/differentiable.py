@@ -50,7 +50,7 @@ def required_actuation(
         mass: mass of platform and payload [kg], (B,).
         minimum: least tension with more cables than coordinates [N].
         softness: smoothing of a planar robot's tensions [N], see
-            :func:`~cablebot_gym.physics.textbook.smooth_tension_distribution`; 0 for none.
+            :func:`~cablebot_gym.physics.textbook.platform.smooth_tension_distribution`; 0 for none.
     """
     robot = joint_equivalent(robot)
     tensions_and_torques = partial(

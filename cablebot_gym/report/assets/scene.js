@@ -6,6 +6,20 @@ function makeScene(canvas) {
 
   const minus = (a, b) => a.map((value, index) => value - b[index]);
   const dot = (a, b) => a.reduce((sum, value, index) => sum + value * b[index], 0);
+  // Corners of the outline of points in the picture, in order around it (monotone chain).
+  function hull(points) {
+    const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
+    const side = (line) => {
+      const corners = [];
+      for (const point of line) {
+        while (corners.length > 1 && turn(corners[corners.length - 2], corners[corners.length - 1], point) <= 0) corners.pop();
+        corners.push(point);
+      }
+      return corners.slice(0, -1);
+    };
+    return [...side(sorted), ...side(sorted.reverse())];
+  }
+  const turn = (a, b, c) => (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
   const solid = (point) => (point.length === 3 ? point : [point[0], point[1], 0]);
 
   function camera() {
@@ -72,10 +86,13 @@ function makeScene(canvas) {
       context.fillStyle = colour("--platform");
       context.globalAlpha = 0.85;
       context.beginPath();
+      const corners = [];
       for (let point = 0; point < robot.points; point++) {
-        const [x, y] = project(frames.anchors[frame].slice(point * width, (point + 1) * width));
-        if (point) context.lineTo(x, y); else context.moveTo(x, y);
+        corners.push(project(frames.anchors[frame].slice(point * width, (point + 1) * width)));
       }
+      hull(corners).forEach(([x, y], corner) => {
+        if (corner) context.lineTo(x, y); else context.moveTo(x, y);
+      });
       context.closePath();
       context.fill();
       context.globalAlpha = 1;

@@ -47,7 +47,7 @@ def spring_modes(robot: Robot) -> Array:
     """Frequencies of the oscillation of the motors against pulleys and platform at home, ascending
     [Hz].
 
-    These are the modes of the motion that :func:`~cablebot_gym.physics.textbook.highest_frequency`
+    These are the modes of the motion that :func:`~cablebot_gym.physics.textbook.drives.highest_frequency`
     describes. The twist δ = β′ − β of the free robot satisfies δ̈ = −(1/J′ + (S/r) M⁻¹ (S/r)ᵀ) K δ
     with the mass matrix M of platform and pulleys.
     """
