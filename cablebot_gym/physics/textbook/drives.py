@@ -349,7 +349,7 @@ def required_tensions(
 
     As many cables as coordinates: the unique solution, which may have either sign; ``minimum`` has
     no effect. More cables: tensions that are all at least ``minimum`` [N]; for a point mass in a
-    plane the smallest ones, see :func:`tension_distribution` (Eq. 11), otherwise
+    plane the smallest ones, see :func:`~cablebot_gym.physics.textbook.platform.tension_distribution` (Eq. 11), otherwise
     :func:`least_action_tensions`, both also for ``strict``.
     """
     return inverse_dynamics(
@@ -461,9 +461,9 @@ class InverseDynamics:
     torques: Array
     """Motor torques τ [N·m], see :func:`required_torques`."""
     speeds: Array
-    """Pulley speeds β̇ [rad/s], see :func:`pulley_speed`."""
+    """Pulley speeds β̇ [rad/s], see :func:`~cablebot_gym.physics.textbook.platform.pulley_speed`."""
     pulley_accelerations: Array
-    """Pulley accelerations β̈ [rad/s²], see :func:`pulley_acceleration`."""
+    """Pulley accelerations β̈ [rad/s²], see :func:`~cablebot_gym.physics.textbook.platform.pulley_acceleration`."""
 
 
 def inverse_dynamics(
