@@ -349,7 +349,8 @@ def required_tensions(
 
     As many cables as coordinates: the unique solution, which may have either sign; ``minimum`` has
     no effect. More cables: tensions that are all at least ``minimum`` [N]; for a point mass in a
-    plane the smallest ones, see :func:`~cablebot_gym.physics.textbook.platform.tension_distribution` (Eq. 11), otherwise
+    plane the smallest ones, see
+    :func:`~cablebot_gym.physics.textbook.platform.tension_distribution` (Eq. 11), otherwise
     :func:`least_action_tensions`, both also for ``strict``.
     """
     return inverse_dynamics(
