@@ -19,8 +19,8 @@ ACTION_ROUNDING = 1e-12
 
 
 def minimum_tension(robot: Robot, cable: Cable) -> float:
-    """Least valid tension at a physics step [N]; −∞ for bilateral cables, which only must not be
-    slack."""
+    """Least valid tension at a physics step [N]; −∞ for bilateral cables, which have no minimum
+    tension."""
     if cable == "unilateral":
         return robot.minimum_tension
     return -math.inf

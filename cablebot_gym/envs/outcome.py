@@ -101,8 +101,8 @@ class Constants(NamedTuple):
     period: float
     """Control period [s]."""
     minimum_tension: float
-    """Least valid tension at a physics step [N]; −∞ for bilateral cables, which only have to
-    pull."""
+    """Least valid tension at a physics step [N]; −∞ for bilateral cables, which have no minimum
+    tension."""
     termination_radius: float
     terminate_on_violation: bool
 

@@ -103,7 +103,7 @@ def case():
     )
 
 
-def test_replay_that_fails_at_finer_steps_is_not_verified(monkeypatch, line, case):
+def test_replay_has_to_hold_at_finer_steps_too(monkeypatch, line, case):
     refinements = []
     record = best_known._Case._record
 

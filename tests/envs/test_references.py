@@ -84,7 +84,7 @@ def test_motion_after_the_duration_warns():
 
 
 @pytest.mark.parametrize(("frequency", "duration"), [(20.0, 0.05), (500.0, 1.0)])
-def test_motions_of_the_library_do_not_warn(frequency, duration):
+def test_motions_of_the_library_start_silently(frequency, duration):
     for name in trajectory_names(6):
         # The accelerations of loops set their durations, and the motions of chains.
         free = not name.startswith(("loop", "chain"))

@@ -94,7 +94,7 @@ def test_highest_frequency_is_that_of_the_linearised_kernel(robot):
         (PLANAR, {"coulomb_friction": 30.0}),
     ],
 )
-def test_named_substeps_are_stable_and_larger_steps_are_not(robot, changes):
+def test_named_substeps_are_the_fewest_stable_ones(robot, changes):
     """At home under holding torques a nudge stays small with the substeps that the error names.
 
     The slope of Coulomb friction at standstill is τ_c/ω₀. Larger steps: 2.9 time constants.

@@ -87,7 +87,7 @@ def test_actions_request_the_torques_of_each_row_of_a_batch(name):
         assert_allclose(together[k], alone, rtol=1e-9, atol=1e-12)
 
 
-def test_last_period_that_ends_late_by_rounding_does_not_brake():
+def test_last_period_keeps_its_speed_despite_rounding():
     """829 periods and one more are 1.6600000000000001 s, where a plan of 1.66 s rests."""
     period = 0.002
     steps = 830
