@@ -12,7 +12,7 @@ from typing import Any
 from rich.markdown import Markdown
 
 from cablebot_gym.benchmark import tables
-from cablebot_gym.benchmark.board import Board
+from cablebot_gym.benchmark.board import Board, normalised_value
 from cablebot_gym.benchmark.cells import PolicyCell, Record, canonical, cell_from_dict
 from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.scores import (
@@ -77,35 +77,50 @@ class Results:
     entries: Sequence[EntryNote] = ()
     """Policies that are entries of others."""
 
-    def check_board(self) -> None:
-        """Checks the commitment of the board, and that every policy has all its motions and no
-        others.
+    def check_board(self, value: str | None = None) -> None:
+        """Checks the commitment of the board, that every policy has all its motions and no others,
+        and that every cell has the evaluation seed of the board.
+
+        Args:
+            value: the public value as its source publishes it; None for that of the results.
 
         Raises:
             ValueError: if they are not.
         """
-        if self.board is None:
+        board = self.board
+        if board is None:
             raise ValueError("the results have no board with hidden motions")
-        self.board.check()
+        board.check_started()
+        if value is not None and normalised_value(value) != board.beacon_value:
+            raise ValueError(
+                f"board {board.version!r} has the public value {board.beacon_value!r}, "
+                f"not {normalised_value(value)!r}"
+            )
+        evaluation_seed = board.evaluation_seed
         seeds: dict[tuple[str, str], set[Any]] = {}
         for record in self.records:
-            if isinstance(record.cell, PolicyCell):
-                cell = record.cell
-                motions = seeds.setdefault((cell.env_id, cell.policy), set())
-                if "seed" in cell.trajectory:
-                    motions.add(cell.trajectory["seed"])
+            if not isinstance(record.cell, PolicyCell):
+                continue
+            cell = record.cell
+            motions = seeds.setdefault((cell.env_id, cell.policy), set())
+            if "seed" in cell.trajectory:
+                motions.add(cell.trajectory["seed"])
+            if cell.seed != evaluation_seed:
+                raise ValueError(
+                    f"the evaluation seed of {cell.policy} on {cell.env_id} is not that of board "
+                    f"{board.version!r}"
+                )
         committed = set()
-        for env_id, names in self.board.entries.items():
+        for env_id, names in board.entries.items():
             committed |= {(env_id, policy) for policy in names}
         absent = committed ^ seeds.keys()
         if absent:
             differ = ", ".join(f"{policy} on {env_id}" for env_id, policy in sorted(absent))
-            raise ValueError(f"board {self.board.version!r} and its results differ in {differ}")
+            raise ValueError(f"board {board.version!r} and its results differ in {differ}")
         for env_id, policy in committed:
-            if seeds[env_id, policy] != set(self.board.seeds(env_id, self.board.motions)):
+            if seeds[env_id, policy] != set(board.seeds(env_id, board.motions)):
                 raise ValueError(
-                    f"the motions of {policy} on {env_id} are not those of board "
-                    f"{self.board.version!r}"
+                    f"the motions of {policy} on {env_id} are not those of board {board.version!r}"
                 )
 
     def to_json(self) -> str:
@@ -190,7 +205,7 @@ def markdown(results: Results) -> str:
     if references:
         text += f"\n## Best known payloads\n\n{_best_known_table(references)}"
     text += _notes_text(records, boards)
-    if results.board is not None:
+    if results.board is not None and results.board.beacon_value is not None:
         text += _board_text(results.board)
     return f"{text}\n{_definitions(records)}\n{_origin(results)}"
 
@@ -271,16 +286,24 @@ def library_tables(records: Sequence[Record]) -> str:
 
 
 def _board_text(board: Board) -> str:
-    return (
-        f"\n## Board {board.version}\n\n"
-        f"The {board.motions} held-out motions of each environment were hidden: a secret of 128 random bits determines "
-        "them. The commitment is the SHA-256 of the secret, the salt, the number of motions, the policies of each "
-        "environment, and the hashes of their code and weights. "
-        "Published before the run, it shows that neither motions nor policies were changed afterwards. It does not "
-        "show how many secrets were drawn before it.\n\n"
-        f"* commitment `{board.commitment}`\n* secret `{board.secret}`\n* salt `{board.salt}`\n\n"
-        "`cablebot benchmark --verify FOLDER` recomputes the commitment, and confirms payloads with fresh draws.\n"
-    )
+    return f"""
+## Board {board.version}
+
+The {board.motions} held-out motions of each environment were hidden. They and the evaluation seed
+follow by SHA-256 from the lines *public value*, *salt* and *commitment*; the run draws nothing.
+The commitment is the SHA-256 of the salt, the name and date of the public value, the number of
+motions, the policies of each environment, and the hashes of their code and weights.
+
+* public value: {_escaped(board.beacon)}, from {board.beacon_date} on
+* its value: {_escaped(str(board.beacon_value))}
+* commitment: `{board.commitment}`
+* salt: `{board.salt}`
+
+If the commitment was published before that date, nobody could choose motions or seed, and neither
+they nor the policies were changed afterwards. Compare the value with its source: the commitment does
+not contain it. `cablebot benchmark --verify FOLDER` recomputes commitment, motions and seed, and
+confirms payloads with fresh draws. docs/leaderboard.md says what this does not show.
+"""
 
 
 def _versions(records: Sequence[Record]) -> list[Mapping[str, str]]:

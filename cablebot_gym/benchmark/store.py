@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import hmac
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -26,12 +27,22 @@ class Store:
         say: called with one sentence for each unusable file.
         any_source: whether to accept results of different code for cells without a result of the
             current code.
+        key: secret key of the checksums, so that nobody else can rewrite a file; empty for
+            checksums without a key, which find damage only.
     """
 
-    def __init__(self, out: Path, *, say: Callable[[str], None], any_source: bool = False) -> None:
+    def __init__(
+        self,
+        out: Path,
+        *,
+        say: Callable[[str], None],
+        any_source: bool = False,
+        key: str = "",
+    ) -> None:
         self._folder = out / FOLDER
         self._say = say
         self._any_source = any_source
+        self._key = key
         self.foreign = 0
         """Number of requested cells that have only results of different code."""
 
@@ -62,9 +73,14 @@ class Store:
             "result": dict(record.result),
             "seconds": round(record.seconds, 3),
         }
-        data["checksum"] = _hash(data)
+        data["checksum"] = self._checksum(data)
         text = json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         atomic_write_text(self._path(record.cell, record.source), text)
+
+    def _checksum(self, data: dict[str, Any]) -> str:
+        if not self._key:
+            return _hash(data)
+        return hmac.new(self._key.encode(), canonical(data).encode(), "sha256").hexdigest()
 
     def _path(self, cell: Cell, source: str) -> Path:
         return self._folder / f"{cell.stem}-{_hash(cell.to_dict())[:12]}-{source}.json"
@@ -76,7 +92,7 @@ class Store:
             data = json.loads(read_text(path))
             checksum = data.pop("checksum")
             record = Record(**(data | {"cell": cell_from_dict(data["cell"])}))
-            if (checksum, record.cell.key) == (_hash(data), cell.key):
+            if (checksum, record.cell.key) == (self._checksum(data), cell.key):
                 return record
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             pass

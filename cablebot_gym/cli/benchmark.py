@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from cablebot_gym.benchmark.engine import Backend
     from cablebot_gym.benchmark.leaderboard import Results
     from cablebot_gym.benchmark.store import Store
+    from cablebot_gym.benchmark.suites import Suite
 
 MARKDOWN, JSON = "leaderboard.md", "results.json"
 """Names of the files in the results folder."""
@@ -63,7 +64,8 @@ class CellOptions(Options):
     seed: Annotated[
         int | None,
         typer.Option(
-            help="Evaluation seed, to repeat a run. The default is drawn once and stored in the folder."
+            help="Evaluation seed, to repeat a run. The default is drawn once and stored in the folder; that of a "
+            "board follows from its public value."
         ),
     ] = None
     real_time: Annotated[
@@ -122,6 +124,42 @@ class OutputOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class BoardOptions(Options):
+    """Commitment and start of a board."""
+
+    title: ClassVar[str] = "Board"
+
+    commit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="VERSION",
+            help="Draw the salt of a new board, write its commitment to the folder and stop.",
+        ),
+    ] = None
+    beacon: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Public value of --commit that will exist only later, such as `drand quicknet round 12345678`.",
+        ),
+    ] = None
+    beacon_date: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DATE",
+            help="Date or time from which the value exists, such as 2027-01-04T12:00Z.",
+        ),
+    ] = None
+    beacon_value: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TEXT",
+            help="The public value: starts the run of a board. With --verify, the value to compare with.",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class VerificationOptions(Options):
     """Fresh draws for stored results."""
 
@@ -142,14 +180,8 @@ def benchmark(
     selection: CellOptions,
     computing: ComputingOptions,
     output: OutputOptions,
+    board_options: BoardOptions,
     verification: VerificationOptions,
-    commit: Annotated[
-        str | None,
-        typer.Option(
-            metavar="VERSION",
-            help="Draw the secret of a new board, write its commitment to the folder and stop.",
-        ),
-    ] = None,
 ) -> None:
     """Score policies by their payload over the best known payload, on held-out motions and the
     paper's circle.
@@ -168,15 +200,13 @@ def benchmark(
 
     cablebot benchmark --suite library --out robots
 
-    cablebot benchmark --suite ranked --out board --commit 2026-1
+    cablebot benchmark --suite ranked --out board --entries entries --commit 2027-1
+    --beacon "NIST beacon 2.0 pulse at 2027-01-04T12:00Z" --beacon-date 2027-01-04T12:00Z
 
-    cablebot benchmark --suite ranked --out board
-
-    cablebot benchmark --suite ranked --out board --entries entries --commit 2026-2
+    cablebot benchmark --suite ranked --out board --entries entries --beacon-value 8F3C…
 
     cablebot benchmark --verify board --cells 20 --draws 1024
     """
-    from cablebot_gym.benchmark import board as boards
     from cablebot_gym.benchmark.cells import TimingCell
     from cablebot_gym.benchmark.store import FOLDER, Store
     from cablebot_gym.benchmark.suites import find_suite
@@ -185,24 +215,25 @@ def benchmark(
 
     backend = _backend(computing.workers, computing.ray)
     if verification.verify is not None:
-        return _verify(verification.verify, backend, verification, selection.seed)
+        value = board_options.beacon_value
+        return _verify(verification.verify, backend, verification, selection.seed, value)
     suite = find_suite(selection.suite)
+    _check_board_options(board_options, suite)
     policies, submitted = _policies(selection)
     names = sorted({name for supported in policies.values() for name in supported})
     out = output.out
     check_writable_dir(out / FOLDER)
-    if commit is not None:
-        return _print_board(boards.commit(out, commit, policies, suite.hidden), out)
-    board = boards.read_board(out) if suite.hidden else None
-    if board is not None:
-        board.check_policies(names)
-        if computing.any_source or selection.seed is not None:
-            raise ValueError(
-                "a board accepts neither --seed nor --any-source: its results are not chosen"
-            )
+    if board_options.commit is not None:
+        return _commit(board_options, policies, suite.hidden, out)
+    board = None
+    key = ""
+    if suite.hidden:
+        board = _started_board(board_options, names, selection, computing, out)
+        key = board.salt or ""
     for path in output.files:
         check_writable_file(path)
-    store = Store(out, say=notes_console().print, any_source=computing.any_source)
+    say = notes_console().print
+    store = Store(out, say=say, any_source=computing.any_source, key=key)
     records = _records(selection, computing, output, policies, board, store, backend)
     if board is not None:
         board.check_policies(names)  # files may have changed during the run
@@ -242,14 +273,68 @@ def _policies(
     return find_policies(names, env_ids), submitted
 
 
-def _print_board(board: Board, out: Path) -> None:
-    from cablebot_gym.benchmark.board import BOARD, SECRET
+def _check_board_options(options: BoardOptions, suite: Suite) -> None:
+    """Raises a ValueError if options of a board are missing, or have no effect."""
+    names_beacon = options.beacon is not None and options.beacon_date is not None
+    if options.commit is not None and not names_beacon:
+        raise ValueError(
+            "--commit needs a public value that will exist only later: add for example "
+            '--beacon "drand quicknet round 12345678" --beacon-date 2027-01-04T12:00Z'
+        )
+    if options.commit is None and (options.beacon or options.beacon_date):
+        raise ValueError("--beacon and --beacon-date belong to --commit VERSION")
+    if options.commit is not None and options.beacon_value is not None:
+        raise ValueError(
+            "--commit and --beacon-value exclude each other: commit now, and start the run when "
+            "the value is public"
+        )
+    if options.beacon_value is not None and not suite.hidden:
+        raise ValueError("only a suite with hidden motions has a board: add --suite ranked")
 
-    print(
-        f"board {board.version}: commitment {board.commitment}. "
-        f"Publish {out / BOARD} before the run, and"
+
+def _commit(
+    options: BoardOptions, policies: Mapping[str, tuple[str, ...]], motions: int, out: Path
+) -> None:
+    """Writes the commitment of a new board and says what to do with it."""
+    from cablebot_gym.benchmark import board as boards
+
+    board = boards.commit(
+        out,
+        str(options.commit),
+        policies,
+        motions,
+        beacon=str(options.beacon),
+        beacon_date=str(options.beacon_date),
+        now=boards.utc_now(),
     )
-    print(f"keep {out / SECRET} secret until its results are published.")
+    print(f"board {board.version}: commitment {board.commitment}.")
+    print(f"Publish {out / boards.BOARD} before {board.beacon_date}, and keep {out / boards.SALT}")
+    print(
+        f"secret until the results are published. When {board.beacon} is public, start the run "
+        "with --beacon-value."
+    )
+
+
+def _started_board(
+    options: BoardOptions,
+    names: Sequence[str],
+    selection: CellOptions,
+    computing: ComputingOptions,
+    out: Path,
+) -> Board:
+    """The board in the results folder with its public value.
+
+    Raises:
+        ValueError: if it cannot start, or if the options choose results.
+    """
+    from cablebot_gym.benchmark import board as boards
+
+    boards.read_board(out).check_policies(names)
+    if computing.any_source or selection.seed is not None:
+        raise ValueError(
+            "a board accepts neither --seed nor --any-source: its results are not chosen"
+        )
+    return boards.start(out, options.beacon_value, now=boards.utc_now())
 
 
 def _records(
@@ -265,16 +350,20 @@ def _records(
     from cablebot_gym.benchmark.board import run_seed
     from cablebot_gym.benchmark.suites import find_suite, suite_cells
 
+    if board is None:
+        seed = run_seed(output.out, selection.seed)
+    else:
+        seed = board.evaluation_seed
     cells = suite_cells(
         find_suite(selection.suite),
         policies,
-        seed=run_seed(output.out, selection.seed),
+        seed=seed,
         board=board,
         real_time=selection.real_time,
     )
     resume = command_line(
         "benchmark",
-        **_typed(selection, output),
+        **_typed(selection, output, board),
         workers=computing.workers,
         ray=computing.ray,
         any_source=computing.any_source,
@@ -283,8 +372,11 @@ def _records(
     return computed(cells, store, output.out, backend, resume)
 
 
-def _typed(selection: CellOptions, output: OutputOptions) -> dict[str, Any]:
+def _typed(selection: CellOptions, output: OutputOptions, board: Board | None) -> dict[str, Any]:
     """The options that determine the results, for their command line."""
+    beacon_value = None
+    if board is not None:
+        beacon_value = board.beacon_value
     return {
         "suite": selection.suite,
         "policies": selection.policies,
@@ -293,6 +385,7 @@ def _typed(selection: CellOptions, output: OutputOptions) -> dict[str, Any]:
         "ids": selection.ids,
         "out": output.out,
         "page": output.page,
+        "beacon_value": beacon_value,
         "real_time": selection.real_time,
     }
 
@@ -319,7 +412,7 @@ def _write(
 
     results = Results(
         suite=selection.suite,
-        command=command_line("benchmark", **_typed(selection, output)),
+        command=command_line("benchmark", **_typed(selection, output, board)),
         records=records,
         board=board,
         entries=[note(Path(name), status(Path(name), records)) for name in submitted],
@@ -393,7 +486,11 @@ def read_results(folder: Path) -> Results:
 
 
 def _verify(
-    folder: Path, backend: Backend, verification: VerificationOptions, seed: int | None
+    folder: Path,
+    backend: Backend,
+    verification: VerificationOptions,
+    seed: int | None,
+    beacon_value: str | None,
 ) -> None:
     """Checks the board and prints promised payloads with their success rate in fresh draws."""
     from cablebot_gym.benchmark.verification import broken, confirm
@@ -404,9 +501,13 @@ def _verify(
     draws = whole("draws", verification.draws, least=1)
     say = notes_console().print
     if results.board is not None:
-        results.check_board()
-        version = results.board.version
-        print(f"board {version}: the secret matches the commitment and determines the motions")
+        results.check_board(beacon_value)
+        board = results.board
+        print(
+            f"board {board.version}: salt and policies match the commitment; motions and "
+            "evaluation seed follow from it and from"
+        )
+        print(f"{board.beacon}, {board.beacon_value}: compare this value with its source")
     if seed is None:
         seed = secrets.randbits(128)
     confirmations = []
