@@ -1,15 +1,17 @@
 """Boards: the hidden motions and the policies are fixed by a commitment; stored promises are tried
 again."""
 
+import hashlib
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import pytest
 
 from cablebot_gym.benchmark import board as boards
-from cablebot_gym.benchmark import suites
 from cablebot_gym.benchmark.cells import PolicyCell, Record
 from cablebot_gym.benchmark.engine import local
 from cablebot_gym.benchmark.leaderboard import Results
+from cablebot_gym.benchmark.store import Store
 from cablebot_gym.benchmark.suites import Block, Suite, suite_cells
 from cablebot_gym.benchmark.verification import Confirmation, broken, confirm
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
@@ -41,42 +43,106 @@ def hidden(motions):
     )
 
 
-def test_secret_has_a_file_of_its_own(tmp_path, policy):
+NOW = datetime(2027, 1, 1, tzinfo=UTC)
+LATER = datetime(2027, 1, 4, 12, 0, tzinfo=UTC)
+VALUE = "8f3c02"
+
+
+def commit(folder, policies, motions=3, **changes):
+    """A board that is committed before its public value exists."""
+    beacon = {"beacon": "drand quicknet round 7", "beacon_date": "2027-01-04T12:00Z", "now": NOW}
+    return boards.commit(folder, "1", policies, motions, **(beacon | changes))
+
+
+def started(folder, policies, motions=3, value=VALUE):
+    """A board that is committed and started."""
+    commit(folder, policies, motions)
+    return boards.start(folder, value, now=LATER)
+
+
+def test_salt_has_a_file_of_its_own(tmp_path, policy):
     name = policy("def make(robot): ...\n")
-    board = boards.commit(tmp_path, "1", {PLANAR: [name]}, 20)
-    public = (tmp_path / boards.BOARD).read_text()
-    assert board.secret not in public
-    assert board.salt not in public
-    assert (tmp_path / boards.SECRET).stat().st_mode & 0o077 == 0
-    assert len(board.secret) == 32
+    board = commit(tmp_path, {PLANAR: [name]})
+    assert board.salt not in (tmp_path / boards.BOARD).read_text()
+    assert (tmp_path / boards.SALT).stat().st_mode & 0o077 == 0
+    assert len(board.salt) == 32
     assert boards.read_board(tmp_path) == board
     with pytest.raises(ValueError, match="has a board"):
-        boards.commit(tmp_path, "2", {PLANAR: [name]}, 20)
+        commit(tmp_path, {PLANAR: [name]})
     with pytest.raises(ValueError, match="add --suite ranked"):
-        boards.commit(tmp_path / "other", "2", {PLANAR: [name]}, 0)
+        commit(tmp_path / "other", {PLANAR: [name]}, motions=0)
 
 
 def test_commitment_binds_every_field(tmp_path, policy):
     name = policy("def make(robot): ...\n")
-    board = boards.commit(tmp_path, "1", {PLANAR: [name]}, 20)
-    changed_hex = f"{int(board.secret, 16) ^ 1:032x}"
+    board = commit(tmp_path, {PLANAR: [name]})
     for changes in (
-        {"secret": changed_hex},
-        {"salt": changed_hex},
+        {"salt": f"{int(board.salt, 16) ^ 1:032x}"},
         {"version": "2"},
         {"policies": {name: "0" * 64}},
         {"motions": 19},
         {"entries": {SPATIAL: [name]}},
+        {"beacon": "drand quicknet round 8"},
+        {"beacon_date": "2027-01-05T00:00:00+00:00"},
     ):
         with pytest.raises(ValueError, match="does not match its commitment"):
             replace(board, **changes).check()
     with pytest.raises(ValueError, match="not published"):
-        replace(board, secret=None).check()
+        replace(board, salt=None).check()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"beacon_date": "2027-01-01"}, "not in the future"),
+        ({"beacon_date": "2026-12-31T23:00-00:30"}, "not in the future"),
+        ({"beacon_date": "next week"}, "type one such as"),
+        ({"beacon_date": "9999-12-31T23:59-10:00"}, "type one such as"),
+        ({"beacon": "  "}, "name of the beacon is invalid"),
+        ({"beacon": "x" * 2000}, "name of the beacon is invalid"),
+    ],
+)
+def test_commitment_needs_a_public_value_of_the_future(tmp_path, changes, words):
+    with pytest.raises(ValueError, match=words):
+        commit(tmp_path, {}, **changes)
+    assert not (tmp_path / boards.BOARD).exists()
+
+
+def test_board_starts_with_one_public_value_that_exists(tmp_path):
+    commit(tmp_path, {})
+    with pytest.raises(ValueError, match="when drand quicknet round 7 is public"):
+        boards.start(tmp_path, None, now=LATER)
+    with pytest.raises(ValueError, match="start the board then"):
+        boards.start(tmp_path, VALUE, now=NOW)
+    for invalid in ("", " \n", "x" * 2000, "a\0b"):
+        with pytest.raises(ValueError, match="value of the beacon is invalid"):
+            boards.start(tmp_path, invalid, now=LATER)
+    assert not (tmp_path / boards.VALUE).exists()
+    board = boards.start(tmp_path, " 8F3C02\n", now=LATER)
+    assert board.beacon_value == VALUE
+    assert boards.start(tmp_path, VALUE, now=LATER) == board
+    assert boards.start(tmp_path, None, now=LATER) == board
+    with pytest.raises(ValueError, match="Leave out --beacon-value to resume"):
+        boards.start(tmp_path, "8f3c03", now=LATER)
+
+
+def test_secret_is_the_hash_that_the_documentation_gives(tmp_path):
+    board = started(tmp_path, {})
+    lines = "".join(f"{line}\n" for line in (VALUE, board.salt, board.commitment))
+    secret = hashlib.sha256(lines.encode()).hexdigest()
+    assert board.secret == secret
+    seed = hashlib.sha256(f"{secret}:evaluation".encode()).digest()[:16]
+    assert board.evaluation_seed == int.from_bytes(seed)
+
+
+def test_public_value_keeps_the_case_of_words():
+    assert boards.normalised_value(" 6 aus 49:\t3  7\n") == "6 aus 49: 3 7"
+    assert boards.normalised_value("0xAB") == "0xab"
 
 
 def test_policy_that_changes_after_the_commitment_is_refused(tmp_path, policy, module):
     name = policy("def make(robot): ...\n")
-    board = boards.commit(tmp_path, "1", {PLANAR: [name, "fl"]}, 20)
+    board = commit(tmp_path, {PLANAR: [name, "fl"]})
     board.check_policies([name, "fl"])
     policy('"""The gains are here, in a docstring: 1, 2."""\ndef make(robot): ...\n')
     with pytest.raises(ValueError, match=r"without the present toy_board\.law:make"):
@@ -91,18 +157,20 @@ def test_policy_that_changes_after_the_commitment_is_refused(tmp_path, policy, m
     module("toy_flat.py", "def make(robot): ...  # weights.bin\n")
     module("weights.bin", "weights")
     with pytest.raises(ValueError, match="put its module into a package"):
-        boards.commit(tmp_path / "other", "1", {PLANAR: ["toy_flat:make"]}, 20)
+        commit(tmp_path / "other", {PLANAR: ["toy_flat:make"]})
 
 
 def test_hidden_motions_depend_on_secret_and_environment(tmp_path):
-    board = boards.commit(tmp_path, "1", {}, 20)
+    board = started(tmp_path, {}, 20)
     seeds = board.seeds(PLANAR, 20)
     assert len({*seeds, *board.seeds(SPATIAL, 20)}) == 40
     for seed in seeds:
         assert FIRST_HELD_OUT_SEED <= seed < 2**53
     with pytest.raises(ValueError, match="committed with 20 motions, not 2"):
         board.seeds(PLANAR, 2)
-    assert boards.commit(tmp_path / "other", "1", {}, 20).seeds(PLANAR, 20) != seeds
+    for other in (started(tmp_path / "salt", {}, 20), replace(board, beacon_value="8f3c03")):
+        assert not set(other.seeds(PLANAR, 20)) & set(seeds)
+        assert other.evaluation_seed != board.evaluation_seed
     cells = suite_cells(hidden(20), {PLANAR: ("fl",)}, seed=2**127, board=board)
     assert [cell.trajectory["seed"] for cell in cells.values()] == seeds
     assert {cell.seed for cell in cells.values()} == {2**127}
@@ -110,7 +178,7 @@ def test_hidden_motions_depend_on_secret_and_environment(tmp_path):
         suite_cells(hidden(20), {PLANAR: ("fl",)})
 
 
-def test_evaluation_seed_is_drawn_once_for_a_folder(tmp_path):
+def test_evaluation_seed_is_drawn_once_for_a_folder_without_a_board(tmp_path):
     seed = boards.run_seed(tmp_path)
     assert boards.run_seed(tmp_path) == seed
     assert boards.run_seed(tmp_path / "other") != seed
@@ -120,27 +188,97 @@ def test_evaluation_seed_is_drawn_once_for_a_folder(tmp_path):
         boards.run_seed(tmp_path)
 
 
-def test_results_of_other_motions_than_the_board_are_rejected(tmp_path, monkeypatch):
-    board = boards.commit(tmp_path, "1", {PLANAR: ["fl"]}, 3)
-    suite = hidden(3)
-    records = [record(cell) for cell in suite_cells(suite, {PLANAR: ("fl",)}, board=board).values()]
-    monkeypatch.setattr(suites, "SUITES", {"s": suite})
-    results = Results(suite="s", command="", records=records, board=board)
-    results.check_board()
-    easy = replace(
-        records[0], cell=replace(records[0].cell, trajectory={"name": "loop-planar", "seed": 12345})
-    )
-    with pytest.raises(ValueError, match="are not those of board"):
-        replace(results, records=[easy, *records[1:]]).check_board()
-    with pytest.raises(ValueError, match="are not those of board"):
-        replace(results, records=records[:2]).check_board()
-    for folder, committed in (
-        ("policy", {PLANAR: ["fl", "robust"]}),
-        ("id", {PLANAR: ["fl"], SPATIAL: ["robust"]}),
-    ):
-        more = boards.commit(tmp_path / folder, "1", committed, 3)
-        with pytest.raises(ValueError, match="differ in robust on"):
-            replace(results, board=more).check_board()
+def results_of(board, seed=None, motions_of=None):
+    """Results of ``fl`` on a board, with its own evaluation seed and motions by default."""
+    seed = board.evaluation_seed if seed is None else seed
+    cells = suite_cells(hidden(3), {PLANAR: ("fl",)}, seed=seed, board=motions_of or board)
+    records = [record(cell) for cell in cells.values()]
+    return Results(suite="s", command="", records=records, board=board)
+
+
+def redrawn_seed(board, folder):
+    results_of(board, seed=board.evaluation_seed + 1).check_board()
+
+
+def ground_secret(board, folder):
+    pleasant = started(folder / "pleasant", {PLANAR: ["fl"]})
+    results_of(board, board.evaluation_seed, pleasant).check_board()
+
+
+def changed_salt(board, folder):
+    honest = results_of(board)
+    replace(honest, board=replace(board, salt="0" * 32)).check_board()
+
+
+def changed_value(board, folder):
+    honest = results_of(board)
+    replace(honest, board=replace(board, beacon_value="0")).check_board()
+
+
+def value_of_no_source(board, folder):
+    results_of(replace(board, beacon_value="0")).check_board(VALUE)
+
+
+def rewritten_cell(board, folder):
+    first, *_ = results_of(board).records
+    honest = replace(first, source=first.cell.source)
+    messages = []
+    Store(folder, say=messages.append, key=board.salt).add(honest)
+    forged = replace(honest, result={"payload": 9.0})
+    Store(folder, say=messages.append).add(forged)  # whoever has no salt
+    assert Store(folder, say=messages.append, key=board.salt).find(honest.cell) is None
+    raise ValueError(*messages)
+
+
+def easier_motion(board, folder):
+    first, *others = results_of(board).records
+    trajectory = {"name": "loop-planar", "seed": 12345}
+    easy = replace(first, cell=replace(first.cell, trajectory=trajectory))
+    replace(results_of(board), records=[easy, *others]).check_board()
+
+
+def omitted_motion(board, folder):
+    replace(results_of(board), records=results_of(board).records[:2]).check_board()
+
+
+def omitted_policy(board, folder):
+    more = started(folder / "more", {PLANAR: ["fl", "robust"]})
+    results_of(more).check_board()
+
+
+def omitted_environment(board, folder):
+    more = started(folder / "more", {PLANAR: ["fl"], SPATIAL: ["robust"]})
+    results_of(more).check_board()
+
+
+@pytest.mark.parametrize(
+    ("fraud", "words"),
+    [
+        (redrawn_seed, "the evaluation seed of fl on CableBot-Planar-v0 is not that of board"),
+        (ground_secret, "the motions of fl on CableBot-Planar-v0 are not those of board"),
+        (changed_salt, "does not match its commitment"),
+        (changed_value, "the evaluation seed of fl on CableBot-Planar-v0 is not that of board"),
+        (value_of_no_source, "has the public value '0', not '8f3c02'"),
+        (rewritten_cell, "is damaged; its cell is computed again"),
+        (easier_motion, "are not those of board"),
+        (omitted_motion, "are not those of board"),
+        (omitted_policy, "differ in robust on CableBot-Planar-v0"),
+        (omitted_environment, "differ in robust on CableBot-Spatial-v0"),
+    ],
+)
+def test_dishonest_board_is_refused(tmp_path, fraud, words):
+    board = started(tmp_path, {PLANAR: ["fl"]})
+    results_of(board).check_board(VALUE)
+    with pytest.raises(ValueError, match=words):
+        fraud(board, tmp_path)
+
+
+def test_honest_cell_of_a_board_is_found_again(tmp_path):
+    board = started(tmp_path, {PLANAR: ["fl"]})
+    honest, *_ = results_of(board).records
+    store = Store(tmp_path, say=pytest.fail, key=board.salt)
+    store.add(replace(honest, source=honest.cell.source))
+    assert store.find(honest.cell).result == honest.result
 
 
 # --- fresh draws ------------------------------------------------------------------------------------------------------

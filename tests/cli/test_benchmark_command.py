@@ -4,6 +4,7 @@ test_commands."""
 import json
 import sys
 from dataclasses import replace
+from datetime import UTC, datetime
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -22,6 +23,8 @@ BLOCKS = (Block(conditions={"payload_known": [True, False], **CHANGES}),)
 TINY = Suite(name="tiny", summary="circle", env_ids=(PLANAR,), blocks=BLOCKS)
 TIMED = replace(TINY, name="timed", blocks=(Block(conditions=CHANGES),), timing=True)
 DRAWN = {"payload_known": False, "uncertainty": "sensors", "draws": 64}
+BEACON = ("--beacon", "drand quicknet round 7", "--beacon-date", "2027-01-04T12:00Z")
+VALUE = ("--beacon-value", "8F3C02")
 MOTIONS = Block(motion="hidden", motions=2, conditions=CHANGES)
 HIDDEN = replace(TINY, name="hidden", blocks=(MOTIONS, Block(conditions=CHANGES | DRAWN)))
 
@@ -158,37 +161,68 @@ def test_folder_in_place_of_a_file_is_found_before_the_work(benchmark, best, tmp
     best.assert_not_called()
 
 
-def test_hidden_suite_needs_a_commitment(benchmark, best):
-    def refused(*options, policies="fl"):
-        ended = benchmark(*options, suite="hidden", policies=policies)
+@pytest.fixture
+def clock(monkeypatch):
+    """Sets the time of the command to a day of January 2027; it is the first at the start."""
+
+    def set_day(day):
+        now = datetime(2027, 1, day, tzinfo=UTC)
+        monkeypatch.setattr("cablebot_gym.benchmark.board.utc_now", lambda: now)
+
+    set_day(1)
+    return set_day
+
+
+def test_hidden_suite_needs_a_commitment_and_its_public_value(benchmark, best, clock):
+    def refused(*options, policies="fl", suite="hidden"):
+        ended = benchmark(*options, suite=suite, policies=policies)
         assert ended.status == 2
         best.assert_not_called()
-        return ended.err
+        return " ".join(ended.err.split())
 
-    assert "--commit VERSION" in refused()
-    committed = benchmark("--commit", "2026-1", suite="hidden")
+    assert "--commit VERSION" in refused(*VALUE)
+    assert '--beacon "drand quicknet round 12345678"' in refused("--commit", "2027-1")
+    assert "belong to --commit VERSION" in refused(*BEACON)
+    assert "exclude each other" in refused("--commit", "2027-1", *BEACON, *VALUE)
+    assert "add --suite ranked" in refused(*VALUE, suite="tiny")
+    clock(5)
+    assert "is not in the future" in refused("--commit", "2027-1", *BEACON)
+    clock(1)
+    committed = benchmark("--commit", "2027-1", *BEACON, suite="hidden")
     assert committed.status == 0
-    secret = read_json(committed.folder / "secret.json")["secret"]
-    assert secret not in committed.out + (committed.folder / "board.json").read_text()
-    assert "committed without the present adaptive" in refused(policies="fl,adaptive")
+    assert "drand quicknet round 7" in committed.out
+    salt = read_json(committed.folder / "secret.json")["salt"]
+    assert salt not in committed.out + (committed.folder / "board.json").read_text()
+    assert "committed without the present adaptive" in refused(*VALUE, policies="fl,adaptive")
     for option in (("--seed", 1), ("--any-source",)):
-        assert "accepts neither --seed nor --any-source" in refused(*option)
+        assert "accepts neither --seed nor --any-source" in refused(*option, *VALUE)
+    assert "start the board then" in refused(*VALUE)
+    clock(5)
+    assert "add --beacon-value TEXT" in refused()
+    assert "printable characters" in refused("--beacon-value", " ")
 
 
 @pytest.mark.slow
-def test_board_is_run_published_and_verified(benchmark, best, cablebot):
-    committed = benchmark("--commit", "1", suite="hidden")
-    secret = read_json(committed.folder / "secret.json")["secret"]
-    ended = benchmark(suite="hidden")
+def test_board_is_run_published_and_verified(benchmark, best, cablebot, clock):
+    committed = benchmark("--commit", "1", *BEACON, suite="hidden")
+    salt = read_json(committed.folder / "secret.json")["salt"]
+    clock(5)
+    ended = benchmark(*VALUE, suite="hidden")
     assert ended.status == 0
+    assert not (ended.folder / "run.json").exists()
     page = (ended.folder / "leaderboard.md").read_text()
-    assert "## Board 1" in page
-    assert secret in page
+    for text in ("## Board 1", salt, "8f3c02", "drand quicknet round 7"):
+        assert text in page
+    assert benchmark(suite="hidden").out == ended.out
+    changed = benchmark("--beacon-value", "8f3c03", suite="hidden")
+    assert changed.status == 2
+    assert "Leave out --beacon-value to resume" in changed.err
     verify = f"benchmark --verify {ended.folder} --draws 64 --workers 1"
-    good = cablebot(verify)
+    good = cablebot(verify, *VALUE)
     assert good.status == 0
     assert good.out.count("promised") == 1
-    assert "the secret matches the commitment" in good.out
+    assert "salt and policies match the commitment" in good.out
+    assert "has the public value" in cablebot(f"{verify} --beacon-value 8f3c03").message(2)
     path = ended.folder / "results.json"
     results = read_json(path)
     (drawn,) = (cell for cell in results["cells"] if cell["cell"].get("uncertainty"))
@@ -197,6 +231,6 @@ def test_board_is_run_published_and_verified(benchmark, best, cablebot):
     bad = cablebot(verify)
     assert bad.status == 1
     assert "0 of 1 payloads keep their promise" in bad.out
-    results["board"]["secret"] = "0" * 32
+    results["board"]["salt"] = "0" * 32
     path.write_text(json.dumps(results))
     assert "does not match its commitment" in cablebot(verify).message(2)

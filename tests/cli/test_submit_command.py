@@ -7,6 +7,7 @@ import subprocess
 import sys
 import zipfile
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -141,9 +142,12 @@ def test_package_of_others_is_submitted_verified_and_on_a_board(
     assert verification["network"] == "cut"
     assert verification["sandbox"].startswith("bubblewrap")
     assert str(verification["seed"]) not in (entry / "results.json").read_text()
-    for options in ("--commit 1", ""):
+    day = datetime(2027, 1, 1, tzinfo=UTC)
+    monkeypatch.setattr("cablebot_gym.benchmark.board.utc_now", lambda: day)
+    for options in ("--commit 1 --beacon lottery --beacon-date 2027-01-02", "--beacon-value 7"):
         board = "benchmark --suite hidden --policies fl --entries entries --out board "
         ended = command(board + options)
+        day += timedelta(days=1)
         assert ended.status == 0, ended.err
     page = Path("board/leaderboard.md").read_text()
     card = "pendant-law==1.2 | A. Author | BSD-3-Clause | 1 h | none | 0"
