@@ -223,13 +223,18 @@ def commit(
         salt=f"{secrets.randbits(_BITS):032x}",
     )
     board = replace(board, commitment=board.digest())
+    _write(out, board)
+    return board
+
+
+def _write(out: Path, board: Board) -> None:
+    """Writes the public commitment of a board, and its salt to a file of its owner."""
     out.mkdir(parents=True, exist_ok=True)
     (out / SALT).touch(mode=0o600)
     (out / SALT).write_text(json.dumps({"salt": board.salt}) + "\n", encoding="utf-8")
     public = asdict(board)
     del public["salt"], public["beacon_value"]
     atomic_write_text(out / BOARD, json.dumps(public, indent=1) + "\n")
-    return board
 
 
 def read_board(out: Path) -> Board:

@@ -208,10 +208,10 @@ def benchmark(
     cablebot benchmark --verify board --cells 20 --draws 1024
     """
     from cablebot_gym.benchmark.cells import TimingCell
-    from cablebot_gym.benchmark.store import FOLDER, Store
+    from cablebot_gym.benchmark.store import FOLDER
     from cablebot_gym.benchmark.suites import find_suite
     from cablebot_gym.benchmark.tables import failures
-    from cablebot_gym.utils.files import check_writable_dir, check_writable_file
+    from cablebot_gym.utils.files import check_writable_dir
 
     backend = _backend(computing.workers, computing.ray)
     if verification.verify is not None:
@@ -226,14 +226,9 @@ def benchmark(
     if board_options.commit is not None:
         return _commit(board_options, policies, suite.hidden, out)
     board = None
-    key = ""
     if suite.hidden:
         board = _started_board(board_options, names, selection, computing, out)
-        key = board.salt or ""
-    for path in output.files:
-        check_writable_file(path)
-    say = notes_console().print
-    store = Store(out, say=say, any_source=computing.any_source, key=key)
+    store = _store(output, computing, board)
     records = _records(selection, computing, output, policies, board, store, backend)
     if board is not None:
         board.check_policies(names)  # files may have changed during the run
@@ -241,6 +236,24 @@ def benchmark(
     _write(selection, output, records, board, submitted)
     if failures([record for record in records if not isinstance(record.cell, TimingCell)]):
         raise typer.Exit(1)
+
+
+def _store(output: OutputOptions, computing: ComputingOptions, board: Board | None) -> Store:
+    """The finished cells; those of a board have checksums with its salt as the key.
+
+    Raises:
+        ValueError: if results or leaderboard cannot be written.
+    """
+    from cablebot_gym.benchmark.store import Store
+    from cablebot_gym.utils.files import check_writable_file
+
+    for path in output.files:
+        check_writable_file(path)
+    key = ""
+    if board is not None and board.salt is not None:
+        key = board.salt
+    say = notes_console().print
+    return Store(output.out, say=say, any_source=computing.any_source, key=key)
 
 
 def _note_foreign(store: Store, computing: ComputingOptions) -> None:

@@ -1,6 +1,7 @@
 """``cablebot benchmark``: files, resume, interrupts and failing policies. Bad input is in
 test_commands."""
 
+import hashlib
 import json
 import sys
 from dataclasses import replace
@@ -12,7 +13,7 @@ import pytest
 from cli.conftest import read_json
 
 from cablebot_gym.benchmark import suites
-from cablebot_gym.benchmark.cells import PolicyCell, compute
+from cablebot_gym.benchmark.cells import PolicyCell, canonical, compute
 from cablebot_gym.benchmark.suites import Block, Suite
 from cablebot_gym.cli import app as cli
 from cablebot_gym.isolation import IsolatedPolicy
@@ -214,6 +215,13 @@ def test_board_is_run_published_and_verified(benchmark, best, cablebot, clock):
     for text in ("## Board 1", salt, "8f3c02", "drand quicknet round 7"):
         assert text in page
     assert benchmark(suite="hidden").out == ended.out
+    for path in (ended.folder / "cells").glob("*circle*"):
+        cell = read_json(path)
+        del cell["checksum"]
+        cell["checksum"] = hashlib.sha256(canonical(cell).encode()).hexdigest()
+        path.write_text(json.dumps(cell))
+    resumed = benchmark(suite="hidden")
+    assert "is damaged; its cell is computed again" in " ".join(resumed.err.split())
     changed = benchmark("--beacon-value", "8f3c03", suite="hidden")
     assert changed.status == 2
     assert "Leave out --beacon-value to resume" in changed.err
