@@ -1,4 +1,4 @@
-"""Confirms uncertain payloads of stored results with fresh draws."""
+"""Confirms uncertain payloads of stored results with fresh draws, and recomputes rows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from math import ceil
 
-from cablebot_gym.benchmark.cells import PolicyCell, Record
+from cablebot_gym.benchmark.cells import PolicyCell, Record, compute
 from cablebot_gym.benchmark.engine import Backend, Job, MessageCallback, run_jobs
 
 KEPT = 0.9
@@ -106,3 +106,77 @@ def broken(confirmations: Sequence[Confirmation]) -> str:
         if confirmation.success_rate < confirmation.cell.probability - SLACK:
             return f"a success rate is more than {SLACK:.0%} below the promise: {confirmation}"
     return ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reproduction:
+    """A stored payload and the payload of the same cell that was computed again."""
+
+    cell: PolicyCell
+    """The cell."""
+    stored: float | None
+    """Stored payload [kg]; None if the policy fails unloaded or raised an error."""
+    computed: float | None
+    """Payload that was computed again [kg]."""
+    resolution: float
+    """Resolution of the search [kg]."""
+
+    @property
+    def equal(self) -> bool:
+        """Whether both payloads are equal up to the resolution: rounding differs between
+        machines."""
+        if self.stored is None or self.computed is None:
+            return self.stored == self.computed
+        return abs(self.stored - self.computed) <= self.resolution
+
+    def __str__(self) -> str:
+        payloads = []
+        for payload in (self.stored, self.computed):
+            payloads.append("none" if payload is None else f"{payload:.3f} kg")
+        return f"{self.cell.stem}: stored {payloads[0]}, computed {payloads[1]}"
+
+
+def reproduce(
+    records: Sequence[Record],
+    policies: Sequence[str],
+    env_ids: Sequence[str],
+    backend: Backend,
+    *,
+    say: MessageCallback,
+) -> Iterator[Reproduction]:
+    """Computes the cells of rows of the tables again, with their stored seeds.
+
+    Args:
+        records: stored records.
+        policies: policies of the rows.
+        env_ids: environments of the rows; all of them if empty.
+        backend: see :mod:`cablebot_gym.benchmark.engine`.
+        say: called with messages of the workers.
+
+    Raises:
+        ValueError: if there are no such cells.
+    """
+    rows: dict[str, Record] = {}
+    jobs = []
+    for record in records:
+        cell = record.cell
+        if not isinstance(cell, PolicyCell) or cell.policy not in policies:
+            continue
+        if not env_ids or cell.env_id in env_ids:
+            rows[cell.key] = record
+            job = Job(key=cell.key, compute=partial(compute, cell), kind=(PolicyCell, cell.env_id))
+            jobs.append(job)
+    if not jobs:
+        raise ValueError(
+            f"the results have no cells of {', '.join(policies)}: choose policies and ids of its "
+            "tables"
+        )
+    for key, record in run_jobs(jobs, backend, say=say):
+        cell = rows[key].cell
+        assert isinstance(cell, PolicyCell)
+        yield Reproduction(
+            cell=cell,
+            stored=rows[key].result.get("payload"),
+            computed=record.result.get("payload"),
+            resolution=rows[key].result.get("resolution") or 0.0,
+        )

@@ -169,7 +169,8 @@ class VerificationOptions(Options):
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Confirm uncertain payloads of stored results with fresh draws and stop.",
+            help="Confirm uncertain payloads of stored results with fresh draws and stop. With --policies and --ids, "
+            "compute these rows again.",
         ),
     ] = None
     cells: Annotated[int, typer.Option(help="Number of cells that --verify confirms.")] = 20
@@ -206,6 +207,8 @@ def benchmark(
     cablebot benchmark --suite ranked --out board --entries entries --beacon-value 8F3C…
 
     cablebot benchmark --verify board --cells 20 --draws 1024
+
+    cablebot benchmark --verify board --policies fl --ids CableBot-Planar-v0
     """
     from cablebot_gym.benchmark.cells import TimingCell
     from cablebot_gym.benchmark.store import FOLDER
@@ -216,7 +219,7 @@ def benchmark(
     backend = _backend(computing.workers, computing.ray)
     if verification.verify is not None:
         value = board_options.beacon_value
-        return _verify(verification.verify, backend, verification, selection.seed, value)
+        return _verify(verification.verify, backend, verification, selection, value)
     suite = find_suite(selection.suite)
     _check_board_options(board_options, suite)
     policies, submitted = _policies(selection)
@@ -502,10 +505,11 @@ def _verify(
     folder: Path,
     backend: Backend,
     verification: VerificationOptions,
-    seed: int | None,
+    selection: CellOptions,
     beacon_value: str | None,
 ) -> None:
-    """Checks the board and prints promised payloads with their success rate in fresh draws."""
+    """Checks the board. Prints promised payloads with their success rate in fresh draws, or the
+    rows of chosen policies, computed again."""
     from cablebot_gym.benchmark.verification import broken, confirm
     from cablebot_gym.utils.checks import whole
 
@@ -521,6 +525,9 @@ def _verify(
             "evaluation seed follow from it and from"
         )
         print(f"{board.beacon}, {board.beacon_value}: compare this value with its source")
+    if selection.policies is not None:
+        return _reproduce(results, selection, backend)
+    seed = selection.seed
     if seed is None:
         seed = secrets.randbits(128)
     confirmations = []
@@ -540,6 +547,23 @@ def _verify(
     if sentence:
         say(sentence)
         raise typer.Exit(1)
+
+
+def _reproduce(results: Results, selection: CellOptions, backend: Backend) -> None:
+    """Prints stored payloads of policies and the payloads of the same cells, computed again."""
+    from cablebot_gym.benchmark.verification import reproduce
+
+    names = split_names(selection.policies)
+    env_ids = split_names(selection.ids)
+    say = notes_console().print
+    different = 0
+    for reproduction in reproduce(results.records, names, env_ids, backend, say=say):
+        print(reproduction)
+        different += not reproduction.equal
+    if different:
+        say(f"{different} payloads differ from the stored ones by more than the resolution")
+        raise typer.Exit(1)
+    print("all payloads are those of the results")
 
 
 def _backend(workers: int | None, ray: str | None) -> Backend:

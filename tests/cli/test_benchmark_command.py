@@ -86,6 +86,21 @@ def test_files_table_and_json_have_the_same_numbers(benchmark, best, tmp_path):
     assert benchmark("--json").out == (ended.folder / "results.json").read_text()
 
 
+def test_row_of_stored_results_is_computed_again(benchmark, best, cablebot):
+    path = benchmark().folder / "results.json"
+    verify = f"benchmark --verify {path} --policies fl --ids {PLANAR} --workers 1"
+    same = cablebot(verify)
+    assert same.status == 0
+    assert same.out.count("stored") == 2
+    assert "all payloads are those of the results" in same.out
+    results = read_json(path)
+    results["cells"][-1]["result"]["payload"] += 0.1
+    path.write_text(json.dumps(results))
+    assert cablebot(verify).status == 1
+    message = cablebot(verify.replace("fl", "robust")).message(2)
+    assert "no cells of robust" in message
+
+
 def test_second_run_computes_nothing_and_gives_the_same_bytes(benchmark, best, monkeypatch):
     def run():
         ended = benchmark()
