@@ -45,7 +45,7 @@ def paper() -> str:
 def _of_leaderboard(results: Results) -> dict[str, Any]:
     if results.board is None:
         raise ValueError("docs/leaderboard has no board: run the suite ranked")
-    boards = leaderboards(results.records)
+    boards = leaderboards(results.records, results.authors)
     spatial = {board.env_id: board for board in boards}["CableBot-Spatial-v0"]
     sensors = _circle(spatial, payload_known=False, uncertainty="sensors")
     hardware = []

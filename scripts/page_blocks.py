@@ -58,7 +58,7 @@ KINDS = {"classical": "control law", "learned": "learned", "optimal": "trajector
 def readme_table(results: Results) -> str:
     """Sentence and table: the best policy of each kind in each environment, by the first column of
     the leaderboard."""
-    boards = leaderboards(results.records)
+    boards = leaderboards(results.records, results.authors)
     motion = motion_title(boards[0].columns[0], boards[0].motions(boards[0].columns[0]))
     rows = [
         ["environment", *KINDS.values(), "best known on the circle"],

@@ -15,8 +15,8 @@ from cablebot_gym.benchmark import tables
 from cablebot_gym.benchmark.board import Board, normalised_value
 from cablebot_gym.benchmark.cells import PolicyCell, Record, canonical, cell_from_dict
 from cablebot_gym.benchmark.maps import varied_fields
+from cablebot_gym.benchmark.ranking import CONFIDENCE
 from cablebot_gym.benchmark.scores import (
-    CONFIDENCE,
     BestKnown,
     Leaderboard,
     best_known_payloads,
@@ -76,6 +76,11 @@ class Results:
     """Board with the hidden motions; None for a suite without."""
     entries: Sequence[EntryNote] = ()
     """Policies that are entries of others."""
+
+    @property
+    def authors(self) -> dict[str, str]:
+        """Authors of the entries by policy."""
+        return {entry.policy: entry.authors for entry in self.entries}
 
     def check_board(self, value: str | None = None) -> None:
         """Checks the commitment of the board, that every policy has all its motions and no others,
@@ -188,7 +193,7 @@ def markdown(results: Results) -> str:
     """The leaderboard page: a table for each environment, payload maps, best known payloads and
     notes."""
     records = results.records
-    boards = leaderboards(records)
+    boards = leaderboards(records, results.authors)
     text = _INTRODUCTION + _absent_text(results, boards)
     text += _boards_text(boards, results.entries)
     library = library_tables(records)

@@ -11,17 +11,12 @@ import numpy as np
 
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, TimingCell, canonical
 from cablebot_gym.benchmark.maps import AXES, Axis, varied_fields
+from cablebot_gym.benchmark.ranking import Fraction, fraction, ranks
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import payload_model_text
 
 RANKED_MOTIONS = 20
 """Least number of motions for ranks. Fewer do not tell policies apart."""
-
-RESAMPLES = 10_000
-"""Number of bootstrap resamples."""
-
-CONFIDENCE = 0.95
-"""Confidence of the intervals."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,9 +149,7 @@ class Leaderboard:
     """Policies by decreasing mean fraction in the first column."""
     ranks: Mapping[str, int]
     """Ranks by policy in the first column, from 1; empty if it has less than :data:`RANKED_MOTIONS`
-    motions, including those that do not count. The rank is 1 plus the number of policies that are
-    better with :data:`CONFIDENCE`, by the paired bootstrap of the difference of the mean fractions.
-    Policies of equal rank are a tie."""
+    motions, including those that do not count. See :func:`~cablebot_gym.benchmark.ranking.ranks`."""
     entries: Mapping[tuple[str, Column], tuple[Score, ...]]
     """Scores by policy and column, one score per motion. Motions without best known payload are
     left out."""
@@ -172,38 +165,6 @@ class Leaderboard:
         """The fraction of a policy in a column; None without a score for every motion."""
         values = _values(self.entries.get((policy, column), ()))
         return None if values is None else fraction([values])
-
-
-@dataclass(frozen=True, kw_only=True)
-class Fraction:
-    """Fractions of the best known payload over one motion or several."""
-
-    mean: float
-    """Mean over the motions."""
-    low: float
-    """Lower end of the bootstrap interval of the mean."""
-    high: float
-    """Upper end of the interval."""
-    worst: float
-    """Minimum over the motions."""
-
-
-def fraction(strata: Sequence[Array]) -> Fraction:
-    """Mean fraction and its percentile interval by a bootstrap over the motions, stratified by
-    environment.
-
-    Args:
-        strata: fractions of the motions of each environment.
-    """
-    resampled = [_resampled(values[None], seed)[0] for seed, values in enumerate(strata)]
-    means = np.mean(resampled, axis=0)
-    low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return Fraction(
-        mean=float(np.mean([values.mean() for values in strata])),
-        low=float(low),
-        high=float(high),
-        worst=float(min(values.min() for values in strata)),
-    )
 
 
 def overall(boards: Sequence[Leaderboard]) -> dict[str, tuple[tuple[str, ...], Fraction]]:
@@ -223,9 +184,16 @@ def overall(boards: Sequence[Leaderboard]) -> dict[str, tuple[tuple[str, ...], F
     return fractions
 
 
-def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
+def leaderboards(
+    records: Sequence[Record], authors: Mapping[str, str] | None = None
+) -> list[Leaderboard]:
     """The tables in the order of the records. Cells with varied parameters, which belong to maps,
-    and cells of other robots than those of the environments are omitted."""
+    and cells of other robots than those of the environments are omitted.
+
+    Args:
+        records: records of the cells.
+        authors: authors of the entries by policy; None if there are no entries.
+    """
     groups: dict[str, list[Score]] = {}
     for score in scores(records):
         if score.cell.robot_name is None and not varied_fields(score.cell):
@@ -236,7 +204,8 @@ def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
             cell = record.cell
             timings.setdefault(cell.env_id, {})[cell.policy] = record.result
     return [
-        _leaderboard(env_id, group, timings.get(env_id, {})) for env_id, group in groups.items()
+        _leaderboard(env_id, group, timings.get(env_id, {}), authors or {})
+        for env_id, group in groups.items()
     ]
 
 
@@ -328,7 +297,10 @@ def _map(
 
 
 def _leaderboard(
-    env_id: str, group: Sequence[Score], timings: Mapping[str, Mapping[str, Any]]
+    env_id: str,
+    group: Sequence[Score],
+    timings: Mapping[str, Mapping[str, Any]],
+    authors: Mapping[str, str],
 ) -> Leaderboard:
     entries = _entries(group)
     motions: dict[Column, int] = {}
@@ -350,11 +322,14 @@ def _leaderboard(
             fractions[policy] = values
     most = max((len(values) for values in fractions.values()), default=0)
     complete = {policy: values for policy, values in fractions.items() if len(values) == most}
+    policy_ranks: dict[str, int] = {}
+    if motions[columns[0]] >= RANKED_MOTIONS:
+        policy_ranks = ranks(complete, authors)
     return Leaderboard(
         env_id=env_id,
         columns=tuple(columns),
         policies=tuple(sorted(means, key=lambda policy: (-means[policy], policy))),
-        ranks=_ranks(complete) if motions[columns[0]] >= RANKED_MOTIONS else {},
+        ranks=policy_ranks,
         entries=entries,
         timings=timings,
     )
@@ -369,24 +344,6 @@ def _entries(group: Sequence[Score]) -> dict[tuple[str, Column], tuple[Score, ..
     for entry in entries.values():
         entry.sort(key=lambda score: canonical(dict(score.cell.trajectory)))
     return {key: tuple(entry) for key, entry in entries.items()}
-
-
-def _ranks(fractions: Mapping[str, Array]) -> dict[str, int]:
-    """Ranks by policy, see :attr:`Leaderboard.ranks`."""
-    if not fractions:
-        return {}
-    means = _resampled(np.stack(list(fractions.values())))
-    lead = np.quantile(means[:, None] - means[None], (1 - CONFIDENCE) / 2, axis=-1)
-    return dict(zip(fractions, (1 + (lead > 0).sum(axis=0)).tolist(), strict=True))
-
-
-def _resampled(values: Array, seed: int = 0) -> Array:
-    """Means of bootstrap resamples of the columns of values (p, n), shape (p, RESAMPLES); rows
-    share the columns."""
-    count = values.shape[1]
-    columns = np.random.default_rng(seed).integers(count, size=(RESAMPLES, count))
-    weights = np.stack([(columns == index).sum(axis=1) for index in range(count)]) / count
-    return np.asarray(values @ weights, float)
 
 
 def _values(entry: Sequence[Score]) -> Array | None:

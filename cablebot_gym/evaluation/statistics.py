@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +29,31 @@ def interval(successes: int, draws: int, confidence: float) -> tuple[float, floa
     """Two-sided confidence interval of the success probability (Clopper and Pearson)."""
     low = float(lower_bound(successes, draws, (1 + confidence) / 2))
     high = 1 - float(lower_bound(draws - successes, draws, (1 + confidence) / 2))
+    return low, high
+
+
+@cache
+def mid_p_interval(successes: int, draws: int, confidence: float) -> tuple[float, float]:
+    """Two-sided mid-P interval of the success probability.
+
+    It covers the probability with about ``confidence`` on average, where that of Clopper and Pearson
+    covers it at least so often.
+    """
+    from scipy.optimize import brentq  # slow to import
+    from scipy.special import bdtr
+
+    outside = (1 - confidence) / 2
+
+    def excess(probability: float, count: int) -> float:
+        """Probability of fewer successes and of half of the present ones, minus ``outside``."""
+        fewer = float(bdtr(count - 1, draws, probability)) if count > 0 else 0.0
+        return (fewer + float(bdtr(count, draws, probability))) / 2 - outside
+
+    low, high = 0.0, 1.0
+    if successes > 0:
+        low = 1 - brentq(excess, 0.0, 1.0, args=(draws - successes,))
+    if successes < draws:
+        high = brentq(excess, 0.0, 1.0, args=(successes,))
     return low, high
 
 

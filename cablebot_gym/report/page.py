@@ -94,7 +94,10 @@ def page_data(
     for reference in scores.best_known_payloads(records).values():
         if not varied_fields(reference.cell):
             references.append(reference)
-    boards = scores.leaderboards(records)
+    authors: dict[str, str] = {}
+    for source in sources:
+        authors |= source.authors
+    boards = scores.leaderboards(records, authors)
     rows = []
     for board in boards:
         for policy, column in board.entries:

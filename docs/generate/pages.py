@@ -41,4 +41,5 @@ def table(rows: Iterable[Sequence[str]]) -> str:
 @cache
 def all_leaderboards() -> tuple[Leaderboard, ...]:
     """The tables of the stored leaderboard."""
-    return tuple(leaderboards(Results.from_json(RESULTS.read_text(encoding="utf-8")).records))
+    results = Results.from_json(RESULTS.read_text(encoding="utf-8"))
+    return tuple(leaderboards(results.records, results.authors))

@@ -1,0 +1,167 @@
+"""Intervals of mean fractions over motions, and simultaneous comparisons of policies.
+
+Motions are the random sample: they are drawn from a family, and all policies run the same ones.
+``scripts/ranking_study.py`` simulates the coverage of the intervals and the rate of false orders.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablebot_gym.evaluation.statistics import mid_p_interval
+from cablebot_gym.kinematics import Array
+
+CONFIDENCE = 0.95
+"""Confidence of the intervals, and of all orders of a board together."""
+
+RESAMPLES = 10_000
+"""Number of bootstrap resamples of the largest difference."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fraction:
+    """Fractions of the best known payload over one motion or several."""
+
+    mean: float
+    """Mean over the motions."""
+    low: float
+    """Lower end of the interval of the mean."""
+    high: float
+    """Upper end of the interval."""
+    worst: float
+    """Minimum over the motions."""
+
+
+def fraction(strata: Sequence[Array]) -> Fraction:
+    """Mean fraction and its interval over motions that are drawn independently in each stratum.
+
+    Args:
+        strata: fractions of the motions of each environment, ≥ 0.
+    """
+    means = [float(values.mean()) for values in strata]
+    ends = [_interval(values) for values in strata]
+    mean = float(np.mean(means))
+    below = [center - low for center, (low, _) in zip(means, ends, strict=True)]
+    above = [high - center for center, (_, high) in zip(means, ends, strict=True)]
+    # Distances of independent intervals add as squares (Zou and Donner 2008).
+    return Fraction(
+        mean=mean,
+        low=mean - math.hypot(*below) / len(strata),
+        high=mean + math.hypot(*above) / len(strata),
+        worst=float(min(values.min() for values in strata)),
+    )
+
+
+def _interval(fractions: Array) -> tuple[float, float]:
+    """Interval of the mean of fractions.
+
+    A failure is a fraction of 0. A policy that fails on a rare motion may show none on the board,
+    and the spread of its fractions then says nothing about it. The interval therefore combines the
+    mid-P interval of the success rate with Student's interval of the mean of the successes, as
+    logarithms of their product (Zou and Donner 2008).
+    """
+    successes = fractions[fractions > 0]
+    count = len(successes)
+    if len(fractions) == 1:
+        return float(fractions[0]), float(fractions[0])
+    rate_low, rate_high = mid_p_interval(count, len(fractions), CONFIDENCE)
+    if count < 2:
+        return 0.0, rate_high  # nothing is known about the spread of the successes
+    rate = count / len(fractions)
+    mean = float(successes.mean())
+    half_width = _student(count) * float(successes.std(ddof=1)) / math.sqrt(count)
+    mean_low = max(mean - half_width, 1e-9)
+    below = math.hypot(math.log(rate / rate_low), math.log(mean / mean_low))
+    above = math.hypot(math.log(rate_high / rate), math.log(1 + half_width / mean))
+    return rate * mean * math.exp(-below), rate * mean * math.exp(above)
+
+
+def _student(count: int) -> float:
+    """Two-sided quantile of Student's distribution for a mean of ``count`` values."""
+    from scipy.stats import t  # slow to import
+
+    return float(t.ppf((1 + CONFIDENCE) / 2, count - 1))
+
+
+def ranks(
+    fractions: Mapping[str, Array], authors: Mapping[str, str] | None = None
+) -> dict[str, int]:
+    """Ranks of policies, in the order of decreasing mean fractions.
+
+    The rank of a policy is 1 plus the number of groups with a better policy. All comparisons of a
+    board are right together with :data:`CONFIDENCE`. A policy with a larger mean never has a larger
+    rank: where the comparisons alone would give it one, it gets that of the policy below it.
+
+    Args:
+        fractions: fractions of the same motions by policy, each (motions,).
+        authors: authors by policy; policies without one count alone. The policies of one author
+            count once, as do policies with equal fractions.
+    """
+    names = sorted(fractions, key=lambda name: (-fractions[name].mean(), name))
+    if not names:
+        return {}
+    values = np.stack([fractions[name] for name in names])
+    better = better_policies(values)
+    labels = _labels(names, values, authors or {})
+    policy_ranks: dict[str, int] = {}
+    least = len(names)
+    # From the last row up, so that a rank is at most that of the row below.
+    for index in reversed(range(len(names))):
+        groups_above = {labels[above] for above in np.flatnonzero(better[:, index])}
+        least = min(least, 1 + len(groups_above - {labels[index]}))
+        policy_ranks[names[index]] = least
+    return {name: policy_ranks[name] for name in names}
+
+
+def better_policies(values: Array, resamples: int = RESAMPLES) -> NDArray[np.bool_]:
+    """Whether policy i is better than policy j, shape (p, p), simultaneously for all pairs.
+
+    The statistic of a pair is Student's t of the differences on the same motions. Its critical
+    value is the quantile of the largest |t| of all pairs under the bootstrap over the motions
+    (max-t; Romano and Wolf 2005), and at least that of a single pair.
+
+    Args:
+        values: fractions, (p, motions).
+        resamples: number of bootstrap resamples.
+    """
+    policies, motions = values.shape
+    first, second = np.triu_indices(policies, 1)
+    difference = values[first] - values[second]
+    mean = difference.mean(axis=1)
+    spread = difference.std(axis=1)
+    # Pairs without spread have equal fractions up to a constant: no resample changes their order.
+    is_random = spread > 1e-12
+    centered = difference[is_random] - mean[is_random, None]
+    random = np.random.default_rng(0)
+    weights = random.multinomial(motions, np.full(motions, 1 / motions), size=resamples) / motions
+    resampled = weights @ centered.T
+    variance = np.maximum(weights @ (centered**2).T - resampled**2, 1e-30)
+    # A resample without the rare motion that makes a difference has no spread left.
+    statistic = np.abs(resampled) / np.sqrt(np.maximum(variance, 1e-4 * spread[is_random] ** 2))
+    critical = _student(motions) / math.sqrt(motions - 1)
+    if statistic.size:
+        critical = max(critical, float(np.quantile(statistic.max(axis=1), CONFIDENCE)))
+    is_apart = np.abs(mean) > np.where(is_random, critical * spread, 1e-9)
+    better = np.zeros((policies, policies), np.bool_)
+    better[first, second] = is_apart & (mean > 0)
+    better[second, first] = is_apart & (mean < 0)
+    return better
+
+
+def _labels(names: Sequence[str], values: Array, authors: Mapping[str, str]) -> list[str]:
+    """Group of each policy: its author, or the first policy with equal fractions."""
+    labels: list[str] = []
+    for index, name in enumerate(names):
+        equal = np.flatnonzero((values[:index] == values[index]).all(axis=1))
+        if name in authors:
+            labels.append(f"author {authors[name]}")
+        elif len(equal):
+            labels.append(labels[equal[0]])
+        else:
+            labels.append(name)
+    return labels
