@@ -19,9 +19,6 @@ from cablebot_gym.kinematics import Array
 CONFIDENCE = 0.95
 """Confidence of the intervals, and of all orders of a board together."""
 
-RESAMPLES = 10_000
-"""Number of bootstrap resamples of the largest difference."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Fraction:
@@ -118,38 +115,34 @@ def ranks(
     return {name: policy_ranks[name] for name in names}
 
 
-def better_policies(values: Array, resamples: int = RESAMPLES) -> NDArray[np.bool_]:
+def better_policies(values: Array) -> NDArray[np.bool_]:
     """Whether policy i is better than policy j, shape (p, p), simultaneously for all pairs.
 
-    The statistic of a pair is Student's t of the differences on the same motions. Its critical
-    value is the quantile of the largest |t| of all pairs under the bootstrap over the motions
-    (max-t; Romano and Wolf 2005), and at least that of a single pair.
+    A pair is compared by Student's t-test of the differences on the same motions, and all pairs by
+    the step-down procedure of Holm (1979).
 
     Args:
         values: fractions, (p, motions).
-        resamples: number of bootstrap resamples.
     """
+    from scipy.special import stdtr  # slow to import
+
     policies, motions = values.shape
     first, second = np.triu_indices(policies, 1)
     difference = values[first] - values[second]
     mean = difference.mean(axis=1)
-    spread = difference.std(axis=1)
-    # Pairs without spread have equal fractions up to a constant: no resample changes their order.
-    is_random = spread > 1e-12
-    centered = difference[is_random] - mean[is_random, None]
-    random = np.random.default_rng(0)
-    weights = random.multinomial(motions, np.full(motions, 1 / motions), size=resamples) / motions
-    resampled = weights @ centered.T
-    variance = np.maximum(weights @ (centered**2).T - resampled**2, 1e-30)
-    # A resample without the rare motion that makes a difference has no spread left.
-    statistic = np.abs(resampled) / np.sqrt(np.maximum(variance, 1e-4 * spread[is_random] ** 2))
-    critical = _student(motions) / math.sqrt(motions - 1)
-    if statistic.size:
-        critical = max(critical, float(np.quantile(statistic.max(axis=1), CONFIDENCE)))
-    is_apart = np.abs(mean) > np.where(is_random, critical * spread, 1e-9)
+    error = difference.std(axis=1, ddof=1) / math.sqrt(motions)
+    # A constant difference has no standard error, up to rounding: its order is certain.
+    statistic = np.abs(mean) / np.maximum(error, 1e-12)
+    statistic[np.abs(mean) < 1e-9] = 0.0
+    probability = 2 * stdtr(motions - 1, -statistic)
+    order = np.argsort(probability, kind="stable")
+    allowed = (1 - CONFIDENCE) / (len(order) - np.arange(len(order)))
+    is_ordered = np.zeros(len(order), np.bool_)
+    # Holm stops at the first pair that is not apart.
+    is_ordered[order] = np.logical_and.accumulate(probability[order] <= allowed)
     better = np.zeros((policies, policies), np.bool_)
-    better[first, second] = is_apart & (mean > 0)
-    better[second, first] = is_apart & (mean < 0)
+    better[first, second] = is_ordered & (mean > 0)
+    better[second, first] = is_ordered & (mean < 0)
     return better
 
 

@@ -51,7 +51,7 @@ failures. A board is false if its simultaneous comparisons put any policy before
 | policies | motions | fail on | false boards |
 |---:|---:|---:|---:|
 {orders}
-{order_boards} simulated boards for each row.
+{order_boards:,} simulated boards for each row.
 """
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "ranking.md"
@@ -83,17 +83,17 @@ def equal_policies(random, policies, motions, rate):
     return values
 
 
-def false_boards(policies, motions, rate, boards, resamples, seed=2):
+def false_boards(policies, motions, rate, boards, seed=2):
     """Fraction of boards of equal policies with at least one order."""
     random = np.random.default_rng(seed)
     false = 0
     for _ in range(boards):
         values = equal_policies(random, policies, motions, rate)
-        false += better_policies(values, resamples).any()
+        false += better_policies(values).any()
     return false / boards
 
 
-def page(boards=4000, order_boards=500, resamples=1000):
+def page(boards=4000, order_boards=4000):
     """The page with both tables."""
     rows = []
     for motions in MOTIONS:
@@ -105,7 +105,7 @@ def page(boards=4000, order_boards=500, resamples=1000):
     for policies, rates in FAILURES.items():
         for motions in MOTIONS:
             for rate in rates:
-                false = false_boards(policies, motions, rate, order_boards, resamples)
+                false = false_boards(policies, motions, rate, order_boards)
                 orders.append(f"| {policies} | {motions} | {rate:.0%} | {false:.1%} |\n")
     return PAGE.format(
         coverage="".join(rows), orders="".join(orders), boards=boards, order_boards=order_boards
