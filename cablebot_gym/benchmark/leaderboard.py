@@ -203,6 +203,10 @@ def markdown(results: Results) -> str:
     rows = tables.overall_rows(boards)
     if rows:
         text += f"\n## All environments\n\n{_table(rows)}"
+    rows = tables.violation_rows(boards)
+    if rows:
+        text += "\n## Limiting violations\n\nNumber of held-out motions by the first violation beyond the payload.\n\n"
+        text += _table(rows)
     text += _maps_text(records)
     if results.entries:
         text += f"\n## Entries\n\n{_entries_table(results.entries)}"

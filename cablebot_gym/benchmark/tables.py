@@ -10,9 +10,10 @@ from cablebot_gym.benchmark import scores
 from cablebot_gym.benchmark.cells import Cell, PolicyCell, Record, TimingCell
 from cablebot_gym.benchmark.maps import varied_texts
 from cablebot_gym.bounds.robot_check import check_motion
-from cablebot_gym.evaluation.constraints import Violation
+from cablebot_gym.evaluation.constraints import KINDS, Violation
 from cablebot_gym.robots import KIND_TEXTS
 from cablebot_gym.task import payload_model_text
+from cablebot_gym.trajectories import find_trajectory
 
 
 def heading(column: scores.Column) -> str:
@@ -122,6 +123,32 @@ def overall_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
         interval = f"{fraction.mean:.1%} [{fraction.low:.1%}, {fraction.high:.1%}]"
         rows.append([policy, str(len(env_ids)), interval])
     return rows if policies else []
+
+
+def violation_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
+    """Head and rows of the table of limiting violations over the motions of ranked environments; no
+    rows without any."""
+    rows = [["environment", "policy", *KINDS, "error", "when, median [% of the motion]"]]
+    for board in boards:
+        for policy in board.ranks:
+            counts = dict.fromkeys((*KINDS, "error"), 0)
+            times = []
+            for score in board.entries[policy, board.columns[0]]:
+                violation = score.result.get("violation")
+                if violation is not None:
+                    counts[violation["kind"]] += 1
+                    times.append(violation["time"] / _motion_duration(score.cell))
+                elif score.error is not None:
+                    counts["error"] += 1
+            numbers = [str(count) for count in counts.values()]
+            when = f"{100 * median(times):.0f}" if times else "–"
+            rows.append([board.env_id, policy, *numbers, when])
+    return rows if len(rows) > 1 else []
+
+
+def _motion_duration(cell: PolicyCell) -> float:
+    """Duration of a cell's motion with its dwells [s]."""
+    return find_trajectory(dict(cell.trajectory), cell.robot.kind).duration
 
 
 def map_title(payload_map: scores.PayloadMap) -> str:

@@ -16,6 +16,7 @@ from cablebot_gym.benchmark.scores import (
     payload_maps,
     scores,
 )
+from cablebot_gym.trajectories import find_trajectory
 
 PLANAR = "CableBot-Planar-v0"
 CIRCLE = {"name": "circle-planar"}
@@ -191,6 +192,16 @@ def test_interval_is_stratified_by_environment():
     alone = fraction([random.uniform(0, 1, 20)])
     # The motions of environments are independent.
     assert 0.5 < (noisy.high - noisy.low) / (alone.high - alone.low) < 0.9
+
+
+def test_limiting_violations_are_counted_with_their_median_time():
+    """The circles and loops of this table differ in duration: times are fractions of each motion."""
+    records = family({"a": np.full(RANKED_MOTIONS, 0.5)})
+    duration = find_trajectory(LOOPS[0], "planar").duration
+    violation = {"kind": "slack", "time": duration / 4}
+    records[RANKED_MOTIONS] = carries("a", 0.5, LOOPS[0], {"violation": violation})
+    (line,) = [line for line in page_of(records).splitlines() if "| 25 |" in line]
+    assert [cell.strip() for cell in line.split("|")[2:-1]] == ["a", *"010000", "25"]
 
 
 def test_overall_fraction_needs_several_environments():
