@@ -8,12 +8,11 @@ certificate gives an upper bound. Needs the extra ``optimal``.
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from io import BytesIO
 from typing import Any
@@ -21,15 +20,23 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.bounds.certificate import upper_bound
+from cablebot_gym.bounds.tightening import Tightening
 from cablebot_gym.envs import check_robot, env_robot
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.settings import default_trajectory, make_settings
 from cablebot_gym.evaluation.batch import versions
-from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.evaluation.rollout import Rollout, record_rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.statics import HEAVIEST
-from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, PlannedMotion, State
+from cablebot_gym.planning import (
+    Follower,
+    Infeasible,
+    MarginProfile,
+    Margins,
+    MotionProgram,
+    PlannedMotion,
+    State,
+)
 from cablebot_gym.planning.library import fingerprint, load_or_compute
 from cablebot_gym.planning.stage_functions import import_casadi
 from cablebot_gym.policies.adapters import OpenLoop
@@ -39,7 +46,7 @@ from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.files import cache_folder, read_cached
 
-MESH_TOLERANCE = 0.005
+MESH_TOLERANCE = 0.001
 """Relative change of the payload below which the mesh refinement stops."""
 
 INTERVALS_PER_SECOND = 25.0
@@ -58,20 +65,13 @@ change."""
 MAX_MESH_FACTOR = 16
 """Largest ratio of the number of intervals to that of the first mesh."""
 
-_SMALLEST_FRACTION = 5e-4
-_SMALLEST = Margins(action=1e-4, tension=0.05)
-"""Smallest margins: fraction of the error bounds, and margins of action and tension. They cover
-errors of solver and sampling."""
-
-_MARGIN_OF = {"position": "position", "rotation": "rotation", "slack": "tension"}
-"""Margin that a violation in a replay doubles; the other kinds double that of the action."""
-
 _TRIALS = 15
-"""Largest number of margins that are tried on a mesh."""
+"""Largest number of margin profiles that are tried on a mesh."""
 
-_MOST_LOST = 0.01
-"""Largest accepted difference between the payloads of the program and of the replays [kg]. Above
-it, a mesh of half the width is tried, because springs oscillate between the collocation points."""
+_MOST_LOST = 0.001
+"""Largest accepted relative difference between the payloads of the program and of the replays.
+Above it, a mesh of half the width is tried, because springs oscillate between the collocation
+points."""
 
 REPLAY_FACTORS = (1, 10)
 """Physics steps of the replays: the environment's step is divided by these factors."""
@@ -139,7 +139,8 @@ class BestKnownPayload:
     meshes: tuple[tuple[int, float], ...]
     """Pairs of number of intervals and payload [kg] for every mesh."""
     margins: dict[str, float]
-    """Margins of the replayed motion with respect to the limits."""
+    """Largest margin of the replayed motion to each limit. It holds only near the times at which
+    the limit needs it."""
     upper: dict[str, Any] | None
     """Proved upper bound, see :class:`~cablebot_gym.bounds.certificate.Certificate`; None where
     none is known."""
@@ -194,8 +195,9 @@ def find_best_known(
     A nonlinear program with splines and collocation (:mod:`cablebot_gym.planning`) is solved from
     several starts. The mesh is halved until the relative change of the payload is below
     :data:`MESH_TOLERANCE`. The final motion keeps margins to the limits. A controller with feedback
-    computes its inputs once. The margins are the smallest ones with which open-loop replays of
-    these inputs carry the payload in the environment, with its physics step and with a tenth of it.
+    computes its inputs once. Where open-loop replays of these inputs exceed a limit, the margin to
+    it grows at these times, until the replays carry the payload in the environment, with its
+    physics step and with a tenth of it.
 
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
@@ -279,18 +281,24 @@ class _Case:
         }
         return f"best-{fingerprint('cablebot_gym.bounds.best_known', self.robot, self.trajectory, **data)}.npz"
 
+    @property
+    def tightening(self) -> Tightening:
+        """Rule for the margins of the replayed motions."""
+        times = np.arange(self.steps) / self.control_frequency
+        return Tightening(robot=self.robot, error_bounds=self.error_bounds, times=times)
+
     def solve(self, report: Progress) -> BestKnownPayload:
         """Solves and refines the program, verifies the motion, and adds the upper bound."""
         check_workspace(self.robot, self.trajectory)
         meshes, program = self._refine(report)
         best = meshes[-1][1]
         found = self._verify(program, best, report)
-        if found is None or found.motion.payload < best.payload - _MOST_LOST:
+        if found is None or found.motion.payload < (1 - _MOST_LOST) * best.payload:
             finer = self._verify(self._program(2 * meshes[-1][0]), best, report)
             if finer is not None and (found is None or finer.motion.payload > found.motion.payload):
                 found = finer
         if found is None:
-            actions = self._actions(best)
+            actions = self._track(best, self.tightening.no_profile()).actions
             replays, _ = self._replays(actions, best.payload)
             found = _Verified(motion=best, actions=actions, margins=Margins(), replays=replays)
         robot, motion, upper = self.robot, found.motion, None
@@ -427,33 +435,34 @@ class _Case:
         """The motion with the smallest margins whose inputs pass all replays; None if there is
         none.
 
-        A replay that violates a limit doubles the margin to this limit.
+        Where an episode exceeds a limit, the margin to this limit grows by the excess at that time.
         """
-        bounds = self.error_bounds
-        position = _SMALLEST_FRACTION * bounds.position
-        rotation = _SMALLEST_FRACTION * bounds.rotation
-        margins = replace(_SMALLEST, position=position, rotation=rotation)
-        for _ in range(_TRIALS):
-            report(
-                "replaying inputs with margins of "
-                + ", ".join(f"{k} {v:.3g}" for k, v in vars(margins).items())
-            )
+        tightening = self.tightening
+        margins = tightening.least_margins
+        profile = tightening.no_profile()
+        for trial in range(1, _TRIALS + 1):
+            report(f"replaying inputs, trial {trial} of the margins")
             try:
-                motion = _solve(program, start, margins)
+                if trial == 1:
+                    motion = _solve(program, start, margins)
+                else:
+                    motion = program.resolve(margins, profile)
             except (Infeasible, ValueError):  # larger margins are infeasible as well
                 return None
-            actions = self._actions(motion)
-            replays, violation = self._replays(actions, motion.payload)
-            if violation is None:
-                return _Verified(motion=motion, actions=actions, margins=margins, replays=replays)
-            name = _MARGIN_OF.get(violation.kind, "action")
-            margins = replace(margins, **{name: 2 * getattr(margins, name)})
+            tracked = self._track(motion, profile)
+            replays, episodes = self._replays(tracked.actions, motion.payload)
+            if all(replay.violation is None for replay in replays):
+                return _Verified(
+                    motion=motion,
+                    actions=tracked.actions,
+                    margins=profile.highest(margins),
+                    replays=replays,
+                )
+            profile = tightening.grown(profile, episodes, tracked.excess)
         return None
 
-    def _replays(
-        self, actions: Array, payload: float
-    ) -> tuple[tuple[Replay, ...], Violation | None]:
-        """Replays of actions up to the first one with a violation, and this violation."""
+    def _replays(self, actions: Array, payload: float) -> tuple[tuple[Replay, ...], list[Rollout]]:
+        """Replays of actions, and their episodes."""
         settings = make_settings(
             robot=self.robot,
             count=1,
@@ -461,9 +470,12 @@ class _Case:
             control_frequency=self.control_frequency,
         )
         replays: list[Replay] = []
+        episodes = []
         for factor in REPLAY_FACTORS:
             substeps = factor * settings.substeps
-            verdict = self._record(OpenLoop(actions), payload, substeps=substeps).verdict
+            episode = self._record(OpenLoop(actions), payload, substeps=substeps)
+            episodes.append(episode)
+            verdict = episode.verdict
             replays.append(
                 Replay(
                     substeps=substeps,
@@ -473,9 +485,7 @@ class _Case:
                     rotation_peak=verdict.rotation_peak,
                 )
             )
-            if verdict.violation is not None:
-                return tuple(replays), verdict.violation
-        return tuple(replays), None
+        return tuple(replays), episodes
 
     def _record(self, policy: Any, payload: float, **keywords: Any) -> Rollout:
         """The episode of a policy with a payload [kg] and further keywords of the environment."""
@@ -490,23 +500,40 @@ class _Case:
             **keywords,
         )
 
-    def _actions(self, motion: PlannedMotion) -> Array:
-        """Actions of a controller that tracks a motion, (steps, m)."""
+    def _track(self, motion: PlannedMotion, profile: MarginProfile) -> _Tracked:
+        """Actions of a controller that tracks a motion."""
         follower = Follower(
             robot=self.robot, gains=_GAINS[self.robot.joints], motor_frequency=_MOTOR_FREQUENCY
         )
         layout = observation_layout(self.robot)
         period = 1 / self.control_frequency
-        steps = itertools.count()
+        payload = np.asarray(motion.payload)
+        tension = motion.minimum_tension + profile.largest("tension", profile.times, 0.0)
+        requested: list[Array] = []
 
         def track(observation: Array) -> Array:
-            state = State.from_blocks(layout.split(observation), np.asarray(next(steps) * period))
-            return np.clip(
-                follower.action(motion, state, np.asarray(motion.payload), period), -1.0, 1.0
-            )
+            step = len(requested)
+            state = State.from_blocks(layout.split(observation), np.asarray(step * period))
+            action = follower.action(motion, state, payload, period, float(tension[step]))
+            requested.append(action)
+            return np.clip(action, -1.0, 1.0)
 
         actions = self._record(track, motion.payload).arrays["commanded_action"]
-        return np.concatenate([actions, np.repeat(actions[-1:], self.steps - len(actions), axis=0)])
+        excess = np.abs(requested) - 1
+        missing = self.steps - len(actions)  # after a termination
+        actions = np.concatenate([actions, np.repeat(actions[-1:], missing, axis=0)])
+        return _Tracked(actions=actions, excess=excess)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Tracked:
+    """Inputs of a controller that tracks a motion."""
+
+    actions: Array
+    """Actions within ± 1 at every control step, (steps, m)."""
+    excess: Array
+    """Requested actions beyond ± 1 at every step of the episode, (steps, m); not positive where
+    they are within it."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,12 +11,13 @@
 
 from cablebot_gym.planning.following import Follower, State
 from cablebot_gym.planning.library import plan_motion
-from cablebot_gym.planning.motion import Margins, PlannedMotion
+from cablebot_gym.planning.motion import MarginProfile, Margins, PlannedMotion
 from cablebot_gym.planning.program import Infeasible, MotionProgram
 
 __all__ = [
     "Follower",
     "Infeasible",
+    "MarginProfile",
     "Margins",
     "MotionProgram",
     "PlannedMotion",

@@ -65,7 +65,7 @@ def assemble(
     for block in blocks:
         matrix = ca.DM(block.matrix.tocsc())
         count = block.instants
-        rows = len(block.low)
+        rows = block.low.shape[1]
         size = block.matrix.shape[0] // count
         numbers = ca.reshape(matrix @ z + ca.DM(block.offset), size, count)
         jacobian, curvature = derivatives(block.function)
@@ -104,6 +104,6 @@ def assemble(
     program = {"x": z, "f": -z[payload], "g": constraints}
     return Assembled(
         solver=ca.nlpsol("motion", "ipopt", program, options),
-        low=np.concatenate([np.tile(block.low, block.instants) for block in blocks]),
-        high=np.concatenate([np.tile(block.high, block.instants) for block in blocks]),
+        low=np.concatenate([block.low.ravel() for block in blocks]),
+        high=np.concatenate([block.high.ravel() for block in blocks]),
     )

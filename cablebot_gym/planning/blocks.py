@@ -62,9 +62,9 @@ class Block:
     offset: Array
     """Constant part of the numbers."""
     low: Array
-    """Lower bounds at one instant."""
+    """Lower bounds at every instant, shape (instants, values)."""
     high: Array
-    """Upper bounds at one instant."""
+    """Upper bounds at every instant, shape (instants, values)."""
     instants: int
     """Number of instants."""
 
@@ -73,6 +73,13 @@ def make_block(function: Any, rows: list[Row], low: Array, high: Array, variable
     """A block for a program with a number of variables.
 
     It has the numbers of one instant after the other: row k·d + i is number i at instant k.
+
+    Args:
+        function: SX function from d numbers to the constrained values.
+        rows: d rows, one for each number.
+        low: lower bounds of the values, shape (values,) or (instants, values).
+        high: upper bounds in the same shapes.
+        variables: number of variables.
     """
     d = len(rows)
     instants = len(rows[0].constant)
@@ -87,8 +94,14 @@ def make_block(function: Any, rows: list[Row], low: Array, high: Array, variable
     entries = np.concatenate(values), (np.concatenate(indices), np.concatenate(columns))
     matrix = csr_matrix(entries, (instants * d, variables))
     offset = np.stack([row.constant for row in rows], axis=1).ravel()
+    shape = (instants, np.shape(low)[-1])
     return Block(
-        function=function, matrix=matrix, offset=offset, low=low, high=high, instants=instants
+        function=function,
+        matrix=matrix,
+        offset=offset,
+        low=np.broadcast_to(low, shape),
+        high=np.broadcast_to(high, shape),
+        instants=instants,
     )
 
 

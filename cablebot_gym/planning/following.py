@@ -77,13 +77,25 @@ class Follower:
         number("motor_frequency", self.motor_frequency, above=0.0, unit="rad/s")
         number("motor_damping_ratio", self.motor_damping_ratio, above=0.0)
 
-    def action(self, plan: PlannedMotion, state: State, payload: Array, period: float) -> Array:
+    def action(
+        self,
+        plan: PlannedMotion,
+        state: State,
+        payload: Array,
+        period: float,
+        minimum_tension: float | None = None,
+    ) -> Array:
         """Actions for the torques of :meth:`torques`, shape (..., m)."""
-        torques, motor_speeds = self.torques(plan, state, payload, period)
+        torques, motor_speeds = self.torques(plan, state, payload, period, minimum_tension)
         return textbook.normalised_action(self.robot, torques, motor_speeds)
 
     def torques(
-        self, plan: PlannedMotion, state: State, payload: Array, period: float
+        self,
+        plan: PlannedMotion,
+        state: State,
+        payload: Array,
+        period: float,
+        minimum_tension: float | None = None,
     ) -> tuple[Array, Array]:
         """Requested torques [N·m] and present motor speeds [rad/s], each (..., m).
 
@@ -92,6 +104,8 @@ class Follower:
             state: state at the control instant.
             payload: payload of the controller's model [kg], shape (...).
             period: control period, over which the torque is constant [s].
+            minimum_tension: minimum tension of redundant cables of a rigid robot in this period
+                [N]; None for that of the plan.
         """
         planned = plan(state.time)
         pose_error = planned.position - state.pose
@@ -108,7 +122,9 @@ class Follower:
         # A period that starts at the end of the plan or later has no time left to divide by.
         duration = np.where(period_end > state.time, period_end - state.time, period)
         acceleration = velocity_change / duration[..., None] + correction
-        return self._computed_torque(state, payload, period, acceleration, plan.minimum_tension)
+        if minimum_tension is None:
+            minimum_tension = plan.minimum_tension
+        return self._computed_torque(state, payload, period, acceleration, minimum_tension)
 
     def _computed_torque(
         self,

@@ -49,6 +49,53 @@ class Margins:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class MarginProfile:
+    """Margins over time that a motion keeps in addition to its :class:`Margins`.
+
+    A limit that a replay exceeds for a few milliseconds then costs payload at these instants only.
+    """
+
+    times: Array
+    """Increasing times since the start of the motion, shape (k,) [s]."""
+    position: Array
+    """Additional margin to the position error bound, shape (k,) [m]; ≥ 0."""
+    rotation: Array
+    """Additional margin to the rotation error bound, shape (k,) [rad]; ≥ 0."""
+    action: Array
+    """Additional margin of the action of each motor to ± 1, shape (k, m); ≥ 0."""
+    tension: Array
+    """Additional margin to the minimum tension of all cables, shape (k,) [N]; ≥ 0."""
+
+    @classmethod
+    def zeros(cls, times: Array, cables: int) -> MarginProfile:
+        """No additional margins at ``times`` [s] for a number of cables."""
+        zero = np.zeros(len(times))
+        action = np.zeros((len(times), cables))
+        return cls(times=times, position=zero, rotation=zero, action=action, tension=zero)
+
+    def highest(self, margins: Margins) -> Margins:
+        """The largest margin to each limit at any time, together with the constant ``margins``."""
+        largest = {
+            name: float(margin + getattr(self, name).max(initial=0.0))
+            for name, margin in vars(margins).items()
+        }
+        return Margins(**largest)
+
+    def largest(self, name: str, instants: Array, reach: float) -> Array:
+        """Largest margin of a limit within ``reach`` [s] of each instant, shape (instants, ...); 0
+        where no time is in reach."""
+        values = getattr(self, name)
+        begins = np.searchsorted(self.times, instants - reach, side="left")
+        ends = np.searchsorted(self.times, instants + reach, side="right")
+        return np.array(
+            [
+                values[begin:end].max(axis=0, initial=0.0)
+                for begin, end in zip(begins, ends, strict=True)
+            ]
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedMotion:
     """A planned motion as a spline. It implements
     :class:`~cablebot_gym.trajectories.base.Trajectory`."""

@@ -36,6 +36,7 @@ from cablebot_gym.planning.motion import (
     FLEXIBLE_DEGREE,
     MOTOR_DEGREE,
     RIGID_DEGREE,
+    MarginProfile,
     Margins,
     PlannedMotion,
 )
@@ -126,6 +127,7 @@ class MotionProgram:
         held = hold_payload(robot, trajectory, error_bounds) - _HOLD_MARGIN
         self._heaviest = min(HEAVIEST * robot.mass, held)
         self._set_margins(margins or Margins())
+        self._profile = MarginProfile.zeros(np.zeros(0), robot.cables)
         count = STAGES_PER_INTERVAL[robot.joints] * intervals
         self._instants = np.linspace(0.0, trajectory.duration, count + 1)
         count = ERROR_STAGES_PER_INTERVAL * intervals
@@ -180,12 +182,14 @@ class MotionProgram:
             guess[self._poses.at] += shift
         return self._solved(self._solver, x0=guess)
 
-    def resolve(self, margins: Margins) -> PlannedMotion:
+    def resolve(self, margins: Margins, profile: MarginProfile | None = None) -> PlannedMotion:
         """Solves the program with other margins, starting from its last solution, which takes a few
         iterations.
 
         Args:
             margins: margins to the constraints, close to those of the last solution.
+            profile: additional margins over time, which hold for later solutions too; None for
+                those of the last solution.
 
         Raises:
             Infeasible: if the solver finds no motion within the constraints, or the program has no
@@ -193,6 +197,8 @@ class MotionProgram:
             ValueError: if a margin is not below its bound.
         """
         self._set_margins(margins)
+        if profile is not None:
+            self._profile = profile
         self._solver = None
         start = self._solution
         if start is None:
@@ -278,7 +284,8 @@ class MotionProgram:
                 low[spline.at[row]] = fixed
                 high[spline.at[row]] = fixed
         for at in self._tensions:
-            low[at] = self._least / TENSION
+            least = self._least + self._profile_at("tension", self._instants)
+            low[at] = least[:, None] / TENSION
         low[self._payload_at] = _LIGHTEST * robot.mass
         high[self._payload_at] = self._heaviest
         return low, high
@@ -355,14 +362,25 @@ class MotionProgram:
             rows.append(Row(row.matrix / bound, row.at, (row.constant - target) / bound))
         translation = ca.SX.sym("e", d)
         rotation = ca.SX.sym("e", angles)
-        radius = 1 - self._margins.position / self._error_bounds.position
+        radius = self._error_radius("position")
         distance = ca.Function("distance", [translation], [ca.sumsqr(translation)])
-        blocks = [self._constrain(distance, rows[:d], np.array([-np.inf]), np.array([radius**2]))]
+        nearest = np.full_like(radius, -np.inf)
+        blocks = [self._constrain(distance, rows[:d], nearest, radius**2)]
         if angles:
-            most = np.full(angles, 1 - self._margins.rotation / self._error_bounds.rotation)
+            most = np.repeat(self._error_radius("rotation"), angles, axis=1)
             angle_errors = ca.Function("rotation", [rotation], [rotation])
             blocks.append(self._constrain(angle_errors, rows[d:], -most, most))
         return blocks
+
+    def _profile_at(self, name: str, instants: Array) -> Array:
+        """Additional margin of a limit at every instant, shape (instants, ...): the largest one up
+        to the instants next to it, because the constraint must also hold in between."""
+        return self._profile.largest(name, instants, instants[-1] - instants[-2])
+
+    def _error_radius(self, name: str) -> Array:
+        """Bound of an error at every instant in units of the error bound, shape (instants, 1)."""
+        margin = getattr(self._margins, name) + self._profile_at(name, self._error_instants)
+        return np.asarray(1 - margin / getattr(self._error_bounds, name))[:, None]
 
     def _mass_row(self, mass: float | None, times: int) -> Row:
         if mass is None:
@@ -373,20 +391,22 @@ class MotionProgram:
         return Row(column, self._payload_at, np.full(times, mass))
 
     def _action_bounds(self) -> Array:
-        count = self._robot.cables
+        """Bound of the actions at every instant, shape (instants, actions)."""
+        bounds = 1 - self._margins.action - self._profile_at("action", self._instants)
         if self._period > 0:  # at both ends of a period
-            count *= 2
-        return np.full(count, 1 - self._margins.action)
+            bounds = np.hstack([bounds, bounds])
+        return bounds
 
     def _rigid(self, index: int, mass: float | None) -> Block:
         times = self._instants
-        balanced = np.zeros(self._robot.coordinates)
         most = self._action_bounds()
         at = self._tensions[index]
         tensions = [Row(np.eye(len(times)), column, np.zeros(len(times))) for column in at.T]
         rows = [*self._poses.rows(times, [0, 1, 2]), *tensions, self._mass_row(mass, len(times))]
         stage = rigid_stage(self._robot, self._period)
-        return self._constrain(stage, rows, np.r_[balanced, -most], np.r_[balanced, most])
+        balanced = np.zeros((len(times), self._robot.coordinates))
+        low = np.hstack([balanced, -most])
+        return self._constrain(stage, rows, low, np.hstack([balanced, most]))
 
     def _flexible(self, index: int, mass: float | None) -> list[Block]:
         robot = self._robot
@@ -395,7 +415,8 @@ class MotionProgram:
         balance, limits = flexible_stage(robot, self._period)
         balanced = np.zeros(robot.coordinates)
         most = self._action_bounds()
-        least = np.full(2 * robot.cables, self._least / TENSION)
+        least_tension = self._least + self._profile_at("tension", self._instants)
+        least = np.repeat(least_tension[:, None] / TENSION, 2 * robot.cables, axis=1)
 
         def rows(times: Array, orders: Sequence[int]) -> list[Row]:
             return [
@@ -412,8 +433,8 @@ class MotionProgram:
             self._constrain(
                 limits,
                 rows(self._instants, [0, 1, 2]),
-                np.r_[-most, least],
-                np.r_[most, np.full(len(least), np.inf)],
+                np.hstack([-most, least]),
+                np.hstack([most, np.full_like(least, np.inf)]),
             ),
         ]
         if not robot.weightless:

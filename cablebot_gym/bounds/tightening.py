@@ -1,0 +1,87 @@
+"""Margins over time of a planned motion, from the limits that its replays exceed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cablebot_gym.evaluation.rollout import Rollout
+from cablebot_gym.kinematics import Array
+from cablebot_gym.planning import MarginProfile, Margins
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import ErrorBounds
+
+_SMALLEST_FRACTION = 5e-4
+"""Smallest margins to the error bounds, as a fraction of them."""
+
+_SMALLEST = Margins(action=1e-4, tension=0.01)
+"""Smallest margins of action and tension. They cover errors of solver and sampling."""
+
+_REACTION = 1.1
+"""Growth of a margin for an excess of 1. A little more than the excess, because the motion changes
+with the margins."""
+
+_LEAST_GROWTH = 0.2
+"""Least growth of a margin whose limit is exceeded, as a fraction of its smallest margin."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tightening:
+    """Rule for the margins of a motion whose inputs are replayed."""
+
+    robot: Robot
+    """Robot of the replays."""
+    error_bounds: ErrorBounds
+    """Bounds of the tracking errors."""
+    times: Array
+    """Control instants of an episode, shape (steps,) [s]."""
+
+    @property
+    def least_margins(self) -> Margins:
+        """Margins that every replayed motion keeps at all times."""
+        bounds = self.error_bounds
+        position = _SMALLEST_FRACTION * bounds.position
+        rotation = _SMALLEST_FRACTION * bounds.rotation
+        return replace(_SMALLEST, position=position, rotation=rotation)
+
+    def no_profile(self) -> MarginProfile:
+        """No additional margins at any control instant."""
+        return MarginProfile.zeros(self.times, self.robot.cables)
+
+    def grown(
+        self, profile: MarginProfile, replays: Sequence[Rollout], action_excess: Array
+    ) -> MarginProfile:
+        """A profile with larger margins at the times at which replays exceed limits.
+
+        Args:
+            profile: margins of the replayed motion.
+            replays: episodes under the same inputs.
+            action_excess: requested actions of the controller beyond ± 1, shape (steps, m).
+        """
+        excess = [self._excess(replay, action_excess) for replay in replays]
+        grown = {}
+        for name, least_margin in vars(self.least_margins).items():
+            margin = getattr(profile, name).copy()
+            largest = np.zeros_like(margin)
+            for episode in excess:
+                values = episode.get(name, np.zeros(0))
+                part = largest[: len(values)]  # a terminated episode is shorter
+                np.maximum(part, values, out=part)
+            growth = _REACTION * largest + _LEAST_GROWTH * least_margin
+            grown[name] = margin + np.where(largest > 0, growth, 0.0)
+        return replace(profile, **grown)
+
+    def _excess(self, replay: Rollout, action_excess: Array) -> dict[str, Array]:
+        """Excess over each limit at every step; not positive where the limit is kept."""
+        arrays = replay.arrays
+        least_tension = arrays["least_tensions"].min(axis=1)
+        excess = {"tension": self.robot.minimum_tension - least_tension}
+        # Errors after saturated actions follow from them, so they do not change the error margins.
+        if np.any(action_excess > 0):
+            return excess | {"action": action_excess}
+        excess["position"] = arrays["tracking_error_peak"] - self.error_bounds.position
+        if not self.robot.point_mass:
+            excess["rotation"] = arrays["rotation_error_peak"] - self.error_bounds.rotation
+        return excess
