@@ -66,7 +66,9 @@ class Tightening:
             margin = getattr(profile, name).copy()
             largest = np.zeros_like(margin)
             for episode in excess:
-                values = episode.get(name, np.zeros(0))
+                if name not in episode:
+                    continue
+                values = episode[name]
                 part = largest[: len(values)]  # a terminated episode is shorter
                 np.maximum(part, values, out=part)
             growth = _REACTION * largest + _LEAST_GROWTH * least_margin

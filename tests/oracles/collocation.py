@@ -6,11 +6,13 @@ program. Limits hold at the nodes only, and the springs of redundant cables may 
 internal tension: the payload is slightly optimistic.
 """
 
-import casadi as ca
 import numpy as np
+import pytest
 
 from cablebot_gym.physics import textbook
 from cablebot_gym.task import start_pose
+
+ca = pytest.importorskip("casadi")
 
 UNIT = 50.0
 """Unit of forces [N]."""
