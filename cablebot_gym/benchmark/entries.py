@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
+import os
 import shutil
+import stat
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import packages_distributions, version
@@ -20,6 +22,7 @@ from cablebot_gym.isolation.sandbox import sandbox_name
 from cablebot_gym.policies import PolicySpec
 from cablebot_gym.policies.entry import (
     CARD,
+    LONGEST_NAME,
     PACKAGES,
     POLICY,
     Entry,
@@ -30,11 +33,15 @@ from cablebot_gym.policies.entry import (
 )
 from cablebot_gym.utils.code_hash import source_files
 from cablebot_gym.utils.files import atomic_write_text, read_text
+from cablebot_gym.utils.foreign import brief, foreign_digest, foreign_text
 from cablebot_gym.utils.imports import split_name
 
 CLAIMS, VERIFICATION = "results.json", "verification.json"
 """Names in the folder of an entry: the results of its authors, and the record of the last
 verification."""
+
+_MOST_NAMED = 5
+"""Largest number of unknown files in a message."""
 
 MACHINES = 0.01
 """Largest excess of a claimed total mass over the rerun, as a fraction: rounding differs between
@@ -189,12 +196,12 @@ def read_claims(folder: Path) -> Results:
         ValueError: if they cannot be read, or if their cells are not all cells of their suite.
     """
     path = folder / CLAIMS
+    results = _read_results(path)
     try:
-        results = Results.from_json(read_text(path))
         claims = replace(results, records=renamed(results.records, str(folder)))
         cells = entry_cells(folder, claims.suite, seed=0, claims_only=True).values()
-    except (OSError, KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
-        raise ValueError(f"{str(path)!r} holds no results of an entry: {error}") from error
+    except ValueError as error:
+        raise ValueError(f"{str(path)!r} holds no results of an entry: {brief(error)}") from error
     claimed = []
     for record in claims.records:
         if isinstance(record.cell, PolicyCell):
@@ -203,9 +210,16 @@ def read_claims(folder: Path) -> Results:
     if sorted(_without_seed(cell) for cell, _ in claimed) != sorted(expected):
         raise ValueError(f"{str(path)!r} does not have the cells of suite {claims.suite!r}")
     for cell, payload in claimed:
-        if not isinstance(payload, float | int | None):
+        if isinstance(payload, bool) or not isinstance(payload, float | int | None):
             raise ValueError(f"{str(path)!r} has a payload that is no number: {_title(cell)}")
     return claims
+
+
+def _read_results(path: Path) -> Results:
+    try:
+        return Results.from_json(foreign_text(path))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{str(path)!r} holds no results of an entry: {brief(error)}") from error
 
 
 def refuted(claims: Results, records: Sequence[Record]) -> list[str]:
@@ -264,8 +278,8 @@ def verification(
         outcome = "refused"
     hashes = {}
     for name in (CARD, CLAIMS):
-        if (folder / name).is_file():
-            hashes[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+        with suppress(OSError, ValueError):  # the reason of a refusal can be that it is no file
+            hashes[name] = foreign_digest(folder / name)
     payloads = []
     for record in records:
         if isinstance(record.cell, PolicyCell):
@@ -294,33 +308,64 @@ def check_entry(folder: Path) -> Entry:
         ValueError: if a file is missing, changed or unknown, or a field of the card is invalid.
     """
     entry = read_entry(folder)
-    entry.paths(folder)
     files = PACKAGES if entry.package is not None else POLICY
     known = {CARD, CLAIMS, VERIFICATION, "README.md", files}
     unknown = []
     for path in folder.iterdir():
-        if path.name not in known or path.is_symlink():
+        kind = path.lstat().st_mode
+        is_plain = stat.S_ISDIR(kind) if path.name == files else stat.S_ISREG(kind)
+        if path.name not in known or not is_plain:
             unknown.append(path.name)
+            if len(unknown) == _MOST_NAMED:
+                break
     if unknown:
         raise ValueError(
             f"entry {entry.name!r} has files that are unknown or links: "
-            f"{', '.join(sorted(unknown)[:5])}"
+            f"{brief(', '.join(sorted(unknown)))}"
         )
+    entry.paths(folder)
     return entry
 
 
-def find_entries(folder: Path) -> dict[str, Entry]:
-    """The checked entries in the subfolders of a folder, by their paths.
+def find_entries(folder: Path) -> tuple[dict[str, Entry], dict[str, str]]:
+    """The checked entries in the subfolders of a folder by their paths, and the reasons of the
+    invalid ones by their paths.
+
+    An entry that is invalid costs the others nothing.
 
     Raises:
-        ValueError: if there is none, or if one is invalid.
+        ValueError: if there is none.
     """
-    cards = sorted(folder.glob(f"*/{CARD}"))
-    if not cards:
+    entries, invalid = {}, {}
+    for path in sorted(folder.iterdir()):
+        if not os.path.lexists(path / CARD):
+            continue
+        try:
+            if path.is_symlink():
+                raise ValueError("its folder is a link")
+            entry = check_entry(path)
+            if (path / CLAIMS).exists():  # before hours of computation, not after them
+                _read_results(path / CLAIMS)
+            entries[str(path)] = entry
+        except (OSError, ValueError, ImportError) as error:
+            # the name of the folder can hold anything
+            invalid[ascii(str(path))[1:-1][:LONGEST_NAME]] = brief(error)
+    if not entries and not invalid:
         raise ValueError(
             f"{str(folder)!r} has no entries: give the folder that holds their folders"
         )
-    return {str(card.parent): check_entry(card.parent) for card in cards}
+    return entries, invalid
+
+
+def invalid_note(path: str, reason: str) -> EntryNote:
+    """An entry that was not run, as the leaderboard shows it.
+
+    Args:
+        path: folder of the entry.
+        reason: why it is invalid.
+    """
+    absent = dict.fromkeys(("authors", "licence", "compute", "data", "seeds"), "–")
+    return EntryNote(policy=path, package=None, status=f"invalid: {reason}", **absent)
 
 
 def _without_seed(cell: Cell) -> str:

@@ -26,7 +26,13 @@ from cablebot_gym.benchmark.scores import (
 )
 from cablebot_gym.benchmark.suites import find_suite
 from cablebot_gym.envs import ENV_IDS
+from cablebot_gym.policies.entry import LONGEST_NAME
+from cablebot_gym.utils.checks import number, whole
 from cablebot_gym.utils.console import results_console
+from cablebot_gym.utils.foreign import foreign_json, foreign_line, foreign_list, foreign_object
+
+LARGEST_PAYLOAD = 1e6
+"""Largest payload of stored results [kg], far above that of any crane."""
 
 _INTRODUCTION = """# Leaderboard
 
@@ -166,27 +172,56 @@ class Results:
     def from_json(cls, text: str) -> Results:
         """The results whose :meth:`to_json` returned ``text``.
 
+        The text may come from strangers: its types and numbers are checked, see
+        :func:`~cablebot_gym.utils.foreign.foreign_json`.
+
         Raises:
-            KeyError, TypeError, ValueError: if the text is something else.
+            ValueError: if the text is something else.
         """
-        data = json.loads(text)
-        records = [
-            Record(
-                cell=cell_from_dict(entry["cell"]),
-                versions=data["versions"][entry["versions"]],
-                **{name: entry[name] for name in ("source", "result", "seconds", "final")},
+        data = foreign_object("the results", foreign_json(text))
+        try:
+            versions = foreign_list("versions", data["versions"])
+            cells = foreign_list("cells", data["cells"])
+            records = [_record(cell, versions) for cell in cells]
+            board = data["board"]
+            if board is not None:
+                board = Board(**foreign_object("the board", board))
+            entries = []
+            for entry in foreign_list("entries", data.get("entries", [])):
+                entries.append(EntryNote(**foreign_object("an entry", entry)))
+            return cls(
+                suite=foreign_line("suite", data["suite"], LONGEST_NAME),
+                command=str(data["command"]),
+                records=records,
+                board=board,
+                entries=entries,
             )
-            for entry in data["cells"]
-        ]
-        board = None if data["board"] is None else Board(**data["board"])
-        entries = [EntryNote(**entry) for entry in data.get("entries", ())]
-        return cls(
-            suite=data["suite"],
-            command=data["command"],
-            records=records,
-            board=board,
-            entries=entries,
-        )
+        except KeyError as error:
+            raise ValueError(f"the key {error} is missing") from error
+        except (TypeError, AttributeError) as error:  # fields that a record does not have
+            raise ValueError(f"a record has other fields: {error}") from error
+
+
+def _record(data: Any, versions: Sequence[Any]) -> Record:
+    """The record of a cell in the results of strangers.
+
+    Raises:
+        KeyError, TypeError, ValueError: if the data are something else.
+    """
+    fields = foreign_object("a cell", data)
+    index = whole("versions", fields["versions"], most=len(versions) - 1)
+    result = foreign_object("a result", fields["result"])
+    payload = result.get("payload")
+    if payload is not None and isinstance(payload, int | float):
+        number("payload", payload, least=0, most=LARGEST_PAYLOAD, unit="kg")
+    return Record(
+        cell=cell_from_dict(foreign_object("the conditions of a cell", fields["cell"])),
+        source=str(fields["source"]),
+        versions=foreign_object("versions", versions[index]),
+        result=result,
+        seconds=number("seconds", fields["seconds"], least=0, unit="s"),
+        final=fields["final"] is True,
+    )
 
 
 def markdown(results: Results) -> str:

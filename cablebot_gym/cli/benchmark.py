@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import secrets
 from dataclasses import dataclass
 from pathlib import Path
@@ -190,8 +189,8 @@ def benchmark(
     Every policy runs in a process of its own. Each finished cell is stored as a file in the results
     folder. The same command resumes an interrupted benchmark. It computes only cells that are
     missing, damaged or computed with different code: that of this package, or of the package or
-    folder of the policy. The exit status is 1 if a payload could not be computed, or if --verify
-    finds a broken promise.
+    folder of the policy. The exit status is 1 if a payload could not be computed, if an entry is
+    invalid, or if --verify finds a broken promise.
 
     Examples:
 
@@ -222,7 +221,7 @@ def benchmark(
         return _verify(verification.verify, backend, verification, selection, value)
     suite = find_suite(selection.suite)
     _check_board_options(board_options, suite)
-    policies, submitted = _policies(selection)
+    policies, submitted, invalid = _policies(selection)
     names = sorted({name for supported in policies.values() for name in supported})
     out = output.out
     check_writable_dir(out / FOLDER)
@@ -236,8 +235,9 @@ def benchmark(
     if board is not None:
         board.check_policies(names)  # files may have changed during the run
     _note_foreign(store, computing)
-    _write(selection, output, records, board, submitted)
-    if failures([record for record in records if not isinstance(record.cell, TimingCell)]):
+    _write(selection, output, records, board, submitted, invalid)
+    payloads = [record for record in records if not isinstance(record.cell, TimingCell)]
+    if invalid or failures(payloads):
         raise typer.Exit(1)
 
 
@@ -271,8 +271,9 @@ def _note_foreign(store: Store, computing: ComputingOptions) -> None:
 
 def _policies(
     selection: CellOptions,
-) -> tuple[dict[str, tuple[str, ...]], list[str]]:
-    """Names of the policies by environment, and those that are entries of others."""
+) -> tuple[dict[str, tuple[str, ...]], list[str], dict[str, str]]:
+    """Names of the policies by environment, those that are entries of others, and the reasons of
+    invalid entries."""
     from cablebot_gym.benchmark.entries import find_entries
     from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite
     from cablebot_gym.isolation.installed import public_entries
@@ -280,13 +281,17 @@ def _policies(
     env_ids = find_env_ids(find_suite(selection.suite), split_names(selection.ids))
     names = split_names(selection.policies)
     submitted: list[str] = []
+    invalid: dict[str, str] = {}
     if selection.entries is not None:
         choose_sandbox(selection.no_sandbox)
-        for name, entry in find_entries(selection.entries).items():
+        valid, invalid = find_entries(selection.entries)
+        for name, reason in invalid.items():
+            notes_console().print(f"entry {name} is invalid and left out: {reason}", markup=False)
+        for name, entry in valid.items():
             if set(entry.env_ids) & set(env_ids):
                 submitted.append(name)
         names = [*(names or public_entries()), *submitted]
-    return find_policies(names, env_ids), submitted
+    return find_policies(names, env_ids), submitted, invalid
 
 
 def _check_board_options(options: BoardOptions, suite: Suite) -> None:
@@ -412,6 +417,7 @@ def _write(
     records: Sequence[Record],
     board: Board | None,
     submitted: Sequence[str],
+    invalid: Mapping[str, str],
 ) -> None:
     """Writes and prints results and leaderboard.
 
@@ -421,17 +427,20 @@ def _write(
         records: records of all cells.
         board: board with the hidden motions; None without.
         submitted: policies that are entries of others.
+        invalid: reasons of invalid entries, which were not run.
     """
-    from cablebot_gym.benchmark.entries import note, status
+    from cablebot_gym.benchmark.entries import invalid_note, note, status
     from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
     from cablebot_gym.utils.files import atomic_write_text
 
+    notes = [note(Path(name), status(Path(name), records)) for name in submitted]
+    notes += [invalid_note(name, reason) for name, reason in invalid.items()]
     results = Results(
         suite=selection.suite,
         command=command_line("benchmark", **_typed(selection, output, board)),
         records=records,
         board=board,
-        entries=[note(Path(name), status(Path(name), records)) for name in submitted],
+        entries=notes,
     )
     contents = (results.to_json(), markdown(results))
     for path, content in zip(output.files, contents, strict=True):
@@ -492,7 +501,7 @@ def read_results(folder: Path) -> Results:
         ) from error
     try:
         results = Results.from_json(text)
-    except (json.JSONDecodeError, KeyError, TypeError, IndexError, ValueError) as error:
+    except ValueError as error:
         raise ValueError(
             f"{str(path)!r} does not hold benchmark results ({error!r}). {advice}"
         ) from error

@@ -39,6 +39,7 @@ def verify(
     from cablebot_gym.benchmark.store import FOLDER, Store
     from cablebot_gym.cli.benchmark import computed
     from cablebot_gym.utils.files import atomic_write_text, check_writable_dir
+    from cablebot_gym.utils.foreign import brief
     from cablebot_gym.utils.workers import check_workers
 
     backend = local(check_workers(workers))
@@ -55,8 +56,8 @@ def verify(
     try:
         entries.check_entry(folder)
         claims = entries.read_claims(folder)
-    except ValueError as error:
-        reasons = [str(error)]
+    except (OSError, ValueError) as error:
+        reasons = [brief(error)]
     else:
         seed = run_seed(work)
         cells = entries.entry_cells(folder, claims.suite, seed=seed, claims_only=True)

@@ -3,7 +3,6 @@ benchmark runs it."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 import sys
@@ -13,15 +12,39 @@ from pathlib import Path
 
 from cablebot_gym.utils.checks import record
 from cablebot_gym.utils.code_hash import module_file
-from cablebot_gym.utils.files import read_text
+from cablebot_gym.utils.foreign import (
+    brief,
+    foreign_digest,
+    foreign_json,
+    foreign_line,
+    foreign_list,
+    foreign_object,
+    foreign_text,
+    plain_paths,
+)
 
 CARD, POLICY, PACKAGES = "entry.json", "policy", "packages"
 """Names in the folder of an entry: the card, the files of the policy, and the packages that it
 refers to, if they are not installed."""
 
 
+LARGEST_CARD = 4 << 20
+"""Largest size of a card [bytes]."""
+
+LARGEST_ENTRY = 1 << 30
+"""Largest size of all files of a policy [bytes]."""
+
+MOST_FILES = 10_000
+"""Largest number of files and folders of a policy."""
+
+LONGEST_NAME, LONGEST_TEXT = 100, 500
+"""Largest number of characters of names and of the other texts on a card."""
+
+_NAMES = ("name", "policy", "package")
+"""Fields that are names, which are ASCII: other scripts have letters that look the same."""
+
 _FORMS = {
-    "name": (r"[A-Za-z0-9][\w.-]*", "letters, digits, '.', '_' and '-'"),
+    "name": (r"[A-Za-z0-9][\w.-]*", "ASCII letters, digits, '.', '_' and '-'"),
     "policy": (r"[\w.]+:\w+|[\w.-]+\.zip", "module:factory or the name of a .zip file"),
     "package": (r"[\w.-]+==[\w.+!-]+", "name==version, or null"),
 }
@@ -61,14 +84,21 @@ class Entry:
             ValueError: if a field is empty or of another type.
         """
         object.__setattr__(self, "env_ids", tuple(self.env_ids))
+        for env_id in self.env_ids:
+            foreign_line("an environment id", env_id, LONGEST_NAME)
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.type == "str" and not (isinstance(value, str) and value.strip()):
-                raise ValueError(f"{field.name} must be a text that is not empty, not {value!r}")
+            largest = LONGEST_NAME if field.name in _NAMES else LONGEST_TEXT
+            if field.type == "str" or (field.name == "package" and value is not None):
+                foreign_line(field.name, value, largest)
         if not self.env_ids or not self.files or not isinstance(self.files, Mapping):
             raise ValueError("an entry needs env_ids and files")
+        for digest in self.files.values():
+            if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{64}", digest):
+                raise ValueError(f"files must give a SHA-256 for each path, not {brief(digest)}")
         for name, (form, valid) in _FORMS.items():
-            if (value := getattr(self, name)) is not None and not re.fullmatch(form, value):
+            value = getattr(self, name)
+            if value is not None and not re.fullmatch(form, value, re.ASCII):
                 raise ValueError(f"{name} must be {valid}, not {value!r}")
 
     @property
@@ -115,7 +145,7 @@ class Entry:
         present = digests(root, plain_files(owned, compiled=self.package is None))
         if differing := sorted({name for name, _ in self.files.items() ^ present.items()}):
             raise ValueError(
-                f"entry {self.name!r} does not match its card in {', '.join(differing[:5])}"
+                f"entry {self.name!r} does not match its card in {brief(', '.join(differing[:5]))}"
             )
         return (folder / CARD, *(root / name for name in present))
 
@@ -132,13 +162,15 @@ def read_entry(folder: Path) -> Entry:
         ValueError: if it cannot be read, or if a field is missing, unknown or empty.
     """
     try:
-        data = json.loads(read_text(folder / CARD))
+        data = foreign_object("the card", foreign_json(foreign_text(folder / CARD, LARGEST_CARD)))
+        foreign_list("env_ids", data.get("env_ids", []))
         entry = record("the card", Entry, data)
         if entry.name != folder.absolute().name:
             raise ValueError(f"the folder must have the name of the entry, {entry.name!r}")
         return entry
-    except (OSError, ValueError, TypeError, AttributeError) as error:
-        raise ValueError(f"{str(folder / CARD)!r} is no card of an entry: {error}") from error
+    except (OSError, ValueError) as error:
+        path = str(folder / CARD)
+        raise ValueError(f"{path!r} is no card of an entry: {brief(error)}") from error
 
 
 def entry_spec(name: str) -> str:
@@ -182,19 +214,22 @@ def plain_files(owned: Path, *, compiled: bool = False) -> list[Path]:
         compiled: whether to include the compiled code of Python.
 
     Raises:
-        ValueError: if a file is a link.
+        OSError: if a file cannot be read.
+        ValueError: if a file is a link, a pipe or a device, or if there are more than
+            :data:`MOST_FILES` or :data:`LARGEST_ENTRY`.
     """
-    found = [owned, *sorted(owned.rglob("*"))]
-    if links := [str(path) for path in found if path.is_symlink()]:
-        raise ValueError(f"{links[0]!r} is a link: an entry has plain files only")
-    return [
-        path for path in found if path.is_file() and (compiled or "__pycache__" not in path.parts)
-    ]
+    files = []
+    for path in plain_paths(owned, count=MOST_FILES, size=LARGEST_ENTRY):
+        if compiled or "__pycache__" not in path.parts:
+            files.append(path)
+    return files
 
 
 def digests(root: Path, paths: Iterable[Path]) -> dict[str, str]:
-    """SHA-256 of files by their paths relative to a folder."""
-    return {
-        path.relative_to(root).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in paths
-    }
+    """SHA-256 of files by their paths relative to a folder.
+
+    Raises:
+        OSError: if a file cannot be read.
+        ValueError: if a file is no regular file, or too large.
+    """
+    return {path.relative_to(root).as_posix(): foreign_digest(path) for path in paths}

@@ -94,7 +94,7 @@ def test_entry_has_the_files_of_its_policy(entry):
         "toy_law.py",
     ]
     assert check_entry(entry).env_ids == (ENV_ID,)
-    assert find_entries(entry.parent) == {str(entry): check_entry(entry)}
+    assert find_entries(entry.parent) == ({str(entry): check_entry(entry)}, {})
     with pytest.raises(ValueError, match="in a process of its own only"):
         load_policy(str(entry), PLANAR)
     assert policy_digest(str(entry)) != policy_digest("fl")

@@ -1,0 +1,262 @@
+"""Files and JSON of strangers: limits are checked before anything is read, and every failure is a
+ValueError."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+LARGEST_TEXT = 64 << 20
+"""Largest size of a text file [bytes]."""
+
+LARGEST_FILE = 1 << 30
+"""Largest size of any file [bytes]."""
+
+DEPTH = 32
+"""Largest depth of lists and objects in each other."""
+
+DIGITS = 40
+"""Largest number of characters of an integer: seeds have 128 bits."""
+
+_CHUNK = 1 << 20
+"""Number of bytes that are hashed at once."""
+
+_MESSAGE = 400
+"""Largest length of the message about a file of others: the file may have chosen its words."""
+
+
+@contextmanager
+def _opened(path: Path, largest: int) -> Iterator[int]:
+    """Descriptor of a regular file.
+
+    The file is opened without following a link at its name, and without waiting for the other end
+    of a pipe. What was opened is then checked, so that nobody can replace it in between.
+    """
+    flags = os.O_RDONLY
+    for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_NOCTTY", "O_BINARY"):
+        flags |= getattr(os, name, 0)
+    if path.is_symlink():  # Windows has no O_NOFOLLOW, and other systems a message of their own
+        raise ValueError(f"{str(path)!r} is a link: give the file itself")
+    descriptor = os.open(path, flags)
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise ValueError(f"{str(path)!r} is no regular file: remove it")
+        if status.st_size > largest:
+            raise ValueError(
+                f"{str(path)!r} has {status.st_size:,} bytes; at most {largest:,} are valid"
+            )
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def _chunks(path: Path, largest: int) -> Iterator[bytes]:
+    """The content of a regular file in pieces. A file that grows meanwhile is refused."""
+    size = 0
+    with _opened(path, largest) as descriptor:
+        for chunk in iter(lambda: os.read(descriptor, _CHUNK), b""):
+            size += len(chunk)
+            if size > largest:
+                raise ValueError(f"{str(path)!r} grows: it has more than {largest:,} bytes")
+            yield chunk
+
+
+def foreign_digest(path: Path, largest: int = LARGEST_FILE) -> str:
+    """SHA-256 of a file.
+
+    Args:
+        path: the file.
+        largest: largest size of the file [bytes].
+
+    Raises:
+        OSError: if the file cannot be read.
+        ValueError: if it is no regular file, or too large.
+    """
+    digest = hashlib.sha256()
+    for chunk in _chunks(path, largest):
+        digest.update(chunk)
+    return digest.hexdigest()
+
+
+def foreign_text(path: Path, largest: int = LARGEST_TEXT) -> str:
+    """The text of a file, UTF-8 with or without a byte order mark.
+
+    Args:
+        path: the file.
+        largest: largest size of the file [bytes].
+
+    Raises:
+        OSError: if the file cannot be read.
+        ValueError: if it is no regular file, too large, or of another encoding.
+    """
+    content = b"".join(_chunks(path, largest))
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:  # UTF-16 without a mark decodes, but every other character is a zero
+        raise ValueError(f"{str(path)!r} is not UTF-8 text: save it as UTF-8")
+    return text
+
+
+def foreign_json(text: str) -> Any:
+    """The data of a JSON text: finite numbers that are floats or fit in :data:`DIGITS` digits, at
+    most :data:`DEPTH` levels, and no key twice in an object.
+
+    Raises:
+        ValueError: if the text is no such JSON.
+    """
+    try:
+        data = json.loads(
+            text,
+            parse_int=_integer,
+            parse_float=_finite,
+            parse_constant=_finite,
+            object_pairs_hook=_object,
+        )
+    except RecursionError:
+        raise ValueError(f"JSON with more than {DEPTH} levels") from None
+    _check_depth(data)
+    return data
+
+
+def _integer(text: str) -> int:
+    if len(text) > DIGITS:
+        raise ValueError(f"an integer has {len(text)} digits; at most {DIGITS} are valid")
+    return int(text)
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"the number {text[:DIGITS]} is not finite")
+    return value
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    data = dict(pairs)
+    if len(data) < len(pairs):
+        raise ValueError("an object has a key twice")
+    return data
+
+
+def _check_depth(data: Any) -> None:
+    """Checks the number of levels, without a recursion that the data could exhaust."""
+    level = [data]
+    for _ in range(DEPTH + 1):
+        below: list[Any] = []
+        for value in level:
+            if isinstance(value, dict):
+                below.extend(value.values())
+            elif isinstance(value, list):
+                below.extend(value)
+        if not below:
+            return
+        level = below
+    raise ValueError(f"JSON with more than {DEPTH} levels")
+
+
+def foreign_object(name: str, data: Any) -> dict[str, Any]:
+    """Data that must be an object of JSON.
+
+    Args:
+        name: name of the data in the message.
+        data: the data.
+
+    Raises:
+        ValueError: if it is anything else.
+    """
+    if not isinstance(data, dict):
+        raise ValueError(f"{name} must be an object, not {brief(repr(data))}")
+    return data
+
+
+def foreign_list(name: str, data: Any) -> list[Any]:
+    """Data that must be a list of JSON.
+
+    Args:
+        name: name of the data in the message.
+        data: the data.
+
+    Raises:
+        ValueError: if it is anything else.
+    """
+    if not isinstance(data, list):
+        raise ValueError(f"{name} must be a list, not {brief(repr(data))}")
+    return data
+
+
+def foreign_line(name: str, text: Any, largest: int) -> str:
+    """Data that must be a text of one line with something in it.
+
+    Args:
+        name: name of the text in the message.
+        text: the data.
+        largest: largest number of characters.
+
+    Raises:
+        ValueError: if it is no text, empty, too long, or has characters that cannot be printed,
+            such as those that change the direction of writing.
+    """
+    if not isinstance(text, str) or not text.strip():
+        raise ValueError(f"{name} must be a text that is not empty, not {brief(repr(text))}")
+    if len(text) > largest:
+        raise ValueError(f"{name} has {len(text):,} characters; at most {largest} are valid")
+    if not text.isprintable():
+        raise ValueError(f"{name} must be one line of printable characters, not {text!r}")
+    return text
+
+
+def plain_paths(owned: Path, *, count: int, size: int) -> list[Path]:
+    """A file, or all files below a folder, sorted.
+
+    Args:
+        owned: the file or folder.
+        count: largest number of files and folders.
+        size: largest size of all files together [bytes].
+
+    Raises:
+        OSError: if a folder cannot be read.
+        ValueError: if something is neither a regular file nor a folder, or if a limit is exceeded.
+    """
+    files, waiting, total, number = [], [owned], 0, 0
+    while waiting:
+        path = waiting.pop()
+        status = path.lstat()
+        number += 1
+        if number > count:
+            raise ValueError(f"{str(owned)!r} has more than {count:,} files and folders")
+        if stat.S_ISLNK(status.st_mode):
+            raise ValueError(f"{str(path)!r} is a link: an entry has plain files only")
+        if stat.S_ISDIR(status.st_mode):
+            # one more than the limit suffices to find that it is exceeded
+            for _, child in zip(range(count + 1), path.iterdir(), strict=False):
+                waiting.append(child)
+        elif stat.S_ISREG(status.st_mode):
+            files.append(path)
+            total += status.st_size
+        else:
+            raise ValueError(
+                f"{str(path)!r} is neither a file nor a folder: an entry has plain files only"
+            )
+        if total > size:
+            raise ValueError(f"{str(owned)!r} has more than {size:,} bytes in all its files")
+    return sorted(files)
+
+
+def brief(text: object) -> str:
+    """A text of strangers in one line of printable characters, of bounded length."""
+    words = str(text)[: 4 * _MESSAGE]
+    line = "".join(character if character.isprintable() else " " for character in words)
+    line = " ".join(line.split())
+    if len(line) > _MESSAGE:
+        return line[: _MESSAGE - 1] + "…"
+    return line
