@@ -276,7 +276,9 @@ class ProcessOptions(Options):
     ] = False
     deadline: Annotated[
         float | None,
-        typer.Option(help="Deadline of a call of the isolated policy [s]. The default is 60."),
+        typer.Option(
+            help="Deadline of a call of the isolated policy [s of processor time]. The default is 60."
+        ),
     ] = None
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.isolation.deadlines import DEADLINE, Deadlines
-from cablebot_gym.isolation.process import EndedError, PolicyProcess, plain
+from cablebot_gym.isolation.process import EndedError, PolicyProcess, ProcessorTimeError, plain
 from cablebot_gym.isolation.sandbox import opted_out, prepare_sandbox
 from cablebot_gym.isolation.server import ANSWER, FAILURE, INVALID, LOAD, PREDICT, RESET
 from cablebot_gym.policies.protocol import Array, LoadedPolicy, PolicyError, declarations, say
@@ -45,10 +45,11 @@ class IsolatedPolicy:
     Args:
         name: name of the policy, as on the command line.
         robot: nominal robot.
-        deadline: largest wall-clock time of a call [s]; > 0. Loading, reset and first call for a
+        deadline: largest processor time of a call [s]; > 0. Loading, reset and first call for a
             batch together may take :data:`~cablebot_gym.isolation.deadlines.START_UP` times as
             long, and all calls for all batches :data:`~cablebot_gym.isolation.deadlines.TOTAL`
-            times.
+            times. The elapsed time of each may be
+            :data:`~cablebot_gym.isolation.deadlines.WAITING` times as long.
         real_time: control period after which an action is replaced by the last one of its episode
             [s]; None for no limit. The process of the policy measures the time, so it has to be
             honest. See :class:`~cablebot_gym.policies.adapters.RealTime`.
@@ -197,18 +198,22 @@ class IsolatedPolicy:
         """Body of the answer to a request, see
         :meth:`~cablebot_gym.isolation.process.PolicyProcess.exchange`."""
         assert self._process is not None
-        seconds, limit = self._deadlines.remaining()
+        limits = self._deadlines.remaining()
         started = time.monotonic()
         try:
-            reply_kind, body = self._process.exchange(kind, request, largest, seconds)
+            reply_kind, body = self._process.exchange(
+                kind, request, largest, limits.elapsed, limits.processor
+            )
         except queue.Empty:
-            raise self._failed(f"it did not answer within {limit}") from None
+            raise self._failed(f"it did not answer within {limits.elapsed_words}") from None
+        except ProcessorTimeError:
+            raise self._failed(f"it used more than {limits.processor_words}") from None
         except EndedError as error:
             raise self._failed(str(error)) from None
         except BaseException:  # an interrupt
             self.close()
             raise
-        self._deadlines.wait(time.monotonic() - started)
+        self._deadlines.wait(time.monotonic() - started, self._process.processor_time())
         if reply_kind == ANSWER:
             return body
         content = parse_json(body)

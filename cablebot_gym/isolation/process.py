@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import queue
 import shutil
@@ -10,12 +11,14 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import weakref
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
+from cablebot_gym.isolation.deadlines import ProcessorTime
 from cablebot_gym.isolation.sandbox import sandboxed
 from cablebot_gym.isolation.server import FOLDER, memory_limit, receive_frame, send_frame
 from cablebot_gym.utils.workers import GRACE
@@ -28,6 +31,9 @@ _STDERR = 4096
 
 _LINE = 1200
 """Number of characters of a text of the policy that messages repeat."""
+
+SAMPLING = 0.5
+"""Time between two samples of the processor time [s]."""
 
 _SWEEPS = 20
 """Largest number of searches for processes that a policy has started: they may start others
@@ -75,6 +81,10 @@ _ENVIRONMENT_PREFIXES = (
 name."""
 
 
+class ProcessorTimeError(Exception):
+    """A policy has used more processor time than it may."""
+
+
 class EndedError(Exception):
     """The process of a policy has ended, or what it sent is invalid. The message is the cause as a
     clause."""
@@ -111,6 +121,7 @@ class PolicyProcess:
         self._requests: queue.SimpleQueue[_Request | None] = queue.SimpleQueue()
         self._replies: queue.SimpleQueue[tuple[int, bytes] | None] = queue.SimpleQueue()
         self._stderr = bytearray()
+        self._processor_time = ProcessorTime()
         self._drainer = threading.Thread(
             target=_drain, args=(self._popen.stderr, self._stderr), daemon=True
         )
@@ -124,16 +135,25 @@ class PolicyProcess:
         """Ends the process; also called when the object is collected and when the interpreter
         exits."""
 
-    def exchange(self, kind: int, body: bytes, largest: int, seconds: float) -> tuple[int, bytes]:
+    def exchange(
+        self,
+        kind: int,
+        body: bytes,
+        largest: int,
+        seconds: float,
+        processor: float = math.inf,
+    ) -> tuple[int, bytes]:
         """Kind and body of the reply to a request. The body has at most ``largest`` or :data:`TEXT`
         bytes.
 
         Raises:
             queue.Empty: if there is no reply within ``seconds``.
+            ProcessorTimeError: if the policy uses more than ``processor`` seconds of processor
+                time. Nothing is measured if they are infinite.
             EndedError: if the process has ended, or if the reply is invalid.
         """
         self._requests.put((kind, body, max(largest, TEXT)))
-        reply = self._replies.get(timeout=seconds)
+        reply = self._reply(seconds, processor)
         if reply is not None:
             return reply
         try:
@@ -151,6 +171,32 @@ class PolicyProcess:
         if last_line:
             cause += f"; the last line of its standard error is {last_line!r}"
         raise EndedError(cause)
+
+    def processor_time(self) -> float:
+        """Processor time of the policy since the last question [s], rounded to its samples; 0 where
+        it cannot be measured."""
+        return self._processor_time.report()
+
+    def _reply(self, seconds: float, processor: float) -> tuple[int, bytes] | None:
+        """The next reply, with samples of the processor time while it is awaited."""
+        start = time.monotonic()
+        while True:
+            reply, is_late = None, True
+            remaining = max(start + seconds - time.monotonic(), 0.0)
+            with suppress(queue.Empty):
+                reply = self._replies.get(timeout=min(remaining, SAMPLING))
+                is_late = False
+            now = time.monotonic()
+            # calls can be short, so most of them are between two samples
+            is_due = now - start >= SAMPLING or self._processor_time.is_due(now, SAMPLING)
+            if is_due and not math.isinf(processor):
+                self._processor_time.sample(now, processor_time_of(self._popen.pid))
+                if self._processor_time.unreported > processor:
+                    raise ProcessorTimeError
+            if not is_late:
+                return reply
+            if now - start >= seconds:
+                raise queue.Empty
 
 
 _Request = tuple[int, bytes, int]
@@ -228,6 +274,33 @@ def _processes_of(number: int) -> list[int]:
             if limit in path.read_text(encoding="ascii"):
                 processes.append(int(path.parent.name))
     return processes
+
+
+def processor_time_of(number: int) -> float:
+    """Processor time of the policy's process with a number [s]: its own, that of all processes
+    below it, and that of those which have left it but have its limit of memory (Linux; 0
+    elsewhere). Ended processes count if their parent has waited for them."""
+    if not sys.platform.startswith("linux"):
+        return 0.0
+    times: dict[int, int] = {}
+    children: dict[int, list[int]] = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        # a process can end meanwhile
+        with suppress(OSError, ValueError, IndexError):
+            # the name of the program, in parentheses, can hold spaces and parentheses
+            fields = path.read_bytes().rpartition(b")")[2].split()
+            process, parent = int(path.parent.name), int(fields[1])
+            times[process] = sum(map(int, fields[11:15]))  # user and system, own and of children
+            children.setdefault(parent, []).append(process)
+    counted: set[int] = set()
+    waiting = [number, *_processes_of(number)]
+    while waiting:
+        process = waiting.pop()
+        if process not in counted:
+            counted.add(process)
+            waiting += children.get(process, [])
+    ticks = sum(times.get(process, 0) for process in counted)
+    return ticks / os.sysconf("SC_CLK_TCK")
 
 
 def plain(text: object) -> str:

@@ -288,8 +288,13 @@ def to_floats(returned: Any) -> Array:
     """Copies actions to an array of floats.
 
     Raises:
-        ValueError: if the actions are not real numbers. The message names their type.
+        ValueError: if the actions are not real numbers: text, booleans, or an array with a mask,
+            whose hidden numbers would become actions. The message names their type.
     """
+    if isinstance(returned, np.ma.MaskedArray):
+        raise ValueError(
+            "a masked array instead of real numbers; fill it, as with action.filled(0.0)"
+        )
     try:
         values = np.asarray(returned)
     except KeyboardInterrupt:
@@ -297,9 +302,12 @@ def to_floats(returned: Any) -> Array:
     except BaseException as error:  # rows of different lengths, a tensor with gradients
         cause = raised(error, "its conversion raised")
         raise ValueError(f"{type(returned).__name__} instead of real numbers: {cause}") from error
-    if values.dtype.kind not in "biuf":
+    if values.dtype.kind not in "iuf":
+        advice = ""
+        if values.dtype.kind == "b":
+            advice = "; actions are torques over the limits, from -1 to 1"
         raise ValueError(
-            f"{type(returned).__name__} of type {values.dtype} instead of real numbers"
+            f"{type(returned).__name__} of type {values.dtype} instead of real numbers{advice}"
         )
     return values.astype(float)
 

@@ -343,6 +343,18 @@ def saturating(law, action):
 
 
 @policy(acts=True)
+def booleans(law, action):
+    """returns whether each action is positive, as booleans"""
+    return action > 0
+
+
+@policy(acts=True)
+def masked(law, action):
+    """returns a masked array in which the actions beyond ±1 are masked"""
+    return np.ma.masked_outside(action, -1, 1)
+
+
+@policy(acts=True)
 def large_actions(law, action):
     """requests 1,000 times the torque where the motors saturate, to get it within the control
     period"""
@@ -402,6 +414,22 @@ def hangs(law, action):
 def hangs_in_reset(law, tasks):
     """never returns from reset()"""
     threading.Event().wait()
+
+
+@policy(once=True)
+def many_processes(law, action):
+    """computes for 4 s in four processes at once, with a deadline of 2 s"""
+    children = []
+    for _ in range(4):
+        child = os.fork()
+        if child == 0:
+            start = time.process_time()
+            while time.process_time() - start < 1:
+                pass
+            os._exit(0)
+        children.append(child)
+    for child in children:
+        os.waitpid(child, 0)
 
 
 @policy(once=True)

@@ -19,6 +19,7 @@ FOLDER = Path(__file__).parent
 sys.path.append(str(FOLDER))
 
 import cheats  # noqa: E402
+from hostile_entries import HOSTILE_ENTRIES  # noqa: E402
 
 ENV_ID = "CableBot-Spatial-v0"
 UNKNOWN = ("--payload-unknown",)
@@ -86,6 +87,10 @@ ATTACKS = (
         now=SCORED,
         before="4.59 kg (honest: 1.77 kg)",
     ),
+    Attack(
+        "booleans", 1, "of type bool instead of real numbers", before="fails unloaded", fast=True
+    ),
+    Attack("masked", 1, "a masked array instead of real numbers", before="4.40 kg", fast=True),
     Attack("large_actions", before="4.03 kg"),
     Attack("lets_go", before="4.03 kg"),
     Attack("noisy", 1, REPEATS, before="3.92 kg", fast=True),
@@ -97,15 +102,22 @@ ATTACKS = (
     Attack(
         "hangs",
         1,
-        "it did not answer within 2 s, the deadline of a call",
+        "it used more than 2 s of processor time, the deadline of a call",
         DEADLINE,
         before="the run never ended",
     ),
     Attack(
-        "hangs_in_reset", 1, "it did not answer within 20 s", DEADLINE, before="the run never ended"
+        "hangs_in_reset", 1, "it did not answer within 60 s", DEADLINE, before="the run never ended"
     ),
     Attack(
-        "stops_itself", 1, "it did not answer within 2 s", DEADLINE, before="the run never ended"
+        "many_processes",
+        1,
+        "it used more than 2 s of processor time, the deadline of a call",
+        DEADLINE,
+        before="refused by the clock on two processors",
+    ),
+    Attack(
+        "stops_itself", 1, "it did not answer within 6 s", DEADLINE, before="the run never ended"
     ),
     Attack("sys_exit", 1, "it raised SystemExit: 0", before=STATUS_0, fast=True),
     Attack("exit_in_factory", 1, "the factory raised SystemExit: 0", before=STATUS_0, fast=True),
@@ -209,6 +221,14 @@ These policies do what only a sandbox closes. Each fails with a message when its
 """
 
 
+ENTRIES_HEAD = """\
+An [entry](submit.md) is a folder that strangers have made. Each of these folders ended or misled a run of
+`cablebot benchmark --entries`. Now the sizes are checked before anything is read, and only regular files are opened. An
+invalid entry costs itself only: the leaderboard names it with the reason, and the others run. The column *before* was
+measured at commit d241351, with 8 GiB of memory.
+"""
+
+
 def _what(attack):
     """What the policy of an attack does, in one line."""
     return " ".join(getattr(cheats, attack.name).__doc__.split())
@@ -231,6 +251,10 @@ def page():
     lines.append("|---|---|---|")
     for attack in SANDBOXED:
         lines.append(f"| {_what(attack)} | “{attack.now}” | {Attack.now} |")
+    lines += ["", "## Files of entries", "", ENTRIES_HEAD]
+    lines += ["| the entry … | before, the run | now, the entry is invalid |", "|---|---|---|"]
+    for hostile in HOSTILE_ENTRIES:
+        lines.append(f"| {hostile.change.__doc__} | {hostile.before} | “{hostile.now}” |")
     return "\n".join(lines) + "\n"
 
 

@@ -2,9 +2,12 @@
 tests/cli."""
 
 import json
+import shutil
+import sys
 from dataclasses import replace
 
 import pytest
+from attacks.hostile_entries import HOSTILE_ENTRIES
 
 from cablebot_gym.benchmark import entries, suites
 from cablebot_gym.benchmark.board import policy_digest
@@ -155,6 +158,22 @@ def test_tampered_folder_is_refused(entry, tamper, message):
     tamper(entry)
     with pytest.raises(ValueError, match=message):
         check_entry(entry)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes and links have names on POSIX")
+@pytest.mark.parametrize("hostile", HOSTILE_ENTRIES, ids=lambda hostile: hostile.name)
+def test_hostile_entry_is_invalid_and_costs_itself_only(entry, hostile):
+    """Before, it ended or misled the run of all entries."""
+    honest = entry.with_name("honest")
+    shutil.copytree(entry, honest)
+    edit(honest, {"name": "honest"})
+    hostile.change(entry)
+    valid, invalid = find_entries(entry.parent)
+    assert list(valid) == [str(honest)]
+    (reason,) = invalid.values()
+    assert hostile.now in reason
+    assert len(reason) <= 400
+    assert "".join(invalid).isascii()
 
 
 FALSE_CLAIMS = {

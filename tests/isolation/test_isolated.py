@@ -10,15 +10,18 @@ import re
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from clock import HANG, Clock, wait_until
 
-from cablebot_gym.isolation import IsolatedPolicy, isolated
-from cablebot_gym.isolation.deadlines import TOTAL
+from cablebot_gym.isolation import IsolatedPolicy, isolated, process
+from cablebot_gym.isolation.deadlines import TOTAL, WAITING, ProcessorTime
+from cablebot_gym.isolation.process import ProcessorTimeError, processor_time_of
 from cablebot_gym.isolation.server import ANSWER, LOAD
 from cablebot_gym.policies import PolicyError
 from cablebot_gym.robots import SPATIAL
@@ -166,17 +169,27 @@ def test_processes_of_a_policy_end_when_it_is_collected(spec):
 
 
 class Timed:
-    """Stands for the process of a policy, whose answers take the given times."""
+    """Stands for the process of a policy, whose answers take the given times.
 
-    def __init__(self, clock, times):
+    A computing policy has half of a processor, and a sleeping one none.
+    """
+
+    def __init__(self, clock, times, *, computes):
         self.clock, self.times = clock, times
+        self.processors = 0.5 if computes else 0.0
 
-    def exchange(self, kind, body, largest, seconds):
+    def exchange(self, kind, body, largest, seconds, processor):
         needed = next(self.times)
+        self.used = self.processors * min(needed, seconds)
         self.clock.sleep(min(needed, seconds))
+        if self.used > processor:
+            raise ProcessorTimeError
         if needed > seconds:
             raise queue.Empty
         return ANSWER, b"{}" if kind == LOAD else bytes(largest)
+
+    def processor_time(self):
+        return self.used
 
     def end(self):
         pass
@@ -190,32 +203,97 @@ def ask_for_batches(count, deadline):
         policy.predict(np.zeros(3))
 
 
-@pytest.mark.parametrize(
-    ("times", "message"),
-    [
-        ({"load": 11.0}, "10 s, the deadline of loading, reset() and the first call"),
-        (
-            {"load": 4.0, "reset": 4.0, "first": 3.0},
-            "10 s, the deadline of loading, reset() and the first call",
-        ),
-        ({"load": 4.0, "reset": 4.0, "first": 1.0, "second": 1.5}, "1 s, the deadline of a call"),
-        # Each batch has a fresh process, but not a fresh deadline.
-        (
-            {"load": 9.0, "reset": 0.5, "first": 0.4, "second": 0.9},
-            "240 s, the deadline of all calls together",
-        ),
-    ],
-)
-def test_late_answer_raises(monkeypatch, times, message):
+START = "loading, reset() and the first call"
+LATE = [
+    ({"load": 22.0}, True, f"used more than 10 s of processor time, the deadline of {START}"),
+    (
+        {"load": 8.0, "reset": 8.0, "first": 6.0},
+        True,
+        f"used more than 10 s of processor time, the deadline of {START}",
+    ),
+    ({"second": 2.5}, True, "used more than 1 s of processor time, the deadline of a call"),
+    # Each batch has a fresh process, but not a fresh budget.
+    (
+        {"load": 15.0, "reset": 1.0, "first": 1.0, "second": 1.8},
+        True,
+        "used more than 60 s of processor time, the deadline of all calls together",
+    ),
+    ({"load": 31.0}, False, f"did not answer within 30 s, 3 times the deadline of {START}"),
+    ({"second": 3.1}, False, "did not answer within 3 s, 3 times the deadline of a call"),
+    (
+        {"load": 27.0, "second": 2.9},
+        False,
+        "did not answer within 180 s, 3 times the deadline of all calls together",
+    ),
+]
+
+
+@pytest.mark.parametrize(("times", "computes", "message"), LATE)
+def test_policy_that_computes_or_sleeps_for_too_long_raises(monkeypatch, times, computes, message):
     clock = Clock()
     needed = itertools.cycle(
         [times.get(call, 0.0) for call in ("load", "reset", "first", "second")]
     )
     monkeypatch.setattr(isolated, "time", clock)
-    monkeypatch.setattr(isolated, "PolicyProcess", lambda names: Timed(clock, needed))
-    with pytest.raises(PolicyError, match=re.escape(f"it did not answer within {message}")):
+    monkeypatch.setattr(
+        isolated, "PolicyProcess", lambda names: Timed(clock, needed, computes=computes)
+    )
+    with pytest.raises(PolicyError, match=re.escape(f"it {message}")):
         ask_for_batches(100, deadline=1.0)
-    assert clock.now <= TOTAL
+    assert clock.now <= WAITING * TOTAL
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_processor_time_of_ended_and_running_children_counts():
+    burn = "import time\nwhile time.process_time() < 0.3: pass\n"
+    before = processor_time_of(os.getpid())
+    subprocess.run([sys.executable, "-c", burn], check=True)
+    running = subprocess.Popen(
+        [sys.executable, "-c", burn + "print(flush=True); input()"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
+    running.stdout.readline()
+    assert processor_time_of(os.getpid()) - before >= 0.55
+    running.communicate(b"\n")
+
+
+@pytest.mark.parametrize("is_endless", [False, True])
+def test_processor_time_is_sampled_while_an_answer_is_awaited(monkeypatch, is_endless):
+    """Between samples short calls cost nothing; a long one is stopped before it answers."""
+    clock = Clock()
+    waits = []
+
+    class Replies:
+        def get(self, timeout):
+            clock.sleep(timeout if is_endless else 0.1)
+            waits.append(clock.now)
+            if is_endless:
+                raise queue.Empty
+            return ANSWER, b""
+
+    samples = []
+
+    def sampled(number):
+        samples.append(clock.now)
+        return clock.now
+
+    monkeypatch.setattr(process, "time", clock)
+    monkeypatch.setattr(process, "processor_time_of", sampled)
+    awaited = SimpleNamespace(
+        _replies=Replies(), _processor_time=ProcessorTime(), _popen=SimpleNamespace(pid=1)
+    )
+    reply = partial(process.PolicyProcess._reply, awaited, 100.0, 2.0)
+    if is_endless:
+        with pytest.raises(ProcessorTimeError):
+            reply()
+        assert clock.now == 2.0 + process.SAMPLING
+        return
+    for _ in range(20):
+        assert reply() == (ANSWER, b"")
+        awaited._processor_time.report()
+    assert len(samples) == 4
 
 
 @pytest.mark.slow
