@@ -19,9 +19,12 @@ TOTAL = 60
 """Budget of all calls of an evaluation together, so of a cell of the benchmark, in deadlines of a
 call."""
 
-WAITING = 3
-"""Largest elapsed time, in units of the same limit of processor time. It ends policies that sleep,
-and is long enough for a busy machine."""
+WAITING = 10
+"""Largest elapsed time of a call or of the start, in units of the same limit of processor time. It
+ends policies that sleep, and is long enough for a busy machine."""
+
+WAITING_FOR_ALL = 2
+"""The same of all calls together."""
 
 
 class Limits(NamedTuple):
@@ -41,11 +44,13 @@ class _Time:
     """Time of one kind for which a policy has been waited for.
 
     Args:
-        deadline: largest time of a call [s].
+        deadline: largest processor time of a call [s].
+        call: factor of the limits of a call and of the start.
+        everything: factor of the limit of all calls together.
     """
 
-    def __init__(self, deadline: float) -> None:
-        self._deadline = deadline
+    def __init__(self, deadline: float, *, call: int = 1, everything: int = 1) -> None:
+        self._deadline, self._call, self._all = deadline, call, everything
         self._total = self._process = 0.0
 
     def start_process(self) -> None:
@@ -57,19 +62,25 @@ class _Time:
         self._total += seconds
         self._process += seconds
 
-    def remaining(self, *, started_up: bool) -> tuple[float, str, str]:
-        """Time that the next answer may take [s], its limit and the calls under it in words."""
-        total = TOTAL * self._deadline
-        start_up = START_UP * self._deadline
-        limits = [(total - self._total, total, "all calls together")]
+    def remaining(self, *, started_up: bool) -> tuple[float, float, str]:
+        """Time that the next answer may take [s], its limit [s], and the deadline in words."""
+        total = self._all * TOTAL * self._deadline
+        limits = [(total - self._total, total, _words(self._all, "all calls together"))]
         if started_up:
-            limits.append((self._deadline, self._deadline, "a call"))
+            longest = self._call * self._deadline
+            limits.append((longest, longest, _words(self._call, "a call")))
         else:
-            limits.append(
-                (start_up - self._process, start_up, "loading, reset() and the first call")
-            )
-        seconds, limit, calls = min(limits)
-        return max(seconds, 0.0), f"{limit:g} s", f"the deadline of {calls}"
+            longest = self._call * START_UP * self._deadline
+            calls = _words(self._call, "loading, reset() and the first call")
+            limits.append((longest - self._process, longest, calls))
+        seconds, limit, words = min(limits)
+        return max(seconds, 0.0), limit, words
+
+
+def _words(factor: int, calls: str) -> str:
+    if factor == 1:
+        return f"the deadline of {calls}"
+    return f"{factor} times the deadline of {calls}"
 
 
 class Deadlines:
@@ -84,7 +95,8 @@ class Deadlines:
 
     def __init__(self, deadline: float) -> None:
         deadline = number("deadline", deadline, above=0, unit="s")
-        self._processor, self._elapsed = _Time(deadline), _Time(WAITING * deadline)
+        self._processor = _Time(deadline)
+        self._elapsed = _Time(deadline, call=WAITING, everything=WAITING_FOR_ALL)
         self._started_up = False
 
     def start_process(self) -> None:
@@ -109,8 +121,8 @@ class Deadlines:
         return Limits(
             processor=processor,
             elapsed=elapsed,
-            processor_words=f"{allowed} of processor time, {calls}",
-            elapsed_words=f"{longest}, {WAITING} times {waiting}",
+            processor_words=f"{allowed:g} s of processor time, {calls}",
+            elapsed_words=f"{longest:g} s, {waiting}",
         )
 
 

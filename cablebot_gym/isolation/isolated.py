@@ -48,8 +48,9 @@ class IsolatedPolicy:
         deadline: largest processor time of a call [s]; > 0. Loading, reset and first call for a
             batch together may take :data:`~cablebot_gym.isolation.deadlines.START_UP` times as
             long, and all calls for all batches :data:`~cablebot_gym.isolation.deadlines.TOTAL`
-            times. The elapsed time of each may be
-            :data:`~cablebot_gym.isolation.deadlines.WAITING` times as long.
+            times. The elapsed time may be :data:`~cablebot_gym.isolation.deadlines.WAITING` times
+            as long, that of all calls
+            :data:`~cablebot_gym.isolation.deadlines.WAITING_FOR_ALL` times.
         real_time: control period after which an action is replaced by the last one of its episode
             [s]; None for no limit. The process of the policy measures the time, so it has to be
             honest. See :class:`~cablebot_gym.policies.adapters.RealTime`.

@@ -26,6 +26,7 @@ UNKNOWN = ("--payload-unknown",)
 NOISE = ("--uncertainty", json.dumps(cheats.NOISE), "--draws", "1")
 NOISE_DRAWS = (*NOISE[:-1], "64")
 DEADLINE = ("--deadline", "2")
+SHORT_DEADLINE = ("--deadline", "0.5")
 RESOLUTION = 0.01
 
 
@@ -107,7 +108,11 @@ ATTACKS = (
         before="the run never ended",
     ),
     Attack(
-        "hangs_in_reset", 1, "it did not answer within 60 s", DEADLINE, before="the run never ended"
+        "hangs_in_reset",
+        1,
+        "it did not answer within 50 s",
+        SHORT_DEADLINE,
+        before="the run never ended",
     ),
     Attack(
         "many_processes",
@@ -117,7 +122,7 @@ ATTACKS = (
         before="refused by the clock on two processors",
     ),
     Attack(
-        "stops_itself", 1, "it did not answer within 6 s", DEADLINE, before="the run never ended"
+        "stops_itself", 1, "it did not answer within 20 s", DEADLINE, before="the run never ended"
     ),
     Attack("sys_exit", 1, "it raised SystemExit: 0", before=STATUS_0, fast=True),
     Attack("exit_in_factory", 1, "the factory raised SystemExit: 0", before=STATUS_0, fast=True),

@@ -116,7 +116,7 @@ def test_second_run_computes_nothing_and_gives_the_same_bytes(benchmark, best, m
 CAUSES = {
     "ends": "its process ended with exit status 0",
     "killed": "its process was ended by SIGKILL",
-    "hangs": "it did not answer within 6 s",
+    "hangs": "it did not answer within 10 s",
 }
 """Why each toy policy whose process ends or hangs fails."""
 
@@ -141,7 +141,7 @@ def test_policy_that_fails_costs_its_own_cells_only(benchmark, best, toys):
 def test_policy_whose_process_fails_costs_its_own_cells_only(
     isolated_benchmark, best, toys, monkeypatch
 ):
-    monkeypatch.setitem(IsolatedPolicy.__init__.__kwdefaults__, "deadline", 2.0)
+    monkeypatch.setitem(IsolatedPolicy.__init__.__kwdefaults__, "deadline", 1.0)
     check_failures(isolated_benchmark(policies=",".join([*map(toys, CAUSES), "fl"])), toys, CAUSES)
 
 

@@ -20,7 +20,7 @@ import pytest
 from clock import HANG, Clock, wait_until
 
 from cablebot_gym.isolation import IsolatedPolicy, isolated, process
-from cablebot_gym.isolation.deadlines import TOTAL, WAITING, ProcessorTime
+from cablebot_gym.isolation.deadlines import TOTAL, WAITING_FOR_ALL, ProcessorTime
 from cablebot_gym.isolation.process import ProcessorTimeError, processor_time_of
 from cablebot_gym.isolation.server import ANSWER, LOAD
 from cablebot_gym.policies import PolicyError
@@ -171,12 +171,12 @@ def test_processes_of_a_policy_end_when_it_is_collected(spec):
 class Timed:
     """Stands for the process of a policy, whose answers take the given times.
 
-    A computing policy has half of a processor, and a sleeping one none.
+    A computing policy uses a processor, and a sleeping one none.
     """
 
     def __init__(self, clock, times, *, computes):
         self.clock, self.times = clock, times
-        self.processors = 0.5 if computes else 0.0
+        self.processors = 1.0 if computes else 0.0
 
     def exchange(self, kind, body, largest, seconds, processor):
         needed = next(self.times)
@@ -204,26 +204,23 @@ def ask_for_batches(count, deadline):
 
 
 START = "loading, reset() and the first call"
+COMPUTES_TOO_LONG = f"used more than 10 s of processor time, the deadline of {START}"
 LATE = [
-    ({"load": 22.0}, True, f"used more than 10 s of processor time, the deadline of {START}"),
-    (
-        {"load": 8.0, "reset": 8.0, "first": 6.0},
-        True,
-        f"used more than 10 s of processor time, the deadline of {START}",
-    ),
-    ({"second": 2.5}, True, "used more than 1 s of processor time, the deadline of a call"),
+    ({"load": 11.0}, True, COMPUTES_TOO_LONG),
+    ({"load": 4.0, "reset": 4.0, "first": 3.0}, True, COMPUTES_TOO_LONG),
+    ({"second": 1.5}, True, "used more than 1 s of processor time, the deadline of a call"),
     # Each batch has a fresh process, but not a fresh budget.
     (
-        {"load": 15.0, "reset": 1.0, "first": 1.0, "second": 1.8},
+        {"load": 9.0, "reset": 0.5, "first": 0.4, "second": 0.9},
         True,
         "used more than 60 s of processor time, the deadline of all calls together",
     ),
-    ({"load": 31.0}, False, f"did not answer within 30 s, 3 times the deadline of {START}"),
-    ({"second": 3.1}, False, "did not answer within 3 s, 3 times the deadline of a call"),
+    ({"load": 101.0}, False, f"did not answer within 100 s, 10 times the deadline of {START}"),
+    ({"second": 10.1}, False, "did not answer within 10 s, 10 times the deadline of a call"),
     (
         {"load": 27.0, "second": 2.9},
         False,
-        "did not answer within 180 s, 3 times the deadline of all calls together",
+        "did not answer within 120 s, 2 times the deadline of all calls together",
     ),
 ]
 
@@ -240,7 +237,7 @@ def test_policy_that_computes_or_sleeps_for_too_long_raises(monkeypatch, times, 
     )
     with pytest.raises(PolicyError, match=re.escape(f"it {message}")):
         ask_for_batches(100, deadline=1.0)
-    assert clock.now <= WAITING * TOTAL
+    assert clock.now <= WAITING_FOR_ALL * TOTAL
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
