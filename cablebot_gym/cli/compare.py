@@ -62,6 +62,7 @@ def compare(
         Path | None, typer.Option(help="Folder for comparison.json and comparison.png.")
     ] = None,
     as_json: options.Json = False,
+    process: options.ProcessOptions,
 ) -> None:
     """Compare the errors, torques and margins of several policies over the same draws, with one or
     more payloads.
@@ -86,7 +87,9 @@ def compare(
     names = options.split_names(policies)
     robot = options.robot_of(env_id, episode)
     options.note_unsupported(names, env_id)
-    loaded = options.loaded_policies(names, robot, episode.wrappers)
+    loaded = options.loaded_policies(names, robot, episode.wrappers, process)
+    has_isolated = any(policy.isolated for policy in loaded)
+    episode = options.with_seed(episode, is_secret=has_isolated)
     common: dict[str, Any] = {"draws": draws, "progress": True, **episode.keywords()}
     comparison: Comparison | PayloadComparison
     if payloads is not None:
@@ -103,6 +106,8 @@ def compare(
         print_payload_comparison(comparison)
     else:
         print_comparison(comparison)
+    if has_isolated and not as_json:
+        print(f"seed {episode.seed}")
 
 
 def _write(comparison: Comparison | PayloadComparison, folder: Path) -> None:
@@ -155,6 +160,7 @@ def print_payload_comparison(comparison: PayloadComparison) -> None:
             payload = ""
     print_table(_title(lightest), rows)
     _print_notes(all_metrics)
+    _note_unprotected(lightest)
 
 
 def _columns(comparison: Comparison) -> list[tuple[str, str, float]]:
@@ -184,6 +190,13 @@ def print_comparison(comparison: Comparison) -> None:
             changes.append(f"{name.replace('_', ' ')} {change}")
         print(f"{metrics.policy} against {reference.policy}: {', '.join(changes)}")
     _print_notes(comparison.metrics)
+    _note_unprotected(comparison)
+
+
+def _note_unprotected(comparison: Comparison) -> None:
+    """Prints a note about policies that could change the evaluation."""
+    if comparison.unprotected:
+        print(f"not isolated: {', '.join(comparison.unprotected)}: {options.NOT_ISOLATED}")
 
 
 def _title(comparison: Comparison, payload: str = "") -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import secrets
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -114,8 +113,8 @@ def dlcc(
     folders = {name: _folder(out, name, names) for name in names}
     for folder in folders.values():
         options.check_figure_folder(folder, "result.json")
-    if episode.seed is None and process.isolate:
-        episode = replace(episode, seed=secrets.randbits(options.SEED_BITS))
+    has_isolated = any(process.isolates(name, episode.wrappers) for name in names)
+    episode = options.with_seed(episode, is_secret=has_isolated)
     robot = options.robot_of(env_id, episode)
     policies = []
     for name in names:
@@ -134,7 +133,7 @@ def dlcc(
             _print_results(results, loaded, episode, search)
     if as_json:
         print(_json(data))
-    elif process.isolate:
+    elif has_isolated:
         print(f"seed {episode.seed}")
 
 
@@ -249,6 +248,8 @@ def _title(result: DLCCResult) -> str:
         words.append("stochastic policy")
     if not result.ranked:
         words.append("unranked")
+    if not result.protected:
+        words.append("not isolated")
     return ", ".join(words)
 
 
@@ -291,6 +292,8 @@ def _notes(results: list[DLCCResult]) -> list[str]:
         )
     if not score.ranked:
         notes.append("unranked: a bisection tries few payloads and can miss a failure between them")
+    if not score.protected:
+        notes.append(f"not isolated: {options.NOT_ISOLATED}")
     if score.assured is not None:
         if any(result.payload is not None for result in results):
             notes.append(f"payload: {score.assurance}")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import secrets
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -68,6 +69,11 @@ Json = Annotated[bool, typer.Option("--json", help="Print only JSON.")]
 
 SEED_BITS = 53
 """Number of bits of a secret seed: every JSON parser reads such integers exactly."""
+
+NOT_ISOLATED = (
+    "the policy could change its evaluation; leave --no-isolate out for a score that holds"
+)
+"""Note about a policy that is neither isolated nor shipped."""
 
 LEAST_BOUND = 0.1
 """Least valid error bound [mm, mrad]. A smaller value is probably in metres or radians."""
@@ -231,8 +237,8 @@ class EpisodeOptions(TaskOptions):
         int | None,
         typer.Option(
             help=(
-                "Seed of the environments. The default is 0; with `dlcc --isolate`, a secret number that is printed "
-                "after the evaluation."
+                "Seed of the environments. The default is 0; in `dlcc` and `compare` with an isolated policy, a secret "
+                "number that is printed after the evaluation."
             )
         ),
     ] = None
@@ -261,12 +267,17 @@ class ProcessOptions(Options):
     title: ClassVar[str] = "Process of the policy"
 
     isolate: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--isolate",
-            help="Run the policy in a process of its own, which gets only observations and tasks.",
+            "--isolate/--no-isolate",
+            help=(
+                "Run the policy in a process of its own, which gets only observations and tasks. The default "
+                "isolates every policy that is not shipped with this project, and every one with a wrapper. "
+                "--no-isolate trusts the policy, and marks its result."
+            ),
+            show_default=False,
         ),
-    ] = False
+    ] = None
     sandbox: Annotated[
         bool,
         typer.Option(
@@ -280,6 +291,14 @@ class ProcessOptions(Options):
             help="Deadline of a call of the isolated policy [s of processor time]. The default is 60."
         ),
     ] = None
+
+    def isolates(self, name: str, wrappers: Sequence[str] = ()) -> bool:
+        """Whether a policy with a name and its wrappers runs in a process of its own."""
+        from cablebot_gym.policies import PolicySpec
+
+        if self.isolate is not None:
+            return self.isolate
+        return bool(wrappers) or not PolicySpec.parse(name).shipped
 
 
 def fitting_id(env_id: str | None, robot: str | None) -> str:
@@ -297,6 +316,13 @@ def fitting_id(env_id: str | None, robot: str | None) -> str:
             f"give an environment id, one of {', '.join(ENV_IDS)}, or a robot with --robot"
         )
     return fitting_env_id(robot)
+
+
+def with_seed(episode: EpisodeOptions, *, is_secret: bool) -> EpisodeOptions:
+    """The options with a secret seed if they have none and a policy is isolated."""
+    if episode.seed is None and is_secret:
+        return replace(episode, seed=secrets.randbits(SEED_BITS))
+    return episode
 
 
 def command_again(command: str, *arguments: object, episode: EpisodeOptions, **options: Any) -> str:
@@ -376,16 +402,17 @@ def loaded_policy(
     wrappers: Sequence[str] = (),
     process: ProcessOptions = ProcessOptions(),
 ) -> LoadedPolicy:
-    """The policy with a name, made for a robot, in a process of its own with ``--isolate``.
+    """The policy with a name, made for a robot, in a process of its own where the options ask for
+    it.
 
     Raises:
-        ValueError: if the policy cannot be loaded, or if there is a deadline or a sandbox without
-            ``--isolate``.
+        ValueError: if the policy cannot be loaded, or if there is a deadline or a sandbox for a
+            policy that is not isolated.
     """
     from cablebot_gym.isolation import IsolatedPolicy
     from cablebot_gym.policies import load
 
-    if process.isolate:
+    if process.isolates(name, wrappers):
         limits = {} if process.deadline is None else {"deadline": process.deadline}
         isolated = IsolatedPolicy(name, robot, sandbox=process.sandbox, wrappers=wrappers, **limits)
         return isolated.loaded
@@ -400,9 +427,14 @@ def loaded_policy(
     return load(name, robot, wrappers=wrappers)
 
 
-def loaded_policies(names: list[str], robot: Robot, wrappers: Sequence[str]) -> list[LoadedPolicy]:
-    """The policies with these names, made for a robot. The wrappers apply to those that are not
-    installed.
+def loaded_policies(
+    names: list[str],
+    robot: Robot,
+    wrappers: Sequence[str],
+    process: ProcessOptions = ProcessOptions(isolate=False),
+) -> list[LoadedPolicy]:
+    """The policies with these names, made for a robot, by default in this process. The wrappers
+    apply to those that are not installed.
 
     Raises:
         ValueError: if a policy cannot be loaded, or if there are wrappers and only installed
@@ -418,7 +450,7 @@ def loaded_policies(names: list[str], robot: Robot, wrappers: Sequence[str]) -> 
     policies = []
     for name, is_installed in zip(names, installed, strict=True):
         layers = () if is_installed else wrappers
-        policies.append(loaded_policy(name, robot, wrappers=layers))
+        policies.append(loaded_policy(name, robot, wrappers=layers, process=process))
     return policies
 
 

@@ -12,7 +12,9 @@ from cablebot_gym.cli.options import (
     FittingEnvId,
     Payload,
     PolicyName,
+    ProcessOptions,
     fitting_id,
+    loaded_policy,
     robot_of,
 )
 
@@ -25,6 +27,7 @@ def rollout(
     episode: EpisodeOptions,
     payload: Payload = None,
     criterion: Annotated[str, typer.Option(help="Success criterion: task or paper.")] = "task",
+    process: ProcessOptions,
 ) -> None:
     """Run one episode of a policy and record every control step in a file.
 
@@ -44,12 +47,12 @@ def rollout(
     robot = robot_of(env_id, episode)
     if payload is None:
         payload = robot.defaults.payload(0.0)
+    loaded = loaded_policy(policy, robot, wrappers=episode.wrappers, process=process)
     record = record_rollout(
-        policy,
+        loaded,
         env_id,
         payload=payload,
         criterion=criterion,
-        wrappers=episode.wrappers,
         progress=True,
         **episode.keywords(),
     )
@@ -58,6 +61,8 @@ def rollout(
     outcome = "carried"
     if not verdict.carried:
         outcome = f"not carried: {verdict.violation}"
+    if not (loaded.isolated or loaded.shipped):
+        outcome += ", not isolated"
     if record.reason:
         outcome += f" (ended early: {record.reason})"
     print(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Judge, Verdict, Violation
-from cablebot_gym.evaluation.statistics import plausible_successes
+from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE
 from cablebot_gym.policies import LoadedPolicy, PolicyError, Wrapper, load
@@ -39,8 +39,12 @@ DEFAULT_DRAWS = 512
 stochastic policy."""
 
 ALONE = 12
-"""Largest number of fresh draws that try a payload alone in their batch. Each costs the start of an
-isolated policy."""
+"""Largest number of fresh draws that try a payload of a reproducible policy alone in their batch.
+Each costs the start of an isolated policy."""
+
+STOCHASTIC_ALONE = fewest_draws(0.95, 0.95)
+"""Least number of fresh draws that try a payload of a stochastic policy alone in their batch. Its
+episodes cannot be compared with repetitions, so these draws have to assure the payload."""
 
 RISK = 1e-4
 """Risk of :func:`~cablebot_gym.evaluation.statistics.plausible_successes` of these draws."""
@@ -178,8 +182,9 @@ def derived_seeds(sequence: np.random.SeedSequence, count: int) -> list[int]:
 class Batch:
     """Rolls out payloads and draws with one policy in vector environments.
 
-    The judge's task is read once, before the policy is loaded, and the policy receives copies. That
-    protects against mistakes: a policy in this process can read and change everything. Only
+    The judge's task is read once, before the policy is loaded, and the policy receives copies. The
+    judge and the limits are bound when their modules are imported. That protects against mistakes:
+    a policy in this process can read and change everything. Only
     :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy` stops a policy that wants to cheat.
 
     Args:
@@ -193,6 +198,8 @@ class Batch:
     Raises:
         ValueError: if the policy does not fit the conditions.
     """
+
+    _judge = Judge  # bound here: a policy in this process can replace the name in the module
 
     def __init__(
         self,
@@ -331,7 +338,7 @@ class Batch:
                 "noise_seed": [noise_seed(seed, payload) for payload, seed in group],
             }
             observation, info = env.reset(seed=[seed for _, seed in group], options=options)
-            judge = Judge(self.conditions.criterion, self.task.robot.cables, len(group))
+            judge = self._judge(self.conditions.criterion, self.task.robot.cables, len(group))
             judge.reset(info, self.task)
             if observer is not None:
                 observer.start(env, observation, info)
@@ -363,15 +370,42 @@ class Batch:
             PolicyError: if fewer than the plausible number of :data:`ALONE` draws carry it.
         """
         required = plausible_successes(carried, self.draws, ALONE, RISK)
-        alone = 0
-        for seed in derived_seeds(np.random.SeedSequence(), ALONE):
-            if alone == required:
-                return
-            alone += self.run([(payload, seed)], count=count)[0].carried
-        if alone < required:
-            text = f"{payload:.3f} kg is carried in {alone} of {ALONE} draws alone"
-            text += f", in {carried} of {self.draws} together"
-            raise PolicyError(f"policy {self.policy.name!r} {DEPENDENT.format(text)}")
+        alone = self.try_alone(payload, ALONE, required, count)
+        if alone.carried < required:
+            raise self.dependent(alone, carried)
+
+    def try_alone(
+        self, payload: float, draws: int, required: int, count: StepCount | None = None
+    ) -> Trial:
+        """Tries a payload in fresh draws with secret seeds, each alone in its batch, so that an
+        isolated policy has a fresh process for each.
+
+        Args:
+            payload: nominal payload [kg].
+            draws: number of draws.
+            required: number of draws that have to carry it.
+            count: counts the control steps.
+
+        Returns:
+            The draws up to the one that decides.
+        """
+        verdicts: list[Verdict] = []
+        carried = 0
+        seeds = derived_seeds(np.random.SeedSequence(), draws)
+        for seed in seeds:
+            if carried == required or len(verdicts) - carried > draws - required:
+                break
+            (verdict,) = self.run([(payload, seed)], count=count)
+            verdicts.append(verdict)
+            carried += verdict.carried
+        return Trial(payload=payload, verdicts=tuple(verdicts), seeds=tuple(seeds[: len(verdicts)]))
+
+    def dependent(self, alone: Trial, carried: int) -> PolicyError:
+        """The error of a policy that carries a payload together with other episodes, in ``carried``
+        draws, and not alone."""
+        text = f"{alone.payload:.3f} kg is carried in {alone.carried} of {len(alone.verdicts)} "
+        text += f"draws alone, in {carried} of {self.draws} together"
+        return PolicyError(f"policy {self.policy.name!r} {DEPENDENT.format(text)}")
 
 
 def _threads(rows: int) -> int:
@@ -414,6 +448,7 @@ def run_episodes(
         cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
             finite actions.
     """
+    step_env, observe = env.step, judge.observe  # bound before the policy can replace them
     policy.reset(lambda: deepcopy(env.tasks))
     state, start = None, np.ones(env.num_envs, np.bool_)
     terminated = np.zeros(env.num_envs, np.bool_)
@@ -434,8 +469,8 @@ def run_episodes(
             ignored=over,
         )
         # the environment restarts terminated episodes
-        observation, reward, start, _, info = env.step(action)
-        judge.observe(info, start)
+        observation, reward, start, _, info = step_env(action)
+        observe(info, start)
         if observer is not None:
             observer.step(observation, reward, info, ~over)
         terminated |= start

@@ -18,7 +18,7 @@ from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import interval
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import Wrapper, name_of
+from cablebot_gym.policies import LoadedPolicy, Wrapper, name_of
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number, numbers
 from cablebot_gym.utils.console import chosen_progress
@@ -62,6 +62,9 @@ class PolicyMetrics:
 
     policy: str
     """Name of the policy."""
+    protected: bool
+    """Whether it could not change the evaluation: it was isolated, or it has only code of this
+    project."""
     mean_error: Array
     """Position error, mean over time [m]."""
     rms_error: Array
@@ -117,7 +120,7 @@ class PolicyMetrics:
 QUANTITIES = tuple(
     item.name
     for item in fields(PolicyMetrics)
-    if item.name not in ("policy", "carried", "ended", "error", "rotation")
+    if item.name not in ("policy", "protected", "carried", "ended", "error", "rotation")
 )
 """Quantities of :class:`PolicyMetrics` that have an estimate."""
 
@@ -135,12 +138,20 @@ class Comparison:
     """Nominal payload [kg]."""
     draw_seeds: tuple[int, ...]
     """Seed of each draw. ``env.reset(seed=…)`` or ``cablebot rollout --seed`` repeats the draw."""
+    isolated: bool
+    """Whether each policy ran in a process of its own. Otherwise one could change the evaluation of
+    all, and every later one of this process."""
     metrics: tuple[PolicyMetrics, ...] = field(repr=False)
     """Metrics of the policies, in the order of the arguments."""
     environment: dict[str, Any]
     """Robot, trajectory, uncertainty, control frequency and further settings, as JSON-able data."""
     task: Task = field(repr=False)
     """Public task of the episodes."""
+
+    @property
+    def unprotected(self) -> tuple[str, ...]:
+        """Names of the policies that could change the evaluation."""
+        return tuple(metrics.policy for metrics in self.metrics if not metrics.protected)
 
     @property
     def draws(self) -> int:
@@ -178,6 +189,7 @@ class Comparison:
             policies.append(
                 {
                     "policy": metrics.policy,
+                    "protected": metrics.protected,
                     "estimates": {name: vars(metrics.estimate(name)) for name in QUANTITIES},
                     "reductions": reductions,
                     "per_draw": values,
@@ -189,6 +201,7 @@ class Comparison:
             "payload": self.payload,
             "draws": self.draws,
             "draw_seeds": list(self.draw_seeds),
+            "isolated": self.isolated,
             "error_bounds": vars(self.conditions.error_bounds),
             "environment": self.environment,
             "versions": versions(),
@@ -217,6 +230,8 @@ class Comparison:
                 f"{metrics.policy}: error {1e3 * mean.mean:.3g} mm mean{change}, "
                 f"{1e3 * largest.mean:.3g} mm max; carried in {metrics.carried.mean():.0%}"
             )
+        if self.unprotected:
+            lines.append(f"not isolated: {', '.join(self.unprotected)}")
         return "\n".join(lines)
 
 
@@ -293,6 +308,7 @@ def compare_policies(
     payload = number("payload", payload, least=0, unit="kg")
     shared = Conditions.of(env_id, **conditions)
     metrics = []
+    isolated = True
     with chosen_progress(progress, "comparing") as step:
         count = StepCount(step, 0)
         for policy, label, layers in zip(policies, labels, wrappers_of, strict=True):
@@ -302,11 +318,13 @@ def compare_policies(
             rows = [(payload, seed) for seed in batch.seeds]
             verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
             radius = batch.settings.error_bounds.termination_radius
-            metrics.append(_metrics(label, recorder.rollouts(verdicts), radius))
+            isolated &= batch.policy.isolated
+            metrics.append(_metrics(batch.policy, recorder.rollouts(verdicts), radius))
     return Comparison(
         conditions=shared,
         payload=payload,
         draw_seeds=tuple(batch.seeds),
+        isolated=isolated,
         metrics=tuple(metrics),
         environment=batch.environment(),
         task=batch.task,
@@ -374,12 +392,14 @@ def compare_over_payloads(
     return PayloadComparison(comparisons=tuple(comparisons))
 
 
-def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float) -> PolicyMetrics:
+def _metrics(
+    policy: LoadedPolicy, rollouts: Sequence[Rollout], termination_radius: float
+) -> PolicyMetrics:
     """Metrics of one policy from its draws. The errors at the start of the episodes come from the
     verdicts.
 
     Args:
-        policy: name of the policy.
+        policy: the policy.
         rollouts: recording of every draw.
         termination_radius: least position error that counts after an early termination [m].
     """
@@ -399,7 +419,8 @@ def _metrics(policy: str, rollouts: Sequence[Rollout], termination_radius: float
         largest("tracking_error_peak"), [rollout.verdict.position_peak for rollout in rollouts]
     )
     return PolicyMetrics(
-        policy=policy,
+        policy=policy.name,
+        protected=policy.isolated or policy.shipped,
         mean_error=filled.mean(axis=0),
         rms_error=np.sqrt((filled**2).mean(axis=0)),
         max_error=np.where(ended, np.maximum(peak, final), peak),

@@ -9,7 +9,7 @@ from typing import Any
 
 from cablebot_gym.envs import check_robot, env_robot
 from cablebot_gym.evaluation.constraints import Criterion, find_criterion
-from cablebot_gym.robots import Robot, find_robot
+from cablebot_gym.robots import Robot, private_robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds, payload_model_text
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 from cablebot_gym.utils.checks import whole
@@ -93,7 +93,7 @@ class Conditions:
         check_robot(env_id, robot)
         if robot is None:
             robot = env_robot(env_id)
-        nominal = deepcopy(find_robot(robot))  # the caller may change its objects later
+        nominal = private_robot(robot)  # others may change their objects, before and later
         bounds = deepcopy(find_error_bounds(error_bounds, nominal))
         name = uncertainty if isinstance(uncertainty, str | None) else "custom"
         return cls(

@@ -11,7 +11,14 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.envs import TERMINATION_REASONS, limits
+from cablebot_gym.envs import TERMINATION_REASONS
+from cablebot_gym.envs.limits import (
+    is_held,
+    is_taut,
+    is_unsaturated,
+    minimum_tension,
+    within_bound,
+)
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import ErrorBounds, Task, find_error_bounds
 from cablebot_gym.utils.checks import choice
@@ -104,7 +111,15 @@ class Verdict:
     """Least tension of any cable at a physics step [N]; 0 before the first step."""
 
 
-class Judge:
+class Sealed(type):
+    """Type of classes whose methods cannot be replaced by assignment, as a policy in the same
+    process could do."""
+
+    def __setattr__(cls, name: str, value: Any) -> None:
+        raise TypeError(f"{cls.__name__}.{name} cannot be replaced: derive a class from it")
+
+
+class Judge(metaclass=Sealed):
     """Checks N episodes step by step. It stores the first violations and the extremes, but no time
     series.
 
@@ -165,7 +180,7 @@ class Judge:
         self._tension_bound[mask] = -np.inf
         if self.criterion == "task":
             self._rotation_bound[mask] = task.error_bounds.rotation
-            self._tension_bound[mask] = limits.minimum_tension(task.robot, task.cable)
+            self._tension_bound[mask] = minimum_tension(task.robot, task.cable)
         self._steps_done[mask] = 0
         self.motion_steps[mask] = task.steps
         self.payload[mask] = info["payload"][mask]
@@ -179,7 +194,7 @@ class Judge:
             least = margin.min(axis=1)
             self._fail(
                 "torque",
-                mask & ~limits.is_held(least),
+                mask & ~is_held(least),
                 info["time"],
                 index=margin.argmin(axis=1) + 1,
                 excess=-least,
@@ -202,13 +217,13 @@ class Judge:
         tension = info["least_tensions"].min(axis=1)
         np.minimum(self._least_tension, tension, out=self._least_tension, where=running)
         if self.criterion == "paper":
-            saturated = running & ~limits.is_unsaturated(action.max(axis=1))
+            saturated = running & ~is_unsaturated(action.max(axis=1))
             if saturated.any():
                 motor = action.argmax(axis=1)
                 excess = -np.take_along_axis(info["torque_margin"], motor[:, None], 1)[:, 0]
                 self._fail("torque", saturated, info["action_time"], index=motor + 1, excess=excess)
         bound = self._tension_bound
-        below_bound = running & ~limits.is_taut(tension, bound)
+        below_bound = running & ~is_taut(tension, bound)
         if below_bound.any():
             cable = info["least_tensions"].argmin(axis=1)
             self._fail(
@@ -238,7 +253,7 @@ class Judge:
         time: Array,
         running: NDArray[np.bool_],
     ) -> None:
-        beyond = running & ~limits.within_bound(error, bound)
+        beyond = running & ~within_bound(error, bound)
         if beyond.any():
             self._fail(kind, beyond, time, excess=error - bound, bound=bound)
 

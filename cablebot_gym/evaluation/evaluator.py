@@ -151,6 +151,7 @@ def _result(batch: Batch, outcome: SearchOutcome, details: Details, *, ranked: b
         ranked=ranked,
         draw_seeds=tuple(batch.seeds),
         assured=assured,
+        isolated=batch.policy.isolated,
         rollout=outcome.rollout,
         details=details,
     )
@@ -186,6 +187,7 @@ def _details(
         failures=failures,
         violation_seed=violation_seed,
         stochastic=batch.policy.declarations.stochastic,
+        shipped=batch.policy.shipped,
         declared=conditions.criterion == "paper" and not batch.policy.held,
         wrappers=batch.policy.wrappers,
         environment=batch.environment(),

@@ -47,6 +47,9 @@ class Details:
     stochastic: bool
     """Whether the policy declares that its actions are random. Its draws are repeats then, and its
     episodes are not compared with repetitions."""
+    shipped: bool
+    """Whether the policy has only code of this project: it is given by the name of one of its
+    policies, without wrappers."""
     declared: bool
     """Whether only the policy itself says that its actions are not saturated (paper criterion). A
     test of this project holds its own laws to it, if they are given by their names. Objects always
@@ -98,6 +101,9 @@ class DLCCResult:
     """Seed of each draw. ``env.reset(seed=…)`` or ``cablebot rollout --seed`` repeats the draw."""
     assured: bool | None
     """Whether the draws are enough for the lower tolerance bound; None if nothing is random."""
+    isolated: bool
+    """Whether the policy ran in a process of its own. Otherwise it could change the evaluation, and
+    every later one of this process."""
     rollout: Rollout = field(repr=False)
     """Episode at the payload, or at zero payload up to the violation if the policy fails unloaded.
     With several draws, the first draw that carries the payload, or the draw of ``violation`` if the
@@ -125,6 +131,12 @@ class DLCCResult:
         """Whether the scan ended while feasible: every payload up to the end of the scan is
         carried, and ``payload`` is a lower bound of the DLCC."""
         return self.failed_payload is None
+
+    @property
+    def protected(self) -> bool:
+        """Whether the policy could not change the evaluation: it was isolated, or it has only code
+        of this project."""
+        return self.isolated or self.details.shipped
 
     @property
     def score(self) -> float:
@@ -168,6 +180,7 @@ class DLCCResult:
             "draws": self.draws,
             "draw_seeds": list(self.draw_seeds),
             "assured": self.assured,
+            "isolated": self.isolated,
             **self.details.to_dict(),
             "versions": versions(),
         }
@@ -194,6 +207,8 @@ class DLCCResult:
             words.append(f"behind {', '.join(self.details.wrappers)}")
         if not self.ranked:
             words.append("unranked (bisection)")
+        if not self.protected:
+            words.append("not isolated")
         text = f"{', '.join(words)}: {self._payload_text()}"
         if self.assured is not None:
             text += f" ({self.assurance})"

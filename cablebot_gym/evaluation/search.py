@@ -4,8 +4,8 @@ confirm.
 An episode is carried (:class:`~cablebot_gym.evaluation.constraints.Verdict`), a payload is carried
 if enough of its draws are (``Search._bracket``). What is random follows from the seed of the
 conditions: grid and refined payloads, payloads of the dense check, repeated episodes, seeds of the
-draws. The order of a batch and the seeds of draws that are tried alone come from the operating
-system: no policy can foresee them.
+draws. The order of a batch, the seeds of draws that are tried alone, and the episodes beside a
+repeated one come from the operating system: no policy can foresee them.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from cablebot_gym.evaluation.batch import (
     BATCH,
     DEPENDENT,
     RISK,
+    STOCHASTIC_ALONE,
     Batch,
     Progress,
     Row,
@@ -31,7 +32,11 @@ from cablebot_gym.evaluation.batch import (
 )
 from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
-from cablebot_gym.evaluation.statistics import plausible_successes, required_successes
+from cablebot_gym.evaluation.statistics import (
+    fewest_draws,
+    plausible_successes,
+    required_successes,
+)
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import PolicyError
 
@@ -60,6 +65,9 @@ BISECTION_POINTS = 5
 SEARCH_DRAWS = 16
 """Number of draws of each payload of a scan under uncertainty. The payload is confirmed with other
 draws. A bisection has the draws of the confirmation only."""
+
+REPEATED_DRAWS = STOCHASTIC_ALONE
+"""Largest number of draws of the payload that are repeated among other payloads and draws."""
 
 REPEAT_TOLERANCE = 1e-6
 """Largest difference between the peaks of an episode and of its repetition: as a fraction of the
@@ -130,6 +138,7 @@ class Search:
         self._batch = batch
         self._resolution = resolution
         self._probability = probability
+        self._confidence = confidence
         self._is_scan = is_scan
         self._is_drawn = batch.draws > 1
         self._required, self._assured = required_successes(batch.draws, probability, confidence)
@@ -153,11 +162,12 @@ class Search:
         narrowing = (self._refined_points + 1) / (1 + 2 * REFINED_JITTER)
         refinements = math.log(max(1.0, scan_gap / resolution)) / math.log(narrowing)
         batches = 3 + max(1, math.ceil(refinements))
-        batches += plausible_successes(self._required, batch.draws, ALONE, RISK)
         if is_scan:
             batches += 1
-        if self._is_drawn:
-            batches += 1
+        if self._is_drawn and batch.policy.declarations.stochastic:
+            batches += 1 + STOCHASTIC_ALONE
+        elif self._is_drawn:
+            batches += 2 + plausible_successes(self._required, batch.draws, ALONE, RISK)
         self._count = StepCount(progress, batches * batch.task.steps)
         self._trials: dict[float, Trial] = {}
 
@@ -245,6 +255,12 @@ class Search:
         discretisation = None
         if self._is_scan and not self._is_drawn:
             discretisation = self._discretisation(below, above)
+        if below is not None and self._is_drawn:
+            if self._batch.policy.declarations.stochastic:
+                below, above = self._confirm_alone()
+            else:
+                self._batch.check_alone(below.payload, self._required, self._count)
+                self._repeat_draws(below)
         rollout, below, above = self._record(below, above)
         success: _Pairs = ()
         if self._is_drawn:
@@ -260,6 +276,55 @@ class Search:
             assured=self._assured,
             rollout=rollout,
         )
+
+    def _confirm_alone(self) -> tuple[Trial | None, Trial | None]:
+        """Tries the payload of a stochastic policy in draws alone, which have to assure it without
+        the draws that it has carried together.
+
+        A payload that they do not assure counts as failed. The next lower one that has been tried
+        follows, or, if there is none, the next lower one of the scan.
+
+        Returns:
+            The trials of the payload and of the least failed one above.
+
+        Raises:
+            PolicyError: if the draws do not even assure zero payload.
+        """
+        draws = max(STOCHASTIC_ALONE, fewest_draws(self._probability, self._confidence))
+        required, _ = required_successes(draws, self._probability, self._confidence)
+        while True:
+            below, above = self._bracket()
+            if below is None and (above is None or above.payload == 0):
+                return below, above
+            if below is None:
+                assert above is not None
+                lower = max(payload for payload in self._grid if payload < above.payload)
+                verdicts = self._batch.run(_rows([lower], self._batch.seeds), count=self._count)
+                (self._trials[lower],) = _trials([lower], self._batch.seeds, verdicts)
+                continue
+            alone = self._batch.try_alone(below.payload, draws, required, self._count)
+            if alone.carried >= required:
+                return below, above
+            if below.payload == 0:
+                raise self._batch.dependent(alone, below.carried)
+            failed = [verdict.carried for verdict in alone.verdicts].index(False)
+            self._trials[below.payload] = replace(
+                alone, verdicts=alone.verdicts[failed:][:1], seeds=alone.seeds[failed:][:1]
+            )
+
+    def _repeat_draws(self, trial: Trial) -> None:
+        """Repeats draws of a payload among other payloads and draws, in another order.
+
+        Raises:
+            PolicyError: if they differ.
+        """
+        draws = secret_order(self._batch.draws)[:REPEATED_DRAWS].tolist()
+        repeated = [(trial.payload, trial.seeds[draw]) for draw in draws]
+        payloads = np.random.default_rng().uniform(0.0, self._grid[-1], len(draws)).tolist()
+        seeds = derived_seeds(np.random.SeedSequence(), len(draws))
+        others = list(zip(payloads, seeds, strict=True))
+        verdicts = self._batch.run(repeated + others, count=self._count)
+        self._check_repetition([trial.verdicts[draw] for draw in draws], verdicts[: len(repeated)])
 
     def _bracket(self) -> tuple[Trial | None, Trial | None]:
         """The trials on both sides of the first failure: the largest carried payload below it and
@@ -366,8 +431,7 @@ class Search:
         """Repeats an episode of each trial, alone, and records the one at the payload, or the
         unloaded one that fails.
 
-        With several draws, fresh ones have to carry the payload first, and only one episode is
-        repeated.
+        With several draws, only one episode is repeated.
 
         Returns:
             The recorded episode and the trials. With one draw, they have the verdicts of the
@@ -377,7 +441,6 @@ class Search:
         if below is not None and self._is_drawn:
             first_carried = [verdict.carried for verdict in below.verdicts].index(True)
             repeats = [(below, first_carried)]
-            batch.check_alone(below.payload, self._required, self._count)
         else:
             # A trial of one draw that is carried has no violation.
             trials = [trial for trial in (below, above) if trial is not None]

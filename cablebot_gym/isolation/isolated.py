@@ -115,6 +115,8 @@ class IsolatedPolicy:
             name=self.name,
             declarations=declarations(self),
             held=self._spec.held and not self.wrappers,
+            shipped=self._spec.shipped and not self.wrappers,
+            isolated=True,
             wrappers=self.wrappers,
             notes=self._notes,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -35,7 +36,8 @@ class Policy(Protocol):
       requests more torque than the motors have. The paper criterion applies to such policies only.
     * ``stochastic = True`` declares that equal observations may give different actions, also with
       ``deterministic``. Other policies must give equal episodes when they are repeated, in any
-      order of the batch.
+      order of the batch. A policy that takes a seed must not declare it, see
+      :func:`check_seeded`.
     * ``measurement = "winches"`` declares that the policy reads the sensors of winches, in an
       environment with this kind of :class:`~cablebot_gym.measurement.Measurement`. Other policies
       read pose and velocity.
@@ -124,6 +126,36 @@ def declarations(policy: Any) -> Declarations:
     )
 
 
+def check_seeded(policy: Any, subject: str, factory: Callable[..., Any] | None = None) -> None:
+    """Refuses the declaration ``stochastic`` of a policy that takes a seed.
+
+    Its actions can be repeated, so its episodes can be compared with repetitions, which a random
+    policy escapes. It takes a seed if it has an attribute ``seed``, such as the models of
+    Stable-Baselines3, or if its ``reset`` or its factory has such a parameter.
+
+    Args:
+        policy: a policy, or a callable ``observation -> action``.
+        subject: subject of the message, such as ``policy 'mine'``.
+        factory: function or class that has made it; None if it is not known.
+
+    Raises:
+        ValueError: if it declares ``stochastic`` and takes a seed.
+    """
+    if not declarations(policy).stochastic:
+        return
+    functions = [factory, getattr(policy, "reset", None), getattr(policy, "_factory", None)]
+    takes_seed = hasattr(policy, "seed")
+    for function in functions:
+        with suppress(TypeError, ValueError):  # None, and some callables of C
+            takes_seed |= "seed" in inspect.signature(function).parameters  # type: ignore[arg-type]
+    if takes_seed:
+        raise ValueError(
+            f"{subject} declares stochastic = True, but takes a seed, so its actions can be "
+            "repeated. Fix the seed, restart its random numbers in reset() and leave stochastic "
+            "out; a model of Stable-Baselines3 acts with deterministic=True"
+        )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoadedPolicy:
     """A policy that is ready for evaluations, as :func:`cablebot_gym.policies.spec.load` makes
@@ -138,6 +170,11 @@ class LoadedPolicy:
     held: bool = False
     """Whether a test of this project holds the policy to its declaration
     ``unsaturated_actions``."""
+    shipped: bool = False
+    """Whether it has only code of this project, see
+    :attr:`cablebot_gym.policies.spec.PolicySpec.shipped`."""
+    isolated: bool = False
+    """Whether it runs in a process of its own, where it cannot change the evaluation."""
     wrappers: tuple[str, ...] = ()
     """Names of the wrappers of the training, the innermost first."""
     notes: tuple[str, ...] = ()

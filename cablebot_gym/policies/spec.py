@@ -22,6 +22,7 @@ from cablebot_gym.policies.protocol import (
     Policy,
     PolicyEntry,
     PolicyError,
+    check_seeded,
     declarations,
     name_of,
     say,
@@ -111,6 +112,13 @@ class PolicySpec:
         """Whether it is the name of a policy of this project alone, and not of another installed
         package."""
         return self.installed and is_own(self.points[0])
+
+    @property
+    def shipped(self) -> bool:
+        """Whether this project ships all the code that the name stands for: the policy, and the
+        estimators in front of it."""
+        is_own_policy = self.kind == "installed" and is_own(self.points[0])
+        return is_own_policy and all(is_own(point) for point in self.estimators)
 
     @property
     def held(self) -> bool:
@@ -211,8 +219,8 @@ def load(
 
     Raises:
         TypeError: if the object is neither a policy nor a callable.
-        ValueError: if the policy cannot be made, or does not fit the robot, or if a loaded policy
-            gets wrappers.
+        ValueError: if the policy cannot be made, or does not fit the robot, if it declares
+            ``stochastic`` although it takes a seed, or if a loaded policy gets wrappers.
         PolicyError: if the code of the policy tries to end the process.
     """
     loaded = getattr(policy, "loaded", policy)
@@ -227,12 +235,17 @@ def load(
         target, subject, beside = _make(spec, robot)
         estimators = spec.estimators
         held = spec.held and not wrappers
+        shipped = spec.shipped and not wrappers
     else:
         subject = f"policy {name or name_of(policy)!r}"
         beside = None
         estimators = ()
-        held = False
-        target = _call(policy, robot, subject) if isinstance(policy, type) else as_policy(policy)
+        held = shipped = False
+        if isinstance(policy, type):
+            target = _call(policy, robot, subject)
+        else:
+            check_seeded(policy, subject)
+            target = as_policy(policy)
     made = target = behind_wrappers(target, robot, subject, wrappers, beside)
     for estimator in reversed(estimators):
         made = estimator.load()(robot, made)
@@ -244,6 +257,7 @@ def load(
         name=name or name_of(policy),
         declarations=declarations(made),
         held=held,
+        shipped=shipped,
         wrappers=tuple(getattr(target, "wrappers", ())),
         notes=(note,) if note else (),
     )
@@ -271,7 +285,8 @@ def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
     name, subject = spec.target, f"policy {spec.target!r}"
     if spec.kind == "entry":
         raise ValueError(
-            f"entry {name!r} runs in a process of its own only: `cablebot dlcc --isolate` does it"
+            f"entry {name!r} runs in a process of its own only: `cablebot dlcc` does it without "
+            "--no-isolate, and IsolatedPolicy in Python"
         )
     entry = spec.entry()
     if entry is not None:
@@ -317,6 +332,7 @@ def _call(factory: Callable[..., Any], robot: Robot, subject: str) -> Policy:
         raise
     except BaseException as error:
         raise _failure(error, subject, raised(error, "the factory raised")) from error
+    check_seeded(created, subject, factory)
     try:
         return as_policy(created)
     except TypeError as error:

@@ -13,7 +13,14 @@ possible. All values are in SI units and radians, motor speeds in rad/s.
 """
 
 from cablebot_gym.robots.checks import LARGEST_PULLEY, LARGEST_REACH, LARGEST_SIZE
-from cablebot_gym.robots.names import ELASTIC, find_robot, library, load_robot, robot_names
+from cablebot_gym.robots.names import (
+    ELASTIC,
+    find_robot,
+    library,
+    load_robot,
+    private_robot,
+    robot_names,
+)
 from cablebot_gym.robots.paper import (
     FLEX_PLANAR,
     FLEX_SPATIAL,
@@ -73,6 +80,7 @@ __all__ = [
     "holds_upside_down",
     "library",
     "load_robot",
+    "private_robot",
     "reach_and_gyration",
     "robot_names",
     "vertical_remedy",

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import pickle
 import tomllib
 from collections.abc import Mapping
+from copy import deepcopy
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -21,7 +23,6 @@ ELASTIC = "flex-"
 """Prefix of the name of a robot of the library for the variant with elastic cables."""
 
 
-@cache
 def library() -> dict[str, Path]:
     """Files of the real robots by name, ``cablebot_gym/library/*.toml``."""
     folder = Path(str(files("cablebot_gym") / "library"))
@@ -34,12 +35,36 @@ def robot_names() -> list[str]:
     return [*ROBOTS, *library(), *(ELASTIC + name for name in library())]
 
 
-@cache
-def _library_robot(name: str) -> Robot:
+_PAPER_ROBOTS = {name: pickle.dumps(robot) for name, robot in ROBOTS.items()}
+"""The paper's robots as they were before any policy was loaded."""
+
+
+def _read_library_robot(name: str) -> Robot:
     robot = load_robot(library()[name.removeprefix(ELASTIC)])
     if name.startswith(ELASTIC):
         return robot.replace(name=name)
     return robot.with_rigid_cables()
+
+
+_library_robot = cache(_read_library_robot)
+
+
+def private_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
+    """A robot as from :func:`find_robot`, which shares nothing with other robots of the process.
+
+    A robot with a name is made anew: code that runs in the process, such as that of a policy, can
+    change the object that :func:`find_robot` returns for the name.
+
+    Raises:
+        ValueError: as :func:`find_robot`.
+    """
+    if isinstance(robot, str) and robot in _PAPER_ROBOTS:
+        paper_robot: Robot = pickle.loads(_PAPER_ROBOTS[robot])
+        return paper_robot
+    shared = find_robot(robot)
+    if isinstance(robot, str) and robot.removeprefix(ELASTIC) in library():
+        return _read_library_robot(robot)
+    return deepcopy(shared)
 
 
 def load_robot(path: str | Path) -> Robot:

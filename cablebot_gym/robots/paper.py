@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 
 import numpy as np
 
@@ -98,10 +99,14 @@ def has_paper_capacity(robot: Robot) -> bool:
     )
 
 
+_UNCHANGED = deepcopy((PLANAR, SPATIAL))
+"""Copies that no policy in the process reaches by a public name."""
+
+
 def _is_paper_robot_in(robot: Robot, *attributes: str) -> bool:
     return any(
         all(np.array_equal(getattr(robot, name), getattr(paper, name)) for name in attributes)
-        for paper in (PLANAR, SPATIAL)
+        for paper in _UNCHANGED
     )
 
 

@@ -20,13 +20,24 @@ from pathlib import Path
 import numpy as np
 
 from cablebot_baselines.classical import ADAPTIVE, FeedbackLinearization
+from cablebot_gym.envs import limits
+from cablebot_gym.evaluation import batch
 from cablebot_gym.policies.protocol import BatchItemError
+from cablebot_gym.robots import find_robot
 
 STEP = 11
 """Call at which the accidents happen."""
 
 NOISE = {"sensors": {"position": 2e-3, "rotation": 2e-3, "velocity": 0.1, "rotation_rate": 0.1}}
 """Uncertainty of the attacks on sensor noise."""
+
+LIGHT_NOISE = {
+    "sensors": {"position": 4e-4, "rotation": 4e-4, "velocity": 0.02, "rotation_rate": 0.02}
+}
+"""Uncertainty of the attacks with a threshold."""
+
+GIVES_UP = 4.29
+"""Payload above which they give up [kg]: alone they carry it in two of three draws."""
 
 SCAN = 64
 """Number of payloads of the first scan."""
@@ -120,14 +131,14 @@ def batch_mean(law, observation):
     return observation
 
 
-def filtered(law, observation, unfiltered=()):
+def filtered(law, observation, unfiltered=(), heaviest=4.0):
     """An observation with errors that are a cubic function of the payload, which has less noise,
     except for those in ``unfiltered``."""
     payloads = np.array([task.model_payload for task in law.tasks])
     blocks = law._layout.slices()
     payloads[list(unfiltered)] = np.inf
-    light = np.flatnonzero(payloads < 4)
-    powers = np.vander(payloads[light] / 4, 4)
+    light = np.flatnonzero(payloads < heaviest)
+    powers = np.vander(payloads[light] / heaviest, 4)
     for name, largest in (("pose", 0.02), ("velocity", 1.0)):
         reference = observation[light, blocks[f"reference_{name}"]]
         error = observation[light, blocks[name]] - reference
@@ -142,6 +153,52 @@ def filtered(law, observation, unfiltered=()):
 def row_filter(law, observation):
     """filters the noise over the rows of the batch, and declares random actions"""
     return filtered(law, observation)
+
+
+def thresholded(law, action):
+    """Actions that are 0 above the payload :data:`GIVES_UP`, so that nothing between it and the next
+    payload of the search is carried."""
+    payloads = np.array([task.model_payload for task in law.tasks])
+    return np.where((payloads > GIVES_UP)[:, None], 0.0, action)
+
+
+class row_median(Law):
+    """takes the median of its measurements over the rows of one payload, gives up above a payload
+    that is carried alone in most draws, and declares random actions"""
+
+    stochastic = True
+
+    def reset(self, tasks):
+        super().reset(tasks)
+        self.tasks = tasks
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        observation = observation.copy()
+        payloads = np.array([task.model_payload for task in self.tasks])
+        for payload in set(payloads):
+            rows = np.flatnonzero(payloads == payload)
+            for name in ("pose", "velocity"):
+                block = np.ix_(rows, np.arange(observation.shape[1])[self._layout.slices()[name]])
+                observation[block] = np.median(observation[block], axis=0)
+        action, state = super().predict(observation, state)
+        return thresholded(self, action), state
+
+
+class row_filter_threshold(Law):
+    """filters the noise over the rows of the batch, gives up above a payload that is carried alone
+    in most draws, and declares random actions"""
+
+    stochastic = True
+
+    def reset(self, tasks):
+        super().reset(tasks)
+        self.tasks = tasks
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        action, state = super().predict(
+            filtered(self, observation.copy(), heaviest=GIVES_UP), state
+        )
+        return thresholded(self, action), state
 
 
 class row_filter_file(Law):
@@ -308,6 +365,31 @@ def false_judge(law, tasks):
     Judge.verdict = lambda judge, index: replace(
         verdict(judge, index), violation=None, carried=True
     )
+
+
+def cached_motors(robot):
+    """replaces the motors of the robot that later evaluations of the process find by its name"""
+    shared = find_robot(robot.name)
+    object.__setattr__(shared, "motors", replace(shared.motors, stall_torque=1e3))
+    return Law(robot)
+
+
+def false_limits(robot):
+    """replaces the functions that say whether a limit is kept"""
+    for name in ("within_bound", "is_taut", "is_held", "is_unsaturated"):
+        setattr(limits, name, lambda value, *_: np.ones_like(value, np.bool_))
+    return Law(robot)
+
+
+def other_judge(robot):
+    """replaces the class of the judge by one whose verdicts are always good"""
+
+    class Bribed(batch.Judge):
+        def verdict(self, env_index):
+            return replace(super().verdict(env_index), violation=None, carried=True)
+
+    batch.Judge = Bribed
+    return Law(robot)
 
 
 @policy(resets=True)

@@ -25,6 +25,7 @@ ENV_ID = "CableBot-Spatial-v0"
 UNKNOWN = ("--payload-unknown",)
 NOISE = ("--uncertainty", json.dumps(cheats.NOISE), "--draws", "1")
 NOISE_DRAWS = (*NOISE[:-1], "64")
+LIGHT = ("--uncertainty", json.dumps(cheats.LIGHT_NOISE), "--draws", "128")
 DEADLINE = ("--deadline", "2")
 SHORT_DEADLINE = ("--deadline", "0.5")
 RESOLUTION = 0.01
