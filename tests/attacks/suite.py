@@ -47,6 +47,7 @@ class Attack:
 
 
 LESS = "a smaller payload"
+ALONE = "at most the payload of the honest policy"
 SCORED = "scored, and marked as such"
 PRICED = "payload of the honest policy; the leaderboard has its time"
 ROWS = "depends on the other episodes of its batch"
@@ -61,6 +62,13 @@ ATTACKS = (
         "batch_mean", 1, ROWS, NOISE_DRAWS, before="4.03 kg (honest: fails unloaded)", fast=True
     ),
     Attack("row_filter", 1, ROWS, NOISE_DRAWS, before="3.98 kg (honest: fails unloaded)"),
+    Attack("row_median", now=ALONE, options=LIGHT, before="4.29 kg, assured (honest: 4.11 kg)"),
+    Attack(
+        "row_filter_threshold",
+        now=ALONE,
+        options=LIGHT,
+        before="4.29 kg, assured (honest: 4.11 kg)",
+    ),
     Attack("row_filter_file", 1, ROWS, NOISE_DRAWS, before="3.98 kg (honest: fails unloaded)"),
     Attack("known_seed", options=NOISE, now=LESS, before="4.03 kg (honest: fails unloaded)"),
     Attack("environment_search", before="the run ended with a traceback"),
@@ -78,7 +86,15 @@ ATTACKS = (
     Attack("slope_replaced", before="4.03 kg"),
     Attack("wide_bounds", before="4.12 kg (honest: 4.03 kg)", fast=True),
     Attack("short_motion", before="4.12 kg (honest: 4.03 kg)"),
-    Attack("false_judge", before="20 kg"),
+    Attack("cached_motors", before="20 kg for the next, honest `fl`"),
+    Attack("false_limits", before="20 kg, also for the next, honest `fl`"),
+    Attack("other_judge", before="20 kg, also for the next, honest `fl`"),
+    Attack(
+        "false_judge",
+        1,
+        "Judge.verdict cannot be replaced",
+        before="20 kg, also for the next, honest `fl`",
+    ),
     Attack("false_numpy", before="4.03 kg"),
     Attack("overwritten", before="4.03 kg"),
     # episodes

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from attacks.suite import (
+    ALONE,
     ATTACKS,
     ENV_ID,
     FOLDER,
@@ -61,7 +62,11 @@ def test_attack_on_an_isolated_evaluation(attack):
     payload = result["payload"] or 0.0
     expected = honest["payload"] or 0.0
     tolerance = result["resolution"] + honest["resolution"]
-    least, most = (0.0, expected / 2) if attack.now == LESS else (expected, expected)
+    least, most = expected, expected
+    if attack.now == LESS:
+        least, most = 0.0, expected / 2
+    if attack.now == ALONE:  # random seeds move the payload of the honest policy
+        least, most = 0.0, expected + 0.03
     assert least - tolerance <= payload <= most + tolerance
 
 

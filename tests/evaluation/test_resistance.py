@@ -9,13 +9,15 @@ from evaluation.conftest import Dropping
 from numpy.testing import assert_array_equal
 
 from cablebot_baselines.classical import FeedbackLinearization
-from cablebot_gym.evaluation import PolicyError, evaluate_dlcc, time_actions
-from cablebot_gym.evaluation.batch import ALONE, RISK, Batch
-from cablebot_gym.evaluation.search import FINER, SCAN_POINTS, SEARCH_DRAWS
+from cablebot_gym.envs import limits
+from cablebot_gym.evaluation import PolicyError, batch, evaluate_dlcc, time_actions
+from cablebot_gym.evaluation.batch import ALONE, RISK, STOCHASTIC_ALONE, Batch
+from cablebot_gym.evaluation.search import FINER, REPEATED_DRAWS, SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
+from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.policies import PolicyFactory, RealTime, adapters
-from cablebot_gym.robots import SPATIAL
+from cablebot_gym.robots import SPATIAL, find_robot
 
 SPATIAL_ID = "CableBot-Spatial-v0"
 HANG = {"name": "dwell-spatial", "duration": 0.05}
@@ -62,9 +64,100 @@ class FailsAlone(Law):
 @pytest.mark.parametrize("uncertainty", [None, "sensors"])
 def test_random_policy_must_not_need_other_episodes(uncertainty):
     with pytest.raises(
-        PolicyError, match=r"depends on the other.* in 0 of 12 draws alone, in 60 of 60 together"
+        PolicyError, match=r"depends on the other.* in 0 of 1 draws alone, in 60 of 60 together"
     ):
         evaluated(FailsAlone(), uncertainty=uncertainty, draws=60)
+
+
+class AveragesRows(Law):
+    """Fails alone above 1 kg, and declares random actions."""
+
+    stochastic = True
+
+    def reset(self, tasks):
+        self.payloads = np.array([task.model_payload for task in tasks])
+
+    def act(self, observation):
+        fails = (self.payloads > 1) & (len(observation) == 1)
+        return super().act(observation) * ~fails[:, None]
+
+
+def test_stochastic_policy_gets_the_payload_that_it_carries_alone(batches):
+    motion = HANG | {"duration": 0.3}
+    result = evaluated(AveragesRows(), uncertainty="sensors", draws=60, trajectory=motion)
+    assert 0.5 < result.payload <= 1.0 < result.failed_payload
+    assert sum(len(seeds) == 1 for seeds in batches) > STOCHASTIC_ALONE == 59
+    assert result.details.violation_seed not in result.draw_seeds
+
+
+def test_draws_of_the_payload_are_repeated_among_others(batches):
+    result = evaluated(Law(), uncertainty="sensors", draws=60)
+    (repeated,) = [seeds for seeds in batches if len(seeds) == 2 * REPEATED_DRAWS]
+    assert len({*repeated} & {*result.draw_seeds}) == REPEATED_DRAWS
+
+
+class Counts(Law):
+    """Its actions depend on the size of the batch a little."""
+
+    def act(self, observation):
+        return super().act(observation) * (1 + 1e-4 * (len(observation) == 2 * REPEATED_DRAWS))
+
+
+def test_policy_that_acts_differently_in_the_repeated_batch_raises():
+    with pytest.raises(PolicyError, match="depends on the other"):
+        evaluated(Counts(), uncertainty="sensors", draws=60)
+
+
+@pytest.mark.parametrize("where", ["attribute", "reset", "factory"])
+def test_stochastic_policy_that_takes_a_seed_raises(where):
+    class Seeded(Law):
+        stochastic = True
+
+    if where == "attribute":
+        Seeded.seed = 0
+    if where == "reset":
+        Seeded.reset = lambda self, tasks, seed=None: None
+
+    def make(seed=0):
+        return Seeded()
+
+    policy = Seeded() if where != "factory" else PolicyFactory(make)
+    with pytest.raises(ValueError, match=r"takes a seed.* Fix the seed.* leave stochastic out"):
+        evaluated(policy)
+
+
+# --- one process ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["cached_motors", "false_limits", "other_judge"])
+def test_policy_in_this_process_does_not_change_the_next_evaluation(name, monkeypatch):
+    robot = find_robot("spatial")
+    expected = evaluated("fl").payload
+    for function in ("within_bound", "is_taut", "is_held", "is_unsaturated"):
+        monkeypatch.setattr(limits, function, getattr(limits, function))
+    monkeypatch.setattr(batch, "Judge", batch.Judge)
+    motors = robot.motors
+    try:
+        result = evaluated(getattr(cheats, name)(robot))
+        assert evaluated("fl").payload == expected
+    finally:
+        object.__setattr__(robot, "motors", motors)
+    assert not result.isolated
+    assert "not isolated" in str(result)
+
+
+def test_method_of_the_judge_cannot_be_replaced():
+    with pytest.raises(TypeError, match=r"Judge.verdict cannot be replaced"):
+        batch.Judge.verdict = None
+
+
+def test_policy_of_this_project_needs_no_isolation():
+    result = evaluated("fl")
+    assert not result.isolated
+    assert "not isolated" not in str(result)
+    assert result.to_dict()["shipped"]
+    with IsolatedPolicy("fl", SPATIAL) as policy:
+        assert evaluated(policy).to_dict()["isolated"]
 
 
 @pytest.fixture
