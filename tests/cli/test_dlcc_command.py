@@ -86,7 +86,7 @@ def test_uncertainty_is_read_from_a_file(cablebot, tmp_path):
 
 
 def test_paper_criterion_does_not_apply_to_saturated_actions(cablebot, toys):
-    clipped = f"{QUICK} --policy {toys('clipped')}"
+    clipped = f"{QUICK} --no-isolate --policy {toys('clipped')}"
     assert " n/a " in cablebot(clipped).out
     assert [result["criterion"] for result in cablebot(clipped, "--json").data] == ["task"]
     assert "unsaturated_actions" in cablebot(f"{clipped} --criterion paper").message(2)
@@ -157,7 +157,18 @@ def test_interrupt_leaves_old_files_and_no_partial_file(cablebot, tmp_path, monk
 
 def test_isolated_policy_gives_the_same_result(cablebot):
     same = f"{ONE} --policy adaptive --seed 3"  # a law with a state, which stays in its process
-    assert cablebot(f"{same} --isolate --deadline 30").data == cablebot(same).data
+    (isolated,) = cablebot(f"{same} --isolate --deadline 30").data
+    (shared,) = cablebot(same).data
+    assert (isolated.pop("isolated"), shared.pop("isolated")) == (True, False)
+    assert isolated == shared
+
+
+def test_policy_of_others_is_isolated_unless_it_is_trusted(cablebot, toys):
+    line = f"{QUICK} --criterion task --policy {toys('declares')}"
+    assert cablebot(line, "--json").data[0]["isolated"]
+    trusted = cablebot(line, "--no-isolate").out
+    assert trusted.count("not isolated") == 2
+    assert "leave --no-isolate out" in trusted
 
 
 @pytest.mark.slow
