@@ -129,9 +129,14 @@ def test_every_policy_is_in_the_suite_and_on_the_page():
         for name in documented
         if getattr(getattr(cheats, name), "__module__", "") == "cheats" and name.islower()
     }
-    assert policies - {"policy", "model_payload", "filtered", "_better_after", "_folder"} == {
-        attack.name for attack in ATTACKS + SANDBOXED
-    }
+    assert policies - {
+        "policy",
+        "model_payload",
+        "filtered",
+        "thresholded",
+        "_better_after",
+        "_folder",
+    } == {attack.name for attack in ATTACKS + SANDBOXED}
     assert (FOLDER.parents[1] / "docs" / "attacks.md").read_text(encoding="utf-8") == page(), (
         "run python tests/attacks/suite.py > docs/attacks.md"
     )
