@@ -231,7 +231,7 @@ def run(name, options=()):
             cwd=FOLDER,
             capture_output=True,
             text=True,
-            timeout=300,
+            timeout=1200,  # draws alone start a process each
             env=os.environ
             | {"RUN_SEED": "7", "TMPDIR": folder, "LC_ATTACK": str(server.getsockname()[1])},
         )
