@@ -9,6 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
 
+from cablebot_gym.cli.board import (
+    BoardOptions,
+    check_board_options,
+    commit_board,
+    started_board,
+)
 from cablebot_gym.cli.options import NoSandbox, Workers, choose_sandbox, split_names
 from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.console import command_line, notes_console, progress
@@ -21,7 +27,6 @@ if TYPE_CHECKING:
     from cablebot_gym.benchmark.engine import Backend
     from cablebot_gym.benchmark.leaderboard import Results
     from cablebot_gym.benchmark.store import Store
-    from cablebot_gym.benchmark.suites import Suite
 
 MARKDOWN, JSON = "leaderboard.md", "results.json"
 """Names of the files in the results folder."""
@@ -123,42 +128,6 @@ class OutputOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoardOptions(Options):
-    """Commitment and start of a board."""
-
-    title: ClassVar[str] = "Board"
-
-    commit: Annotated[
-        str | None,
-        typer.Option(
-            metavar="VERSION",
-            help="Draw the salt of a new board, write its commitment to the folder and stop.",
-        ),
-    ] = None
-    beacon: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Public value of --commit that will exist only later, such as `drand quicknet round 12345678`.",
-        ),
-    ] = None
-    beacon_date: Annotated[
-        str | None,
-        typer.Option(
-            metavar="DATE",
-            help="Date or time from which the value exists, such as 2027-01-04T12:00Z.",
-        ),
-    ] = None
-    beacon_value: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TEXT",
-            help="The public value: starts the run of a board. With --verify, the value to compare with.",
-        ),
-    ] = None
-
-
-@dataclass(frozen=True, kw_only=True)
 class VerificationOptions(Options):
     """Fresh draws for stored results."""
 
@@ -220,16 +189,17 @@ def benchmark(
         value = board_options.beacon_value
         return _verify(verification.verify, backend, verification, selection, value)
     suite = find_suite(selection.suite)
-    _check_board_options(board_options, suite)
+    check_board_options(board_options, suite)
     policies, submitted, invalid = _policies(selection)
     names = sorted({name for supported in policies.values() for name in supported})
     out = output.out
     check_writable_dir(out / FOLDER)
     if board_options.commit is not None:
-        return _commit(board_options, policies, suite.hidden, out)
+        return commit_board(board_options, policies, suite.hidden, out)
     board = None
     if suite.hidden:
-        board = _started_board(board_options, names, selection, computing, out)
+        chooses_results = computing.any_source or selection.seed is not None
+        board = started_board(board_options, names, out, chooses_results=chooses_results)
     store = _store(output, computing, board)
     records = _records(selection, computing, output, policies, board, store, backend)
     if board is not None:
@@ -292,70 +262,6 @@ def _policies(
                 submitted.append(name)
         names = [*(names or public_entries()), *submitted]
     return find_policies(names, env_ids), submitted, invalid
-
-
-def _check_board_options(options: BoardOptions, suite: Suite) -> None:
-    """Raises a ValueError if options of a board are missing, or have no effect."""
-    names_beacon = options.beacon is not None and options.beacon_date is not None
-    if options.commit is not None and not names_beacon:
-        raise ValueError(
-            "--commit needs a public value that will exist only later: add for example "
-            '--beacon "drand quicknet round 12345678" --beacon-date 2027-01-04T12:00Z'
-        )
-    if options.commit is None and (options.beacon or options.beacon_date):
-        raise ValueError("--beacon and --beacon-date belong to --commit VERSION")
-    if options.commit is not None and options.beacon_value is not None:
-        raise ValueError(
-            "--commit and --beacon-value exclude each other: commit now, and start the run when "
-            "the value is public"
-        )
-    if options.beacon_value is not None and not suite.hidden:
-        raise ValueError("only a suite with hidden motions has a board: add --suite ranked")
-
-
-def _commit(
-    options: BoardOptions, policies: Mapping[str, tuple[str, ...]], motions: int, out: Path
-) -> None:
-    """Writes the commitment of a new board and says what to do with it."""
-    from cablebot_gym.benchmark import board as boards
-
-    board = boards.commit(
-        out,
-        str(options.commit),
-        policies,
-        motions,
-        beacon=str(options.beacon),
-        beacon_date=str(options.beacon_date),
-        now=boards.utc_now(),
-    )
-    print(f"board {board.version}: commitment {board.commitment}.")
-    print(f"Publish {out / boards.BOARD} before {board.beacon_date}, and keep {out / boards.SALT}")
-    print(
-        f"secret until the results are published. When {board.beacon} is public, start the run "
-        "with --beacon-value."
-    )
-
-
-def _started_board(
-    options: BoardOptions,
-    names: Sequence[str],
-    selection: CellOptions,
-    computing: ComputingOptions,
-    out: Path,
-) -> Board:
-    """The board in the results folder with its public value.
-
-    Raises:
-        ValueError: if it cannot start, or if the options choose results.
-    """
-    from cablebot_gym.benchmark import board as boards
-
-    boards.read_board(out).check_policies(names)
-    if computing.any_source or selection.seed is not None:
-        raise ValueError(
-            "a board accepts neither --seed nor --any-source: its results are not chosen"
-        )
-    return boards.start(out, options.beacon_value, now=boards.utc_now())
 
 
 def _records(

@@ -61,7 +61,7 @@ def rollout(
     outcome = "carried"
     if not verdict.carried:
         outcome = f"not carried: {verdict.violation}"
-    if not (loaded.isolated or loaded.shipped):
+    if not loaded.protected:
         outcome += ", not isolated"
     if record.reason:
         outcome += f" (ended early: {record.reason})"

@@ -420,7 +420,7 @@ def _metrics(
     )
     return PolicyMetrics(
         policy=policy.name,
-        protected=policy.isolated or policy.shipped,
+        protected=policy.protected,
         mean_error=filled.mean(axis=0),
         rms_error=np.sqrt((filled**2).mean(axis=0)),
         max_error=np.where(ended, np.maximum(peak, final), peak),

@@ -309,7 +309,7 @@ class Search:
                 raise self._batch.dependent(alone, below.carried)
             failed = [verdict.carried for verdict in alone.verdicts].index(False)
             self._trials[below.payload] = replace(
-                alone, verdicts=alone.verdicts[failed:][:1], seeds=alone.seeds[failed:][:1]
+                alone, verdicts=(alone.verdicts[failed],), seeds=(alone.seeds[failed],)
             )
 
     def _repeat_draws(self, trial: Trial) -> None:

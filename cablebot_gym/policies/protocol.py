@@ -146,8 +146,10 @@ def check_seeded(policy: Any, subject: str, factory: Callable[..., Any] | None =
     functions = [factory, getattr(policy, "reset", None), getattr(policy, "_factory", None)]
     takes_seed = hasattr(policy, "seed")
     for function in functions:
-        with suppress(TypeError, ValueError):  # None, and some callables of C
-            takes_seed |= "seed" in inspect.signature(function).parameters  # type: ignore[arg-type]
+        if not callable(function):
+            continue
+        with suppress(TypeError, ValueError):  # some callables of C have no signature
+            takes_seed |= "seed" in inspect.signature(function).parameters
     if takes_seed:
         raise ValueError(
             f"{subject} declares stochastic = True, but takes a seed, so its actions can be "
@@ -179,6 +181,12 @@ class LoadedPolicy:
     """Names of the wrappers of the training, the innermost first."""
     notes: tuple[str, ...] = ()
     """Sentences for the user, about wrappers that were added without being named."""
+
+    @property
+    def protected(self) -> bool:
+        """Whether it cannot change its evaluation: it is isolated, or has only code of this
+        project."""
+        return self.isolated or self.shipped
 
     @property
     def fallbacks(self) -> float | None:

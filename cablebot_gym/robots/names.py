@@ -11,6 +11,7 @@ from copy import deepcopy
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from cablebot_gym.robots.paper import ROBOTS
@@ -23,10 +24,12 @@ ELASTIC = "flex-"
 """Prefix of the name of a robot of the library for the variant with elastic cables."""
 
 
-def library() -> dict[str, Path]:
+@cache
+def library() -> Mapping[str, Path]:
     """Files of the real robots by name, ``cablebot_gym/library/*.toml``."""
     folder = Path(str(files("cablebot_gym") / "library"))
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+    # Read-only: a policy in this process could otherwise exchange a file of the robots.
+    return MappingProxyType({path.stem: path for path in sorted(folder.glob("*.toml"))})
 
 
 def robot_names() -> list[str]:

@@ -165,33 +165,29 @@ def _check_depth(data: Any) -> None:
 
 
 def foreign_object(name: str, data: Any) -> dict[str, Any]:
-    """Data that must be an object of JSON.
-
-    Args:
-        name: name of the data in the message.
-        data: the data.
+    """Data that must be an object of JSON, with its name for the message.
 
     Raises:
         ValueError: if it is anything else.
     """
     if not isinstance(data, dict):
-        raise ValueError(f"{name} must be an object, not {brief(repr(data))}")
+        raise _wrong_type(name, "an object", data)
     return data
 
 
 def foreign_list(name: str, data: Any) -> list[Any]:
-    """Data that must be a list of JSON.
-
-    Args:
-        name: name of the data in the message.
-        data: the data.
+    """Data that must be a list of JSON, with its name for the message.
 
     Raises:
         ValueError: if it is anything else.
     """
     if not isinstance(data, list):
-        raise ValueError(f"{name} must be a list, not {brief(repr(data))}")
+        raise _wrong_type(name, "a list", data)
     return data
+
+
+def _wrong_type(name: str, expected: str, data: Any) -> ValueError:
+    return ValueError(f"{name} must be {expected}, not {brief(repr(data))}")
 
 
 def foreign_line(name: str, text: Any, largest: int) -> str:
@@ -207,7 +203,7 @@ def foreign_line(name: str, text: Any, largest: int) -> str:
             such as those that change the direction of writing.
     """
     if not isinstance(text, str) or not text.strip():
-        raise ValueError(f"{name} must be a text that is not empty, not {brief(repr(text))}")
+        raise _wrong_type(name, "a text that is not empty", text)
     if len(text) > largest:
         raise ValueError(f"{name} has {len(text):,} characters; at most {largest} are valid")
     if not text.isprintable():

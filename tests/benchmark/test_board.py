@@ -178,7 +178,7 @@ def test_hidden_motions_depend_on_secret_and_environment(tmp_path):
         suite_cells(hidden(20), {PLANAR: ("fl",)})
 
 
-def test_evaluation_seed_is_drawn_once_for_a_folder_without_a_board(tmp_path):
+def test_evaluation_seed_of_a_folder_is_drawn_once(tmp_path):
     seed = boards.run_seed(tmp_path)
     assert boards.run_seed(tmp_path) == seed
     assert boards.run_seed(tmp_path / "other") != seed

@@ -130,7 +130,7 @@ def test_stochastic_policy_that_takes_a_seed_raises(where):
 
 
 @pytest.mark.parametrize("name", ["cached_motors", "false_limits", "other_judge"])
-def test_policy_in_this_process_does_not_change_the_next_evaluation(name, monkeypatch):
+def test_evaluation_after_a_contaminating_policy_keeps_its_payload(name, monkeypatch):
     robot = find_robot("spatial")
     expected = evaluated("fl").payload
     for function in ("within_bound", "is_taut", "is_held", "is_unsaturated"):
@@ -151,7 +151,7 @@ def test_method_of_the_judge_cannot_be_replaced():
         batch.Judge.verdict = None
 
 
-def test_policy_of_this_project_needs_no_isolation():
+def test_policy_of_this_project_runs_in_the_process_of_the_evaluation():
     result = evaluated("fl")
     assert not result.isolated
     assert "not isolated" not in str(result)
