@@ -20,6 +20,7 @@ from cablebot_gym.benchmark.cells import (
     cell_from_dict,
     compute,
 )
+from cablebot_gym.bounds.best_known import MESH_TOLERANCE
 from cablebot_gym.evaluation import DLCCMonitor, evaluate_dlcc
 from cablebot_gym.policies import PolicyEntry, PolicyError, load_policy
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, find_robot
@@ -75,8 +76,8 @@ def test_every_field_changes_the_key_and_survives_json():
 def test_best_known_total_mass_is_that_of_a_heavier_robot():
     heavier = dataclasses.replace(BEST, robot_changes={"mass": 1.5})
     results = [compute(cell).result for cell in (BEST, heavier)]
-    assert results[0]["total_mass"] == pytest.approx(results[1]["total_mass"], rel=1e-4)
-    assert results[0]["payload"] == pytest.approx(results[1]["payload"] + 0.5, rel=1e-4)
+    assert results[0]["total_mass"] == pytest.approx(results[1]["total_mass"], rel=MESH_TOLERANCE)
+    assert results[0]["payload"] == pytest.approx(results[1]["payload"] + 0.5, rel=MESH_TOLERANCE)
 
 
 UNCERTAIN = {"uncertainty", "draws", "probability"}
@@ -187,7 +188,7 @@ def test_late_actions_lower_the_payload_of_a_slow_policy(module, monkeypatch):
 def test_verification_refuses_a_need_for_other_episodes(module):
     module("toy_alone.py", SLEEPS.replace("time.sleep(0.003)", "return np.zeros((1, 3)), state"))
     cell = changed(policy="toy_alone:make", uncertainty="sensors", draws=60)
-    with pytest.raises(PolicyError, match="in 0 of 12 draws alone, in 60 of 60 together"):
+    with pytest.raises(PolicyError, match=r"in 0 of \d+ draws alone, in 60 of 60 together"):
         cell.success_rate(0.3, 60, 5)
 
 
