@@ -1,5 +1,5 @@
-"""Random loops: curves from seeds, smooth, at rest at the ends, within their bounds and
-feasible."""
+"""Random loops: curves from seeds, smooth or with jumps, at rest at the ends, within their bounds
+and mostly feasible."""
 
 import json
 
@@ -39,7 +39,7 @@ def test_curve_is_closed_and_within_its_bounds(name, seed):
     away = norms(motion, path.position - np.array(motion.center)).max(axis=0)
     assert np.all((away <= 1.001 * reach) & (away >= 0.25 * reach))
     assert np.all(np.ptp(path.position, axis=0) > 0)
-    assert 0.58 <= (norms(motion, path.acceleration).max(axis=0) / limit).max() <= 1.001
+    assert 0.78 <= (norms(motion, path.acceleration).max(axis=0) / limit).max() <= 1.001
     speed = norms(motion, path.velocity).max(axis=0)
     assert np.all(speed <= np.sqrt(2.002 * reach * limit))  # Landau
     assert motion.duration == round(motion.duration, 2)
@@ -61,19 +61,32 @@ def norms(motion, values):
 # --- one seed, one curve ------------------------------------------------------------------------------------------
 
 GOLDEN = [
-    ("loop-planar", 0, 1.78, [0.020319727845268427, -0.03715468184376407]),
-    ("loop-planar", 10000, 1.61, [-0.052613588669482375, -0.06707021055852484]),
+    ("loop-planar", 0, 1.1, [0.11137669716662, -0.01185698107834]),
+    ("loop-planar", 10001, 0.81, [0.1238313794581, 0.13267976556689]),
     (
         "loop-spatial",
         10000,
-        2.09,
+        0.97,
         [
-            -0.07597230559126,
-            0.01431028872318,
-            0.09068707051714,
-            0.08946581209068,
-            0.11304240397265,
-            0.09547381370340,
+            -0.04840323138804,
+            -0.01451561751411,
+            0.11035072218125,
+            -0.00131438505111,
+            0.00636161934725,
+            0.00585017770195,
+        ],
+    ),
+    (
+        "loop-spatial",
+        10001,
+        0.99,
+        [
+            0.08776392950786,
+            -0.02505004480135,
+            0.11208598077483,
+            0.00499623718026,
+            -0.00052784542964,
+            -0.00072834605965,
         ],
     ),
 ]
@@ -104,24 +117,43 @@ def test_seeds_and_fields_determine_the_curve():
     assert len(np.unique(poses.round(4), axis=0)) == len(poses)
 
 
+@pytest.mark.parametrize("name", ["loop-planar", "loop-spatial", "loop-point"])
+@pytest.mark.parametrize("seed", range(4))
+def test_curve_starts_near_its_start_and_odd_seeds_jump(name, seed):
+    motion = loop(name, seed)
+    groups = GROUPS[motion.coordinates]
+    to_start = motion(np.linspace(0, motion.duration, 1501)).position - np.array(motion.start)
+    distances = np.zeros(len(to_start))
+    for group, reach in zip(groups, motion.reach, strict=True):
+        distances += np.sum((to_start[:, group] / reach) ** 2, axis=1)
+    assert distances[0] <= distances.min() + 1e-3
+    half = motion.duration / 2
+    before, after = motion([half, half + 1e-9]).acceleration
+    jump = np.linalg.norm(after - before)
+    assert motion.jumps == (seed % 2 == 1)
+    assert (jump > 0.01 * max(motion.acceleration)) == motion.jumps
+    ends = motion([0.0, motion.duration])
+    assert_allclose(ends.velocity, 0, atol=1e-12)
+    assert (np.abs(ends.acceleration).max() > 1e-6) == motion.jumps
+
+
 # --- possible -----------------------------------------------------------------------------------------------------
 
-SAMPLE = [*range(0, 4), *held_out_seeds(4), 1066, 1290, 10425, 10674, 11355, 11476]
-"""The first of both sets, and the hardest that were met among 4000."""
+SAMPLE = [*TRAINING_SEEDS[:30], *held_out_seeds(30)]
 
 
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=lambda robot: robot.name)
-def test_rigid_robots_of_the_paper_can_follow_the_loops(robot):
-    name = f"loop-{robot.name}"
+def test_rigid_robots_of_the_paper_can_follow_most_loops(robot):
     payloads = []
+    feasible = []
     for seed in SAMPLE:
-        motion = loop(name, seed)
-        result = exact_payload(robot, motion, minimum_tension=5.0, grid=250)
+        motion = loop(f"loop-{robot.name}", seed)
+        result = exact_payload(robot, motion, minimum_tension=robot.minimum_tension, grid=250)
+        feasible.append(result.lowest <= 0 <= result.payload)
         payloads.append(result.payload)
-        assert result.lowest <= -0.3
-        assert 0.8 <= motion.duration <= 3.5
-    assert min(payloads) >= 0.3
-    assert np.percentile(payloads, 90) > 1.5 * np.percentile(payloads, 10)
+        assert 0.4 <= motion.duration <= 2.0
+    assert np.mean(feasible) >= 0.9
+    assert np.percentile(payloads, 90) > 1.5 * np.percentile(payloads, 20)
     assert max(payloads) <= 10
 
 
@@ -145,6 +177,7 @@ def test_invalid_seed_or_count_raises(value):
             "acceleration must be finite and greater than 0",
         ),
         ({"duration": 0}, "duration must be"),
+        ({"start": (0, 0)}, "start has 2 coordinates and center has 6"),
         ({"speed": 2}, "speed"),
     ],
 )

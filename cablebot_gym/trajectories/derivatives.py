@@ -39,6 +39,21 @@ def sine_derivatives(angle: Array) -> Array:
     return np.stack([sine, cosine, -sine, -cosine, sine, cosine])
 
 
+def turn_from_rest(fraction: Array) -> Array:
+    """Angle of the paper's circle and its derivatives 1 to 4 at fractions of the duration, shape
+    (5, ...): a turn with constant angular acceleration up to half time and the opposite after it.
+
+    The higher derivatives are zero, at the jumps as well.
+    """
+    accelerates = fraction <= 0.5
+    from_rest = np.where(accelerates, fraction, 1 - fraction)
+    acceleration = np.where(accelerates, 8 * np.pi, -8 * np.pi)
+    turned = 4 * np.pi * from_rest**2
+    angle = np.where(accelerates, turned, 2 * np.pi - turned)
+    zero = np.zeros_like(angle)
+    return np.stack([angle, 8 * np.pi * from_rest, acceleration, zero, zero])
+
+
 def circle(center: tuple[float, ...], radius: float, angle: Array) -> Array:
     """Motion on a circle from the angle and its time derivatives, shape (5, ..., n)."""
     waves = radius * sine_derivatives(angle[0])

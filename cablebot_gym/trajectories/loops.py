@@ -10,7 +10,12 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.trajectories.base import Motion, unit_blend
-from cablebot_gym.trajectories.derivatives import composed, sine_derivatives
+from cablebot_gym.trajectories.derivatives import (
+    composed,
+    scaled,
+    sine_derivatives,
+    turn_from_rest,
+)
 from cablebot_gym.utils.checks import whole
 
 TRAINING_SEEDS = range(10_000)
@@ -32,24 +37,28 @@ def held_out_seeds(count: int) -> range:
 
 @dataclass(frozen=True, kw_only=True)
 class RandomLoop(Motion):
-    """A random closed curve, traversed once from rest to rest; the motion is C⁴. The seed
-    determines the curve.
+    """A random closed curve, traversed once from rest to rest. The seed determines the curve, and
+    whether it is even or odd the motion along it.
 
-    All coordinates are Fourier series of one phase φ, which goes from 0 to 2π along
-    :data:`~cablebot_gym.trajectories.base.BLEND`:
+    All coordinates are Fourier series of one phase φ, which goes from 0 to 2π:
 
         X(φ) = c + Σ_k (a_k cos kφ + b_k sin kφ),   k = 1 … :data:`HARMONICS`.
 
-    The components of a_k and b_k are uniform in ± 1/k². The coordinates form groups: (x, y), z and
+    The components of a_k and b_k are uniform in ± 1/k³. The coordinates form groups: (x, y), z and
     (ψ, θ, φ), or (x, y) and φ in a plane.
 
     * Size: each group is scaled so that the largest norm of its series is 50 to 100 % of its
       ``reach``.
     * Center: the offset of c from ``center`` uses at most the rest of ``reach``, so the curve stays
       within ``reach``.
+    * Start: the pose of the curve that is nearest to ``start``, in units of ``reach``.
+    * Phase: an even seed goes along :data:`~cablebot_gym.trajectories.base.BLEND`, and the motion
+      is C⁴. An odd seed goes as :class:`~cablebot_gym.trajectories.motions.PaperCircle`: φ̈ is
+      constant over the first half of the duration and negative over the second. The acceleration
+      jumps at the start, at half time and at the end, and φ has no higher derivatives.
     * Duration: the shortest one, rounded up to 10 ms, for which no group exceeds a random fraction
-      (60 to 100 %) of its ``acceleration``. The speed then stays below √(2 · reach · acceleration)
-      by Landau's inequality.
+      (:data:`LEAST_FRACTION` to 100 %) of its ``acceleration``. The speed then stays below √(2 ·
+      reach · acceleration) by Landau's inequality.
 
     The random numbers are raw bits of numpy's Philox generator. They do not change between versions
     of numpy, so a seed always gives the same curve. Norms and accelerations are sampled; their
@@ -64,6 +73,9 @@ class RandomLoop(Motion):
     :data:`FIRST_HELD_OUT_SEED` on for scores only."""
     center: tuple[float, ...]
     """Center pose of the curve, shape (n,)."""
+    start: tuple[float, ...]
+    """Pose near which the curve starts, shape (n,): one where a robot at rest holds more than along
+    the curve."""
     reach: tuple[float, ...]
     """Largest distance of the curve from ``center``, one norm per group; > 0: one each for (x, y)
     [m], z [m] and (ψ, θ, φ) [rad], or for (x, y) [m] and φ [rad] in a plane."""
@@ -74,6 +86,7 @@ class RandomLoop(Motion):
     ``dataclasses.replace`` keeps the computed value; pass ``duration=None`` to compute it again."""
     name: str = "loop"
     """Name shown in tables and error messages."""
+    _POSES = ("center", "start")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "seed", whole("seed", self.seed))
@@ -81,6 +94,10 @@ class RandomLoop(Motion):
         if is_computed:
             object.__setattr__(self, "duration", 1.0)  # any valid one, until the curve is known
         super().__post_init__()
+        if len(self.start) != len(self.center):
+            raise ValueError(
+                f"start has {len(self.start)} coordinates and center has {len(self.center)}"
+            )
         groups = len(_GROUPS[self.coordinates])
         for field in ("reach", "acceleration"):
             self._set_numbers(
@@ -89,6 +106,11 @@ class RandomLoop(Motion):
         if is_computed:
             object.__setattr__(self, "duration", self._shortest_duration())
 
+    @property
+    def jumps(self) -> bool:
+        """Whether the acceleration jumps, as on the paper's circle: the seed is odd."""
+        return self.seed % 2 == 1
+
     @cached_property
     def _curve(self) -> tuple[float, Array, Array]:
         """Fraction of the acceleration, c of shape (n,), and (a, b) of shape (2, HARMONICS, n)."""
@@ -96,19 +118,33 @@ class RandomLoop(Motion):
         # Changing the order of the numbers would change the curve of every seed.
         numbers = _uniform(self.seed, 1 + len(groups) + n + 2 * HARMONICS * n)
         fraction, sizes, offset, waves = np.split(numbers, np.cumsum([1, len(groups), n]))
-        waves = (2 * waves.reshape(2, HARMONICS, n) - 1) / _ORDERS[:, None] ** 2
+        waves = (2 * waves.reshape(2, HARMONICS, n) - 1) / _ORDERS[:, None] ** 3
         center = np.array(self.center)
+        phases = np.linspace(0, 2 * np.pi, _SAMPLES)
         # Size and offset share the reach, so that the curve stays within it.
-        series = _series(waves, np.linspace(0, 2 * np.pi, _SAMPLES))[0]
+        series = _series(waves, phases)[0]
+        distance = np.zeros(_SAMPLES)
         for group, reach, size in zip(groups, self.reach, 0.5 + 0.5 * sizes, strict=True):
-            waves[..., group] *= size * reach / np.linalg.norm(series[:, group], axis=1).max()
+            scale = size * reach / np.linalg.norm(series[:, group], axis=1).max()
+            waves[..., group] *= scale
             dimensions = group.stop - group.start
             center[group] += (1 - size) * reach * (2 * offset[group] - 1) / math.sqrt(dimensions)
-        return 0.6 + 0.4 * float(fraction[0]), center, waves
+            to_start = center[group] + scale * series[:, group] - self.start[group]
+            distance += np.sum(to_start**2, axis=1) / reach**2
+        waves = _shifted(waves, phases[np.argmin(distance)])
+        return LEAST_FRACTION + (1 - LEAST_FRACTION) * float(fraction[0]), center, waves
+
+    def _phase(self, fraction: Array) -> Array:
+        """The phase and its derivatives 1 to 4 at fractions of the duration, shape (5, ...)."""
+        if self.jumps:
+            return turn_from_rest(fraction)
+        return 2 * np.pi * unit_blend(fraction)
 
     def _shortest_duration(self) -> float:
         fraction, _, waves = self._curve
-        phase = 2 * np.pi * unit_blend(np.linspace(0, 1, _SAMPLES))
+        # Both accelerations count where they jump: at half time and right after it.
+        times = np.append(np.linspace(0, 1, _SAMPLES), np.nextafter(0.5, 1.0))
+        phase = self._phase(times)
         acceleration = composed(_series(waves, phase[0]), phase[..., None])[2]
         shortest = 0.0
         for group, bound in zip(_GROUPS[self.coordinates], self.acceleration, strict=True):
@@ -118,13 +154,16 @@ class RandomLoop(Motion):
 
     def _derivatives(self, time: Array) -> Array:
         _, center, waves = self._curve
-        phase = 2 * np.pi * self._blend(time)
+        phase = scaled(self._phase(time / self.duration), 1 / self.duration)
         derivatives = composed(_series(waves, phase[0]), phase[..., None])
         derivatives[0] += center
         return derivatives
 
 
-HARMONICS = 3
+LEAST_FRACTION = 0.8
+"""Least fraction of its ``acceleration`` that a :class:`RandomLoop` reaches."""
+
+HARMONICS = 2
 """Number of harmonics of a :class:`RandomLoop`."""
 
 _ORDERS = np.arange(1.0, HARMONICS + 1)
@@ -158,3 +197,10 @@ def _series(waves: Array, phase: Array) -> Array:
         cosines = (factor * sines[order + 1]) @ waves[0]
         derivatives.append(cosines + (factor * sines[order]) @ waves[1])
     return np.stack(derivatives)
+
+
+def _shifted(waves: Array, phase: float) -> Array:
+    """Coefficients (a, b) of the series that begins at a phase of another one."""
+    cosine, sine = np.cos(phase * _ORDERS)[:, None], np.sin(phase * _ORDERS)[:, None]
+    along, across = waves
+    return np.stack([along * cosine + across * sine, across * cosine - along * sine])

@@ -8,7 +8,13 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.trajectories.base import Motion
-from cablebot_gym.trajectories.derivatives import circle, in_plane, scaled, sine_derivatives
+from cablebot_gym.trajectories.derivatives import (
+    circle,
+    in_plane,
+    scaled,
+    sine_derivatives,
+    turn_from_rest,
+)
 from cablebot_gym.utils.checks import number
 
 
@@ -42,14 +48,7 @@ class PaperCircle(Motion):
         number("radius", self.radius, above=0, unit="m")
 
     def _derivatives(self, time: Array) -> Array:
-        u = time / self.duration
-        accelerates = u <= 0.5
-        from_rest = np.where(accelerates, u, 1 - u)
-        acceleration = np.where(accelerates, 8 * np.pi, -8 * np.pi)
-        zero = np.zeros_like(u)
-        angle = np.stack(
-            [acceleration * from_rest**2 / 2, 8 * np.pi * from_rest, acceleration, zero, zero]
-        )
+        angle = turn_from_rest(time / self.duration)
         return circle(self.center, self.radius, scaled(angle, 1 / self.duration))
 
 

