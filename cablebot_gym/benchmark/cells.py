@@ -23,6 +23,7 @@ from cablebot_gym.evaluation.batch import Batch, versions
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.isolation import IsolatedPolicy
+from cablebot_gym.isolation.deadlines import Deadlines
 from cablebot_gym.policies import PolicySpec
 from cablebot_gym.robots import ELASTIC, Robot, find_robot, library
 from cablebot_gym.task import ErrorBounds, payload_model_text, to_jsonable
@@ -309,6 +310,8 @@ class Record:
     """JSON-able result, or an ``error`` message if the computation failed. It is reproducible."""
     seconds: float
     """Wall time of the computation [s]."""
+    processor_seconds: float = 0.0
+    """Processor time of the isolated policy [s]."""
     final: bool = True
     """Whether a retry gives the same result. False if a package, a file or memory was missing or a
     process died."""
@@ -322,7 +325,7 @@ class Record:
 def compute(cell: Cell) -> Record:
     """Computes a cell. An exception becomes the error of the record; it does not stop the
     benchmark."""
-    start, final = time.perf_counter(), True
+    start, used, final = time.perf_counter(), Deadlines.total, True
     try:
         result = json.loads(canonical(cell.compute()))
     except Exception as error:
@@ -334,6 +337,7 @@ def compute(cell: Cell) -> Record:
         versions=versions(),
         result=result,
         seconds=time.perf_counter() - start,
+        processor_seconds=Deadlines.total - used,
         final=final,
     )
 

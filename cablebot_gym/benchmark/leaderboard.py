@@ -146,6 +146,7 @@ class Results:
                 "versions": versions.index(record.versions),
                 "result": record.result,
                 "seconds": round(record.seconds, 3),
+                "processor_seconds": round(record.processor_seconds, 3),
                 "final": record.final,
             }
             if entry["cell"]["kind"] == "policy":
@@ -220,6 +221,9 @@ def _record(data: Any, versions: Sequence[Any]) -> Record:
         versions=foreign_object("versions", versions[index]),
         result=result,
         seconds=number("seconds", fields["seconds"], least=0, unit="s"),
+        processor_seconds=number(
+            "processor_seconds", fields.get("processor_seconds", 0.0), least=0, unit="s"
+        ),
         final=fields["final"] is True,
     )
 

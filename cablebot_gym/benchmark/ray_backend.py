@@ -7,6 +7,7 @@ import pickle
 import socket
 import sys
 from collections.abc import Iterator, Mapping
+from itertools import islice
 from typing import Any
 
 from cablebot_gym.benchmark.engine import Backend, Job, MessageCallback
@@ -43,13 +44,20 @@ def on_ray(address: str) -> Backend:
         ray = _import_ray()
         if not jobs:
             return
-        connects, keys = not ray.is_initialized(), {}
+        connects = not ray.is_initialized()
+        keys: dict[Any, str] = {}
         if connects:
             _connect(ray, address)
         try:
             remote = ray.remote(num_cpus=1, max_retries=RETRIES)(_computed)
-            keys = {remote.remote(pickle.dumps(job), sys.path): key for key, job in jobs.items()}
-            while keys:
+            waiting = iter(jobs.items())
+            while True:
+                # few jobs in advance, because a job has the knowledge of the time when it is pickled
+                room = max(2 * int(ray.cluster_resources().get("CPU", 0)), 1) - len(keys)
+                for key, job in islice(waiting, max(room, 0)):
+                    keys[remote.remote(pickle.dumps(job), sys.path)] = key
+                if not keys:
+                    return
                 (ready,), _ = ray.wait(list(keys), num_returns=1)
                 key = keys.pop(ready)
                 try:

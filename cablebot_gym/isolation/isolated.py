@@ -200,11 +200,12 @@ class IsolatedPolicy:
     def _ask(self, kind: int, request: bytes, largest: int = 0) -> bytes:
         """Body of the answer to a request, see
         :meth:`~cablebot_gym.isolation.process.PolicyProcess.exchange`."""
-        assert self._process is not None
+        process = self._process
+        assert process is not None
         limits = self._deadlines.remaining()
         started = time.monotonic()
         try:
-            reply_kind, body = self._process.exchange(
+            reply_kind, body = process.exchange(
                 kind, request, largest, limits.elapsed, limits.processor
             )
         except queue.Empty:
@@ -216,7 +217,8 @@ class IsolatedPolicy:
         except BaseException:  # an interrupt
             self.close()
             raise
-        self._deadlines.wait(time.monotonic() - started, self._process.processor_time())
+        finally:  # the time of a policy that fails counts too
+            self._deadlines.wait(time.monotonic() - started, process.processor_time())
         if reply_kind == ANSWER:
             return body
         content = parse_json(body)

@@ -11,7 +11,8 @@ from attacks.hostile_entries import HOSTILE_ENTRIES
 
 from cablebot_gym.benchmark import entries, suites
 from cablebot_gym.benchmark.board import policy_digest
-from cablebot_gym.benchmark.cells import Record
+from cablebot_gym.benchmark.cells import PolicyCell, Record
+from cablebot_gym.benchmark.engine import local, run_cells
 from cablebot_gym.benchmark.entries import (
     check_entry,
     entry_cells,
@@ -25,7 +26,9 @@ from cablebot_gym.benchmark.entries import (
 )
 from cablebot_gym.benchmark.leaderboard import Results, markdown
 from cablebot_gym.benchmark.policy_source import policy_source
+from cablebot_gym.benchmark.store import Store
 from cablebot_gym.benchmark.suites import Block, Suite
+from cablebot_gym.isolation.deadlines import BUDGET, Deadlines
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import PLANAR
 
@@ -198,6 +201,46 @@ def test_claims_under_other_conditions_are_refused(entry, old, new, message):
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(ValueError, match=message):
         read_claims(entry)
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+@pytest.mark.parametrize(("hours", "fitting"), [(10.0, 3), (24.0, 1), (8.0, 3), (6.1, 4), (0.0, 5)])
+def test_entry_that_has_used_its_budget_runs_no_further_cell(
+    entry, tmp_path, monkeypatch, hours, fitting, interrupted
+):
+    """A resumed run goes on with the time of the stored cells. Shipped policies have no budget."""
+    computed = []
+    interrupts = [KeyboardInterrupt()] * interrupted
+
+    def compute(cell):
+        if interrupts and computed:
+            raise interrupts.pop()
+        computed.append(cell.policy)
+        Deadlines.total += 3600 * hours
+        return {"payload": 1.0}
+
+    monkeypatch.setattr(PolicyCell, "compute", compute)
+    cells = {}
+    for policy in (str(entry), "fl"):
+        for seed in range(5):
+            cell = PolicyCell(
+                env_id=ENV_ID, trajectory={"name": "circle-planar"}, policy=policy, seed=seed
+            )
+            cells[cell.key] = cell
+    store = Store(tmp_path / "out", say=print)
+
+    def run():
+        return run_cells(cells, store, local(1), lambda *step: None, print)
+
+    if interrupted:
+        with pytest.raises(KeyboardInterrupt):
+            run()
+    errors = [record.error for record in run()]
+    assert computed == [str(entry)] * fitting + ["fl"] * 5
+    message = f"entry {entry} used its budget of {BUDGET / 3600:g} h of processor time"
+    assert errors == [None] * fitting + [message] * (5 - fitting) + [None] * 5
+    assert [record.error for record in run()] == errors
+    assert len(computed) == fitting + 5
 
 
 def test_claim_above_the_rerun_is_refuted(entry):
