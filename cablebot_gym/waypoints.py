@@ -55,13 +55,13 @@ def read_waypoints(path: Path, kinds: Sequence[str]) -> tuple[Array | None, Arra
             f"cannot read trajectory file {str(path)!r}: {error.strerror or error}"
         ) from error
     rows = {}
-    for number, row in enumerate(csv.reader(lines), 1):
-        cells = [cell.strip() for cell in row]
-        if any(cells):
-            rows[number] = cells
     try:
+        for number, row in enumerate(csv.reader(lines), 1):
+            cells = [cell.strip() for cell in row]
+            if any(cells):
+                rows[number] = cells
         return _parsed(rows, kinds)
-    except ValueError as error:
+    except (ValueError, csv.Error) as error:
         raise ValueError(f"trajectory file {str(path)!r}: {error}") from None
 
 

@@ -17,8 +17,10 @@ from cablebot_gym.benchmark.cells import canonical
 from cablebot_gym.benchmark.policy_source import in_package, policy_source
 from cablebot_gym.policies.entry import is_entry
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
+from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.code_hash import file_digest
 from cablebot_gym.utils.files import atomic_write_text, read_text
+from cablebot_gym.utils.foreign import foreign_json, foreign_object
 
 RUN = "run.json"
 """Name of the file with the evaluation seed in a results folder without a board."""
@@ -48,7 +50,7 @@ def run_seed(out: Path, seed: int | None = None) -> int:
     """
     path = out / RUN
     if seed is None and path.exists():
-        return int(_read(path)["seed"])
+        return whole("seed", _read(path).get("seed"))
     seed = secrets.randbits(_BITS) if seed is None else seed
     atomic_write_text(path, json.dumps({"seed": seed}) + "\n")
     return seed
@@ -327,8 +329,8 @@ def policy_digest(policy: str) -> str:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return dict(json.loads(read_text(path)))
-    except (OSError, ValueError, TypeError) as error:
+        return foreign_object("its content", foreign_json(read_text(path)))
+    except (OSError, ValueError) as error:
         raise ValueError(f"{str(path)!r} is missing or damaged ({error}); restore it") from error
 
 

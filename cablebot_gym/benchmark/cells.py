@@ -27,7 +27,12 @@ from cablebot_gym.isolation.deadlines import Deadlines
 from cablebot_gym.policies import PolicySpec
 from cablebot_gym.robots import ELASTIC, Robot, find_robot, library
 from cablebot_gym.task import ErrorBounds, payload_model_text, to_jsonable
+from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.code_hash import source_hash
+from cablebot_gym.utils.foreign import foreign_object
+
+LARGEST_PAYLOAD = 1e6
+"""Largest payload of stored results [kg], far above that of any crane."""
 
 DEFAULT_ERROR_BOUNDS = MappingProxyType(to_jsonable(ErrorBounds()))
 """Error bounds of every suite: ``position`` [m] and ``rotation`` [rad]."""
@@ -362,6 +367,29 @@ def cell_from_dict(data: Mapping[str, Any]) -> Cell:
         KeyError, TypeError, ValueError: if ``data`` does not describe a cell.
     """
     return _KINDS[data["kind"]](**{name: value for name, value in data.items() if name != "kind"})
+
+
+def record_from_dict(data: Any) -> Record:
+    """A stored record, which may come from strangers.
+
+    Raises:
+        KeyError, TypeError, ValueError: if ``data`` are something else.
+    """
+    fields = foreign_object("a record", data)
+    result = foreign_object("a result", fields["result"])
+    payload = result.get("payload")
+    if payload is not None and isinstance(payload, int | float):
+        number("payload", payload, least=0, most=LARGEST_PAYLOAD, unit="kg")
+    used = fields.get("processor_seconds", 0.0)
+    return Record(
+        cell=cell_from_dict(foreign_object("the conditions of a cell", fields["cell"])),
+        source=str(fields["source"]),
+        versions=foreign_object("versions", fields["versions"]),
+        result=result,
+        seconds=number("seconds", fields["seconds"], least=0, unit="s"),
+        processor_seconds=number("processor_seconds", used, least=0, unit="s"),
+        final=fields.get("final", True) is True,
+    )
 
 
 def processor() -> str:

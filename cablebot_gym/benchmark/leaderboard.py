@@ -13,7 +13,7 @@ from rich.markdown import Markdown
 
 from cablebot_gym.benchmark import tables
 from cablebot_gym.benchmark.board import Board, normalised_value
-from cablebot_gym.benchmark.cells import PolicyCell, Record, canonical, cell_from_dict
+from cablebot_gym.benchmark.cells import PolicyCell, Record, canonical, record_from_dict
 from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.ranking import CONFIDENCE
 from cablebot_gym.benchmark.scores import (
@@ -27,12 +27,9 @@ from cablebot_gym.benchmark.scores import (
 from cablebot_gym.benchmark.suites import find_suite
 from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.policies.entry import LONGEST_NAME
-from cablebot_gym.utils.checks import number, whole
+from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import results_console
 from cablebot_gym.utils.foreign import foreign_json, foreign_line, foreign_list, foreign_object
-
-LARGEST_PAYLOAD = 1e6
-"""Largest payload of stored results [kg], far above that of any crane."""
 
 _INTRODUCTION = """# Leaderboard
 
@@ -146,9 +143,10 @@ class Results:
                 "versions": versions.index(record.versions),
                 "result": record.result,
                 "seconds": round(record.seconds, 3),
-                "processor_seconds": round(record.processor_seconds, 3),
                 "final": record.final,
             }
+            if record.processor_seconds:
+                entry["processor_seconds"] = round(record.processor_seconds, 3)
             if entry["cell"]["kind"] == "policy":
                 score = next(scored)
                 entry |= {"best_known": score.best_known, "score": score.score}
@@ -183,7 +181,11 @@ class Results:
         try:
             versions = foreign_list("versions", data["versions"])
             cells = foreign_list("cells", data["cells"])
-            records = [_record(cell, versions) for cell in cells]
+            records = []
+            for cell in cells:
+                fields = foreign_object("a cell", cell)
+                index = whole("versions", fields["versions"], most=len(versions) - 1)
+                records.append(record_from_dict(fields | {"versions": versions[index]}))
             board = data["board"]
             if board is not None:
                 board = Board(**foreign_object("the board", board))
@@ -201,31 +203,6 @@ class Results:
             raise ValueError(f"the key {error} is missing") from error
         except (TypeError, AttributeError) as error:  # fields that a record does not have
             raise ValueError(f"a record has other fields: {error}") from error
-
-
-def _record(data: Any, versions: Sequence[Any]) -> Record:
-    """The record of a cell in the results of strangers.
-
-    Raises:
-        KeyError, TypeError, ValueError: if the data are something else.
-    """
-    fields = foreign_object("a cell", data)
-    index = whole("versions", fields["versions"], most=len(versions) - 1)
-    result = foreign_object("a result", fields["result"])
-    payload = result.get("payload")
-    if payload is not None and isinstance(payload, int | float):
-        number("payload", payload, least=0, most=LARGEST_PAYLOAD, unit="kg")
-    return Record(
-        cell=cell_from_dict(foreign_object("the conditions of a cell", fields["cell"])),
-        source=str(fields["source"]),
-        versions=foreign_object("versions", versions[index]),
-        result=result,
-        seconds=number("seconds", fields["seconds"], least=0, unit="s"),
-        processor_seconds=number(
-            "processor_seconds", fields.get("processor_seconds", 0.0), least=0, unit="s"
-        ),
-        final=fields["final"] is True,
-    )
 
 
 def markdown(results: Results) -> str:

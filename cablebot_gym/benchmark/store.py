@@ -9,8 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cablebot_gym.benchmark.cells import Cell, Record, canonical, cell_from_dict
+from cablebot_gym.benchmark.cells import Cell, Record, canonical, record_from_dict
 from cablebot_gym.utils.files import atomic_write_text, read_text
+from cablebot_gym.utils.foreign import foreign_json, foreign_object
 
 FOLDER = "cells"
 """Name of the folder of the records, next to the tables."""
@@ -90,9 +91,9 @@ class Store:
         """The record in a file; None, with a message, if the file is not as it was written for the
         cell."""
         try:
-            data = json.loads(read_text(path))
+            data = foreign_object("a record", foreign_json(read_text(path)))
             checksum = data.pop("checksum")
-            record = Record(**(data | {"cell": cell_from_dict(data["cell"])}))
+            record = record_from_dict(data)
             if (checksum, record.cell.key) == (self._checksum(data), cell.key):
                 return record
         except (OSError, ValueError, KeyError, TypeError, AttributeError):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -15,6 +14,7 @@ from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.console import command_line, notes_console
 from cablebot_gym.utils.files import read_text
+from cablebot_gym.utils.foreign import foreign_json
 
 if TYPE_CHECKING:
     from cablebot_gym.policies import LoadedPolicy
@@ -101,8 +101,8 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
     if text is None or not text.lstrip().startswith("{"):
         return text
     try:
-        return json.loads(text)
-    except json.JSONDecodeError as error:
+        return foreign_json(text)
+    except ValueError as error:
         raise ValueError(f"{option} is not valid JSON: {error}") from error
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import pickle
-import tomllib
 from collections.abc import Mapping
 from copy import deepcopy
 from functools import cache
@@ -19,6 +17,7 @@ from cablebot_gym.robots.parts import Defaults
 from cablebot_gym.robots.record import Robot
 from cablebot_gym.utils.checks import unknown_name_error
 from cablebot_gym.utils.files import check_not_a_file, read_text
+from cablebot_gym.utils.foreign import foreign_json, foreign_toml
 
 ELASTIC = "flex-"
 """Prefix of the name of a robot of the library for the variant with elastic cables."""
@@ -84,7 +83,8 @@ def load_robot(path: str | Path) -> Robot:
     path = Path(path)
     try:
         text = read_text(path)
-        data = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
+        parse = foreign_json if path.suffix.lower() == ".json" else foreign_toml
+        data = parse(text)
         robot = Robot.from_dict(data)
     except OSError as error:
         raise ValueError(f"cannot read robot file {str(path)!r}: {error.strerror}") from error

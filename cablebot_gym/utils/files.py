@@ -10,6 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from cablebot_gym.utils.foreign import foreign_bytes, foreign_text
+
 CACHE_VARIABLE = "CABLEBOT_CACHE"
 """Environment variable for another cache folder."""
 
@@ -37,12 +39,10 @@ def read_cached(path: Path, decode: Callable[[bytes], _Value]) -> _Value | None:
         path: file in a cache.
         decode: decodes the bytes of the file. Any exception means that the file is damaged.
     """
-    try:
-        content = path.read_bytes()
-    except OSError:
+    if not os.path.exists(path):
         return None
     try:
-        return decode(content)
+        return decode(foreign_bytes(path, links=True))
     except Exception as error:
         _LOGGER.warning(
             "%s is damaged (%s); it is ignored, and its content is computed again", path, error
@@ -55,19 +55,12 @@ JSON_FORM = "a .json file on the command line, and its data in Python"
 
 
 def read_text(path: Path) -> str:
-    """The text of a file that a person may have edited: UTF-8, with or without a byte order mark.
+    """The text of a file that a person gives by its path, which may be a link.
 
     Raises:
-        OSError: if the file cannot be read.
-        ValueError: if it has another encoding.
+        OSError, ValueError: see :func:`~cablebot_gym.utils.foreign.foreign_text`.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        text = "\0"
-    if "\0" in text:  # UTF-16 without a mark decodes, but every other character is a zero
-        raise ValueError(f"{str(path)!r} is not UTF-8 text: save it as UTF-8")
-    return text
+    return foreign_text(path, links=True)
 
 
 def check_not_a_file(kind: str, name: object, forms: str) -> None:

@@ -8,8 +8,10 @@ import json
 import math
 import os
 import stat
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,22 +35,25 @@ _MESSAGE = 400
 
 
 @contextmanager
-def _opened(path: Path, largest: int) -> Iterator[int]:
+def _opened(path: Path, largest: int, *, links: bool) -> Iterator[int]:
     """Descriptor of a regular file.
 
-    The file is opened without following a link at its name, and without waiting for the other end
-    of a pipe. What was opened is then checked, so that nobody can replace it in between.
+    The file is opened without waiting for the other end of a pipe and, unless ``links`` are
+    allowed, without following one at its name. What was opened is then checked, so that nobody can
+    replace it in between.
     """
     flags = os.O_RDONLY
-    for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_NOCTTY", "O_BINARY"):
+    for name in ("O_NONBLOCK", "O_CLOEXEC", "O_NOCTTY", "O_BINARY"):
         flags |= getattr(os, name, 0)
-    if path.is_symlink():  # Windows has no O_NOFOLLOW, and other systems a message of their own
-        raise ValueError(f"{str(path)!r} is a link: give the file itself")
+    if not links:
+        flags |= getattr(os, "O_NOFOLLOW", 0)
+        if path.is_symlink():  # Windows has no O_NOFOLLOW, and other systems a message of their own
+            raise ValueError(f"{str(path)!r} is a link: give the file itself")
     descriptor = os.open(path, flags)
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
-            raise ValueError(f"{str(path)!r} is no regular file: remove it")
+            raise ValueError(f"{str(path)!r} is no regular file: give one")
         if status.st_size > largest:
             raise ValueError(
                 f"{str(path)!r} has {status.st_size:,} bytes; at most {largest:,} are valid"
@@ -58,10 +63,10 @@ def _opened(path: Path, largest: int) -> Iterator[int]:
         os.close(descriptor)
 
 
-def _chunks(path: Path, largest: int) -> Iterator[bytes]:
+def _chunks(path: Path, largest: int, *, links: bool = False) -> Iterator[bytes]:
     """The content of a regular file in pieces. A file that grows meanwhile is refused."""
     size = 0
-    with _opened(path, largest) as descriptor:
+    with _opened(path, largest, links=links) as descriptor:
         for chunk in iter(lambda: os.read(descriptor, _CHUNK), b""):
             size += len(chunk)
             if size > largest:
@@ -86,18 +91,30 @@ def foreign_digest(path: Path, largest: int = LARGEST_FILE) -> str:
     return digest.hexdigest()
 
 
-def foreign_text(path: Path, largest: int = LARGEST_TEXT) -> str:
-    """The text of a file, UTF-8 with or without a byte order mark.
+def foreign_bytes(path: Path, largest: int = LARGEST_FILE, *, links: bool = False) -> bytes:
+    """The content of a file.
 
     Args:
         path: the file.
         largest: largest size of the file [bytes].
+        links: whether ``path`` may be a link.
+
+    Raises:
+        OSError: if the file cannot be read.
+        ValueError: if it is no regular file, or too large.
+    """
+    return b"".join(_chunks(path, largest, links=links))
+
+
+def foreign_text(path: Path, largest: int = LARGEST_TEXT, *, links: bool = False) -> str:
+    """The text of a file, UTF-8 with or without a byte order mark. For the arguments see
+    :func:`foreign_bytes`.
 
     Raises:
         OSError: if the file cannot be read.
         ValueError: if it is no regular file, too large, or of another encoding.
     """
-    content = b"".join(_chunks(path, largest))
+    content = foreign_bytes(path, largest, links=links)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -114,18 +131,23 @@ def foreign_json(text: str) -> Any:
     Raises:
         ValueError: if the text is no such JSON.
     """
-    try:
-        data = json.loads(
-            text,
-            parse_int=_integer,
-            parse_float=_finite,
-            parse_constant=_finite,
-            object_pairs_hook=_object,
-        )
-    except RecursionError:
-        raise ValueError(f"JSON with more than {DEPTH} levels") from None
-    _check_depth(data)
-    return data
+    parse = partial(
+        json.loads,
+        parse_int=_integer,
+        parse_float=_finite,
+        parse_constant=_finite,
+        object_pairs_hook=_object,
+    )
+    return _parsed("JSON", parse, text)
+
+
+def foreign_toml(text: str) -> Any:
+    """The data of a TOML text of at most :data:`DEPTH` levels.
+
+    Raises:
+        ValueError: if the text is no such TOML.
+    """
+    return _parsed("TOML", tomllib.loads, text)
 
 
 def _integer(text: str) -> int:
@@ -148,8 +170,14 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return data
 
 
-def _check_depth(data: Any) -> None:
-    """Checks the number of levels, without a recursion that the data could exhaust."""
+def _parsed(form: str, parse: Callable[[str], Any], text: str) -> Any:
+    """The data of a text. The number of levels is counted without a recursion that the data could
+    exhaust."""
+    too_deep = ValueError(f"{form} with more than {DEPTH} levels")
+    try:
+        data = parse(text)
+    except RecursionError:
+        raise too_deep from None
     level = [data]
     for _ in range(DEPTH + 1):
         below: list[Any] = []
@@ -159,9 +187,9 @@ def _check_depth(data: Any) -> None:
             elif isinstance(value, list):
                 below.extend(value)
         if not below:
-            return
+            return data
         level = below
-    raise ValueError(f"JSON with more than {DEPTH} levels")
+    raise too_deep
 
 
 def foreign_object(name: str, data: Any) -> dict[str, Any]:

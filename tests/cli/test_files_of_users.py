@@ -1,18 +1,28 @@
 """Files that people bring: encodings, forms, and errors in their code."""
 
 import json
+import os
 import re
+import signal
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from attacks.hostile_entries import BRACKETS, HUGE, sparse
+from clock import HANG
 
+from cablebot_gym.benchmark.board import read_board, run_seed
+from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.entries import CLAIMS, read_claims
+from cablebot_gym.benchmark.store import Store
 from cablebot_gym.cli.benchmark import read_results
+from cablebot_gym.cli.options import _read_data
 from cablebot_gym.importers import import_robot
 from cablebot_gym.measurement import find_measurement
 from cablebot_gym.policies import load_policy
 from cablebot_gym.policies.entry import read_entry
+from cablebot_gym.report.recording import _read as read_episodes
 from cablebot_gym.robots import PLANAR, find_robot
 from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.uncertainty import find_uncertainty
@@ -82,6 +92,74 @@ def test_reader_accepts_a_byte_order_mark_and_asks_for_utf_8(tmp_path, name):
     for data in (text.encode("utf-16"), text.encode("utf-16-le"), text.encode() + b"\xe9"):
         path.write_bytes(data)
         assert "save it as UTF-8" in outcome(read, path)
+
+
+CELL = PolicyCell(env_id="CableBot-Planar-v0", trajectory={"name": "circle-planar"}, policy="fl")
+
+
+def cell(path):
+    """A cell in a results folder."""
+    store = Store(path.parent, say=print)
+    stored = store._path(CELL, CELL.source)
+    stored.parent.mkdir()
+    path.rename(stored)
+    return store.find(CELL)
+
+
+def training(path):
+    from cablebot_baselines.learned.runs import TrainingResult
+
+    return TrainingResult.load(path.parent)
+
+
+def option(path):
+    return _read_data(SimpleNamespace(name="trajectory"), str(path))
+
+
+RECORD = json.dumps({"cell": CELL.to_dict(), "source": CELL.source, "result": {"payload": 1}})
+ALL_READERS = READERS | {
+    "motion.json": (option, '{"name": "circle-planar", "duration": 1}'),
+    "run.json": (lambda path: run_seed(path.parent), '{"seed": 1}'),
+    "board.json": (lambda path: read_board(path.parent), '{"motions": 1}'),
+    "cell.json": (cell, RECORD),
+    "episode.json": (read_episodes, '[{"payload": 1}]'),
+    "state.json": (training, '{"timesteps": 1}'),
+}
+HOSTILE = {
+    "pipe": lambda path, text: os.mkfifo(path),
+    "sparse": lambda path, text: sparse(path),
+    "brackets": lambda path, text: path.write_text(BRACKETS),
+    "huge number": lambda path, text: path.write_text(re.sub(r"\d+(\.\d+)?|^{}$", HUGE, text)),
+    "list": lambda path, text: path.write_text("[]"),
+}
+
+
+@pytest.fixture
+def _alarm():
+    """A reader that waits for the other end of a pipe would wait for ever."""
+    signal.signal(signal.SIGALRM, lambda *_: pytest.fail("the reader waits"))
+    signal.alarm(int(HANG))
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes have names on POSIX")
+@pytest.mark.usefixtures("_alarm")
+@pytest.mark.parametrize("hostile", HOSTILE)
+@pytest.mark.parametrize("name", ALL_READERS)
+def test_reader_refuses_a_hostile_file_in_one_sentence(tmp_path, name, hostile):
+    """A reader of stored results returns none, and computes them again. Training checks numbers."""
+    read, text = ALL_READERS[name]
+    path = tmp_path / "folder" / name
+    path.parent.mkdir()
+    HOSTILE[hostile](path, text)
+    result = outcome(read, path)
+    if name in ("cell.json", "episode.json"):
+        assert not result
+    elif (name, hostile) != ("train.yaml", "huge number"):
+        assert isinstance(result, str)
+        assert len(result) <= 1000
 
 
 @pytest.mark.parametrize("name", ["thing.yaml", "folder"])

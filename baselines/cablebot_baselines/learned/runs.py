@@ -249,7 +249,7 @@ def read_yaml(env_id: str, path: Path) -> dict[str, Any]:
         path = HYPERPARAMS / f"{path}.yaml"
     try:
         data = yaml.safe_load(read_text(path))
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         text = f"--config: cannot read {str(path)!r} ({' '.join(str(error).split())})"
         raise ValueError(f"{text}; give a YAML file, or one of {', '.join(shipped)}") from error
     if not isinstance(data, dict) or not all(isinstance(value, dict) for value in data.values()):
