@@ -21,15 +21,16 @@ from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.batch import Batch, versions
 from cablebot_gym.evaluation.conditions import Conditions
+from cablebot_gym.evaluation.constraints import KINDS
 from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.isolation.deadlines import Deadlines
 from cablebot_gym.policies import PolicySpec
 from cablebot_gym.robots import ELASTIC, Robot, find_robot, library
 from cablebot_gym.task import ErrorBounds, payload_model_text, to_jsonable
-from cablebot_gym.utils.checks import number
+from cablebot_gym.utils.checks import choice, number
 from cablebot_gym.utils.code_hash import source_hash
-from cablebot_gym.utils.foreign import foreign_object
+from cablebot_gym.utils.foreign import foreign_list, foreign_object
 
 LARGEST_PAYLOAD = 1e6
 """Largest payload of stored results [kg], far above that of any crane."""
@@ -380,6 +381,14 @@ def record_from_dict(data: Any) -> Record:
     payload = result.get("payload")
     if payload is not None and isinstance(payload, int | float):
         number("payload", payload, least=0, most=LARGEST_PAYLOAD, unit="kg")
+    violations = foreign_list("violations", result.get("violations", []))
+    for violation in (result.get("violation"), *violations):
+        if violation is not None:
+            limit = foreign_object("a violation", violation)
+            choice("kind of violation", str(limit.get("kind")), KINDS)
+            for name in ("time", "fraction", "lead"):
+                if limit.get(name) is not None:
+                    number(name, limit[name], least=0)
     used = fields.get("processor_seconds", 0.0)
     return Record(
         cell=cell_from_dict(foreign_object("the conditions of a cell", fields["cell"])),

@@ -132,23 +132,35 @@ def violation_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
     for board in boards:
         for policy in board.ranks:
             counts = dict.fromkeys((*KINDS, "error"), 0)
-            times = []
+            fractions = []
+            leads = []
             for score in board.entries[policy, board.columns[0]]:
-                violation = score.result.get("violation")
-                if violation is not None:
+                counts["error"] += score.error is not None
+                for violation in violations(score):
                     counts[violation["kind"]] += 1
-                    times.append(violation["time"] / _motion_duration(score.cell))
-                elif score.error is not None:
-                    counts["error"] += 1
+                    fractions.append(violation["fraction"])
+                    if violation.get("lead") is not None:
+                        leads.append(violation["lead"])
             numbers = [str(count) for count in counts.values()]
-            when = f"{100 * median(times):.0f}" if times else "–"
+            when = f"{100 * median(fractions):.0f}" if fractions else "–"
+            if leads:
+                when += f", near its limit for {median(leads):.3f} s"
             rows.append([board.env_id, policy, *numbers, when])
     return rows if len(rows) > 1 else []
 
 
-def _motion_duration(cell: PolicyCell) -> float:
-    """Duration of a cell's motion with its dwells [s]."""
-    return find_trajectory(dict(cell.trajectory), cell.robot.kind).duration
+def violations(score: scores.Score) -> list[Mapping[str, Any]]:
+    """The violations beyond the payload of a score: fields of
+    :class:`~cablebot_gym.evaluation.constraints.Violation`, and the ``fraction`` of the motion with
+    its dwells at which the limit broke."""
+    stored = score.result.get("violations")
+    if stored is not None:
+        return list(stored)
+    violation = score.result.get("violation")
+    if violation is None:
+        return []
+    duration = find_trajectory(dict(score.cell.trajectory), score.cell.robot.kind).duration
+    return [violation | {"fraction": violation["time"] / duration}]
 
 
 def map_title(payload_map: scores.PayloadMap) -> str:

@@ -30,6 +30,9 @@ ViolationKind = Literal["torque", "slack", "position", "rotation", "terminated"]
 KINDS: tuple[ViolationKind, ...] = get_args(ViolationKind)
 """Kinds of violations in the order in which the judge checks them."""
 
+NEAR = 0.9
+"""Fraction of a limit from which on the lead of a violation counts."""
+
 _REASONS = np.array(TERMINATION_REASONS)
 
 
@@ -64,6 +67,10 @@ class Violation:
     a motor cannot hold the robot at the start; else empty."""
     bound: float | None = None
     """Bound of the error [m or rad] or of the tension [N]; None if the limit has none."""
+    lead: float | None = None
+    """Time from which on the quantity was beyond :data:`NEAR` of its limit until the violation [s]:
+    how early the violation could be seen to come. A tension is, where T_min is more than
+    :data:`NEAR` of it. None for ``terminated``, for a limit without a bound, and at the start."""
 
     def __str__(self) -> str:
         if self.time is None:
@@ -152,6 +159,7 @@ class Judge(metaclass=Sealed):
         self._rotation_peak = np.zeros(count)
         self._peak_action = np.zeros((count, cables))
         self._least_tension = np.zeros(count)
+        self._near_since = {kind: np.full(count, np.inf) for kind in KINDS}
 
     @property
     def carried(self) -> NDArray[np.bool_]:
@@ -188,6 +196,8 @@ class Judge(metaclass=Sealed):
         self._rotation_peak[mask] = 0.0
         self._peak_action[mask] = 0.0
         self._least_tension[mask] = np.inf
+        for since in self._near_since.values():
+            since[mask] = np.inf
         self.failed[mask] = False
         if self.criterion == "task" and task.starts_at_rest:
             margin = info["torque_margin"]
@@ -217,12 +227,15 @@ class Judge(metaclass=Sealed):
         tension = info["least_tensions"].min(axis=1)
         np.minimum(self._least_tension, tension, out=self._least_tension, where=running)
         if self.criterion == "paper":
-            saturated = running & ~is_unsaturated(action.max(axis=1))
+            largest = action.max(axis=1)
+            self._approach("torque", largest >= NEAR, info["action_time"], running)
+            saturated = running & ~is_unsaturated(largest)
             if saturated.any():
                 motor = action.argmax(axis=1)
                 excess = -np.take_along_axis(info["torque_margin"], motor[:, None], 1)[:, 0]
                 self._fail("torque", saturated, info["action_time"], index=motor + 1, excess=excess)
         bound = self._tension_bound
+        self._approach("slack", NEAR * tension <= bound, time, running)
         below_bound = running & ~is_taut(tension, bound)
         if below_bound.any():
             cable = info["least_tensions"].argmin(axis=1)
@@ -253,9 +266,23 @@ class Judge(metaclass=Sealed):
         time: Array,
         running: NDArray[np.bool_],
     ) -> None:
+        self._approach(kind, error >= NEAR * bound, time, running)
         beyond = running & ~within_bound(error, bound)
         if beyond.any():
             self._fail(kind, beyond, time, excess=error - bound, bound=bound)
+
+    def _approach(
+        self,
+        kind: ViolationKind,
+        is_near: NDArray[np.bool_],
+        time: Array,
+        running: NDArray[np.bool_],
+    ) -> None:
+        """Keeps the time since which a quantity is near its limit without a break; ∞ if it is
+        not."""
+        since = self._near_since[kind]
+        latest = np.where(is_near, np.minimum(since, time), np.inf)
+        np.copyto(since, latest, where=running)
 
     def _fail(
         self, kind: ViolationKind, mask: NDArray[np.bool_], time: Array, **values: ArrayLike
@@ -269,6 +296,9 @@ class Judge(metaclass=Sealed):
             fields: dict[str, Any] = {"index": None, "excess": None, "time": time[env_index].item()}
             for name, column in columns.items():
                 fields[name] = column[env_index].item()
+            near_since = self._near_since[kind][env_index].item()
+            if np.isfinite(near_since):
+                fields["lead"] = fields["time"] - near_since
             # −∞ stands for a limit without a tension bound
             if not np.isfinite(fields.get("bound", 0.0)):
                 fields["bound"] = None

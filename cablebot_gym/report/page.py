@@ -31,13 +31,15 @@ from cablebot_gym.benchmark.tables import (
     heading,
     motion_title,
     task_title,
+    violations,
 )
 from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.rendering.moment import HANG, full_tension
 from cablebot_gym.report.replay import LEVELS, RATE, Replay, platform_points
+from cablebot_gym.report.violations import violation_strips
 from cablebot_gym.trajectories import find_trajectory
 
-SCRIPTS = ("charts.js", "table.js", "scene.js", "page.js")
+SCRIPTS = ("charts.js", "limits.js", "table.js", "scene.js", "page.js")
 """Scripts of the page in order of their dependencies."""
 
 BEST_KNOWN = "best known payload"
@@ -109,6 +111,7 @@ def page_data(
         "cells": cells.cells,
         "robots": list(cells.robots.values()),
         "motions": list(cells.motions.values()),
+        "limits": _limits(boards),
         "maps": [_map(payload_map) for payload_map in scores.payload_maps(records)],
         "notes": _notes(sources, records),
         "rate": RATE,
@@ -406,6 +409,21 @@ def _motion(cell: Cell) -> dict[str, Any]:
         "bound": cell.error_bounds["position"],
         "rotation": cell.error_bounds["rotation"],
     }
+
+
+def _limits(boards: Sequence[scores.Leaderboard]) -> list[dict[str, Any]]:
+    """The violations of each policy over all robots and motions under the task criterion."""
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for board in boards:
+        for (policy, column), entry in board.entries.items():
+            if column.criterion == "task":
+                for score in entry:
+                    groups.setdefault(policy, []).extend(violations(score))
+    limits = []
+    for policy, group in groups.items():
+        if group:
+            limits.append({"policy": policy, "strips": violation_strips(group)})
+    return limits
 
 
 def _map(payload_map: scores.PayloadMap) -> dict[str, Any]:

@@ -134,6 +134,52 @@ def test_torque_violation_is_that_of_the_largest_action(action, motor, excess):
     assert (violation.excess, violation.time) == pytest.approx((excess, 2 * PERIOD))
 
 
+def of_error(fraction):
+    return {"position": fraction * BOUNDS.position}
+
+
+def of_rotation(fraction):
+    return {"rotation": fraction * BOUNDS.rotation}
+
+
+def of_tension(fraction):
+    return {"tension": (9.0, 1.0 / fraction, 8.0)}
+
+
+def of_action(fraction):
+    return {"action": (0.1, -fraction, 0.2)}
+
+
+LEADS = [
+    # fractions of the limit at the start and at each step, and steps of the lead
+    ([0.1, 0.5, 0.89, 1.1], 0),
+    ([0.1, 0.5, 0.91, 0.95, 1.1], 2),
+    ([0.1, 0.95, 0.89, 0.91, 1.1], 1),
+    ([0.1, 0.95, 0.95, 0.89, 1.1], 0),
+]
+
+
+@pytest.mark.parametrize(("fractions", "steps"), LEADS)
+@pytest.mark.parametrize("change", [of_error, of_rotation, of_tension, of_action])
+def test_lead_is_the_time_beyond_nine_tenths_of_the_limit_without_a_break(change, fractions, steps):
+    criterion = "paper" if change is of_action else "task"
+    script = [change(fraction) for fraction in fractions]
+    violation = judged(script, criterion).violation
+    assert violation.lead == pytest.approx(steps * PERIOD)
+    # an earlier episode leaves nothing
+    env = DLCCMonitor(Scripted(script), criterion=criterion)
+    for _ in range(2):
+        env.reset()
+        for _ in script:
+            env.step(np.zeros(3))
+    assert env.verdict.violation == violation
+
+
+def test_violation_without_an_approach_has_no_lead():
+    assert judged(third(terminated=True)).violation.lead is None
+    assert judged(third(slack=(2,)), "paper").violation.lead is None
+
+
 @pytest.mark.parametrize(("slack", "cable"), [((1,), 1), ((3,), 3), ((3, 2), 2)])
 def test_slack_violation_names_the_first_slack_cable(slack, cable):
     violation = judged(third(slack=slack), "paper").violation

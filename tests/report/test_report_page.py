@@ -9,6 +9,7 @@ from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.maps import AXES
 from cablebot_gym.cli.report import report
 from cablebot_gym.report.page import html, page_data
+from cablebot_gym.report.violations import violation_strips
 
 PLANAR = "CableBot-Planar-v0"
 CIRCLE = {"name": "circle-planar"}
@@ -79,6 +80,38 @@ def test_limiting_violation_has_the_bound_of_the_cell():
     assert rows["fl", "circle", "payload known"] == sentence
     assert rows["fl", "2 held-out motions", "payload known"] == "position 2 ×"
     assert ["Limiting violation", sentence.replace("10 mm", "20 mm")] in data["cells"][2]["facts"]
+
+
+STRIPS = [
+    # fractions of the motion, filled bins of 20, median fraction
+    ([0.0], {0: 1}, 0.0),
+    ([0.049, 0.05, 1.0], {0: 1, 1: 1, 19: 1}, 0.05),
+    ([0.52, 0.53], {10: 2}, 0.525),
+]
+
+
+@pytest.mark.parametrize(("fractions", "filled", "middle"), STRIPS)
+@pytest.mark.parametrize(("leads", "lead"), [([None], None), ([0.1, None, 0.3], 0.2)])
+def test_strip_counts_violations_along_the_motion(fractions, filled, middle, leads, lead):
+    violations = [{"kind": "slack", "fraction": 0.3, "lead": lead} for lead in leads]
+    violations += [{"kind": "position", "fraction": fraction} for fraction in fractions]
+    slack, position = violation_strips(violations)
+    assert slack["kind"] == "slack"
+    assert slack["counts"][6] == slack["count"] == len(leads)
+    assert slack["lead"] == (None if lead is None else pytest.approx(lead))
+    assert {bin: count for bin, count in enumerate(position["counts"]) if count} == filled
+    assert position["fraction"] == pytest.approx(middle)
+
+
+def test_limits_of_a_policy_are_those_of_all_its_cells():
+    survey = [{"kind": "slack", "fraction": 0.5, "lead": 0.1}] * 19
+    stored = carried(policy("robust"), 1.0, violations=survey, violation=None)
+    data = page_data([replace(RESULTS, records=[*RECORDS, stored])], {})
+    counts = {
+        limit["policy"]: {strip["kind"]: strip["count"] for strip in limit["strips"]}
+        for limit in data["limits"]
+    }
+    assert counts == {"adaptive": {"position": 1}, "fl": {"position": 4}, "robust": {"slack": 19}}
 
 
 def test_page_has_title_and_data_as_text(results, capsys):

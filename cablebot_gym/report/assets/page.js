@@ -220,6 +220,8 @@ for (const section of data.notes) {
 }
 const leaderboard = makeLeaderboard(data.rows, openRow);
 drawMaps();
+find("limits-body").append(...data.limits.map(limitFigure));
+find("limits").hidden = !data.limits.length;
 const linked = data.rows.find((row) => row.key === decodeURIComponent(location.hash.slice(1)));
 const start = linked ?? data.rows[data.start];
 leaderboard.filters.id.value = start.id;
