@@ -31,6 +31,7 @@ from cablebot_gym.envs.observation import ObservationLayout, observation_layout
 from cablebot_gym.policies.protocol import Array, BatchItemError, Policy
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
+from cablebot_gym.utils.foreign import foreign_bytes
 from cablebot_gym.utils.imports import import_object
 from cablebot_gym.utils.user_code import raised
 
@@ -379,7 +380,7 @@ class NamedWrapper:
                 return cls(name=name, wrap=normalised_observation, forms=(VECTOR,))
             try:
                 if name.endswith(".pkl"):
-                    return statistics(name, Path(name).read_bytes())
+                    return statistics(name, foreign_bytes(Path(name), links=True))
                 wrap = import_object(name)
             except OSError as error:
                 raise ValueError(f"cannot read wrapper {name!r}: {error.strerror}") from error

@@ -124,6 +124,7 @@ ALL_READERS = READERS | {
     "cell.json": (cell, RECORD),
     "episode.json": (read_episodes, '[{"payload": 1}]'),
     "state.json": (training, '{"timesteps": 1}'),
+    "statistics.pkl": (lambda path: load_policy("fl", PLANAR, wrappers=[path]), "1"),
 }
 HOSTILE = {
     "pipe": lambda path, text: os.mkfifo(path),
