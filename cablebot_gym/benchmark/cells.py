@@ -19,7 +19,7 @@ import numpy as np
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.evaluation.batch import Batch, versions
+from cablebot_gym.evaluation.batch import Batch, Row, versions
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import KINDS
 from cablebot_gym.evaluation.timing import time_actions
@@ -221,7 +221,7 @@ class PolicyCell(Setting):
         )
         with self._isolated() as policy:
             batch = Batch(policy, conditions)
-            verdicts = batch.run([(payload, draw_seed) for draw_seed in batch.seeds])
+            verdicts = batch.run([Row(payload, draw_seed) for draw_seed in batch.seeds])
             carried = sum(verdict.carried for verdict in verdicts)
             batch.check_alone(payload, carried)
         return carried / draws

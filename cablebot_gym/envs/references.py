@@ -31,21 +31,22 @@ steps only."""
 
 
 class ReferenceTables:
-    """Tables of the motions that the environments of a batch follow at present, one table per
-    motion.
+    """Tables of the motions that the environments of a batch follow, one table per motion.
 
-    ``physics`` (trajectories, rows, n): poses at every physics step, ``substeps`` per control
-    period. ``control`` (trajectories, rows, columns): reference blocks of the observation at every
-    control instant, with jerk and snap if ``to_snap``. ``physics_ends`` and ``control_ends`` are
-    the indices of the last rows: the final pose at rest, which is held from then on.
+    ``physics`` (tables, rows, n): poses at every physics step, ``substeps`` per control period.
+    ``control`` (tables, rows, columns): reference blocks of the observation at every control
+    instant, with jerk and snap if ``to_snap``. ``physics_ends`` and ``control_ends`` are the
+    indices of the last rows: the final pose at rest, which is held from then on. A new motion takes
+    the place of one that no environment follows any more.
     """
 
     def __init__(self, control_frequency: float, substeps: int, *, to_snap: bool) -> None:
         self._frequency = control_frequency
         self._substeps = substeps
         self._to_snap = to_snap
-        self._tables: list[tuple[Trajectory, Array, Array]] = []
-        self._followed: dict[int, Trajectory] = {}
+        self._prepared: tuple[Trajectory, Array, Array] | None = None
+        self._motions: list[Trajectory] = []
+        self._table_of_env: dict[int, int] = {}
         self.physics = self.control = np.zeros((0, 0, 0))
         self.physics_ends = self.control_ends = np.zeros(0, np.int64)
 
@@ -56,8 +57,8 @@ class ReferenceTables:
             ValueError: if the motion is too long, has too many steps, or returns values that are
                 not finite or not of the right shape. The tables are unchanged then.
         """
-        if not any(table[0] is trajectory for table in self._tables):
-            self._tables = [*self._tables, (trajectory, *self._tabulate(trajectory))]
+        if self._find(trajectory) is None:
+            self._prepared = (trajectory, *self._tabulate(trajectory))
 
     def follow(
         self,
@@ -73,17 +74,38 @@ class ReferenceTables:
             trajectory_index: index of each environment's table, (width,); updated here, with the
                 fill at its end.
         """
-        if all(self._followed.get(env_index) is trajectory for env_index in env_indices.tolist()):
-            return
-        self._followed.update(dict.fromkeys(env_indices.tolist(), trajectory))
-        followed = {id(motion) for motion in self._followed.values()}
-        self._tables = [table for table in self._tables if id(table[0]) in followed]
-        self.physics, self.physics_ends = _stacked([table[1] for table in self._tables])
-        self.control, self.control_ends = _stacked([table[2] for table in self._tables])
-        indices = {id(table[0]): index for index, table in enumerate(self._tables)}
-        for env_index, motion in self._followed.items():
-            trajectory_index[env_index] = indices[id(motion)]
-        trajectory_index[len(self._followed) :] = trajectory_index[len(self._followed) - 1]
+        table = self._find(trajectory)
+        for env_index in env_indices.tolist():
+            self._table_of_env.pop(env_index, None)
+        if table is None:
+            table = self._store()
+        self._table_of_env.update(dict.fromkeys(env_indices.tolist(), table))
+        trajectory_index[env_indices] = table
+        followed = len(self._table_of_env)
+        trajectory_index[followed:] = trajectory_index[followed - 1]
+
+    def _find(self, trajectory: Trajectory) -> int | None:
+        """Index of the table of a motion; None if it has none."""
+        for table, motion in enumerate(self._motions):
+            if motion is trajectory:
+                return table
+        return None
+
+    def _store(self) -> int:
+        """Stores the prepared motion and returns the index of its table."""
+        assert self._prepared is not None
+        trajectory, physics, control = self._prepared
+        unused = set(range(len(self._motions))) - set(self._table_of_env.values())
+        table = min(unused, default=len(self._motions))
+        self._motions[table : table + 1] = [trajectory]
+        self.physics, self.physics_ends = _with_table(
+            self.physics, self.physics_ends, table, physics
+        )
+        self.control, self.control_ends = _with_table(
+            self.control, self.control_ends, table, control
+        )
+        self._prepared = None
+        return table
 
     def _tabulate(self, trajectory: Trajectory) -> tuple[Array, Array]:
         label = f"trajectory {trajectory.name!r}"
@@ -147,13 +169,18 @@ def _evaluate(trajectory: Trajectory, times: Array, orders: tuple[str, ...]) -> 
     return checked
 
 
-def _stacked(tables: list[Array]) -> tuple[Array, Array]:
-    """Tables of different lengths as one array, padded with their last rows, and the index of each
-    last row."""
-    ends = np.array([len(table) - 1 for table in tables], np.int64)
-    return np.stack(
-        [
-            np.pad(table, ((0, ends.max() - end), (0, 0)), "edge")
-            for table, end in zip(tables, ends, strict=True)
-        ]
-    ), ends
+def _with_table(
+    tables: Array, ends: NDArray[np.int64], index: int, rows: Array
+) -> tuple[Array, NDArray[np.int64]]:
+    """Tables (tables, rows, columns) and the index of each last row, with other rows at ``index``,
+    which may be one past the end. The rows after the last one of a table are never read."""
+    count = max(len(tables), index + 1)
+    longest = max(len(rows), *tables.shape[1:2])
+    if (count, longest) != tables.shape[:2]:
+        larger = np.zeros((count, longest, rows.shape[1]))
+        larger[: len(tables), : tables.shape[1], : tables.shape[2]] = tables
+        tables = larger
+        ends = np.append(ends, np.zeros(count - len(ends), np.int64))
+    tables[index, : len(rows)] = rows
+    ends[index] = len(rows) - 1
+    return tables, ends

@@ -10,7 +10,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from importlib.metadata import entry_points, version
 from multiprocessing import parent_process
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -25,6 +25,7 @@ from cablebot_gym.measurement import POSE
 from cablebot_gym.policies import LoadedPolicy, PolicyError, Wrapper, load
 from cablebot_gym.policies.spec import ESTIMATOR_ENTRY_POINT_GROUP
 from cablebot_gym.task import Task, to_jsonable
+from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.workers import cores
 
 BATCH = 1024
@@ -55,8 +56,17 @@ DEPENDENT = (
 )
 """End of an error about a policy. Gets the difference that shows it."""
 
-Row = tuple[float, int]
-"""Nominal payload [kg] and seed of an episode."""
+
+class Row(NamedTuple):
+    """One episode."""
+
+    payload: float
+    """Nominal payload [kg]."""
+    seed: int
+    """Seed of the episode."""
+    motion: int = 0
+    """Index of its motion among those of the batch."""
+
 
 Progress = Callable[[int, int], None]
 """Callback after every control step: number of finished steps, expected number of steps. Functions
@@ -194,6 +204,7 @@ class Batch:
         name: name of the policy; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first, see
             :data:`~cablebot_gym.policies.wrappers.Wrapper`.
+        motions: reference motions of the rows; empty for that of the conditions.
 
     Raises:
         ValueError: if the policy does not fit the conditions.
@@ -208,16 +219,18 @@ class Batch:
         *,
         name: str | None = None,
         wrappers: Sequence[Wrapper] = (),
+        motions: Sequence[Trajectory] = (),
     ) -> None:
         self.conditions = conditions
         """Conditions of all episodes."""
         env = self._make(1)
-        env.reset(seed=conditions.seed)
         self.settings = env.settings
         """Settings of the environments."""
-        self.task: Task = deepcopy(env.tasks[0])
-        """Task of the first episode. The judge reads its bounds, length and robot."""
-        self.task.check_motion()
+        self._motions = tuple(motions)
+        self.tasks = tuple(_task(env, motion, conditions.seed) for motion in motions or (None,))
+        """Task of each motion. The judge reads its bounds, length and robot."""
+        self.task: Task = self.tasks[0]
+        """Task of the first motion."""
         robot = deepcopy(conditions.robot)
         self.policy: LoadedPolicy = load(policy, robot, name=name, wrappers=wrappers)
         """The policy."""
@@ -332,14 +345,8 @@ class Batch:
         for indices in groups:
             env = self._make(len(indices), **changes)
             self._last_rows = len(indices)
-            group = [rows[index] for index in indices.tolist()]
-            options = {
-                "payload": np.array([payload for payload, _ in group]),
-                "noise_seed": [noise_seed(seed, payload) for payload, seed in group],
-            }
-            observation, info = env.reset(seed=[seed for _, seed in group], options=options)
-            judge = self._judge(self.conditions.criterion, self.task.robot.cables, len(group))
-            judge.reset(info, self.task)
+            judge = self._judge(self.conditions.criterion, self.task.robot.cables, len(indices))
+            observation, info = self._start(env, judge, [rows[index] for index in indices.tolist()])
             if observer is not None:
                 observer.start(env, observation, info)
             run_episodes(
@@ -354,6 +361,30 @@ class Batch:
             for row, index in enumerate(indices.tolist()):
                 verdicts[index] = judge.verdict(row)
         return [verdicts[index] for index in range(len(rows))]
+
+    def _start(
+        self, env: CableBotVectorEnv, judge: Judge, rows: Sequence[Row]
+    ) -> tuple[Array, dict[str, Any]]:
+        """Starts an episode for each row; the last observation and info of the reset."""
+        seeds = [row.seed for row in rows]
+        options: dict[str, Any] = {
+            "payload": np.array([row.payload for row in rows]),
+            "noise_seed": [noise_seed(row.seed, row.payload) for row in rows],
+        }
+        if not self._motions:
+            observation, info = env.reset(seed=seeds, options=options)
+            judge.reset(info, self.task)
+            return observation, info
+        motion_of_row = np.array([row.motion for row in rows])
+        for motion in np.unique(motion_of_row).tolist():
+            task = self.tasks[motion]
+            mask = motion_of_row == motion
+            options["trajectory"] = task.trajectory
+            observation, info = env.reset(seed=seeds, options=options)
+            judge.reset(info, task, mask)
+            # only the first reset starts all episodes
+            options["reset_mask"] = motion_of_row > motion
+        return observation, info
 
     def check_alone(self, payload: float, carried: int, count: StepCount | None = None) -> None:
         """Tries a payload in fresh draws with secret seeds, one batch each, until enough of them
@@ -395,7 +426,7 @@ class Batch:
         for seed in seeds:
             if carried == required or len(verdicts) - carried > draws - required:
                 break
-            (verdict,) = self.run([(payload, seed)], count=count)
+            (verdict,) = self.run([Row(payload, seed)], count=count)
             verdicts.append(verdict)
             carried += verdict.carried
         return Trial(payload=payload, verdicts=tuple(verdicts), seeds=tuple(seeds[: len(verdicts)]))
@@ -406,6 +437,15 @@ class Batch:
         text = f"{alone.payload:.3f} kg is carried in {alone.carried} of {len(alone.verdicts)} "
         text += f"draws alone, in {carried} of {self.draws} together"
         return PolicyError(f"policy {self.policy.name!r} {DEPENDENT.format(text)}")
+
+
+def _task(env: CableBotVectorEnv, motion: Trajectory | None, seed: int) -> Task:
+    """A copy of the task of a motion; of that of the environment if it is None."""
+    options = None if motion is None else {"trajectory": motion}
+    env.reset(seed=seed, options=options)
+    task = deepcopy(env.tasks[0])
+    task.check_motion()
+    return task
 
 
 def _threads(rows: int) -> int:

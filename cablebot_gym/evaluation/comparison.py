@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_gym.envs import described
-from cablebot_gym.evaluation.batch import Batch, Progress, StepCount, versions
+from cablebot_gym.evaluation.batch import Batch, Progress, Row, StepCount, versions
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import interval
@@ -315,7 +315,7 @@ def compare_policies(
             batch = Batch(policy, shared, name=label, wrappers=layers)
             count.expected = len(labels) * batch.task.steps
             recorder = Recorder(range(batch.draws), _RECORDED)
-            rows = [(payload, seed) for seed in batch.seeds]
+            rows = [Row(payload, seed) for seed in batch.seeds]
             verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
             radius = batch.settings.error_bounds.termination_radius
             isolated &= batch.policy.isolated

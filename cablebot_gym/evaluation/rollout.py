@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.vector import CableBotVectorEnv
-from cablebot_gym.evaluation.batch import Batch, Progress, StepCount
+from cablebot_gym.evaluation.batch import Batch, Progress, Row, StepCount
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.kinematics import Array, cable_lengths
@@ -234,7 +234,7 @@ def record_rollout(
     with chosen_progress(progress, f"{batch.policy.name} on {env_id}", "steps") as step:
         count = StepCount(step, batch.task.steps)
         count.add(0)
-        rows = [(payload, shared.seed)]
+        rows = [Row(payload, shared.seed)]
         verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
     return recorder.rollouts(verdicts)[0]
 

@@ -31,13 +31,13 @@ from cablebot_gym.evaluation.batch import (
     secret_order,
 )
 from cablebot_gym.evaluation.constraints import Verdict
+from cablebot_gym.evaluation.repetition import first_difference
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import (
     fewest_draws,
     plausible_successes,
     required_successes,
 )
-from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import PolicyError
 
 SCAN_POINTS = 64
@@ -68,11 +68,6 @@ draws. A bisection has the draws of the confirmation only."""
 
 REPEATED_DRAWS = STOCHASTIC_ALONE
 """Largest number of draws of the payload that are repeated among other payloads and draws."""
-
-REPEAT_TOLERANCE = 1e-6
-"""Largest difference between the peaks of an episode and of its repetition: as a fraction of the
-bound, or of the peak if that is larger. Matrix products round differently if the rows of a batch have
-another order."""
 
 DIAGNOSES = 3
 """Largest number of further runs of the scan that look for randomness after a repeated episode
@@ -246,7 +241,7 @@ class Search:
         if not self._is_drawn:
             seeds = seeds * DENSE_POINTS
         payloads = self._rng.uniform(0.0, below.payload, len(seeds)).tolist()
-        return list(zip(payloads, seeds, strict=True)), repeated
+        return list(map(Row, payloads, seeds)), repeated
 
     def _confirm(self) -> SearchOutcome:
         """Checks the discretisation, or tries fresh draws, and records the episode at the
@@ -319,10 +314,10 @@ class Search:
             PolicyError: if they differ.
         """
         draws = secret_order(self._batch.draws)[:REPEATED_DRAWS].tolist()
-        repeated = [(trial.payload, trial.seeds[draw]) for draw in draws]
+        repeated = [Row(trial.payload, trial.seeds[draw]) for draw in draws]
         payloads = np.random.default_rng().uniform(0.0, self._grid[-1], len(draws)).tolist()
         seeds = derived_seeds(np.random.SeedSequence(), len(draws))
-        others = list(zip(payloads, seeds, strict=True))
+        others = list(map(Row, payloads, seeds))
         verdicts = self._batch.run(repeated + others, count=self._count)
         self._check_repetition([trial.verdicts[draw] for draw in draws], verdicts[: len(repeated)])
 
@@ -396,8 +391,10 @@ class Search:
         allowed = self._batch.draws - self._required
         allowed += int(3 * math.sqrt(allowed))
         if len(failed) > allowed:
-            (payload, seed), verdict = failed[allowed]
-            self._trials[payload] = Trial(payload=payload, verdicts=(verdict,), seeds=(seed,))
+            row, verdict = failed[allowed]
+            self._trials[row.payload] = Trial(
+                payload=row.payload, verdicts=(verdict,), seeds=(row.seed,)
+            )
 
     def _discretisation(self, below: Trial | None, above: Trial | None) -> float:
         """Upper bound of the change of the payload under finer physics steps [kg]."""
@@ -448,7 +445,7 @@ class Search:
         # The rest of the work is known now: the progress ends at 100 %.
         remaining = len(repeats) * batch.task.steps
         self._count.expected = min(self._count.expected, self._count.done + remaining)
-        rows = [(trial.payload, trial.seeds[draw]) for trial, draw in repeats]
+        rows = [Row(trial.payload, trial.seeds[draw]) for trial, draw in repeats]
         recorder = Recorder([0])
         # The recorded episode runs last: Batch.fallbacks counts those of the last batch.
         unrecorded = [batch.run([row], count=self._count)[0] for row in rows[1:]]
@@ -470,55 +467,21 @@ class Search:
         Raises:
             PolicyError: if they differ. Further runs of the scan in its order tell the reason.
         """
-        difference = self._difference(first, repeated)
+        bounds = self._batch.conditions.error_bounds
+        difference = first_difference(first, repeated, bounds)
         if difference is None:
             return
         reason = DEPENDENT
         for _ in range(DIAGNOSES):
             verdicts = self._batch.run(self._scan_rows, count=self._count, order=self._scan_order)
-            if self._difference(self._scan_verdicts, verdicts) is not None:
+            if first_difference(self._scan_verdicts, verdicts, bounds) is not None:
                 reason = _NOT_REPRODUCIBLE
                 break
         raise PolicyError(f"policy {self._batch.policy.name!r} {reason.format(difference)}")
 
-    def _difference(self, first: _Verdicts, repeated: _Verdicts) -> str | None:
-        """The first difference between episodes and their repetitions as text; None if there is
-        none."""
-        bounds = self._batch.conditions.error_bounds
-        scale = 1 / np.array([bounds.position, bounds.rotation])
-        for original, repetition in zip(first, repeated, strict=True):
-            peaks = _peaks(original, scale)
-            repeated_peaks = _peaks(repetition, scale)
-            tolerance = REPEAT_TOLERANCE * np.maximum(1.0, np.abs(peaks))
-            apart = np.abs(repeated_peaks - peaks) > tolerance
-            if _end(original) == _end(repetition) and not apart.any():
-                continue
-            index = int(apart.argmax())
-            name = f"|a| of motor {index - 1}"
-            if index < 2:
-                name = ("position error / bound", "rotation error / bound")[index]
-            ends = [str(verdict.violation or "carried") for verdict in (original, repetition)]
-            outcome = " and then ".join(dict.fromkeys(ends))
-            values = f"{peaks[index]:.6g} and then {repeated_peaks[index]:.6g}"
-            return f"at {original.payload:.3f} kg: {outcome}, with a largest {name} of {values}"
-        return None
-
-
-def _end(verdict: Verdict) -> tuple[str, float | None] | None:
-    """Kind and time of the violation; None without one."""
-    if verdict.violation is None:
-        return None
-    return verdict.violation.kind, verdict.violation.time
-
-
-def _peaks(verdict: Verdict, scale: Array) -> Array:
-    """Largest errors as fractions of their bounds, then the largest |a| of each motor."""
-    errors = scale * [verdict.position_peak, verdict.rotation_peak]
-    return np.array([*errors, *verdict.peak_action])
-
 
 def _rows(payloads: Sequence[float], seeds: Sequence[int]) -> list[Row]:
-    return [(payload, seed) for payload in payloads for seed in seeds]
+    return [Row(payload, seed) for payload in payloads for seed in seeds]
 
 
 def _trials(payloads: Sequence[float], seeds: Sequence[int], verdicts: _Verdicts) -> list[Trial]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.evaluation.batch import Batch
+from cablebot_gym.evaluation.batch import Batch, Row
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.policies.adapters import WARM_UP, RealTime
 from cablebot_gym.utils.checks import number
@@ -55,7 +55,7 @@ def time_actions(
     timed = RealTime(batch.policy.policy, math.inf)
     batch.policy = replace(batch.policy, policy=timed)
     payload = number("payload", payload, least=0, unit="kg")
-    batch.run([(payload, batch.conditions.seed)], full_motion=True)
+    batch.run([Row(payload, batch.conditions.seed)], full_motion=True)
     times = np.array(timed.times[WARM_UP:])
     period = 1 / batch.task.control_frequency
     if not times.size:

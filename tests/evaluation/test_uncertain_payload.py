@@ -17,7 +17,7 @@ from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import DLCCMonitor, Verdict, Violation, evaluate_dlcc
 from cablebot_gym.evaluation import batch as batch_module
-from cablebot_gym.evaluation.batch import DEFAULT_DRAWS, Batch, Trial, noise_seed
+from cablebot_gym.evaluation.batch import DEFAULT_DRAWS, Batch, Row, Trial, noise_seed
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.evaluation.search import SCAN_POINTS, SEARCH_DRAWS
@@ -117,7 +117,7 @@ def test_fresh_draws_carry_the_payload_often_enough():
     conditions = {"error_bounds": BOUNDS, "uncertainty": unknown, "draws": 2000, "seed": 99}
     batch = Batch(Constant(), Conditions.of(SPATIAL_ID, **STILL, **conditions))
     assert not {*batch.seeds} & {*result.draw_seeds}
-    verdicts = batch.run([(result.payload, seed) for seed in batch.seeds])
+    verdicts = batch.run([Row(result.payload, seed) for seed in batch.seeds])
     assert 0.95 <= np.mean([verdict.carried for verdict in verdicts]) <= 0.99
 
 
