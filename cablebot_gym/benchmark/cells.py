@@ -7,9 +7,9 @@ import json
 import platform
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -21,13 +21,15 @@ from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.batch import Batch, Row, versions
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.constraints import KINDS
+from cablebot_gym.evaluation.constraints import KINDS, Violation
+from cablebot_gym.evaluation.survey import motion_seeds, survey
 from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.isolation.deadlines import Deadlines
 from cablebot_gym.policies import PolicySpec
 from cablebot_gym.robots import ELASTIC, Robot, find_robot, library
 from cablebot_gym.task import ErrorBounds, payload_model_text, to_jsonable
+from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.utils.checks import choice, number
 from cablebot_gym.utils.code_hash import source_hash
 from cablebot_gym.utils.foreign import foreign_list, foreign_object
@@ -232,6 +234,96 @@ class PolicyCell(Setting):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SurveyCell(PolicyCell):
+    """The payloads of one policy on several motions, whose episodes share their batches.
+
+    ``trajectory`` has a list of seeds, one for each motion, and ``draws`` is the number of random
+    robots of each motion. ``probability``, ``resolution`` and ``payload_max`` have no effect.
+    """
+
+    kind: ClassVar[str] = "survey"
+
+    @property
+    def stem(self) -> str:
+        """Readable beginning of the name of the cell's file."""
+        return f"{self.parts[0].stem}-survey"
+
+    @property
+    def parts(self) -> tuple[PolicyCell, ...]:
+        """A cell for each motion, with the same robots. It can be computed alone."""
+        fields = {name: value for name, value in self.to_dict().items() if name != "kind"}
+        trajectory = fields.pop("trajectory")
+        seeds = trajectory["seed"]
+        del fields["seed"]
+        return tuple(
+            PolicyCell(trajectory=trajectory | {"seed": seed}, seed=evaluation_seed, **fields)
+            for seed, evaluation_seed in zip(
+                seeds, motion_seeds(self.seed, len(seeds)), strict=True
+            )
+        )
+
+    def compute(self) -> dict[str, Any]:
+        """The payload and the limiting violation of each motion.
+
+        A policy of this project runs in this process.
+        """
+        kind = self.robot.kind
+        motions = [find_trajectory(dict(part.trajectory), kind) for part in self.parts]
+        names = ("criterion", "seed")
+        options = self.env_options() | {name: getattr(self, name) for name in names}
+        del options["trajectory"]
+        is_shipped = PolicySpec.parse(self.policy).shipped and not self.real_time
+        with nullcontext(self.policy) if is_shipped else self._isolated() as policy:
+            result = survey(
+                policy, self.env_id, motions, robots=self.draws, name=self.policy, **options
+            )
+        return {
+            "payloads": [motion.payload for motion in result.motions],
+            "failed_payloads": [motion.failed_payload for motion in result.motions],
+            "violations": [_brief(motion.violation) for motion in result.motions],
+            "resolutions": list(result.resolutions),
+            "stochastic": result.stochastic,
+        }
+
+    def part_results(self, result: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Results of the :attr:`parts` in the form of those of a :class:`PolicyCell`.
+
+        Raises:
+            KeyError, TypeError, ValueError: if ``result`` is not that of this cell.
+        """
+        seeds = self.trajectory["seed"]
+        if "error" in result:
+            return [dict(result) for _ in seeds]
+        names = ("payloads", "failed_payloads", "violations", "resolutions")
+        columns = [foreign_list(name, result[name]) for name in names]
+        return [
+            {
+                "payload": payload,
+                "violation": None if violation is None else asdict(Violation(**violation)),
+                "resolution": resolution,
+                "scan_ended": failed_payload is None,
+                "stochastic": result["stochastic"],
+                "draws": self.draws,
+            }
+            for _, payload, failed_payload, violation, resolution in zip(
+                seeds, *columns, strict=True
+            )
+        ]
+
+
+def _brief(violation: Violation | None) -> dict[str, Any] | None:
+    """The fields of a violation that are not at their defaults."""
+    if violation is None:
+        return None
+    defaults = Violation(kind=violation.kind, index=None, time=None, excess=None)
+    data = {"index": None, "time": None, "excess": None}
+    for name, value in asdict(violation).items():
+        if value != getattr(defaults, name) or name == "kind":
+            data[name] = value
+    return data
+
+
+@dataclass(frozen=True, kw_only=True)
 class TimingCell(Setting):
     """The computing time of a policy per action."""
 
@@ -293,10 +385,11 @@ class BestKnownCell(Setting):
         )
 
 
-Cell = PolicyCell | BestKnownCell | TimingCell
+Cell = PolicyCell | SurveyCell | BestKnownCell | TimingCell
 
 _KINDS: Mapping[str, type[Cell]] = {
     PolicyCell.kind: PolicyCell,
+    SurveyCell.kind: SurveyCell,
     BestKnownCell.kind: BestKnownCell,
     TimingCell.kind: TimingCell,
 }
@@ -348,6 +441,20 @@ def compute(cell: Cell) -> Record:
     )
 
 
+def single_records(records: Sequence[Record]) -> list[Record]:
+    """The records with a record for each motion in place of that of a survey."""
+    singles = []
+    for record in records:
+        if not isinstance(record.cell, SurveyCell):
+            singles.append(record)
+            continue
+        parts = record.cell.parts
+        results = record.cell.part_results(record.result)
+        for part, result in zip(parts, results, strict=True):
+            singles.append(replace(record, cell=part, result=result))
+    return singles
+
+
 def failed_record(cell: Cell, reason: str) -> Record:
     """A record that is not final, with ``reason`` as its error: the next run computes the cell
     again."""
@@ -378,9 +485,9 @@ def record_from_dict(data: Any) -> Record:
     """
     fields = foreign_object("a record", data)
     result = foreign_object("a result", fields["result"])
-    payload = result.get("payload")
-    if payload is not None and isinstance(payload, int | float):
-        number("payload", payload, least=0, most=LARGEST_PAYLOAD, unit="kg")
+    for payload in (result.get("payload"), *foreign_list("payloads", result.get("payloads", []))):
+        if payload is not None and isinstance(payload, int | float):
+            number("payload", payload, least=0, most=LARGEST_PAYLOAD, unit="kg")
     violations = foreign_list("violations", result.get("violations", []))
     for violation in (result.get("violation"), *violations):
         if violation is not None:
@@ -420,6 +527,7 @@ def _policy_hash(policy: str, robot_files: tuple[Path, ...]) -> str:
     modules, data = policy_source(policy)
     judge = (
         "cablebot_gym.evaluation.evaluator",
+        "cablebot_gym.evaluation.survey",
         "cablebot_gym.evaluation.timing",
         "cablebot_gym.isolation.isolated",
     )

@@ -24,10 +24,11 @@ from cablebot_gym.evaluation.batch import (
     StepCount,
     Trial,
     derived_seeds,
+    draw_seeds,
     secret_order,
 )
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.constraints import Verdict
+from cablebot_gym.evaluation.constraints import Verdict, Violation
 from cablebot_gym.evaluation.evaluator import default_payload_max
 from cablebot_gym.evaluation.repetition import first_difference
 from cablebot_gym.kinematics import Array
@@ -76,6 +77,16 @@ class MotionPayload:
     above: Trial | None
     """The robots with the least failed payload; None if the scan ended without a failure."""
 
+    @property
+    def failed_payload(self) -> float | None:
+        """Least failed payload above [kg]; None if the scan ended without a failure."""
+        return None if self.above is None else self.above.payload
+
+    @property
+    def violation(self) -> Violation | None:
+        """The earliest violation of the most frequent kind at the least failed payload."""
+        return None if self.above is None else self.above.violation
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SurveyResult:
@@ -87,8 +98,8 @@ class SurveyResult:
     """Conditions of all episodes, without the motion."""
     robots: int
     """Number of random robots of each motion."""
-    resolution: float
-    """Gap to the least failed payload as a fraction of the end of the scan."""
+    resolutions: tuple[float, ...]
+    """Largest accepted gap to the least failed payload of each motion [kg]."""
     motions: tuple[MotionPayload, ...]
     """Payloads in the order of the motions."""
     stochastic: bool
@@ -156,16 +167,28 @@ def survey(
         resolution = NOMINAL_RESOLUTION if robots == 1 else RESOLUTION
     resolution = number("resolution", resolution, above=0, below=1)
     with chosen_progress(progress, f"{batch.policy.name} on {env_id}, motions") as on_step:
-        found = _Search(batch, robots, resolution, on_step).run()
+        search = _Search(batch, robots, resolution, on_step)
+        payloads = search.run()
     return SurveyResult(
         policy=batch.policy.name,
         conditions=checked,
         robots=robots,
-        resolution=resolution,
-        motions=found,
+        resolutions=search.resolutions,
+        motions=payloads,
         stochastic=batch.policy.declarations.stochastic,
         isolated=batch.policy.isolated,
     )
+
+
+def motion_seeds(seed: int, count: int) -> list[int]:
+    """Evaluation seed of each motion. :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc` with
+    this seed, and with as many draws as there are robots, meets the same robots.
+
+    Args:
+        seed: evaluation seed of the survey.
+        count: number of motions. The seeds of the first motions do not depend on it.
+    """
+    return derived_seeds(np.random.SeedSequence(seed, spawn_key=(3,)), count)
 
 
 class _Search:
@@ -184,9 +207,9 @@ class _Search:
                 for task in batch.tasks
             ]
         )
-        sequence = np.random.SeedSequence(conditions.seed, spawn_key=(3,))
-        seeds = derived_seeds(sequence, len(self._ends) * robots)
-        self._seeds = np.array(seeds, object).reshape(-1, robots)
+        self._seeds = [
+            draw_seeds(seed, robots) for seed in motion_seeds(conditions.seed, len(self._ends))
+        ]
         self._rng = np.random.default_rng(np.random.SeedSequence(conditions.seed, spawn_key=(4,)))
         points = NOMINAL_SCAN_POINTS if robots == 1 else SCAN_POINTS
         self._grid = self._ends[:, None] * self._fractions(points)
@@ -204,6 +227,11 @@ class _Search:
         shift = self._rng.uniform(-SCAN_JITTER, SCAN_JITTER, (len(self._ends), points))
         shift[:, [0, -1]] = 0.0
         return (np.arange(points) + shift) / (points - 1)
+
+    @property
+    def resolutions(self) -> tuple[float, ...]:
+        """Largest accepted gap to the least failed payload of each motion [kg]."""
+        return tuple((self._resolution * self._ends).tolist())
 
     def run(self) -> tuple[MotionPayload, ...]:
         """Scans, narrows the gaps, tries random payloads below, and repeats episodes."""
@@ -348,9 +376,9 @@ class _Search:
         ]
         failed.sort(key=lambda failure: -failure[0].payload)  # the least one comes last
         for row, verdict in failed:
-            robot = [robots[row.seed]]
-            trial = self._trial(row.motion, row.payload, robot, iter([verdict]))
-            self._fail(row.motion, trial, robot)
+            failing = [robots[row.seed]]
+            trial = self._trial(row.motion, row.payload, failing, iter([verdict]))
+            self._fail(row.motion, trial, failing)
 
     def _carried_episodes(self) -> tuple[list[Row], list[Verdict]]:
         """All episodes of the robots with the payloads of their motions."""
