@@ -26,7 +26,7 @@ import measure_winches
 
 from cablebot_gym.benchmark.leaderboard import Results, library_tables
 from cablebot_gym.benchmark.scores import Column, Leaderboard, best_known_payloads, leaderboards
-from cablebot_gym.benchmark.tables import motion_title
+from cablebot_gym.benchmark.tables import heading, motion_title
 from cablebot_gym.bounds.robot_check import MotionCheck, RobotCheck, check_model, check_motion
 from cablebot_gym.cli.listing import tables
 from cablebot_gym.cli.robot import motion_report, report
@@ -62,28 +62,34 @@ def readme_table(results: Results) -> str:
     """Sentence and table: the best policy of each kind in each environment, by the first column of
     the leaderboard."""
     boards = leaderboards(results.records, results.authors)
-    motion = motion_title(boards[0].columns[0], boards[0].motions(boards[0].columns[0]))
+    first = boards[0].columns[0]
+    motion = motion_title(first, boards[0].motions(first))
+    boards_of: dict[str, list[Leaderboard]] = {}
+    for board in boards:
+        boards_of.setdefault(board.env_id, []).append(board)
     rows = [
         ["environment", *KINDS.values(), "best known on the circle"],
         ["---"] * (2 + len(KINDS)),
     ]
-    for board in boards:
-        row = [f"`{board.env_id}`", *(_best(board, kind) for kind in KINDS)]
+    for env_id, tables in boards_of.items():
+        row = [f"`{env_id}`", *(_best(tables, kind) for kind in KINDS)]
         columns = len(row)
         for known in best_known_payloads(results.records).values():
             on_circle = str(known.cell.trajectory["name"]).startswith("circle-")
-            if known.cell.env_id == board.env_id and on_circle and known.payload:
+            if known.cell.env_id == env_id and on_circle and known.payload:
                 row.append(f"{known.payload:.2f} kg")
         if len(row) == columns:
             row.append("–")
         rows.append(row)
-    text = "The best policy of each kind: mean fraction of the best known payload (payload known, task criterion;\n"
-    text += f"{motion}), and its payload on the circle.\n\n"
+    text = f"The best policy of each kind: mean fraction of the best payload ({motion}, {heading(first)}), and\n"
+    text += "its payload on the circle with an exactly known robot.\n\n"
     return text + "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
-def _best(board: Leaderboard, kind: str) -> str:
-    """The best policy of a kind with its fraction, its payload on the circle, and its ties."""
+def _best(boards: list[Leaderboard], kind: str) -> str:
+    """The best policy of a kind in the first of the tables of an environment, with its fraction, its
+    payload on the circle, and its ties."""
+    board = boards[0]
     entries = policy_entries()
     # by decreasing fraction
     policies = [policy for policy in board.policies if entries[policy].kind == kind]
@@ -94,9 +100,11 @@ def _best(board: Leaderboard, kind: str) -> str:
     if fraction is None or fraction.mean <= 0:
         return "–"
     text = f"`{policy}` {fraction.mean:.0%}"
-    circle = [column for column in board.columns if _circle(column)]
-    if circle and (policy, circle[0]) in board.entries:
-        score = board.entries[policy, circle[0]][0]
+    circles = [
+        board.entries[key][0] for board in boards for key in board.entries if _circle(key[1])
+    ]
+    scores = [score for score in circles if score.cell.policy == policy]
+    for score in scores[:1]:
         text += f", {score.payload_text}"
         if score.payload is not None:
             text += " kg"

@@ -13,10 +13,17 @@ from rich.markdown import Markdown
 
 from cablebot_gym.benchmark import tables
 from cablebot_gym.benchmark.board import Board, normalised_value
-from cablebot_gym.benchmark.cells import PolicyCell, Record, canonical, record_from_dict
+from cablebot_gym.benchmark.cells import (
+    PolicyCell,
+    Record,
+    SurveyCell,
+    canonical,
+    record_from_dict,
+)
 from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.ranking import CONFIDENCE
 from cablebot_gym.benchmark.scores import (
+    RANKED_MOTIONS,
     BestKnown,
     Leaderboard,
     best_known_payloads,
@@ -105,14 +112,14 @@ class Results:
                 f"not {normalised_value(value)!r}"
             )
         evaluation_seed = board.evaluation_seed
-        seeds: dict[tuple[str, str], set[Any]] = {}
+        seeds: dict[tuple[str, str], set[tuple[int, ...]]] = {}
         for record in self.records:
             if not isinstance(record.cell, PolicyCell):
                 continue
             cell = record.cell
             motions = seeds.setdefault((cell.env_id, cell.policy), set())
-            if "seed" in cell.trajectory:
-                motions.add(cell.trajectory["seed"])
+            if isinstance(cell, SurveyCell):
+                motions.add(tuple(cell.trajectory["seed"]))
             if cell.seed != evaluation_seed:
                 raise ValueError(
                     f"the evaluation seed of {cell.policy} on {cell.env_id} is not that of board "
@@ -126,14 +133,17 @@ class Results:
             differ = ", ".join(f"{policy} on {env_id}" for env_id, policy in sorted(absent))
             raise ValueError(f"board {board.version!r} and its results differ in {differ}")
         for env_id, policy in committed:
-            if seeds[env_id, policy] != set(board.seeds(env_id, board.motions)):
+            every = tuple(board.seeds(env_id, board.motions))
+            # a slow policy has the first motions only, the same ones in all of its surveys
+            (motions,) = seeds[env_id, policy] if len(seeds[env_id, policy]) == 1 else [()]
+            if len(motions) < min(RANKED_MOTIONS, len(every)) or motions != every[: len(motions)]:
                 raise ValueError(
                     f"the motions of {policy} on {env_id} are not those of board {board.version!r}"
                 )
 
     def to_json(self) -> str:
         """The results as JSON, one cell per line. Equal results give identical bytes."""
-        scored = iter(scores(self.records))
+        scored = {score.cell.key: score for score in scores(self.records)}
         versions = _versions(self.records)
         lines = []
         for record in self.records:
@@ -148,7 +158,7 @@ class Results:
             if record.processor_seconds:
                 entry["processor_seconds"] = round(record.processor_seconds, 3)
             if entry["cell"]["kind"] == "policy":
-                score = next(scored)
+                score = scored[record.cell.key]
                 entry |= {"best_known": score.best_known, "score": score.score}
             lines.append(json.dumps(entry, ensure_ascii=False, allow_nan=False))
         board = None if self.board is None else asdict(self.board)
@@ -210,13 +220,20 @@ def markdown(results: Results) -> str:
     notes."""
     records = results.records
     boards = leaderboards(records, results.authors)
+    main = [board for board in boards if board.is_main]
+    second = [board for board in boards if not board.is_main]
     text = _INTRODUCTION + _absent_text(results, boards)
-    text += _boards_text(boards, results.entries)
+    if main:
+        text += f"\n## Robots that are not exactly known\n\n{_main_text(main)}"
+    text += _boards_text(main, results.entries, has_main=True)
+    if main and second:
+        text += "\n## Robots that are exactly known, and single motions\n"
+    text += _boards_text(second, results.entries, has_main=bool(main))
     library = library_tables(records)
     if library:
         text += "\n## Real robots\n\n"
         text += f"Each robot has its own motion, error bounds and payload range.\n\n{library}"
-    rows = tables.overall_rows(boards)
+    rows = tables.overall_rows(main or second)
     if rows:
         text += f"\n## All environments\n\n{_table(rows)}"
     rows = tables.violation_rows(boards)
@@ -235,6 +252,17 @@ def markdown(results: Results) -> str:
     return f"{text}\n{_definitions(records)}\n{_origin(results)}"
 
 
+def _main_text(boards: Sequence[Leaderboard]) -> str:
+    """What the number of the main table is."""
+    (column,) = {board.columns[0] for board in boards if board.columns}
+    robots = column.draws
+    return f"""The payload of a motion is the largest one that all {robots} robots carry which are drawn for it
+(`{column.uncertainty}`), so a further random robot carries it with a probability of {robots / (robots + 1):.0%}. A table
+has the mean over the motions of this payload, as a fraction of the best one that a planner which knows the drawn robot
+carries on 95% of the robots, see the [yardsticks](#yardsticks).
+"""
+
+
 def _absent_text(results: Results, boards: Sequence[Leaderboard]) -> str:
     """The environments without a board."""
     present = {board.env_id for board in boards}
@@ -244,7 +272,10 @@ def _absent_text(results: Results, boards: Sequence[Leaderboard]) -> str:
     return f"\nNo board yet: {', '.join(absent)}.\n"
 
 
-def _boards_text(boards: Sequence[Leaderboard], entries: Sequence[EntryNote]) -> str:
+def _boards_text(
+    boards: Sequence[Leaderboard], entries: Sequence[EntryNote], *, has_main: bool
+) -> str:
+    """The tables under headings; with main tables, those have a common heading each."""
     unverified = {entry.policy for entry in entries if not entry.verified}
     text = ""
     for board in boards:
@@ -253,7 +284,11 @@ def _boards_text(boards: Sequence[Leaderboard], entries: Sequence[EntryNote]) ->
         for row in rows[1:]:
             mark = ", unverified" if row[column] in unverified else ""
             row[column] = f"`{row[column]}`{mark}"
-        text += f"\n## {board.env_id}\n\n{_table(rows)}"
+        level = "###" if has_main else "##"
+        title = board.env_id
+        if has_main and not board.is_main:
+            title += ", exactly known"
+        text += f"\n{level} {title}\n\n{_table(rows)}"
     return text
 
 

@@ -95,11 +95,12 @@ def ranks(
     rank: where the comparisons alone would give it one, it gets that of the policy below it.
 
     Args:
-        fractions: fractions of the same motions by policy, each (motions,).
+        fractions: fractions of the same motions by policy, each (motions,); NaN for the motions
+            that a policy has not run.
         authors: authors by policy; policies without one count alone. The policies of one author
             count once, as do policies with equal fractions.
     """
-    names = sorted(fractions, key=lambda name: (-fractions[name].mean(), name))
+    names = sorted(fractions, key=lambda name: (-np.nanmean(fractions[name]), name))
     if not names:
         return {}
     values = np.stack([fractions[name] for name in names])
@@ -118,19 +119,20 @@ def ranks(
 def better_policies(values: Array) -> NDArray[np.bool_]:
     """Whether policy i is better than policy j, shape (p, p), simultaneously for all pairs.
 
-    A pair is compared by Student's t-test of the differences on the same motions, and all pairs by
-    the step-down procedure of Holm (1979).
+    A pair is compared by Student's t-test of the differences on the motions that both have run, at
+    least two, and all pairs by the step-down procedure of Holm (1979).
 
     Args:
-        values: fractions, (p, motions).
+        values: fractions, (p, motions); NaN for the motions that a policy has not run.
     """
     from scipy.special import stdtr  # slow to import
 
-    policies, motions = values.shape
+    policies = len(values)
     first, second = np.triu_indices(policies, 1)
     difference = values[first] - values[second]
-    mean = difference.mean(axis=1)
-    error = difference.std(axis=1, ddof=1) / math.sqrt(motions)
+    motions = np.isfinite(difference).sum(axis=1)
+    mean = np.nanmean(difference, axis=1)
+    error = np.nanstd(difference, axis=1, ddof=1) / np.sqrt(motions)
     # A constant difference has no standard error, up to rounding: its order is certain.
     statistic = np.abs(mean) / np.maximum(error, 1e-12)
     statistic[np.abs(mean) < 1e-9] = 0.0
@@ -150,7 +152,8 @@ def _labels(names: Sequence[str], values: Array, authors: Mapping[str, str]) -> 
     """Group of each policy: its author, or the first policy with equal fractions."""
     labels: list[str] = []
     for index, name in enumerate(names):
-        equal = np.flatnonzero((values[:index] == values[index]).all(axis=1))
+        same = (values[:index] == values[index]) | np.isnan(values[:index] + values[index])
+        equal = np.flatnonzero(same.all(axis=1))
         if name in authors:
             labels.append(f"author {authors[name]}")
         elif len(equal):

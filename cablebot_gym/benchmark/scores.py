@@ -4,12 +4,19 @@ and error bounds."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, TimingCell, canonical
+from cablebot_gym.benchmark.cells import (
+    BestKnownCell,
+    PolicyCell,
+    Record,
+    TimingCell,
+    canonical,
+    single_records,
+)
 from cablebot_gym.benchmark.maps import AXES, Axis, varied_fields
 from cablebot_gym.benchmark.ranking import Fraction, fraction, ranks
 from cablebot_gym.kinematics import Array
@@ -88,11 +95,12 @@ def best_known_payloads(records: Sequence[Record]) -> dict[str, BestKnown]:
 
 
 def scores(records: Sequence[Record]) -> list[Score]:
-    """The scores of all policy cells, in the order of the records."""
+    """The scores of all policy cells in the order of the records, one for each motion of a
+    survey."""
     references = best_known_payloads(records)
     return [
         _score(record, record.cell, references)
-        for record in records
+        for record in single_records(records)
         if isinstance(record.cell, PolicyCell)
     ]
 
@@ -122,6 +130,14 @@ class Column:
     """Number of draws that confirm the payload."""
     real_time: bool = False
     """Whether late actions are replaced by the last one."""
+    is_family: bool = False
+    """Whether the motions are random ones of a family."""
+
+    @property
+    def is_main(self) -> bool:
+        """Whether it belongs to the main table: random motions, on robots that are not exactly
+        known."""
+        return self.is_family and self.uncertainty is not None
 
     @classmethod
     def of(cls, cell: PolicyCell) -> Column:
@@ -134,17 +150,22 @@ class Column:
             criterion=cell.criterion,
             draws=cell.draws,
             real_time=cell.real_time,
+            is_family="seed" in cell.trajectory,
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leaderboard:
-    """The table of one environment: policies by conditions."""
+    """A table of one environment: policies by conditions."""
 
     env_id: str
     """Environment id."""
+    is_main: bool
+    """Whether it has the robots that are not exactly known, on motions of a family. All other
+    conditions of the environment are in a second table."""
     columns: tuple[Column, ...]
-    """Columns; those with the most motions come first, otherwise in the order of the suite."""
+    """Columns; nominal ones and those with the most motions come first, otherwise in the order of the
+    suite."""
     policies: tuple[str, ...]
     """Policies by decreasing mean fraction in the first column."""
     ranks: Mapping[str, int]
@@ -169,7 +190,11 @@ class Leaderboard:
 
 def overall(boards: Sequence[Leaderboard]) -> dict[str, tuple[tuple[str, ...], Fraction]]:
     """Environments and fraction in the first columns of all policies that several ranked
-    environments have."""
+    environments have.
+
+    Args:
+        boards: tables of one kind: main tables, or second tables.
+    """
     strata: dict[str, dict[str, Array]] = {}
     for board in boards:
         for policy in board.ranks:
@@ -187,26 +212,31 @@ def overall(boards: Sequence[Leaderboard]) -> dict[str, tuple[tuple[str, ...], F
 def leaderboards(
     records: Sequence[Record], authors: Mapping[str, str] | None = None
 ) -> list[Leaderboard]:
-    """The tables in the order of the records. Cells with varied parameters, which belong to maps,
-    and cells of other robots than those of the environments are omitted.
+    """The tables in the order of the records, first the main table of an environment. Cells with
+    varied parameters, which belong to maps, and cells of other robots than those of the
+    environments are omitted.
 
     Args:
         records: records of the cells.
         authors: authors of the entries by policy; None if there are no entries.
     """
-    groups: dict[str, list[Score]] = {}
+    groups: dict[str, dict[bool, list[Score]]] = {}
     for score in scores(records):
         if score.cell.robot_name is None and not varied_fields(score.cell):
-            groups.setdefault(score.cell.env_id, []).append(score)
+            tables = groups.setdefault(score.cell.env_id, {True: [], False: []})
+            tables[Column.of(score.cell).is_main].append(score)
     timings: dict[str, dict[str, Mapping[str, Any]]] = {}
     for record in records:
         if isinstance(record.cell, TimingCell) and record.error is None:
             cell = record.cell
             timings.setdefault(cell.env_id, {})[cell.policy] = record.result
-    return [
-        _leaderboard(env_id, group, timings.get(env_id, {}), authors or {})
-        for env_id, group in groups.items()
-    ]
+    boards = []
+    for env_id, tables in groups.items():
+        for is_main, group in tables.items():
+            if group:
+                board = _leaderboard(env_id, group, authors or {}, is_main=is_main)
+                boards.append(replace(board, timings=timings.pop(env_id, {})))
+    return boards
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -297,10 +327,7 @@ def _map(
 
 
 def _leaderboard(
-    env_id: str,
-    group: Sequence[Score],
-    timings: Mapping[str, Mapping[str, Any]],
-    authors: Mapping[str, str],
+    env_id: str, group: Sequence[Score], authors: Mapping[str, str], *, is_main: bool
 ) -> Leaderboard:
     entries = _entries(group)
     motions: dict[Column, int] = {}
@@ -312,27 +339,40 @@ def _leaderboard(
     for key, entry in entries.items():
         with_reference = tuple(score for score in entry if score.best_known is not None)
         entries[key] = with_reference or entry
-    means: dict[str, float] = {}
-    fractions: dict[str, Array] = {}
-    for policy, _ in entries:
-        values = _values(entries.get((policy, columns[0]), ()))
-        means[policy] = -1.0
-        if values is not None:
-            means[policy] = float(values.mean())
-            fractions[policy] = values
-    most = max((len(values) for values in fractions.values()), default=0)
-    complete = {policy: values for policy, values in fractions.items() if len(values) == most}
+    ranked = {policy: entry for (policy, column), entry in entries.items() if column == columns[0]}
+    fractions = _aligned(ranked)
+    means = {policy: -1.0 for policy, _ in entries}
+    for policy, values in fractions.items():
+        means[policy] = float(np.nanmean(values))
     policy_ranks: dict[str, int] = {}
     if motions[columns[0]] >= RANKED_MOTIONS:
-        policy_ranks = ranks(complete, authors)
+        policy_ranks = ranks(fractions, authors)
     return Leaderboard(
         env_id=env_id,
+        is_main=is_main,
         columns=tuple(columns),
         policies=tuple(sorted(means, key=lambda policy: (-means[policy], policy))),
         ranks=policy_ranks,
         entries=entries,
-        timings=timings,
+        timings={},
     )
+
+
+def _aligned(entries: Mapping[str, tuple[Score, ...]]) -> dict[str, Array]:
+    """Fractions of the policies that have one for each of their motions, on all motions of a column;
+    NaN for motions that a policy has not run."""
+    all_motions: dict[str, int] = {}
+    for entry in entries.values():
+        for score in entry:
+            all_motions.setdefault(canonical(dict(score.cell.trajectory)), len(all_motions))
+    fractions = {}
+    for policy, entry in entries.items():
+        values = _values(entry)
+        if values is not None:
+            places = [all_motions[canonical(dict(score.cell.trajectory))] for score in entry]
+            fractions[policy] = np.full(len(all_motions), np.nan)
+            fractions[policy][places] = values
+    return fractions
 
 
 def _entries(group: Sequence[Score]) -> dict[tuple[str, Column], tuple[Score, ...]]:

@@ -16,6 +16,7 @@ from cablebot_gym.benchmark.cells import (
     BestKnownCell,
     Cell,
     PolicyCell,
+    SurveyCell,
     TimingCell,
     merged,
 )
@@ -29,7 +30,7 @@ from cablebot_gym.policies.entry import is_entry, read_entry
 from cablebot_gym.policies.protocol import PolicyError
 from cablebot_gym.robots import ELASTIC, find_robot, library
 from cablebot_gym.task import find_error_bounds, to_jsonable
-from cablebot_gym.trajectories import held_out_seeds
+from cablebot_gym.trajectories import TRAJECTORIES, held_out_seeds
 from cablebot_gym.utils.checks import choice
 
 REAL_TIME_DRAWS = fewest_draws(0.95, 0.95)
@@ -50,11 +51,16 @@ class Block:
     slow: bool = False
     """Whether to include policies whose entry is marked as slow."""
     motion: str = "circle"
-    """Motion: ``circle``, the circle between dwells; ``paper``, the circle as printed; ``loop``,
+    """Motion: ``circle``, the circle between dwells; ``paper``, the circle as printed, which the
+    paper's robots have; ``loop``,
     held-out motions; ``hidden``, the hidden motions of a board; or ``library``, the robots of the
     library that fit the environment, each with its own motion, error bounds and payload range."""
     motions: int = 1
     """Number of held-out or hidden motions."""
+    survey: bool = False
+    """Whether all motions of a policy are one cell, a survey."""
+    slow_motions: int = 20
+    """Number of motions in a survey of a policy that is slow or plans."""
     axis: str | None = None
     """Name of the varied parameter, see :data:`~cablebot_gym.benchmark.maps.AXES`; None for none.
     Rigid robots have no joint stiffness, and flexible ones no varied pulley friction."""
@@ -245,6 +251,13 @@ def _policy_cells(
 ) -> list[PolicyCell]:
     included = _included(block, names)
     cells: list[PolicyCell] = []
+    if block.survey:
+        for name in included:
+            motions = _survey_motions(block, env_id, name, board)
+            data = {"env_id": env_id, "policy": name, **motions, "seed": seed}
+            for conditions in block.combinations():
+                cells.append(SurveyCell(**merged(data, conditions), real_time=real_time))
+        return cells
     tasks = _tasks(env_id, block, board)
     for task, name, conditions in product(tasks, included, block.combinations()):
         data = merged({"env_id": env_id, "policy": name, **task}, conditions)
@@ -257,6 +270,17 @@ def _policy_cells(
             cell = replace(cell, draws=max(cell.draws, REAL_TIME_DRAWS))
         cells += _varied(block, cell)
     return cells
+
+
+def _survey_motions(block: Block, env_id: str, policy: str, board: Board | None) -> dict[str, Any]:
+    """The task of a policy as fields of a survey: its motions in one trajectory with a list of
+    seeds."""
+    tasks = _tasks(env_id, block, board)
+    entry = public_entry(policy)
+    if entry is not None and (entry.slow or entry.plans):
+        tasks = tasks[: block.slow_motions]
+    seeds = [task["trajectory"]["seed"] for task in tasks]
+    return tasks[0] | {"trajectory": tasks[0]["trajectory"] | {"seed": seeds}}
 
 
 def _included(block: Block, names: Sequence[str]) -> list[str]:
@@ -284,7 +308,10 @@ def _tasks(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any
     if block.motion == "library":
         names = [*library(), *(ELASTIC + name for name in library())]
         return [_own_task(name) for name in names if fitting_env_id(name) == env_id]
-    return [{"trajectory": motion} for motion in _motions(env_id, block, board)]
+    bounds = to_jsonable(find_error_bounds(None, find_robot(env_robot(env_id))))
+    return [
+        {"trajectory": motion, "error_bounds": bounds} for motion in _motions(env_id, block, board)
+    ]
 
 
 def _own_task(name: str) -> dict[str, Any]:
@@ -302,7 +329,8 @@ def _own_task(name: str) -> dict[str, Any]:
 def _motions(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any]]:
     kind = find_robot(env_robot(env_id)).kind
     if block.motion in ("circle", "paper"):
-        return [{"name": f"{block.motion}-{kind}"}]
+        name = f"{block.motion}-{kind}"
+        return [{"name": name}] if name in TRAJECTORIES else []
     seeds: Sequence[int]
     if block.motion != "hidden":
         seeds = held_out_seeds(block.motions)

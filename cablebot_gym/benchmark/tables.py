@@ -25,11 +25,13 @@ def heading(column: scores.Column) -> str:
     if column.real_time:
         words.append("real time")
     if column.draws > 1:
-        words.append(f"{column.draws} draws")
+        unit = "robots" if column.is_main else "draws"
+        words.append(f"{column.draws} {unit}")
     if column.criterion == "paper":
         words.append("paper criterion")
     text = ", ".join(words)
-    if column.uncertainty or column.criterion == "paper":
+    has_fraction = column.uncertainty is None or column.is_main
+    if column.criterion == "paper" or not has_fraction:
         text += " [kg]"  # there is no fraction of the best known payload
     return text
 
@@ -116,7 +118,7 @@ def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
 
 def overall_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
     """Head and rows of the table of the policies that several ranked environments have; no rows
-    without any."""
+    without any. ``boards`` are tables of one kind."""
     policies = sorted(scores.overall(boards).items(), key=lambda item: -item[1][1].mean)
     rows = [["policy", "environments", "mean fraction"]]
     for policy, (env_ids, fraction) in policies:
@@ -129,7 +131,10 @@ def violation_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
     """Head and rows of the table of limiting violations over the motions of ranked environments; no
     rows without any."""
     rows = [["environment", "policy", *KINDS, "error", "when, median [% of the motion]"]]
+    has_main = any(board.is_main for board in boards)
     for board in boards:
+        if has_main and not board.is_main:
+            continue
         for policy in board.ranks:
             counts = dict.fromkeys((*KINDS, "error"), 0)
             fractions = []

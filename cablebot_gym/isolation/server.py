@@ -134,7 +134,12 @@ class _Server:
             )
         files = None if entry.files is None else [os.path.abspath(file) for file in entry.files]
         return json.dumps(
-            {"env_ids": list(entry.env_ids), "slow": entry.slow, "files": files}
+            {
+                "env_ids": list(entry.env_ids),
+                "slow": entry.slow,
+                "plans": entry.plans,
+                "files": files,
+            }
         ).encode()
 
 

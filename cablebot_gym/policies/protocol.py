@@ -69,6 +69,9 @@ class PolicyEntry:
     """Description in one line."""
     slow: bool = False
     """Whether an evaluation takes minutes. Most benchmark suites skip slow policies."""
+    plans: bool = False
+    """Whether it computes for seconds at the start of each new motion. Surveys of many motions have
+    fewer of them then."""
     unsaturated_actions: bool = False
     """Whether a test of this project holds the policy to its declaration ``unsaturated_actions``.
     The paper criterion marks the results of other policies as declared, also of policies of other

@@ -47,6 +47,9 @@ BEST_KNOWN = "best known payload"
 
 NOT_APPLICABLE = "The paper criterion applies only to policies that declare unsaturated_actions; this policy does not."
 
+SHOWN_MOTIONS = 5
+"""Number of motions of a family whose episodes the page shows."""
+
 NO_EPISODE = "This page contains no episode of this cell. Run cablebot report RESULTS to record all episodes."
 
 
@@ -90,7 +93,7 @@ def page_data(
     records = merge_records(sources)
     cells = _Cells(records, replays)
     indices = {}
-    for score in scores.scores(records):
+    for score in shown_scores(records):
         indices[score.cell.key] = cells.add_score(score)
     references = []
     for reference in scores.best_known_payloads(records).values():
@@ -104,7 +107,8 @@ def page_data(
     for board in boards:
         for policy, column in board.entries:
             rows.append(_row(board, policy, column, indices))
-        rows += _best_known_rows(board, references, cells)
+        if board is boards[-1] or not board.is_main:
+            rows += _best_known_rows(board, references, cells)
     return {
         "rows": rows,
         "start": _start(rows, cells.cells, boards),
@@ -182,16 +186,18 @@ def _start(
     cells: Sequence[Mapping[str, Any]],
     boards: Sequence[scores.Leaderboard],
 ) -> int:
-    """Index of the row that the page opens: the largest payload on the circle of the first
-    leaderboard.
+    """Index of the row that the page opens: the largest payload on the circle of the first table
+    that has it.
 
     A row without an episode is opened only if none of these rows has one.
     """
     if not boards:
         return 0
-    board = boards[0]
-    circles = [column for column in board.columns if column.motion.startswith("circle-")]
-    column = [*circles, *board.columns][0]
+    board, column = boards[0], boards[0].columns[0]
+    for table in reversed(boards):
+        for circle in reversed(table.columns):
+            if circle.motion.startswith("circle-"):
+                board, column = table, circle
     keys = {_row_key(board, policy, column) for policy in board.policies}
 
     def rank(index: int) -> tuple[bool, float]:
@@ -233,7 +239,7 @@ def _row(
         "interval": interval,
         "note": _note(entry),
         "violation": _violation_text(entry),
-        "cells": [indices[score.cell.key] for score in entry],
+        "cells": [indices[score.cell.key] for score in entry if score.cell.key in indices],
     }
 
 
@@ -257,12 +263,13 @@ def _best_known_rows(
         payloads = []
         for reference in groups[motion]:
             facts = [["Best known payload", best_known_text(reference)]]
-            indices.append(cells.add(reference.cell, BEST_KNOWN, facts))
+            if len(indices) < SHOWN_MOTIONS:
+                indices.append(cells.add(reference.cell, BEST_KNOWN, facts))
             if reference.payload is not None:
                 payloads.append(reference.payload)
         row = _conditions(board, BEST_KNOWN, column)
         row |= {"payload_text": "none", "payload": None, "fraction": None, "cells": indices}
-        if len(payloads) == len(indices):
+        if len(payloads) == len(groups[motion]):
             payload = median(payloads)
             row |= {"payload_text": f"{payload:.2f}", "payload": payload, "fraction": 1.0}
         rows.append(row)
@@ -459,16 +466,32 @@ def _notes(sources: Sequence[Results], records: Sequence[Record]) -> list[dict[s
     return [note for note in notes if note["lines"]]
 
 
+def shown_scores(records: Sequence[Record]) -> list[scores.Score]:
+    """The scores whose cells the page shows: all but those of most motions of a survey."""
+    shown = []
+    counts: dict[tuple[str, str, scores.Column], int] = {}
+    for score in scores.scores(records):
+        group = (score.cell.env_id, score.cell.policy, scores.Column.of(score.cell))
+        counts[group] = counts.get(group, 0) + 1
+        if not group[-1].is_family or counts[group] <= SHOWN_MOTIONS:
+            shown.append(score)
+    return shown
+
+
 def replay_queries(records: Sequence[Record]) -> dict[str, tuple[Cell, float | None]]:
     """The cells whose episodes the page shows, with their DLCC [kg], by key.
 
     The best known payload of a map has no row and therefore no episode.
     """
     queries: dict[str, tuple[Cell, float | None]] = {}
-    for record in records:
-        cell = record.cell
-        has_row = not isinstance(cell, BestKnownCell) or not varied_fields(cell)
-        has_episode = record.error is None and record.result.get("applicable", True)
-        if has_row and has_episode and not isinstance(cell, TimingCell):
-            queries[cell.key] = (cell, record.result.get("payload"))
+    for score in shown_scores(records):
+        if score.error is None and _applicable(score):
+            queries[score.cell.key] = (score.cell, score.payload)
+    motions: dict[tuple[str, str], int] = {}
+    for reference in scores.best_known_payloads(records).values():
+        family = (reference.cell.env_id, str(reference.cell.trajectory["name"]))
+        motions[family] = motions.get(family, 0) + 1
+        is_shown = motions[family] <= SHOWN_MOTIONS and not varied_fields(reference.cell)
+        if is_shown and "error" not in reference.result:
+            queries[reference.cell.key] = (reference.cell, reference.result.get("payload"))
     return queries
