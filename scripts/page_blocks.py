@@ -71,8 +71,8 @@ def readme_table(results: Results) -> str:
         ["environment", *KINDS.values(), "best known on the circle"],
         ["---"] * (2 + len(KINDS)),
     ]
-    for env_id, tables in boards_of.items():
-        row = [f"`{env_id}`", *(_best(tables, kind) for kind in KINDS)]
+    for env_id, boards_of_env in boards_of.items():
+        row = [f"`{env_id}`", *(_best(boards_of_env, kind) for kind in KINDS)]
         columns = len(row)
         for known in best_known_payloads(results.records).values():
             on_circle = str(known.cell.trajectory["name"]).startswith("circle-")

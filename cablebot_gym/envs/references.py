@@ -174,7 +174,9 @@ def _with_table(
 ) -> tuple[Array, NDArray[np.int64]]:
     """Tables (tables, rows, columns) and the index of each last row, with other rows at ``index``,
     which may be one past the end. The rows after the last one of a table are never read."""
-    count = max(len(tables), index + 1)
+    count = len(tables)
+    if index == count:
+        count = max(1, 2 * count)  # copied rarely
     longest = max(len(rows), *tables.shape[1:2])
     if (count, longest) != tables.shape[:2]:
         larger = np.zeros((count, longest, rows.shape[1]))

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from cablebot_gym.envs.vector import CableBotVectorEnv
@@ -280,6 +281,7 @@ class Batch:
             robot=conditions.robot,
             error_bounds=conditions.error_bounds,
             max_episode_steps=None,
+            autoreset_mode=AutoresetMode.DISABLED,
             uncertainty=conditions.uncertainty,
             threads=_threads(rows),
             **{**conditions.keywords, **changes},
@@ -336,7 +338,10 @@ class Batch:
         if order is None:
             order = np.arange(len(rows)) if observer is not None else secret_order(len(rows))
         groups = [order]
-        if observer is None:
+        if observer is None and len(rows) > 2 * BATCH:
+            # a group ends with its longest motion
+            steps = np.array([self.tasks[rows[index].motion].steps for index in order.tolist()])
+            order = order[np.argsort(steps, kind="stable")]
             groups = np.array_split(order, -(-len(rows) // (2 * BATCH)))
         changes: dict[str, Any] = {}
         if refinement > 1:
@@ -508,10 +513,13 @@ def run_episodes(
             time=step / env.settings.control_frequency,
             ignored=over,
         )
-        # the environment restarts terminated episodes
-        observation, reward, start, _, info = step_env(action)
-        observe(info, start)
+        next_observation, reward, ended, _, info = step_env(action)
+        observe(info, ended)
         if observer is not None:
-            observer.step(observation, reward, info, ~over)
-        terminated |= start
+            observer.step(next_observation, reward, info, ~over)
+        # a policy keeps the last sensible observation of a terminated episode
+        next_observation[terminated] = observation[terminated]
+        observation = next_observation
+        terminated |= ended
+        start = np.zeros(env.num_envs, np.bool_)
         count.add(1)

@@ -19,7 +19,6 @@ from cablebot_gym.benchmark.cells import (
     Cell,
     PolicyCell,
     Record,
-    TimingCell,
     canonical,
 )
 from cablebot_gym.benchmark.leaderboard import Results
@@ -259,7 +258,7 @@ def _best_known_rows(
     for motion, column in columns.items():
         if motion not in groups:
             continue
-        indices = []
+        indices: list[int] = []
         payloads = []
         for reference in groups[motion]:
             facts = [["Best known payload", best_known_text(reference)]]
