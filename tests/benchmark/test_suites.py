@@ -5,7 +5,13 @@ from dataclasses import replace
 
 import pytest
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, canonical
+from cablebot_gym.benchmark.cells import (
+    BestKnownCell,
+    PolicyCell,
+    SurveyCell,
+    TimingCell,
+    canonical,
+)
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.benchmark.scores import motion_key
 from cablebot_gym.benchmark.suites import (
@@ -42,6 +48,11 @@ def policy_cells(name, names=()):
     return [cell for cell in cells_of(name, names) if isinstance(cell, PolicyCell)]
 
 
+def parts(cell):
+    """The cells of the single motions of a survey; other cells themselves."""
+    return cell.parts if isinstance(cell, SurveyCell) else [cell]
+
+
 LARGE = [pytest.param(name, marks=pytest.mark.slow) for name in ("full", "ranked")]
 
 
@@ -52,14 +63,15 @@ def test_cells_of_a_suite_are_valid(name):
     motions = {}
     draws = set()
     for cell in cells_of(name):
-        motions[canonical([cell.env_id, cell.trajectory, cell.robot_changes])] = cell
+        for part in parts(cell):
+            motions[canonical([part.env_id, part.trajectory, part.robot_changes])] = part
         if isinstance(cell, BestKnownCell):
             with_best_known.add(motion_key(cell))
         elif isinstance(cell, PolicyCell):
             assert cell.env_id in policy_entries()[cell.policy].env_ids
             draws.add((cell.env_id, cell.uncertainty, cell.draws))
             if cell.criterion == "task" and cell.uncertainty is None:
-                with_score.add(motion_key(cell))
+                with_score |= {motion_key(part) for part in parts(cell)}
     assert with_best_known == (with_score if find_suite(name).best_known else set())
     for env_id, uncertainty, count in draws:
         assert find_uncertainty(uncertainty, find_robot(env_robot(env_id))).random == (count > 1)
@@ -79,17 +91,18 @@ STANDARD = {
 }
 CONDITIONS = {
     "standard": STANDARD,
-    "ranked": STANDARD | {("circle", "payload unknown", "sensors", "task", 512)},
+    "ranked": STANDARD | {("loop", "payload unknown", "hardware", "task", 19)},
 }
 """Motion, payload model, uncertainty, criterion and draws of each suite."""
 
 
 @pytest.mark.parametrize("name", ["standard", "ranked"])
 def test_suite_has_every_fast_policy_under_all_conditions(name):
+    env_ids = find_suite(name).env_ids
     fast = set()
     for entry in policy_entries().values():
         if name == "ranked" or not entry.slow:
-            fast |= {(env_id, entry.name) for env_id in entry.env_ids if env_id in PAPER_ENV_IDS}
+            fast |= {(env_id, entry.name) for env_id in entry.env_ids if env_id in env_ids}
     evaluated = set()
     conditions = set()
     seeds = set()
@@ -99,11 +112,15 @@ def test_suite_has_every_fast_policy_under_all_conditions(name):
         conditions.add(
             (cell.env_id, motion, cell.payload_model, cell.uncertainty, cell.criterion, cell.draws)
         )
-        seeds.add(cell.trajectory.get("seed"))
+        seeds |= {part.trajectory.get("seed") for part in parts(cell)}
     assert evaluated == fast
-    expected = {(env_id, *condition) for env_id in PAPER_ENV_IDS for condition in CONDITIONS[name]}
+    expected = set()
+    for env_id in env_ids:
+        for condition in CONDITIONS[name]:
+            if condition[0] != "paper" or env_id in PAPER_ENV_IDS:
+                expected.add((env_id, *condition))
     assert conditions == expected
-    held_out = held_out_seeds(3) if name == "standard" else AnyBoard().seeds("", 20)
+    held_out = held_out_seeds(3) if name == "standard" else AnyBoard().seeds("", 100)
     assert seeds == {None, *held_out}
     timed = {(cell.env_id, cell.policy) for cell in cells_of(name) if isinstance(cell, TimingCell)}
     assert timed >= fast
@@ -118,8 +135,17 @@ def test_slow_policy_is_evaluated_in_marked_blocks_only(monkeypatch):
     conditions = {
         (cell.uncertainty, cell.trajectory["name"][:4]) for cell in policy_cells("ranked", ["fl"])
     }
-    assert conditions == {(None, "loop"), (None, "circ")}
+    assert conditions == {("hardware", "loop"), (None, "loop"), (None, "circ")}
     assert policy_cells("standard", ["fl"]) == []
+
+
+def test_survey_of_a_policy_that_plans_has_the_first_motions_only():
+    surveys = {
+        (cell.policy, len(cell.parts))
+        for cell in policy_cells("ranked", ["trajopt", "fl"])
+        if isinstance(cell, SurveyCell)
+    }
+    assert surveys == {("trajopt", 20), ("fl", 100)}
 
 
 def test_real_time_repeats_every_episode():

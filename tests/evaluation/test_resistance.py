@@ -168,7 +168,7 @@ def batches(monkeypatch):
 
     def run(self, rows, **keywords):
         if "observer" not in keywords:
-            seeds_of_batches.append([seed for _, seed in rows])
+            seeds_of_batches.append([row.seed for row in rows])
         return honest(self, rows, **keywords)
 
     monkeypatch.setattr(Batch, "run", run)
@@ -284,7 +284,7 @@ def test_resolution_includes_the_discretisation(heavier, monkeypatch):
 
     def other_with_finer_steps(self, rows, *, refinement=1, **keywords):
         shift = heavier if refinement == FINER else 0.0
-        shifted = [(max(0.0, payload + shift), seed) for payload, seed in rows]
+        shifted = [row._replace(payload=max(0.0, row.payload + shift)) for row in rows]
         return honest(self, shifted, refinement=refinement, **keywords)
 
     monkeypatch.setattr(Batch, "run", other_with_finer_steps)

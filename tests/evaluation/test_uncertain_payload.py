@@ -282,7 +282,7 @@ def test_payloads_share_the_parameters_of_a_draw():
     options = {"trajectory": HANG, "uncertainty": unknown | {"sensors": {"position": 1e-4}}}
     batch = Batch("fl", Conditions.of(SPATIAL_ID, draws=3, seed=11, **options))
     assert batch.seeds == draw_seeds(11, 3)
-    rows = [(payload, seed) for payload in (0.0, 1.0) for seed in batch.seeds]
+    rows = [Row(payload, seed) for payload in (0.0, 1.0) for seed in batch.seeds]
     observer, repeated = Starts(), Starts()
     for starts in (observer, repeated):
         batch.run(rows, observer=starts)

@@ -1,0 +1,116 @@
+"""A survey gives each motion the payload that all of its robots carry."""
+
+import numpy as np
+import pytest
+
+from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_gym import evaluate_dlcc, find_robot, find_trajectory
+from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.evaluation import survey as survey_module
+from cablebot_gym.evaluation.batch import Batch
+from cablebot_gym.evaluation.survey import motion_seeds, survey
+from cablebot_gym.policies import PolicyError
+
+PLANAR = "CableBot-Planar-v0"
+MOTIONS = [find_trajectory({"name": "loop-planar", "seed": seed}, "planar") for seed in range(4)]
+SENSORS = {"uncertainty": "sensors", "payload_known": False}
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return survey("adaptive", PLANAR, MOTIONS, robots=5, seed=7, **SENSORS)
+
+
+def test_payload_without_uncertainty_is_the_dlcc_of_each_motion():
+    found = survey("fl", PLANAR, MOTIONS)
+    for motion, payload, resolution in zip(MOTIONS, found.payloads, found.resolutions, strict=True):
+        dlcc = evaluate_dlcc("fl", PLANAR, trajectory=motion)
+        assert payload == pytest.approx(dlcc.payload, abs=resolution + dlcc.resolution)
+
+
+def test_all_robots_carry_the_payload_and_one_fails_above(drawn):
+    for motion, seed, found in zip(MOTIONS, motion_seeds(7, 4), drawn.motions, strict=True):
+        dlcc = evaluate_dlcc(
+            "adaptive", PLANAR, trajectory=motion, seed=seed, draws=5, resolution=0.01, **SENSORS
+        )
+        assert set(found.below.seeds) == set(dlcc.draw_seeds)
+        # noise differs between payloads, and the search tries others
+        assert found.payload == pytest.approx(dlcc.payload, abs=0.1)
+        assert found.below.carried == 5
+        assert found.above.carried < len(found.above.verdicts)
+        assert found.violation is not None
+
+
+def test_motions_meet_different_robots_that_do_not_depend_on_their_number(drawn):
+    seeds = [seed for found in drawn.motions for seed in found.below.seeds]
+    assert len(set(seeds)) == 4 * 5
+    assert motion_seeds(7, 4) == motion_seeds(7, 100)[:4]
+
+
+def test_policy_that_fails_unloaded_has_no_payload():
+    found = survey(lambda observation: np.zeros(3), PLANAR, MOTIONS[:2])
+    assert [motion.payload for motion in found.motions] == [None, None]
+    assert found.payloads.tolist() == [0.0, 0.0]
+    assert all(motion.violation.kind for motion in found.motions)
+
+
+class ActsAtPayloads(FeedbackLinearization):
+    """Fails where its model payload is in a hole."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        action, state = super().predict(observation, state, episode_start, deterministic)
+        blocks = observation_layout(self.robot).split(np.atleast_2d(observation))
+        payload = blocks["model_payload"].reshape(-1)
+        action[(payload > 1.0) & (payload < 1.3)] = 0.0
+        return action, state
+
+
+def test_payload_is_below_the_first_hole():
+    found = survey(ActsAtPayloads(find_robot("planar")), PLANAR, MOTIONS)
+    assert found.payloads == pytest.approx(1.0, abs=max(found.resolutions))
+
+
+class SharesRows(FeedbackLinearization):
+    """Fails in small batches."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        action, state = super().predict(observation, state, episode_start, deterministic)
+        if len(np.atleast_2d(observation)) < 4:
+            action = 0.5 * action
+        return action, state
+
+
+def test_policy_that_needs_other_rows_is_refused():
+    with pytest.raises(PolicyError, match="depends on the other episodes of its batch"):
+        survey(SharesRows(find_robot("planar")), PLANAR, MOTIONS)
+
+
+def test_stochastic_policy_has_the_payload_that_it_carries_alone(monkeypatch):
+    monkeypatch.setattr(survey_module, "STOCHASTIC_ALONE", 4)
+    policy = FeedbackLinearization(find_robot("planar"))
+    policy.stochastic = True
+    together = survey("fl", PLANAR, MOTIONS).payloads
+    honest = Batch.run
+
+    def heavier_alone(self, rows, **keywords):
+        if len(rows) == 1:
+            rows = [row._replace(payload=1.05 * row.payload) for row in rows]
+        return honest(self, rows, **keywords)
+
+    monkeypatch.setattr(Batch, "run", heavier_alone)
+    alone = survey(policy, PLANAR, MOTIONS).payloads
+    assert alone / together == pytest.approx(0.98**3, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"trajectory": "circle-planar"}, "its own trajectory"),
+        ({"draws": 3}, "its own draws"),
+        ({"motions": []}, "at least one"),
+        ({"robots": 3}, "all 3 robots would be equal"),
+    ],
+)
+def test_invalid_survey_is_refused(keywords, message):
+    with pytest.raises(ValueError, match=message):
+        survey("fl", PLANAR, **{"motions": MOTIONS, **keywords})
