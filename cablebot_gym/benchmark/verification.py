@@ -6,9 +6,10 @@ import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import ceil
+from math import ceil, sqrt
+from statistics import mean
 
-from cablebot_gym.benchmark.cells import PolicyCell, Record, compute
+from cablebot_gym.benchmark.cells import PolicyCell, Record, compute, single_records
 from cablebot_gym.benchmark.engine import Backend, Job, MessageCallback, run_jobs
 
 KEPT = 0.9
@@ -18,6 +19,10 @@ true one."""
 
 SLACK = 0.02
 """Largest shortfall of the success rate of any cell."""
+
+
+STANDARD_ERRORS = 3
+"""Largest shortfall of the mean success rate of surveyed payloads, in standard errors."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +35,11 @@ class Confirmation:
     """Promised payload [kg]."""
     success_rate: float
     """Fraction of the fresh draws that carry it."""
+    draws: int
+    """Number of fresh draws."""
+    is_surveyed: bool
+    """Whether all robots of a survey have carried it. Its success probability then is at least the
+    promised one on the mean over motions; otherwise it is a tolerance bound."""
 
     @property
     def kept(self) -> bool:
@@ -48,6 +58,8 @@ class Confirmation:
             ]
         )
         promise = f"{self.payload:.3f} kg in at least {cell.probability:.0%} of all draws"
+        if self.is_surveyed:
+            promise += ", on the mean over motions"
         return f"{conditions}: promised {promise}, carried in {self.success_rate:.1%}"
 
 
@@ -60,12 +72,13 @@ def confirm(
     seed: int,
     say: MessageCallback,
 ) -> Iterator[Confirmation]:
-    """Tries payloads of randomly chosen uncertain cells in fresh draws, which the cells share.
+    """Tries payloads of randomly chosen uncertain cells, and of as many motions of surveys, in fresh
+    draws, which the cells share.
 
     Args:
         records: stored records.
         backend: see :mod:`cablebot_gym.benchmark.engine`.
-        cells: number of cells; all cells if there are fewer.
+        cells: number of cells, and of motions of surveys; all if there are fewer.
         draws: number of fresh draws.
         seed: seed of the choice and of the draws.
         say: called with messages of the workers.
@@ -73,39 +86,95 @@ def confirm(
     Raises:
         ValueError: if there is no cell with an uncertain payload.
     """
-    promises: dict[str, tuple[PolicyCell, float]] = {}
-    for record in records:
+    promises: dict[bool, dict[str, tuple[PolicyCell, float]]] = {False: {}, True: {}}
+    for record in single_records(records):
+        cell = record.cell
         payload = record.result.get("payload")
-        if isinstance(record.cell, PolicyCell) and record.result.get("assured") and payload:
-            promises[record.cell.key] = (record.cell, float(payload))
-    if not promises:
+        if not isinstance(cell, PolicyCell) or cell.uncertainty is None or not payload:
+            continue
+        is_surveyed = "assured" not in record.result
+        if is_surveyed or record.result["assured"]:
+            promises[is_surveyed][cell.key] = (cell, float(payload))
+    if not any(promises.values()):
         raise ValueError(
             "the results have no payload under uncertainty; choose a suite with uncertain columns"
         )
-    sample = random.Random(seed).sample(sorted(promises), min(cells, len(promises)))
+    generator = random.Random(seed)
     jobs = []
-    for key in sample:
-        cell, payload = promises[key]
-        compute = partial(cell.success_rate, payload, draws, seed)
-        jobs.append(Job(key=key, compute=compute, kind=(PolicyCell, cell.env_id)))
+    chosen: dict[str, tuple[PolicyCell, float, bool]] = {}
+    for is_surveyed, group in promises.items():
+        for key in generator.sample(sorted(group), min(cells, len(group))):
+            cell, payload = group[key]
+            chosen[key] = (cell, payload, is_surveyed)
+            compute = partial(cell.success_rate, payload, draws, seed)
+            jobs.append(Job(key=key, compute=compute, kind=(PolicyCell, cell.env_id)))
     for key, rate in run_jobs(jobs, backend, say=say):
-        cell, payload = promises[key]
-        yield Confirmation(cell=cell, payload=payload, success_rate=rate)
+        cell, payload, is_surveyed = chosen[key]
+        yield Confirmation(
+            cell=cell,
+            payload=payload,
+            success_rate=rate,
+            draws=draws,
+            is_surveyed=is_surveyed,
+        )
+
+
+def outcome(confirmations: Sequence[Confirmation]) -> str:
+    """How many tolerance bounds keep their promise, and how often surveyed payloads are carried."""
+    surveyed = [confirmation for confirmation in confirmations if confirmation.is_surveyed]
+    bounds = [confirmation for confirmation in confirmations if not confirmation.is_surveyed]
+    parts = []
+    if bounds:
+        kept = sum(confirmation.kept for confirmation in bounds)
+        parts.append(f"{kept} of {len(bounds)} payloads keep their promise")
+    if surveyed:
+        rate = mean(confirmation.success_rate for confirmation in surveyed)
+        parts.append(
+            f"the payloads of {len(surveyed)} surveyed motions are carried in {rate:.1%} on the mean"
+        )
+    return " and ".join(parts)
 
 
 def broken(confirmations: Sequence[Confirmation]) -> str:
     """One sentence if the promises are broken; empty if they hold."""
-    required = ceil(KEPT * len(confirmations))
-    count = sum(confirmation.kept for confirmation in confirmations)
+    surveyed = [confirmation for confirmation in confirmations if confirmation.is_surveyed]
+    bounds = [confirmation for confirmation in confirmations if not confirmation.is_surveyed]
+    required = ceil(KEPT * len(bounds))
+    count = sum(confirmation.kept for confirmation in bounds)
     if count < required:
         return (
-            f"only {count} of {len(confirmations)} payloads keep their promise; "
+            f"only {count} of {len(bounds)} payloads keep their promise; "
             f"at least {required} have to"
         )
-    for confirmation in confirmations:
+    if surveyed:
+        rates = [confirmation.success_rate for confirmation in surveyed]
+        least = mean(map(_least_mean, surveyed)) - STANDARD_ERRORS * _standard_error(surveyed)
+        if mean(rates) < least:
+            return (
+                f"the surveyed payloads are carried in {mean(rates):.1%} on the mean; "
+                f"at least {least:.1%} have to"
+            )
+    for confirmation in bounds:
         if confirmation.success_rate < confirmation.cell.probability - SLACK:
             return f"a success rate is more than {SLACK:.0%} below the promise: {confirmation}"
     return ""
+
+
+def _least_mean(confirmation: Confirmation) -> float:
+    """Mean of the success probability if the weakest of all robots has just carried the payload."""
+    robots = confirmation.cell.draws
+    return robots / (robots + 1)
+
+
+def _standard_error(confirmations: Sequence[Confirmation]) -> float:
+    """Standard error of the mean success rate: that of the probabilities, which then have the
+    distribution Beta(robots, 1), and that of the draws."""
+    variance = 0.0
+    for confirmation in confirmations:
+        robots = confirmation.cell.draws
+        rate = _least_mean(confirmation)
+        variance += rate / (robots + 1) / (robots + 2) + rate * (1 - rate) / confirmation.draws
+    return sqrt(variance) / len(confirmations)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +213,8 @@ def reproduce(
     *,
     say: MessageCallback,
 ) -> Iterator[Reproduction]:
-    """Computes the cells of rows of the tables again, with their stored seeds.
+    """Computes the cells of rows of the tables again, with their stored seeds; a survey gives a
+    result for each motion.
 
     Args:
         records: stored records.
@@ -172,11 +242,12 @@ def reproduce(
             "tables"
         )
     for key, record in run_jobs(jobs, backend, say=say):
-        cell = rows[key].cell
-        assert isinstance(cell, PolicyCell)
-        yield Reproduction(
-            cell=cell,
-            stored=rows[key].result.get("payload"),
-            computed=record.result.get("payload"),
-            resolution=rows[key].result.get("resolution") or 0.0,
-        )
+        stored = single_records([rows[key]])
+        for before, after in zip(stored, single_records([record]), strict=True):
+            assert isinstance(before.cell, PolicyCell)
+            yield Reproduction(
+                cell=before.cell,
+                stored=before.result.get("payload"),
+                computed=after.result.get("payload"),
+                resolution=before.result.get("resolution") or 0.0,
+            )

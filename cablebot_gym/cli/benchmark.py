@@ -141,7 +141,10 @@ class VerificationOptions(Options):
             "compute these rows again.",
         ),
     ] = None
-    cells: Annotated[int, typer.Option(help="Number of cells that --verify confirms.")] = 20
+    cells: Annotated[
+        int,
+        typer.Option(help="Number of cells, and of motions of surveys, that --verify confirms."),
+    ] = 20
     draws: Annotated[int, typer.Option(help="Number of fresh draws of --verify.")] = 1024
 
 
@@ -425,7 +428,7 @@ def _verify(
 ) -> None:
     """Checks the board. Prints promised payloads with their success rate in fresh draws, or the
     rows of chosen policies, computed again."""
-    from cablebot_gym.benchmark.verification import broken, confirm
+    from cablebot_gym.benchmark.verification import broken, confirm, outcome
     from cablebot_gym.utils.checks import whole
 
     results = read_results(folder)
@@ -452,12 +455,8 @@ def _verify(
         ):
             confirmations.append(confirmation)
             print(confirmation)
-            step(len(confirmations), cells)
-    kept = sum(confirmation.kept for confirmation in confirmations)
-    print(
-        f"{kept} of {len(confirmations)} payloads keep their promise in {draws} fresh draws "
-        f"(--seed {seed})"
-    )
+            step(len(confirmations), 2 * cells)
+    print(f"{outcome(confirmations)} in {draws} fresh draws (--seed {seed})")
     sentence = broken(confirmations)
     if sentence:
         say(sentence)
