@@ -13,6 +13,7 @@ from cablebot_gym.benchmark.cells import (
     Cell,
     PolicyCell,
     Record,
+    SurveyCell,
     TimingCell,
     compute,
     failed_record,
@@ -166,4 +167,7 @@ def _within_budget(cell: Cell, used: Mapping[str, float]) -> Record:
 
 
 def _cost(cell: Cell) -> float:
+    """Number of episodes at each payload; best known payloads take longest."""
+    if isinstance(cell, SurveyCell):
+        return cell.draws * len(cell.parts)
     return cell.draws if isinstance(cell, PolicyCell) else float("inf")
