@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import median
 from string import Template
@@ -46,14 +46,14 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
     if results.board is None:
         raise ValueError("docs/leaderboard has no board: run the suite ranked")
     boards = leaderboards(results.records, results.authors)
-    spatial = {board.env_id: board for board in boards}["CableBot-Spatial-v0"]
-    sensors = _circle(spatial, payload_known=False, uncertainty="sensors")
-    hardware = []
+    env_ids = list(dict.fromkeys(board.env_id for board in boards))
+    spatial = _circle(boards, "CableBot-Spatial-v0")
+    hardware = {}
     entries = []
-    for board in boards:
-        scores = _circle(board, payload_known=False, uncertainty="hardware")
-        hardware.append((board, scores))
-        entries += scores
+    for env_id in env_ids:
+        hardware[env_id] = _circle(boards, env_id, payload_known=False, uncertainty="hardware")
+        entries += hardware[env_id]
+    unknown = hardware["CableBot-Spatial-v0"]
     ratios = []
     for known in best_known_payloads(results.records).values():
         if known.payload is not None and known.result.get("upper"):
@@ -64,14 +64,14 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
         "version": results.board.version,
         "policies": len(results.board.policies),
         "motions": results.board.motions,
-        "environments": len(boards),
+        "environments": len(env_ids),
         "table": readme_table(results).partition("\n\n")[2].strip(),
         "bounded": len(ratios),
         "ratio": f"{median(ratios):.1%}",
         "smallest_ratio": f"{min(ratios):.1%}",
-        "fl_known": _payload(_circle(spatial), "fl"),
-        "fl_unknown": _payload(sensors, "fl"),
-        "adaptive_unknown": _payload(sensors, "adaptive"),
+        "fl_known": _payload(spatial, "fl"),
+        "fl_unknown": _payload(unknown, "fl"),
+        "adaptive_unknown": _payload(unknown, "adaptive"),
         "draws": draws,
         "tried": len(entries),
         "carry": len(carrying),
@@ -97,26 +97,31 @@ def _of_reproduction(stored: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def _circle(board: Leaderboard, **conditions: Any) -> list[Score]:
-    """Scores of a table's policies on the circle, under conditions of a :class:`Column`."""
+def _circle(boards: Sequence[Leaderboard], env_id: str, **conditions: Any) -> list[Score]:
+    """Scores of the policies of an environment on the circle, under conditions of a
+    :class:`Column`."""
     circle_scores: list[Score] = []
-    for (_, column), scores in board.entries.items():
-        required = Column(motion=column.motion, draws=column.draws, **conditions)
-        if column == required and column.motion.startswith("circle-"):
-            circle_scores += scores
+    for board in boards:
+        for (_, column), scores in board.entries.items():
+            required = Column(motion=column.motion, draws=column.draws, **conditions)
+            is_circle = column.motion.startswith("circle-")
+            if board.env_id == env_id and column == required and is_circle:
+                circle_scores += scores
     return circle_scores
 
 
 def _payload(scores: Sequence[Score], policy: str) -> str:
-    (text,) = (score.payload_text for score in scores if score.cell.policy == policy)
-    return f"{text} kg"
+    (score,) = (score for score in scores if score.cell.policy == policy)
+    if score.payload is None:
+        return "no payload, not even the platform"
+    return f"{score.payload_text} kg"
 
 
-def _largest(tables: Sequence[tuple[Leaderboard, Sequence[Score]]]) -> str:
+def _largest(tables: Mapping[str, Sequence[Score]]) -> str:
     texts = []
-    for board, scores in tables:
+    for env_id, scores in tables.items():
         best = max(scores, key=lambda score: score.payload or 0.0)
-        texts.append(f"{best.payload_text} kg (`{board.env_id}`, `{best.cell.policy}`)")
+        texts.append(f"{best.payload_text} kg (`{env_id}`, `{best.cell.policy}`)")
     return ", ".join(texts[:-1]) + f" and {texts[-1]}"
 
 
