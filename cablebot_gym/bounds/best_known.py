@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
@@ -193,8 +193,8 @@ def find_best_known(
     """Computes the best known payload under the task criterion.
 
     A nonlinear program with splines and collocation (:mod:`cablebot_gym.planning`) is solved from
-    several starts. The mesh is halved until the relative change of the payload is below
-    :data:`MESH_TOLERANCE`. The final motion keeps margins to the limits. A controller with feedback
+    several starts. The mesh is halved until finer ones would hardly change the payload, see
+    :func:`has_converged`. The final motion keeps margins to the limits. A controller with feedback
     computes its inputs once. Where open-loop replays of these inputs exceed a limit, the margin to
     it grows at these times, until the replays carry the payload in the environment, with its
     physics step and with a tenth of it.
@@ -221,6 +221,24 @@ def find_best_known(
         return case.solve(report)
     result: BestKnownPayload = load_or_compute(case.file, _read, lambda: case.solve(report), _bytes)
     return result
+
+
+def has_converged(payloads: Sequence[float]) -> bool:
+    """Whether a finer mesh would hardly change the payload.
+
+    This holds if the last change is below :data:`MESH_TOLERANCE`. It also holds if the changes
+    decrease like a geometric series, and the sum of all further ones is below half of it.
+
+    Args:
+        payloads: payloads of meshes of half the width each, relative to the last one.
+    """
+    changes = np.abs(np.diff(payloads))
+    if changes[-1] < MESH_TOLERANCE:
+        return True
+    if len(changes) < 2 or changes[-1] >= changes[-2]:
+        return False
+    ratio = changes[-1] / changes[-2]
+    return bool(changes[-1] * ratio / (1 - ratio) < MESH_TOLERANCE / 2)
 
 
 def cached_best_known(env_id: str, **options: Any) -> BestKnownPayload | None:
@@ -360,10 +378,11 @@ class _Case:
                 report(f"no motion on {intervals} intervals, continuing with the coarser mesh")
                 break
             meshes.append((intervals, motion))
-            change = abs(motion.payload - best.payload)
             best = motion
             program = finer
-            if change < MESH_TOLERANCE * max(best.payload, _SMALL * self.robot.mass):
+            unit = max(best.payload, _SMALL * self.robot.mass)
+            payloads = [mesh.payload / unit for _, mesh in meshes]
+            if has_converged(payloads):
                 break
         return meshes, program
 

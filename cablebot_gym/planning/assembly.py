@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -29,81 +30,88 @@ _OPTIONS = {
 }
 
 
-class Assembled(NamedTuple):
-    """A program that IPOPT can solve."""
-
-    solver: Any
-    """Solver of CasADi."""
-    low: Array
-    """Lower bounds of all constraints."""
-    high: Array
-    """Upper bounds of all constraints."""
+_WARM_START = {
+    "warm_start_init_point": "yes",
+    "mu_init": 1e-5,
+    **{f"warm_start_{name}_push": 1e-8 for name in ("bound", "slack_bound", "mult_bound")},
+}
+"""Options of IPOPT for a start with multipliers close to the solution."""
 
 
-def assemble(
-    blocks: Sequence[Block],
-    variables: int,
-    payload: int,
-    interrupt: SolverInterrupt,
-    start: dict[str, Any],
-) -> Assembled:
-    """The program that maximises the payload.
+class Assembled:
+    """A program that maximises the payload, and its solvers.
 
     Args:
         blocks: constraints.
         variables: number of variables.
         payload: index of the payload among the variables.
         interrupt: stops the solver after Ctrl-C.
-        start: options of IPOPT for its start.
     """
-    ca = import_casadi()
-    z = ca.MX.sym("z", variables)
-    values = []
-    jacobians = []
-    multipliers = []
-    hessian = ca.MX(variables, variables)
-    for block in blocks:
-        matrix = ca.DM(block.matrix.tocsc())
-        count = block.instants
-        rows = block.low.shape[1]
-        size = block.matrix.shape[0] // count
-        numbers = ca.reshape(matrix @ z + ca.DM(block.offset), size, count)
-        jacobian, curvature = derivatives(block.function)
-        multipliers.append(ca.MX.sym("lam", rows * count))
-        slopes = jacobian.map(count)(numbers)
-        curvatures = curvature.map(count)(numbers, ca.reshape(multipliers[-1], rows, count))
-        values.append(ca.vec(block.function.map(count)(numbers)))
-        jacobians.append(ca.diagcat(*ca.horzsplit(slopes, size)) @ matrix)
-        hessian += matrix.T @ ca.diagcat(*ca.horzsplit(curvatures, size)) @ matrix
-    constraints = ca.vertcat(*values)
-    lam = ca.MX.sym("lam_g", constraints.shape[0])
-    ends = np.cumsum([0, *(item.shape[0] for item in multipliers)]).tolist()
-    (hessian,) = ca.graph_substitute([ca.triu(hessian)], multipliers, ca.vertsplit(lam, ends))
-    no_parameters = ca.MX.sym("p", 0)
-    slopes = ca.Function(
-        "slopes",
-        [z, no_parameters],
-        [constraints, ca.vertcat(*jacobians)],
-        ["x", "p"],
-        ["g", "jac_g_x"],
-    )
-    curvature = ca.Function(
-        "curvature",
-        [z, no_parameters, ca.MX.sym("sigma"), lam],
-        [hessian],
-        ["x", "p", "lam_f", "lam_g"],
-        ["triu_hess_gamma_x_x"],
-    )
-    options = {
-        "iteration_callback": interrupt.callback(ca, variables, constraints.shape[0]),
-        "jac_g": slopes,
-        "hess_lag": curvature,
-        "print_time": False,
-        "ipopt": {**_OPTIONS, **start},
-    }
-    program = {"x": z, "f": -z[payload], "g": constraints}
-    return Assembled(
-        solver=ca.nlpsol("motion", "ipopt", program, options),
-        low=np.concatenate([block.low.ravel() for block in blocks]),
-        high=np.concatenate([block.high.ravel() for block in blocks]),
-    )
+
+    def __init__(
+        self, blocks: Sequence[Block], variables: int, payload: int, interrupt: SolverInterrupt
+    ) -> None:
+        ca = import_casadi()
+        self.blocks = blocks
+        z = ca.MX.sym("z", variables)
+        values = []
+        jacobians = []
+        multipliers = []
+        hessian = ca.MX(variables, variables)
+        for block in blocks:
+            matrix = ca.DM(block.matrix.tocsc())
+            count = len(block.times)
+            size = block.matrix.shape[0] // count
+            numbers = ca.reshape(matrix @ z + ca.DM(block.offset), size, count)
+            jacobian, curvature = derivatives(block.function)
+            multipliers.append(ca.MX.sym("lam", block.values * count))
+            slopes = jacobian.map(count)(numbers)
+            weights = ca.reshape(multipliers[-1], block.values, count)
+            curvatures = curvature.map(count)(numbers, weights)
+            values.append(ca.vec(block.function.map(count)(numbers)))
+            jacobians.append(ca.diagcat(*ca.horzsplit(slopes, size)) @ matrix)
+            hessian += matrix.T @ ca.diagcat(*ca.horzsplit(curvatures, size)) @ matrix
+        constraints = ca.vertcat(*values)
+        self.constraints = constraints.shape[0]
+        lam = ca.MX.sym("lam_g", self.constraints)
+        ends = np.cumsum([0, *(item.shape[0] for item in multipliers)]).tolist()
+        (hessian,) = ca.graph_substitute([ca.triu(hessian)], multipliers, ca.vertsplit(lam, ends))
+        no_parameters = ca.MX.sym("p", 0)
+        self._program = {"x": z, "f": -z[payload], "g": constraints}
+        self._options = {
+            "iteration_callback": interrupt.callback(ca, variables, self.constraints),
+            "jac_g": ca.Function(
+                "slopes",
+                [z, no_parameters],
+                [constraints, ca.vertcat(*jacobians)],
+                ["x", "p"],
+                ["g", "jac_g_x"],
+            ),
+            "hess_lag": ca.Function(
+                "curvature",
+                [z, no_parameters, ca.MX.sym("sigma"), lam],
+                [hessian],
+                ["x", "p", "lam_f", "lam_g"],
+                ["triu_hess_gamma_x_x"],
+            ),
+            "print_time": False,
+        }
+
+    @cached_property
+    def cold_solver(self) -> Any:
+        """Solver for a start far from the solution."""
+        return self._solver({})
+
+    @cached_property
+    def warm_solver(self) -> Any:
+        """Solver for a start with multipliers close to the solution."""
+        return self._solver(_WARM_START)
+
+    def _solver(self, start: dict[str, Any]) -> Any:
+        options = self._options | {"ipopt": {**_OPTIONS, **start}}
+        return import_casadi().nlpsol("motion", "ipopt", self._program, options)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of all constraints."""
+        lows, highs = zip(*(block.bounds for block in self.blocks), strict=True)
+        return np.concatenate(lows), np.concatenate(highs)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, make_interp_spline
 from scipy.sparse import csr_matrix
 
 from cablebot_gym.kinematics import Array
+
+Limits = Callable[[], tuple[Array, Array]]
+"""Returns lower and upper bounds."""
 
 
 class Spline:
@@ -55,34 +58,44 @@ class Row:
 class Block:
     """Constraints on a function of a few numbers at each of several instants."""
 
+    times: Array
+    """The instants, shape (k,) [s]."""
+
     function: Any
     """SX function from the numbers to the constrained values."""
     matrix: csr_matrix
     """Matrix from the variables to all numbers, one instant after the other."""
     offset: Array
     """Constant part of the numbers."""
-    low: Array
-    """Lower bounds at every instant, shape (instants, values)."""
-    high: Array
-    """Upper bounds at every instant, shape (instants, values)."""
-    instants: int
-    """Number of instants."""
+    limits: Limits
+    """Lower and upper bounds of the values, each (values,) or (k, values). They follow from the
+    margins, which change between solutions."""
+    values: int
+    """Number of values of the function."""
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds at all instants, one instant after the other."""
+        shape = (len(self.times), self.values)
+        low, high = (np.broadcast_to(limit, shape).ravel() for limit in self.limits())
+        return low, high
 
 
-def make_block(function: Any, rows: list[Row], low: Array, high: Array, variables: int) -> Block:
+def make_block(
+    times: Array, function: Any, rows: list[Row], limits: Limits, variables: int
+) -> Block:
     """A block for a program with a number of variables.
 
     It has the numbers of one instant after the other: row k·d + i is number i at instant k.
 
     Args:
+        times: the instants, shape (k,) [s].
         function: SX function from d numbers to the constrained values.
         rows: d rows, one for each number.
-        low: lower bounds of the values, shape (values,) or (instants, values).
-        high: upper bounds in the same shapes.
+        limits: lower and upper bounds of the values, see :class:`Block`.
         variables: number of variables.
     """
     d = len(rows)
-    instants = len(rows[0].constant)
     indices = []
     columns = []
     values = []
@@ -92,16 +105,15 @@ def make_block(function: Any, rows: list[Row], low: Array, high: Array, variable
         columns.append(row.at[j])
         values.append(row.matrix[k, j])
     entries = np.concatenate(values), (np.concatenate(indices), np.concatenate(columns))
-    matrix = csr_matrix(entries, (instants * d, variables))
+    matrix = csr_matrix(entries, (len(times) * d, variables))
     offset = np.stack([row.constant for row in rows], axis=1).ravel()
-    shape = (instants, np.shape(low)[-1])
     return Block(
+        times=times,
         function=function,
         matrix=matrix,
         offset=offset,
-        low=np.broadcast_to(low, shape),
-        high=np.broadcast_to(high, shape),
-        instants=instants,
+        limits=limits,
+        values=function.size1_out(0),
     )
 
 
@@ -131,5 +143,8 @@ def basis(knots: Array, degree: int, times: Array, order: int) -> Array:
 
 def interpolate(knots: Array, degree: int, values: Array) -> Array:
     """Control points of the spline with given values at its Greville points."""
-    points: Array = np.linalg.solve(basis(knots, degree, greville(knots, degree), 0), values)
+    # Rounding puts the last of these points behind the end.
+    points_at = np.minimum(greville(knots, degree), knots[-1])
+    spline = make_interp_spline(points_at, values, k=degree, t=knots)
+    points: Array = spline.c
     return points

@@ -14,6 +14,7 @@ faster than to differentiate the whole program.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,10 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.statics import HEAVIEST, hold_payload
 from cablebot_gym.physics.textbook import cable_equivalent
-from cablebot_gym.planning.assembly import Assembled, assemble
+from cablebot_gym.planning.assembly import Assembled
 from cablebot_gym.planning.blocks import (
     Block,
+    Limits,
     Row,
     Spline,
     clamped_knots,
@@ -71,13 +73,6 @@ linear in the mass."""
 
 _HOLD_MARGIN = 1e-6
 """Margin to the payload that the motors hold at the start pose [kg]. It covers rounding."""
-
-_WARM_START = {
-    "warm_start_init_point": "yes",
-    "mu_init": 1e-5,
-    **{f"warm_start_{name}_push": 1e-8 for name in ("bound", "slack_bound", "mult_bound")},
-}
-"""Options of IPOPT for a start with multipliers close to the solution."""
 
 
 class Infeasible(RuntimeError):
@@ -143,7 +138,6 @@ class MotionProgram:
             else:
                 self._tensions.append(self._take(len(self._instants), robot.cables))
         self._interrupt = SolverInterrupt()
-        self._solver: Assembled | None = None
         self._solution: Any = None
 
     def _set_margins(self, margins: Margins) -> None:
@@ -175,12 +169,10 @@ class MotionProgram:
             Infeasible: if the solver finds no motion within the constraints; the message is its
                 status.
         """
-        if self._solver is None:
-            self._solver = self._assemble({})
         guess = self._initial_guess(start)
         if shift is not None:
             guess[self._poses.at] += shift
-        return self._solved(self._solver, x0=guess)
+        return self._solved(self._assembled.cold_solver, x0=guess)
 
     def resolve(self, margins: Margins, profile: MarginProfile | None = None) -> PlannedMotion:
         """Solves the program with other margins, starting from its last solution, which takes a few
@@ -199,28 +191,23 @@ class MotionProgram:
         self._set_margins(margins)
         if profile is not None:
             self._profile = profile
-        self._solver = None
         start = self._solution
         if start is None:
             raise Infeasible("the program has no solution to start from")
-        assembled = self._assemble(_WARM_START)
         x0 = np.array(start["x"])[:, 0]
-        return self._solved(assembled, x0=x0, lam_x0=start["lam_x"], lam_g0=start["lam_g"])
+        solver = self._assembled.warm_solver
+        return self._solved(solver, x0=x0, lam_x0=start["lam_x"], lam_g0=start["lam_g"])
 
-    def _solved(self, assembled: Assembled, *, x0: Array, **multipliers: Any) -> PlannedMotion:
+    def _solved(self, solver: Any, *, x0: Array, **multipliers: Any) -> PlannedMotion:
         low, high = self._bounds()
         if np.any(low > high):
             raise Infeasible("the motors cannot hold the start pose")
+        least, most = self._assembled.bounds()
         with self._interrupt.watch():
-            solution = assembled.solver(
-                x0=np.clip(x0, low, high),
-                lbx=low,
-                ubx=high,
-                lbg=assembled.low,
-                ubg=assembled.high,
-                **multipliers,
+            solution = solver(
+                x0=np.clip(x0, low, high), lbx=low, ubx=high, lbg=least, ubg=most, **multipliers
             )
-        status = assembled.solver.stats()["return_status"]
+        status = solver.stats()["return_status"]
         if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
             raise Infeasible(status)
         self._solution = solution
@@ -346,8 +333,13 @@ class MotionProgram:
                 blocks.append(self._rigid(index, mass))
         return blocks
 
-    def _constrain(self, function: Any, rows: list[Row], low: Array, high: Array) -> Block:
-        return make_block(function, rows, low, high, self._variables)
+    @cached_property
+    def _assembled(self) -> Assembled:
+        payload = int(self._payload_at[0])
+        return Assembled(self._blocks(), self._variables, payload, self._interrupt)
+
+    def _constrain(self, times: Array, function: Any, rows: list[Row], limits: Limits) -> Block:
+        return make_block(times, function, rows, limits, self._variables)
 
     def _error_blocks(self) -> list[Block]:
         """Constraints on the position and rotation errors, in units of their bounds."""
@@ -362,14 +354,21 @@ class MotionProgram:
             rows.append(Row(row.matrix / bound, row.at, (row.constant - target) / bound))
         translation = ca.SX.sym("e", d)
         rotation = ca.SX.sym("e", angles)
-        radius = self._error_radius("position")
         distance = ca.Function("distance", [translation], [ca.sumsqr(translation)])
-        nearest = np.full_like(radius, -np.inf)
-        blocks = [self._constrain(distance, rows[:d], nearest, radius**2)]
+
+        def within() -> tuple[Array, Array]:
+            radius = self._error_radius("position")
+            return np.full_like(radius, -np.inf), radius**2
+
+        blocks = [self._constrain(times, distance, rows[:d], within)]
         if angles:
-            most = np.repeat(self._error_radius("rotation"), angles, axis=1)
             angle_errors = ca.Function("rotation", [rotation], [rotation])
-            blocks.append(self._constrain(angle_errors, rows[d:], -most, most))
+
+            def least_and_most() -> tuple[Array, Array]:
+                most = np.repeat(self._error_radius("rotation"), angles, axis=1)
+                return -most, most
+
+            blocks.append(self._constrain(times, angle_errors, rows[d:], least_and_most))
         return blocks
 
     def _profile_at(self, name: str, instants: Array) -> Array:
@@ -399,24 +398,29 @@ class MotionProgram:
 
     def _rigid(self, index: int, mass: float | None) -> Block:
         times = self._instants
-        most = self._action_bounds()
         at = self._tensions[index]
         tensions = [Row(np.eye(len(times)), column, np.zeros(len(times))) for column in at.T]
         rows = [*self._poses.rows(times, [0, 1, 2]), *tensions, self._mass_row(mass, len(times))]
         stage = rigid_stage(self._robot, self._period)
         balanced = np.zeros((len(times), self._robot.coordinates))
-        low = np.hstack([balanced, -most])
-        return self._constrain(stage, rows, low, np.hstack([balanced, most]))
+
+        def limits() -> tuple[Array, Array]:
+            most = self._action_bounds()
+            return np.hstack([balanced, -most]), np.hstack([balanced, most])
+
+        return self._constrain(times, stage, rows, limits)
 
     def _flexible(self, index: int, mass: float | None) -> list[Block]:
         robot = self._robot
         poses = self._poses
         motors = self._motors[index]
-        balance, limits = flexible_stage(robot, self._period)
-        balanced = np.zeros(robot.coordinates)
-        most = self._action_bounds()
-        least_tension = self._least + self._profile_at("tension", self._instants)
-        least = np.repeat(least_tension[:, None] / TENSION, 2 * robot.cables, axis=1)
+        balance, limited = flexible_stage(robot, self._period)
+
+        def limits() -> tuple[Array, Array]:
+            most = self._action_bounds()
+            least_tension = self._least + self._profile_at("tension", self._instants)
+            least = np.repeat(least_tension[:, None] / TENSION, 2 * robot.cables, axis=1)
+            return np.hstack([-most, least]), np.hstack([most, np.full_like(least, np.inf)])
 
         def rows(times: Array, orders: Sequence[int]) -> list[Row]:
             return [
@@ -428,14 +432,11 @@ class MotionProgram:
         collocation = greville(motors.knots, motors.degree)
         if index > 0:  # all payloads start with the same Ẍ, which the first block determines
             collocation = collocation[1:]  # valid for a start from rest only
+        balance_rows = rows(collocation, [0, 1, 2])
+        limited_rows = rows(self._instants, [0, 1, 2])
         blocks = [
-            self._constrain(balance, rows(collocation, [0, 1, 2]), balanced, balanced),
-            self._constrain(
-                limits,
-                rows(self._instants, [0, 1, 2]),
-                np.hstack([-most, least]),
-                np.hstack([most, np.full_like(least, np.inf)]),
-            ),
+            self._constrain(collocation, balance, balance_rows, _equal),
+            self._constrain(self._instants, limited, limited_rows, limits),
         ]
         if not robot.weightless:
             lightest_mass = (1 + _LIGHTEST) * robot.mass
@@ -445,12 +446,11 @@ class MotionProgram:
                 robot, tuple(self._start.tolist()), tuple(velocity.tolist()), tuple(masses.tolist())
             )
             begin = np.zeros(1)
-            equal = np.zeros(2 * robot.cables)
             start_rows = [*motors.rows(begin, [0, 1]), self._mass_row(mass, len(begin))]
-            blocks.append(self._constrain(start, start_rows, equal, equal))
+            blocks.append(self._constrain(begin, start, start_rows, _equal))
         return blocks
 
-    def _assemble(self, start: dict[str, Any]) -> Assembled:
-        """The program with options of IPOPT for its start."""
-        payload = int(self._payload_at[0])
-        return assemble(self._blocks(), self._variables, payload, self._interrupt, start)
+
+def _equal() -> tuple[Array, Array]:
+    """Bounds of values that must be zero."""
+    return np.zeros(1), np.zeros(1)

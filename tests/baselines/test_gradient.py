@@ -169,13 +169,14 @@ def test_invalid_training_is_rejected(call, message):
 @pytest.mark.slow
 def test_softness_continues_the_search_at_kinks_of_the_tensions():
     """Excludes the softness of another round, or of none."""
+    loop = {"name": "loop-planar", "dwell": 0, "acceleration": [25.0]}
     carried = {}
     for softness in ((), (20.0, 3.0)):
         training = made(
             "CableBot-FlexPlanar-v0",
             Shift(action_period=0.02, fraction=0.9, degree=4),
             features=("reference_acceleration", "time_since_start"),
-            motions=[{"name": "loop-planar", "seed": seed, "dwell": 0} for seed in (0, 5)],
+            motions=[loop | {"seed": seed} for seed in (0, 5)],
             spread=0.01,
             rounds=(30.0, 300.0),
             iterations=40,
@@ -188,7 +189,7 @@ def test_softness_continues_the_search_at_kinks_of_the_tensions():
             )
         assert list(dict.fromkeys(used)) == list(softness or (0.0,))
         carried[softness] = training.payloads.mean()
-    assert carried[20.0, 3.0] > 1.2 * carried[()]
+    assert carried[20.0, 3.0] > 1.1 * carried[()]
 
 
 def test_falling_faster_than_gravity_is_a_violation():

@@ -162,6 +162,21 @@ def test_circle_lies_between_policies_and_certificate(circle):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("payloads", "converged"),
+    [
+        ((0.9, 1.0), False),
+        ((0.9995, 1.0), True),  # the last change is small
+        ((0.94, 0.99, 1.0), False),  # the further changes of this series are 0.0025
+        ((0.946, 0.996, 1.0), True),  # 0.00035
+        ((0.98, 0.99, 1.0), False),  # the changes do not decrease
+        ((1.05, 0.996, 1.0), True),
+    ],
+)
+def test_refinement_stops_where_further_meshes_change_little(payloads, converged):
+    assert best_known.has_converged(payloads) == converged
+
+
 def test_meshes_are_refined_until_the_payload_is_stable(circle):
     counts, payloads = zip(*circle.meshes, strict=True)
     assert np.all(np.array(counts[1:]) == 2 * np.array(counts[:-1]))

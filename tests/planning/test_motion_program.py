@@ -191,11 +191,11 @@ def test_assembled_derivatives_equal_casadis_own(robot, lightest):
         lightest=lightest,
         period=0.002,
     )
-    solver, lowest, _ = program._assemble({})
+    solver = program._assembled.cold_solver
     oracle = solver.oracle()
     rng = np.random.default_rng(1)
     z = rng.uniform(-0.5, 0.5, oracle.size1_in("x"))
-    lam = rng.uniform(-1, 1, len(lowest))
+    lam = rng.uniform(-1, 1, program._assembled.constraints)
 
     def check(assembled, expected, tolerance):
         expected = np.array(expected)
