@@ -83,8 +83,9 @@ Measured by `python scripts/motion_family.py` over training seeds. Even seeds ar
 jumps as on the paper's circle.
 
 * *Dynamic*: the dynamics limit the payload. The best known payload is below 0.9 of the payloads that the motors hold at
-  rest, at the start and at the worst pose within the error bounds. Robots without gravity have no such static limit. The best known payload of this page is that of one coarse mesh without replays. It is usually a
-  little smaller than that of `cablebot best-known`.
+  rest, at the start and at the worst pose within the error bounds. Robots without gravity have no such static limit.
+  The best known payload of this page is that of one coarse mesh without replays. It is usually a little smaller than
+  that of `cablebot best-known`.
 * *Acceleration*: median of the largest acceleration of the position, in units of 9.81 m/s².
 * *Exact*: a rigid robot can track the motion exactly without payload.
 * *Unloaded*: the paper's law (`fl`; with springs `composite`) carries its platform.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
@@ -317,7 +317,7 @@ class _Case:
                 found = finer
         if found is None:
             actions = self._track(best, self.tightening.no_profile()).actions
-            replays, _ = self._replays(actions, best.payload)
+            replays = tuple(replay for replay, _ in self._replays(actions, best.payload))
             found = _Verified(motion=best, actions=actions, margins=Margins(), replays=replays)
         robot, motion, upper = self.robot, found.motion, None
         report("computing the certificate of an upper bound")
@@ -469,42 +469,42 @@ class _Case:
             except (Infeasible, ValueError):  # larger margins are infeasible as well
                 return None
             tracked = self._track(motion, profile)
-            replays, episodes = self._replays(tracked.actions, motion.payload)
-            if all(replay.violation is None for replay in replays):
+            replays: list[Replay] = []
+            for replay, episode in self._replays(tracked.actions, motion.payload):
+                replays.append(replay)
+                if replay.violation is not None:
+                    # The finer one, which takes ten times as long, would exceed the same limits.
+                    profile = tightening.grown(profile, [episode], tracked.excess)
+                    break
+            else:
                 return _Verified(
                     motion=motion,
                     actions=tracked.actions,
                     margins=profile.highest(margins),
-                    replays=replays,
+                    replays=tuple(replays),
                 )
-            profile = tightening.grown(profile, episodes, tracked.excess)
         return None
 
-    def _replays(self, actions: Array, payload: float) -> tuple[tuple[Replay, ...], list[Rollout]]:
-        """Replays of actions, and their episodes."""
+    def _replays(self, actions: Array, payload: float) -> Iterator[tuple[Replay, Rollout]]:
+        """Replays of actions, and their episodes, the coarse one first."""
         settings = make_settings(
             robot=self.robot,
             count=1,
             trajectory=self.trajectory,
             control_frequency=self.control_frequency,
         )
-        replays: list[Replay] = []
-        episodes = []
         for factor in REPLAY_FACTORS:
             substeps = factor * settings.substeps
             episode = self._record(OpenLoop(actions), payload, substeps=substeps)
-            episodes.append(episode)
             verdict = episode.verdict
-            replays.append(
-                Replay(
-                    substeps=substeps,
-                    violation=None if verdict.violation is None else str(verdict.violation),
-                    least_tension=verdict.least_tension,
-                    position_peak=verdict.position_peak,
-                    rotation_peak=verdict.rotation_peak,
-                )
+            replay = Replay(
+                substeps=substeps,
+                violation=None if verdict.violation is None else str(verdict.violation),
+                least_tension=verdict.least_tension,
+                position_peak=verdict.position_peak,
+                rotation_peak=verdict.rotation_peak,
             )
-        return tuple(replays), episodes
+            yield replay, episode
 
     def _record(self, policy: Any, payload: float, **keywords: Any) -> Rollout:
         """The episode of a policy with a payload [kg] and further keywords of the environment."""
