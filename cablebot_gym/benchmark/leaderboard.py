@@ -319,14 +319,27 @@ def _notes_text(records: Sequence[Record], boards: Sequence[Leaderboard]) -> str
 def _definitions(records: Sequence[Record]) -> str:
     """Definitions with the error bounds and the probability of the records."""
     cells = [score.cell for score in scores(records)]
-    cell = next((cell for cell in cells if not varied_fields(cell)), cells[0])
+    standard = [cell for cell in cells if cell.robot_name is None and not varied_fields(cell)]
+    cells = standard or cells[:1]
     path = files("cablebot_gym.benchmark") / "leaderboard_definitions.md"
     return path.read_text(encoding="utf-8").format(
-        position=1e3 * cell.error_bounds["position"],
-        rotation=1e3 * cell.error_bounds["rotation"],
-        probability=cell.probability,
-        confidence=CONFIDENCE,
+        bounds=_bounds_text(cells), probability=cells[0].probability, confidence=CONFIDENCE
     )
+
+
+def _bounds_text(cells: Sequence[PolicyCell]) -> str:
+    """The error bounds of the environments; that of the rotation only where there is one."""
+    environments: dict[str, list[str]] = {}
+    for cell in cells:
+        text = f"{1e3 * cell.error_bounds['position']:g} mm"
+        if cell.robot.kind not in ("planar", "point"):
+            text += f" and {1e3 * cell.error_bounds['rotation']:g} mrad"
+        env_ids = environments.setdefault(text, [])
+        if f"`{cell.env_id}`" not in env_ids:
+            env_ids.append(f"`{cell.env_id}`")
+    if len(environments) == 1:
+        return next(iter(environments))
+    return "; ".join(f"{text} ({', '.join(env_ids)})" for text, env_ids in environments.items())
 
 
 def _origin(results: Results) -> str:

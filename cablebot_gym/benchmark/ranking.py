@@ -1,7 +1,7 @@
 """Intervals of mean fractions over motions, and simultaneous comparisons of policies.
 
 Motions are the random sample: they are drawn from a family, and all policies run the same ones.
-``scripts/ranking_study.py`` simulates the coverage of the intervals and the rate of false orders.
+``tests/benchmark/simulated_boards.py`` simulates how often intervals cover and orders are false.
 """
 
 from __future__ import annotations

@@ -41,8 +41,8 @@ class CellOptions(Options):
     suite: Annotated[
         str,
         typer.Option(
-            help="Suite: smoke (minutes), standard (45 minutes on two cores), ranked, full (hours), maps, paper-maps "
-            "or library (an hour)."
+            help="Suite: smoke (minutes), standard (45 minutes on two cores), ranked (the leaderboard, hours), full "
+            "(hours), maps, paper-maps or library (an hour)."
         ),
     ] = "smoke"
     policies: Annotated[
@@ -158,7 +158,12 @@ def benchmark(
     """Score policies by their payload over the best known payload, on held-out motions and the
     paper's circle.
 
-    Every policy runs in a process of its own. Each finished cell is stored as a file in the results
+    The suite ranked makes a leaderboard. Its main number: on each of 100 hidden motions, the
+    largest payload that 19 random robots carry, as a fraction of a planner's, on the mean over the
+    motions. Slow policies and planners have 20 motions.
+
+    Every policy runs in a process of its own, except for policies of this project in surveys: all
+    hidden motions in one cell. Each finished cell is stored as a file in the results
     folder. The same command resumes an interrupted benchmark. It computes only cells that are
     missing, damaged or computed with different code: that of this package, or of the package or
     folder of the policy. The exit status is 1 if a payload could not be computed, if an entry is
