@@ -259,8 +259,8 @@ def _main_text(boards: Sequence[Leaderboard]) -> str:
     probability = robots / (robots + 1)
     return f"""On each motion, the payload is the largest one that all {robots} robots carry which are drawn for it
 (`{column.uncertainty}`), so a further random robot carries it with a probability of {probability:.0%}. An entry is the
-mean over the motions of this payload, as a fraction of the one that a planner which knows the drawn robot carries on
-{probability:.0%} of the robots, see the [yardsticks](#yardsticks).
+mean over the motions of this payload, as a fraction of the best known payload of the exactly known robot, see the
+[yardsticks](#yardsticks).
 """
 
 

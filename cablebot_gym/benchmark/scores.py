@@ -55,8 +55,8 @@ class Score:
     """Best known payload [kg]; None if there is none."""
     score: float | None
     """Fraction of the best known payload; 0 if the policy fails unloaded or raised an error. None
-    for the paper criterion, under an uncertainty, without a best known payload, and if the
-    computation can be repeated."""
+    for the paper criterion, under an uncertainty except in the main table, without a best known
+    payload, and if the computation can be repeated."""
 
     @property
     def error(self) -> str | None:
@@ -395,8 +395,13 @@ def _values(entry: Sequence[Score]) -> Array | None:
 def _score(record: Record, cell: PolicyCell, references: Mapping[str, BestKnown]) -> Score:
     best = references.get(motion_key(cell))
     best_known = None if best is None else best.payload
-    is_nominal = cell.criterion == "task" and cell.uncertainty is None
+    has_reference = cell.uncertainty is None or Column.of(cell).is_main
     fraction = None
-    if best_known and is_nominal and (record.error is None or record.final):
+    if (
+        best_known
+        and cell.criterion == "task"
+        and has_reference
+        and (record.error is None or record.final)
+    ):
         fraction = (record.result.get("payload") or 0.0) / best_known
     return Score(cell=cell, result=record.result, best_known=best_known, score=fraction)

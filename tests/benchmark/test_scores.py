@@ -5,7 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, TimingCell
+from cablebot_gym.benchmark.cells import (
+    BestKnownCell,
+    PolicyCell,
+    Record,
+    SurveyCell,
+    TimingCell,
+)
 from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
 from cablebot_gym.benchmark.maps import AXES
 from cablebot_gym.benchmark.ranking import fraction
@@ -156,6 +162,39 @@ def test_motion_counts_only_with_a_best_known_payload():
     assert board.ranks == {"a": 1, "b": 1}
     assert board.fraction("a", board.columns[0]).mean == pytest.approx(0.5)
     assert f"{LOOPS[0]['seed']} counts for no policy on {PLANAR}" in page_of(records)
+
+
+def surveyed(policy, payloads, **conditions):
+    """The record of a survey of the motions :data:`LOOPS`."""
+    trajectory = {"name": "loop-planar", "seed": [motion["seed"] for motion in LOOPS]}
+    cell = SurveyCell(env_id=PLANAR, policy=policy, trajectory=trajectory, **conditions)
+    return record(
+        cell,
+        payloads=payloads,
+        failed_payloads=[(payload or 0.0) + 0.1 for payload in payloads],
+        violations=[{"kind": "position", "index": None, "time": 0.1, "excess": 0.0}] * len(LOOPS),
+        resolutions=[0.01] * len(LOOPS),
+        stochastic=False,
+    )
+
+
+def test_survey_under_uncertainty_is_the_main_table():
+    unknown = {"payload_known": False, "uncertainty": "hardware", "draws": 19}
+    records = [
+        *family({}),
+        surveyed("a", [0.5, *[0.7] * 19], **unknown),
+        surveyed("b", [None, *[0.1] * 19], **unknown),
+        surveyed("b", [0.9] * 20),
+    ]
+    main, second = leaderboards(records)
+    assert main.ranks == {"a": 1, "b": 2}
+    assert main.fraction("a", main.columns[0]).mean == pytest.approx(0.69)
+    assert main.fraction("b", main.columns[0]).worst == 0.0
+    assert (main.is_main, second.is_main, second.policies) == (True, False, ("b",))
+    page = page_of(records)
+    assert page.index("19 robots carry") < page.index(f"{PLANAR}, exactly known")
+    read = Results.from_json(Results(suite="smoke", command="", records=records).to_json())
+    assert page_of(read.records) == page
 
 
 def test_columns_with_the_most_motions_order_the_rows():
