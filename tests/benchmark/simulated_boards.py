@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from cablebot_gym.benchmark.ranking import better_policies, fraction
+from cablebot_gym.evaluation.survey import ROBOTS
 
 FAMILIES = {
     "normal, 0.75 ± 0.1": lambda random, size: random.normal(0.75, 0.1, size).clip(0, 1),
@@ -27,10 +29,60 @@ FAILURES = {12: (0.0, 0.02, 0.1), 25: (0.0, 0.05)}
 
 MOTIONS = (20, 100)
 
+TRUTH = 2_000_000
+"""Number of motions of the true mean of fractions."""
+
+SURVEYED_TRUTH = 400_000
+"""Number of motions, each with its robots, of the true mean of surveys."""
+
+CAPACITIES = {
+    "normal, 4 ± 0.3 kg": lambda random, size: random.normal(4, 0.3, size),
+    "lognormal, skewed to heavy payloads": lambda random, size: random.lognormal(1.2, 0.4, size),
+    "5 kg − Student's t with 2 degrees": lambda random, size: 5 - abs(random.standard_t(2, size)),
+    "3 % of the robots are weak": lambda random, size: _with_weak_robots(random, size, 0.5),
+    "steps of 0.5 kg": lambda random, size: np.floor(2 * random.normal(4, 0.3, size)) / 2,
+    "3 % fail unloaded": lambda random, size: _with_weak_robots(random, size, 0.0),
+}
+"""Distributions of the largest payload that a random robot carries on a motion [kg]."""
+
+BEST_PAYLOAD = 6.0
+"""Best payload of a motion of average difficulty [kg]."""
+
+FEWER_MOTIONS = 20
+"""Number of motions of half of the policies of a board of surveys."""
+
 PAGE = """# How sure are intervals and ranks
 
 A board has a random sample of motions. Its numbers are means over this sample, so another sample gives other numbers.
 This page simulates many boards with known truth. `python tests/benchmark/simulated_boards.py` computes it.
+
+## Payloads of surveys
+
+The payload of a motion is the largest one that all {robots} random robots carry. A further random robot carries it with
+a probability of at least 95 %, whatever the distribution over robots is: exactly 95 % without ties, and more with ties
+or where the motion has no payload because a robot fails unloaded.
+
+| largest payload of a random robot | carried by a further robot, or no payload | no payload | motions carried by less than 85 % |
+|---|---:|---:|---:|
+{promises}
+{surveyed_motions:,} simulated motions for each row. The promise holds on the mean over motions only: some single motions
+have robots that are all stronger than most (last column).
+
+The interval of the mean of payload over best payload covers its expected value over motions and robots, because each
+motion has its own robots: their scatter is part of the scatter over motions.
+
+| largest payload of a random robot | motions | covered | mean too low | mean too high |
+|---|---:|---:|---:|---:|
+{surveyed_coverage}
+Difficulties of motions differ by ± 15 %. {boards:,} simulated boards for each row.
+
+Twelve equal policies that meet the same motions and robots are seldom ordered, also if six of them have only the first
+{fewer} motions. At most 5 % of the boards may have an order.
+
+| robots that fail unloaded | noise of a policy on each robot | false boards |
+|---:|---:|---:|
+{surveyed_orders}
+The fractions of the robots of a motion scatter by ± 0.05. {order_boards:,} simulated boards of 100 motions for each row.
 
 ## Intervals
 
@@ -58,15 +110,68 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "ranking.md"
 """The page in the documentation."""
 
 
+def _with_weak_robots(random, size, factor):
+    payloads = random.normal(4, 0.3, size)
+    return np.where(random.random(size) < 0.03, factor * payloads, payloads)
+
+
+def surveyed(capacities):
+    """Payload of each motion, the least one of its robots, from an array (…, robots)."""
+    return capacities.min(axis=-1).clip(0, None)
+
+
+def promise(family, motions, seed=3):
+    """Fractions of motions whose payload a further robot carries or that have none, of motions
+    without payload, and of motions whose payload less than 85 % of all robots carry."""
+    random = np.random.default_rng(seed)
+    draw = CAPACITIES[family]
+    everything = np.sort(draw(random, 1_000_000))
+    payloads = surveyed(draw(random, (motions, ROBOTS)))
+    is_carried = draw(random, motions) >= payloads
+    is_empty = payloads == 0
+    weaker = np.searchsorted(everything, payloads) / len(everything)
+    return (is_carried | is_empty).mean(), is_empty.mean(), (~is_empty & (weaker > 0.15)).mean()
+
+
+def surveyed_fractions(family, random, motions):
+    """Payloads of a survey as fractions of the best payloads."""
+    ease = random.normal(1, 0.15, motions).clip(0.5, None)
+    payloads = surveyed(CAPACITIES[family](random, (motions, ROBOTS))) * ease
+    return payloads / (BEST_PAYLOAD * random.normal(1, 0.05, motions) * np.sqrt(ease))
+
+
+def equal_surveys(random, failing, noise, policies=12, motions=100):
+    """Fractions of equal policies on the same motions and robots, (policies, motions); NaN where
+    the second half of the policies has no motion."""
+    ease = random.normal(0.7, 0.1, motions)
+    robots = random.normal(0, 0.05, (motions, ROBOTS))
+    robots[random.random(robots.shape) < failing] = -np.inf
+    capacities = robots + ease[:, None]
+    values = surveyed(capacities + random.normal(0, noise, (policies, motions, ROBOTS)))
+    values[policies // 2 :, FEWER_MOTIONS:] = np.nan
+    return values
+
+
+def false_surveys(failing, noise, boards, seed=4):
+    """Fraction of boards of equal surveys with at least one order."""
+    random = np.random.default_rng(seed)
+    false = 0
+    for _ in range(boards):
+        false += better_policies(equal_surveys(random, failing, noise)).any()
+    return false / boards
+
+
 def _failing(random, size, rate):
     return np.where(random.random(size) < rate, 0.0, random.beta(20, 5, size))
 
 
-def coverage(family, motions, boards, seed=1):
-    """Fractions of boards whose interval covers the true mean, lies below and lies above it."""
+def coverage(draw, motions, boards, truth_motions=TRUTH, seed=1):
+    """Fractions of boards whose interval covers the true mean, lies below and lies above it.
+
+    ``draw`` returns fractions of independent motions from a random generator and their number.
+    """
     random = np.random.default_rng(seed)
-    draw = FAMILIES[family]
-    truth = draw(random, 2_000_000).mean()
+    truth = draw(random, truth_motions).mean()
     below = above = 0
     for _ in range(boards):
         interval = fraction([draw(random, motions)])
@@ -93,23 +198,70 @@ def false_boards(policies, motions, rate, boards, seed=2):
     return false / boards
 
 
-def page(boards=4000, order_boards=4000):
-    """The page with both tables."""
-    rows = []
+def page(boards=4000, order_boards=4000, motions=200_000):
+    """The page with all tables."""
+    return PAGE.format(
+        promises=_promise_rows(motions),
+        surveyed_coverage=_surveyed_coverage_rows(boards),
+        surveyed_orders=_surveyed_order_rows(order_boards),
+        coverage=_coverage_rows(boards),
+        orders=_order_rows(order_boards),
+        boards=boards,
+        order_boards=order_boards,
+        surveyed_motions=motions,
+        robots=ROBOTS,
+        fewer=FEWER_MOTIONS,
+    )
+
+
+def _promise_rows(motions):
+    text = ""
+    for family in CAPACITIES:
+        carried, empty, misses = promise(family, motions)
+        text += f"| {family} | {carried:.2%} | {empty:.1%} | {misses:.1%} |\n"
+    return text
+
+
+def _surveyed_coverage_rows(boards):
+    text = ""
     for motions in MOTIONS:
-        for family in FAMILIES:
-            rates = coverage(family, motions, boards)
-            texts = " | ".join(f"{rate:.1%}" for rate in rates)
-            rows.append(f"| {family} | {motions} | {texts} |\n")
-    orders = []
+        for family in CAPACITIES:
+            draw = partial(surveyed_fractions, family)
+            rates = coverage(draw, motions, boards, truth_motions=SURVEYED_TRUTH)
+            text += _coverage_row(family, motions, rates)
+    return text
+
+
+def _surveyed_order_rows(boards):
+    text = ""
+    for failing in (0.0, 0.002, 0.02):
+        for noise in (0.01, 0.05):
+            false = false_surveys(failing, noise, boards)
+            text += f"| {failing:.1%} | ± {noise:g} | {false:.1%} |\n"
+    return text
+
+
+def _coverage_rows(boards):
+    text = ""
+    for motions in MOTIONS:
+        for family, draw in FAMILIES.items():
+            text += _coverage_row(family, motions, coverage(draw, motions, boards))
+    return text
+
+
+def _coverage_row(family, motions, rates):
+    texts = " | ".join(f"{rate:.1%}" for rate in rates)
+    return f"| {family} | {motions} | {texts} |\n"
+
+
+def _order_rows(boards):
+    text = ""
     for policies, rates in FAILURES.items():
         for motions in MOTIONS:
             for rate in rates:
-                false = false_boards(policies, motions, rate, order_boards)
-                orders.append(f"| {policies} | {motions} | {rate:.0%} | {false:.1%} |\n")
-    return PAGE.format(
-        coverage="".join(rows), orders="".join(orders), boards=boards, order_boards=order_boards
-    )
+                false = false_boards(policies, motions, rate, boards)
+                text += f"| {policies} | {motions} | {rate:.0%} | {false:.1%} |\n"
+    return text
 
 
 if __name__ == "__main__":

@@ -8,10 +8,10 @@ from cablebot_gym.benchmark.ranking import better_policies, fraction, ranks
 from cablebot_gym.evaluation.statistics import mid_p_interval
 
 
-@pytest.mark.parametrize("family", simulated_boards.FAMILIES)
-def test_interval_covers_the_mean_as_often_as_stated(family):
+@pytest.mark.parametrize("draw", simulated_boards.FAMILIES.values(), ids=simulated_boards.FAMILIES)
+def test_interval_covers_the_mean_as_often_as_stated(draw):
     """A percentile bootstrap covered 76 % where a policy fails on a rare motion."""
-    covered, below, above = simulated_boards.coverage(family, motions=100, boards=600)
+    covered, below, above = simulated_boards.coverage(draw, motions=100, boards=600)
     assert covered > 0.925
     assert below < 0.045
     assert above < 0.055
@@ -22,6 +22,18 @@ def test_equal_policies_are_seldom_ordered(rate):
     """Pairwise intervals ordered equal policies on 59 to 82 % of the boards."""
     false = simulated_boards.false_boards(policies=12, motions=100, rate=rate, boards=300)
     assert false <= 0.05
+
+
+@pytest.mark.parametrize("family", simulated_boards.CAPACITIES)
+def test_further_robot_carries_a_surveyed_payload_as_often_as_promised(family):
+    """Three standard errors allow for the number of simulated motions."""
+    motions = 40_000
+    carried, _, _ = simulated_boards.promise(family, motions)
+    assert carried > 0.95 - 3 * np.sqrt(0.95 * 0.05 / motions)
+
+
+def test_equal_surveys_are_seldom_ordered_where_half_has_fewer_motions():
+    assert simulated_boards.false_surveys(failing=0.002, noise=0.05, boards=200) <= 0.06
 
 
 @pytest.mark.slow
