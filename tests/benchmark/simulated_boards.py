@@ -62,11 +62,11 @@ The payload of a motion is the largest one that all {robots} random robots carry
 a probability of at least 95 %, whatever the distribution over robots is: exactly 95 % without ties, and more with ties
 or where the motion has no payload because a robot fails unloaded.
 
-| largest payload of a random robot | carried by a further robot, or no payload | no payload | motions carried by less than 85 % |
+| largest payload of a random robot | a further robot carries it, or it is 0 | it is 0 | less than 85 % carry it |
 |---|---:|---:|---:|
 {promises}
-{surveyed_motions:,} simulated motions for each row. The promise holds on the mean over motions only: some single motions
-have robots that are all stronger than most (last column).
+{surveyed_motions:,} simulated motions for each row. The probability holds on the mean over motions only: on some motions
+all {robots} robots are stronger than most (last column).
 
 The interval of the mean of payload over best payload covers its expected value over motions and robots, because each
 motion has its own robots: their scatter is part of the scatter over motions.
@@ -74,7 +74,7 @@ motion has its own robots: their scatter is part of the scatter over motions.
 | largest payload of a random robot | motions | covered | mean too low | mean too high |
 |---|---:|---:|---:|---:|
 {surveyed_coverage}
-Difficulties of motions differ by ± 15 %. {boards:,} simulated boards for each row.
+Difficulties of motions differ by ± 15 %. {surveyed_boards:,} simulated boards for each row.
 
 Twelve equal policies that meet the same motions and robots are seldom ordered, also if six of them have only the first
 {fewer} motions. At most 5 % of the boards may have an order.
@@ -82,7 +82,8 @@ Twelve equal policies that meet the same motions and robots are seldom ordered, 
 | robots that fail unloaded | noise of a policy on each robot | false boards |
 |---:|---:|---:|
 {surveyed_orders}
-The fractions of the robots of a motion scatter by ± 0.05. {order_boards:,} simulated boards of 100 motions for each row.
+The fractions of the robots of a motion scatter by ± 0.05. {order_boards:,} simulated boards of 100 motions for each
+row.
 
 ## Intervals
 
@@ -198,16 +199,17 @@ def false_boards(policies, motions, rate, boards, seed=2):
     return false / boards
 
 
-def page(boards=4000, order_boards=4000, motions=200_000):
+def page(boards=4000, order_boards=4000, surveyed_boards=20_000, motions=200_000):
     """The page with all tables."""
     return PAGE.format(
         promises=_promise_rows(motions),
-        surveyed_coverage=_surveyed_coverage_rows(boards),
+        surveyed_coverage=_surveyed_coverage_rows(surveyed_boards),
         surveyed_orders=_surveyed_order_rows(order_boards),
         coverage=_coverage_rows(boards),
         orders=_order_rows(order_boards),
         boards=boards,
         order_boards=order_boards,
+        surveyed_boards=surveyed_boards,
         surveyed_motions=motions,
         robots=ROBOTS,
         fewer=FEWER_MOTIONS,
