@@ -65,8 +65,8 @@ or where the motion has no payload because a robot fails unloaded.
 | largest payload of a random robot | a further robot carries it, or it is 0 | it is 0 | less than 85 % carry it |
 |---|---:|---:|---:|
 {promises}
-{surveyed_motions:,} simulated motions for each row. The probability holds on the mean over motions only: on some motions
-all {robots} robots are stronger than most (last column).
+{surveyed_motions:,} simulated motions for each row. The probability holds on the mean over motions only: on some
+motions all {robots} robots are stronger than most (last column).
 
 The interval of the mean of payload over best payload covers its expected value over motions and robots, because each
 motion has its own robots: their scatter is part of the scatter over motions.
