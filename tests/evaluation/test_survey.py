@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
+from scipy.stats import beta, betabinom
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym import evaluate_dlcc, find_robot, find_trajectory
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import survey as survey_module
-from cablebot_gym.evaluation.batch import Batch
-from cablebot_gym.evaluation.survey import motion_seeds, survey
+from cablebot_gym.evaluation.batch import Batch, Row
+from cablebot_gym.evaluation.conditions import Conditions
+from cablebot_gym.evaluation.survey import ROBOTS, motion_seeds, survey
 from cablebot_gym.policies import PolicyError
 
 PLANAR = "CableBot-Planar-v0"
@@ -114,3 +116,27 @@ def test_stochastic_policy_has_the_payload_that_it_carries_alone(monkeypatch):
 def test_invalid_survey_is_refused(keywords, message):
     with pytest.raises(ValueError, match=message):
         survey("fl", PLANAR, **{"motions": MOTIONS, **keywords})
+
+
+@pytest.mark.slow
+def test_fresh_robots_carry_surveyed_payloads_as_often_as_promised():
+    """The weakest of 19 robots decides a payload. The probability that a further robot carries it
+    then has the distribution Beta(19, 1), if no two robots are equal, with the mean 19/20."""
+    motions = [
+        find_trajectory({"name": "loop-planar", "seed": seed}, "planar") for seed in range(10)
+    ]
+    conditions = {"uncertainty": "hardware", "payload_known": False}
+    payloads = survey("adaptive", PLANAR, motions, seed=11, **conditions).payloads
+    assert payloads.min() > 0
+    robots = 200
+    seeds = np.random.default_rng(12).integers(2**53, size=(len(motions), robots)).tolist()
+    rows = []
+    for motion, payload in enumerate(payloads):
+        rows += [Row(payload, seed, motion) for seed in seeds[motion]]
+    verdicts = Batch("adaptive", Conditions.of(PLANAR, **conditions), motions=motions).run(rows)
+    carried = np.reshape([verdict.carried for verdict in verdicts], (len(motions), robots))
+    rates = carried.mean(axis=1)
+    standard_error = betabinom(robots, ROBOTS, 1).std() / robots / np.sqrt(len(motions))
+    assert rates.mean() >= beta(ROBOTS, 1).mean() - 3 * standard_error
+    # One survey of 10 motions in 1000 has a rate below this bound.
+    assert rates.min() >= betabinom(robots, ROBOTS, 1).ppf(0.001 / len(motions)) / robots
