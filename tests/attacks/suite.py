@@ -19,6 +19,7 @@ FOLDER = Path(__file__).parent
 sys.path.append(str(FOLDER))
 
 import cheats  # noqa: E402
+import survey_suite  # noqa: E402
 from hostile_entries import HOSTILE_ENTRIES  # noqa: E402
 
 ENV_ID = "CableBot-Spatial-v0"
@@ -273,6 +274,7 @@ def page():
     lines.append("|---|---|---|")
     for attack in SANDBOXED:
         lines.append(f"| {_what(attack)} | “{attack.now}” | {Attack.now} |")
+    lines += survey_suite.lines()
     lines += ["", "## Files of entries", "", ENTRIES_HEAD]
     lines += ["| the entry … | before, the run | now, the entry is invalid |", "|---|---|---|"]
     for hostile in HOSTILE_ENTRIES:

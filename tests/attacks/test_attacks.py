@@ -4,8 +4,10 @@ own."""
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from attacks.suite import (
     ALONE,
@@ -19,8 +21,11 @@ from attacks.suite import (
     cheats,
     page,
     run,
+    survey_suite,
 )
 
+from cablebot_gym.benchmark.cells import compute
+from cablebot_gym.evaluation import survey
 from cablebot_gym.evaluation.evaluator import evaluate_dlcc
 from cablebot_gym.isolation.sandbox import sandbox_problem
 from cablebot_gym.policies import PolicyError
@@ -68,6 +73,27 @@ def test_attack_on_an_isolated_evaluation(attack):
     if attack.now == ALONE:  # random seeds move the payload of the honest policy
         least, most = 0.0, expected + 0.03
     assert least - tolerance <= payload <= most + tolerance
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("attack", survey_suite.SURVEY_ATTACKS, ids=lambda attack: attack.name)
+def test_attack_on_a_survey(attack, monkeypatch):
+    """A tenth of the repeated episodes of deterministic policies suffices to refuse them."""
+    monkeypatch.chdir(FOLDER)
+    monkeypatch.setattr(survey, "REPEATED", 6)
+    honest = survey_suite.unprotected("Honest").mean()
+    assert honest == pytest.approx(survey_suite.HONEST, abs=survey_suite.TOLERANCE)
+    unprotected = survey_suite.unprotected(attack.name).mean()
+    assert unprotected == pytest.approx(attack.unprotected, abs=survey_suite.TOLERANCE)
+    record = compute(replace(survey_suite.CELL, policy=f"survey_cheats:{attack.name}"))
+    if attack.error:
+        assert attack.error in record.error
+        return
+    assert record.error is None
+    payload = np.mean(record.result["payloads"])
+    assert payload <= honest + survey_suite.TOLERANCE
+    if attack.now != survey_suite.AT_MOST:
+        assert payload >= honest - survey_suite.TOLERANCE
 
 
 @pytest.mark.slow
