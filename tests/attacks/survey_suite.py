@@ -35,7 +35,8 @@ HEAD = f"""\
 The policies of this table attack a [survey](dlcc.md#how-a-survey-works) of three motions with 19 random robots each,
 `hardware`, payload unknown, `{CELL.env_id}`. Each is an adaptive law, except for what the table says. The honest one
 has {HONEST:.2f} kg on the mean over the motions. *Unprotected* is the payload in the process of the evaluation, without
-repeated episodes and without robots alone. Even there, none of them gains more than some hundredths of a kilogram.
+repeated episodes and without robots alone; ± is by the secret order of the rows. Even there, none of them gains more
+than some hundredths of a kilogram.
 """
 
 
@@ -50,6 +51,8 @@ class SurveyAttack:
     """Words of the error of the cell; empty if it has payloads."""
     now: str = "payload of the honest policy"
     """What the payload of the cell is."""
+    scatter: float = 0.0
+    """Largest difference of the unprotected payload, which depends on the secret order of rows [kg]."""
 
 
 ROWS = "depends on the other episodes of its batch"
@@ -58,7 +61,7 @@ AT_MOST = "at most the payload of the honest policy"
 SURVEY_ATTACKS = (
     SurveyAttack("pooled_estimates", 1.92, ROWS),
     SurveyAttack("pooled_threshold", 1.75, now=AT_MOST),
-    SurveyAttack("copied_actions", 1.61, ROWS),
+    SurveyAttack("copied_actions", 1.5, ROWS, scatter=0.2),
     SurveyAttack("counted_batches", 1.85),
 )
 
@@ -97,5 +100,8 @@ def lines():
     for attack in SURVEY_ATTACKS:
         what = " ".join(inspect.getdoc(getattr(survey_cheats, attack.name)).split())
         now = f"“{attack.error}”" if attack.error else attack.now
-        text.append(f"| {what} | {attack.unprotected:.2f} kg | {now} |")
+        payload = f"{attack.unprotected:.2f}"
+        if attack.scatter:
+            payload += f" ± {attack.scatter:.2f}"
+        text.append(f"| {what} | {payload} kg | {now} |")
     return text

@@ -84,7 +84,8 @@ def test_attack_on_a_survey(attack, monkeypatch):
     honest = survey_suite.unprotected("Honest").mean()
     assert honest == pytest.approx(survey_suite.HONEST, abs=survey_suite.TOLERANCE)
     unprotected = survey_suite.unprotected(attack.name).mean()
-    assert unprotected == pytest.approx(attack.unprotected, abs=survey_suite.TOLERANCE)
+    tolerance = survey_suite.TOLERANCE + attack.scatter
+    assert unprotected == pytest.approx(attack.unprotected, abs=tolerance)
     record = compute(replace(survey_suite.CELL, policy=f"survey_cheats:{attack.name}"))
     if attack.error:
         assert attack.error in record.error
