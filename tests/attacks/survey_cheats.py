@@ -19,8 +19,8 @@ NEAR = 0.3
 GIVES_UP = 2.1
 """Payload above which a policy gives up [kg]."""
 
-GIVES_UP_AFTER = 100
-"""Call from which on it knows its payload well enough to give up."""
+SETTLED = 100
+"""Call from which on estimates differ between robots and are good enough to give up."""
 
 
 class Honest(Adaptive):
@@ -68,7 +68,7 @@ class pooled_threshold(Honest):
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         action, state = super().predict(observation, state, episode_start)
-        if self.calls > GIVES_UP_AFTER:
+        if self.calls > SETTLED:
             action[self.estimates > self.robot.mass + GIVES_UP] = 0.0
         return action, state
 
@@ -85,7 +85,7 @@ class copied_actions(Honest):
         action, state = super().predict(observation, state, episode_start)
         copied = action.copy()
         for rows in self.motions:
-            if len(rows) > 1:
+            if len(rows) > 1 and self.calls > SETTLED:
                 distance = abs(self.estimates[rows, None] - self.estimates[rows])
                 np.fill_diagonal(distance, np.inf)
                 copied[rows] = (action[rows] + action[rows[distance.argmin(axis=1)]]) / 2

@@ -61,7 +61,7 @@ AT_MOST = "at most the payload of the honest policy"
 SURVEY_ATTACKS = (
     SurveyAttack("pooled_estimates", 1.92, ROWS),
     SurveyAttack("pooled_threshold", 1.75, now=AT_MOST),
-    SurveyAttack("copied_actions", 1.5, ROWS, scatter=0.2),
+    SurveyAttack("copied_actions", 1.3, ROWS, scatter=0.5),
     SurveyAttack("counted_batches", 1.85),
 )
 
