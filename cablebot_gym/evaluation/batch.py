@@ -496,6 +496,7 @@ def run_episodes(
     step_env, observe = env.step, judge.observe  # bound before the policy can replace them
     policy.reset(lambda: deepcopy(env.tasks))
     state, start = None, np.ones(env.num_envs, np.bool_)
+    is_later = np.zeros(env.num_envs, np.bool_)
     terminated = np.zeros(env.num_envs, np.bool_)
     count = count or StepCount(None, 0)
     longest = int(judge.motion_steps.max())
@@ -521,5 +522,5 @@ def run_episodes(
         next_observation[terminated] = observation[terminated]
         observation = next_observation
         terminated |= ended
-        start = np.zeros(env.num_envs, np.bool_)
+        start = is_later
         count.add(1)

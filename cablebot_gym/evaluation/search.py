@@ -105,6 +105,20 @@ class SearchOutcome:
     rollout: Rollout
 
 
+def scan_grid(rng: np.random.Generator, end: float, points: int) -> list[float]:
+    """Payloads of a scan from zero to its end [kg]; those in between are moved at random."""
+    return [0.0, *_between(rng, 0.0, end, points - 2, SCAN_JITTER), end]
+
+
+def _between(
+    rng: np.random.Generator, low: float, high: float, count: int, jitter: float
+) -> list[float]:
+    """Equidistant payloads between two others, each moved by up to the fraction ``jitter`` of the
+    distance."""
+    places = (1 + np.arange(count) + rng.uniform(-jitter, jitter, count)) / (count + 1)
+    return [float(payload) for payload in low + (high - low) * places]
+
+
 class Search:
     """Search for the largest carried payload.
 
@@ -149,8 +163,7 @@ class Search:
         else:
             scan_points = BISECTION_POINTS
             self._refined_points = 1
-        inner = self._between(0.0, payload_max, scan_points - 2, SCAN_JITTER)
-        self._grid = [0.0, *inner, payload_max]
+        self._grid = scan_grid(self._rng, payload_max, scan_points)
         # Estimated number of batches, for the progress only. Shifted payloads are at most
         # 1 + 2 · jitter distances apart.
         scan_gap = (1 + 2 * SCAN_JITTER) * payload_max / scan_points
@@ -339,7 +352,7 @@ class Search:
         if gap <= self._resolution:
             return []
         points = min(self._refined_points, (1 + 2 * REFINED_JITTER) * gap / self._resolution)
-        payloads = self._between(low, high, math.ceil(points), REFINED_JITTER)
+        payloads = _between(self._rng, low, high, math.ceil(points), REFINED_JITTER)
         lost_draws = below.carried - above.carried
         if self._is_drawn and 0 < lost_draws < self._batch.draws / 8:
             # The number of carried draws is nearly linear in such a gap: try both sides of the
@@ -350,12 +363,6 @@ class Search:
             payloads = [center - half_width, center + half_width]
         # In a gap near the resolution, a payload can fall on an end.
         return [payload for payload in payloads if low < payload < high]
-
-    def _between(self, low: float, high: float, count: int, jitter: float) -> list[float]:
-        """Equidistant payloads between two others, each moved by up to the fraction ``jitter`` of
-        the distance."""
-        places = (1 + np.arange(count) + self._rng.uniform(-jitter, jitter, count)) / (count + 1)
-        return [float(payload) for payload in low + (high - low) * places]
 
     def _scan_carried(self) -> list[bool]:
         """Whether enough draws of the scan carry each payload."""

@@ -31,6 +31,7 @@ from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Verdict, Violation
 from cablebot_gym.evaluation.evaluator import default_payload_max
 from cablebot_gym.evaluation.repetition import first_difference
+from cablebot_gym.evaluation.search import SCAN_POINTS, scan_grid
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import PolicyError, Wrapper
 from cablebot_gym.trajectories import Trajectory
@@ -40,17 +41,12 @@ from cablebot_gym.utils.console import chosen_progress
 ROBOTS = 19
 """Default number of random robots of each motion."""
 
-SCAN_POINTS = 16
-"""Number of payloads of the scan of each motion, including both ends, under uncertainty."""
+SCAN_POINTS_OF_ROBOTS = 16
+"""Number of payloads of the scan of each motion with several robots, including both ends. With one
+robot it is :data:`~cablebot_gym.evaluation.search.SCAN_POINTS`."""
 
 SCAN_ROBOTS = 3
 """Largest number of robots of each motion in the scan."""
-
-NOMINAL_SCAN_POINTS = 64
-"""Number of payloads of the scan of each motion without uncertainty."""
-
-SCAN_JITTER = 0.25
-"""Largest random shift of a payload of the scan, as a fraction of the distance between payloads."""
 
 RESOLUTION = 0.002
 """Default gap to the least failed payload under uncertainty, as a fraction of the end of the scan."""
@@ -70,12 +66,16 @@ RETREAT = 0.98
 class MotionPayload:
     """The payload of one motion."""
 
-    payload: float | None
-    """Largest payload that all robots carry [kg]; None if one of them fails unloaded."""
     below: Trial | None
-    """The robots with this payload."""
+    """The robots with the largest payload that they all carry; None if one of them fails
+    unloaded."""
     above: Trial | None
     """The robots with the least failed payload; None if the scan ended without a failure."""
+
+    @property
+    def payload(self) -> float | None:
+        """Largest payload that all robots carry [kg]; None if one of them fails unloaded."""
+        return None if self.below is None else self.below.payload
 
     @property
     def failed_payload(self) -> float | None:
@@ -211,8 +211,8 @@ class _Search:
             draw_seeds(seed, robots) for seed in motion_seeds(conditions.seed, len(self._ends))
         ]
         self._rng = np.random.default_rng(np.random.SeedSequence(conditions.seed, spawn_key=(4,)))
-        points = NOMINAL_SCAN_POINTS if robots == 1 else SCAN_POINTS
-        self._grid = self._ends[:, None] * self._fractions(points)
+        points = SCAN_POINTS if robots == 1 else SCAN_POINTS_OF_ROBOTS
+        self._grid = np.array([scan_grid(self._rng, end, points) for end in self._ends.tolist()])
         halvings = np.ceil(np.log2(1 / (points * resolution)))
         batches = 6 + int(halvings) + points * min(robots, SCAN_ROBOTS) / robots
         self._count = StepCount(progress, int(batches) * max(task.steps for task in batch.tasks))
@@ -221,12 +221,6 @@ class _Search:
         # Robots that have failed. The others are met at the first payload and at the last one only.
         self._weak: list[list[int]] = [[] for _ in self._ends]
         self._has_met_all = np.zeros(len(self._ends), np.bool_)
-
-    def _fractions(self, points: int) -> Array:
-        """Payloads of the scan of each motion as fractions of its end, (motions, points)."""
-        shift = self._rng.uniform(-SCAN_JITTER, SCAN_JITTER, (len(self._ends), points))
-        shift[:, [0, -1]] = 0.0
-        return (np.arange(points) + shift) / (points - 1)
 
     @property
     def resolutions(self) -> tuple[float, ...]:
@@ -244,9 +238,7 @@ class _Search:
         else:
             self._repeat()
         return tuple(
-            MotionPayload(
-                payload=None if below is None else below.payload, below=below, above=above
-            )
+            MotionPayload(below=below, above=above)
             for below, above in zip(self._below, self._above, strict=True)
         )
 
