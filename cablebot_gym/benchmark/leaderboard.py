@@ -14,12 +14,7 @@ from rich.markdown import Markdown
 
 from cablebot_gym.benchmark import tables
 from cablebot_gym.benchmark.board import Board, normalised_value
-from cablebot_gym.benchmark.cells import (
-    PolicyCell,
-    Record,
-    canonical,
-    record_from_dict,
-)
+from cablebot_gym.benchmark.cells import PolicyCell, Record, canonical, record_from_dict
 from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.ranking import CONFIDENCE
 from cablebot_gym.benchmark.scores import (
@@ -31,8 +26,9 @@ from cablebot_gym.benchmark.scores import (
     payload_maps,
     scores,
 )
-from cablebot_gym.benchmark.suites import find_suite
+from cablebot_gym.benchmark.suites import find_suite, surveyed_motions
 from cablebot_gym.envs import ENV_IDS
+from cablebot_gym.evaluation.survey import ROBOTS
 from cablebot_gym.policies.entry import LONGEST_NAME
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import results_console
@@ -133,10 +129,7 @@ class Results:
             raise ValueError(f"board {board.version!r} and its results differ in {differ}")
         for env_id, policy in committed:
             hidden = board.seeds(env_id, board.motions)
-            motions = seeds[env_id, policy]
-            # a slow policy has the first ones only
-            has_enough = len(motions) >= min(RANKED_MOTIONS, len(hidden))
-            if not has_enough or motions != set(hidden[: len(motions)]):
+            if seeds[env_id, policy] != set(hidden[: surveyed_motions(policy, len(hidden))]):
                 raise ValueError(
                     f"the motions of {policy} on {env_id} are not those of board {board.version!r}"
                 )
@@ -236,7 +229,7 @@ def markdown(results: Results) -> str:
     rows = tables.overall_rows(main or second)
     if rows:
         text += f"\n## All environments\n\n{_table(rows)}"
-    rows = tables.violation_rows(boards)
+    rows = tables.violation_rows(main or second)
     if rows:
         text += "\n## Limiting violations\n\nNumber of held-out motions by the first violation beyond the payload.\n\n"
         text += _table(rows)
@@ -254,7 +247,7 @@ def markdown(results: Results) -> str:
 
 def _main_text(boards: Sequence[Leaderboard]) -> str:
     """What the number of the main table is."""
-    (column,) = {board.columns[0] for board in boards if board.columns}
+    column = boards[0].columns[0]
     robots = column.draws
     probability = robots / (robots + 1)
     return f"""On each motion, the payload is the largest one that all {robots} robots carry which are drawn for it
@@ -323,7 +316,12 @@ def _definitions(records: Sequence[Record]) -> str:
     cells = standard or cells[:1]
     path = files("cablebot_gym.benchmark") / "leaderboard_definitions.md"
     return path.read_text(encoding="utf-8").format(
-        bounds=_bounds_text(cells), probability=cells[0].probability, confidence=CONFIDENCE
+        bounds=_bounds_text(cells),
+        probability=cells[0].probability,
+        confidence=CONFIDENCE,
+        robots=ROBOTS,
+        share=ROBOTS / (ROBOTS + 1),
+        ranked=RANKED_MOTIONS,
     )
 
 

@@ -4,7 +4,7 @@ and error bounds."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -160,9 +160,6 @@ class Leaderboard:
 
     env_id: str
     """Environment id."""
-    is_main: bool
-    """Whether it has the robots that are not exactly known, on motions of a family. All other
-    conditions of the environment are in a second table."""
     columns: tuple[Column, ...]
     """Columns; nominal ones and those with the most motions come first, otherwise in the order of the
     suite."""
@@ -176,6 +173,12 @@ class Leaderboard:
     left out."""
     timings: Mapping[str, Mapping[str, Any]]
     """Results of :class:`~cablebot_gym.benchmark.cells.TimingCell` by policy."""
+
+    @property
+    def is_main(self) -> bool:
+        """Whether it is the main table of the environment. All other conditions are in a second
+        one."""
+        return self.columns[0].is_main
 
     def motions(self, column: Column) -> int:
         """Number of motions of a column that count."""
@@ -232,10 +235,10 @@ def leaderboards(
             timings.setdefault(cell.env_id, {})[cell.policy] = record.result
     boards = []
     for env_id, tables in groups.items():
-        for is_main, group in tables.items():
-            if group:
-                board = _leaderboard(env_id, group, authors or {}, is_main=is_main)
-                boards.append(replace(board, timings=timings.pop(env_id, {})))
+        for group in tables.values():
+            if group:  # the first table of an environment has the computing times
+                times = timings.pop(env_id, {})
+                boards.append(_leaderboard(env_id, group, times, authors or {}))
     return boards
 
 
@@ -327,7 +330,10 @@ def _map(
 
 
 def _leaderboard(
-    env_id: str, group: Sequence[Score], authors: Mapping[str, str], *, is_main: bool
+    env_id: str,
+    group: Sequence[Score],
+    timings: Mapping[str, Mapping[str, Any]],
+    authors: Mapping[str, str],
 ) -> Leaderboard:
     entries = _entries(group)
     motions: dict[Column, int] = {}
@@ -349,12 +355,11 @@ def _leaderboard(
         policy_ranks = ranks(fractions, authors)
     return Leaderboard(
         env_id=env_id,
-        is_main=is_main,
         columns=tuple(columns),
         policies=tuple(sorted(means, key=lambda policy: (-means[policy], policy))),
         ranks=policy_ranks,
         entries=entries,
-        timings={},
+        timings=timings,
     )
 
 
@@ -395,13 +400,9 @@ def _values(entry: Sequence[Score]) -> Array | None:
 def _score(record: Record, cell: PolicyCell, references: Mapping[str, BestKnown]) -> Score:
     best = references.get(motion_key(cell))
     best_known = None if best is None else best.payload
-    has_reference = cell.uncertainty is None or Column.of(cell).is_main
+    column = Column.of(cell)
+    has_fraction = column.criterion == "task" and (column.uncertainty is None or column.is_main)
     fraction = None
-    if (
-        best_known
-        and cell.criterion == "task"
-        and has_reference
-        and (record.error is None or record.final)
-    ):
+    if best_known and has_fraction and (record.error is None or record.final):
         fraction = (record.result.get("payload") or 0.0) / best_known
     return Score(cell=cell, result=record.result, best_known=best_known, score=fraction)

@@ -21,6 +21,7 @@ from cablebot_gym.benchmark.cells import (
     merged,
 )
 from cablebot_gym.benchmark.maps import AXES, AnyCell
+from cablebot_gym.benchmark.scores import RANKED_MOTIONS
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot, fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.statistics import fewest_draws
@@ -51,16 +52,14 @@ class Block:
     slow: bool = False
     """Whether to include policies whose entry is marked as slow."""
     motion: str = "circle"
-    """Motion: ``circle``, the circle between dwells; ``paper``, the circle as printed, which the
-    paper's robots have; ``loop``,
-    held-out motions; ``hidden``, the hidden motions of a board; or ``library``, the robots of the
-    library that fit the environment, each with its own motion, error bounds and payload range."""
+    """Motion: ``circle``, the circle between dwells; ``paper``, the circle as printed, for the
+    paper's robots; ``loop``, held-out motions; ``hidden``, the hidden motions of a board; or
+    ``library``, the robots of the library that fit the environment, each with its own motion, error
+    bounds and payload range."""
     motions: int = 1
     """Number of held-out or hidden motions."""
     survey: bool = False
     """Whether all motions of a policy are one cell, a survey."""
-    slow_motions: int = 20
-    """Number of motions in a survey of a policy that is slow or plans."""
     axis: str | None = None
     """Name of the varied parameter, see :data:`~cablebot_gym.benchmark.maps.AXES`; None for none.
     Rigid robots have no joint stiffness, and flexible ones no varied pulley friction."""
@@ -275,12 +274,18 @@ def _policy_cells(
 def _survey_motions(block: Block, env_id: str, policy: str, board: Board | None) -> dict[str, Any]:
     """The task of a policy as fields of a survey: its motions in one trajectory with a list of
     seeds."""
-    tasks = _tasks(env_id, block, board)
-    entry = public_entry(policy)
-    if entry is not None and (entry.slow or entry.plans):
-        tasks = tasks[: block.slow_motions]
+    tasks = _tasks(env_id, block, board)[: surveyed_motions(policy, block.motions)]
     seeds = [task["trajectory"]["seed"] for task in tasks]
     return tasks[0] | {"trajectory": tasks[0]["trajectory"] | {"seed": seeds}}
+
+
+def surveyed_motions(policy: str, motions: int) -> int:
+    """How many of a number of motions a policy has in a survey: those that ranks need if it is slow
+    or plans, else all."""
+    entry = public_entry(policy)
+    if entry is not None and (entry.slow or entry.plans):
+        return min(motions, RANKED_MOTIONS)
+    return motions
 
 
 def _included(block: Block, names: Sequence[str]) -> list[str]:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from functools import cache
 from statistics import median
 from typing import Any
 
 from cablebot_gym.benchmark import scores
-from cablebot_gym.benchmark.cells import Cell, PolicyCell, Record, TimingCell
+from cablebot_gym.benchmark.cells import Cell, PolicyCell, Record, TimingCell, canonical
 from cablebot_gym.benchmark.maps import varied_texts
 from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.evaluation.constraints import KINDS, Violation
-from cablebot_gym.robots import KIND_TEXTS
+from cablebot_gym.robots import KIND_TEXTS, Kind
 from cablebot_gym.task import payload_model_text
 from cablebot_gym.trajectories import find_trajectory
 
@@ -129,12 +131,9 @@ def overall_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
 
 def violation_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
     """Head and rows of the table of limiting violations over the motions of ranked environments; no
-    rows without any."""
+    rows without any. ``boards`` are tables of one kind."""
     rows = [["environment", "policy", *KINDS, "error", "when, median [% of the motion]"]]
-    has_main = any(board.is_main for board in boards)
     for board in boards:
-        if has_main and not board.is_main:
-            continue
         for policy in board.ranks:
             counts = dict.fromkeys((*KINDS, "error"), 0)
             fractions = []
@@ -164,8 +163,15 @@ def violations(score: scores.Score) -> list[Mapping[str, Any]]:
     violation = score.result.get("violation")
     if violation is None:
         return []
-    duration = find_trajectory(dict(score.cell.trajectory), score.cell.robot.kind).duration
+    trajectory = canonical(dict(score.cell.trajectory))
+    duration = _duration(trajectory, score.cell.robot.kind)
     return [violation | {"fraction": violation["time"] / duration}]
+
+
+@cache
+def _duration(trajectory: str, kind: Kind) -> float:
+    """Duration of a motion with its dwells [s]. All policies have the same motions."""
+    return find_trajectory(json.loads(trajectory), kind).duration
 
 
 def map_title(payload_map: scores.PayloadMap) -> str:

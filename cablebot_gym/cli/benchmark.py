@@ -158,9 +158,9 @@ def benchmark(
     """Score policies by their payload over the best known payload, on held-out motions and the
     paper's circle.
 
-    The suite ranked makes a leaderboard. Its main number: on each of 100 hidden motions, the
-    largest payload that 19 random robots carry, as a fraction of a planner's, on the mean over the
-    motions. Slow policies and planners have 20 motions.
+    The suite ranked makes a leaderboard. Its main number: on each hidden motion, the largest
+    payload that several random robots all carry, as a fraction of the best known payload, on the
+    mean over the motions.
 
     Every policy runs in a process of its own, except for policies of this project in surveys: all
     hidden motions in one cell. Each finished cell is stored as a file in the results
