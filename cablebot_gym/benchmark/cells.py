@@ -497,7 +497,7 @@ def record_from_dict(data: Any) -> Record:
                 if limit.get(name) is not None:
                     number(name, limit[name], least=0)
     used = fields.get("processor_seconds", 0.0)
-    return Record(
+    record = Record(
         cell=cell_from_dict(foreign_object("the conditions of a cell", fields["cell"])),
         source=str(fields["source"]),
         versions=foreign_object("versions", fields["versions"]),
@@ -506,6 +506,8 @@ def record_from_dict(data: Any) -> Record:
         processor_seconds=number("processor_seconds", used, least=0, unit="s"),
         final=fields.get("final", True) is True,
     )
+    single_records([record])  # raises if the result of a survey is not that of its motions
+    return record
 
 
 def processor() -> str:

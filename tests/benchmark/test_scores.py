@@ -1,5 +1,6 @@
 """Scores, ranks, tables, maps and the page against numbers worked out by hand."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -195,6 +196,20 @@ def test_survey_under_uncertainty_is_the_main_table():
     assert page.index("19 robots carry") < page.index(f"{PLANAR}, exactly known")
     read = Results.from_json(Results(suite="smoke", command="", records=records).to_json())
     assert page_of(read.records) == page
+
+
+@pytest.mark.parametrize(
+    "change", [{"payloads": [1.0]}, {"violations": [{"kind": "torque"}] * RANKED_MOTIONS}]
+)
+def test_results_of_a_survey_have_to_be_those_of_its_motions(change):
+    """They once failed when the page was written."""
+    survey = surveyed("a", [0.5] * RANKED_MOTIONS)
+    broken = replace(survey, result=survey.result | change)
+    text = Results(suite="smoke", command="", records=[survey]).to_json()
+    damaged = text.replace(json.dumps(survey.result), json.dumps(broken.result))
+    assert damaged != text
+    with pytest.raises(ValueError, match=r"argument|missing"):
+        Results.from_json(damaged)
 
 
 def test_columns_with_the_most_motions_order_the_rows():
