@@ -100,14 +100,12 @@ def _best(boards: list[Leaderboard], kind: str) -> str:
     if fraction is None or fraction.mean <= 0:
         return "–"
     text = f"`{policy}` {fraction.mean:.0%}"
-    circles = [
-        board.entries[key][0] for board in boards for key in board.entries if _circle(key[1])
-    ]
-    scores = [score for score in circles if score.cell.policy == policy]
-    for score in scores[:1]:
-        text += f", {score.payload_text}"
-        if score.payload is not None:
-            text += " kg"
+    for table in boards:
+        for (name, column), entry in table.entries.items():
+            if name == policy and _circle(column):
+                text += f", {entry[0].payload_text}"
+                if entry[0].payload is not None:
+                    text += " kg"
     ties = []
     for follower in policies[1:]:
         if policy in board.ranks and board.ranks.get(follower) == board.ranks[policy]:

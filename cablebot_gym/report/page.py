@@ -103,10 +103,11 @@ def page_data(
         authors |= source.authors
     boards = scores.leaderboards(records, authors)
     rows = []
+    last_boards = {board.env_id: board for board in boards}
     for board in boards:
         for policy, column in board.entries:
             rows.append(_row(board, policy, column, indices))
-        if board is boards[-1] or not board.is_main:
+        if board is last_boards[board.env_id]:
             rows += _best_known_rows(board, references, cells)
     return {
         "rows": rows,
@@ -192,11 +193,12 @@ def _start(
     """
     if not boards:
         return 0
-    board, column = boards[0], boards[0].columns[0]
-    for table in reversed(boards):
-        for circle in reversed(table.columns):
-            if circle.motion.startswith("circle-"):
-                board, column = table, circle
+    circles = []
+    for board in boards:
+        for column in board.columns:
+            if column.motion.startswith("circle-"):
+                circles.append((board, column))
+    board, column = [*circles, (boards[0], boards[0].columns[0])][0]
     keys = {_row_key(board, policy, column) for policy in board.policies}
 
     def rank(index: int) -> tuple[bool, float]:

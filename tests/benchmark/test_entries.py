@@ -205,7 +205,7 @@ def test_claims_under_other_conditions_are_refused(entry, old, new, message):
 
 @pytest.mark.parametrize("interrupted", [False, True])
 @pytest.mark.parametrize(("hours", "fitting"), [(10.0, 3), (24.0, 1), (8.0, 3), (6.1, 4), (0.0, 5)])
-def test_entry_that_has_used_its_budget_runs_no_further_cell(
+def test_entry_stops_when_its_budget_is_used(
     entry, tmp_path, monkeypatch, hours, fitting, interrupted
 ):
     """A resumed run goes on with the time of the stored cells. Shipped policies have no budget."""

@@ -161,7 +161,7 @@ LEADS = [
 
 @pytest.mark.parametrize(("fractions", "steps"), LEADS)
 @pytest.mark.parametrize("change", [of_error, of_rotation, of_tension, of_action])
-def test_lead_is_the_time_beyond_nine_tenths_of_the_limit_without_a_break(change, fractions, steps):
+def test_lead_is_the_last_time_span_beyond_nine_tenths_of_the_limit(change, fractions, steps):
     criterion = "paper" if change is of_action else "task"
     script = [change(fraction) for fraction in fractions]
     violation = judged(script, criterion).violation
@@ -175,7 +175,7 @@ def test_lead_is_the_time_beyond_nine_tenths_of_the_limit_without_a_break(change
     assert env.verdict.violation == violation
 
 
-def test_violation_without_an_approach_has_no_lead():
+def test_lead_needs_an_approach_to_the_limit():
     assert judged(third(terminated=True)).violation.lead is None
     assert judged(third(slack=(2,)), "paper").violation.lead is None
 

@@ -23,7 +23,7 @@ def drawn():
     return survey("adaptive", PLANAR, MOTIONS, robots=5, seed=7, **SENSORS)
 
 
-def test_payload_without_uncertainty_is_the_dlcc_of_each_motion():
+def test_nominal_payload_is_the_dlcc_of_each_motion():
     found = survey("fl", PLANAR, MOTIONS)
     for motion, payload, resolution in zip(MOTIONS, found.payloads, found.resolutions, strict=True):
         dlcc = evaluate_dlcc("fl", PLANAR, trajectory=motion)
@@ -43,13 +43,13 @@ def test_all_robots_carry_the_payload_and_one_fails_above(drawn):
         assert found.violation is not None
 
 
-def test_motions_meet_different_robots_that_do_not_depend_on_their_number(drawn):
+def test_each_motion_has_its_own_robots_however_many_motions_follow(drawn):
     seeds = [seed for found in drawn.motions for seed in found.below.seeds]
     assert len(set(seeds)) == 4 * 5
     assert motion_seeds(7, 4) == motion_seeds(7, 100)[:4]
 
 
-def test_policy_that_fails_unloaded_has_no_payload():
+def test_policy_that_fails_unloaded_gets_zero():
     found = survey(lambda observation: np.zeros(3), PLANAR, MOTIONS[:2])
     assert [motion.payload for motion in found.motions] == [None, None]
     assert found.payloads.tolist() == [0.0, 0.0]
