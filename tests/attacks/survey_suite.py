@@ -59,10 +59,10 @@ ROWS = "depends on the other episodes of its batch"
 AT_MOST = "at most the payload of the honest policy"
 
 SURVEY_ATTACKS = (
-    SurveyAttack("pooled_estimates", 1.92, ROWS),
-    SurveyAttack("pooled_threshold", 1.75, now=AT_MOST),
+    SurveyAttack("pooled_estimates", 1.93, ROWS),
+    SurveyAttack("pooled_threshold", 1.79, now=AT_MOST),
     SurveyAttack("copied_actions", 1.3, ROWS, scatter=0.5),
-    SurveyAttack("counted_batches", 1.85),
+    SurveyAttack("counted_batches", 1.76),
 )
 
 
