@@ -21,6 +21,7 @@ from typing import IO
 from cablebot_gym.isolation.deadlines import ProcessorTime
 from cablebot_gym.isolation.sandbox import sandboxed
 from cablebot_gym.isolation.server import FOLDER, memory_limit, receive_frame, send_frame
+from cablebot_gym.isolation.system_calls import filter_descriptor
 from cablebot_gym.utils.workers import GRACE
 
 TEXT = 16_384
@@ -112,12 +113,21 @@ class PolicyProcess:
             "from cablebot_gym.isolation.server import main; main()",
         ]
         self._sandboxed = sandboxed_names is not None
-        if sandboxed_names is not None:
-            command = sandboxed(command, sandboxed_names, Path(folder))
+        passed: tuple[int, ...] = ()
         pipe = subprocess.PIPE
-        self._popen = subprocess.Popen(
-            command, stdin=pipe, stdout=pipe, stderr=pipe, env=environment, start_new_session=True
-        )
+        with filter_descriptor() as descriptor:
+            if sandboxed_names is not None:
+                passed = (descriptor,)
+                command = sandboxed(command, sandboxed_names, Path(folder), descriptor)
+            self._popen = subprocess.Popen(
+                command,
+                stdin=pipe,
+                stdout=pipe,
+                stderr=pipe,
+                env=environment,
+                start_new_session=True,
+                pass_fds=passed,
+            )
         self._requests: queue.SimpleQueue[_Request | None] = queue.SimpleQueue()
         self._replies: queue.SimpleQueue[tuple[int, bytes] | None] = queue.SimpleQueue()
         self._stderr = bytearray()

@@ -88,7 +88,9 @@ def opted_out() -> bool:
     return os.environ.get(_OPT_OUT) == "off"
 
 
-def sandboxed(command: list[str], names: Sequence[str], folder: Path) -> list[str]:
+def sandboxed(
+    command: list[str], names: Sequence[str], folder: Path, filter_descriptor: int
+) -> list[str]:
     """A command line that runs a command in the sandbox.
 
     The command has no network, sees no other process, and writes to no folder but ``folder`` and an
@@ -99,6 +101,8 @@ def sandboxed(command: list[str], names: Sequence[str], folder: Path) -> list[st
         command: the command.
         names: names of the policy and of its wrappers, as on the command line.
         folder: folder for temporary files.
+        filter_descriptor: descriptor that the command inherits, with the filter of
+            :mod:`cablebot_gym.isolation.system_calls`.
 
     Raises:
         ValueError: if there is no sandbox.
@@ -116,10 +120,11 @@ def sandboxed(command: list[str], names: Sequence[str], folder: Path) -> list[st
     options = [
         "bwrap",
         *_NAMESPACES,
-        "--proc",
-        "/proc",
-        "--dev",
-        "/dev",
+        *("--seccomp", str(filter_descriptor)),
+        *("--proc", "/proc"),
+        # the administrator may write to these files without any capability
+        *("--ro-bind", "/proc/sys", "/proc/sys"),
+        *("--dev", "/dev"),
         *_readable(map(Path, _SYSTEM)),
     ]
     for path in sorted(empty):  # a folder before those in it

@@ -6,6 +6,7 @@ Each factory is a policy for ``--policy cheats:name``. The docstring is its line
 import ctypes
 import gc
 import os
+import platform
 import signal
 import socket
 import subprocess
@@ -732,6 +733,19 @@ def kept_files(law, tasks):
     for path in paths:
         with suppress(OSError):
             path.touch()
+
+
+@policy(resets=True)
+def kept_keys(law, tasks):
+    """keeps data for later batches in the kernel, in the keyring of its user"""
+    call = ctypes.CDLL(None).syscall
+    add_key = {"x86_64": 248, "aarch64": 217}[platform.machine()]
+    keyctl, keyring, name = add_key + 2, ctypes.c_long(-4), b"cablebot-cheats"
+    key = call(keyctl, 10, keyring, b"user", name, 0)
+    if key > 0:
+        call(keyctl, 9, key, keyring)  # forgets it
+        raise RuntimeError(f"found key {key}")
+    call(add_key, b"user", name, b"1", 1, keyring)
 
 
 # --- the callables' forms ---------------------------------------------------------------------------------------------

@@ -196,6 +196,7 @@ SANDBOXED = (
     Attack("other_processes", 1, FOUND),
     Attack("network", 1, FOUND),
     Attack("kept_files", 1, FOUND),
+    Attack("kept_keys", 1, FOUND),
 )
 """Attacks that need a sandbox, with their outcome without one. In a sandbox the payload is the
 honest one."""

@@ -8,6 +8,7 @@ import pytest
 
 import cablebot_gym
 from cablebot_gym.isolation import IsolatedPolicy, sandbox
+from cablebot_gym.isolation.system_calls import filter_descriptor
 from cablebot_gym.physics.code_cache import code_folders
 from cablebot_gym.robots import PLANAR
 
@@ -33,7 +34,7 @@ def view(tmp_path, monkeypatch):
     def seen(spec):
         private = tmp_path / spec.replace("/", "-")
         private.mkdir()
-        command = sandbox.sandboxed(["true"], [spec], private)
+        command = sandbox.sandboxed(["true"], [spec], private, 9)
         assert command[-2:] == ["--", "true"]
         bound = list(zip(command, command[1:], command[2:], strict=False))
         read = {Path(to) for option, _, to in bound if option == "--ro-bind-try"}
@@ -76,3 +77,40 @@ def test_machine_that_forbids_namespaces_says_so(monkeypatch):
     assert sandbox.sandbox_problem.__wrapped__() == (
         "bubblewrap is not permitted here (bwrap: setting up uid map: Permission denied)"
     )
+
+
+PROBES = {
+    "a key in the keyring of its session": """
+import ctypes, platform
+first = {"x86_64": 248, "aarch64": 217}[platform.machine()]
+call = ctypes.CDLL(None).syscall
+call(first, b"user", b"cablebot-probe", b"1", 1, ctypes.c_long(-3))
+left = call(first + 2, 10, ctypes.c_long(-3), b"user", b"cablebot-probe", 0) > 0
+""",
+    "the time of a device file": """
+import os
+devices = ["/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom", "/dev/tty"]
+before = [os.stat(device).st_mtime_ns for device in devices]
+for device in devices:
+    os.utime(device)
+left = [os.stat(device).st_mtime_ns for device in devices] != before
+""",
+    "a setting of the kernel": """
+import os, pathlib
+paths = [path for path in pathlib.Path("/proc/sys").rglob("*") if path.is_file()]
+assert paths
+left = any(os.access(path, os.W_OK) for path in paths)
+""",
+}
+
+
+@pytest.mark.skipif(sandbox.sandbox_problem() != "", reason=sandbox.sandbox_problem())
+@pytest.mark.parametrize("what", PROBES)
+def test_sandboxed_process_leaves_nothing_behind_outside_its_files(what, tmp_path):
+    with filter_descriptor() as descriptor:
+        command = [sys.executable, "-I", "-c", PROBES[what] + "print(left)"]
+        sandboxed_command = sandbox.sandboxed(command, ["fl"], tmp_path, descriptor)
+        output = subprocess.run(
+            sandboxed_command, pass_fds=(descriptor,), capture_output=True, text=True
+        )
+    assert (output.stdout, output.stderr) == ("False\n", "")
