@@ -376,7 +376,7 @@ def base_text(base: Base, env_id: str) -> str:
             gains += f", K_v ≤ {_default(Composite, 'spring_damping'):g} √(K J′)"
     text = f"`{base.law}` with {gains}"
     if robot.planar:
-        text += f", minimum tension {base.minimum_tension:g} N"
+        text += f", minimum tension {law.minimum_tension:g} N"
     if base.estimates_payload:
         text += f", payload estimator with prior weight {base.estimator_prior_weight:g} s"
     if base.allocates:

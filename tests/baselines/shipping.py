@@ -17,7 +17,7 @@ from cablebot_gym.benchmark.cells import BestKnownCell
 from cablebot_gym.benchmark.scores import motion_key
 
 ROOT = Path(__file__).parents[2]
-PLANAR_ID, SPATIAL_ID = ENV_IDS[:2]
+PLANAR_ID, SPATIAL_ID, FLEX_PLANAR_ID = ENV_IDS[:3]
 APG_CIRCLE = SHIPPED["apg-circle"]
 
 BEST_KNOWN = {

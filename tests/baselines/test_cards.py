@@ -2,18 +2,22 @@
 
 import hashlib
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cards.card import Card
-from cards.making import Protocol, make_card, with_best_known, with_search_results
+from cards.making import Protocol, base_text, make_card, with_best_known, with_search_results
 from cards.statistics import iqm, iqm_interval, median_seed
 from scipy.stats import trim_mean
-from shipping import APG_CIRCLE, BEST_KNOWN, PLANAR_ID, save_run, ship
+from shipping import APG_CIRCLE, BEST_KNOWN, FLEX_PLANAR_ID, PLANAR_ID, save_run, ship
 
+from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.runs import BEST
 from cablebot_gym.benchmark.cells import BestKnownCell, Record
+from cablebot_gym.envs import env_robot
+from cablebot_gym.robots import find_robot
 
 
 def test_interquartile_mean_equals_that_of_scipy():
@@ -123,3 +127,13 @@ def test_best_known_payloads_of_held_out_loops_are_searched(runs):
     search = Search()
     assert with_search_results(few, search, BEST_KNOWN) == card
     assert search.seeds == [10_004, 10_005]
+
+
+@pytest.mark.parametrize(("env_id", "law"), [(PLANAR_ID, "fl"), (FLEX_PLANAR_ID, "motor-pd")])
+@pytest.mark.parametrize("estimates_payload", [False, True])
+def test_base_law_is_described_with_the_tension_that_it_allocates(env_id, law, estimates_payload):
+    base = Base(law=law, estimates_payload=estimates_payload)
+    usual = base.make(find_robot(env_robot(env_id))).minimum_tension
+    for minimum_tension, expected in ((None, usual), (usual + 2, usual + 2)):
+        text = base_text(replace(base, minimum_tension=minimum_tension), env_id)
+        assert f", minimum tension {expected:g} N" in text
