@@ -247,6 +247,11 @@ def search_missing(
         name = stem(card.policy, card.env_id)
         if name not in stems or not has_loops(card.motions):
             continue
+        if not card.has_present_loops:
+            raise ValueError(
+                f"card {name} has random loops of an earlier family, which cannot be searched. Train "
+                f"it again: {card.command}"
+            )
         updated = with_search_results(card, _make_evaluate(name, runs, jobs), best_known)
         replace(updated, command=card.command.partition(" --searched")[0]).save(weights)
 

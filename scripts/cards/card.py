@@ -11,8 +11,10 @@ from typing import Any
 
 from cablebot_baselines.learned.runs import rank
 from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, stem
-from cablebot_gym.envs import PAPER_ENV_IDS
+from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
 from cablebot_gym.evaluation.batch import DEFAULT_DRAWS
+from cablebot_gym.robots import find_robot
+from cablebot_gym.trajectories import TRAINING_SEEDS, find_trajectory
 from cablebot_gym.utils.files import atomic_write_text
 from cards.statistics import iqm, iqm_interval, scores
 
@@ -27,6 +29,9 @@ PROBABILITY = 0.95
 
 HELD_OUT = 20
 """Number of held-out motions."""
+
+COMPARED_LOOPS = 5
+"""Number of random loops whose durations tell one family of them from another."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,6 +166,9 @@ class Card:
     """Held-out motions."""
     dwell: float
     """Shortest dwell at the ends of the training motions [s]."""
+    loop_durations: tuple[float, ...]
+    """:func:`loop_durations` when the card was made: the family of its random loops, in training
+    and held out."""
     sb3: bool = False
     """Whether ``NAME-KIND-sb3.zip``, the model of Stable-Baselines3 with the same actor, is shipped
     too."""
@@ -184,6 +192,11 @@ class Card:
     def stem(self) -> str:
         """Name of the policy's files without suffix."""
         return stem(self.policy, self.env_id)
+
+    @property
+    def has_present_loops(self) -> bool:
+        """Whether its random loops are those that their seeds give today."""
+        return self.loop_durations == loop_durations(self.env_id)
 
     @property
     def shipped(self) -> SeedRun:
@@ -238,7 +251,7 @@ class Card:
         try:
             data = json.loads(text)
             data.pop("summaries", None)
-            for name in ("features", "base_payloads", "law_payloads"):
+            for name in ("features", "base_payloads", "law_payloads", "loop_durations"):
                 data[name] = tuple(data[name])
             for run in data["seeds"]:
                 for name in ("payloads", "curve", "held_out"):
@@ -269,6 +282,17 @@ def _json(value: Any) -> str:
 def has_loops(motions: Mapping[str, Any]) -> bool:
     """Whether the ``motions`` of a card contain random loops."""
     return "loops" in motions
+
+
+def loop_durations(env_id: str) -> tuple[float, ...]:
+    """Durations with dwells of the first random loops of an environment [s], to 10 ms. Another
+    family has other loops for the same seeds, and so other durations."""
+    kind = find_robot(env_robot(env_id)).kind
+    durations = []
+    for seed in TRAINING_SEEDS[:COMPARED_LOOPS]:
+        loop = find_trajectory({"name": f"loop-{kind}", "seed": seed}, kind)
+        durations.append(round(loop.duration, 2))
+    return tuple(durations)
 
 
 @dataclass(frozen=True, kw_only=True)

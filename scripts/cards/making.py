@@ -33,6 +33,7 @@ from cards.card import (
     HeldOut,
     SeedRun,
     has_loops,
+    loop_durations,
 )
 from cards.statistics import median_seed
 
@@ -176,6 +177,7 @@ def _evaluated_card(
         evaluation=records[0]["evaluation"],
         planner_output_used=any(record["planner_output_used"] for record in records),
         dwell=min(record["dwell"] for record in records),
+        loop_durations=loop_durations(env_id),
         conditions=conditions,
         draws=protocol.draws,
         probability=protocol.probability,
@@ -215,12 +217,15 @@ def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
     """The card with the best known payloads of a leaderboard, from :func:`read_best_known`.
 
     Held-out motions that are not on the leaderboard keep their best known payload, unless a
-    policy's DLCC is larger.
+    policy's DLCC is larger. So do those of a card with random loops of an earlier family.
     """
     law, env_id = card.law, card.env_id
+    has_present_loops = card.has_present_loops
 
     def best(index: int, motion: HeldOut) -> float | None:
-        known = best_known.get(motion_key(_best_known_cell(env_id, motion.seed)), motion.best_known)
+        known = motion.best_known
+        if has_present_loops:
+            known = best_known.get(motion_key(_best_known_cell(env_id, motion.seed)), known)
         payloads = [motion.law_payload, *(run.held_out[index] for run in card.evaluated_runs)]
         return None if known is None else max(known, *(payload or 0.0 for payload in payloads))
 

@@ -41,11 +41,10 @@ with the median payload in training, so that it is typical and not the luckiest.
   The second column is the median fraction of the best known payload, and the number of motions with one. For policies
   trained on random loops, all training seeds are evaluated and the median is given. Policies trained on the circle
   alone are not made for other motions, and only the shipped seed is evaluated.
-* All random loops of this page, those of training too, are of an earlier family, slower and all smooth.
 * "in training", for policies trained on random loops, is the mean payload on the validation loops. They select the best
   policy of each run and are not used to train the network.
 * "training" is the median wall time of one seed.
-
+{earlier}
 """
 
 _COLUMNS = (
@@ -79,7 +78,11 @@ def card_markdown(cards: Sequence[Card]) -> str:
             drawn = f".\n  Under {', '.join(names)} they are lower tolerance bounds: with 95% "
             drawn += f"confidence,\n  {card.probability:.0%} of the episodes succeed, by {card.draws} fresh draws"
     text = _HEAD.format(
-        drawn=drawn, confidence=CONFIDENCE, resamples=RESAMPLES, held_out=FIRST_HELD_OUT_SEED
+        drawn=drawn,
+        confidence=CONFIDENCE,
+        resamples=RESAMPLES,
+        held_out=FIRST_HELD_OUT_SEED,
+        earlier=_earlier_loops(cards),
     )
     rows: list[Sequence[str]] = [_COLUMNS]
     for card in cards:
@@ -88,6 +91,20 @@ def card_markdown(cards: Sequence[Card]) -> str:
     text += "\n![Payload versus wall time during training](learned.png)\n"
     for name in dict.fromkeys(card.policy for card in cards):
         text += _section([card for card in cards if card.policy == name])
+    return text
+
+
+def _earlier_loops(cards: Sequence[Card]) -> str:
+    """A line that names the policies whose random loops are of an earlier family."""
+    earlier: dict[str, list[str]] = {}
+    for card in cards:
+        if not card.has_present_loops:
+            earlier.setdefault(f"`{card.policy}`", []).append(short_id(card.env_id))
+    if not earlier:
+        return ""
+    policies = ", ".join(f"{name} ({', '.join(ids)})" for name, ids in earlier.items())
+    text = "* The same seeds give other random loops today. The loops of these policies, in training and\n"
+    text += f"  held out, are of an earlier family, slower and all smooth: {policies}.\n"
     return text
 
 
@@ -178,7 +195,7 @@ def _details(card: Card) -> str:
     text += f"* Base law: {card.base_text}.\n"
     text += f"* Action mapping: {_steering(card.steering)}. Network: {card.parameters} parameters; inputs "
     text += f"{', '.join(card.features)}.\n"
-    text += f"* Training motions: {_trained_on(card.motions)}, with dwells of at least {card.dwell:g} s. "
+    text += f"* Training motions: {_trained_on(card)}, with dwells of at least {card.dwell:g} s. "
     text += f"{planner}\n"
     text += f"* Shipped seed {card.shipped_seed}: `{card.shipped.command}`\n"
     if card.sb3:
@@ -204,11 +221,14 @@ def _steering(action_mapping: Mapping[str, Any]) -> str:
     return ", ".join(words)
 
 
-def _trained_on(motions: Mapping[str, Any]) -> str:
+def _trained_on(card: Card) -> str:
     words = []
-    if has_loops(motions):
-        words.append(f"random loops, training seeds 0 to {motions['loops'] - 1}")
-    for motion in motions.get("named", []):
+    if has_loops(card.motions):
+        loops = "random loops"
+        if not card.has_present_loops:
+            loops += " of an earlier family"
+        words.append(f"{loops}, training seeds 0 to {card.motions['loops'] - 1}")
+    for motion in card.motions.get("named", []):
         if not isinstance(motion, str):
             motion = json.dumps(motion)
         words.append(f"`{motion}`")

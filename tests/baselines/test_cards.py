@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from cards.card import Card
 from cards.making import Protocol, base_text, make_card, with_best_known, with_search_results
+from cards.page import card_markdown
 from cards.statistics import iqm, iqm_interval, median_seed
 from scipy.stats import trim_mean
 from shipping import APG_CIRCLE, BEST_KNOWN, FLEX_PLANAR_ID, PLANAR_ID, save_run, ship
@@ -137,3 +138,20 @@ def test_base_law_is_described_with_the_tension_that_it_allocates(env_id, law, e
     for minimum_tension, expected in ((None, usual), (usual + 2, usual + 2)):
         text = base_text(replace(base, minimum_tension=minimum_tension), env_id)
         assert f", minimum tension {expected:g} N" in text
+
+
+def test_random_loops_of_an_earlier_family_are_named_and_keep_their_best_known_payloads(
+    runs, computed, tmp_path
+):
+    card = ship(runs, tmp_path / "weights")
+    motions = {"loops": 3}
+    card = replace(card, motions=motions)
+    earlier = replace(card, loop_durations=(9.9, *card.loop_durations[1:]))
+    assert "earlier family" not in card_markdown([card])
+    page = card_markdown([card, earlier])
+    assert "slower and all smooth: `apg-circle` (Planar).\n\n" in page
+    assert page.count("random loops of an earlier family, training seeds 0 to 2,") == 1
+    larger = {key: 2 * payload for key, payload in BEST_KNOWN.items()}
+    assert with_best_known(card, larger).held_out[0].best_known == 8.0
+    assert with_best_known(earlier, larger).held_out == earlier.held_out
+    assert with_best_known(earlier, larger).best_known == 2 * 2.875
