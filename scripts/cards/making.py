@@ -15,7 +15,14 @@ from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.runs import BEST, LAST
 from cablebot_baselines.learned.shipped import Shipped, stem
 from cablebot_baselines.learned.steering import action_mapping_to_jsonable
-from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, Record
+from cablebot_gym.benchmark.cells import (
+    BestKnownCell,
+    Cell,
+    PolicyCell,
+    Record,
+    SurveyCell,
+    single_records,
+)
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import best_known_payloads, motion_key
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, env_robot
@@ -199,12 +206,14 @@ def _with_held_out(
     """The card with DLCCs of the law and of its policies, by seed, on held-out motions."""
     if not has_loops(card.motions):  # a policy for one motion is not made for others
         policies = {card.shipped_seed: policies[card.shipped_seed]}
-    motion_seeds = held_out_seeds(count)
-    condition = Condition(payload_known=card.conditions[0].payload_known)
-    cells = []
-    for seed in motion_seeds:
-        cells.append(_cell(card.law, card.env_id, condition, motion=_loop(card.env_id, seed)))
-    *rows, law_payloads = _payload_rows([*map(str, policies.values()), card.law], cells, evaluate)
+    motion_seeds = list(held_out_seeds(count))
+    cell = SurveyCell(
+        env_id=card.env_id,
+        trajectory=_loop(card.env_id, motion_seeds),
+        policy=card.law,
+        payload_known=card.conditions[0].payload_known,
+    )
+    *rows, law_payloads = _payload_rows([*map(str, policies.values()), card.law], [cell], evaluate)
     payloads = dict(zip(policies, rows, strict=True))
     motions = []
     for seed, payload in zip(motion_seeds, law_payloads, strict=True):
@@ -308,7 +317,7 @@ def _seed_run(card: Mapping[str, Any], payloads: tuple[float | None, ...]) -> Se
     )
 
 
-def _loop(env_id: str, seed: int) -> dict[str, Any]:
+def _loop(env_id: str, seed: int | Sequence[int]) -> dict[str, Any]:
     return {"name": f"loop-{find_robot(env_robot(env_id)).kind}", "seed": seed}
 
 
@@ -317,11 +326,10 @@ def _cell(
     env_id: str,
     condition: Condition,
     protocol: Protocol = STANDARD,
-    motion: Mapping[str, Any] | None = None,
 ) -> PolicyCell:
     return PolicyCell(
         env_id=env_id,
-        trajectory=motion or {"name": _default_motion(env_id)},
+        trajectory={"name": _default_motion(env_id)},
         policy=policy,
         payload_known=condition.payload_known,
         uncertainty=condition.uncertainty,
@@ -333,7 +341,8 @@ def _cell(
 def _payload_rows(
     policies: Sequence[str], cells: Sequence[PolicyCell], evaluate: Evaluate
 ) -> list[tuple[float | None, ...]]:
-    """DLCC of each policy in each cell [kg]; the policies of ``cells`` do not count.
+    """DLCC of each policy in each cell, and on each motion of a survey [kg]; the policies of
+    ``cells`` do not count.
 
     Raises:
         RuntimeError: if an evaluation failed.
@@ -344,12 +353,13 @@ def _payload_rows(
         records[record.cell.key] = record
     payloads = []
     for row in rows:
-        for cell in row:
-            if error := records[cell.key].error:
+        row_records = [records[cell.key] for cell in row]
+        for record in row_records:
+            if record.error is not None:
                 raise RuntimeError(
-                    f"the evaluation of {cell.policy} on {cell.env_id} failed: {error}"
+                    f"the evaluation of {row[0].policy} on {row[0].env_id} failed: {record.error}"
                 )
-        payloads.append(tuple(records[cell.key].result["payload"] for cell in row))
+        payloads.append(tuple(record.result["payload"] for record in single_records(row_records)))
     return payloads
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import cablebot_gym.benchmark.engine
-from cablebot_gym.benchmark.cells import Record
+from cablebot_gym.benchmark.cells import Record, SurveyCell
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def computed(monkeypatch):
 
     The leaderboard has the best known payloads ``BEST_KNOWN``.
     """
-    from shipping import BEST_KNOWN, PAYLOADS, script
+    from shipping import BEST_KNOWN, PAYLOADS, script, survey_result
 
     monkeypatch.setattr(script, "read_best_known", lambda path: BEST_KNOWN)
     cells = []
@@ -48,15 +48,18 @@ def computed(monkeypatch):
         )
         if not cell.payload_known and payload is not None:
             payload -= 1.0
-        if "seed" in cell.trajectory:
-            payload = (
-                2.0
-                if cell.policy == "fl"
-                else payload + (1.0 if cell.trajectory["seed"] % 2 else -1.0)
-            )
-        return Record(
-            cell=cell, source=cell.source, versions={}, result={"payload": payload}, seconds=0.0
-        )
+        result = {"payload": payload}
+        if isinstance(cell, SurveyCell):
+            payloads = []
+            for seed in cell.trajectory["seed"]:
+                if cell.policy == "fl":
+                    payloads.append(2.0)
+                elif seed % 2:
+                    payloads.append(payload + 1.0)
+                else:
+                    payloads.append(payload - 1.0)
+            result = survey_result(payloads)
+        return Record(cell=cell, source=cell.source, versions={}, result=result, seconds=0.0)
 
     monkeypatch.setattr(cablebot_gym.benchmark.engine, "compute", compute)
     return cells

@@ -71,6 +71,18 @@ def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
     return folder
 
 
+def survey_result(payloads):
+    """The result of a survey that found ``payloads``."""
+    unknown = [None] * len(payloads)
+    return {
+        "payloads": payloads,
+        "failed_payloads": unknown,
+        "violations": unknown,
+        "resolutions": unknown,
+        "stochastic": False,
+    }
+
+
 def ship(runs, weights, **keywords):
     """Ships ``apg-circle`` on the planar robot and returns its card."""
     script.ship_all(

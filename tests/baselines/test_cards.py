@@ -12,11 +12,19 @@ from cards.making import Protocol, base_text, make_card, with_best_known, with_s
 from cards.page import card_markdown
 from cards.statistics import iqm, iqm_interval, median_seed
 from scipy.stats import trim_mean
-from shipping import APG_CIRCLE, BEST_KNOWN, FLEX_PLANAR_ID, PLANAR_ID, save_run, ship
+from shipping import (
+    APG_CIRCLE,
+    BEST_KNOWN,
+    FLEX_PLANAR_ID,
+    PLANAR_ID,
+    save_run,
+    ship,
+    survey_result,
+)
 
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.runs import BEST
-from cablebot_gym.benchmark.cells import BestKnownCell, Record
+from cablebot_gym.benchmark.cells import BestKnownCell, Record, SurveyCell
 from cablebot_gym.envs import env_robot
 from cablebot_gym.robots import find_robot
 
@@ -97,11 +105,15 @@ class Search:
             self.seeds.append(seed)
             payload, verified = SEARCHED[seed]
             result = {"payload": payload, "verified": verified, "found": True}
-        elif cell.policy == "fl":
-            result = {"payload": 3.0}
         else:
-            is_strong = Path(cell.policy).parent.name[-1] in "023"
-            result = {"payload": 4.0 if is_strong else 1.0}
+            payload = 1.0
+            if cell.policy == "fl":
+                payload = 3.0
+            elif Path(cell.policy).parent.name[-1] in "023":
+                payload = 4.0
+            result = {"payload": payload}
+            if isinstance(cell, SurveyCell):
+                result = survey_result([payload] * len(cell.parts))
         return Record(cell=cell, source="", versions={}, result=result, seconds=0.0, final=is_final)
 
 
