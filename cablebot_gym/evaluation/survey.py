@@ -30,7 +30,7 @@ from cablebot_gym.evaluation.batch import (
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Verdict, Violation
 from cablebot_gym.evaluation.evaluator import default_payload_max
-from cablebot_gym.evaluation.repetition import first_difference
+from cablebot_gym.evaluation.repetition import closest_to, first_difference
 from cablebot_gym.evaluation.search import SCAN_POINTS, scan_grid
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import PolicyError, Wrapper
@@ -382,6 +382,27 @@ class _Search:
                 verdicts += below.verdicts
         return rows, verdicts
 
+    def _repeated_episodes(self) -> list[int]:
+        """Indices of the carried episodes that are repeated: at most one half are the robots that
+        came closest to the next violation of their motion, the others are random.
+
+        These robots bound the payloads. A policy that helped them only, by what it sees of other
+        robots, would gain the most with the fewest episodes that differ.
+        """
+        closest = []
+        count = 0
+        for below, above in zip(self._below, self._above, strict=True):
+            if below is None:
+                continue
+            kind = "position"
+            if above is not None and above.violation is not None:
+                kind = above.violation.kind
+            closest.append(count + closest_to(kind, below.verdicts))
+            count += len(below.verdicts)
+        order = [closest[index] for index in secret_order(len(closest))[: REPEATED // 2]]
+        order += secret_order(count).tolist()
+        return list(dict.fromkeys(order))[:REPEATED]
+
     def _repeat(self) -> None:
         """Repeats carried episodes: in a batch of their own for a policy of this project, else each
         alone.
@@ -392,7 +413,7 @@ class _Search:
         rows, verdicts = self._carried_episodes()
         if not rows:
             return
-        chosen = secret_order(len(rows))[:REPEATED].tolist()
+        chosen = self._repeated_episodes()
         repeated = [rows[index] for index in chosen]
         if self._batch.policy.shipped:
             repetitions = self._batch.run(repeated, count=self._count)
