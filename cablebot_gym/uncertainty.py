@@ -430,7 +430,7 @@ class Uncertainty:
         values["payload"] = np.maximum(values["payload"], 0.0)
         values["speed_slope"] = robot.speed_slope * values["stall_torque"] / robot.stall_torque
         if not robot.point_mass:
-            values["inertia_tensor"] = _scaled_tensor(robot, values["moments"])
+            values["inertia_tensor"] = scaled_tensor(robot, values["moments"])
         return RobotBatch(robot, values)
 
 
@@ -455,7 +455,7 @@ def _check_inertia(moments: Array, distribution: ParameterDistribution) -> None:
             )
 
 
-def _scaled_tensor(robot: Robot, moments: Array) -> Array:
+def scaled_tensor(robot: Robot, moments: Array) -> Array:
     """Inertia tensors (N, 3, 3) with the given moments; products grow as the roots of the moments
     they belong to."""
     factor = np.ones((len(moments), 3))

@@ -385,12 +385,47 @@ class BestKnownCell(Setting):
         )
 
 
-Cell = PolicyCell | SurveyCell | BestKnownCell | TimingCell
+@dataclass(frozen=True, kw_only=True)
+class DrawnCell(Setting):
+    """The best known payload of one draw of an uncertainty, and its ratio to the nominal one."""
+
+    kind: ClassVar[str] = "drawn"
+
+    uncertainty: str
+    """Name of the uncertainty."""
+    seed: int
+    """Seed of the draw."""
+
+    @property
+    def stem(self) -> str:
+        """Readable beginning of the name of the cell's file."""
+        return self._stem("best-known", self.uncertainty, str(self.seed))
+
+    @property
+    def source(self) -> str:
+        """Hash of the code that computes the cell."""
+        return source_hash("cablebot_gym.bounds.drawn", data=self.robot_files)
+
+    def compute(self) -> dict[str, Any]:
+        """The result of :func:`cablebot_gym.bounds.drawn.find_drawn_best_known` as JSON-able data.
+
+        It takes the nominal payload from the disk cache of this machine, or computes it first.
+        """
+        from cablebot_gym.bounds.drawn import find_drawn_best_known
+
+        options = self.env_options() | {"robot": self.robot}
+        return find_drawn_best_known(
+            self.env_id, uncertainty=self.uncertainty, seed=self.seed, **options
+        ).to_dict()
+
+
+Cell = PolicyCell | SurveyCell | BestKnownCell | DrawnCell | TimingCell
 
 _KINDS: Mapping[str, type[Cell]] = {
     PolicyCell.kind: PolicyCell,
     SurveyCell.kind: SurveyCell,
     BestKnownCell.kind: BestKnownCell,
+    DrawnCell.kind: DrawnCell,
     TimingCell.kind: TimingCell,
 }
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from cablebot_gym.benchmark.cells import (
     Cell,
+    DrawnCell,
     PolicyCell,
     Record,
     SurveyCell,
@@ -22,6 +23,10 @@ from cablebot_gym.benchmark.store import Store
 from cablebot_gym.isolation.deadlines import BUDGET
 from cablebot_gym.policies.entry import is_entry
 from cablebot_gym.utils import workers as processes
+
+_AFTER_BEST_KNOWN = 1e9
+"""Cost of a drawn robot in episodes: it starts after the nominal ones, whose results it reads from the
+disk cache, and before all policies."""
 
 MessageCallback = Callable[[str], None]
 """Called with one-sentence messages for the user."""
@@ -170,4 +175,6 @@ def _cost(cell: Cell) -> float:
     """Number of episodes at each payload; best known payloads take longest."""
     if isinstance(cell, SurveyCell):
         return cell.draws * len(cell.parts)
+    if isinstance(cell, DrawnCell):
+        return _AFTER_BEST_KNOWN
     return cell.draws if isinstance(cell, PolicyCell) else float("inf")

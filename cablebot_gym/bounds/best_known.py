@@ -290,6 +290,17 @@ class _Case:
         return round(self.trajectory.duration * self.control_frequency)
 
     @property
+    def substeps(self) -> int:
+        """Physics steps per control period of the environment."""
+        settings = make_settings(
+            robot=self.robot,
+            count=1,
+            trajectory=self.trajectory,
+            control_frequency=self.control_frequency,
+        )
+        return settings.substeps
+
+    @property
     def file(self) -> str:
         """Name of the cache file."""
         data = {
@@ -298,6 +309,18 @@ class _Case:
             "control_frequency": self.control_frequency,
         }
         return f"best-{fingerprint('cablebot_gym.bounds.best_known', self.robot, self.trajectory, **data)}.npz"
+
+    @property
+    def follower(self) -> Follower:
+        """Controller that computes the inputs of a motion."""
+        gains = _GAINS[self.robot.joints]
+        return Follower(robot=self.robot, gains=gains, motor_frequency=_MOTOR_FREQUENCY)
+
+    @property
+    def tension_reach(self) -> float:
+        """Time about an instant within which the controller keeps the margin to the minimum tension
+        [s]."""
+        return 0.0
 
     @property
     def tightening(self) -> Tightening:
@@ -463,7 +486,7 @@ class _Case:
             report(f"replaying inputs, trial {trial} of the margins")
             try:
                 if trial == 1:
-                    motion = _solve(program, start, margins)
+                    motion = self._first_motion(program, start, margins)
                 else:
                     motion = program.resolve(margins, profile)
             except (Infeasible, ValueError):  # larger margins are infeasible as well
@@ -487,14 +510,8 @@ class _Case:
 
     def _replays(self, actions: Array, payload: float) -> Iterator[tuple[Replay, Rollout]]:
         """Replays of actions, and their episodes, the coarse one first."""
-        settings = make_settings(
-            robot=self.robot,
-            count=1,
-            trajectory=self.trajectory,
-            control_frequency=self.control_frequency,
-        )
         for factor in REPLAY_FACTORS:
-            substeps = factor * settings.substeps
+            substeps = factor * self.substeps
             episode = self._record(OpenLoop(actions), payload, substeps=substeps)
             verdict = episode.verdict
             replay = Replay(
@@ -519,25 +536,44 @@ class _Case:
             **keywords,
         )
 
+    def _first_motion(
+        self, program: MotionProgram, start: PlannedMotion, margins: Margins
+    ) -> PlannedMotion:
+        """The motion of a program with margins, from a motion that is close to it.
+
+        Raises:
+            Infeasible: if the solver finds no motion within the constraints.
+        """
+        return _solve(program, start, margins)
+
+    def _state_of_action(self, motion: PlannedMotion, state: State) -> State:
+        """The state for which the controller computes an action, from the state at its instant."""
+        return state
+
+    def _record_tracking(self, policy: Callable[[Array], Array], payload: float) -> Rollout:
+        """The episode in which the controller computes the inputs."""
+        return self._record(policy, payload)
+
     def _track(self, motion: PlannedMotion, profile: MarginProfile) -> _Tracked:
         """Actions of a controller that tracks a motion."""
-        follower = Follower(
-            robot=self.robot, gains=_GAINS[self.robot.joints], motor_frequency=_MOTOR_FREQUENCY
-        )
+        follower = self.follower
         layout = observation_layout(self.robot)
         period = 1 / self.control_frequency
         payload = np.asarray(motion.payload)
-        tension = motion.minimum_tension + profile.largest("tension", profile.times, 0.0)
+        margin = profile.largest("tension", profile.times, self.tension_reach)
+        tension = motion.minimum_tension + margin
         requested: list[Array] = []
 
         def track(observation: Array) -> Array:
             step = len(requested)
             state = State.from_blocks(layout.split(observation), np.asarray(step * period))
+            state = self._state_of_action(motion, state)
             action = follower.action(motion, state, payload, period, float(tension[step]))
             requested.append(action)
             return np.clip(action, -1.0, 1.0)
 
-        actions = self._record(track, motion.payload).arrays["commanded_action"]
+        episode = self._record_tracking(track, motion.payload)
+        actions = episode.arrays["commanded_action"]
         excess = np.abs(requested) - 1
         missing = self.steps - len(actions)  # after a termination
         actions = np.concatenate([actions, np.repeat(actions[-1:], missing, axis=0)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -37,14 +38,27 @@ class Tightening:
     """Bounds of the tracking errors."""
     times: Array
     """Control instants of an episode, shape (steps,) [s]."""
+    scale: float = 1.0
+    """Factor of the least margins. Larger margins cost payload and save replays."""
+    growth: float = 0.0
+    """Least growth of a margin to tension or error bounds, as a fraction of the present margin: a
+    plan that is farther from the limit than its margin changes only after the margin has grown."""
+    largest_growth: float = math.inf
+    """Largest growth of a margin of the actions in one trial. Where feedback saturates, the excess
+    is larger than the margin that avoids it."""
+    small_excess: float = 0.0
+    """Largest excess of the requested actions with which margins to the error bounds still grow."""
 
     @property
     def least_margins(self) -> Margins:
         """Margins that every replayed motion keeps at all times."""
         bounds = self.error_bounds
-        position = _SMALLEST_FRACTION * bounds.position
-        rotation = _SMALLEST_FRACTION * bounds.rotation
-        return replace(_SMALLEST, position=position, rotation=rotation)
+        return Margins(
+            position=self.scale * _SMALLEST_FRACTION * bounds.position,
+            rotation=self.scale * _SMALLEST_FRACTION * bounds.rotation,
+            action=self.scale * _SMALLEST.action,
+            tension=self.scale * _SMALLEST.tension,
+        )
 
     def no_profile(self) -> MarginProfile:
         """No additional margins at any control instant."""
@@ -72,6 +86,10 @@ class Tightening:
                 part = largest[: len(values)]  # a terminated episode is shorter
                 np.maximum(part, values, out=part)
             growth = _REACTION * largest + _LEAST_GROWTH * least_margin
+            if name == "action":
+                growth = np.minimum(growth, self.largest_growth)
+            else:
+                growth = np.maximum(growth, self.growth * margin)
             grown[name] = margin + np.where(largest > 0, growth, 0.0)
         return replace(profile, **grown)
 
@@ -81,7 +99,7 @@ class Tightening:
         least_tension = arrays["least_tensions"].min(axis=1)
         excess = {"tension": self.robot.minimum_tension - least_tension}
         # Errors after saturated actions follow from them, so they do not change the error margins.
-        if np.any(action_excess > 0):
+        if np.any(action_excess > self.small_excess):
             return excess | {"action": action_excess}
         excess["position"] = arrays["tracking_error_peak"] - self.error_bounds.position
         if not self.robot.point_mass:

@@ -67,6 +67,8 @@ class Row(NamedTuple):
     """Seed of the episode."""
     motion: int = 0
     """Index of its motion among those of the batch."""
+    noise_seed: int | None = None
+    """Seed of its sensor noise and wrench; None for :func:`noise_seed` of seed and payload."""
 
 
 Progress = Callable[[int, int], None]
@@ -372,9 +374,15 @@ class Batch:
     ) -> tuple[Array, dict[str, Any]]:
         """Starts an episode for each row; the last observation and info of the reset."""
         seeds = [row.seed for row in rows]
+        noise_seeds = []
+        for row in rows:
+            if row.noise_seed is None:
+                noise_seeds.append(noise_seed(row.seed, row.payload))
+            else:
+                noise_seeds.append(row.noise_seed)
         options: dict[str, Any] = {
             "payload": np.array([row.payload for row in rows]),
-            "noise_seed": [noise_seed(row.seed, row.payload) for row in rows],
+            "noise_seed": noise_seeds,
         }
         if not self._motions:
             observation, info = env.reset(seed=seeds, options=options)

@@ -205,6 +205,7 @@ def record_rollout(
     name: str | None = None,
     wrappers: Sequence[Wrapper] = (),
     progress: Progress | bool | None = None,
+    noise_seed: int | None = None,
     **conditions: Any,
 ) -> Rollout:
     """Records one episode over the full motion, or until the environment terminates it.
@@ -218,6 +219,8 @@ def record_rollout(
             :data:`cablebot_gym.policies.wrappers.Wrapper`.
         progress: callback after the reset and after every control step; True shows it on standard
             error.
+        noise_seed: seed of the sensor noise and the wrench; None for that of an evaluation,
+            :func:`~cablebot_gym.evaluation.batch.noise_seed`.
         conditions: ``criterion`` of the verdict, ``seed`` of the environment, ``uncertainty``,
             ``error_bounds``, ``robot`` and keywords of the environment, see
             :class:`~cablebot_gym.evaluation.conditions.Conditions`.
@@ -234,7 +237,7 @@ def record_rollout(
     with chosen_progress(progress, f"{batch.policy.name} on {env_id}", "steps") as step:
         count = StepCount(step, batch.task.steps)
         count.add(0)
-        rows = [Row(payload, shared.seed)]
+        rows = [Row(payload, shared.seed, noise_seed=noise_seed)]
         verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
     return recorder.rollouts(verdicts)[0]
 

@@ -42,6 +42,10 @@ _WARM_START = {
 """Options of IPOPT for a start with multipliers close to the solution."""
 
 
+_NEAR_START = {"mu_strategy": "monotone", "mu_init": 1e-3}
+"""Options of IPOPT for a start without multipliers close to the solution."""
+
+
 class Assembled:
     """A program that maximises the payload, and its solvers.
 
@@ -105,6 +109,11 @@ class Assembled:
     def cold_solver(self) -> Any:
         """Solver for a start far from the solution."""
         return self._solver(_COLD_START)
+
+    @cached_property
+    def near_solver(self) -> Any:
+        """Solver for a start close to the solution, without multipliers."""
+        return self._solver(_NEAR_START)
 
     @cached_property
     def warm_solver(self) -> Any:

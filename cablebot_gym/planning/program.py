@@ -121,7 +121,7 @@ class MotionProgram:
         self._start = start_pose(robot, trajectory, error_bounds)
         held = hold_payload(robot, trajectory, error_bounds) - _HOLD_MARGIN
         self._heaviest = min(HEAVIEST * robot.mass, held)
-        self._set_margins(margins or Margins())
+        self.set_margins(margins or Margins())
         self._profile = MarginProfile.zeros(np.zeros(0), robot.cables)
         count = STAGES_PER_INTERVAL[robot.joints] * intervals
         self._instants = np.linspace(0.0, trajectory.duration, count + 1)
@@ -140,7 +140,13 @@ class MotionProgram:
         self._interrupt = SolverInterrupt()
         self._solution: Any = None
 
-    def _set_margins(self, margins: Margins) -> None:
+    def set_margins(self, margins: Margins) -> None:
+        """Sets the margins of the next solutions.
+
+        Raises:
+            ValueError: if a margin is not below its bound, or the minimum tension exceeds the initial
+                tension of a flexible planar robot.
+        """
         robot = self._robot
         self._margins = margins
         self._least = self._robot.minimum_tension + margins.tension
@@ -156,7 +162,11 @@ class MotionProgram:
             )
 
     def solve(
-        self, start: PlannedMotion | None = None, *, shift: Array | None = None
+        self,
+        start: PlannedMotion | None = None,
+        *,
+        shift: Array | None = None,
+        near: bool = False,
     ) -> PlannedMotion:
         """Solves the program for the motion with the heaviest payload.
 
@@ -164,6 +174,8 @@ class MotionProgram:
             start: initial guess, such as the motion on a coarser mesh; None for the reference.
             shift: offset of the initial control points of the pose in units of the error bounds,
                 shape (n,) or (control points, n).
+            near: whether ``start`` is close to the solution, such as the motion of a similar robot.
+                The solver then takes a third of the iterations.
 
         Raises:
             Infeasible: if the solver finds no motion within the constraints; the message is its
@@ -172,6 +184,8 @@ class MotionProgram:
         guess = self._initial_guess(start)
         if shift is not None:
             guess[self._poses.at] += shift
+        if near:
+            return self._solved(self._assembled.near_solver, x0=guess)
         return self._solved(self._assembled.cold_solver, x0=guess)
 
     def resolve(self, margins: Margins, profile: MarginProfile | None = None) -> PlannedMotion:
@@ -188,7 +202,7 @@ class MotionProgram:
                 solution yet.
             ValueError: if a margin is not below its bound.
         """
-        self._set_margins(margins)
+        self.set_margins(margins)
         if profile is not None:
             self._profile = profile
         start = self._solution
@@ -203,6 +217,8 @@ class MotionProgram:
         if np.any(low > high):
             raise Infeasible("the motors cannot hold the start pose")
         least, most = self._assembled.bounds()
+        if np.any(least > most):
+            raise Infeasible("the margins leave nothing between two limits")
         with self._interrupt.watch():
             solution = solver(
                 x0=np.clip(x0, low, high), lbx=low, ubx=high, lbg=least, ubg=most, **multipliers

@@ -145,7 +145,13 @@ class _Cells:
             reason = NOT_APPLICABLE
         return self.add(score.cell, label, _facts(score), reason)
 
-    def add(self, cell: Cell, label: str, facts: list[list[str]], reason: str = NO_EPISODE) -> int:
+    def add(
+        self,
+        cell: PolicyCell | BestKnownCell,
+        label: str,
+        facts: list[list[str]],
+        reason: str = NO_EPISODE,
+    ) -> int:
         """Adds a cell and returns its index.
 
         Args:
@@ -324,7 +330,7 @@ def _violation_text(entry: Sequence[scores.Score]) -> str:
     return entry[0].error or ""
 
 
-def _code(cell: Cell) -> str:
+def _code(cell: PolicyCell | BestKnownCell) -> str:
     """Python code that computes a cell."""
     if isinstance(cell, BestKnownCell):
         module = "cablebot_gym.bounds.best_known"

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cablebot_gym.benchmark.ranking import better_policies, fraction
+from cablebot_gym.benchmark.yardstick import DRAWS, PROBABILITY, yardstick
 from cablebot_gym.evaluation.survey import ROBOTS
 
 FAMILIES = {
@@ -27,7 +28,21 @@ FAMILIES = {
 FAILURES = {12: (0.0, 0.02, 0.1), 25: (0.0, 0.05)}
 """Rates of failures of equal policies, by number of policies on a board."""
 
+RATIOS = {
+    "normal, 0.95 ± 0.035": lambda random, size: random.normal(0.95, 0.035, size),
+    "the weakest of 6 motors": lambda random, size: _weakest(random, size),
+    "1 − gamma(4, 0.0175)": lambda random, size: 1 - random.gamma(4, 0.0175, size),
+    "5 % of the robots 0.1 lower": lambda random, size: _lower_tail(random, size),
+    "normal, a third of the variance from the motion": lambda random, size: _of_motions(
+        random, size
+    ),
+}
+"""Distributions of the ratios of drawn to nominal best known payloads, (motions, draws)."""
+
 MOTIONS = (20, 100)
+
+YARDSTICK_MOTIONS = (50, 100)
+"""Numbers of motions of a yardstick. With less than 37 × 2 draws its interval has no lower end."""
 
 TRUTH = 2_000_000
 """Number of motions of the true mean of fractions."""
@@ -105,6 +120,16 @@ failures. A board is false if its simultaneous comparisons put any policy before
 |---:|---:|---:|---:|
 {orders}
 {order_boards:,} simulated boards for each row.
+
+## Yardstick under uncertainty
+
+The yardstick is the 5 % quantile of the ratios of drawn to nominal best known payloads. Its interval has order
+statistics as ends, so it needs no distribution.
+
+| ratios | motions × draws | covered | quantile too low | quantile too high | half width |
+|---|---:|---:|---:|---:|---:|
+{yardsticks}
+*Quantile too low*: the interval lies below the true quantile. {boards:,} simulated boards for each row.
 """
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "ranking.md"
@@ -199,6 +224,36 @@ def false_boards(policies, motions, rate, boards, seed=2):
     return false / boards
 
 
+def _weakest(random, size):
+    payload = random.uniform(-0.03, 0.03, size)
+    motors = random.uniform(-0.03, 0.03, (*size, 6)).min(axis=-1)
+    return 0.98 - payload + motors + random.normal(0, 0.02, size)
+
+
+def _lower_tail(random, size):
+    return random.normal(0.95, 0.03, size) - 0.1 * (random.random(size) < 0.05)
+
+
+def _of_motions(random, size):
+    motion = random.normal(0, 0.02, (size[0], 1))
+    return 0.95 + motion + random.normal(0, 0.0285, size)
+
+
+def yardstick_coverage(family, motions, boards, seed=3):
+    """Fractions of boards whose interval of the yardstick covers the true quantile, lies below and
+    lies above it, and its mean half width."""
+    random = np.random.default_rng(seed)
+    draw = RATIOS[family]
+    truth = np.quantile(draw(random, (1_000_000, DRAWS)), PROBABILITY)
+    below = above = width = 0
+    for _ in range(boards):
+        interval = yardstick(draw(random, (motions, DRAWS)).ravel().tolist())
+        below += interval.high < truth
+        above += interval.low > truth
+        width += (interval.high - interval.low) / 2
+    return 1 - (below + above) / boards, below / boards, above / boards, width / boards
+
+
 def page(boards=4000, order_boards=4000, surveyed_boards=20_000, motions=200_000):
     """The page with all tables."""
     return PAGE.format(
@@ -207,6 +262,7 @@ def page(boards=4000, order_boards=4000, surveyed_boards=20_000, motions=200_000
         surveyed_orders=_surveyed_order_rows(order_boards),
         coverage=_coverage_rows(boards),
         orders=_order_rows(order_boards),
+        yardsticks=_yardstick_rows(boards),
         boards=boards,
         order_boards=order_boards,
         surveyed_boards=surveyed_boards,
@@ -231,6 +287,16 @@ def _surveyed_coverage_rows(boards):
             draw = partial(surveyed_fractions, family)
             rates = coverage(draw, motions, boards, truth_motions=SURVEYED_TRUTH)
             text += _coverage_row(family, motions, rates)
+    return text
+
+
+def _yardstick_rows(boards):
+    text = ""
+    for motions in YARDSTICK_MOTIONS:
+        for family in RATIOS:
+            rates = yardstick_coverage(family, motions, boards)
+            texts = " | ".join(f"{rate:.1%}" for rate in rates)
+            text += f"| {family} | {motions} × {DRAWS} | {texts} |\n"
     return text
 
 

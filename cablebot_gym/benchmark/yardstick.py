@@ -1,0 +1,121 @@
+"""Yardstick under uncertainty: the fraction of the nominal best known payload that a planner reaches
+on 95 % of the drawn robots, although it knows each of them.
+
+Policies do not know the drawn robot, so they can hope for this fraction at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from cablebot_gym.benchmark.cells import BestKnownCell, DrawnCell, Record
+from cablebot_gym.benchmark.ranking import CONFIDENCE
+from cablebot_gym.evaluation.batch import derived_seeds
+from cablebot_gym.evaluation.survey import motion_seeds
+
+PROBABILITY = 0.05
+"""Fraction of the draws below the yardstick."""
+
+DRAWS = 2
+"""Default number of draws of each motion. With 100 motions the interval is then ± 1 to 2 %."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Yardstick:
+    """The 5 % quantile of the ratios of drawn to nominal best known payloads."""
+
+    quantile: float
+    """Quantile of the draws with a verified payload."""
+    low: float
+    """Lower end of its interval. Draws without a verified payload count as 0."""
+    high: float
+    """Upper end of its interval. Draws without a verified payload are left out."""
+    mean: float
+    """Mean ratio."""
+    draws: int
+    """Number of draws with a verified payload."""
+    unverified: int
+    """Number of draws without a verified payload."""
+
+
+def yardstick(ratios: Sequence[float | None]) -> Yardstick:
+    """The yardstick of the ratios of independent draws of motions and robots.
+
+    The interval has order statistics as its ends, so it covers the quantile of any distribution with
+    a probability of at least 95 %. A normal distribution would give half its width, but covers only
+    40 to 80 % where the ratios are skewed or some motions are hard, see ``docs/ranking.md``.
+
+    Args:
+        ratios: ratio of each draw; None where no payload is verified.
+
+    Raises:
+        ValueError: if no draw has a ratio.
+    """
+    verified = np.sort([ratio for ratio in ratios if ratio is not None])
+    unverified = len(ratios) - len(verified)
+    if not len(verified):
+        raise ValueError("the yardstick needs at least one draw with a verified payload")
+    pessimistic = np.concatenate([np.zeros(unverified), verified])
+    lower_rank, _ = _ranks(len(pessimistic))
+    _, upper_rank = _ranks(len(verified))
+    low = 0.0
+    if lower_rank > 0:
+        low = float(pessimistic[lower_rank - 1])
+    return Yardstick(
+        quantile=float(np.quantile(verified, PROBABILITY, method="median_unbiased")),
+        low=low,
+        high=float(verified[min(upper_rank, len(verified)) - 1]),
+        mean=float(verified.mean()),
+        draws=len(verified),
+        unverified=unverified,
+    )
+
+
+def _ranks(count: int) -> tuple[int, int]:
+    """Ranks of the ends of the interval among sorted ratios, from 1. A rank of 0 or above ``count``
+    means that there is no such ratio."""
+    from scipy.stats import binom  # slow to import
+
+    # The number of ratios below the quantile is binomial.
+    lower = int(binom.ppf((1 - CONFIDENCE) / 2, count, PROBABILITY))
+    upper = int(binom.ppf((1 + CONFIDENCE) / 2, count, PROBABILITY))
+    return lower, upper + 1
+
+
+def drawn_cells(
+    best_known: Sequence[BestKnownCell], uncertainty: str, *, seed: int, draws: int = DRAWS
+) -> list[DrawnCell]:
+    """The cells of the yardstick: draws of the robot of each best known payload.
+
+    Args:
+        best_known: cells of the best known payloads of the motions.
+        uncertainty: name of the uncertainty.
+        seed: evaluation seed, from which the seeds of all draws follow.
+        draws: number of draws of each motion.
+    """
+    cells: list[DrawnCell] = []
+    for cell, motion_seed in zip(best_known, motion_seeds(seed, len(best_known)), strict=True):
+        setting = {field.name: getattr(cell, field.name) for field in fields(cell)}
+        for draw_seed in derived_seeds(np.random.SeedSequence(motion_seed), draws):
+            cells.append(DrawnCell(**setting, uncertainty=uncertainty, seed=draw_seed))
+    return cells
+
+
+def yardsticks(records: Sequence[Record]) -> dict[tuple[str, str], Yardstick]:
+    """The yardsticks by environment id and name of the uncertainty, from the records of
+    :func:`drawn_cells`; other records have no effect. A failed computation counts as a draw without a
+    verified payload, and there is no yardstick where all draws are."""
+    ratios: dict[tuple[str, str], list[float | None]] = {}
+    for record in records:
+        cell = record.cell
+        if isinstance(cell, DrawnCell):
+            group = ratios.setdefault((cell.env_id, cell.uncertainty), [])
+            group.append(record.result.get("ratio"))
+    by_environment = {}
+    for key, group in ratios.items():
+        if any(ratio is not None for ratio in group):
+            by_environment[key] = yardstick(group)
+    return by_environment

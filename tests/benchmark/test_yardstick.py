@@ -1,0 +1,70 @@
+"""The yardstick under uncertainty: its interval, its cells, and its records."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import simulated_boards
+
+from cablebot_gym.benchmark.cells import BestKnownCell, Record, cell_from_dict
+from cablebot_gym.benchmark.engine import _cost
+from cablebot_gym.benchmark.yardstick import drawn_cells, yardstick, yardsticks
+
+PLANAR_ID = "CableBot-Planar-v0"
+CIRCLE = BestKnownCell(env_id=PLANAR_ID, trajectory={"name": "circle-planar"})
+LOOP = BestKnownCell(env_id=PLANAR_ID, trajectory={"name": "loop-planar", "seed": 7})
+
+
+@pytest.mark.parametrize("family", simulated_boards.RATIOS)
+def test_interval_covers_the_quantile_of_any_distribution(family):
+    """Quantiles of a normal distribution covered 49 % of skewed ratios."""
+    covered, below, above, width = simulated_boards.yardstick_coverage(family, 100, boards=400)
+    assert covered > 0.94
+    assert max(below, above) < 0.045
+    assert width < 0.03
+
+
+def test_hundred_motions_give_two_percent_at_the_usual_spread():
+    *_, width = simulated_boards.yardstick_coverage("normal, 0.95 ± 0.035", 100, boards=100)
+    assert width < 0.02
+
+
+def test_ends_are_order_statistics_and_unverified_draws_count_as_zero_at_the_low_end():
+    ratios = np.linspace(0.8, 1.0, 200).tolist()
+    complete = yardstick(ratios)
+    assert complete.low < complete.quantile < complete.high
+    assert complete.low == ratios[3]  # 4 is the 2.5 % quantile of the binomial distribution
+    assert complete.high == ratios[16]
+    assert complete.quantile == pytest.approx(0.81, abs=1e-3)
+    holes = yardstick([None, None, *ratios])
+    assert (holes.draws, holes.unverified) == (200, 2)
+    assert holes.low == ratios[2]  # rank 5 of 202
+    assert (holes.quantile, holes.high) == (complete.quantile, complete.high)
+    assert yardstick([0.9] * 20).low == 0.0  # too few draws for a lower end
+    with pytest.raises(ValueError, match="at least one draw"):
+        yardstick([None])
+
+
+def test_cells_have_the_setting_of_the_motion_and_seeds_of_their_own():
+    cells = drawn_cells([CIRCLE, LOOP], "hardware", seed=3)
+    assert [cell.trajectory for cell in cells] == [CIRCLE.trajectory] * 2 + [LOOP.trajectory] * 2
+    assert len({cell.seed for cell in cells}) == 4
+    assert [cell_from_dict(cell.to_dict()) for cell in cells] == cells
+    assert drawn_cells([CIRCLE], "hardware", seed=3) == cells[:2]
+    assert len({cell.key for cell in cells}) == 4
+    # the nominal result is in the disk cache when its draws start
+    assert _cost(CIRCLE) > _cost(cells[0]) > 1e6
+
+
+def test_records_are_grouped_by_environment():
+    cells = drawn_cells([CIRCLE], "hardware", seed=0, draws=3)
+    cells.append(dataclasses.replace(cells[0], env_id="CableBot-Spatial-v0"))
+    results = [{"ratio": 0.9}, {"ratio": 0.8}, {"error": "no motion"}, {"ratio": None}]
+    records = [
+        Record(cell=cell, source="", versions={}, result=result, seconds=1.0)
+        for cell, result in zip(cells, results, strict=True)
+    ]
+    by_environment = yardsticks(records)
+    assert list(by_environment) == [(PLANAR_ID, "hardware")]
+    assert by_environment[PLANAR_ID, "hardware"].mean == pytest.approx(0.85)
+    assert by_environment[PLANAR_ID, "hardware"].unverified == 1

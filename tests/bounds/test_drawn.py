@@ -1,0 +1,110 @@
+"""The best known payload of a drawn robot, against the nominal one and against the environment."""
+
+import json
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from cablebot_gym.bounds import best_known
+from cablebot_gym.bounds.best_known import find_best_known
+from cablebot_gym.bounds.drawn import _DrawnCase, drawn_robot, find_drawn_best_known
+from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
+from cablebot_gym.uncertainty import Uncertainty
+
+pytest.importorskip("casadi")
+
+PLANAR_ID = "CableBot-Planar-v0"
+LINE = {"name": "line-planar", "duration": 0.4, "dwell": 0.0}
+HEAVIER = {
+    "parameters": {"payload": {"low": 0.03, "high": 0.03}},
+    "sensors": {"position": 1e-3},
+}
+
+
+def strength(deviation):
+    return {"parameters": {"motor_strength": {"low": deviation, "high": deviation}}}
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    """The nominal result for a short line, on coarse meshes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(best_known, "has_converged", lambda payloads: True)
+        return find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
+
+
+@pytest.fixture(autouse=True)
+def _use_nominal(monkeypatch, nominal):
+    monkeypatch.setattr("cablebot_gym.bounds.drawn.find_best_known", lambda *_, **__: nominal)
+
+
+def drawn(uncertainty, seed=0):
+    return find_drawn_best_known(PLANAR_ID, uncertainty=uncertainty, seed=seed, trajectory=LINE)
+
+
+def test_no_uncertainty_gives_the_nominal_payload(nominal):
+    result = drawn("none")
+    assert result.verified
+    assert result.ratio == pytest.approx(1.0, abs=0.002)
+    assert result.nominal_payload == nominal.payload
+    assert json.loads(json.dumps(result.to_dict()))["ratio"] == result.ratio
+
+
+def test_stronger_motors_carry_more_and_weaker_ones_less():
+    assert drawn(strength(-0.03)).ratio < 0.99 < 1.01 < drawn(strength(0.03)).ratio
+
+
+def test_noise_costs_nothing_and_the_payload_is_the_nominal_one():
+    result = drawn(HEAVIER)
+    assert result.verified
+    assert result.true_payload == pytest.approx(1.03 * result.payload)
+    assert result.ratio == pytest.approx(1 / 1.03, abs=0.003)
+
+
+def test_delayed_actions_are_sent_earlier():
+    """The motion accelerates at once, so the first held steps cost payload."""
+    result = drawn({"delay": 1})
+    assert result.verified
+    assert 0.95 < result.ratio < 1.0
+
+
+def test_hardware_draw_is_verified_in_its_own_draw_only(monkeypatch):
+    sent = []
+    replay = _DrawnCase._replays
+
+    def replays(case, actions, payload):
+        sent.append((case, actions, payload))
+        return replay(case, actions, payload)
+
+    monkeypatch.setattr(_DrawnCase, "_replays", replays)
+    result = drawn("hardware", seed=1)
+    assert result.verified
+    assert 0.8 < result.ratio < 1.1
+    case, actions, payload = sent[-1]
+    assert all(verdict.violation is None for verdict, _ in replay(case, actions, payload))
+    other = _DrawnCase.of(best_known._case(PLANAR_ID, trajectory=LINE), "hardware", 2)
+    assert any(verdict.violation for verdict, _ in replay(other, actions, payload))
+
+
+@pytest.mark.parametrize("robot", [PLANAR, SPATIAL, FLEX_SPATIAL])
+def test_drawn_robot_has_the_true_parameters(robot):
+    env_id = {
+        PLANAR: PLANAR_ID,
+        SPATIAL: "CableBot-Spatial-v0",
+        FLEX_SPATIAL: "CableBot-FlexSpatial-v0",
+    }[robot]
+    env = gym.make(env_id, uncertainty="hardware").unwrapped
+    env.reset(seed=5)
+    true = drawn_robot(robot, env.truth)
+    again = Uncertainty().draw(true, np.zeros(1), np.zeros((1, 1000)))
+    assert true.mass == env.truth["platform_mass"] != robot.mass
+    assert again.stall_torque == pytest.approx(env.truth["motor_strength"][None])
+    np.testing.assert_array_equal(true.base, env.truth["base_anchors"])
+    np.testing.assert_array_equal(true.motor_lag, env.truth["motor_lag"])
+    np.testing.assert_array_equal(true.coulomb_friction, env.truth["coulomb_friction"])
+    assert true.motors.free_speed == robot.motors.free_speed
+    if not robot.point_mass:
+        np.testing.assert_array_equal(true.moments, env.truth["platform_inertia"])
+    if robot.jointed:
+        np.testing.assert_array_equal(true.stiffness, env.truth["stiffness"])
