@@ -71,6 +71,7 @@ PUBLIC_MODULES = (
     "cablebot_gym.benchmark.entries",
     "cablebot_gym.benchmark.leaderboard",
     "cablebot_gym.benchmark.ray_backend",
+    "cablebot_gym.benchmark.records",
     "cablebot_gym.benchmark.scores",
     "cablebot_gym.bounds",
     "cablebot_gym.bounds.certificate",

@@ -45,8 +45,9 @@ from cablebot_baselines.learned.runs import (
     read_yaml,
 )
 from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, Shipped, stem
-from cablebot_gym.benchmark.cells import Cell, Record
+from cablebot_gym.benchmark.cells import Cell
 from cablebot_gym.benchmark.engine import local, run_cells
+from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.plotting.figures import DPI, import_matplotlib
 from cablebot_gym.utils.checks import choice

@@ -11,7 +11,8 @@ import pytest
 
 from cablebot_baselines.paper.engine import RESULTS, _Output
 from cablebot_baselines.paper.interpretation import Interpretation
-from cablebot_gym.benchmark.cells import PolicyCell, Record
+from cablebot_gym.benchmark.cells import PolicyCell
+from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.bounds import best_known
 from cablebot_gym.physics import code_cache

@@ -6,10 +6,9 @@ from __future__ import annotations
 import json
 import platform
 import re
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import nullcontext, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -19,23 +18,18 @@ import numpy as np
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.evaluation.batch import Batch, Row, versions
+from cablebot_gym.evaluation.batch import Batch, Row
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.constraints import KINDS, Violation
+from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.evaluation.survey import motion_seeds, survey
 from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.isolation import IsolatedPolicy
-from cablebot_gym.isolation.deadlines import Deadlines
 from cablebot_gym.policies import PolicySpec
 from cablebot_gym.robots import ELASTIC, Robot, find_robot, library
 from cablebot_gym.task import ErrorBounds, payload_model_text, to_jsonable
 from cablebot_gym.trajectories import find_trajectory
-from cablebot_gym.utils.checks import choice, number
 from cablebot_gym.utils.code_hash import source_hash
-from cablebot_gym.utils.foreign import foreign_list, foreign_object
-
-LARGEST_PAYLOAD = 1e6
-"""Largest payload of stored results [kg], far above that of any crane."""
+from cablebot_gym.utils.foreign import foreign_list
 
 DEFAULT_ERROR_BOUNDS = MappingProxyType(to_jsonable(ErrorBounds()))
 """Error bounds of every suite: ``position`` [m] and ``rotation`` [rad]."""
@@ -94,6 +88,13 @@ class Setting:
         if not self.robot_changes:
             return robot
         return Robot.from_dict(merged(robot.to_dict(), self.robot_changes))
+
+    @property
+    def motion_key(self) -> str:
+        """Key of the best known payload: environment, robot, motion, error bounds and control
+        frequency."""
+        robot = (self.env_id, self.robot_name, self.robot_changes)
+        return canonical([*robot, self.trajectory, self.error_bounds, self.control_frequency])
 
     def env_options(self) -> dict[str, Any]:
         """JSON-able keyword arguments of the environment."""
@@ -430,79 +431,6 @@ _KINDS: Mapping[str, type[Cell]] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Record:
-    """A cell and its result."""
-
-    cell: Cell
-    """The cell."""
-    source: str
-    """Hash of the code that computed the result."""
-    versions: Mapping[str, str]
-    """Versions of Python and of the packages used."""
-    result: Mapping[str, Any]
-    """JSON-able result, or an ``error`` message if the computation failed. It is reproducible."""
-    seconds: float
-    """Wall time of the computation [s]."""
-    processor_seconds: float = 0.0
-    """Processor time of the isolated policy [s]."""
-    final: bool = True
-    """Whether a retry gives the same result. False if a package, a file or memory was missing or a
-    process died."""
-
-    @property
-    def error(self) -> str | None:
-        """Error message of a failed computation; None if it succeeded."""
-        return self.result.get("error")
-
-
-def compute(cell: Cell) -> Record:
-    """Computes a cell. An exception becomes the error of the record; it does not stop the
-    benchmark."""
-    start, used, final = time.perf_counter(), Deadlines.total, True
-    try:
-        result = json.loads(canonical(cell.compute()))
-    except Exception as error:
-        result = {"error": _one_line(error)}
-        final = not isinstance(error, (ImportError, OSError, MemoryError))
-    return Record(
-        cell=cell,
-        source=cell.source,
-        versions=versions(),
-        result=result,
-        seconds=time.perf_counter() - start,
-        processor_seconds=Deadlines.total - used,
-        final=final,
-    )
-
-
-def single_records(records: Sequence[Record]) -> list[Record]:
-    """The records with a record for each motion in place of that of a survey."""
-    singles = []
-    for record in records:
-        if not isinstance(record.cell, SurveyCell):
-            singles.append(record)
-            continue
-        parts = record.cell.parts
-        results = record.cell.part_results(record.result)
-        for part, result in zip(parts, results, strict=True):
-            singles.append(replace(record, cell=part, result=result))
-    return singles
-
-
-def failed_record(cell: Cell, reason: str) -> Record:
-    """A record that is not final, with ``reason`` as its error: the next run computes the cell
-    again."""
-    return Record(
-        cell=cell,
-        source=cell.source,
-        versions=versions(),
-        result={"error": reason},
-        seconds=0.0,
-        final=False,
-    )
-
-
 def cell_from_dict(data: Mapping[str, Any]) -> Cell:
     """The cell whose ``to_dict`` returned ``data``.
 
@@ -510,39 +438,6 @@ def cell_from_dict(data: Mapping[str, Any]) -> Cell:
         KeyError, TypeError, ValueError: if ``data`` does not describe a cell.
     """
     return _KINDS[data["kind"]](**{name: value for name, value in data.items() if name != "kind"})
-
-
-def record_from_dict(data: Any) -> Record:
-    """A stored record, which may come from strangers.
-
-    Raises:
-        KeyError, TypeError, ValueError: if ``data`` are something else.
-    """
-    fields = foreign_object("a record", data)
-    result = foreign_object("a result", fields["result"])
-    for payload in (result.get("payload"), *foreign_list("payloads", result.get("payloads", []))):
-        if payload is not None and isinstance(payload, int | float):
-            number("payload", payload, least=0, most=LARGEST_PAYLOAD, unit="kg")
-    violations = foreign_list("violations", result.get("violations", []))
-    for violation in (result.get("violation"), *violations):
-        if violation is not None:
-            limit = foreign_object("a violation", violation)
-            choice("kind of violation", str(limit.get("kind")), KINDS)
-            for name in ("time", "fraction", "lead"):
-                if limit.get(name) is not None:
-                    number(name, limit[name], least=0)
-    used = fields.get("processor_seconds", 0.0)
-    record = Record(
-        cell=cell_from_dict(foreign_object("the conditions of a cell", fields["cell"])),
-        source=str(fields["source"]),
-        versions=foreign_object("versions", fields["versions"]),
-        result=result,
-        seconds=number("seconds", fields["seconds"], least=0, unit="s"),
-        processor_seconds=number("processor_seconds", used, least=0, unit="s"),
-        final=fields.get("final", True) is True,
-    )
-    single_records([record])  # raises if the result of a survey is not that of its motions
-    return record
 
 
 def processor() -> str:
@@ -587,11 +482,3 @@ def canonical(data: Any) -> str:
     return json.dumps(
         data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
     )
-
-
-def _one_line(error: Exception) -> str:
-    """The message of an exception in one line, with the type where the message alone is unclear."""
-    text = " ".join(str(error).split())
-    if isinstance(error, (ValueError, ImportError, RuntimeError)):
-        return text
-    return f"{type(error).__name__}: {text}"

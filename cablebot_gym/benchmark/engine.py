@@ -9,16 +9,8 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
-from cablebot_gym.benchmark.cells import (
-    Cell,
-    DrawnCell,
-    PolicyCell,
-    Record,
-    SurveyCell,
-    TimingCell,
-    compute,
-    failed_record,
-)
+from cablebot_gym.benchmark.cells import Cell, DrawnCell, PolicyCell, SurveyCell, TimingCell
+from cablebot_gym.benchmark.records import Record, compute, failed_record
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.isolation.deadlines import BUDGET
 from cablebot_gym.policies.entry import is_entry

@@ -13,9 +13,10 @@ from importlib.metadata import packages_distributions, version
 from pathlib import Path
 from typing import Any
 
-from cablebot_gym.benchmark.cells import Cell, PolicyCell, Record, TimingCell, processor
+from cablebot_gym.benchmark.cells import Cell, PolicyCell, TimingCell, processor
 from cablebot_gym.benchmark.leaderboard import EntryNote, Results
 from cablebot_gym.benchmark.policy_source import policy_source
+from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.suites import find_suite, suite_cells
 from cablebot_gym.benchmark.tables import task_title
 from cablebot_gym.isolation.sandbox import sandbox_name

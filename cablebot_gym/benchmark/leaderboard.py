@@ -14,9 +14,10 @@ from rich.markdown import Markdown
 
 from cablebot_gym.benchmark import tables
 from cablebot_gym.benchmark.board import Board, normalised_value
-from cablebot_gym.benchmark.cells import PolicyCell, Record, canonical, record_from_dict
+from cablebot_gym.benchmark.cells import PolicyCell, canonical
 from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.ranking import CONFIDENCE
+from cablebot_gym.benchmark.records import Record, record_from_dict
 from cablebot_gym.benchmark.scores import (
     RANKED_MOTIONS,
     BestKnown,

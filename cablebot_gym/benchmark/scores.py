@@ -9,16 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.benchmark.cells import (
-    BestKnownCell,
-    PolicyCell,
-    Record,
-    TimingCell,
-    canonical,
-    single_records,
-)
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, canonical
 from cablebot_gym.benchmark.maps import AXES, Axis, varied_fields
 from cablebot_gym.benchmark.ranking import Fraction, fraction, ranks
+from cablebot_gym.benchmark.records import Record, single_records
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import payload_model_text
 
@@ -86,9 +80,9 @@ class Score:
 
 
 def best_known_payloads(records: Sequence[Record]) -> dict[str, BestKnown]:
-    """The best known payloads by :func:`motion_key`."""
+    """The best known payloads by :attr:`~cablebot_gym.benchmark.cells.Setting.motion_key`."""
     return {
-        motion_key(record.cell): BestKnown(cell=record.cell, result=record.result)
+        record.cell.motion_key: BestKnown(cell=record.cell, result=record.result)
         for record in records
         if isinstance(record.cell, BestKnownCell)
     }
@@ -103,13 +97,6 @@ def scores(records: Sequence[Record]) -> list[Score]:
         for record in single_records(records)
         if isinstance(record.cell, PolicyCell)
     ]
-
-
-def motion_key(cell: PolicyCell | BestKnownCell) -> str:
-    """Key of the best known payload of a cell: environment, motion, error bounds, control frequency
-    and robot."""
-    robot = (cell.env_id, cell.robot_name, cell.robot_changes)
-    return canonical([*robot, cell.trajectory, cell.error_bounds, cell.control_frequency])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -312,7 +299,7 @@ def _map(
     best_known = []
     for value in values:
         any_score = next(iter(by_value[value].values()))
-        reference = references.get(motion_key(any_score.cell))
+        reference = references.get(any_score.cell.motion_key)
         best_known.append(None if reference is None else reference.payload)
     policies = {}
     for name, is_varied in names.items():
@@ -398,7 +385,7 @@ def _values(entry: Sequence[Score]) -> Array | None:
 
 
 def _score(record: Record, cell: PolicyCell, references: Mapping[str, BestKnown]) -> Score:
-    best = references.get(motion_key(cell))
+    best = references.get(cell.motion_key)
     best_known = None if best is None else best.payload
     column = Column.of(cell)
     has_fraction = column.criterion == "task" and (column.uncertainty is None or column.is_main)

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cablebot_gym.benchmark.cells import Cell, Record, canonical, record_from_dict
+from cablebot_gym.benchmark.cells import Cell, canonical
+from cablebot_gym.benchmark.records import Record, record_from_dict
 from cablebot_gym.utils.files import atomic_write_text, read_text
 from cablebot_gym.utils.foreign import foreign_json, foreign_object
 

@@ -9,8 +9,9 @@ from statistics import median
 from typing import Any
 
 from cablebot_gym.benchmark import scores
-from cablebot_gym.benchmark.cells import Cell, PolicyCell, Record, TimingCell, canonical
+from cablebot_gym.benchmark.cells import Cell, PolicyCell, TimingCell, canonical
 from cablebot_gym.benchmark.maps import varied_texts
+from cablebot_gym.benchmark.records import Record
 from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.evaluation.constraints import KINDS, Violation
 from cablebot_gym.robots import KIND_TEXTS, Kind

@@ -9,8 +9,9 @@ from functools import partial
 from math import ceil, sqrt
 from statistics import mean
 
-from cablebot_gym.benchmark.cells import PolicyCell, Record, compute, single_records
+from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.engine import Backend, Job, MessageCallback, run_jobs
+from cablebot_gym.benchmark.records import Record, compute, single_records
 
 KEPT = 0.9
 """Least fraction of the cells whose success rate is at least the promised probability. A 95/95

@@ -11,8 +11,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from cablebot_gym.benchmark.cells import BestKnownCell, DrawnCell, Record
+from cablebot_gym.benchmark.cells import BestKnownCell, DrawnCell
 from cablebot_gym.benchmark.ranking import CONFIDENCE
+from cablebot_gym.benchmark.records import Record
 from cablebot_gym.evaluation.batch import derived_seeds
 from cablebot_gym.evaluation.survey import motion_seeds
 

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cablebot_gym.benchmark.board import Board
-    from cablebot_gym.benchmark.cells import Cell, Record
+    from cablebot_gym.benchmark.cells import Cell
     from cablebot_gym.benchmark.engine import Backend
     from cablebot_gym.benchmark.leaderboard import Results
+    from cablebot_gym.benchmark.records import Record
     from cablebot_gym.benchmark.store import Store
 
 MARKDOWN, JSON = "leaderboard.md", "results.json"

@@ -14,15 +14,10 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.benchmark import scores
-from cablebot_gym.benchmark.cells import (
-    BestKnownCell,
-    Cell,
-    PolicyCell,
-    Record,
-    canonical,
-)
+from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, canonical
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.maps import varied_fields
+from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.tables import (
     best_known_text,
     failures,

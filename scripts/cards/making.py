@@ -15,16 +15,10 @@ from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.runs import BEST, LAST
 from cablebot_baselines.learned.shipped import Shipped, stem
 from cablebot_baselines.learned.steering import action_mapping_to_jsonable
-from cablebot_gym.benchmark.cells import (
-    BestKnownCell,
-    Cell,
-    PolicyCell,
-    Record,
-    SurveyCell,
-    single_records,
-)
+from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, SurveyCell
 from cablebot_gym.benchmark.leaderboard import Results
-from cablebot_gym.benchmark.scores import best_known_payloads, motion_key
+from cablebot_gym.benchmark.records import Record, single_records
+from cablebot_gym.benchmark.scores import best_known_payloads
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, env_robot
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.robots import find_robot
@@ -76,7 +70,7 @@ def read_best_known(path: Path) -> dict[str, float]:
     """Reads the best known payloads from a benchmark's ``results.json``.
 
     Returns:
-        Payloads [kg] by :func:`~cablebot_gym.benchmark.scores.motion_key`.
+        Payloads [kg] by :attr:`~cablebot_gym.benchmark.cells.Setting.motion_key`.
 
     Raises:
         OSError, ValueError, KeyError: if the file cannot be read.
@@ -234,7 +228,7 @@ def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
     def best(index: int, motion: HeldOut) -> float | None:
         known = motion.best_known
         if has_present_loops:
-            known = best_known.get(motion_key(_best_known_cell(env_id, motion.seed)), known)
+            known = best_known.get(_best_known_cell(env_id, motion.seed).motion_key, known)
         payloads = [motion.law_payload, *(run.held_out[index] for run in card.evaluated_runs)]
         return None if known is None else max(known, *(payload or 0.0 for payload in payloads))
 
@@ -243,7 +237,7 @@ def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
         for index, motion in enumerate(card.held_out)
     )
     return replace(
-        card, best_known=best_known.get(motion_key(_cell(law, env_id, KNOWN))), held_out=held_out
+        card, best_known=best_known.get(_cell(law, env_id, KNOWN).motion_key), held_out=held_out
     )
 
 
@@ -258,7 +252,7 @@ def with_search_results(card: Card, evaluate: Evaluate, best_known: Mapping[str,
     known = {}
     for motion in card.held_out:
         if motion.best_known is not None:
-            known[motion_key(_best_known_cell(card.env_id, motion.seed))] = motion.best_known
+            known[_best_known_cell(card.env_id, motion.seed).motion_key] = motion.best_known
     searched = _search(card.env_id, len(card.held_out), known | {**best_known}, evaluate)
     return with_best_known(card, searched | {**best_known})
 
@@ -274,7 +268,7 @@ def _search(
     cells: dict[str, Cell] = {}
     for seed in held_out_seeds(count):
         cell = _best_known_cell(env_id, seed)
-        if motion_key(cell) not in known:
+        if cell.motion_key not in known:
             cells[cell.key] = cell
     records = evaluate(cells)
     for record in records:

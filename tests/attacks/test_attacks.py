@@ -24,7 +24,7 @@ from attacks.suite import (
     survey_suite,
 )
 
-from cablebot_gym.benchmark.cells import compute
+from cablebot_gym.benchmark.records import compute
 from cablebot_gym.evaluation import survey
 from cablebot_gym.evaluation.evaluator import evaluate_dlcc
 from cablebot_gym.isolation.sandbox import sandbox_problem

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 import cablebot_gym.benchmark.engine
-from cablebot_gym.benchmark.cells import Record, SurveyCell
+from cablebot_gym.benchmark.cells import SurveyCell
+from cablebot_gym.benchmark.records import Record
 
 
 @pytest.fixture(scope="module")

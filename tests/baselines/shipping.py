@@ -14,14 +14,13 @@ from cablebot_baselines.learned.runs import BEST, LAST, read_yaml
 from cablebot_baselines.learned.shipped import SHIPPED
 from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.cells import BestKnownCell
-from cablebot_gym.benchmark.scores import motion_key
 
 ROOT = Path(__file__).parents[2]
 PLANAR_ID, SPATIAL_ID, FLEX_PLANAR_ID = ENV_IDS[:3]
 APG_CIRCLE = SHIPPED["apg-circle"]
 
 BEST_KNOWN = {
-    motion_key(BestKnownCell(env_id=PLANAR_ID, trajectory=trajectory)): payload
+    BestKnownCell(env_id=PLANAR_ID, trajectory=trajectory).motion_key: payload
     for trajectory, payload in (
         ({"name": "circle-planar"}, 2.875),
         *(({"name": "loop-planar", "seed": 10_000 + index}, 4.0) for index in range(3)),

@@ -24,7 +24,8 @@ from shipping import (
 
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.runs import BEST
-from cablebot_gym.benchmark.cells import BestKnownCell, Record, SurveyCell
+from cablebot_gym.benchmark.cells import BestKnownCell, SurveyCell
+from cablebot_gym.benchmark.records import Record
 from cablebot_gym.envs import env_robot
 from cablebot_gym.robots import find_robot
 

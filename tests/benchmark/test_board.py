@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from cablebot_gym.benchmark import board as boards
-from cablebot_gym.benchmark.cells import PolicyCell, Record
+from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.engine import local
 from cablebot_gym.benchmark.leaderboard import Results
+from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.benchmark.suites import Block, Suite, suite_cells
 from cablebot_gym.benchmark.verification import Confirmation, broken, confirm

@@ -13,13 +13,8 @@ from inline import InlinePolicy
 
 from cablebot_gym.benchmark import cells
 from cablebot_gym.benchmark import policy_source as policy_sources
-from cablebot_gym.benchmark.cells import (
-    BestKnownCell,
-    PolicyCell,
-    TimingCell,
-    cell_from_dict,
-    compute,
-)
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, cell_from_dict
+from cablebot_gym.benchmark.records import compute
 from cablebot_gym.bounds.best_known import MESH_TOLERANCE
 from cablebot_gym.evaluation import DLCCMonitor, evaluate_dlcc
 from cablebot_gym.policies import PolicyEntry, PolicyError, load_policy

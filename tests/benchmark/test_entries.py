@@ -11,7 +11,7 @@ from attacks.hostile_entries import HOSTILE_ENTRIES
 
 from cablebot_gym.benchmark import entries, suites
 from cablebot_gym.benchmark.board import policy_digest
-from cablebot_gym.benchmark.cells import PolicyCell, Record
+from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.engine import local, run_cells
 from cablebot_gym.benchmark.entries import (
     check_entry,
@@ -26,6 +26,7 @@ from cablebot_gym.benchmark.entries import (
 )
 from cablebot_gym.benchmark.leaderboard import Results, markdown
 from cablebot_gym.benchmark.policy_source import policy_source
+from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.benchmark.suites import Block, Suite
 from cablebot_gym.isolation.deadlines import BUDGET, Deadlines

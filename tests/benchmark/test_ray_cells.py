@@ -11,9 +11,10 @@ import pytest
 from clock import wait_until
 
 from cablebot_gym.benchmark import ray_backend
-from cablebot_gym.benchmark.cells import PolicyCell, compute
+from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.engine import Job, run_cells, run_jobs
 from cablebot_gym.benchmark.ray_backend import on_ray
+from cablebot_gym.benchmark.records import compute
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils.workers import WorkerDied
 

@@ -6,16 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cablebot_gym.benchmark.cells import (
-    BestKnownCell,
-    PolicyCell,
-    Record,
-    SurveyCell,
-    TimingCell,
-)
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, SurveyCell, TimingCell
 from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
 from cablebot_gym.benchmark.maps import AXES
 from cablebot_gym.benchmark.ranking import fraction
+from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.scores import (
     RANKED_MOTIONS,
     leaderboards,

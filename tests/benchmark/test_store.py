@@ -4,8 +4,9 @@ import os
 
 import pytest
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, failed_record
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell
 from cablebot_gym.benchmark.engine import Job, local, run_cells, run_jobs
+from cablebot_gym.benchmark.records import Record, failed_record
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils.workers import WorkerDied
 

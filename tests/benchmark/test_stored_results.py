@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, compute
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell
 from cablebot_gym.benchmark.engine import local
 from cablebot_gym.benchmark.leaderboard import Results, markdown
+from cablebot_gym.benchmark.records import compute
 from cablebot_gym.benchmark.scores import leaderboards, payload_maps
 from cablebot_gym.benchmark.suites import find_policies, find_suite, suite_cells
 from cablebot_gym.benchmark.verification import confirm

@@ -13,7 +13,6 @@ from cablebot_gym.benchmark.cells import (
     canonical,
 )
 from cablebot_gym.benchmark.policy_source import policy_source
-from cablebot_gym.benchmark.scores import motion_key
 from cablebot_gym.benchmark.suites import (
     SUITES,
     find_env_ids,
@@ -66,12 +65,12 @@ def test_cells_of_a_suite_are_valid(name):
         for part in parts(cell):
             motions[canonical([part.env_id, part.trajectory, part.robot_changes])] = part
         if isinstance(cell, BestKnownCell):
-            with_best_known.add(motion_key(cell))
+            with_best_known.add(cell.motion_key)
         elif isinstance(cell, PolicyCell):
             assert cell.env_id in policy_entries()[cell.policy].env_ids
             draws.add((cell.env_id, cell.uncertainty, cell.draws))
             if cell.criterion == "task" and cell.uncertainty is None:
-                with_score |= {motion_key(part) for part in parts(cell)}
+                with_score |= {part.motion_key for part in parts(cell)}
     assert with_best_known == (with_score if find_suite(name).best_known else set())
     for env_id, uncertainty, count in draws:
         assert find_uncertainty(uncertainty, find_robot(env_robot(env_id))).random == (count > 1)

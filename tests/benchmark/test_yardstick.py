@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import simulated_boards
 
-from cablebot_gym.benchmark.cells import BestKnownCell, Record, cell_from_dict
+from cablebot_gym.benchmark.cells import BestKnownCell, cell_from_dict
 from cablebot_gym.benchmark.engine import _cost
+from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.yardstick import drawn_cells, yardstick, yardsticks
 
 PLANAR_ID = "CableBot-Planar-v0"

@@ -13,7 +13,8 @@ import pytest
 from cli.conftest import read_json
 
 from cablebot_gym.benchmark import suites
-from cablebot_gym.benchmark.cells import PolicyCell, canonical, compute
+from cablebot_gym.benchmark.cells import PolicyCell, canonical
+from cablebot_gym.benchmark.records import compute
 from cablebot_gym.benchmark.suites import Block, Suite
 from cablebot_gym.cli import app as cli
 from cablebot_gym.isolation import IsolatedPolicy

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, Record, compute
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.maps import AXES
+from cablebot_gym.benchmark.records import Record, compute
 from cablebot_gym.cli.report import report
 from cablebot_gym.report.page import html, page_data
 from cablebot_gym.report.violations import violation_strips
