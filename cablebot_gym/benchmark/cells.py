@@ -408,16 +408,18 @@ class DrawnCell(Setting):
         return source_hash("cablebot_gym.bounds.drawn", data=self.robot_files)
 
     def compute(self) -> dict[str, Any]:
-        """The result of :func:`cablebot_gym.bounds.drawn.find_drawn_best_known` as JSON-able data.
+        """The payload of the draw and its ratio to the nominal one on the same mesh.
 
         It takes the nominal payload from the disk cache of this machine, or computes it first.
         """
         from cablebot_gym.bounds.drawn import find_drawn_best_known
 
         options = self.env_options() | {"robot": self.robot}
-        return find_drawn_best_known(
+        result = find_drawn_best_known(
             self.env_id, uncertainty=self.uncertainty, seed=self.seed, **options
-        ).to_dict()
+        )
+        names = ("payload", "verified", "ratio", "intervals", "nominal_payload", "reference")
+        return {name: getattr(result, name) for name in names}
 
 
 Cell = PolicyCell | SurveyCell | BestKnownCell | DrawnCell | TimingCell

@@ -28,6 +28,7 @@ from cablebot_gym.benchmark.scores import (
     scores,
 )
 from cablebot_gym.benchmark.suites import find_suite, surveyed_motions
+from cablebot_gym.benchmark.yardstick import PROBABILITY
 from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.evaluation.survey import ROBOTS
 from cablebot_gym.policies.entry import LONGEST_NAME
@@ -240,6 +241,10 @@ def markdown(results: Results) -> str:
     references = list(best_known_payloads(records).values())
     if references:
         text += f"\n## Best known payloads\n\n{_best_known_table(references)}"
+    rows = tables.yardstick_rows(records)
+    if rows:
+        text += "\n## What can be hoped for on robots that are not exactly known\n\n"
+        text += f"Fractions of the best known payload, see the [yardsticks](#yardsticks).\n\n{_table(rows)}"
     text += _notes_text(records, boards)
     if results.board is not None and results.board.beacon_value is not None:
         text += _board_text(results.board)
@@ -253,8 +258,8 @@ def _main_text(boards: Sequence[Leaderboard]) -> str:
     probability = robots / (robots + 1)
     return f"""On each motion, the payload is the largest one that all {robots} robots carry which are drawn for it
 (`{column.uncertainty}`), so a further random robot carries it with a probability of {probability:.0%}. An entry is the
-mean over the motions of this payload, as a fraction of the best known payload of the exactly known robot, see the
-[yardsticks](#yardsticks).
+mean over the motions of this payload, as a fraction of what a planner can hope for that knows each of these robots, see
+the [yardsticks](#yardsticks).
 """
 
 
@@ -323,6 +328,7 @@ def _definitions(records: Sequence[Record]) -> str:
         robots=ROBOTS,
         share=ROBOTS / (ROBOTS + 1),
         ranked=RANKED_MOTIONS,
+        quantile=PROBABILITY,
     )
 
 
@@ -385,23 +391,50 @@ def _versions(records: Sequence[Record]) -> list[Mapping[str, str]]:
 
 
 def _best_known_table(references: Sequence[BestKnown]) -> str:
+    """A row for each motion, and one for all random motions of an environment."""
     rows = [
         ["environment", "motion", "payload [kg]", "total mass [kg]", "upper bound [kg]", "note"]
     ]
+    groups: dict[tuple[str, str], list[BestKnown]] = {}
     for best in references:
-        upper = best.result.get("upper") or {}
-        numbers = []
-        for value in (
-            best.result.get("payload"),
-            best.result.get("total_mass"),
-            upper.get("payload"),
-        ):
-            numbers.append("–" if value is None else f"{value:.3f}")
-        note = best.result.get("error") or ""
+        groups.setdefault((best.cell.env_id, tables.family_title(best.cell)), []).append(best)
+    for (env_id, title), group in groups.items():
+        if len(group) == 1:
+            title = tables.task_title(group[0].cell)
+        rows.append([env_id, title, *_best_known_numbers(group), _best_known_note(group)])
+    return _table(rows)
+
+
+def _best_known_numbers(group: Sequence[BestKnown]) -> list[str]:
+    """Medians of payload, total mass and upper bound."""
+    results = [best.result for best in group]
+    upper_bounds = [result.get("upper") or {} for result in results]
+    texts = []
+    for values in (
+        [result.get("payload") for result in results],
+        [result.get("total_mass") for result in results],
+        [upper.get("payload") for upper in upper_bounds],
+    ):
+        numbers = [value for value in values if value is not None]
+        texts.append(f"{np.median(numbers):.3f}" if numbers else "–")
+    return texts
+
+
+def _best_known_note(group: Sequence[BestKnown]) -> str:
+    """The range of several payloads; of a single one, why it does not count."""
+    if len(group) == 1:
+        (best,) = group
+        note = str(best.result.get("error") or "")
         if not note and best.payload is None:
             note = "not verified by the replay"
-        rows.append([best.cell.env_id, tables.task_title(best.cell), *numbers, note])
-    return _table(rows)
+        return note
+    payloads = [best.payload for best in group if best.payload is not None]
+    note = f"medians of {len(group)} motions"
+    if payloads:
+        note += f"; payloads from {min(payloads):.3f} to {max(payloads):.3f}"
+    if len(payloads) < len(group):
+        note += f"; {len(group) - len(payloads)} without a verified payload"
+    return note
 
 
 def _entries_table(entries: Sequence[EntryNote]) -> str:

@@ -23,6 +23,9 @@ from cablebot_gym.utils.foreign import foreign_list, foreign_object
 LARGEST_PAYLOAD = 1e6
 """Largest payload of stored results [kg], far above that of any crane."""
 
+LARGEST_RATIO = 10.0
+"""Largest stored ratio of the payload of a random robot to that of the exactly known one."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
@@ -108,6 +111,8 @@ def record_from_dict(data: Any) -> Record:
     for payload in (result.get("payload"), *foreign_list("payloads", result.get("payloads", []))):
         if payload is not None and isinstance(payload, int | float):
             number("payload", payload, least=0, most=LARGEST_PAYLOAD, unit="kg")
+    if result.get("ratio") is not None:
+        number("ratio", result["ratio"], least=0, most=LARGEST_RATIO)
     violations = foreign_list("violations", result.get("violations", []))
     for violation in (result.get("violation"), *violations):
         if violation is not None:

@@ -13,6 +13,7 @@ from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, 
 from cablebot_gym.benchmark.maps import AXES, Axis, varied_fields
 from cablebot_gym.benchmark.ranking import Fraction, fraction, ranks
 from cablebot_gym.benchmark.records import Record, single_records
+from cablebot_gym.benchmark.yardstick import Yardstick, yardsticks
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import payload_model_text
 
@@ -48,9 +49,10 @@ class Score:
     best_known: float | None
     """Best known payload [kg]; None if there is none."""
     score: float | None
-    """Fraction of the best known payload; 0 if the policy fails unloaded or raised an error. None
-    for the paper criterion, under an uncertainty except in the main table, without a best known
-    payload, and if the computation can be repeated."""
+    """Fraction of the best known payload, in the main table times the yardstick under uncertainty; 0
+    if the policy fails unloaded or raised an error. None for the paper criterion, under an
+    uncertainty except in the main table, without these references, and if the computation can be
+    repeated."""
 
     @property
     def error(self) -> str | None:
@@ -92,8 +94,9 @@ def scores(records: Sequence[Record]) -> list[Score]:
     """The scores of all policy cells in the order of the records, one for each motion of a
     survey."""
     references = best_known_payloads(records)
+    sticks = yardsticks(records)
     return [
-        _score(record, record.cell, references)
+        _score(record, record.cell, references, sticks)
         for record in single_records(records)
         if isinstance(record.cell, PolicyCell)
     ]
@@ -384,12 +387,29 @@ def _values(entry: Sequence[Score]) -> Array | None:
     return np.array(values) if values and len(values) == len(entry) else None
 
 
-def _score(record: Record, cell: PolicyCell, references: Mapping[str, BestKnown]) -> Score:
+def _score(
+    record: Record,
+    cell: PolicyCell,
+    references: Mapping[str, BestKnown],
+    sticks: Mapping[tuple[str, str], Yardstick],
+) -> Score:
     best = references.get(cell.motion_key)
     best_known = None if best is None else best.payload
-    column = Column.of(cell)
-    has_fraction = column.criterion == "task" and (column.uncertainty is None or column.is_main)
-    fraction = None
-    if best_known and has_fraction and (record.error is None or record.final):
-        fraction = (record.result.get("payload") or 0.0) / best_known
-    return Score(cell=cell, result=record.result, best_known=best_known, score=fraction)
+    reference = None
+    if best_known and cell.criterion == "task":
+        reference = best_known * _attainable(cell, sticks)
+    score = None
+    if reference and (record.error is None or record.final):
+        score = (record.result.get("payload") or 0.0) / reference
+    return Score(cell=cell, result=record.result, best_known=best_known, score=score)
+
+
+def _attainable(cell: PolicyCell, sticks: Mapping[tuple[str, str], Yardstick]) -> float:
+    """Fraction of the best known payload that anybody can hope for; 0 if it is unknown, as for
+    single motions under an uncertainty."""
+    if cell.uncertainty is None:
+        return 1.0
+    stick = sticks.get((cell.env_id, cell.uncertainty))
+    if stick is None or not Column.of(cell).is_main:
+        return 0.0
+    return stick.quantile

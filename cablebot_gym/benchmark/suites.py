@@ -15,6 +15,7 @@ from cablebot_gym.benchmark.board import Board
 from cablebot_gym.benchmark.cells import (
     BestKnownCell,
     Cell,
+    DrawnCell,
     PolicyCell,
     SurveyCell,
     TimingCell,
@@ -22,6 +23,7 @@ from cablebot_gym.benchmark.cells import (
 )
 from cablebot_gym.benchmark.maps import AXES, AnyCell
 from cablebot_gym.benchmark.scores import RANKED_MOTIONS
+from cablebot_gym.benchmark.yardstick import drawn_cells
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot, fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.statistics import fewest_draws
@@ -222,6 +224,8 @@ def suite_cells(
         if suite.best_known:
             for block in blocks:
                 cells += _best_known_cells(block, env_id, board)
+            for block in blocks:
+                cells += _drawn_cells(block, env_id, board, seed)
         for block in blocks:
             cells += _policy_cells(block, env_id, names, board, seed, real_time)
         if suite.timing:
@@ -238,6 +242,15 @@ def _best_known_cells(block: Block, env_id: str, board: Board | None) -> list[Be
     for task in _tasks(env_id, block, board):
         cells += _varied(block, BestKnownCell(env_id=env_id, **task))
     return cells
+
+
+def _drawn_cells(block: Block, env_id: str, board: Board | None, seed: int) -> list[DrawnCell]:
+    """Cells of the yardstick of a survey under uncertainty."""
+    uncertainty = block.conditions.get("uncertainty")
+    if not block.survey or uncertainty is None:
+        return []
+    motions = [BestKnownCell(env_id=env_id, **task) for task in _tasks(env_id, block, board)]
+    return drawn_cells(motions, uncertainty, seed)
 
 
 def _policy_cells(

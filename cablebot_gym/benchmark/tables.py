@@ -12,6 +12,7 @@ from cablebot_gym.benchmark import scores
 from cablebot_gym.benchmark.cells import Cell, PolicyCell, TimingCell, canonical
 from cablebot_gym.benchmark.maps import varied_texts
 from cablebot_gym.benchmark.records import Record
+from cablebot_gym.benchmark.yardstick import PROBABILITY, yardsticks
 from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.evaluation.constraints import KINDS, Violation
 from cablebot_gym.robots import KIND_TEXTS, Kind
@@ -240,13 +241,22 @@ def _digits(payload: float) -> str:
 
 def task_title(cell: Cell) -> str:
     """The motion of a cell and the parameters that are not at their defaults."""
-    words = []
-    if cell.robot_name is not None:
-        words.append(cell.robot_name)
-    motion = [str(cell.trajectory["name"])]
+    motion = str(cell.trajectory["name"])
     if "seed" in cell.trajectory:
-        motion.append(str(cell.trajectory["seed"]))
-    return ", ".join([*words, " ".join(motion), *varied_texts(cell)])
+        motion += f" {cell.trajectory['seed']}"
+    return _title(cell, motion)
+
+
+def family_title(cell: Cell) -> str:
+    """The title of a cell without the seed of its motion."""
+    return _title(cell, str(cell.trajectory["name"]))
+
+
+def _title(cell: Cell, motion: str) -> str:
+    words = [motion, *varied_texts(cell)]
+    if cell.robot_name is not None:
+        words.insert(0, cell.robot_name)
+    return ", ".join(words)
 
 
 def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:
@@ -282,6 +292,25 @@ def best_known_text(best: scores.BestKnown) -> str:
         reason = best.result.get("error") or "the replay does not verify the result of the search"
         return f"{best.cell.env_id}, {motion}: none: {reason}"
     return f"{best.cell.env_id}, {motion}: {best.payload:.3f} kg"
+
+
+def yardstick_rows(records: Sequence[Record]) -> list[list[str]]:
+    """Head and rows of the table of the yardsticks under uncertainty; no rows without any."""
+    names = (
+        "environment",
+        "uncertainty",
+        "robots",
+        f"{PROBABILITY:.0%} quantile",
+        "mean",
+        "not verified",
+    )
+    rows = [list(names)]
+    for (env_id, uncertainty), stick in yardsticks(records).items():
+        quantile = f"{stick.quantile:.1%} [{stick.low:.1%}, {stick.high:.1%}]"
+        robots = str(stick.draws + stick.unverified)
+        mean = f"{stick.mean:.1%}"
+        rows.append([env_id, uncertainty, robots, quantile, mean, str(stick.unverified)])
+    return rows if len(rows) > 1 else []
 
 
 def failures(records: Sequence[Record]) -> list[str]:

@@ -1,7 +1,7 @@
 """Yardstick under uncertainty: the fraction of the nominal best known payload that a planner reaches
-on 95 % of the drawn robots, although it knows each of them.
+on 95 % of the random robots, because it knows each of them.
 
-Policies do not know the drawn robot, so they can hope for this fraction at most.
+Policies do not know the random robot, so they can hope for this fraction at most.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 from cablebot_gym.benchmark.cells import BestKnownCell, DrawnCell
 from cablebot_gym.benchmark.ranking import CONFIDENCE
 from cablebot_gym.benchmark.records import Record
-from cablebot_gym.evaluation.batch import derived_seeds
+from cablebot_gym.evaluation.batch import draw_seeds
 from cablebot_gym.evaluation.survey import motion_seeds
 
 PROBABILITY = 0.05
 """Fraction of the draws below the yardstick."""
 
 DRAWS = 2
-"""Default number of draws of each motion. With 100 motions the interval is then ± 1 to 2 %."""
+"""Default number of random robots of each motion. With 100 motions the interval is then ± 1 to 2 %."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,32 +87,42 @@ def _ranks(count: int) -> tuple[int, int]:
 
 
 def drawn_cells(
-    best_known: Sequence[BestKnownCell], uncertainty: str, *, seed: int, draws: int = DRAWS
+    best_known: Sequence[BestKnownCell], uncertainty: str, seed: int, draws: int = DRAWS
 ) -> list[DrawnCell]:
-    """The cells of the yardstick: draws of the robot of each best known payload.
+    """The cells of the yardstick: the first random robots that policies meet on each motion.
 
     Args:
         best_known: cells of the best known payloads of the motions.
         uncertainty: name of the uncertainty.
-        seed: evaluation seed, from which the seeds of all draws follow.
-        draws: number of draws of each motion.
+        seed: evaluation seed, from which the seeds of all robots follow as in a survey.
+        draws: number of robots of each motion.
     """
     cells: list[DrawnCell] = []
     for cell, motion_seed in zip(best_known, motion_seeds(seed, len(best_known)), strict=True):
         setting = {field.name: getattr(cell, field.name) for field in fields(cell)}
-        for draw_seed in derived_seeds(np.random.SeedSequence(motion_seed), draws):
+        for draw_seed in draw_seeds(motion_seed, draws):
             cells.append(DrawnCell(**setting, uncertainty=uncertainty, seed=draw_seed))
     return cells
 
 
 def yardsticks(records: Sequence[Record]) -> dict[tuple[str, str], Yardstick]:
-    """The yardsticks by environment id and name of the uncertainty, from the records of
-    :func:`drawn_cells`; other records have no effect. A failed computation counts as a draw without a
-    verified payload, and there is no yardstick where all draws are."""
+    """The yardsticks by environment id and name of the uncertainty.
+
+    Motions without a verified nominal payload are left out, as in the tables. A failed computation
+    counts as a draw without a verified payload, and there is no yardstick where all draws are.
+
+    Args:
+        records: records of :func:`drawn_cells` and of the best known payloads; others have no
+            effect.
+    """
+    counted = set()
+    for record in records:
+        if isinstance(record.cell, BestKnownCell) and record.result.get("verified"):
+            counted.add(record.cell.motion_key)
     ratios: dict[tuple[str, str], list[float | None]] = {}
     for record in records:
         cell = record.cell
-        if isinstance(cell, DrawnCell):
+        if isinstance(cell, DrawnCell) and cell.motion_key in counted:
             group = ratios.setdefault((cell.env_id, cell.uncertainty), [])
             group.append(record.result.get("ratio"))
     by_environment = {}

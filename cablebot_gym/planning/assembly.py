@@ -42,7 +42,7 @@ _WARM_START = {
 """Options of IPOPT for a start with multipliers close to the solution."""
 
 
-_NEAR_START = {"mu_strategy": "monotone", "mu_init": 1e-3}
+_NEAR_START = {"mu_strategy": "monotone", "mu_init": 1e-4}
 """Options of IPOPT for a start without multipliers close to the solution."""
 
 

@@ -6,7 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, SurveyCell, TimingCell
+from cablebot_gym.benchmark.cells import (
+    BestKnownCell,
+    DrawnCell,
+    PolicyCell,
+    SurveyCell,
+    TimingCell,
+)
 from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
 from cablebot_gym.benchmark.maps import AXES
 from cablebot_gym.benchmark.ranking import fraction
@@ -174,21 +180,40 @@ def surveyed(policy, payloads, **conditions):
     )
 
 
+def drawn(motion, ratio):
+    """The record of a random robot on a motion."""
+    cell = DrawnCell(env_id=PLANAR, trajectory=motion, uncertainty="hardware", seed=0)
+    return record(cell, ratio=ratio)
+
+
+def test_main_table_has_no_fraction_without_the_yardstick():
+    """A fraction of the nominal payload would look like one of what can be hoped for."""
+    unknown = {"payload_known": False, "uncertainty": "hardware", "draws": 19}
+    survey = surveyed("a", [0.5] * RANKED_MOTIONS, **unknown)
+    (board,) = leaderboards([*family({}), survey])
+    assert board.fraction("a", board.columns[0]) is None
+    (board,) = leaderboards([*family({}), survey, drawn(LOOPS[0], None)])
+    assert board.fraction("a", board.columns[0]) is None
+
+
 def test_survey_under_uncertainty_is_the_main_table():
     unknown = {"payload_known": False, "uncertainty": "hardware", "draws": 19}
     records = [
         *family({}),
+        *[drawn(motion, 0.8) for motion in LOOPS],
         surveyed("a", [0.5, *[0.7] * 19], **unknown),
         surveyed("b", [None, *[0.1] * 19], **unknown),
         surveyed("b", [0.9] * 20),
     ]
     main, second = leaderboards(records)
     assert main.ranks == {"a": 1, "b": 2}
-    assert main.fraction("a", main.columns[0]).mean == pytest.approx(0.69)
+    assert main.fraction("a", main.columns[0]).mean == pytest.approx(0.69 / 0.8)
     assert main.fraction("b", main.columns[0]).worst == 0.0
     assert (main.is_main, second.is_main, second.policies) == (True, False, ("b",))
     page = page_of(records)
     assert page.index("19 robots carry") < page.index(f"{PLANAR}, exactly known")
+    assert f"| {PLANAR} | hardware | 20 | 80.0% [0.0%, 80.0%] | 80.0% | 0 |" in page
+    assert f"| {PLANAR} | loop-planar | 1.000 |" in page  # one row for all motions
     read = Results.from_json(Results(suite="smoke", command="", records=records).to_json())
     assert page_of(read.records) == page
 

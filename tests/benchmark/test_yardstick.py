@@ -58,9 +58,13 @@ def test_cells_have_the_setting_of_the_motion_and_seeds_of_their_own():
 
 
 def test_records_are_grouped_by_environment():
+    """A motion without a verified nominal payload counts for no policy, and not for the yardstick."""
     cells = drawn_cells([CIRCLE], "hardware", seed=0, draws=3)
     cells.append(dataclasses.replace(cells[0], env_id="CableBot-Spatial-v0"))
+    cells += drawn_cells([LOOP], "hardware", seed=0, draws=1)
+    cells += [CIRCLE, LOOP]
     results = [{"ratio": 0.9}, {"ratio": 0.8}, {"error": "no motion"}, {"ratio": None}]
+    results += [{"ratio": 0.1}, {"verified": True}, {"verified": False}]
     records = [
         Record(cell=cell, source="", versions={}, result=result, seconds=1.0)
         for cell, result in zip(cells, results, strict=True)
