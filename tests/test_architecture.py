@@ -156,7 +156,8 @@ print("cablebot_gym.evaluation" in sys.modules)
 CLOCKS = {"time", "timeit", "sched"}
 REAL_TIME = {
     "clock.py": "a test that waits for another process or thread",
-    "attacks/cheats.py": "policies that hang or are slow",
+    "attacks/cheats.py": "policies that are slow",
+    "attacks/process_cheats.py": "policies that hang",
 }
 """Files of the tests that use real time, with the reason."""
 

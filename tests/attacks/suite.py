@@ -1,4 +1,4 @@
-"""The attack suite: what each policy of cheats.py scored before, and what happens to it now.
+"""The attack suite: what each policy of cheats.py and process_cheats.py scored before, and what happens to it now.
 
 ``python tests/attacks/suite.py > docs/attacks.md`` writes the page.
 """
@@ -19,6 +19,7 @@ FOLDER = Path(__file__).parent
 sys.path.append(str(FOLDER))
 
 import cheats  # noqa: E402
+import process_cheats  # noqa: E402
 import survey_suite  # noqa: E402
 from hostile_entries import HOSTILE_ENTRIES  # noqa: E402
 
@@ -34,7 +35,7 @@ RESOLUTION = 0.01
 
 @dataclass(frozen=True)
 class Attack:
-    """A policy of cheats.py, and its outcome under ``cablebot dlcc --isolate``."""
+    """A policy of cheats.py or process_cheats.py, and its outcome under ``cablebot dlcc --isolate``."""
 
     name: str
     status: int = 0
@@ -202,10 +203,22 @@ SANDBOXED = (
 honest one."""
 
 
+def module(name):
+    """The module of a policy."""
+    if hasattr(cheats, name):
+        return cheats
+    return process_cheats
+
+
+def policy_name(name):
+    """A policy as on the command line."""
+    return f"{module(name).__name__}:{name}"
+
+
 @cache
 def run(name, options=()):
     """Exit status, standard output and standard error of ``cablebot dlcc --isolate`` for a policy
-    of cheats.py."""
+    of the attacks."""
     criterion = () if "--criterion" in options else ("--criterion", "task")
     command = [
         sys.executable,
@@ -214,7 +227,7 @@ def run(name, options=()):
         "dlcc",
         ENV_ID,
         "--policy",
-        f"cheats:{name}",
+        policy_name(name),
         "--isolate",
     ]
     settings = [
@@ -255,7 +268,7 @@ measured at commit d241351, with 8 GiB of memory.
 
 def _what(attack):
     """What the policy of an attack does, in one line."""
-    return " ".join(getattr(cheats, attack.name).__doc__.split())
+    return " ".join(getattr(module(attack.name), attack.name).__doc__.split())
 
 
 def page():

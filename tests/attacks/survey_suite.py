@@ -62,6 +62,8 @@ SURVEY_ATTACKS = (
     SurveyAttack("pooled_estimates", 1.93, ROWS),
     SurveyAttack("pooled_threshold", 1.79, now=AT_MOST),
     SurveyAttack("copied_actions", 1.3, ROWS, scatter=0.5),
+    SurveyAttack("helped_weakest", 1.91, ROWS),
+    SurveyAttack("expected_payload", 1.9),
     SurveyAttack("counted_batches", 1.76),
 )
 

@@ -1,4 +1,4 @@
-"""The attack suite: every policy of cheats.py is refused, harmless or marked, in a process of its
+"""The attack suite: every policy is refused, harmless or marked, in a process of its
 own."""
 
 import json
@@ -20,6 +20,8 @@ from attacks.suite import (
     SCORED,
     cheats,
     page,
+    policy_name,
+    process_cheats,
     run,
     survey_suite,
 )
@@ -55,7 +57,7 @@ def test_attack_on_an_isolated_evaluation(attack):
     if attack.status:
         assert out == ""
         message = err.splitlines()[-1]
-        assert message.startswith(f"cablebot: policy 'cheats:{attack.name}'")
+        assert message.startswith(f"cablebot: policy '{policy_name(attack.name)}'")
         assert attack.now in message
         assert len(message) < 2000
         return
@@ -134,11 +136,11 @@ def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
         settings |= {"uncertainty": cheats.NOISE, "draws": 64}
     if attack.status:
         with pytest.raises(
-            PolicyError, match=rf"^policy 'cheats:{attack.name}'.*{re.escape(attack.now)}"
+            PolicyError, match=rf"^policy '{policy_name(attack.name)}'.*{re.escape(attack.now)}"
         ):
-            evaluate_dlcc(f"cheats:{attack.name}", ENV_ID, **settings)
+            evaluate_dlcc(policy_name(attack.name), ENV_ID, **settings)
         return
-    result = evaluate_dlcc(f"cheats:{attack.name}", ENV_ID, **settings)
+    result = evaluate_dlcc(policy_name(attack.name), ENV_ID, **settings)
     honest = evaluate_dlcc("cheats:Law", ENV_ID, **settings)
     assert result.payload == honest.payload
     assert result.violation == honest.violation
@@ -146,16 +148,12 @@ def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
 
 
 def test_every_policy_is_in_the_suite_and_on_the_page():
-    documented = {
-        name
-        for name, value in vars(cheats).items()
-        if callable(value) and getattr(value, "__doc__", None)
-    }
-    policies = {
-        name
-        for name in documented
-        if getattr(getattr(cheats, name), "__module__", "") == "cheats" and name.islower()
-    }
+    policies = set()
+    for module in (cheats, process_cheats):
+        for name, value in vars(module).items():
+            is_here = getattr(value, "__module__", "") in ("cheats", "process_cheats")
+            if callable(value) and is_here and name.islower() and value.__doc__:
+                policies.add(name)
     assert policies - {
         "policy",
         "model_payload",
