@@ -36,7 +36,8 @@ The policies of this table attack a [survey](dlcc.md#how-a-survey-works) of thre
 `hardware`, payload unknown, `{CELL.env_id}`. Each is an adaptive law, except for what the table says. The honest one
 has {HONEST:.2f} kg on the mean over the motions. *Unprotected* is the payload in the process of the evaluation, without
 repeated episodes and without robots alone; ± is by the secret order of the rows. Even there, none of them gains more
-than some hundredths of a kilogram.
+than some hundredths of a kilogram. A failed payload bounds a motion's payload from above for good, so a policy that
+remembered its failures could not undo them.
 """
 
 
