@@ -131,7 +131,8 @@ class Results:
             raise ValueError(f"board {board.version!r} and its results differ in {differ}")
         for env_id, policy in committed:
             hidden = board.seeds(env_id, board.motions)
-            if seeds[env_id, policy] != set(hidden[: surveyed_motions(policy, len(hidden))]):
+            count = surveyed_motions(policy, env_id, len(hidden))
+            if seeds[env_id, policy] != set(hidden[:count]):
                 raise ValueError(
                     f"the motions of {policy} on {env_id} are not those of board {board.version!r}"
                 )
@@ -368,7 +369,7 @@ def _board_text(board: Board) -> str:
     return f"""
 ## Board {board.version}
 
-The {board.motions} held-out motions of each environment were hidden. They and the evaluation seed
+The held-out motions of each environment, {board.motions} at most, were hidden. They and the evaluation seed
 follow by SHA-256 from the lines *public value*, *salt* and *commitment*; the run draws nothing.
 The commitment is the SHA-256 of the salt, the name and date of the public value, the number of
 motions, the policies of each environment, and the hashes of their code and weights.

@@ -287,18 +287,26 @@ def _policy_cells(
 def _survey_motions(block: Block, env_id: str, policy: str, board: Board | None) -> dict[str, Any]:
     """The task of a policy as fields of a survey: its motions in one trajectory with a list of
     seeds."""
-    tasks = _tasks(env_id, block, board)[: surveyed_motions(policy, block.motions)]
+    tasks = _tasks(env_id, block, board)[: surveyed_motions(policy, env_id, block.motions)]
     seeds = [task["trajectory"]["seed"] for task in tasks]
     return tasks[0] | {"trajectory": tasks[0]["trajectory"] | {"seed": seeds}}
 
 
-def surveyed_motions(policy: str, motions: int) -> int:
-    """How many of a number of motions a policy has in a survey: those that ranks need if it is slow
-    or plans, else all."""
+def surveyed_motions(policy: str, env_id: str, motions: int) -> int:
+    """How many of a number of hidden motions a policy has in a survey: those that ranks need if it is
+    slow or plans, else all of the environment."""
     entry = public_entry(policy)
     if entry is not None and (entry.slow or entry.plans):
         return min(motions, RANKED_MOTIONS)
-    return motions
+    return hidden_motions(env_id, motions)
+
+
+def hidden_motions(env_id: str, motions: int) -> int:
+    """How many of a number of hidden motions an environment has: all on the paper's robots, those
+    that ranks need on others, whose best known payloads take minutes each."""
+    if env_id in PAPER_ENV_IDS:
+        return motions
+    return min(motions, RANKED_MOTIONS)
 
 
 def _included(block: Block, names: Sequence[str]) -> list[str]:
@@ -357,7 +365,7 @@ def _motions(env_id: str, block: Block, board: Board | None) -> list[dict[str, A
             "hidden motions need a board: commit one first, with the option --commit VERSION"
         )
     else:
-        seeds = board.seeds(env_id, block.motions)
+        seeds = board.seeds(env_id, block.motions)[: hidden_motions(env_id, block.motions)]
     return [{"name": f"loop-{kind}", "seed": seed} for seed in seeds]
 
 

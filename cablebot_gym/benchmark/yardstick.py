@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from math import ceil
 
 import numpy as np
 
@@ -21,7 +22,10 @@ PROBABILITY = 0.05
 """Fraction of the draws below the yardstick."""
 
 DRAWS = 2
-"""Default number of random robots of each motion. With 100 motions the interval is then ± 1 to 2 %."""
+"""Least number of random robots of each motion. With 100 motions the interval is then ± 1 to 2 %."""
+
+FEWEST = 72
+"""Least number of all random robots: the interval of the quantile has a lower end above 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +91,7 @@ def _ranks(count: int) -> tuple[int, int]:
 
 
 def drawn_cells(
-    best_known: Sequence[BestKnownCell], uncertainty: str, seed: int, draws: int = DRAWS
+    best_known: Sequence[BestKnownCell], uncertainty: str, seed: int
 ) -> list[DrawnCell]:
     """The cells of the yardstick: the first random robots that policies meet on each motion.
 
@@ -95,8 +99,8 @@ def drawn_cells(
         best_known: cells of the best known payloads of the motions.
         uncertainty: name of the uncertainty.
         seed: evaluation seed, from which the seeds of all robots follow as in a survey.
-        draws: number of robots of each motion.
     """
+    draws = max(DRAWS, ceil(FEWEST / len(best_known)))
     cells: list[DrawnCell] = []
     for cell, motion_seed in zip(best_known, motion_seeds(seed, len(best_known)), strict=True):
         setting = {field.name: getattr(cell, field.name) for field in fields(cell)}

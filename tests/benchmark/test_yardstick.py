@@ -9,7 +9,13 @@ import simulated_boards
 from cablebot_gym.benchmark.cells import BestKnownCell, cell_from_dict
 from cablebot_gym.benchmark.engine import _cost
 from cablebot_gym.benchmark.records import Record
-from cablebot_gym.benchmark.yardstick import drawn_cells, yardstick, yardsticks
+from cablebot_gym.benchmark.yardstick import (
+    DRAWS,
+    FEWEST,
+    drawn_cells,
+    yardstick,
+    yardsticks,
+)
 
 PLANAR_ID = "CableBot-Planar-v0"
 CIRCLE = BestKnownCell(env_id=PLANAR_ID, trajectory={"name": "circle-planar"})
@@ -41,27 +47,32 @@ def test_ends_are_order_statistics_and_unverified_draws_count_as_zero_at_the_low
     assert (holes.draws, holes.unverified) == (200, 2)
     assert holes.low == ratios[2]  # rank 5 of 202
     assert (holes.quantile, holes.high) == (complete.quantile, complete.high)
-    assert yardstick([0.9] * 20).low == 0.0  # too few draws for a lower end
+    assert yardstick([0.9] * (FEWEST - 1)).low == 0.0  # too few draws for a lower end
+    assert yardstick([0.9] * FEWEST).low == 0.9
     with pytest.raises(ValueError, match="at least one draw"):
         yardstick([None])
 
 
 def test_cells_have_the_setting_of_the_motion_and_seeds_of_their_own():
     cells = drawn_cells([CIRCLE, LOOP], "hardware", seed=3)
-    assert [cell.trajectory for cell in cells] == [CIRCLE.trajectory] * 2 + [LOOP.trajectory] * 2
-    assert len({cell.seed for cell in cells}) == 4
+    half = FEWEST // 2
+    assert [cell.trajectory for cell in cells] == [CIRCLE.trajectory] * half + [
+        LOOP.trajectory
+    ] * half
+    assert len({cell.seed for cell in cells}) == FEWEST
     assert [cell_from_dict(cell.to_dict()) for cell in cells] == cells
-    assert drawn_cells([CIRCLE], "hardware", seed=3) == cells[:2]
-    assert len({cell.key for cell in cells}) == 4
+    assert drawn_cells([CIRCLE], "hardware", seed=3)[:half] == cells[:half]
+    assert len({cell.key for cell in cells}) == FEWEST
+    assert len(drawn_cells([CIRCLE] * 100, "hardware", seed=3)) == 100 * DRAWS
     # the nominal result is in the disk cache when its draws start
     assert _cost(CIRCLE) > _cost(cells[0]) > 1e6
 
 
 def test_records_are_grouped_by_environment():
     """A motion without a verified nominal payload counts for no policy, and not for the yardstick."""
-    cells = drawn_cells([CIRCLE], "hardware", seed=0, draws=3)
+    cells = drawn_cells([CIRCLE], "hardware", seed=0)[:3]
     cells.append(dataclasses.replace(cells[0], env_id="CableBot-Spatial-v0"))
-    cells += drawn_cells([LOOP], "hardware", seed=0, draws=1)
+    cells += drawn_cells([LOOP], "hardware", seed=0)[:1]
     cells += [CIRCLE, LOOP]
     results = [{"ratio": 0.9}, {"ratio": 0.8}, {"error": "no motion"}, {"ratio": None}]
     results += [{"ratio": 0.1}, {"verified": True}, {"verified": False}]
