@@ -138,13 +138,18 @@ def test_slow_policy_is_evaluated_in_marked_blocks_only(monkeypatch):
     assert policy_cells("standard", ["fl"]) == []
 
 
-def test_survey_of_a_policy_that_plans_has_the_first_motions_only():
+def test_planners_and_robots_with_long_searches_have_the_first_motions_only():
     surveys = {
-        (cell.policy, len(cell.parts))
+        (cell.policy, cell.env_id in PAPER_ENV_IDS, len(cell.parts))
         for cell in policy_cells("ranked", ["trajopt", "fl"])
         if isinstance(cell, SurveyCell)
     }
-    assert surveys == {("trajopt", 20), ("fl", 100)}
+    assert surveys == {
+        ("trajopt", True, 20),
+        ("trajopt", False, 20),
+        ("fl", True, 100),
+        ("fl", False, 20),
+    }
 
 
 def test_real_time_repeats_every_episode():
