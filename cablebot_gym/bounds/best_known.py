@@ -65,7 +65,7 @@ change."""
 MAX_MESH_FACTOR = 16
 """Largest ratio of the number of intervals to that of the first mesh."""
 
-_TRIALS = 15
+_TRIALS = 25
 """Largest number of margin profiles that are tried on a mesh."""
 
 _MOST_LOST = 0.001

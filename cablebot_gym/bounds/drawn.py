@@ -46,12 +46,6 @@ _SCALES = {"rigid": (4.0, 20.0), "flexible": (20.0, 80.0)}
 """Factors of the least margins of the replayed motions by joints of the robot; the next one follows
 where no replay succeeds. Springs oscillate about the plan, because the motors lag."""
 
-_SMALL_EXCESS = 0.007
-"""Excess of the actions with which margins to the error bounds still grow."""
-
-_GROWTH = 0.5
-"""Least growth of a margin to tension or error bounds, as a fraction of it."""
-
 _LARGEST_GROWTH = 0.02
 """Largest growth of a margin of the actions in one trial."""
 
@@ -295,9 +289,7 @@ class _DrawnCase(_Case):
         return replace(
             super().tightening,
             scale=self.draw.scale,
-            growth=_GROWTH,
             largest_growth=_LARGEST_GROWTH,
-            small_excess=_SMALL_EXCESS,
         )
 
     def _first_motion(

@@ -28,6 +28,14 @@ _LEAST_GROWTH = 0.2
 """Least growth of a margin whose limit is exceeded, as a fraction of its smallest margin."""
 
 
+_RELATIVE_GROWTH = 0.5
+"""Least growth of a margin to tension or error bounds, as a fraction of the present margin: a plan
+that is farther from the limit than its margin changes only after the margin has grown."""
+
+_SMALL_EXCESS = 0.002
+"""Largest excess of the requested actions with which margins to the error bounds still grow."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Tightening:
     """Rule for the margins of a motion whose inputs are replayed."""
@@ -40,14 +48,9 @@ class Tightening:
     """Control instants of an episode, shape (steps,) [s]."""
     scale: float = 1.0
     """Factor of the least margins. Larger margins cost payload and save replays."""
-    growth: float = 0.0
-    """Least growth of a margin to tension or error bounds, as a fraction of the present margin: a
-    plan that is farther from the limit than its margin changes only after the margin has grown."""
     largest_growth: float = math.inf
     """Largest growth of a margin of the actions in one trial. Where feedback saturates, the excess
     is larger than the margin that avoids it."""
-    small_excess: float = 0.0
-    """Largest excess of the requested actions with which margins to the error bounds still grow."""
 
     @property
     def least_margins(self) -> Margins:
@@ -89,7 +92,7 @@ class Tightening:
             if name == "action":
                 growth = np.minimum(growth, self.largest_growth)
             else:
-                growth = np.maximum(growth, self.growth * margin)
+                growth = np.maximum(growth, _RELATIVE_GROWTH * margin)
             grown[name] = margin + np.where(largest > 0, growth, 0.0)
         return replace(profile, **grown)
 
@@ -99,7 +102,7 @@ class Tightening:
         least_tension = arrays["least_tensions"].min(axis=1)
         excess = {"tension": self.robot.minimum_tension - least_tension}
         # Errors after saturated actions follow from them, so they do not change the error margins.
-        if np.any(action_excess > self.small_excess):
+        if np.any(action_excess > _SMALL_EXCESS):
             return excess | {"action": action_excess}
         excess["position"] = arrays["tracking_error_peak"] - self.error_bounds.position
         if not self.robot.point_mass:
