@@ -29,6 +29,7 @@ from cablebot_gym.bounds.best_known import INTERVALS_PER_SECOND, MIN_INTERVALS
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation.survey import survey
+from cablebot_gym.isolation.installed import public_entries
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.statics import feasible_payloads, hold_payload, resting
 from cablebot_gym.planning import Infeasible, MotionProgram
@@ -44,8 +45,8 @@ PAGE = ROOT / "docs" / "motions.md"
 GRAVITY = 9.81
 """Gravitational acceleration [m/s²]."""
 
-LAWS = {"rigid": ("fl", "robust", "adaptive"), "flexible": ("composite", "adaptive-composite")}
-"""Control laws by joints of the robot; the first is the paper's."""
+LAWS = ("fl", "robust", "adaptive", "composite", "composite-tuned", "adaptive-composite")
+"""Control laws. The first that is made for a robot is the paper's law."""
 
 STATIC_FRACTION = 0.9
 """Fraction of every static limit below which a payload counts as limited by the dynamics."""
@@ -77,24 +78,44 @@ BLOCK = 50
 _POSES = 41
 """Number of poses of a motion at which the static limit is computed."""
 
-HEAD = """# Random motions
+WANTED_DYNAMIC = 0.8
+"""Least fraction of motions whose payload the dynamics limit."""
+
+WANTED_ACCELERATION = 1.0
+"""Least median of the largest acceleration [9.81 m/s²], of robots that hang under gravity."""
+
+WANTED_EXACT = 0.9
+"""Least fraction of motions that can be tracked exactly."""
+
+WANTED_UNLOADED = 0.8
+"""Least fraction of motions on which the paper's law carries its platform."""
+
+WANTED_RANGE = 0.3
+"""Least difference between the largest and the smallest fraction of the best law."""
+
+HEAD = f"""# Random motions
 
 Measured by `python scripts/motion_family.py` over training seeds. Even seeds are smooth; on odd seeds the acceleration
-jumps as on the paper's circle.
+jumps as on the paper's circle. Bold entries miss the value that was wanted.
 
-* *Dynamic*: the dynamics limit the payload. The best known payload is below 0.9 of the payloads that the motors hold at
-  rest, at the start and at the worst pose within the error bounds. Robots without gravity have no such static limit.
-  The best known payload of this page is that of one coarse mesh without replays. It is usually a little smaller than
-  that of `cablebot best-known`.
+* *Dynamic*: the dynamics limit the payload. The best known payload is below {STATIC_FRACTION:g} of the payloads that
+  the motors hold at rest, at the start and at the worst pose within the error bounds. Robots without gravity have no
+  such static limit. The best known payload of this page is that of one coarse mesh without replays. It is usually a
+  little smaller than that of `cablebot best-known`.
 * *Acceleration*: median of the largest acceleration of the position, in units of 9.81 m/s².
 * *Exact*: a rigid robot can track the motion exactly without payload.
-* *Unloaded*: the paper's law (`fl`; with springs `composite`) carries its platform.
-* *Law fraction*: payload of the best law (`fl`, `robust`, `adaptive`; with springs `composite`, `adaptive-composite`)
-  over the best known payload.
+* *Unloaded*: the paper's law carries its platform. That is `fl`; with springs `composite`, or `composite-tuned` on
+  robots that `composite` is not made for.
+* *Any law*: one of the laws carries its platform. They are {", ".join(f"`{law}`" for law in LAWS)}.
+* *Law fraction*: payload of the best of these laws over the best known payload.
 
-| environment | motions | dynamic | acceleration | exact | unloaded | law fraction, range |
-| --- | ---: | ---: | ---: | ---: | ---: | ---: |
-| *wanted* | 200 | 80% | 1 under gravity | 90% | 80% | 30 points wide |
+Robots with springs have the motions of the rigid ones. Faster motions would raise *dynamic* where it is too small, and
+lower *exact* and *unloaded* of the rigid robot.
+
+| environment | motions | dynamic | acceleration | exact | unloaded | any law | law fraction, range |
+| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
+| *wanted* | 200 | {WANTED_DYNAMIC:.0%} | {WANTED_ACCELERATION:g} under gravity | {WANTED_EXACT:.0%} | \
+{WANTED_UNLOADED:.0%} | | {100 * WANTED_RANGE:.0f} points wide |
 """
 
 
@@ -234,35 +255,49 @@ def row(
 ) -> str:
     """The row of an environment."""
     static = "no static limit"
-    if records[0].held_at_start is not None:
-        fractions = [record.static_fraction for record in records]
-        static = f"{np.mean(np.array(fractions) < STATIC_FRACTION):.0%}"
-    acceleration = np.median([record.acceleration for record in records]) / GRAVITY
-    exact = np.mean([record.is_exact for record in records])
-    cells = [f"`{env_id}`", str(len(records)), static, f"{acceleration:.2f}", f"{exact:.0%}"]
+    hangs = records[0].held_at_start is not None
+    if hangs:
+        is_dynamic = [record.static_fraction < STATIC_FRACTION for record in records]
+        static = marked_share(is_dynamic, WANTED_DYNAMIC)
+    median = np.median([record.acceleration for record in records]) / GRAVITY
+    acceleration = marked(f"{median:.2f}", median >= WANTED_ACCELERATION or not hangs)
+    exact = marked_share([record.is_exact for record in records], WANTED_EXACT)
+    cells = [f"`{env_id}`", str(len(records)), static, acceleration, exact]
     return f"| {' | '.join([*cells, *law_cells(records, laws)])} |"
 
 
 def law_cells(
     records: Sequence[MotionRecord], laws: Mapping[str, Sequence[float | None]]
-) -> tuple[str, str]:
-    """Fraction of motions on which the paper's law carries its platform, and range of the fraction
-    of the best known payload that the best law carries."""
+) -> tuple[str, str, str]:
+    """Fractions of motions on which the paper's law and any law carry their platforms, and range of
+    the fraction of the best known payload that the best law carries."""
     if not laws:
-        return "–", "–"
-    first = next(iter(laws.values()))
-    unloaded = np.mean([payload is not None for payload in first])
+        return "–", "–", "–"
     count = min(len(records), *(len(payloads) for payloads in laws.values()))
+    of_motions = list(zip(*(payloads[:count] for payloads in laws.values()), strict=True))
+    is_carried = [payloads[0] is not None for payloads in of_motions]
+    unloaded = f"{marked_share(is_carried, WANTED_UNLOADED)} of {count}"
+    by_any_law = np.mean([any(payload is not None for payload in row) for row in of_motions])
     fractions = []
-    for seed in range(count):
-        best_known = records[seed].best_known
-        if best_known is not None and best_known > 0:
-            best = max(payloads[seed] or 0.0 for payloads in laws.values())
-            fractions.append(best / best_known)
+    for record, payloads in zip(records[:count], of_motions, strict=True):
+        if record.best_known is not None and record.best_known > 0:
+            fractions.append(max(payload or 0.0 for payload in payloads) / record.best_known)
     spread = "–"
     if fractions:
-        spread = f"{min(fractions):.0%} to {max(fractions):.0%}"
-    return f"{unloaded:.0%} of {len(first)}", spread
+        low, high = min(fractions), max(fractions)
+        spread = marked(f"{low:.0%} to {high:.0%}", high - low >= WANTED_RANGE)
+    return unloaded, f"{by_any_law:.0%}", spread
+
+
+def marked_share(holds: Sequence[bool], wanted: float) -> str:
+    """The fraction of motions for which something holds, bold if it is smaller than wanted."""
+    share = float(np.mean(holds))
+    return marked(f"{share:.0%}", share >= wanted)
+
+
+def marked(text: str, is_met: bool) -> str:
+    """The text, bold unless the wanted value is met."""
+    return text if is_met else f"**{text}**"
 
 
 def stored_records() -> Records:
@@ -284,6 +319,12 @@ def stored_laws() -> LawPayloads:
         return {}
     payloads: LawPayloads = json.loads(LAW_RESULTS.read_text())
     return payloads
+
+
+def laws_of(env_id: str) -> list[str]:
+    """The laws that are made for the robot of an environment."""
+    entries = public_entries()
+    return [law for law in LAWS if env_id in entries[law].env_ids]
 
 
 def store_records(records: Records) -> None:
@@ -320,7 +361,7 @@ def measure_laws(env_ids: Sequence[str], motions: int) -> None:
     for begin in range(0, motions, BLOCK):
         for env_id in env_ids:
             payloads = laws.setdefault(env_id, {})
-            for law in LAWS[find_robot(env_robot(env_id)).joints]:
+            for law in laws_of(env_id):
                 known = payloads.setdefault(law, [])
                 seeds = TRAINING_SEEDS[len(known) : min(begin + BLOCK, motions)]
                 if not seeds:
