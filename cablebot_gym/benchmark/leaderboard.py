@@ -382,8 +382,9 @@ motions, the policies of each environment, and the hashes of their code and weig
 If the commitment was published before that date, nobody could choose motions or seed, and neither
 they nor the policies were changed afterwards. A value that the authors of the board make themselves,
 such as the hash of a commit, shows less: they could make several and keep one. Compare the value with
-its source: the commitment does not contain it. `cablebot benchmark --verify FOLDER` recomputes commitment, motions and seed, and
-confirms payloads with fresh draws. docs/leaderboard.md says what this does not show.
+its source: the commitment does not contain it. `cablebot benchmark --verify FOLDER` recomputes
+commitment, motions and seed, and confirms payloads with fresh draws. docs/leaderboard.md says what
+this does not show.
 """
 
 
