@@ -186,7 +186,7 @@ def drawn(motion, ratio):
     return record(cell, ratio=ratio)
 
 
-def test_main_table_has_no_fraction_without_the_yardstick():
+def test_fractions_of_the_main_table_need_the_yardstick():
     """A fraction of the nominal payload would look like one of what can be hoped for."""
     unknown = {"payload_known": False, "uncertainty": "hardware", "draws": 19}
     survey = surveyed("a", [0.5] * RANKED_MOTIONS, **unknown)

@@ -41,7 +41,7 @@ def drawn(uncertainty, seed=0):
     return find_drawn_best_known(PLANAR_ID, uncertainty=uncertainty, seed=seed, trajectory=LINE)
 
 
-def test_no_uncertainty_gives_the_nominal_payload(nominal):
+def test_exactly_known_robot_gives_the_nominal_payload(nominal):
     result = drawn("none")
     assert result.verified
     assert result.ratio == pytest.approx(1.0, abs=0.002)
@@ -52,7 +52,7 @@ def test_stronger_motors_carry_more_and_weaker_ones_less():
     assert drawn(strength(-0.03)).ratio < 0.99 < 1.01 < drawn(strength(0.03)).ratio
 
 
-def test_noise_costs_nothing_and_the_payload_is_the_nominal_one():
+def test_heavier_payload_of_a_draw_is_counted_by_its_nominal_mass():
     result = drawn(HEAVIER)
     assert result.verified
     assert result.true_payload == pytest.approx(1.03 * result.payload)

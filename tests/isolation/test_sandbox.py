@@ -106,7 +106,7 @@ left = any(os.access(path, os.W_OK) for path in paths)
 
 @pytest.mark.skipif(sandbox.sandbox_problem() != "", reason=sandbox.sandbox_problem())
 @pytest.mark.parametrize("what", PROBES)
-def test_sandboxed_process_leaves_nothing_behind_outside_its_files(what, tmp_path):
+def test_files_are_the_only_traces_of_a_sandboxed_process(what, tmp_path):
     with filter_descriptor() as descriptor:
         command = [sys.executable, "-I", "-c", PROBES[what] + "print(left)"]
         sandboxed_command = sandbox.sandboxed(command, ["fl"], tmp_path, descriptor)
