@@ -90,9 +90,19 @@ class Results:
         """Authors of the entries by policy."""
         return {entry.policy: entry.authors for entry in self.entries}
 
+    @property
+    def due(self) -> list[str]:
+        """Environments of the board without any result, sorted: a board of hours can be published
+        one environment at a time."""
+        if self.board is None:
+            return []
+        present = {record.cell.env_id for record in self.records}
+        return sorted(self.board.entries.keys() - present)
+
     def check_board(self, value: str | None = None) -> None:
-        """Checks the commitment of the board, that every policy has all its motions and no others,
-        and that every cell has the evaluation seed of the board.
+        """Checks the commitment of the board, that on every environment of the results each
+        committed policy has all its motions and no others, and that every cell has the evaluation
+        seed of the board. :attr:`due` names the environments of the commitment that are missing.
 
         Args:
             value: the public value as its source publishes it; None for that of the results.
@@ -123,8 +133,8 @@ class Results:
                     f"{board.version!r}"
                 )
         committed = set()
-        for env_id, names in board.entries.items():
-            committed |= {(env_id, policy) for policy in names}
+        for env_id in board.entries.keys() - self.due:
+            committed |= {(env_id, policy) for policy in board.entries[env_id]}
         absent = committed ^ seeds.keys()
         if absent:
             differ = ", ".join(f"{policy} on {env_id}" for env_id, policy in sorted(absent))
@@ -265,12 +275,17 @@ the [yardsticks](#yardsticks).
 
 
 def _absent_text(results: Results, boards: Sequence[Leaderboard]) -> str:
-    """The environments without a board."""
-    present = {board.env_id for board in boards}
-    absent = [f"`{env_id}`" for env_id in ENV_IDS if env_id not in present]
-    if results.board is None or not absent:
+    """The environments without a board, and those of the commitment that are not computed."""
+    if results.board is None:
         return ""
-    return f"\nNo board yet: {', '.join(absent)}.\n"
+    present = {board.env_id for board in boards}.union(results.due)
+    others = [env_id for env_id in ENV_IDS if env_id not in present]
+    text = ""
+    if results.due:
+        text += f"\nCommitted, not computed yet: {_codes(results.due)}.\n"
+    if others:
+        text += f"\nNo board yet: {_codes(others)}.\n"
+    return text
 
 
 def _boards_text(
@@ -466,6 +481,10 @@ def print_page(page: str) -> None:
     command = definitions.rpartition("\n\n")[2]
     text = tables_and_notes[page.index("\n## ") :] + "\n" + command
     results_console().print(Markdown(text))
+
+
+def _codes(names: Sequence[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def _escaped(text: str) -> str:

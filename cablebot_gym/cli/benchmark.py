@@ -449,6 +449,8 @@ def _verify(
             "evaluation seed follow from it and from"
         )
         print(f"{board.beacon}, {board.beacon_value}: compare this value with its source")
+        if results.due:
+            print(f"committed, without results: {', '.join(results.due)}")
     if selection.policies is not None:
         return _reproduce(results, selection, backend)
     seed = selection.seed

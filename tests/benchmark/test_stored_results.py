@@ -66,9 +66,8 @@ def test_results_have_the_cells_of_their_suite(results, name):
     policies = sorted({record.cell.policy for record in policy_records})
     if suite.hidden and stored.board.beacon_value is None:
         pytest.skip(OLD_BOARD)
-    cells = suite_cells(
-        suite, find_policies(policies, suite.env_ids), seed=seed, board=stored.board
-    )
+    env_ids = [env_id for env_id in suite.env_ids if env_id not in stored.due]
+    cells = suite_cells(suite, find_policies(policies, env_ids), seed=seed, board=stored.board)
     assert sorted(record.cell.key for record in stored.records) == sorted(cells)
     for record in stored.records:
         assert record.error is None or "did not answer within" in record.error
