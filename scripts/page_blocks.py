@@ -81,8 +81,11 @@ def readme_table(results: Results) -> str:
         if len(row) == columns:
             row.append("–")
         rows.append(row)
-    text = f"The best policy of each kind: mean fraction of the best payload ({motion}, {heading(first)}), and\n"
-    text += "its payload on the circle with an exactly known robot.\n\n"
+    reference = "best known payload"
+    if boards[0].is_main:
+        reference = "payload that can be hoped for"
+    text = f"The best policy of each kind: mean fraction of the {reference}\n({motion}, {heading(first)}),\n"
+    text += "and its payload on the circle with an exactly known robot.\n\n"
     return text + "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
