@@ -17,7 +17,7 @@ from cablebot_gym.benchmark import scores
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, canonical
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.maps import varied_fields
-from cablebot_gym.benchmark.records import Record
+from cablebot_gym.benchmark.records import Record, single_records
 from cablebot_gym.benchmark.tables import (
     best_known_text,
     failures,
@@ -48,10 +48,10 @@ NO_EPISODE = "This page contains no episode of this cell. Run cablebot report RE
 
 
 def merge_records(sources: Sequence[Results]) -> list[Record]:
-    """The records of all sources; the first one of each cell."""
+    """The records of all sources, those of surveys for each motion; the first one of each cell."""
     merged: dict[str, Record] = {}
     for source in sources:
-        for record in source.records:
+        for record in single_records(source.records):
             merged.setdefault(record.cell.key, record)
     return list(merged.values())
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, SurveyCell
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.maps import AXES
 from cablebot_gym.benchmark.records import Record, compute
@@ -81,6 +81,23 @@ def test_limiting_violation_has_the_bound_of_the_cell():
     assert rows["fl", "circle", "payload known"] == sentence
     assert rows["fl", "2 held-out motions", "payload known"] == "position 2 ×"
     assert ["Limiting violation", sentence.replace("10 mm", "20 mm")] in data["cells"][2]["facts"]
+
+
+def test_survey_has_a_cell_for_each_motion():
+    seeds = [motion["seed"] for motion in LOOPS]
+    violation = {"kind": "slack", "index": 0, "time": 0.5, "excess": 0.1}
+    survey = record(
+        SurveyCell(env_id=PLANAR, policy="robust", trajectory=LOOPS[0] | {"seed": seeds}),
+        payloads=[1.0, 2.0],
+        failed_payloads=[1.1, 2.1],
+        violations=[violation, violation],
+        resolutions=[0.01, 0.01],
+        stochastic=False,
+    )
+    data = page_data([replace(RESULTS, records=[*RECORDS, survey])], {})
+    (row,) = [row for row in data["rows"] if row["policy"] == "robust"]
+    assert row["payload"] == 1.5
+    assert len(row["cells"]) == len(LOOPS)
 
 
 STRIPS = [
