@@ -48,11 +48,14 @@ NO_EPISODE = "This page contains no episode of this cell. Run cablebot report RE
 
 
 def merge_records(sources: Sequence[Results]) -> list[Record]:
-    """The records of all sources, those of surveys for each motion; the first one of each cell."""
+    """The records of all sources, those of surveys for each motion; the first one of each cell.
+    Cells that differ in the evaluation seed alone count as one."""
     merged: dict[str, Record] = {}
     for source in sources:
         for record in single_records(source.records):
-            merged.setdefault(record.cell.key, record)
+            conditions = record.cell.to_dict()
+            conditions.pop("seed", None)
+            merged.setdefault(canonical(conditions), record)
     return list(merged.values())
 
 

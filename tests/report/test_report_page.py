@@ -100,6 +100,13 @@ def test_survey_has_a_cell_for_each_motion():
     assert len(row["cells"]) == len(LOOPS)
 
 
+def test_first_of_two_runs_of_one_cell_counts():
+    again = replace(RESULTS, records=[carried(policy("adaptive", seed=2), 1.6)])
+    data = page_data([RESULTS, again], {})
+    (row,) = [row for row in data["rows"] if row["policy"] == "adaptive"]
+    assert (row["payload"], len(row["cells"])) == (1.7, 1)
+
+
 STRIPS = [
     # fractions of the motion, filled bins of 20, median fraction
     ([0.0], {0: 1}, 0.0),
