@@ -219,8 +219,8 @@ def _with_held_out(
 def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
     """The card with the best known payloads of a leaderboard, from :func:`read_best_known`.
 
-    Held-out motions that are not on the leaderboard keep their best known payload, unless a
-    policy's DLCC is larger. So do those of a card with random loops of an earlier family.
+    Motions that are not on the leaderboard keep their best known payload, held-out ones unless a
+    policy's DLCC is larger. So do random loops of an earlier family.
     """
     law, env_id = card.law, card.env_id
     has_present_loops = card.has_present_loops
@@ -236,9 +236,8 @@ def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
         replace(motion, best_known=best(index, motion))
         for index, motion in enumerate(card.held_out)
     )
-    return replace(
-        card, best_known=best_known.get(_cell(law, env_id, KNOWN).motion_key), held_out=held_out
-    )
+    on_circle = best_known.get(_cell(law, env_id, KNOWN).motion_key, card.best_known)
+    return replace(card, best_known=on_circle, held_out=held_out)
 
 
 def with_search_results(card: Card, evaluate: Evaluate, best_known: Mapping[str, float]) -> Card:
