@@ -278,11 +278,12 @@ def _absent_text(results: Results, boards: Sequence[Leaderboard]) -> str:
     """The environments without a board, and those of the commitment that are not computed."""
     if results.board is None:
         return ""
-    present = {board.env_id for board in boards}.union(results.due)
+    due = results.due
+    present = {board.env_id for board in boards}.union(due)
     others = [env_id for env_id in ENV_IDS if env_id not in present]
     text = ""
-    if results.due:
-        text += f"\nCommitted, not computed yet: {_codes(results.due)}.\n"
+    if due:
+        text += f"\nCommitted, not computed yet: {_codes(due)}.\n"
     if others:
         text += f"\nNo board yet: {_codes(others)}.\n"
     return text

@@ -7,6 +7,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from statistics import median
 from typing import Any
@@ -49,13 +50,14 @@ NO_EPISODE = "This page contains no episode of this cell. Run cablebot report RE
 
 def merge_records(sources: Sequence[Results]) -> list[Record]:
     """The records of all sources, those of surveys for each motion; the first one of each cell.
-    Cells that differ in the evaluation seed alone count as one."""
+    Cells of a policy that differ in the evaluation seed alone count as one."""
     merged: dict[str, Record] = {}
     for source in sources:
         for record in single_records(source.records):
-            conditions = record.cell.to_dict()
-            conditions.pop("seed", None)
-            merged.setdefault(canonical(conditions), record)
+            cell = record.cell
+            if isinstance(cell, PolicyCell):
+                cell = replace(cell, seed=0)
+            merged.setdefault(cell.key, record)
     return list(merged.values())
 
 

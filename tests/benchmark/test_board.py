@@ -269,7 +269,7 @@ def test_dishonest_board_is_refused(tmp_path, fraud, words):
         fraud(board, tmp_path)
 
 
-def test_environments_of_the_commitment_without_results_are_named(tmp_path):
+def test_environments_that_are_due_are_named(tmp_path):
     board = started(tmp_path, {PLANAR: ["fl"], SPATIAL: ["robust"]})
     results = results_of(board)
     results.check_board(VALUE)

@@ -16,6 +16,7 @@ from cablebot_gym.benchmark.records import compute
 from cablebot_gym.benchmark.scores import leaderboards, payload_maps
 from cablebot_gym.benchmark.suites import find_policies, find_suite, suite_cells
 from cablebot_gym.benchmark.verification import broken, confirm
+from cablebot_gym.report.page import merge_records
 
 ROOT = Path(__file__).parents[2]
 PAGES = {
@@ -60,6 +61,20 @@ def test_results_have_the_cells_of_their_suite(results, name):
         assert record.error is None or "did not answer within" in record.error
     for record in records_of(stored, BestKnownCell):
         assert record.result["verified"]
+
+
+def test_report_has_the_fractions_of_the_leaderboard(results):
+    """Robots of a yardstick differ in their seed alone."""
+    stored = results["leaderboard"]
+
+    def fractions(records):
+        return [
+            (board.env_id, policy, board.fraction(policy, column))
+            for board in leaderboards(records)
+            for policy, column in board.entries
+        ]
+
+    assert fractions(merge_records([stored])) == fractions(stored.records)
 
 
 def test_leaderboards_and_maps_leave_out_real_robots(results):
