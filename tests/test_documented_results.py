@@ -4,14 +4,13 @@ robust law."""
 import json
 import re
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from cablebot_baselines.classical import Composite, FeedbackLinearization, Robust, RobustComposite
 from cablebot_baselines.classical.law import flexible_advice
-from cablebot_gym.benchmark.cells import PolicyCell
-from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL, find_robot
@@ -54,18 +53,9 @@ def test_one_part_decides_table_6_and_none_decides_hardware(env_id, name, payloa
     Two thirds of that of ``hardware`` do not return without any single part.
     """
     law = "adaptive-composite" if env_id in FLEXIBLE_ENV_IDS else "adaptive"
-    conditions = env_id, law, name, payload_known
-    payloads = []
-    for record in Results.from_json(text_of("leaderboard/results.json")).records:
-        cell = record.cell
-        if not isinstance(cell, PolicyCell):
-            continue
-        if (cell.env_id, cell.policy, cell.uncertainty, cell.payload_known) == conditions:
-            payloads.append(record.result["payload"])
-    (payload,) = payloads
-    lost = (
-        evaluate_dlcc(law, env_id, payload_known=payload_known, resolution=0.01).payload - payload
-    )
+    evaluate = partial(evaluate_dlcc, law, env_id, payload_known=payload_known)
+    payload = evaluate(uncertainty=name, draws=512).payload
+    lost = evaluate(resolution=0.01).payload - payload
     uncertainty = find_uncertainty(name, find_robot(env_robot(env_id)))
     sources = parts_of(uncertainty)
     returned = 2 / 3
