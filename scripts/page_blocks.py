@@ -94,8 +94,9 @@ def _best(boards: list[Leaderboard], kind: str) -> str:
     payload on the circle, and its ties."""
     board = boards[0]
     entries = policy_entries()
-    # by decreasing fraction
-    policies = [policy for policy in board.policies if entries[policy].kind == kind]
+    # By decreasing fraction. A board may have policies that are not installed any more.
+    installed = [policy for policy in board.policies if policy in entries]
+    policies = [policy for policy in installed if entries[policy].kind == kind]
     if not policies:
         return "–"
     policy = policies[0]

@@ -31,6 +31,7 @@ from cablebot_gym.benchmark.suites import find_suite, surveyed_motions
 from cablebot_gym.benchmark.yardstick import PROBABILITY
 from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.evaluation.survey import ROBOTS
+from cablebot_gym.isolation.installed import public_entry
 from cablebot_gym.policies.entry import LONGEST_NAME
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import results_console
@@ -142,6 +143,10 @@ class Results:
         for env_id, policy in committed:
             hidden = board.seeds(env_id, board.motions)
             count = surveyed_motions(policy, env_id, len(hidden))
+            if public_entry(policy) is None:
+                # Such as a policy that has been replaced since: the first motions, as many as ranks
+                # need.
+                count = max(len(seeds[env_id, policy]), RANKED_MOTIONS)
             if seeds[env_id, policy] != set(hidden[:count]):
                 raise ValueError(
                     f"the motions of {policy} on {env_id} are not those of board {board.version!r}"

@@ -95,14 +95,32 @@ def plan_motion(
         ImportError: if CasADi is missing.
     """
     import_casadi()
-    key = fingerprint(
-        "cablebot_gym.planning.program", robot, trajectory, error_bounds=error_bounds, **settings
-    )
 
     def solve() -> PlannedMotion:
         return MotionProgram(robot, trajectory, error_bounds, **settings).solve()
 
-    plan: PlannedMotion = load_or_compute(f"plan-{key}.npz", _read_plan, solve, _plan_bytes)
+    module = "cablebot_gym.planning.program"
+    return cached_plan(module, robot, trajectory, solve, error_bounds=error_bounds, **settings)
+
+
+def cached_plan(
+    module: str,
+    robot: Robot,
+    trajectory: Trajectory,
+    make: Callable[[], PlannedMotion],
+    **more: Any,
+) -> PlannedMotion:
+    """The cached plan of a robot and a reference.
+
+    Args:
+        module: module that makes the plan; a change of its code or its imports makes it again.
+        robot: nominal robot.
+        trajectory: reference motion.
+        make: makes the plan.
+        more: further data on which it depends, see :func:`fingerprint`.
+    """
+    key = fingerprint(module, robot, trajectory, **more)
+    plan: PlannedMotion = load_or_compute(f"plan-{key}.npz", _read_plan, make, _plan_bytes)
     return plan
 
 

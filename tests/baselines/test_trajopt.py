@@ -12,15 +12,8 @@ from numpy.testing import assert_allclose
 pytest.importorskip("casadi")
 
 from cablebot_baselines.optimal import trajopt as module
-from cablebot_baselines.optimal.trajopt import (
-    TRAJOPT_MARGIN_SETTINGS,
-    TRAJOPT_SETTINGS,
-    TrajOpt,
-    make_trajopt,
-    make_trajopt_margin,
-)
+from cablebot_baselines.optimal.trajopt import TrajOpt, exact_margins
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.evaluation.comparison import compare_policies
 from cablebot_gym.evaluation.constraints import Judge
 from cablebot_gym.physics.textbook import allocated_minimum
 from cablebot_gym.planning import Infeasible
@@ -58,16 +51,23 @@ def carried(policy, env_id, payload, known, **keywords):
     return judge.carried.tolist()
 
 
+@pytest.fixture
+def exact_plans_only(monkeypatch):
+    """Rehearsals take seconds of each motion."""
+    monkeypatch.setattr(module, "find_rehearsed_plan", Mock(side_effect=Infeasible("not tried")))
+
+
 # --- payload ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("exact_plans_only")
 def test_short_motion_is_tracked_with_known_and_unknown_payload():
     """fl fails with 5 kg.
 
     Without dwells the plan accelerates at once, and an unknown payload lets a cable below the
     minimum tension within the first control period, in which its estimate is zero.
     """
-    policy = make_trajopt(PLANAR)
+    policy = TrajOpt(PLANAR)
     payload = np.array([0.0, 6.0, 4.0])
     assert (
         carried(policy, PLANAR_ID, payload, [True, True, False], trajectory=LINE | {"dwell": 0.3})
@@ -79,7 +79,7 @@ def test_short_motion_is_tracked_with_known_and_unknown_payload():
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_planar_dlcc_is_near_the_best_known_payload(known):
-    result = evaluate_dlcc(make_trajopt(PLANAR), PLANAR_ID, payload_known=known, resolution=0.02)
+    result = evaluate_dlcc(TrajOpt(PLANAR), PLANAR_ID, payload_known=known, resolution=0.02)
     assert 0.97 * PLANAR_BEST <= result.payload <= PLANAR_BEST
 
 
@@ -95,48 +95,49 @@ def test_robots_carry_most_of_the_planned_payload(robot, env_id, trajectory, pay
     """On the short line an unknown payload is estimated late."""
     payloads = np.array([0.0, payload, 0.0, unknown])
     known = [True, True, False, False]
-    assert (
-        carried(make_trajopt(robot), env_id, payloads, known, trajectory=trajectory) == [True] * 4
-    )
-
-
-@pytest.mark.slow
-def test_margins_make_the_policy_robust_to_sensor_noise():
-    keywords = {"payload": 5.9, "uncertainty": "sensors", "draws": 40, "payload_known": False}
-    policies = [make_trajopt(SPATIAL), make_trajopt_margin(SPATIAL)]
-    near, far = compare_policies(
-        policies, SPATIAL_ID, names=["trajopt", "trajopt-margin"], **keywords
-    ).metrics
-    assert far.carried.sum() >= 38
-    assert near.carried.sum() < 38
+    assert carried(TrajOpt(robot), env_id, payloads, known, trajectory=trajectory) == [True] * 4
 
 
 def test_margins_follow_error_bounds_and_friction():
     """The friction of a motor that turns around changes the tension of its cable within a control
     period."""
     bounds = ErrorBounds(position=0.02, rotation=0.03)
-    margins = TRAJOPT_SETTINGS["rigid"].margins(SPATIAL, bounds)
+    margins = exact_margins(SPATIAL, bounds)
     assert (margins.position, margins.rotation) == pytest.approx((0.02 * 0.02, 0.02 * 0.03))
     assert margins.action == 0.005
     assert margins.tension == 1.0
     friction = {"coulomb_friction": 0.2, "pulley_radius": 0.05}
     rubbing = SPATIAL.replace(transmission=SPATIAL.transmission.replace(**friction))
-    assert TRAJOPT_SETTINGS["rigid"].margins(rubbing, bounds).tension == pytest.approx(1.0 + 4.0)
+    assert exact_margins(rubbing, bounds).tension == pytest.approx(1.0 + 4.0)
 
 
 def test_margins_leave_the_tensions_of_springs_at_the_start():
     robot = find_robot("flex-gch-klaus")
-    margins = TRAJOPT_MARGIN_SETTINGS["flexible"].margins(robot, ErrorBounds())
-    assert robot.minimum_tension + margins.tension == allocated_minimum(robot)
+    margins = exact_margins(robot, ErrorBounds())
+    assert robot.minimum_tension + margins.tension <= allocated_minimum(robot)
+
+
+@pytest.mark.slow
+def test_rehearsed_plan_serves_robots_that_are_not_exactly_known():
+    """The exact plan fails them unloaded. A known payload that is heavier than the rehearsed one has
+    the exact plan."""
+    policy = TrajOpt(PLANAR)
+    motion = {"name": "loop-planar", "seed": 0}
+    payloads = np.array([0.0, 2.0, 3.4, 3.4])
+    unknown = [False, False, False, True]
+    keywords = {"trajectory": motion, "uncertainty": "hardware"}
+    assert carried(policy, PLANAR_ID, payloads, unknown, **keywords) == [True] * 4
+    assert carried(policy, PLANAR_ID, np.array([4.3]), [True], trajectory=motion) == [True]
 
 
 # --- fallbacks --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("exact_plans_only")
 def test_policy_without_reset_tracks_the_reference_and_warns(caplog):
     env = gym.make(PLANAR_ID, trajectory=LINE)
     observation, _ = env.reset(seed=0)
-    policy = make_trajopt(PLANAR)
+    policy = TrajOpt(PLANAR)
     with caplog.at_level(logging.WARNING, "cablebot_gym"):
         action, state = policy.predict(observation)
         policy.predict(observation, state)
@@ -147,10 +148,11 @@ def test_policy_without_reset_tracks_the_reference_and_warns(caplog):
     assert policy.fallbacks == 0
 
 
+@pytest.mark.usefixtures("exact_plans_only")
 def test_infeasible_plan_is_tried_once(monkeypatch, caplog):
     planner = Mock(side_effect=Infeasible("Restoration_Failed"))
     monkeypatch.setattr(module, "plan_motion", planner)
-    policy = make_trajopt(PLANAR)
+    policy = TrajOpt(PLANAR)
     with caplog.at_level(logging.WARNING, "cablebot_gym"):
         assert carried(policy, PLANAR_ID, np.array([1.5, 1.0]), [True, True]) == [True, True]
     assert policy.fallbacks == 2
@@ -165,6 +167,7 @@ def test_infeasible_plan_is_tried_once(monkeypatch, caplog):
 # --- batches ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("exact_plans_only")
 def test_each_environment_tracks_the_plan_of_its_own_task():
     """Also after a start in one of them, the estimator forgets the last payload in that one
     only."""
@@ -175,7 +178,7 @@ def test_each_environment_tracks_the_plan_of_its_own_task():
     ]
     observed = np.array([env.reset(seed=0)[0] for env in singles])
     tasks = [env.unwrapped.task for env in singles]
-    batch, *alone = (make_trajopt(PLANAR) for _ in range(3))
+    batch, *alone = (TrajOpt(PLANAR) for _ in range(3))
     for policy, known in ((batch, tasks), (alone[0], tasks[:1]), (alone[1], tasks[1:])):
         policy.reset(known)
     start_action = alone[0].predict(observed[0])[0]
@@ -201,9 +204,9 @@ def test_each_environment_tracks_the_plan_of_its_own_task():
 
 def test_other_robot_motor_lag_and_missing_casadi_raise(monkeypatch):
     with pytest.raises(ValueError, match="built for robot 'planar'"):
-        make_trajopt(PLANAR).reset([gym.make(SPATIAL_ID).unwrapped.task])
+        TrajOpt(PLANAR).reset([gym.make(SPATIAL_ID).unwrapped.task])
     with pytest.raises(ValueError, match="motors without lag"):
-        make_trajopt(PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01)))
+        TrajOpt(PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01)))
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
-        TrajOpt(PLANAR, TRAJOPT_SETTINGS["rigid"])
+        TrajOpt(PLANAR)

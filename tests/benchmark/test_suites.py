@@ -14,6 +14,7 @@ from cablebot_gym.benchmark.cells import (
 )
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.benchmark.suites import (
+    QUICK_ENV_IDS,
     SUITES,
     find_env_ids,
     find_policies,
@@ -140,7 +141,7 @@ def test_slow_policy_is_evaluated_in_marked_blocks_only(monkeypatch):
 
 def test_planners_and_robots_with_long_searches_have_the_first_motions_only():
     surveys = {
-        (cell.policy, cell.env_id in PAPER_ENV_IDS, len(cell.parts))
+        (cell.policy, cell.env_id in QUICK_ENV_IDS, len(cell.parts))
         for cell in policy_cells("ranked", ["trajopt", "fl"])
         if isinstance(cell, SurveyCell)
     }

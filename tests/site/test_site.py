@@ -50,7 +50,7 @@ FOUND = {
     "TensorBoard": "faq",
     "headless": "faq",
     "payload": "dlcc",
-    "trajopt-margin": "generated/policies/trajopt-margin",
+    "trajopt": "generated/policies/trajopt",
     "install": "index",
     "resume": "training",
 }

@@ -1,6 +1,6 @@
 """Policies that plan motions with the equations of the plant. They need the extra ``optimal``."""
 
 from cablebot_baselines.optimal.nmpc import NMPC, NonlinearMPC
-from cablebot_baselines.optimal.trajopt import TRAJOPT, TRAJOPT_MARGIN, TrajOpt
+from cablebot_baselines.optimal.trajopt import TRAJOPT, TrajOpt
 
-__all__ = ["NMPC", "TRAJOPT", "TRAJOPT_MARGIN", "NonlinearMPC", "TrajOpt"]
+__all__ = ["NMPC", "TRAJOPT", "NonlinearMPC", "TrajOpt"]

@@ -1,0 +1,108 @@
+"""A control law that acts for the robot that it meets, with an observer's estimates of mass, motors and
+delay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cablebot_baselines.classical.allocation import allocate
+from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
+from cablebot_baselines.estimation.observer import ObserverState, RobotEstimate, RobotObserver
+from cablebot_gym.physics.textbook import normalised_action
+from cablebot_gym.task import Task
+
+_REFERENCE = ("pose", "velocity", "acceleration", "jerk", "snap")
+"""Derivatives of the reference in the observation, if it has them."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ObservingState:
+    """State of an observing law between two control steps."""
+
+    observer: ObserverState
+    """State of the observer."""
+    requested: Array
+    """Actions before saturation, (N, m)."""
+
+
+class Observing(ClassicalLaw):
+    """A control law behind a :class:`~cablebot_baselines.estimation.observer.RobotObserver`.
+
+    The law computes torques for the expected robot with the estimated mass, from the state and the
+    reference at the instant at which its action will take effect. The requested acceleration cancels
+    that of the estimated wrench. The action divides the torques by the estimated strengths of the
+    motors. With as many cables as coordinates, saturated actions are
+    replaced by those within ±1 that come closest to the requested acceleration.
+
+    Args:
+        law: control law without memory for the expected robot.
+        observer: the observer.
+    """
+
+    unsaturated_actions = False
+
+    def __init__(self, law: ClassicalLaw, observer: RobotObserver) -> None:
+        super().__init__(law.robot, minimum_tension=law.minimum_tension)
+        self.law = law
+        self.observer = observer
+        self._allocates = law.robot.cables == law.robot.coordinates
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Passes the tasks to the law.
+
+        Raises:
+            ValueError: if a task's robot differs from the law's robot in kind or anchors.
+        """
+        self.law.reset(tasks)
+
+    def respond(
+        self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None
+    ) -> tuple[Array, Any]:
+        """Actions within ±1 from the blocks of an observation, and the next state."""
+        shape = blocks["pose"].shape[:-1]
+        rows = {name: np.atleast_2d(values) for name, values in blocks.items()}
+        starts = first_steps(state, episode_start, shape).reshape(-1)
+        before = None if state is None else state.observer
+        observed = self.observer.update(rows, before, starts)
+        estimate = self.observer.estimate(observed)
+        requested, action = self._act(rows, observed, estimate)
+        after = ObservingState(observer=observed, requested=requested)
+        return action.reshape(*shape, self.robot.cables), after
+
+    def _act(
+        self, blocks: dict[str, Array], observed: ObserverState, estimate: RobotEstimate
+    ) -> tuple[Array, Array]:
+        """Requested and saturated actions, each (N, m)."""
+        ahead = self.observer.at_effect(blocks, observed)
+        later = blocks | ahead | _later_reference(blocks, estimate.delay)
+        later["reference_acceleration"] = later["reference_acceleration"] - ahead["disturbance"]
+        torques, speeds = self.law.torques(later, estimate.mass)
+        requested = normalised_action(self.robot, torques / estimate.strength, speeds)
+        action = requested.copy()
+        is_saturated = np.any(np.abs(requested) > 1, axis=-1)
+        if self._allocates and np.any(is_saturated):
+            slope = self.law.torque_slope(estimate.mass[is_saturated], later["pose"][is_saturated])
+            stall = self.robot.stall_torque * estimate.strength[is_saturated]
+            action[is_saturated] = allocate(action[is_saturated], slope / stall[..., None])
+        return requested, np.clip(action, -1.0, 1.0)
+
+
+def _later_reference(blocks: dict[str, Array], delay: Array) -> dict[str, Array]:
+    """Reference and time to go after a delay (N,) [s], by the Taylor series of the observed
+    derivatives."""
+    step = delay[:, None]
+    names = [f"reference_{name}" for name in _REFERENCE if f"reference_{name}" in blocks]
+    later = {}
+    for index, name in enumerate(names):
+        value = blocks[name]
+        factor = np.ones_like(step)
+        for order, higher in enumerate(names[index + 1 :], start=1):
+            factor = factor * step / order
+            value = value + factor * blocks[higher]
+        later[name] = value
+    later["time_to_go"] = np.maximum(blocks["time_to_go"] - step, 0.0)
+    return later

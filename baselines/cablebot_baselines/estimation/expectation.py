@@ -1,0 +1,153 @@
+"""What a policy expects of a robot that is not exactly known: means and standard deviations of an
+uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cablebot_gym.kinematics import Array
+from cablebot_gym.robots import Robot
+from cablebot_gym.uncertainty import PARAMETERS, SensorNoise, Uncertainty
+
+_LOWER, _MEDIAN, _UPPER = 0.15866, 0.5, 0.84134
+"""Probabilities of the mean of a normal distribution and of one standard deviation on both
+sides."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Expectation:
+    """Expected robot, and standard deviations of what differs from it."""
+
+    robot: Robot
+    """Robot with the median of each uncertain parameter, without motor lag."""
+    delay: float
+    """Expected time between the request of an action and its torque: delay and motor lag [s]."""
+    delay_spread: float
+    """Standard deviation of this time [s]."""
+    delay_range: tuple[float, float]
+    """Shortest and longest possible time [s]."""
+    mass_spread: float
+    """Standard deviation of the platform mass [kg]."""
+    payload_spread: float
+    """Standard deviation of the payload as a fraction of it."""
+    strength_spread: float
+    """Standard deviation of the strength of a motor as a fraction of it."""
+    friction_spread: float
+    """Standard deviation of the Coulomb friction as a fraction of it."""
+    stiffness_spread: float
+    """Standard deviation of the stiffness of a joint spring as a fraction of it."""
+    anchor_spread: float
+    """Standard deviation of the length of a cable by the positions of its anchors [m]."""
+    wrench_spread: Array
+    """Standard deviation of the wrench on the platform, (n,) [N, N·m]."""
+    wrench_time: float
+    """Time for which the wrench is constant [s]."""
+    noise: SensorNoise
+    """White noise of the sensors."""
+
+    @classmethod
+    def of(cls, robot: Robot, uncertainty: Uncertainty, period: float) -> Expectation:
+        """The expectation for an uncertainty of a nominal robot, with a control period [s]."""
+        steps = np.array(uncertainty.delay_range) * period
+        lag = np.array([np.mean(robot.motor_lag)] * 2)
+        if "motor_lag" in uncertainty.parameters:
+            lags = uncertainty.parameters["motor_lag"]
+            lag = lags.applied(lag, np.array([lags.low, lags.high]))
+        shortest, longest = (steps + lag).tolist()
+        delay_spread = float(np.hypot(np.ptp(steps), np.ptp(lag)) / np.sqrt(12))
+        noise = uncertainty.sensors or SensorNoise()
+        return cls(
+            robot=_expected(robot, uncertainty),
+            delay=(shortest + longest) / 2,
+            delay_spread=delay_spread,
+            delay_range=(shortest, longest),
+            mass_spread=_spread(robot, uncertainty, "platform_mass", relative=False),
+            payload_spread=_relative_spread(uncertainty, "payload"),
+            strength_spread=_spread(robot, uncertainty, "motor_strength"),
+            friction_spread=_friction_spread(robot, uncertainty),
+            stiffness_spread=_spread(robot, uncertainty, "stiffness"),
+            anchor_spread=float(
+                np.hypot(
+                    _spread(robot, uncertainty, "base_anchors", relative=False),
+                    _spread(robot, uncertainty, "platform_anchors", relative=False),
+                )
+            ),
+            wrench_spread=_wrench_spread(robot, uncertainty),
+            wrench_time=_wrench_time(uncertainty),
+            noise=noise,
+        )
+
+
+def _expected(robot: Robot, uncertainty: Uncertainty) -> Robot:
+    """The robot with the median of each parameter of motors and transmission, without lag."""
+    changes: dict[str, Any] = {}
+    for name in ("pulley_inertia", "damping", "stiffness", "motor_inertia", "motor_damping"):
+        if PARAMETERS[name].belongs_to(robot):
+            changes[name] = _median(robot, uncertainty, name)
+    changes["coulomb_friction"] = _median(robot, uncertainty, "coulomb_friction")
+    transmission = robot.transmission.replace(**changes)
+    stall = _median(robot, uncertainty, "motor_strength")
+    motors = robot.motors.replace(lag=0.0, stall_torque=stall)
+    mass = float(_median(robot, uncertainty, "platform_mass"))
+    return robot.replace(transmission=transmission, motors=motors, mass=mass)
+
+
+def _value(robot: Robot, uncertainty: Uncertainty, name: str, probability: float) -> Array:
+    """A parameter of the robot that is exceeded with a probability of one minus ``probability``."""
+    nominal = np.asarray(getattr(robot, PARAMETERS[name].attribute), float)
+    if name not in uncertainty.parameters:
+        return nominal
+    distribution = uncertainty.parameters[name]
+    return distribution.applied(nominal, distribution.deviation(np.asarray(probability)))
+
+
+def _median(robot: Robot, uncertainty: Uncertainty, name: str) -> Array:
+    return _value(robot, uncertainty, name, _MEDIAN)
+
+
+def _spread(robot: Robot, uncertainty: Uncertainty, name: str, *, relative: bool = True) -> float:
+    """Largest standard deviation of a parameter of all motors, in its unit or as a fraction of its
+    median."""
+    if name not in uncertainty.parameters or not PARAMETERS[name].belongs_to(robot):
+        return 0.0
+    upper = _value(robot, uncertainty, name, _UPPER)
+    spread = (upper - _value(robot, uncertainty, name, _LOWER)) / 2
+    if relative:
+        median = _median(robot, uncertainty, name)
+        spread = np.divide(spread, median, out=np.zeros_like(spread), where=median > 0)
+    return float(np.max(spread))
+
+
+def _relative_spread(uncertainty: Uncertainty, name: str) -> float:
+    """Standard deviation of a relative parameter whose nominal value is unknown."""
+    if name not in uncertainty.parameters:
+        return 0.0
+    distribution = uncertainty.parameters[name]
+    lower, upper = distribution.deviation(np.array([_LOWER, _UPPER]))
+    return float(upper - lower) / 2
+
+
+def _friction_spread(robot: Robot, uncertainty: Uncertainty) -> float:
+    """Standard deviation of the mean Coulomb friction of all motors as a fraction of it."""
+    spread = _spread(robot, uncertainty, "coulomb_friction")
+    if spread and uncertainty.parameters["coulomb_friction"].each:
+        spread /= np.sqrt(robot.cables)
+    return spread
+
+
+def _wrench_spread(robot: Robot, uncertainty: Uncertainty) -> Array:
+    """Standard deviation of the wrench, including its mean, (n,)."""
+    if uncertainty.wrench is None:
+        return np.zeros(robot.coordinates)
+    mean, std = uncertainty.wrench.statistics(robot)
+    spread: Array = np.hypot(mean, std)
+    return spread
+
+
+def _wrench_time(uncertainty: Uncertainty) -> float:
+    if uncertainty.wrench is None:
+        return 1.0
+    return uncertainty.wrench.correlation_time

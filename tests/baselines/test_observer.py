@@ -1,0 +1,185 @@
+"""The observer of a robot that is not exactly known, and the law that acts by its estimates."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+from numpy.testing import assert_allclose
+
+from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
+from cablebot_baselines.classical.flexible import composite_tuned
+from cablebot_baselines.classical.observing import Observing
+from cablebot_baselines.estimation.expectation import Expectation
+from cablebot_baselines.estimation.observer import RobotObserver, delayed_weights
+from cablebot_gym.envs import env_robot
+from cablebot_gym.robots import find_robot
+from cablebot_gym.uncertainty import ExternalWrench, Uncertainty, find_uncertainty
+
+PERIOD = 2e-3
+LARGEST = {
+    "CableBot-Planar-v0": 1.5,
+    "CableBot-Spatial-v0": 6.0,
+    "CableBot-FlexPlanar-v0": 1.5,
+    "CableBot-FlexSpatial-v0": 5.0,
+}
+"""Payloads that exact tracking carries [kg]."""
+
+
+def observing(env_id, uncertainty, largest_payload):
+    """The adaptive law of a robot behind an observer."""
+    robot = find_robot(env_robot(env_id))
+    expectation = Expectation.of(robot, uncertainty, PERIOD)
+    if robot.flexible:
+        law = composite_tuned(expectation.robot)
+    else:
+        law = FeedbackLinearization(expectation.robot, gains=(400.0, 40.0))
+    observer = RobotObserver(expectation, PERIOD, largest_payload=largest_payload)
+    return Observing(law, observer)
+
+
+def episodes(env_id, uncertainty, payload, steps, **keywords):
+    """Estimates of every step, the truth, and the peaks of the position error of N episodes."""
+    robot = find_robot(env_robot(env_id))
+    uncertainty = find_uncertainty(uncertainty, robot)
+    law = observing(env_id, uncertainty, LARGEST[env_id])
+    env = gym.make_vec(
+        env_id,
+        num_envs=len(payload),
+        uncertainty=uncertainty,
+        payload_known=False,
+        autoreset_mode=AutoresetMode.DISABLED,
+        **keywords,
+    )
+    observation, _ = env.reset(seed=7, options={"payload": payload})
+    law.reset(env.unwrapped.tasks)
+    state = None
+    estimates = []
+    errors = []
+    for _ in range(steps):
+        action, state = law.predict(observation, state)
+        estimates.append(law.observer.estimate(state.observer))
+        observation, _, _, _, info = env.step(action)
+        errors.append(info["tracking_error"])
+    return estimates, env.unwrapped.truth, np.array(errors)
+
+
+# --- expectation ------------------------------------------------------------------------------------------------------
+
+
+def test_expectation_has_the_medians_and_spreads_of_an_uncertainty():
+    """Friction of `hardware` is 0.5 to 1.5 % of the stall torque, delay 0 or 1 period, lag 1 to 2
+    ms."""
+    robot = find_robot("spatial")
+    expected = Expectation.of(robot, find_uncertainty("hardware", robot), PERIOD)
+    assert_allclose(expected.robot.coulomb_friction, 0.01 * robot.stall_torque)
+    assert_allclose(expected.robot.stall_torque, robot.stall_torque)
+    assert np.max(expected.robot.motor_lag) == 0
+    assert expected.delay_range == pytest.approx((1e-3, 4e-3))
+    assert expected.delay == pytest.approx(2.5e-3)
+    assert expected.strength_spread == pytest.approx(0.03 / np.sqrt(3), rel=0.2)
+    assert_allclose(expected.wrench_spread, [0.5] * 3 + [0.05] * 3)
+
+
+def test_exactly_known_robot_is_expected_as_it_is():
+    robot = find_robot("flex-spatial")
+    expected = Expectation.of(robot, Uncertainty(), PERIOD)
+    for name in ("mass", "stall_torque", "stiffness", "coulomb_friction", "motor_inertia"):
+        assert_allclose(getattr(expected.robot, name), getattr(robot, name))
+    assert expected.delay_range == (0.0, 0.0)
+    assert expected.strength_spread == expected.anchor_spread == expected.stiffness_spread == 0.0
+    assert not expected.wrench_spread.any()
+
+
+# --- delay ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("periods", "weights"),
+    [(0.0, [1, 0, 0]), (0.25, [0.75, 0.25, 0]), (1.0, [0, 1, 0]), (1.75, [0, 0.25, 0.75])],
+)
+def test_delayed_actions_count_by_the_time_in_which_they_act(periods, weights):
+    assert_allclose(delayed_weights(np.array([periods * PERIOD]), PERIOD)[0], [weights])
+
+
+def test_rates_of_the_weights_are_their_derivatives():
+    delays = np.array([0.3, 0.9, 1.2, 1.7]) * PERIOD
+    step = 1e-8
+    later, _ = delayed_weights(delays + step, PERIOD)
+    weights, rates = delayed_weights(delays, PERIOD)
+    assert_allclose(rates, (later - weights) / step, atol=1e-3)
+
+
+# --- estimates --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", list(LARGEST))
+def test_mass_is_found_within_the_motion(env_id):
+    """In motion, on robots of `hardware`. A planar robot has no weight: it shows its mass when it
+    accelerates."""
+    kind = find_robot(env_robot(env_id)).kind
+    payload = np.linspace(0.0, LARGEST[env_id], 6)
+    estimates, truth, errors = episodes(
+        env_id, "hardware", payload, 500, trajectory={"name": f"loop-{kind}", "seed": 0}
+    )
+    mass = truth["platform_mass"] + truth["payload"]
+    assert_allclose(estimates[-1].mass, mass, rtol=0.06)
+    assert errors[100:].max() < 0.01
+
+
+def test_strength_and_delay_are_found_on_a_spatial_robot():
+    payload = np.linspace(0.0, 6.0, 8)
+    estimates, truth, _ = episodes(
+        "CableBot-Spatial-v0",
+        "hardware",
+        payload,
+        300,
+        trajectory={"name": "loop-spatial", "seed": 0},
+    )
+    robot = find_robot("spatial")
+    true_strength = truth["motor_strength"] / robot.stall_torque
+    before, after = (estimates[index].strength - true_strength for index in (0, -1))
+    assert np.sqrt(np.mean(after**2)) < 0.8 * np.sqrt(np.mean(before**2))
+    mass = truth["platform_mass"] + truth["payload"]
+    assert_allclose(estimates[20].mass, mass, rtol=0.06)
+
+
+def test_constant_wrench_is_found_and_its_deflection_cancelled():
+    """With the paper's gains of feedback linearization alone it would stay 2 N / 400 N/m."""
+    wrench = ExternalWrench(force_mean=(2.0, 0.0), correlation_time=0.5)
+    uncertainty = Uncertainty(wrench=wrench)
+    motion = {"name": "circle-planar"}
+    estimates, _, errors = episodes(
+        "CableBot-Planar-v0", uncertainty, np.zeros(1), 100, trajectory=motion
+    )
+    assert_allclose(estimates[-1].wrench, [[2.0, 0.0]], atol=0.1)
+    assert errors[-1] < 1e-3
+
+
+def test_held_robot_shows_its_mass_only_after_the_first_action_arrives():
+    """Before it, the motors hold any payload: the robot at rest is no sign of a light one."""
+    uncertainty = Uncertainty(delay=1)
+    payload = np.array([0.0, 6.0])
+    estimates, truth, _ = episodes("CableBot-Spatial-v0", uncertainty, payload, 4)
+    first, second = estimates[0].mass, estimates[1].mass
+    assert_allclose(second, first, rtol=1e-6)
+    mass = truth["platform_mass"] + truth["payload"]
+    assert_allclose(estimates[3].mass, mass, rtol=0.03)
+
+
+def test_episodes_of_a_batch_are_estimated_as_if_alone():
+    robot = find_robot("spatial")
+    uncertainty = find_uncertainty("hardware", robot)
+    law = observing("CableBot-Spatial-v0", uncertainty, 6.0)
+    alone = observing("CableBot-Spatial-v0", uncertainty, 6.0)
+    env = gym.make_vec(
+        "CableBot-Spatial-v0", num_envs=3, uncertainty=uncertainty, payload_known=False
+    )
+    observation, _ = env.reset(seed=0, options={"payload": np.array([0.0, 3.0, 6.0])})
+    together_state = state = None
+    for step in range(12):
+        starts = np.array([False, step == 6, False]) | (step == 0)
+        together, together_state = law.predict(observation, together_state, starts)
+        action, state = alone.predict(observation[1], state, starts[1])
+        assert_allclose(action, together[1], atol=1e-9)
+        observation, *_ = env.step(together)

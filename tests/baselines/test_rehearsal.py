@@ -1,0 +1,123 @@
+"""Rehearsals of plans on random robots, and the margins that follow from them."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+pytest.importorskip("casadi")
+
+from cablebot_baselines.optimal import rehearsed as module
+from cablebot_baselines.optimal.rehearsal import (
+    GROWTH,
+    LARGEST_ACTION_MARGIN,
+    Rehearsal,
+    grown_margins,
+    spread_margins,
+)
+from cablebot_baselines.optimal.rehearsed import find_rehearsed_plan, with_lighter_payload
+from cablebot_gym.physics import textbook
+from cablebot_gym.planning import MarginProfile, MotionProgram
+from cablebot_gym.robots import FLEX_PLANAR, PLANAR
+from cablebot_gym.task import ErrorBounds
+from cablebot_gym.trajectories import find_trajectory
+from cablebot_gym.uncertainty import find_uncertainty
+
+TASK = gym.make("CableBot-Planar-v0", payload_known=False).unwrapped.task
+TIMES = np.arange(1, 201) / TASK.control_frequency
+
+
+def rehearsal(payloads, **changes):
+    """Episodes that follow the reference exactly and keep away from all limits, but for
+    changes."""
+    count = len(payloads)
+    reference = TASK.trajectory(TIMES).position
+    values = {
+        "task": TASK,
+        "payloads": np.asarray(payloads, float),
+        "times": TIMES,
+        "poses": np.broadcast_to(reference, (count, *reference.shape)).copy(),
+        "position": np.zeros((count, 200)),
+        "rotation": np.zeros((count, 200)),
+        "action": np.full((count, 200, 3), 0.5),
+        "tension": np.full((count, 200), 5.0),
+    }
+    return Rehearsal(**values | changes)
+
+
+def test_payload_counts_only_with_all_smaller_ones():
+    position = np.zeros((6, 200))
+    position[3, 50] = 0.011  # one of two robots fails with 2 kg
+    assert rehearsal([0, 0, 2, 2, 3, 3], position=position).largest_carried() == 0.0
+    position[0, 50] = 0.011
+    assert rehearsal([0, 0, 2, 2, 3, 3], position=position).largest_carried() == -1.0
+    assert rehearsal([0, 0, 2, 2, 3, 3]).largest_carried() == 3.0
+
+
+def test_equal_robots_need_no_margins():
+    margins = spread_margins(rehearsal([0.0, 0.0, 2.0, 2.0]), TASK.trajectory)
+    for name in ("position", "rotation", "action", "tension"):
+        assert_allclose(getattr(margins, name), 0.0, atol=1e-12)
+
+
+def test_spread_robots_need_margins_where_they_spread():
+    poses = rehearsal([0.0, 0.0]).poses
+    poses[0, 100, 0] += 1e-3
+    action = np.full((2, 200, 3), 0.5)
+    action[0, 100, 1] = 0.9
+    margins = spread_margins(rehearsal([0.0, 0.0], poses=poses, action=action), TASK.trajectory)
+    assert margins.position[100] > 1e-3
+    assert margins.action[100].tolist() == [0.0, LARGEST_ACTION_MARGIN, 0.0]
+    assert margins.position[50] == margins.action[50].max() == 0.0
+
+
+def test_jump_that_comes_a_period_later_needs_no_margin():
+    """The delay of a robot moves its actions and tensions in time."""
+    tension = np.full((2, 200), 5.0)
+    tension[0, 100:] = tension[1, 101:] = 50.0
+    action = np.full((2, 200, 3), 0.5)
+    action[0, 100:] = action[1, 101:] = 0.7
+    margins = spread_margins(rehearsal([0.0, 0.0], tension=tension, action=action), TASK.trajectory)
+    assert margins.tension.max() < 1.0
+    assert margins.action.max() < 1e-9
+
+
+def test_exceeded_limits_get_larger_margins_at_their_times():
+    tension = np.full((1, 200), 5.0)
+    tension[0, 100] = TASK.robot.minimum_tension - 0.5
+    margins = grown_margins(MarginProfile.zeros(TIMES, 3), rehearsal([0.0], tension=tension))
+    assert margins.tension[100] == pytest.approx(0.5 * GROWTH)
+    assert margins.tension[50] == margins.position.max() == margins.action.max() == 0.0
+
+
+def test_lighter_payload_on_a_plan_is_near_a_solution():
+    """A program with both payloads then starts from motor angles that balance the lighter one."""
+    motion = find_trajectory({"name": "line-planar", "duration": 0.4, "dwell": 0.1}, "planar")
+    plan = MotionProgram(FLEX_PLANAR, motion, ErrorBounds(), intervals=20, period=2e-3).solve()
+    both = with_lighter_payload(plan, FLEX_PLANAR, 0.0)
+    program = MotionProgram(
+        FLEX_PLANAR, motion, ErrorBounds(), intervals=20, lightest=0.0, period=2e-3
+    )
+    solved = program.solve(both, near=True)
+    assert solved.payload <= plan.payload * (1 + 1e-4)
+    times = np.linspace(0.0, motion.duration, 50)
+    angle, _, _ = both.motor_motion(times, np.zeros(50))
+    planned = both(times)
+    pulley = textbook.pulley_angle(FLEX_PLANAR, planned.position)
+    tensions = FLEX_PLANAR.stiffness * (angle - pulley) / FLEX_PLANAR.pulley_radius
+    structure = textbook.jacobian(FLEX_PLANAR, planned.position)
+    wrench = -np.einsum("tmn,tm->tn", structure, tensions)
+    assert_allclose(wrench, FLEX_PLANAR.mass * planned.acceleration, atol=1.0)
+
+
+@pytest.mark.slow
+def test_rehearsed_plan_is_carried_by_robots_of_another_seed(monkeypatch):
+    """They are as random as the rehearsed ones; a plan that fits those only would be worthless."""
+    task = replace(TASK, trajectory=find_trajectory({"name": "loop-planar", "seed": 3}, "planar"))
+    uncertainty = find_uncertainty("hardware", PLANAR)
+    plan = find_rehearsed_plan(task, uncertainty)
+    search = module.PlanSearch(task, uncertainty)
+    monkeypatch.setattr(module, "SEED", 5)
+    assert search._rehearsal(plan, (0.0, 0.5, 0.95)).carried.all()
