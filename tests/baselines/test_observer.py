@@ -10,7 +10,7 @@ from cablebot_baselines.classical.feedback_linearization import FeedbackLineariz
 from cablebot_baselines.classical.flexible import composite_tuned
 from cablebot_baselines.classical.observing import Observing
 from cablebot_baselines.estimation.expectation import Expectation
-from cablebot_baselines.estimation.observer import RobotObserver, delayed_weights
+from cablebot_baselines.estimation.observer import delayed_weights
 from cablebot_gym.envs import env_robot
 from cablebot_gym.robots import find_robot
 from cablebot_gym.uncertainty import ExternalWrench, Uncertainty, find_uncertainty
@@ -28,13 +28,12 @@ LARGEST = {
 def observing(env_id, uncertainty, largest_payload):
     """The adaptive law of a robot behind an observer."""
     robot = find_robot(env_robot(env_id))
-    expectation = Expectation.of(robot, uncertainty, PERIOD)
+    expectation = Expectation.of(robot, uncertainty)
     if robot.flexible:
         law = composite_tuned(expectation.robot)
     else:
         law = FeedbackLinearization(expectation.robot, gains=(400.0, 40.0))
-    observer = RobotObserver(expectation, PERIOD, largest_payload=largest_payload)
-    return Observing(law, observer)
+    return Observing(law, expectation, largest_payload=largest_payload)
 
 
 def episodes(env_id, uncertainty, payload, steps, **keywords):
@@ -70,22 +69,21 @@ def test_expectation_has_the_medians_and_spreads_of_an_uncertainty():
     """Friction of `hardware` is 0.5 to 1.5 % of the stall torque, delay 0 or 1 period, lag 1 to 2
     ms."""
     robot = find_robot("spatial")
-    expected = Expectation.of(robot, find_uncertainty("hardware", robot), PERIOD)
+    expected = Expectation.of(robot, find_uncertainty("hardware", robot))
     assert_allclose(expected.robot.coulomb_friction, 0.01 * robot.stall_torque)
     assert_allclose(expected.robot.stall_torque, robot.stall_torque)
     assert np.max(expected.robot.motor_lag) == 0
-    assert expected.delay_range == pytest.approx((1e-3, 4e-3))
-    assert expected.delay == pytest.approx(2.5e-3)
+    assert expected.effect_times(PERIOD) == pytest.approx((1e-3, 4e-3))
     assert expected.strength_spread == pytest.approx(0.03 / np.sqrt(3), rel=0.2)
     assert_allclose(expected.wrench_spread, [0.5] * 3 + [0.05] * 3)
 
 
 def test_exactly_known_robot_is_expected_as_it_is():
     robot = find_robot("flex-spatial")
-    expected = Expectation.of(robot, Uncertainty(), PERIOD)
+    expected = Expectation.of(robot, Uncertainty())
     for name in ("mass", "stall_torque", "stiffness", "coulomb_friction", "motor_inertia"):
         assert_allclose(getattr(expected.robot, name), getattr(robot, name))
-    assert expected.delay_range == (0.0, 0.0)
+    assert expected.effect_times(PERIOD) == (0.0, 0.0)
     assert expected.strength_spread == expected.anchor_spread == expected.stiffness_spread == 0.0
     assert not expected.wrench_spread.any()
 

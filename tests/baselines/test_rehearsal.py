@@ -13,6 +13,7 @@ from cablebot_baselines.optimal import rehearsed as module
 from cablebot_baselines.optimal.rehearsal import (
     GROWTH,
     LARGEST_ACTION_MARGIN,
+    TENSION_RESERVE,
     Rehearsal,
     grown_margins,
     spread_margins,
@@ -86,7 +87,7 @@ def test_jump_that_comes_a_period_later_needs_no_margin():
 
 def test_exceeded_limits_get_larger_margins_at_their_times():
     tension = np.full((1, 200), 5.0)
-    tension[0, 100] = TASK.robot.minimum_tension - 0.5
+    tension[0, 100] = TASK.robot.minimum_tension + TENSION_RESERVE - 0.5
     margins = grown_margins(MarginProfile.zeros(TIMES, 3), rehearsal([0.0], tension=tension))
     assert margins.tension[100] == pytest.approx(0.5 * GROWTH)
     assert margins.tension[50] == margins.position.max() == margins.action.max() == 0.0

@@ -12,6 +12,7 @@ from cablebot_baselines.classical.flexible import (
     FourthOrder,
     MotorPD,
 )
+from cablebot_baselines.classical.observing import OBSERVING, Observing
 from cablebot_baselines.classical.outer_loop import PD, RobustPD
 from cablebot_baselines.classical.robust import (
     ROBUST,
@@ -31,6 +32,7 @@ __all__ = [
     "FLEX_EQ22",
     "FL_TUNED",
     "MOTOR_PD",
+    "OBSERVING",
     "PD",
     "ROBUST",
     "ROBUST_COMPOSITE",
@@ -40,6 +42,7 @@ __all__ = [
     "FeedbackLinearization",
     "FourthOrder",
     "MotorPD",
+    "Observing",
     "PaperFlexible",
     "Robust",
     "RobustComposite",

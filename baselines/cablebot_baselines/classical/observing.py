@@ -10,10 +10,28 @@ from typing import Any
 import numpy as np
 
 from cablebot_baselines.classical.allocation import allocate
+from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
+from cablebot_baselines.classical.flexible import composite_tuned
 from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
+from cablebot_baselines.classical.outer_loop import by_kind
+from cablebot_baselines.entries import entry
+from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.estimation.observer import ObserverState, RobotEstimate, RobotObserver
+from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.physics.textbook import normalised_action
+from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
+from cablebot_gym.uncertainty import find_uncertainty
+
+PERIOD = 2e-3
+"""Control period of the observer before :meth:`Observing.reset` [s]."""
+
+GAINS = {"planar": (1600.0, 80.0), "spatial": (400.0, 40.0)}
+"""(K_P, K_D) of ``observing`` for rigid robots [1/s², 1/s]. Higher ones amplify the noise of the
+sensors."""
+
+UNCERTAINTY = "hardware"
+"""Uncertainty that ``observing`` expects."""
 
 _REFERENCE = ("pose", "velocity", "acceleration", "jerk", "snap")
 """Derivatives of the reference in the observation, if it has them."""
@@ -40,24 +58,56 @@ class Observing(ClassicalLaw):
 
     Args:
         law: control law without memory for the expected robot.
-        observer: the observer.
+        expectation: what is expected of the robot.
+        largest_payload: largest payload that is considered possible if the payload is unknown [kg];
+            None for that with which the motors can track the reference of the task exactly.
     """
 
     unsaturated_actions = False
 
-    def __init__(self, law: ClassicalLaw, observer: RobotObserver) -> None:
+    def __init__(
+        self,
+        law: ClassicalLaw,
+        expectation: Expectation,
+        *,
+        largest_payload: float | None = None,
+    ) -> None:
         super().__init__(law.robot, minimum_tension=law.minimum_tension)
         self.law = law
-        self.observer = observer
+        self.expectation = expectation
+        self.largest_payload = largest_payload
+        self.observer = self._observer(PERIOD, np.array([self._possible(None)]))
         self._allocates = law.robot.cables == law.robot.coordinates
 
     def reset(self, tasks: Sequence[Task]) -> None:
-        """Passes the tasks to the law.
+        """Passes the tasks to the law, and makes the observer for their control period.
 
         Raises:
             ValueError: if a task's robot differs from the law's robot in kind or anchors.
         """
         self.law.reset(tasks)
+        period = 1 / tasks[0].control_frequency
+        largest: dict[int, float] = {}
+        for task in tasks:
+            motion = id(task.trajectory)
+            if motion not in largest:
+                largest[motion] = self._possible(task)
+        payloads = [largest[id(task.trajectory)] for task in tasks]
+        self.observer = self._observer(period, np.array(payloads))
+
+    def _possible(self, task: Task | None) -> float:
+        """Largest payload that is considered possible in a task; None for an unknown task [kg]."""
+        if self.largest_payload is not None:
+            return self.largest_payload
+        least = float(self.robot.mass)
+        if task is None:
+            return least
+        return max(least, exact_payload(task.robot, task.trajectory).payload)
+
+    def _observer(self, period: float, payloads: Array) -> RobotObserver:
+        if np.ptp(payloads) == 0:
+            payloads = payloads[0]  # serves any number of episodes
+        return RobotObserver(self.expectation, period, largest_payload=payloads)
 
     def respond(
         self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None
@@ -106,3 +156,18 @@ def _later_reference(blocks: dict[str, Array], delay: Array) -> dict[str, Array]
         later[name] = value
     later["time_to_go"] = np.maximum(blocks["time_to_go"] - step, 0.0)
     return later
+
+
+def make_observing(robot: Robot) -> Observing:
+    """Makes the policy ``observing``: the reference is tracked by feedback linearization of a rigid
+    robot or by the composite law of a flexible one."""
+    expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
+    law: ClassicalLaw
+    if robot.flexible:
+        law = composite_tuned(expectation.robot)
+    else:
+        law = FeedbackLinearization(expectation.robot, gains=by_kind(GAINS, robot))
+    return Observing(law, expectation)
+
+
+OBSERVING = entry("observing", make_observing)

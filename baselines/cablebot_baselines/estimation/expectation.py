@@ -23,12 +23,10 @@ class Expectation:
 
     robot: Robot
     """Robot with the median of each uncertain parameter, without motor lag."""
-    delay: float
-    """Expected time between the request of an action and its torque: delay and motor lag [s]."""
-    delay_spread: float
-    """Standard deviation of this time [s]."""
-    delay_range: tuple[float, float]
-    """Shortest and longest possible time [s]."""
+    delay: tuple[int, int]
+    """Shortest and longest delay of the actions [control steps]."""
+    lag: tuple[float, float]
+    """Shortest and longest lag of the motors [s]."""
     mass_spread: float
     """Standard deviation of the platform mass [kg]."""
     payload_spread: float
@@ -49,21 +47,18 @@ class Expectation:
     """White noise of the sensors."""
 
     @classmethod
-    def of(cls, robot: Robot, uncertainty: Uncertainty, period: float) -> Expectation:
-        """The expectation for an uncertainty of a nominal robot, with a control period [s]."""
-        steps = np.array(uncertainty.delay_range) * period
+    def of(cls, robot: Robot, uncertainty: Uncertainty) -> Expectation:
+        """The expectation for an uncertainty of a nominal robot."""
         lag = np.array([np.mean(robot.motor_lag)] * 2)
         if "motor_lag" in uncertainty.parameters:
             lags = uncertainty.parameters["motor_lag"]
             lag = lags.applied(lag, np.array([lags.low, lags.high]))
-        shortest, longest = (steps + lag).tolist()
-        delay_spread = float(np.hypot(np.ptp(steps), np.ptp(lag)) / np.sqrt(12))
+        shortest, longest = lag.tolist()
         noise = uncertainty.sensors or SensorNoise()
         return cls(
             robot=_expected(robot, uncertainty),
-            delay=(shortest + longest) / 2,
-            delay_spread=delay_spread,
-            delay_range=(shortest, longest),
+            delay=uncertainty.delay_range,
+            lag=(shortest, longest),
             mass_spread=_spread(robot, uncertainty, "platform_mass", relative=False),
             payload_spread=_relative_spread(uncertainty, "payload"),
             strength_spread=_spread(robot, uncertainty, "motor_strength"),
@@ -79,6 +74,14 @@ class Expectation:
             wrench_time=_wrench_time(uncertainty),
             noise=noise,
         )
+
+    def effect_times(self, period: float) -> tuple[float, float]:
+        """Shortest and longest time between the request of an action and its torque [s], with a
+        control period [s]: delay and lag."""
+        shortest, longest = (
+            steps * period + lag for steps, lag in zip(self.delay, self.lag, strict=True)
+        )
+        return shortest, longest
 
 
 def _expected(robot: Robot, uncertainty: Uncertainty) -> Robot:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_gym.kinematics import Array
@@ -98,14 +98,18 @@ class RobotObserver:
     Args:
         expectation: expected robot and what differs from it.
         period: control period [s].
-        largest_payload: largest payload that is considered possible if the payload is unknown [kg].
+        largest_payload: largest payload that is considered possible if the payload is unknown, one
+            or one for each of N episodes [kg].
     """
 
-    def __init__(self, expectation: Expectation, period: float, *, largest_payload: float) -> None:
+    def __init__(
+        self, expectation: Expectation, period: float, *, largest_payload: ArrayLike
+    ) -> None:
         self.expectation = expectation
         self.robot = textbook.joint_equivalent(expectation.robot)
         self.period = period
-        self.largest_payload = largest_payload
+        self.largest_payload = np.asarray(largest_payload, float)
+        self._effect_times = expectation.effect_times(period)
         robot = self.robot
         n, m = robot.coordinates, robot.cables
         self._pose = slice(0, n)
@@ -174,21 +178,20 @@ class RobotObserver:
         pose = blocks["pose"]
         count = len(pose)
         is_known = blocks["payload_known"][:, 0] > 0.5
-        payload = np.where(is_known, blocks["model_payload"][:, 0], self.largest_payload / 2)
-        spread = np.where(
-            is_known, expected.payload_spread * payload, self.largest_payload / np.sqrt(12)
-        )
+        largest = np.broadcast_to(self.largest_payload, is_known.shape)
+        payload = np.where(is_known, blocks["model_payload"][:, 0], largest / 2)
+        spread = np.where(is_known, expected.payload_spread * payload, largest / np.sqrt(12))
         mean = np.zeros((count, self._size))
         mean[:, self._pose] = pose
         mean[:, self._velocity] = blocks["velocity"]
         mean[:, self._mass] = robot.mass + payload
         mean[:, self._strength] = 1.0
-        mean[:, self._delay] = expected.delay
+        mean[:, self._delay] = np.mean(self._effect_times)
         variance = np.zeros((count, self._size))
         variance[:, : self._mass] = self._reading_variance
         variance[:, self._mass] = spread**2 + expected.mass_spread**2
         variance[:, self._strength] = expected.strength_spread**2
-        variance[:, self._delay] = expected.delay_spread**2
+        variance[:, self._delay] = np.ptp(self._effect_times) ** 2 / 12
         variance[:, self._wrench] = expected.wrench_spread**2
         light, heavy = (self._holding_torque(mass, pose) for mass in (robot.mass, 2 * robot.mass))
         slope = (heavy - light) / robot.mass
@@ -257,7 +260,7 @@ class RobotObserver:
             )
             variance = np.concatenate([variance, noise], axis=-1)
         mean, covariance = _corrected(predicted, covariance, innovation, gradient, variance)
-        mean[:, self._delay] = np.clip(mean[:, self._delay], *self.expectation.delay_range)
+        mean[:, self._delay] = np.clip(mean[:, self._delay], *self._effect_times)
         mean[:, self._mass] = np.maximum(mean[:, self._mass], self.robot.mass / 2)
         zero = np.zeros_like(state.motor_angle)
         return ObserverState(

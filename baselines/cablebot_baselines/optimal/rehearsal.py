@@ -19,6 +19,12 @@ from cablebot_gym.task import Task
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.uncertainty import Uncertainty
 
+ERROR_RESERVE = 0.02
+"""Reserve of a rehearsal to the error bounds, as a fraction of them."""
+
+TENSION_RESERVE = 0.5
+"""Reserve of a rehearsal to the minimum tension [N]."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rehearsal:
@@ -42,14 +48,22 @@ class Rehearsal:
     """Least tension of all cables in each control period, (N, T) [N]."""
 
     @property
-    def carried(self) -> NDArray[np.bool_]:
-        """Whether each episode keeps all limits, (N,)."""
+    def excess(self) -> dict[str, Array]:
+        """How far each control period is beyond the limits, less the reserves that cover the robots
+        that are not rehearsed, by limit, each (N, T); negative within them."""
         bounds = self.task.error_bounds
-        is_carried: NDArray[np.bool_] = (
-            (self.position.max(axis=1) <= bounds.position)
-            & (self.rotation.max(axis=1) <= bounds.rotation)
-            & (self.tension.min(axis=1) >= self.task.robot.minimum_tension)
-        )
+        return {
+            "position": self.position - (1 - ERROR_RESERVE) * bounds.position,
+            "rotation": self.rotation - (1 - ERROR_RESERVE) * bounds.rotation,
+            "tension": self.task.robot.minimum_tension + TENSION_RESERVE - self.tension,
+        }
+
+    @property
+    def carried(self) -> NDArray[np.bool_]:
+        """Whether each episode keeps all limits and the reserves, (N,)."""
+        is_carried = np.ones(len(self.payloads), np.bool_)
+        for excess in self.excess.values():
+            is_carried &= excess.max(axis=1) <= 0
         return is_carried
 
     def largest_carried(self) -> float:
@@ -193,17 +207,10 @@ def _deviation(name: str, rehearsal: Rehearsal, motion: Trajectory) -> Array:
 
 def grown_margins(profile: MarginProfile, rehearsal: Rehearsal) -> MarginProfile:
     """A profile with larger margins at the times at which episodes exceed a limit."""
-    task = rehearsal.task
-    bounds = task.error_bounds
-    excess = {
-        "position": rehearsal.position - bounds.position,
-        "rotation": rehearsal.rotation - bounds.rotation,
-        "tension": task.robot.minimum_tension - rehearsal.tension,
-    }
     grown = {"action": profile.action}
-    for name, values in excess.items():
-        largest = GROWTH * np.maximum(values.max(axis=0), 0.0)
-        grown[name] = getattr(profile, name) + _widened(largest, task)
+    for name, excess in rehearsal.excess.items():
+        largest = GROWTH * np.maximum(excess.max(axis=0), 0.0)
+        grown[name] = getattr(profile, name) + _widened(largest, rehearsal.task)
     return MarginProfile(times=profile.times, **grown)
 
 

@@ -13,7 +13,6 @@ from scipy.interpolate import make_lsq_spline
 from cablebot_baselines.classical.observing import Observing
 from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.estimation.expectation import Expectation
-from cablebot_baselines.estimation.observer import RobotObserver
 from cablebot_baselines.optimal.plan_law import PlanLaw, TrackingGains
 from cablebot_baselines.optimal.rehearsal import (
     Rehearsal,
@@ -39,14 +38,14 @@ from cablebot_gym.uncertainty import Uncertainty
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
-INTERVALS_PER_SECOND = 50.0
-"""Spline intervals of a plan per second [1/s]. More of them hardly increase the DLCC and take
-longer to plan."""
+INTERVALS_PER_SECOND = {"rigid": 50.0, "flexible": 30.0}
+"""Spline intervals of a plan per second [1/s], by joints of the robot. More of them hardly increase
+the DLCC and take longer to plan: minutes with joint springs."""
 
 MINIMUM_INTERVALS, MAXIMUM_INTERVALS = 20, 240
 """Minimum and maximum number of spline intervals of a plan."""
 
-COARSE = 2
+COARSE = 1.5
 """How many times fewer intervals the first plan of a flexible robot has. It takes the second one of
 two payloads as a start."""
 
@@ -64,7 +63,7 @@ SENSOR_BIASES = 4.5
 FIRST_MARGINS = Margins(position=0.04, rotation=0.04, action=0.04, tension=3.0)
 """Further margins of the first plan; those to the error bounds are fractions of them."""
 
-LEAST_MARGINS = Margins(position=0.01, rotation=0.01, action=0.005, tension=0.5)
+LEAST_MARGINS = Margins(position=0.01, rotation=0.01, action=0.005, tension=1.0)
 """Least margins of all plans; those to the error bounds are fractions of them."""
 
 SPRING_RESERVE = 0.9
@@ -97,9 +96,9 @@ BOLDER = 0.6
 """Factor of the action margins after a rehearsal in which all robots carry the planned payload."""
 
 
-def intervals_of(trajectory: Trajectory) -> int:
+def intervals_of(robot: Robot, trajectory: Trajectory) -> int:
     """Number of spline intervals of the plans for a motion."""
-    count = math.ceil(INTERVALS_PER_SECOND * trajectory.duration)
+    count = math.ceil(INTERVALS_PER_SECOND[robot.joints] * trajectory.duration)
     return min(max(MINIMUM_INTERVALS, count), MAXIMUM_INTERVALS)
 
 
@@ -126,24 +125,22 @@ def find_rehearsed_plan(task: Task, uncertainty: Uncertainty) -> PlannedMotion:
     )
 
 
-def tracking_law(
-    plan: PlannedMotion, expectation: Expectation, task: Task, largest_payload: float
-) -> Observing:
+def tracking_law(plan: PlannedMotion, expectation: Expectation, task: Task) -> Observing:
     """The law that tracks a plan on a robot that is not exactly known.
 
     Args:
         plan: the plan.
         expectation: what is expected of the robot.
         task: the task.
-        largest_payload: largest payload that is considered possible if it is unknown [kg].
     """
     robot = expectation.robot
     period = 1 / task.control_frequency
     gains = by_kind(GAINS, robot)
     if robot.flexible:
         gains = GAINS["flexible"]
-    law = PlanLaw(robot, plan, period, gains)
-    return Observing(law, RobotObserver(expectation, period, largest_payload=largest_payload))
+    law = Observing(PlanLaw(robot, plan, period, gains), expectation, largest_payload=plan.payload)
+    law.reset([task])
+    return law
 
 
 class PlanSearch:
@@ -162,7 +159,7 @@ class PlanSearch:
     def __init__(self, task: Task, uncertainty: Uncertainty) -> None:
         self._task = task
         self._uncertainty = uncertainty
-        self._expectation = Expectation.of(task.robot, uncertainty, 1 / task.control_frequency)
+        self._expectation = Expectation.of(task.robot, uncertainty)
 
     def find(self) -> PlannedMotion:
         """The plan.
@@ -194,19 +191,19 @@ class PlanSearch:
         return best
 
     def _rehearsal(self, plan: PlannedMotion, fractions: tuple[float, ...]) -> Rehearsal:
-        law = tracking_law(plan, self._expectation, self._task, plan.payload)
+        law = tracking_law(plan, self._expectation, self._task)
         payloads = [fraction * plan.payload for fraction in fractions]
         return rehearse(law, self._task, self._uncertainty, payloads, robots=ROBOTS, seed=SEED)
 
     def _first_plan(self) -> tuple[MotionProgram, PlannedMotion]:
         """The program, and its solution with the first margins."""
         task = self._task
-        intervals = intervals_of(task.trajectory)
+        intervals = intervals_of(task.robot, task.trajectory)
         lightest = -LIGHTEST * self._expectation.mass_spread
         program = self._program(intervals, lightest)
         if not task.robot.flexible:
             return program, program.solve()
-        coarse = self._program(max(MINIMUM_INTERVALS, intervals // COARSE), None).solve()
+        coarse = self._program(max(MINIMUM_INTERVALS, round(intervals / COARSE)), None).solve()
         start = with_lighter_payload(coarse, self._expectation.robot, lightest)
         try:
             return program, program.solve(start, near=True)

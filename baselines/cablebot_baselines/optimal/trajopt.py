@@ -134,7 +134,8 @@ class TrajOpt:
         plan."""
         rehearsed = self._stored("rehearsed", task)
         if isinstance(rehearsed, Observing):
-            is_light = task.model_payload <= rehearsed.observer.largest_payload
+            assert rehearsed.largest_payload is not None
+            is_light = task.model_payload <= rehearsed.largest_payload
             if is_light or not task.payload_known:
                 return rehearsed
         return self._stored("exact", task)
@@ -167,8 +168,7 @@ class TrajOpt:
         """The plan for robots that are not exactly known, and its law."""
         uncertainty = find_uncertainty(UNCERTAINTY, self.robot)
         plan = find_rehearsed_plan(replace(task, robot=self.robot), uncertainty)
-        expectation = Expectation.of(self.robot, uncertainty, 1 / task.control_frequency)
-        return plan, tracking_law(plan, expectation, task, plan.payload)
+        return plan, tracking_law(plan, Expectation.of(self.robot, uncertainty), task)
 
     def _exact_law(self, task: Task) -> tuple[PlannedMotion, ClassicalLaw]:
         """The plan for an exactly known robot, and its law."""
@@ -176,7 +176,7 @@ class TrajOpt:
             self.robot,
             task.trajectory,
             task.error_bounds,
-            intervals=intervals_of(task.trajectory),
+            intervals=intervals_of(self.robot, task.trajectory),
             margins=exact_margins(self.robot, task.error_bounds),
             lightest=0.0,
             period=1 / task.control_frequency,
