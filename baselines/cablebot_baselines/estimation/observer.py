@@ -15,6 +15,10 @@ from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 
+MASS_DRIFT = 0.03
+"""Growth of the relative standard deviation of the mass in one second [√(1/s)]. The mass is constant;
+this covers the linearisation about a wrong one."""
+
 STRENGTH_DRIFT = 0.02
 """Growth of the standard deviation of a motor's strength in one second [√(1/s)]. It takes up friction
 and errors of the directions of the cables, which change along a motion."""
@@ -239,13 +243,18 @@ class RobotObserver:
 
     def _following(self, blocks: dict[str, Array], state: ObserverState) -> ObserverState:
         """Prediction over one control period, and correction by the sensors."""
+        balance = None
         if self.robot.flexible:
             predicted, transition, balance = self._flexible_period(blocks, state)
+            growth = self._growth(predicted)
         else:
-            predicted, transition = self._rigid_period(blocks, state)
-            balance = None
+            predicted, transition, torque_slope = self._rigid_period(blocks, state)
+            growth = self._growth(predicted)
+            # Errors of the torques move the platform at once.
+            jumps = self.period * torque_slope * self._torque_errors(blocks)[:, None, :]
+            growth[:, self._velocity] += np.sum(jumps**2, axis=-1)
         covariance = transition @ state.covariance @ np.swapaxes(transition, -1, -2)
-        covariance = covariance + self._growth(predicted)
+        covariance = covariance + growth[:, :, None] * np.eye(self._size)
         readings = np.concatenate([blocks["pose"], blocks["velocity"]], axis=-1)
         innovation = readings - predicted[:, : self._mass]
         gradient = np.eye(self._mass, self._size)
@@ -273,20 +282,24 @@ class RobotObserver:
         )
 
     def _growth(self, mean: Array) -> Array:
-        """Covariance that one control period adds."""
+        """Variances that one control period adds, (N, size)."""
         period, expected = self.period, self.expectation
         variance = np.zeros((len(mean), self._size))
         variance[:, self._velocity] = self._acceleration_noise**2 * period
         variance[:, self._pose] = self._acceleration_noise**2 * period**3 / 3
         variance[:, self._wrench] = (1 - self._wrench_decay**2) * expected.wrench_spread**2
+        variance[:, self._mass] = (MASS_DRIFT * mean[:, self._mass]) ** 2 * period
         variance[:, self._strength] = STRENGTH_DRIFT**2 * period
         if self.robot.flexible:
             drift = OFFSET_DRIFT * expected.anchor_spread / self.robot.pulley_radius
             variance[:, self._zero] = drift**2 * period
-        return variance[:, :, None] * np.eye(self._size)
+        return variance
 
-    def _rigid_period(self, blocks: dict[str, Array], state: ObserverState) -> tuple[Array, Array]:
-        """Predicted mean and transition of a rigid robot."""
+    def _rigid_period(
+        self, blocks: dict[str, Array], state: ObserverState
+    ) -> tuple[Array, Array, Array]:
+        """Predicted mean, transition and derivative of the acceleration with respect to the torques
+        of a rigid robot."""
         robot, period = self.robot, self.period
         now = self.estimate(state)
         middle = now.pose + period / 2 * now.velocity
@@ -305,7 +318,8 @@ class RobotObserver:
         slopes[..., self._strength] = torque_slope * drives.per_strength[:, None, :]
         slopes[..., self._delay] = _times(torque_slope, drives.per_delay)
         slopes[..., self._wrench] = wrench_slope
-        return self._moved(state.mean, now.velocity, acceleration, slopes)
+        predicted, transition = self._moved(state.mean, now.velocity, acceleration, slopes)
+        return predicted, transition, torque_slope
 
     def _flexible_period(
         self, blocks: dict[str, Array], state: ObserverState
@@ -350,10 +364,15 @@ class RobotObserver:
         angle = robot.stiffness * noise.motor_angle
         friction = self.expectation.friction_spread * robot.coulomb_friction
         friction = friction * np.sqrt(robot.cables * FRICTION_TIME / self.period)
-        actions = blocks["last_actions"].reshape(len(blocks["pose"]), -1, robot.cables)
-        jump = LAG_ERROR * robot.stall_torque * np.ptp(actions, axis=1)
+        jump = self._torque_errors(blocks)
         variance: Array = speed**2 + angle**2 + friction**2 + jump**2 + _EPS
         return variance
+
+    def _torque_errors(self, blocks: dict[str, Array]) -> Array:
+        """Errors of the mean torques in one control period by changes of the actions, (N, m)."""
+        actions = blocks["last_actions"].reshape(len(blocks["pose"]), -1, self.robot.cables)
+        errors: Array = LAG_ERROR * self.robot.stall_torque * np.ptp(actions, axis=1)
+        return errors
 
     def _moved(
         self, mean: Array, velocity: Array, acceleration: Array, slopes: Array
