@@ -77,17 +77,18 @@ def test_short_motion_is_tracked_with_known_and_unknown_payload():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("known", [True, False])
-def test_planar_dlcc_is_near_the_best_known_payload(known):
+@pytest.mark.parametrize(("known", "fraction"), [(True, 0.97), (False, 0.88)])
+def test_planar_dlcc_is_near_the_best_known_payload(known, fraction):
+    """A robot with an unknown payload may be any of `hardware`."""
     result = evaluate_dlcc(TrajOpt(PLANAR), PLANAR_ID, payload_known=known, resolution=0.02)
-    assert 0.97 * PLANAR_BEST <= result.payload <= PLANAR_BEST
+    assert fraction * PLANAR_BEST <= result.payload <= PLANAR_BEST
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "env_id", "trajectory", "payload", "unknown"),
     [
-        (SPATIAL, SPATIAL_ID, "paper-spatial", 7.1, 7.1),
+        (SPATIAL, SPATIAL_ID, "paper-spatial", 7.1, 6.0),
         (FLEX_PLANAR, FLEX_PLANAR_ID, LINE, 6.2, 1.5),
     ],
 )
