@@ -6,7 +6,7 @@ acts for the robot that it meets, at the instant at which its action takes effec
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
+from cablebot_gym.robots import Robot
 
 MASS_DRIFT = 0.03
 """Growth of the relative standard deviation of the mass in one second [√(1/s)]. The mass is constant;
@@ -37,9 +38,6 @@ FRICTION_TIME = 0.1
 LAG_ERROR = 0.3
 """Error of the mean torque in a control period, as a fraction of the change of the torque: the model
 has a delay in place of the motors' lag."""
-
-_MASS_STEP = 1e-3
-"""Relative step of the difference quotient with respect to the mass."""
 
 _AHEAD_STEPS = 4
 """Number of steps in which the motion of a flexible robot is predicted until an action takes
@@ -302,22 +300,23 @@ class RobotObserver:
         of a rigid robot."""
         robot, period = self.robot, self.period
         now = self.estimate(state)
-        middle = now.pose + period / 2 * now.velocity
-        speed = textbook.pulley_speed(robot, middle, now.velocity)
+        dynamics = self._dynamics(now, now.pose + period / 2 * now.velocity)
+        speed = dynamics.equations.pulley_speed
         drives = self._drives(blocks["last_actions"], state, now, speed)
-        acceleration, torque_slope, mass_slope, wrench_slope = self._accelerations(
-            now, middle, drives.torque
-        )
-        structure = textbook.jacobian(robot, middle)
+        friction = textbook.coulomb_torque(robot, speed)
+        acceleration = dynamics.acceleration(drives.torque - friction, now.wrench)
+        torque_slope, mobility = dynamics.torque_slope, dynamics.mobility
+        structure = dynamics.equations.structure
         speed_slope = now.strength * robot.speed_slope + robot.damping
         slopes = np.zeros((len(acceleration), robot.coordinates, self._size))
         slopes[..., self._velocity] = torque_slope @ (
             (speed_slope / robot.pulley_radius)[..., None] * structure
         )
-        slopes[..., self._mass] = mass_slope + _times(torque_slope, drives.per_mass)
+        slopes[..., self._mass] = dynamics.mass_slope(acceleration)
+        slopes[..., self._mass] += _times(torque_slope, drives.per_mass)
         slopes[..., self._strength] = torque_slope * drives.per_strength[:, None, :]
         slopes[..., self._delay] = _times(torque_slope, drives.per_delay)
-        slopes[..., self._wrench] = wrench_slope
+        slopes[..., self._wrench] = mobility
         predicted, transition = self._moved(state.mean, now.velocity, acceleration, slopes)
         return predicted, transition, torque_slope
 
@@ -333,17 +332,16 @@ class RobotObserver:
         middle = now.pose + period / 2 * now.velocity
         stiffness = textbook.joint_stiffness(robot, middle)
         spring = stiffness * (mean_angle - now.zero - textbook.pulley_angle(robot, middle))
-        acceleration, torque_slope, mass_slope, wrench_slope = self._accelerations(
-            now, middle, spring
-        )
-        structure = textbook.jacobian(robot, middle)
+        dynamics = self._dynamics(now, middle)
+        acceleration = dynamics.acceleration(spring, now.wrench)
+        torque_slope, structure = dynamics.torque_slope, dynamics.equations.structure
         # β = (l₀ − l)/r, so a displacement winds the spring by S/r.
         wound = (stiffness / robot.pulley_radius)[..., None] * structure
         slopes = np.zeros((len(acceleration), robot.coordinates, self._size))
         slopes[..., self._pose] = torque_slope @ wound
-        slopes[..., self._mass] = mass_slope
+        slopes[..., self._mass] = dynamics.mass_slope(acceleration)
         slopes[..., self._zero] = -torque_slope * stiffness[..., None, :]
-        slopes[..., self._wrench] = wrench_slope
+        slopes[..., self._wrench] = dynamics.mobility
         predicted, transition = self._moved(state.mean, now.velocity, acceleration, slopes)
         drives = self._drives(blocks["last_actions"], state, now, mean_speed)
         change = robot.motor_inertia * (speed - state.motor_speed) / period
@@ -399,40 +397,11 @@ class RobotObserver:
         transition[:, self._wrench, self._wrench] *= self._wrench_decay
         return predicted, transition
 
-    def _accelerations(
-        self, now: RobotEstimate, pose: Array, torque: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Acceleration Ẍ, (N, n), and its derivatives with respect to the torques on the pulleys,
-        (N, n, m), to the mass, (N, n), and to the wrench, (N, n, n)."""
-        robot, mass, velocity = self.robot, now.mass, now.velocity
-        acceleration, _ = textbook.forward_dynamics(
-            robot, mass, pose, velocity, torque, cable="bilateral"
-        )
-        step = _MASS_STEP * mass
-        heavier, _ = textbook.forward_dynamics(
-            robot, mass + step, pose, velocity, torque, cable="bilateral"
-        )
-        structure = textbook.jacobian(robot, pose)
-        mobility = np.linalg.inv(self._inertia(mass, pose, structure))
-        torque_slope = -mobility @ np.swapaxes(structure, -1, -2) / robot.pulley_radius
-        mass_slope = (heavier - acceleration) / step[:, None]
-        acceleration = acceleration + _times(mobility, now.wrench)
-        return acceleration, torque_slope, mass_slope, mobility
-
-    def _inertia(self, mass: Array, pose: Array, structure: Array) -> Array:
-        """Inertia of platform and pulleys, (N, n, n)."""
-        robot = self.robot
-        rotors = robot.pulley_inertia / robot.pulley_radius**2
-        matrix = textbook.mass_matrix(robot, mass, pose)
-        inertia: Array = matrix + np.swapaxes(structure, -1, -2) @ (rotors[:, None] * structure)
-        return inertia
-
-    def disturbance(self, now: RobotEstimate) -> Array:
-        """Acceleration of the platform by the wrench, (N, n) [m/s², rad/s²]."""
-        structure = textbook.jacobian(self.robot, now.pose)
-        inertia = self._inertia(now.mass, now.pose, structure)
-        acceleration: Array = np.linalg.solve(inertia, now.wrench[..., None])[..., 0]
-        return acceleration
+    def _dynamics(self, now: RobotEstimate, pose: Array) -> _Dynamics:
+        """Dynamics with the estimates, at other poses (N, n)."""
+        masses = np.stack([now.mass, now.mass + 1.0])
+        equations = textbook.motion_equations(self.robot, masses, pose[None], now.velocity[None])
+        return _Dynamics.of(self.robot, equations)
 
     # Actions
 
@@ -499,15 +468,13 @@ class RobotObserver:
         weights = np.stack([latest, 1 - latest], axis=1)
         rates = np.zeros_like(weights)
         actions = actions[:, :2]
-        disturbance = self.disturbance(now)
+        dynamics = self._dynamics(now, now.pose + delay / 2 * now.velocity)
+        disturbance = _times(dynamics.mobility, now.wrench)
         if not robot.flexible:
-            middle = now.pose + delay / 2 * now.velocity
-            speed = textbook.pulley_speed(robot, middle, now.velocity)
+            speed = dynamics.equations.pulley_speed
             drives = self._weighed(actions, weights, rates, state.steps, state, now, speed)
-            acceleration, _ = textbook.forward_dynamics(
-                robot, now.mass, middle, now.velocity, drives.torque, cable="bilateral"
-            )
-            acceleration = acceleration + disturbance
+            friction = textbook.coulomb_torque(robot, speed)
+            acceleration = dynamics.acceleration(drives.torque - friction, now.wrench)
             return {
                 "pose": now.pose + delay * now.velocity + delay**2 / 2 * acceleration,
                 "velocity": now.velocity + delay * acceleration,
@@ -515,20 +482,19 @@ class RobotObserver:
             }
         pose, velocity = now.pose, now.velocity
         angle, speed = blocks["motor_angle"] - now.zero, blocks["motor_speed"]
+        twist = angle - textbook.pulley_angle(robot, pose)
+        stiffness = textbook.joint_stiffness(robot, pose)
         step = delay / _AHEAD_STEPS
         for _ in range(_AHEAD_STEPS):
             drives = self._weighed(actions, weights, rates, state.steps, state, now, speed)
-            spring = textbook.joint_stiffness(robot, pose) * (
-                angle - textbook.pulley_angle(robot, pose)
-            )
-            acceleration, _ = textbook.forward_dynamics(
-                robot, now.mass, pose, velocity, spring, cable="bilateral"
-            )
+            spring = stiffness * twist
             friction = textbook.motor_friction(robot, speed)
             speed = speed + step * (drives.torque - spring - friction) / robot.motor_inertia
-            velocity = velocity + step * (acceleration + disturbance)
+            velocity = velocity + step * dynamics.acceleration(spring, now.wrench)
             pose = pose + step * velocity
             angle = angle + step * speed
+            winding = _times(dynamics.equations.structure, velocity) / robot.pulley_radius
+            twist = twist + step * (speed + winding)
         return {
             "pose": pose,
             "velocity": velocity,
@@ -536,6 +502,60 @@ class RobotObserver:
             "motor_speed": speed,
             "disturbance": disturbance,
         }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Dynamics:
+    """Motion of N robots at a state, for any torques on the pulleys."""
+
+    equations: textbook.MotionEquations
+    """Equations for the estimated masses."""
+    mobility: Array
+    """Acceleration by a wrench, (N, n, n) [1/kg, …]: the inverse of the inertia of platform and
+    pulleys."""
+    torque_slope: Array
+    """Acceleration by the torques on the pulleys, (N, n, m)."""
+    matrix_per_mass: Array
+    """Derivative of the mass matrix, (N, n, n) [1/kg]."""
+    bias_per_mass: Array
+    """Derivative of the bias h, (N, n)."""
+
+    @classmethod
+    def of(cls, robot: Robot, equations: textbook.MotionEquations) -> _Dynamics:
+        """From the equations for the masses and, (2, N, …), for 1 kg more. Both are affine in the
+        mass."""
+        matrix, heavier_matrix = equations.mass_matrix
+        bias, heavier_bias = equations.bias
+        now = replace(
+            equations,
+            mass_matrix=matrix,
+            bias=bias,
+            structure=equations.structure[0],
+            pulley_speed=equations.pulley_speed[0],
+            cable_drag=equations.cable_drag[0],
+        )
+        pulls = np.swapaxes(now.structure, -1, -2)
+        inertia = matrix + pulls @ (now.rotor_masses[:, None] * now.structure)
+        mobility = np.linalg.inv(inertia)
+        return cls(
+            equations=now,
+            mobility=mobility,
+            torque_slope=-mobility @ pulls / robot.pulley_radius,
+            matrix_per_mass=heavier_matrix - matrix,
+            bias_per_mass=heavier_bias - bias,
+        )
+
+    def acceleration(self, torque: Array, wrench: Array) -> Array:
+        """Ẍ for torques on the pulleys, (N, m) [N·m], and wrenches, (N, n) [N, N·m]."""
+        equations = self.equations
+        drag = _times(np.swapaxes(equations.structure, -1, -2), equations.cable_drag)
+        passive = _times(self.mobility, wrench - equations.bias - drag)
+        return passive + _times(self.torque_slope, torque)
+
+    def mass_slope(self, acceleration: Array) -> Array:
+        """Derivative of an acceleration Ẍ with respect to the mass, (N, n)."""
+        change = _times(self.matrix_per_mass, acceleration) + self.bias_per_mass
+        return -_times(self.mobility, change)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -17,12 +17,10 @@ from cablebot_gym.physics.textbook.platform import (
     bias,
     cable_lengths,
     jacobian,
-    jacobian_rate,
     load,
     mass_matrix,
     pulley_angle,
     pulley_motion,
-    pulley_speed,
     tension_distribution,
     times_vector,
 )
@@ -516,6 +514,47 @@ def normalised_action(robot: RobotArrays, torques: ArrayLike, speed: ArrayLike) 
     return action
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionEquations:
+    """Terms of the equations of motion at a state, with a rigid transmission: ``D Ẍ + h = −Sᵀ T``
+    and ``T = τ/r + (J/r²) S Ẍ + d``."""
+
+    mass_matrix: Array
+    """D, (..., n, n)."""
+    bias: Array
+    """h, (..., n)."""
+    structure: Array
+    """S, (..., m, n)."""
+    pulley_speed: Array
+    """β̇ = −S Ẋ / r [rad/s], (..., m)."""
+    rotor_masses: Array
+    """J/r² [kg], (m,)."""
+    cable_drag: Array
+    """d = (J/r²) Ṡ Ẋ + (c/r²) S Ẋ [N], (..., m)."""
+
+
+def motion_equations(
+    robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLike
+) -> MotionEquations:
+    """The terms at poses (..., n) and velocities (..., n), with masses (...) [kg]."""
+    pose, velocity = as_numbers(pose), as_numbers(velocity)
+    structure, rate = kinematics.jacobian_and_rate(
+        robot.base, robot.platform, pose, velocity, robot.swivel
+    )
+    radius = robot.pulley_radius
+    cable_speed = times_vector(structure, velocity)
+    rotor_masses = robot.pulley_inertia / radius**2
+    drag = rotor_masses * times_vector(rate, velocity) + robot.damping / radius**2 * cable_speed
+    return MotionEquations(
+        mass_matrix=mass_matrix(robot, mass, pose),
+        bias=bias(robot, mass, pose, velocity),
+        structure=structure,
+        pulley_speed=-cable_speed / radius,
+        rotor_masses=rotor_masses,
+        cable_drag=drag,
+    )
+
+
 def forward_dynamics(
     robot: Robot,
     mass: ArrayLike,
@@ -533,23 +572,19 @@ def forward_dynamics(
     sets of taut cables until all tensions of the taut cables and all take-up torques of the slack
     cables are positive. This set is unique. The search is slow but exhaustive.
     """
-    pose, velocity, torques = (as_numbers(array) for array in (pose, velocity, torques))
+    torques = as_numbers(torques)
+    equations = motion_equations(robot, mass, pose, velocity)
     if not robot.flexible:
-        torques = torques - coulomb_torque(robot, pulley_speed(robot, pose, velocity))
-    structure = jacobian(robot, pose)
-    inertia = robot.pulley_inertia / robot.pulley_radius**2
-    cable_bias = times_vector(jacobian_rate(robot, pose, velocity), velocity)
-    damping = robot.damping / robot.pulley_radius**2 * times_vector(structure, velocity)
-    driving_force = torques / robot.pulley_radius + inertia * cable_bias + damping
-    matrix = mass_matrix(robot, mass, pose)
-    vector = bias(robot, mass, pose, velocity)
+        torques = torques - coulomb_torque(robot, equations.pulley_speed)
+    structure, rotors = equations.structure, equations.rotor_masses
+    driving_force = torques / robot.pulley_radius + equations.cable_drag
 
     def solve(taut: Array) -> tuple[Array, Array]:
         weighted = np.swapaxes(structure, -1, -2) * taut
-        left = matrix + weighted @ (inertia[:, None] * structure)
-        right = -(vector + times_vector(weighted, driving_force))
+        left = equations.mass_matrix + weighted @ (rotors[:, None] * structure)
+        right = -(equations.bias + times_vector(weighted, driving_force))
         acceleration = np.linalg.solve(left, right[..., None])[..., 0]
-        return acceleration, driving_force + inertia * times_vector(structure, acceleration)
+        return acceleration, driving_force + rotors * times_vector(structure, acceleration)
 
     acceleration, tension = solve(np.ones(robot.cables))
     if cable == "bilateral":

@@ -33,11 +33,13 @@ def mass_matrix(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Array:
     c the coupling is m (−s_y, s_x).
     """
     pose = as_numbers(pose)
-    mass = np.broadcast_to(as_numbers(mass), pose.shape[:-1])[..., None, None]
+    mass = as_numbers(mass)
+    shape = np.broadcast_shapes(mass.shape, pose.shape[:-1])
+    mass = np.broadcast_to(mass, shape)[..., None, None]
     d, n = robot.dimensions, robot.coordinates
     if robot.point_mass:
         return mass * np.eye(d)
-    matrix = np.zeros((*pose.shape[:-1], n, n), np.result_type(pose, mass))
+    matrix = np.zeros((*shape, n, n), np.result_type(pose, mass))
     matrix[..., :d, :d] = mass * np.eye(d)
     offset, inertia = robot.mass_center, robot.inertia_tensor
     if robot.planar:
@@ -79,9 +81,8 @@ def bias(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLi
     pose = as_numbers(pose)
     velocity = as_numbers(velocity)
     mass = as_numbers(mass)
-    vector = np.zeros(
-        np.broadcast_shapes(pose.shape, velocity.shape), np.result_type(pose, mass, velocity)
-    )
+    shape = np.broadcast_shapes(pose.shape, velocity.shape, (*mass.shape, 1))
+    vector = np.zeros(shape, np.result_type(pose, mass, velocity))
     d, offset = robot.dimensions, robot.mass_center
     weight = mass[..., None] * robot.gravity_vector
     vector[..., :d] = -weight
@@ -98,9 +99,7 @@ def bias(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLi
     omega = times_vector(to_omega, rates)
     spin = times_vector(kinematics.euler_rate_matrix_rate(pose[..., 3:], rates), rates)
     if np.any(offset):
-        inertia = _about_origin(
-            inertia, np.broadcast_to(mass, pose.shape[:-1])[..., None, None], offset
-        )
+        inertia = _about_origin(inertia, mass[..., None, None], offset)
     moment = times_vector(inertia, spin) + np.cross(omega, times_vector(inertia, omega))
     if np.any(offset):
         rotation = kinematics.rotation_matrix(pose[..., 3:])
