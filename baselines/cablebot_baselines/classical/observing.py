@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablebot_baselines.classical.allocation import allocate
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
@@ -45,6 +46,8 @@ class ObservingState:
     """State of the observer."""
     requested: Array
     """Actions before saturation, (N, m)."""
+    memory: Any = None
+    """Memory of the reference, see :meth:`Observing.reference`."""
 
 
 class Observing(ClassicalLaw):
@@ -119,23 +122,45 @@ class Observing(ClassicalLaw):
         before = None if state is None else state.observer
         observed = self.observer.update(rows, before, starts)
         estimate = self.observer.estimate(observed)
-        requested, action = self._act(rows, observed, estimate)
-        after = ObservingState(observer=observed, requested=requested)
+        ahead = self.observer.at_effect(rows, observed)
+        memory = None if state is None else state.memory
+        reference, memory = self.reference(rows, estimate, ahead, memory, starts)
+        requested, action = self._act(rows | ahead | reference, estimate)
+        after = ObservingState(observer=observed, requested=requested, memory=memory)
         return action.reshape(*shape, self.robot.cables), after
 
-    def _act(
-        self, blocks: dict[str, Array], observed: ObserverState, estimate: RobotEstimate
-    ) -> tuple[Array, Array]:
-        """Requested and saturated actions, each (N, m)."""
-        ahead = self.observer.at_effect(blocks, observed)
-        later = blocks | ahead | _later_reference(blocks, estimate.delay)
-        later["reference_acceleration"] = later["reference_acceleration"] - ahead["disturbance"]
-        torques, speeds = self.law.torques(later, estimate.mass)
+    def reference(
+        self,
+        blocks: dict[str, Array],
+        estimate: RobotEstimate,
+        ahead: dict[str, Array],
+        memory: Any,
+        starts: NDArray[np.bool_],
+    ) -> tuple[dict[str, Array], Any]:
+        """Blocks of the reference at the instant at which the action takes effect, and the memory
+        for the next step.
+
+        Args:
+            blocks: blocks of the observation, each (N, size).
+            estimate: estimates of the observer.
+            ahead: state at that instant, see
+                :meth:`~cablebot_baselines.estimation.observer.RobotObserver.at_effect`.
+            memory: memory of the last step; None before the first.
+            starts: whether an episode starts, (N,).
+        """
+        return _later_reference(blocks, estimate.delay), None
+
+    def _act(self, blocks: dict[str, Array], estimate: RobotEstimate) -> tuple[Array, Array]:
+        """Requested and saturated actions, each (N, m), for blocks at the instant at which they
+        take effect."""
+        acceleration = blocks["reference_acceleration"] - blocks["disturbance"]
+        blocks = blocks | {"reference_acceleration": acceleration}
+        torques, speeds = self.law.torques(blocks, estimate.mass)
         requested = normalised_action(self.robot, torques / estimate.strength, speeds)
         action = requested.copy()
         is_saturated = np.any(np.abs(requested) > 1, axis=-1)
         if self._allocates and np.any(is_saturated):
-            slope = self.law.torque_slope(estimate.mass[is_saturated], later["pose"][is_saturated])
+            slope = self.law.torque_slope(estimate.mass[is_saturated], blocks["pose"][is_saturated])
             stall = self.robot.stall_torque * estimate.strength[is_saturated]
             action[is_saturated] = allocate(action[is_saturated], slope / stall[..., None])
         return requested, np.clip(action, -1.0, 1.0)

@@ -60,6 +60,18 @@ class Tuning:
     """Weight of the largest constraint violation of errors, in units of their bounds."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExpectedRobot:
+    """What is expected of a robot within the horizon."""
+
+    mass: float
+    """Mass of platform and payload [kg]."""
+    strength: Array | float = 1.0
+    """Strength of each motor as a fraction of the nominal one, (m,)."""
+    disturbance: Array | float = 0.0
+    """Acceleration by a wrench, (n,) [m/s², rad/s²]."""
+
+
 class PlanningError(RuntimeError):
     """The quadratic program has no solution, or the solver failed."""
 
@@ -174,7 +186,7 @@ class HorizonProgram:
         reference: Array,
         last_velocity: Array,
         *,
-        mass: float,
+        robot: ExpectedRobot,
         error_bounds: ErrorBounds,
         iterations: int = 1,
     ) -> Array:
@@ -186,7 +198,7 @@ class HorizonProgram:
             velocity: Ẋ, (n,) [m/s, rad/s].
             reference: X_d at :attr:`instants`, (K, n).
             last_velocity: Ẋ_d at the end of the horizon, (n,).
-            mass: mass of platform and payload [kg].
+            robot: what is expected of the robot.
             error_bounds: bounds of the tracking errors.
             iterations: number of quadratic programs to solve in sequence.
 
@@ -197,7 +209,7 @@ class HorizonProgram:
         plan[0], plan[1] = pose, pose + self._second_point_time * velocity
         for _ in range(iterations):
             try:
-                self._write_program(plan, reference, last_velocity, mass, error_bounds)
+                self._write_program(plan, reference, last_velocity, robot, error_bounds)
             except np.linalg.LinAlgError as error:
                 raise PlanningError("the pose is singular") from error
             plan[2:] += self._solution().reshape(-1, self.robot.coordinates)
@@ -212,20 +224,21 @@ class HorizonProgram:
         plan: Array,
         reference: Array,
         last_velocity: Array,
-        mass: float,
+        robot: ExpectedRobot,
         error_bounds: ErrorBounds,
     ) -> None:
         """Writes the quadratic program, linearised about a plan, into the arrays of the solver."""
         bounds = self._by_coordinate(error_bounds.position, error_bounds.rotation)
         poses, velocities, accelerations = self._bases @ plan
-        model = self._linearised(poses, velocities, accelerations, mass)
+        forced = accelerations - robot.disturbance
+        model = self._linearised(poses, velocities, forced, robot.mass)
         errors = (poses - reference) / bounds
         n = self.robot.coordinates
         shape = (len(self.instants), n, 3 * n)
         error_slope = self._slope(np.broadcast_to(np.eye(n, 3 * n) / bounds[:, None], shape))
         inputs = self._quadratic.inputs
         row = 0
-        for constraint in self._constraints(model, errors, error_slope, bounds):
+        for constraint in self._constraints(model, errors, error_slope, bounds, robot.strength):
             rows = slice(row, row + len(constraint.slope))
             inputs["a"][rows, : constraint.slope.shape[1]] = constraint.slope
             inputs["a"][rows, -2:] = constraint.excess_factors
@@ -256,11 +269,17 @@ class HorizonProgram:
         return np.where(is_position, position, rotation)
 
     def _constraints(
-        self, model: _Model, errors: Array, error_slope: Array, bounds: Array
+        self,
+        model: _Model,
+        errors: Array,
+        error_slope: Array,
+        bounds: Array,
+        strength: Array | float,
     ) -> list[_Constraint]:
         """Constraints of actions, tensions and errors; errors are in units of their bounds."""
         margins = self.tuning.margins
-        actions = _Constraint(model.action_slope, (-1, 0), 1 - margins.action - model.action)
+        largest_action = strength * (1 - margins.action)
+        actions = _Constraint(model.action_slope, (-1, 0), largest_action - model.action)
         # Null-space tensions can always be raised. Without a null space the tension constraints are
         # soft, like those of the actions.
         tension_factor = -0.2
