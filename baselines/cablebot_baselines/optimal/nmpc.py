@@ -58,6 +58,10 @@ TUNING = {
 }
 """Tuning with the largest DLCC on the paper's circles."""
 
+PAYLOAD_OF_PLANS = 2.0
+"""Largest payload of a plan within the error bounds, as a multiple of that with which the motors can
+track the reference exactly."""
+
 _FIRST_ITERATIONS = 3
 """Number of quadratic programs for a plan without a previous plan as initial guess."""
 
@@ -134,6 +138,10 @@ class NonlinearMPC(Observing):
         super().reset(tasks)
         self._tasks = tuple(tasks)
         self.fallbacks = 0
+
+    def _possible(self, task: Task | None) -> float:
+        """Largest payload that is considered possible in a task [kg]. Plans use the error bounds."""
+        return PAYLOAD_OF_PLANS * super()._possible(task)
 
     def reference(
         self,
