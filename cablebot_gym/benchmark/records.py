@@ -118,7 +118,7 @@ def record_from_dict(data: Any) -> Record:
         if violation is not None:
             limit = foreign_object("a violation", violation)
             choice("kind of violation", str(limit.get("kind")), KINDS)
-            for name in ("time", "fraction", "lead"):
+            for name in ("time", "lead"):
                 if limit.get(name) is not None:
                     number(name, limit[name], least=0)
     used = fields.get("processor_seconds", 0.0)
