@@ -1,7 +1,6 @@
 """The payload over draws against order statistics, single episodes and Clopper and Pearson's
 bound."""
 
-import json
 import math
 from collections import Counter
 from functools import cache
@@ -348,11 +347,5 @@ def test_failing_unloaded_in_many_draws_gives_no_payload():
     assert result.score == 0.0
     assert result.details.feasible == ()
     assert 0 < result.details.failures["position"] < 8
-    assert (
-        json.loads(result.to_json(), parse_constant=pytest.fail)["failures"]
-        == result.details.failures
-    )
-    distance = np.linalg.norm(result.rollout.arrays["true_pose"][:, :3] - [0, 0, 0.1], axis=1)
-    assert distance[-1] > BOUNDS["position"], "the recording ends with the violation"
-    assert np.all(distance[:-1] <= BOUNDS["position"])
+    assert result.rollout.arrays["time"][-1] == result.violation.time
     assert np.all(result.rollout.arrays["commanded_action"] == Constant.action)
