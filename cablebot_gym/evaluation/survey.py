@@ -18,9 +18,7 @@ from cablebot_gym.evaluation.batch import (
     DEPENDENT,
     STOCHASTIC_ALONE,
     Batch,
-    Progress,
     Row,
-    StepCount,
     Trial,
     derived_seeds,
     draw_seeds,
@@ -32,10 +30,9 @@ from cablebot_gym.evaluation.evaluator import default_payload_max
 from cablebot_gym.evaluation.repetition import closest_to, first_difference
 from cablebot_gym.evaluation.search import SCAN_POINTS, scan_grid
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import PolicyError, Wrapper
+from cablebot_gym.policies import PolicyError
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.checks import number, whole
-from cablebot_gym.utils.console import chosen_progress
 
 ROBOTS = 19
 """Default number of random robots of each motion."""
@@ -91,20 +88,12 @@ class MotionPayload:
 class SurveyResult:
     """The payloads of a policy over several motions."""
 
-    policy: str
-    """Name of the policy."""
-    conditions: Conditions
-    """Conditions of all episodes, without the motion."""
-    robots: int
-    """Number of random robots of each motion."""
     resolutions: tuple[float, ...]
     """Largest accepted gap to the least failed payload of each motion [kg]."""
     motions: tuple[MotionPayload, ...]
     """Payloads in the order of the motions."""
     stochastic: bool
     """Whether the policy declares random actions."""
-    isolated: bool
-    """Whether the policy ran in a process of its own."""
 
     @property
     def payloads(self) -> Array:
@@ -120,8 +109,6 @@ def survey(
     robots: int | None = None,
     resolution: float | None = None,
     name: str | None = None,
-    wrappers: Sequence[Wrapper] = (),
-    progress: Progress | bool | None = None,
     **conditions: Any,
 ) -> SurveyResult:
     """Finds the payload of every motion. All motions share their batches.
@@ -138,8 +125,6 @@ def survey(
         resolution: gap to the least failed payload as a fraction of the end of the scan; None for
             :data:`RESOLUTION` with several robots, else :data:`NOMINAL_RESOLUTION`.
         name: name of the policy in the result; None for its own name.
-        wrappers: wrappers of the training of the policy.
-        progress: callback after every control step; True shows a bar on standard error.
         conditions: keywords of :class:`~cablebot_gym.evaluation.conditions.Conditions` but
             ``trajectory`` and ``draws``.
 
@@ -154,7 +139,7 @@ def survey(
     if not motions:
         raise ValueError("a survey needs motions: pass at least one")
     checked = Conditions.of(env_id, **conditions)
-    batch = Batch(policy, checked, name=name, wrappers=wrappers, motions=motions)
+    batch = Batch(policy, checked, name=name, motions=motions)
     if robots is None:
         robots = ROBOTS if checked.uncertainty.random else 1
     robots = whole("robots", robots, least=1)
@@ -165,17 +150,12 @@ def survey(
     if resolution is None:
         resolution = NOMINAL_RESOLUTION if robots == 1 else RESOLUTION
     resolution = number("resolution", resolution, above=0, below=1)
-    with chosen_progress(progress, f"{batch.policy.name} on {env_id}, motions") as on_step:
-        search = _Search(batch, robots, resolution, on_step)
-        payloads = search.run()
+    search = _Search(batch, robots, resolution)
+    payloads = search.run()
     return SurveyResult(
-        policy=batch.policy.name,
-        conditions=checked,
-        robots=robots,
         resolutions=search.resolutions,
         motions=payloads,
         stochastic=batch.policy.declarations.stochastic,
-        isolated=batch.policy.isolated,
     )
 
 
@@ -256,9 +236,7 @@ class _Motion:
 class _Search:
     """Search for the payloads of all motions of a batch."""
 
-    def __init__(
-        self, batch: Batch, robots: int, resolution: float, progress: Progress | None
-    ) -> None:
+    def __init__(self, batch: Batch, robots: int, resolution: float) -> None:
         self._batch = batch
         self._robots = robots
         self._resolution = resolution
@@ -276,9 +254,6 @@ class _Search:
                 grid=scan_grid(self._rng, end, points),
             )
             self._motions.append(motion)
-        halvings = np.ceil(np.log2(1 / (points * resolution)))
-        batches = 6 + int(halvings) + points * min(robots, SCAN_ROBOTS) / robots
-        self._count = StepCount(progress, int(batches) * max(task.steps for task in batch.tasks))
 
     @property
     def resolutions(self) -> tuple[float, ...]:
@@ -305,7 +280,7 @@ class _Search:
         rows = []
         for motion in self._motions:
             rows += motion.rows(motion.grid, robots)
-        verdicts = iter(self._batch.run(rows, count=self._count))
+        verdicts = iter(self._batch.run(rows))
         for motion in self._motions:
             for payload in motion.grid:
                 trial = motion.trial(payload, robots, verdicts)
@@ -345,7 +320,7 @@ class _Search:
                 robots[motion] = range(self._robots)
                 motion.has_met_all = True
             rows += motion.rows([payload], robots[motion])
-        verdicts = iter(self._batch.run(rows, count=self._count))
+        verdicts = iter(self._batch.run(rows))
         trials = {}
         for motion, payload in payloads.items():
             trial = motion.trial(payload, robots[motion], verdicts)
@@ -367,7 +342,7 @@ class _Search:
                     robots.append(robot)
         if not rows:
             return
-        verdicts = self._batch.run(rows, count=self._count)
+        verdicts = self._batch.run(rows)
         failed = []
         for row, robot, verdict in zip(rows, robots, verdicts, strict=True):
             if not verdict.carried:
@@ -412,9 +387,9 @@ class _Search:
         if not rows:
             return
         if self._batch.policy.shipped:
-            repetitions = self._batch.run(rows, count=self._count)
+            repetitions = self._batch.run(rows)
         else:
-            repetitions = [self._batch.run([row], count=self._count)[0] for row in rows]
+            repetitions = [self._batch.run([row])[0] for row in rows]
         bounds = self._batch.conditions.error_bounds
         difference = first_difference(verdicts, repetitions, bounds)
         if difference is not None:
@@ -467,7 +442,7 @@ class _Search:
         for motion, seed in zip(motions, seeds, strict=True):
             assert motion.below is not None
             row = Row(motion.below.payload, seed, motion.index)
-            (verdict,) = self._batch.run([row], count=self._count)
+            (verdict,) = self._batch.run([row])
             if verdict.carried:
                 continue
             if motion.below.payload == 0:
