@@ -321,17 +321,6 @@ def test_reset_starts_a_new_verdict():
     assert env.verdict.peak_action == (0, 0, 0)
 
 
-@pytest.mark.parametrize(
-    ("bounds", "carried"), [(None, False), ({"position": 0.02}, True), ({"position": 5e-4}, False)]
-)
-def test_bounds_of_the_monitor_replace_those_of_the_episode(bounds, carried):
-    env = DLCCMonitor(Scripted(third(position=0.015)), error_bounds=bounds)
-    env.reset()
-    for _ in range(5):
-        env.step(np.zeros(3))
-    assert env.verdict.carried is carried
-
-
 def test_bounds_of_the_reset_option_reach_the_monitor():
     env = DLCCMonitor(gym.make(IDS["planar"]))
     short = {"trajectory": {"name": "line-planar", "duration": 0.7}}
