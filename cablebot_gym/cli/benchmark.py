@@ -187,9 +187,12 @@ def benchmark(
 
     cablebot benchmark --verify board --policies fl --ids CableBot-Planar-v0
     """
+    from cablebot_gym.benchmark.board import run_seed
     from cablebot_gym.benchmark.cells import TimingCell
+    from cablebot_gym.benchmark.entries import invalid_note, note, status
+    from cablebot_gym.benchmark.leaderboard import Results
     from cablebot_gym.benchmark.store import FOLDER
-    from cablebot_gym.benchmark.suites import find_suite
+    from cablebot_gym.benchmark.suites import find_suite, suite_cells
     from cablebot_gym.benchmark.tables import failures
     from cablebot_gym.utils.files import check_writable_dir
 
@@ -210,11 +213,40 @@ def benchmark(
         chooses_results = computing.any_source or selection.seed is not None
         board = started_board(board_options, names, out, chooses_results=chooses_results)
     store = _store(output, computing, board)
-    records = _records(selection, computing, output, policies, board, store, backend)
+    if board is None:
+        seed = run_seed(out, selection.seed)
+    else:
+        seed = board.evaluation_seed
+    cells = suite_cells(suite, policies, seed=seed, board=board, real_time=selection.real_time)
+    typed = _typed(selection, output, board)
+    resume = command_line(
+        "benchmark",
+        **typed,
+        workers=computing.workers,
+        ray=computing.ray,
+        any_source=computing.any_source,
+        seed=selection.seed,
+    )
+    records = computed(cells, store, out, backend, resume)
     if board is not None:
         board.check_policies(names)  # files may have changed during the run
-    _note_foreign(store, computing)
-    _write(selection, output, records, board, submitted, invalid)
+    if store.foreign:
+        use = "they are computed again (--any-source reuses them)"
+        if computing.any_source:
+            use = "they are reused"
+        notes_console().print(
+            f"{store.foreign} cells exist only with results of different code: {use}"
+        )
+    notes = [note(Path(name), status(Path(name), records)) for name in submitted]
+    notes += [invalid_note(name, reason) for name, reason in invalid.items()]
+    results = Results(
+        suite=selection.suite,
+        command=command_line("benchmark", **typed),
+        records=records,
+        board=board,
+        entries=notes,
+    )
+    _write(results, output)
     payloads = [record for record in records if not isinstance(record.cell, TimingCell)]
     if invalid or failures(payloads):
         raise typer.Exit(1)
@@ -236,16 +268,6 @@ def _store(output: OutputOptions, computing: ComputingOptions, board: Board | No
         key = board.salt
     say = notes_console().print
     return Store(output.out, say=say, any_source=computing.any_source, key=key)
-
-
-def _note_foreign(store: Store, computing: ComputingOptions) -> None:
-    if store.foreign:
-        use = "they are computed again (--any-source reuses them)"
-        if computing.any_source:
-            use = "they are reused"
-        notes_console().print(
-            f"{store.foreign} cells exist only with results of different code: {use}"
-        )
 
 
 def _policies(
@@ -273,41 +295,6 @@ def _policies(
     return find_policies(names, env_ids), submitted, invalid
 
 
-def _records(
-    selection: CellOptions,
-    computing: ComputingOptions,
-    output: OutputOptions,
-    policies: Mapping[str, tuple[str, ...]],
-    board: Board | None,
-    store: Store,
-    backend: Backend,
-) -> Sequence[Record]:
-    """Computes the missing cells of the suite."""
-    from cablebot_gym.benchmark.board import run_seed
-    from cablebot_gym.benchmark.suites import find_suite, suite_cells
-
-    if board is None:
-        seed = run_seed(output.out, selection.seed)
-    else:
-        seed = board.evaluation_seed
-    cells = suite_cells(
-        find_suite(selection.suite),
-        policies,
-        seed=seed,
-        board=board,
-        real_time=selection.real_time,
-    )
-    resume = command_line(
-        "benchmark",
-        **_typed(selection, output, board),
-        workers=computing.workers,
-        ray=computing.ray,
-        any_source=computing.any_source,
-        seed=selection.seed,
-    )
-    return computed(cells, store, output.out, backend, resume)
-
-
 def _typed(selection: CellOptions, output: OutputOptions, board: Board | None) -> dict[str, Any]:
     """The options that determine the results, for their command line."""
     beacon_value = None
@@ -326,37 +313,11 @@ def _typed(selection: CellOptions, output: OutputOptions, board: Board | None) -
     }
 
 
-def _write(
-    selection: CellOptions,
-    output: OutputOptions,
-    records: Sequence[Record],
-    board: Board | None,
-    submitted: Sequence[str],
-    invalid: Mapping[str, str],
-) -> None:
-    """Writes and prints results and leaderboard.
-
-    Args:
-        selection: what was computed.
-        output: the files.
-        records: records of all cells.
-        board: board with the hidden motions; None without.
-        submitted: policies that are entries of others.
-        invalid: reasons of invalid entries, which were not run.
-    """
-    from cablebot_gym.benchmark.entries import invalid_note, note, status
-    from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
+def _write(results: Results, output: OutputOptions) -> None:
+    """Writes and prints results and leaderboard."""
+    from cablebot_gym.benchmark.leaderboard import markdown, print_page
     from cablebot_gym.utils.files import atomic_write_text
 
-    notes = [note(Path(name), status(Path(name), records)) for name in submitted]
-    notes += [invalid_note(name, reason) for name, reason in invalid.items()]
-    results = Results(
-        suite=selection.suite,
-        command=command_line("benchmark", **_typed(selection, output, board)),
-        records=records,
-        board=board,
-        entries=notes,
-    )
     contents = (results.to_json(), markdown(results))
     for path, content in zip(output.files, contents, strict=True):
         atomic_write_text(path, content)
