@@ -180,11 +180,9 @@ class Painter:
         moment: Moment,
         trail: Sequence[Array] | Array = (),
         note: str = "",
-        *,
-        good: bool = False,
     ) -> NDArray[np.uint8]:
         """The picture as an array (height, width, 3); arguments as for :meth:`paint`."""
-        return as_array(self.paint(moment, trail, note, good=good))
+        return as_array(self.paint(moment, trail, note))
 
     def _paint_background(self) -> None:
         """Paints what does not move: base, tube around the path, and reference path."""
