@@ -182,7 +182,8 @@ class PolicyCell(Setting):
         names = ("criterion", "payload_max", "resolution", "probability", "seed")
         # a stochastic policy has draws without uncertainty
         draws = self.draws if self.draws > 1 else None
-        return self.env_options() | {name: getattr(self, name) for name in names} | {"draws": draws}
+        search = {name: getattr(self, name) for name in names}
+        return self.env_options() | search | {"draws": draws}
 
     def compute(self) -> dict[str, Any]:
         """The payload, its limiting violation, and the details of the search. The policy runs in a
@@ -249,10 +250,10 @@ class SurveyCell(PolicyCell):
     @property
     def parts(self) -> tuple[PolicyCell, ...]:
         """A cell for each motion, with the same robots. It can be computed alone."""
-        fields = {name: value for name, value in self.to_dict().items() if name != "kind"}
+        fields = self.to_dict()
+        del fields["kind"], fields["seed"]
         trajectory = fields.pop("trajectory")
         seeds = trajectory["seed"]
-        del fields["seed"]
         return tuple(
             PolicyCell(trajectory=trajectory | {"seed": seed}, seed=evaluation_seed, **fields)
             for seed, evaluation_seed in zip(
@@ -429,7 +430,9 @@ def cell_from_dict(data: Mapping[str, Any]) -> Cell:
     Raises:
         KeyError, TypeError, ValueError: if ``data`` does not describe a cell.
     """
-    return _KINDS[data["kind"]](**{name: value for name, value in data.items() if name != "kind"})
+    fields = dict(data)
+    kind = _KINDS[fields.pop("kind")]
+    return kind(**fields)
 
 
 def processor() -> str:

@@ -333,7 +333,8 @@ def _maps_text(records: Sequence[Record]) -> str:
 
 
 def _notes_text(records: Sequence[Record], boards: Sequence[Leaderboard]) -> str:
-    notes = [_escaped(note) for note in (*tables.failures(records), *tables.left_out(records))]
+    notes = list(map(_escaped, tables.failures(records)))
+    notes += map(_escaped, tables.left_out(records))
     notes += tables.fallbacks(records)
     processors = set()
     for board in boards:
@@ -419,7 +420,8 @@ this does not show.
 
 def _versions(records: Sequence[Record]) -> list[Mapping[str, str]]:
     """The distinct sets of package versions."""
-    return list({canonical(dict(record.versions)): record.versions for record in records}.values())
+    distinct = {canonical(dict(record.versions)): record.versions for record in records}
+    return list(distinct.values())
 
 
 def _best_known_rows(references: Iterable[BestKnown]) -> list[list[str]]:

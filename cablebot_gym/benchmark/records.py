@@ -108,7 +108,8 @@ def record_from_dict(data: Any) -> Record:
     """
     fields = foreign_object("a record", data)
     result = foreign_object("a result", fields["result"])
-    for payload in (result.get("payload"), *foreign_list("payloads", result.get("payloads", []))):
+    payloads = foreign_list("payloads", result.get("payloads", []))
+    for payload in (result.get("payload"), *payloads):
         if payload is not None and isinstance(payload, int | float):
             number("payload", payload, least=0, most=LARGEST_PAYLOAD, unit="kg")
     if result.get("ratio") is not None:

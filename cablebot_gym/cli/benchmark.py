@@ -41,22 +41,16 @@ class CellOptions(Options):
 
     suite: Annotated[
         str,
-        typer.Option(
-            help="Suite: smoke (minutes), standard (45 minutes on two cores), ranked (the leaderboard, hours), full "
-            "(hours), maps, paper-maps or library (an hour)."
-        ),
+        "Suite: smoke (minutes), standard (45 minutes on two cores), ranked (the leaderboard, hours), full "
+        "(hours), maps, paper-maps or library (an hour).",
     ] = "smoke"
     policies: Annotated[
         str | None,
-        typer.Option(
-            help="Policies as for `dlcc --policy`, separated by commas. The default is all installed policies."
-        ),
+        "Policies as for `dlcc --policy`, separated by commas. The default is all installed policies.",
     ] = None
     ids: Annotated[
         str | None,
-        typer.Option(
-            help="Environment ids, separated by commas. The default is those of the suite."
-        ),
+        "Environment ids, separated by commas. The default is those of the suite.",
     ] = None
     entries: Annotated[
         Path | None,
@@ -68,10 +62,8 @@ class CellOptions(Options):
     no_sandbox: NoSandbox = False
     seed: Annotated[
         int | None,
-        typer.Option(
-            help="Evaluation seed, to repeat a run. The default is drawn once and stored in the folder; that of a "
-            "board follows from its public value."
-        ),
+        "Evaluation seed, to repeat a run. The default is drawn once and stored in the folder; that of a "
+        "board follows from its public value.",
     ] = None
     real_time: Annotated[
         bool,
@@ -111,14 +103,12 @@ class OutputOptions(Options):
 
     title: ClassVar[str] = "Results"
 
-    out: Annotated[
-        Path, typer.Option(help="Results folder, for the tables and all finished cells.")
-    ] = Path("benchmark")
+    out: Annotated[Path, "Results folder, for the tables and all finished cells."] = Path(
+        "benchmark"
+    )
     page: Annotated[
         Path | None,
-        typer.Option(
-            help=f"File of the leaderboard. The default is {MARKDOWN} in the results folder."
-        ),
+        f"File of the leaderboard. The default is {MARKDOWN} in the results folder.",
     ] = None
     as_json: Annotated[bool, typer.Option("--json", help=f"Print the content of {JSON}.")] = False
 
@@ -144,9 +134,9 @@ class VerificationOptions(Options):
     ] = None
     cells: Annotated[
         int,
-        typer.Option(help="Number of cells, and of motions of surveys, that --verify confirms."),
+        "Number of cells, and of motions of surveys, that --verify confirms.",
     ] = 20
-    draws: Annotated[int, typer.Option(help="Number of fresh draws of --verify.")] = 1024
+    draws: Annotated[int, "Number of fresh draws of --verify."] = 1024
 
 
 def benchmark(

@@ -53,14 +53,10 @@ def compare(
     payload: options.Payload = None,
     payloads: Annotated[
         str | None,
-        typer.Option(
-            help="Several payloads instead of --payload: FIRST:LAST:STEP, such as 0:9:0.5, or 0,1,2 [kg]."
-        ),
+        "Several payloads instead of --payload: FIRST:LAST:STEP, such as 0:9:0.5, or 0,1,2 [kg].",
     ] = None,
     draws: options.Draws = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for comparison.json and comparison.png.")
-    ] = None,
+    out: Annotated[Path | None, "Folder for comparison.json and comparison.png."] = None,
     as_json: options.Json = False,
     process: options.ProcessOptions,
 ) -> None:

@@ -128,31 +128,21 @@ class TaskOptions(Options):
 
     robot: Annotated[
         str | None,
-        typer.Option(
-            help=(
-                "Name, or TOML or JSON file, of a robot of the kind of ID, with its default motion, error bounds and "
-                "payloads."
-            )
-        ),
+        "Name, or TOML or JSON file, of a robot of the kind of ID, with its default motion, error bounds and "
+        "payloads.",
     ] = None
     trajectory: TrajectoryData = None
     position_bound: Annotated[
         float | None,
-        typer.Option(
-            help=(
-                "Largest allowed position error [mm]. The default is in the robot's data; without data, 10 within "
-                "0.1 to 1 % of the width of the base."
-            )
-        ),
+        "Largest allowed position error [mm]. The default is in the robot's data; without data, 10 within "
+        "0.1 to 1 % of the width of the base.",
     ] = None
     rotation_bound: Annotated[
         float | None,
-        typer.Option(
-            help="Largest allowed rotation error of the task criterion [mrad]. The default is in the robot's data; "
-            "without data, 10."
-        ),
+        "Largest allowed rotation error of the task criterion [mrad]. The default is in the robot's data; "
+        "without data, 10.",
     ] = None
-    control_frequency: Annotated[float, typer.Option(help="Control steps per second [Hz].")] = 500.0
+    control_frequency: Annotated[float, "Control steps per second [Hz]."] = 500.0
 
     @property
     def error_bounds(self) -> dict[str, float]:
@@ -192,7 +182,7 @@ class EpisodeOptions(TaskOptions):
         ),
     ] = True
     model_payload_factor: Annotated[
-        float, typer.Option(help="Payload of the policy's model over the nominal payload.")
+        float, "Payload of the policy's model over the nominal payload."
     ] = 1.0
     uncertainty: Annotated[
         str | None,
@@ -217,30 +207,18 @@ class EpisodeOptions(TaskOptions):
     ] = None
     wrapper: Annotated[
         list[str] | None,
-        typer.Option(
-            help=(
-                "Wrapper of the policy's training, file.py:name or package.module:name; again for each further one, "
-                "the innermost first. Installed policies of --policies take none."
-            )
-        ),
+        "Wrapper of the policy's training, file.py:name or package.module:name; again for each further one, "
+        "the innermost first. Installed policies of --policies take none.",
     ] = None
     normalize: Annotated[
         str | None,
-        typer.Option(
-            help=(
-                "File with the statistics of Stable-Baselines3's VecNormalize, the outermost wrapper. The default is "
-                "vecnormalize.pkl beside a .zip file."
-            )
-        ),
+        "File with the statistics of Stable-Baselines3's VecNormalize, the outermost wrapper. The default is "
+        "vecnormalize.pkl beside a .zip file.",
     ] = None
     seed: Annotated[
         int | None,
-        typer.Option(
-            help=(
-                "Seed of the environments. The default is 0; in `dlcc` and `compare` with an isolated policy, a secret "
-                "number that is printed after the evaluation."
-            )
-        ),
+        "Seed of the environments. The default is 0; in `dlcc` and `compare` with an isolated policy, a secret "
+        "number that is printed after the evaluation.",
     ] = None
 
     @property
@@ -287,9 +265,7 @@ class ProcessOptions(Options):
     ] = False
     deadline: Annotated[
         float | None,
-        typer.Option(
-            help="Deadline of a call of the isolated policy [s of processor time]. The default is 60."
-        ),
+        "Deadline of a call of the isolated policy [s of processor time]. The default is 60.",
     ] = None
 
     def isolates(self, name: str, wrappers: Sequence[str] = ()) -> bool:

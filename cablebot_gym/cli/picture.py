@@ -19,7 +19,7 @@ def picture(
     pictures: PictureOptions,
     time: Annotated[
         float | None,
-        typer.Option(help="Time of the picture [s]. The default is the end, with the whole path."),
+        "Time of the picture [s]. The default is the end, with the whole path.",
     ] = None,
 ) -> None:
     """Write a picture of an episode, with one or more policies side by side; without a policy, of

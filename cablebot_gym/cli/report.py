@@ -23,10 +23,8 @@ def report(
             help="Folders that `cablebot benchmark` wrote, or their results.json.",
         ),
     ],
-    out: Annotated[Path, typer.Option(help="File of the page, ending in .html.")] = Path(
-        "report.html"
-    ),
-    title: Annotated[str, typer.Option(help="Title of the page.")] = "Payloads of cable robots",
+    out: Annotated[Path, "File of the page, ending in .html."] = Path("report.html"),
+    title: Annotated[str, "Title of the page."] = "Payloads of cable robots",
     episodes: Annotated[
         bool,
         typer.Option(
@@ -58,7 +56,10 @@ def report(
         raise ValueError(f"--out must end in .html, such as report.html, not {str(out)!r}")
     sources = [read_results(path) for path in results]
     check_writable_file(out)
-    folder = (results[0] if results[0].is_dir() else results[0].parent) / FOLDER
+    folder = results[0]
+    if not folder.is_dir():
+        folder = folder.parent
+    folder /= FOLDER
     errors = notes_console()
     replays: dict[str, ReplayResult] = {}
     if episodes:

@@ -29,14 +29,14 @@ class CardOptions(Options):
 
     title: ClassVar[str] = "Card"
 
-    authors: Annotated[str, typer.Option(help="Authors.")]
-    licence: Annotated[str, typer.Option(help="Licence of code and weights, such as MIT.")]
+    authors: Annotated[str, "Authors."]
+    licence: Annotated[str, "Licence of code and weights, such as MIT."]
     compute: Annotated[
         str,
-        typer.Option(help="Compute for training and tuning, such as '3 h on 8 cores', or none."),
+        "Compute for training and tuning, such as '3 h on 8 cores', or none.",
     ]
-    data: Annotated[str, typer.Option(help="Data and motions for training and tuning, or none.")]
-    seeds: Annotated[str, typer.Option(help="Seeds of the training, or none.")]
+    data: Annotated[str, "Data and motions for training and tuning, or none."]
+    seeds: Annotated[str, "Seeds of the training, or none."]
 
 
 def submit(
@@ -48,15 +48,11 @@ def submit(
         ),
     ],
     ids: Annotated[str, typer.Option("--id", help="Environment ids, separated by commas.")],
-    out: Annotated[
-        Path, typer.Option(help="Folder of the entry; its name is the name in the table.")
-    ],
+    out: Annotated[Path, "Folder of the entry; its name is the name in the table."],
     card: CardOptions,
     suite: Annotated[
         str,
-        typer.Option(
-            help="Suite of the local result: smoke (planar robot only), standard, or full."
-        ),
+        "Suite of the local result: smoke (planar robot only), standard, or full.",
     ] = "standard",
     workers: Workers = None,
 ) -> None:

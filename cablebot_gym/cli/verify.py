@@ -17,9 +17,7 @@ def verify(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the entry.")],
     out: Annotated[
         Path,
-        typer.Option(
-            help="Folder for the finished cells of an unfinished verification, outside the entry."
-        ),
+        "Folder for the finished cells of an unfinished verification, outside the entry.",
     ] = Path("verification"),
     no_sandbox: NoSandbox = False,
     workers: Workers = None,
@@ -62,7 +60,8 @@ def verify(
         seed = run_seed(work)
         cells = entries.entry_cells(folder, claims.suite, seed=seed, claims_only=True)
         command = f"cablebot verify {folder} --out {out}" + " --no-sandbox" * no_sandbox
-        records = [*computed(cells, Store(work, say=notes_console().print), work, backend, command)]
+        store = Store(work, say=notes_console().print)
+        records = [*computed(cells, store, work, backend, command)]
         reasons = entries.refuted(claims, records)
     record = entries.verification(folder, seed, records, reasons)
     atomic_write_text(

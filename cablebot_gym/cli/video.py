@@ -36,12 +36,12 @@ class PictureOptions(Options):
     policy: PolicyNameOrNone = None
     policies: Annotated[
         str | None,
-        typer.Option(help="Several policies side by side, separated by commas. Replaces --policy."),
+        "Several policies side by side, separated by commas. Replaces --policy.",
     ] = None
     payload: Payload = None
     size: Annotated[
         str | None,
-        typer.Option(help="Size of the picture of each policy, such as 1280x960 [pixels]."),
+        "Size of the picture of each policy, such as 1280x960 [pixels].",
     ] = None
 
     @property

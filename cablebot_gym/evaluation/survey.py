@@ -241,7 +241,8 @@ class _Search:
         self._robots = robots
         self._resolution = resolution
         conditions = batch.conditions
-        self._rng = np.random.default_rng(np.random.SeedSequence(conditions.seed, spawn_key=(4,)))
+        sequence = np.random.SeedSequence(conditions.seed, spawn_key=(4,))
+        self._rng = np.random.default_rng(sequence)
         points = SCAN_POINTS if robots == 1 else SCAN_POINTS_OF_ROBOTS
         seeds = motion_seeds(conditions.seed, len(batch.tasks))
         self._motions: list[_Motion] = []
@@ -350,7 +351,8 @@ class _Search:
         failed.sort(key=lambda failure: -failure[0].payload)  # the least one comes last
         for row, robot, verdict in failed:
             motion = self._motions[row.motion]
-            motion.fail(motion.trial(row.payload, [robot], iter([verdict])), [robot])
+            trial = motion.trial(row.payload, [robot], iter([verdict]))
+            motion.fail(trial, [robot])
 
     def _repeated_episodes(self) -> tuple[list[Row], list[Verdict]]:
         """The carried episodes that are repeated: at most one half are the robots that came closest

@@ -535,8 +535,8 @@ def draw_plane(
     low = np.concatenate(points).min(axis=0)
     high = np.concatenate(points).max(axis=0)
     pad = 0.06 * (high - low).max()
-    axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    xlim, ylim = np.transpose([low - pad, high + pad])
+    axes.set(xlim=xlim, ylim=ylim, xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 
 def _draw_error(

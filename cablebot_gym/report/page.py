@@ -204,7 +204,8 @@ def _start(
         for column in board.columns:
             if column.motion.startswith("circle-"):
                 circles.append((board, column))
-    board, column = [*circles, (boards[0], boards[0].columns[0])][0]
+    circles.append((boards[0], boards[0].columns[0]))
+    board, column = circles[0]
     keys = {_row_key(board, policy, column) for policy in board.policies}
 
     def rank(index: int) -> tuple[bool, float]:
@@ -214,7 +215,8 @@ def _start(
             payload = -1.0
         return cells[row["cells"][0]]["replays"] is not None, payload
 
-    return max((index for index, row in enumerate(rows) if row["key"] in keys), key=rank)
+    shown = [index for index, row in enumerate(rows) if row["key"] in keys]
+    return max(shown, key=rank)
 
 
 def _row(

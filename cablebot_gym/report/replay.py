@@ -112,7 +112,8 @@ def replays(cell: PolicyCell, dlcc: float | None) -> list[Replay]:
     policy: Any = cell.policy
     if PolicySpec.parse(policy).kind == "entry":
         policy = IsolatedPolicy(policy, cell.robot)
-    batch = Batch(policy, Conditions.of(cell.env_id, draws=1, **cell.env_options()))
+    conditions = Conditions.of(cell.env_id, draws=1, **cell.env_options())
+    batch = Batch(policy, conditions)
     seed = draw_seeds(cell.seed, cell.draws)[0]
     rows = [Row(payload, seed) for payload in _payloads(dlcc)]
     recorder = Recorder(range(len(rows)), _RECORDED)
@@ -238,4 +239,5 @@ def _pack(table: Array) -> tuple[Array, Array, str]:
     span = np.where(high > low, high - low, 1.0)
     levels = np.rint((table - low) / span * LEVELS).astype(np.int64)
     steps = np.diff(levels, axis=0, prepend=0).T.astype("<i2")
-    return low, high, base64.b64encode(zlib.compress(steps.tobytes(), 9)).decode("ascii")
+    packed = zlib.compress(steps.tobytes(), 9)
+    return low, high, base64.b64encode(packed).decode("ascii")
