@@ -17,7 +17,7 @@ from cablebot_gym.cli.board import (
 )
 from cablebot_gym.cli.options import NoSandbox, Workers, choose_sandbox, split_names
 from cablebot_gym.cli.records import Options
-from cablebot_gym.utils.console import command_line, notes_console, progress
+from cablebot_gym.utils.console import command_line, progress, say
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -224,9 +224,7 @@ def benchmark(
         use = "they are computed again (--any-source reuses them)"
         if computing.any_source:
             use = "they are reused"
-        notes_console().print(
-            f"{store.foreign} cells exist only with results of different code: {use}"
-        )
+        say(f"{store.foreign} cells exist only with results of different code: {use}")
     notes = [note(Path(name), status(Path(name), records)) for name in submitted]
     notes += [invalid_note(name, reason) for name, reason in invalid.items()]
     results = Results(
@@ -256,7 +254,6 @@ def _store(output: OutputOptions, computing: ComputingOptions, board: Board | No
     key = ""
     if board is not None and board.salt is not None:
         key = board.salt
-    say = notes_console().print
     return Store(output.out, say=say, any_source=computing.any_source, key=key)
 
 
@@ -277,7 +274,7 @@ def _policies(
         choose_sandbox(selection.no_sandbox)
         valid, invalid = find_entries(selection.entries)
         for name, reason in invalid.items():
-            notes_console().print(f"entry {name} is invalid and left out: {reason}", markup=False)
+            say(f"entry {name} is invalid and left out: {reason}")
         for name, entry in valid.items():
             if set(entry.env_ids) & set(env_ids):
                 submitted.append(name)
@@ -311,7 +308,7 @@ def _write(results: Results, output: OutputOptions) -> None:
     contents = (results.to_json(), markdown(results))
     for path, content in zip(output.files, contents, strict=True):
         atomic_write_text(path, content)
-    notes_console().print("wrote " + ", ".join(map(str, output.files)))
+    say("wrote " + ", ".join(map(str, output.files)))
     if output.as_json:
         print(contents[0], end="")
     else:
@@ -332,7 +329,7 @@ def computed(
     """
     from cablebot_gym.benchmark.engine import run_cells
 
-    say, finished = notes_console().print, 0
+    finished = 0
     with progress("computing", "cells") as step:
 
         def count(done: int, expected: int) -> None:
@@ -391,7 +388,6 @@ def _verify(
     results = read_results(folder)
     cells = whole("cells", verification.cells, least=1)
     draws = whole("draws", verification.draws, least=1)
-    say = notes_console().print
     if results.board is not None:
         results.check_board(beacon_value)
         board = results.board
@@ -428,7 +424,6 @@ def _reproduce(results: Results, selection: CellOptions, backend: Backend) -> No
 
     names = split_names(selection.policies)
     env_ids = split_names(selection.ids)
-    say = notes_console().print
     different = 0
     for reproduction in reproduce(results.records, names, env_ids, backend, say=say):
         print(reproduction)

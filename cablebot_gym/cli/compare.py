@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cablebot_gym.cli import options
-from cablebot_gym.utils.console import notes_console, print_table, results_console
+from cablebot_gym.utils.console import print_table, results_console, say
 
 if TYPE_CHECKING:
     from cablebot_gym.evaluation.comparison import (
@@ -112,7 +112,7 @@ def _write(comparison: Comparison | PayloadComparison, folder: Path) -> None:
 
     path = folder / "comparison.json"
     atomic_write_text(path, comparison.to_json() + "\n")
-    notes_console().print(f"wrote {path}, {save_comparison(comparison, folder)}")
+    say(f"wrote {path}, {save_comparison(comparison, folder)}")
 
 
 def payload_grid(text: str) -> list[float]:

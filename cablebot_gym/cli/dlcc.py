@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from cablebot_gym.cli import options
 from cablebot_gym.cli.records import Options
-from cablebot_gym.utils.console import notes_console, print_table
+from cablebot_gym.utils.console import print_table, say
 
 if TYPE_CHECKING:
     from cablebot_gym.evaluation.result import DLCCResult
@@ -161,7 +161,7 @@ def _write(results: list[DLCCResult], folder: Path) -> None:
     written = [path]
     for result in results:
         written += save_figures(result, folder)
-    notes_console().print("wrote " + ", ".join(map(str, written)))
+    say("wrote " + ", ".join(map(str, written)))
 
 
 def _print_results(

@@ -12,7 +12,7 @@ import typer
 
 from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.checks import number
-from cablebot_gym.utils.console import command_line, notes_console
+from cablebot_gym.utils.console import command_line, say
 from cablebot_gym.utils.files import read_text
 from cablebot_gym.utils.foreign import foreign_json
 
@@ -368,7 +368,7 @@ def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
         texts.append(f"largest {name} {' and '.join(peaks)}")
     span = f"{counted(len(motion.times), 'waypoint')} in {motion.duration:.4g} s"
     span += f" between dwells of {trajectory.dwell:g} s"
-    notes_console().print(f"{motion.name}: {span}; {', '.join(texts)}")
+    say(f"{motion.name}: {span}; {', '.join(texts)}")
 
 
 def loaded_policy(
@@ -466,9 +466,7 @@ def note_unsupported(names: list[str], env_id: str) -> None:
     for name in names:
         entry = public_entry(name)
         if entry is not None and env_id not in entry.env_ids:
-            notes_console().print(
-                f"note: {name} is designed for {', '.join(entry.env_ids)}, not for {env_id}"
-            )
+            say(f"note: {name} is designed for {', '.join(entry.env_ids)}, not for {env_id}")
 
 
 def check_figure_folder(out: Path | None, *names: str) -> None:

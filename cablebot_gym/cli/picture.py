@@ -9,14 +9,14 @@ import typer
 
 from cablebot_gym.cli.options import EnvId, EpisodeOptions
 from cablebot_gym.cli.video import PictureOptions, print_verdicts, record_episodes
-from cablebot_gym.utils.console import notes_console
+from cablebot_gym.utils.console import say
 
 
 def picture(
     env_id: EnvId,
     out: Annotated[Path, typer.Argument(help="File to write, ending in .png, .jpg or .webp.")],
-    episode: EpisodeOptions,
     pictures: PictureOptions,
+    episode: EpisodeOptions,
     time: Annotated[
         float | None,
         "Time of the picture [s]. The default is the end, with the whole path.",
@@ -42,4 +42,4 @@ def picture(
     write_picture(out, episodes, time=0.0 if start and time is None else time, size=size)
     if not start:
         print_verdicts(episodes)
-    notes_console().print(f"wrote {out}")
+    say(f"wrote {out}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cablebot_gym.cli.options import Workers, counted
-from cablebot_gym.utils.console import notes_console, progress
+from cablebot_gym.utils.console import progress, say
 
 if TYPE_CHECKING:
     from cablebot_gym.report.recording import ReplayResult
@@ -60,18 +60,17 @@ def report(
     if not folder.is_dir():
         folder = folder.parent
     folder /= FOLDER
-    errors = notes_console()
     replays: dict[str, ReplayResult] = {}
     if episodes:
         check_writable_dir(folder)
         queries = replay_queries(merge_records(sources))
         with progress("recording", "episodes") as step:
-            for key, replay in record_all(queries, folder, workers=processes, say=errors.print):
+            for key, replay in record_all(queries, folder, workers=processes, say=say):
                 replays[key] = replay
                 step(len(replays), len(queries))
     page = html(title, sources, replays)
     atomic_write_text(out, page)
     failures = Counter(replay for replay in replays.values() if isinstance(replay, str))
     for reason, count in failures.items():
-        errors.print(f"{counted(count, 'cell')}: {reason}")
+        say(f"{counted(count, 'cell')}: {reason}")
     print(f"wrote {out}, {len(page.encode()) / 1e6:.1f} MB. Open it in a browser.")

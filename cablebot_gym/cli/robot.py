@@ -21,7 +21,7 @@ from cablebot_gym.cli.options import (
     note_waypoints,
 )
 from cablebot_gym.utils.checks import choice
-from cablebot_gym.utils.console import notes_console
+from cablebot_gym.utils.console import say
 from cablebot_gym.utils.user_code import sentence_of_user_code
 
 if TYPE_CHECKING:
@@ -104,10 +104,10 @@ def _check(
         )
         print("\n".join(motion_report(check, motion, evaluation)))
     if motion is None:
-        notes_console().print(f"motion refused: {refusal}", style="red")
+        say(f"motion refused: {refusal}", style="red")
     if out is not None:
         _draw(check, motion, out)
-        notes_console().print(f"wrote {out}")
+        say(f"wrote {out}")
     if motion is None or not motion.possible:
         raise typer.Exit(1)
 
@@ -125,7 +125,7 @@ def _loaded(name: str) -> Robot | None:
     except ValueError as error:
         if not Path(name).is_file():
             raise
-        notes_console().print(f"refused: {error}", style="red")
+        say(f"refused: {error}", style="red")
         return None
 
 

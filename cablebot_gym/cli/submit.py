@@ -13,7 +13,7 @@ import typer
 
 from cablebot_gym.cli.options import Workers, counted, split_names
 from cablebot_gym.cli.records import Options
-from cablebot_gym.utils.console import notes_console
+from cablebot_gym.utils.console import say
 
 if TYPE_CHECKING:
     from cablebot_gym.benchmark.engine import Backend
@@ -77,7 +77,6 @@ def submit(
     from cablebot_gym.utils.workers import check_workers
 
     backend = local(check_workers(workers))
-    say = notes_console().print
     env_ids = find_env_ids(find_suite(suite), split_names(ids))
     check_writable_dir(out)
     if problem := sandbox.sandbox_problem():
@@ -110,7 +109,7 @@ def _results(folder: Path, name: str, suite: str, backend: Backend) -> Results:
     work = folder / WORK
     cells = entries.entry_cells(folder, suite, seed=run_seed(work))
     command = shlex.join(["cablebot", *sys.argv[1:]])
-    store = Store(work, say=notes_console().print)
+    store = Store(work, say=say)
     records = computed(cells, store, work, backend, command)
     return Results(
         suite=suite,

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from cablebot_gym.cli.options import NoSandbox, Workers, choose_sandbox, counted
-from cablebot_gym.utils.console import notes_console
+from cablebot_gym.utils.console import say
 
 
 def verify(
@@ -60,7 +60,7 @@ def verify(
         seed = run_seed(work)
         cells = entries.entry_cells(folder, claims.suite, seed=seed, claims_only=True)
         command = f"cablebot verify {folder} --out {out}" + " --no-sandbox" * no_sandbox
-        store = Store(work, say=notes_console().print)
+        store = Store(work, say=say)
         records = [*computed(cells, store, work, backend, command)]
         reasons = entries.refuted(claims, records)
     record = entries.verification(folder, seed, records, reasons)
@@ -70,7 +70,7 @@ def verify(
     shutil.rmtree(work / FOLDER, ignore_errors=True)  # the next verification draws another seed
     (work / RUN).unlink(missing_ok=True)
     if reasons:
-        notes_console().print(f"cablebot: refused: {reasons[0]}", style="red")
+        say(f"cablebot: refused: {reasons[0]}", style="red")
         raise typer.Exit(1)
     protection = "with network and all files"
     if record["sandbox"]:

@@ -18,7 +18,7 @@ from cablebot_gym.cli.options import (
     split_names,
 )
 from cablebot_gym.cli.records import Options
-from cablebot_gym.utils.console import notes_console, progress
+from cablebot_gym.utils.console import progress, say
 from cablebot_gym.video import SPEED
 
 if TYPE_CHECKING:
@@ -66,8 +66,8 @@ class PictureOptions(Options):
 def video(
     env_id: EnvId,
     out: Annotated[Path, typer.Argument(help="File to write, ending in .mp4 or .gif.")],
-    episode: EpisodeOptions,
     pictures: PictureOptions,
+    episode: EpisodeOptions,
     speed: Speed = SPEED,
 ) -> None:
     """Write a video of an episode, with one or more policies side by side.
@@ -89,7 +89,7 @@ def video(
     with progress("rendering", "frames") as step:
         write_video(out, episodes, speed=speed, size=size, progress=step)
     print_verdicts(episodes)
-    notes_console().print(f"wrote {out}")
+    say(f"wrote {out}")
 
 
 def print_verdicts(episodes: list[Episode]) -> None:

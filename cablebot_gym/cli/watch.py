@@ -12,8 +12,8 @@ from cablebot_gym.video import SPEED
 def watch(
     *,
     env_id: FittingEnvId = None,
-    episode: EpisodeOptions,
     pictures: PictureOptions,
+    episode: EpisodeOptions,
     speed: Speed = SPEED,
 ) -> None:
     """Show an episode in a window, in a loop.
