@@ -115,7 +115,7 @@ def episodes_of_a_report(folder, monkeypatch):
         data="0" * 200,
     )
     computed = []
-    monkeypatch.setattr(recording, "record_batch", lambda queries: computed.append(1) or [[replay]])
+    monkeypatch.setattr(recording, "record", lambda *query: computed.append(1) or [replay])
 
     def use():
         computed.clear()

@@ -8,10 +8,10 @@ import platform
 import re
 from collections.abc import Mapping
 from contextlib import nullcontext, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, get_args
 
 import numpy as np
 
@@ -33,6 +33,12 @@ from cablebot_gym.utils.foreign import foreign_list
 
 DEFAULT_ERROR_BOUNDS = MappingProxyType(to_jsonable(ErrorBounds()))
 """Error bounds of every suite: ``position`` [m] and ``rotation`` [rad]."""
+
+_STORED = (
+    *("payload", "total_mass", "resolution", "violation", "scan_ended", "assured", "stochastic"),
+    *("draws", "declared", "feasible", "failures"),
+)
+"""Data of a :class:`~cablebot_gym.evaluation.result.DLCCResult` in the result of a cell."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +182,8 @@ class PolicyCell(Setting):
         names = ("criterion", "payload_max", "resolution", "probability", "seed")
         # a stochastic policy has draws without uncertainty
         draws = self.draws if self.draws > 1 else None
-        return self.env_options() | {name: getattr(self, name) for name in names} | {"draws": draws}
+        search = {name: getattr(self, name) for name in names}
+        return self.env_options() | search | {"draws": draws}
 
     def compute(self) -> dict[str, Any]:
         """The payload, its limiting violation, and the details of the search. The policy runs in a
@@ -190,20 +197,11 @@ class PolicyCell(Setting):
             if self.criterion == "paper" and not policy.unsaturated_actions:
                 return {"applicable": False, "payload": None, "total_mass": None}
             result = evaluate_dlcc(policy, self.env_id, name=self.policy, **self.options())
-        return {
+        largest_action = np.abs(result.rollout.arrays["commanded_action"]).max()
+        data = result.to_dict()
+        return {name: data[name] for name in _STORED} | {
             "applicable": True,
-            "payload": result.payload,
-            "total_mass": result.total_mass,
-            "resolution": result.resolution,
-            "violation": None if result.violation is None else asdict(result.violation),
-            "scan_ended": result.scan_ended,
-            "saturated": bool(np.abs(result.rollout.arrays["commanded_action"]).max() > 1 - 1e-9),
-            "assured": result.assured,
-            "stochastic": result.details.stochastic,
-            "draws": result.draws,
-            "declared": result.details.declared,
-            "feasible": [list(interval) for interval in result.details.feasible],
-            "failures": result.details.failures,
+            "saturated": bool(largest_action > 1 - 1e-9),
             "fallbacks": result.details.fallbacks,
         }
 
@@ -252,10 +250,10 @@ class SurveyCell(PolicyCell):
     @property
     def parts(self) -> tuple[PolicyCell, ...]:
         """A cell for each motion, with the same robots. It can be computed alone."""
-        fields = {name: value for name, value in self.to_dict().items() if name != "kind"}
+        fields = self.to_dict()
+        del fields["kind"], fields["seed"]
         trajectory = fields.pop("trajectory")
         seeds = trajectory["seed"]
-        del fields["seed"]
         return tuple(
             PolicyCell(trajectory=trajectory | {"seed": seed}, seed=evaluation_seed, **fields)
             for seed, evaluation_seed in zip(
@@ -316,11 +314,11 @@ def _brief(violation: Violation | None) -> dict[str, Any] | None:
     """The fields of a violation that are not at their defaults."""
     if violation is None:
         return None
-    defaults = Violation(kind=violation.kind, index=None, time=None, excess=None)
-    data = {"index": None, "time": None, "excess": None}
-    for name, value in asdict(violation).items():
-        if value != getattr(defaults, name) or name == "kind":
-            data[name] = value
+    data = {}
+    for item in fields(violation):
+        value = getattr(violation, item.name)
+        if value != item.default:
+            data[item.name] = value
     return data
 
 
@@ -381,9 +379,8 @@ class BestKnownCell(Setting):
         data."""
         from cablebot_gym.bounds.best_known import find_best_known
 
-        return dict(
-            find_best_known(self.env_id, **self.env_options() | {"robot": self.robot}).to_dict()
-        )
+        options = self.env_options() | {"robot": self.robot}
+        return dict(find_best_known(self.env_id, **options).to_dict())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -424,13 +421,7 @@ class DrawnCell(Setting):
 
 Cell = PolicyCell | SurveyCell | BestKnownCell | DrawnCell | TimingCell
 
-_KINDS: Mapping[str, type[Cell]] = {
-    PolicyCell.kind: PolicyCell,
-    SurveyCell.kind: SurveyCell,
-    BestKnownCell.kind: BestKnownCell,
-    DrawnCell.kind: DrawnCell,
-    TimingCell.kind: TimingCell,
-}
+_KINDS: Mapping[str, type[Cell]] = {cell.kind: cell for cell in get_args(Cell)}
 
 
 def cell_from_dict(data: Mapping[str, Any]) -> Cell:
@@ -439,7 +430,9 @@ def cell_from_dict(data: Mapping[str, Any]) -> Cell:
     Raises:
         KeyError, TypeError, ValueError: if ``data`` does not describe a cell.
     """
-    return _KINDS[data["kind"]](**{name: value for name, value in data.items() if name != "kind"})
+    fields = dict(data)
+    kind = _KINDS[fields.pop("kind")]
+    return kind(**fields)
 
 
 def processor() -> str:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from cablebot_gym.benchmark.cells import Cell, PolicyCell, TimingCell, processor
-from cablebot_gym.benchmark.leaderboard import EntryNote, Results
+from cablebot_gym.benchmark.leaderboard import CARD_FIELDS, EntryNote, Results
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.suites import find_suite, suite_cells
@@ -166,16 +166,8 @@ def entry_cells(
 def note(folder: Path, status: str) -> EntryNote:
     """The card of an entry as the leaderboard shows it."""
     entry = read_entry(folder)
-    return EntryNote(
-        policy=str(folder),
-        package=entry.package,
-        authors=entry.authors,
-        licence=entry.licence,
-        compute=entry.compute,
-        data=entry.data,
-        seeds=entry.seeds,
-        status=status,
-    )
+    card = {name: getattr(entry, name) for name in CARD_FIELDS}
+    return EntryNote(policy=str(folder), package=entry.package, status=status, **card)
 
 
 def status(folder: Path, records: Sequence[Record]) -> str:
@@ -365,7 +357,7 @@ def invalid_note(path: str, reason: str) -> EntryNote:
         path: folder of the entry.
         reason: why it is invalid.
     """
-    absent = dict.fromkeys(("authors", "licence", "compute", "data", "seeds"), "–")
+    absent = dict.fromkeys(CARD_FIELDS, "–")
     return EntryNote(policy=path, package=None, status=f"invalid: {reason}", **absent)
 
 

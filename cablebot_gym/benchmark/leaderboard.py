@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.resources import files
 from typing import Any
@@ -42,6 +42,10 @@ _INTRODUCTION = """# Leaderboard
 Payload [kg] that a policy carries (DLCC), and its fraction of the best known payload. Rows are sorted by the first
 column; the [definitions](#definitions) are at the end.
 """
+
+
+CARD_FIELDS = ("authors", "licence", "compute", "data", "seeds")
+"""Fields of the card of an entry that the page shows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,27 +248,31 @@ def markdown(results: Results) -> str:
     if library:
         text += "\n## Real robots\n\n"
         text += f"Each robot has its own motion, error bounds and payload range.\n\n{library}"
-    rows = tables.overall_rows(main or second)
-    if rows:
-        text += f"\n## All environments\n\n{_table(rows)}"
-    rows = tables.violation_rows(main or second)
-    if rows:
-        text += "\n## Limiting violations\n\nNumber of held-out motions by the first violation beyond the payload.\n\n"
-        text += _table(rows)
+    text += _section("All environments", tables.overall_rows(main or second))
+    text += _section(
+        "Limiting violations",
+        tables.violation_rows(main or second),
+        "Number of held-out motions by the first violation beyond the payload.\n\n",
+    )
     text += _maps_text(records)
-    if results.entries:
-        text += f"\n## Entries\n\n{_entries_table(results.entries)}"
-    references = list(best_known_payloads(records).values())
-    if references:
-        text += f"\n## Best known payloads\n\n{_best_known_table(references)}"
-    rows = tables.yardstick_rows(records)
-    if rows:
-        text += "\n## What can be hoped for on robots that are not exactly known\n\n"
-        text += f"Fractions of the best known payload, see the [yardsticks](#yardsticks).\n\n{_table(rows)}"
+    text += _section("Entries", _entry_rows(results.entries))
+    text += _section("Best known payloads", _best_known_rows(best_known_payloads(records).values()))
+    text += _section(
+        "What can be hoped for on robots that are not exactly known",
+        tables.yardstick_rows(records),
+        "Fractions of the best known payload, see the [yardsticks](#yardsticks).\n\n",
+    )
     text += _notes_text(records, boards)
     if results.board is not None and results.board.beacon_value is not None:
         text += _board_text(results.board)
     return f"{text}\n{_definitions(records)}\n{_origin(results)}"
+
+
+def _section(title: str, rows: Sequence[Sequence[str]], introduction: str = "") -> str:
+    """A table under a heading; empty if it has a head only."""
+    if len(rows) < 2:
+        return ""
+    return f"\n## {title}\n\n{introduction}{_table(rows)}"
 
 
 def _main_text(boards: Sequence[Leaderboard]) -> str:
@@ -325,7 +333,8 @@ def _maps_text(records: Sequence[Record]) -> str:
 
 
 def _notes_text(records: Sequence[Record], boards: Sequence[Leaderboard]) -> str:
-    notes = [_escaped(note) for note in (*tables.failures(records), *tables.left_out(records))]
+    notes = list(map(_escaped, tables.failures(records)))
+    notes += map(_escaped, tables.left_out(records))
     notes += tables.fallbacks(records)
     processors = set()
     for board in boards:
@@ -411,10 +420,11 @@ this does not show.
 
 def _versions(records: Sequence[Record]) -> list[Mapping[str, str]]:
     """The distinct sets of package versions."""
-    return list({canonical(dict(record.versions)): record.versions for record in records}.values())
+    distinct = {canonical(dict(record.versions)): record.versions for record in records}
+    return list(distinct.values())
 
 
-def _best_known_table(references: Sequence[BestKnown]) -> str:
+def _best_known_rows(references: Iterable[BestKnown]) -> list[list[str]]:
     """A row for each motion, and one for all random motions of an environment."""
     rows = [
         ["environment", "motion", "payload [kg]", "total mass [kg]", "upper bound [kg]", "note"]
@@ -426,7 +436,7 @@ def _best_known_table(references: Sequence[BestKnown]) -> str:
         if len(group) == 1:
             title = tables.task_title(group[0].cell)
         rows.append([env_id, title, *_best_known_numbers(group), _best_known_note(group)])
-    return _table(rows)
+    return rows
 
 
 def _best_known_numbers(group: Sequence[BestKnown]) -> list[str]:
@@ -461,24 +471,15 @@ def _best_known_note(group: Sequence[BestKnown]) -> str:
     return note
 
 
-def _entries_table(entries: Sequence[EntryNote]) -> str:
-    names = ("authors", "licence", "compute", "data", "seeds", "status")
-    rows = [
-        [
-            "policy",
-            "package",
-            "authors",
-            "licence",
-            "training compute",
-            "training data",
-            "seeds",
-            "status",
-        ]
-    ]
+def _entry_rows(entries: Sequence[EntryNote]) -> list[list[str]]:
+    head = ("policy", "package", "authors", "licence", "training compute", "training data")
+    rows = [[*head, "seeds", "status"]]
     for entry in entries:
-        texts = [" ".join(_escaped(getattr(entry, name)).split()) for name in names]
+        texts = []
+        for name in (*CARD_FIELDS, "status"):
+            texts.append(" ".join(_escaped(getattr(entry, name)).split()))
         rows.append([f"`{entry.policy}`", _escaped(entry.package or "–"), *texts])
-    return _table(rows)
+    return rows
 
 
 def print_page(page: str) -> None:

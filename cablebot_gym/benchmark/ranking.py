@@ -40,16 +40,14 @@ def fraction(strata: Sequence[Array]) -> Fraction:
     Args:
         strata: fractions of the motions of each environment, ≥ 0.
     """
-    means = [float(values.mean()) for values in strata]
-    ends = [_interval(values) for values in strata]
-    mean = float(np.mean(means))
-    below = [center - low for center, (low, _) in zip(means, ends, strict=True)]
-    above = [high - center for center, (_, high) in zip(means, ends, strict=True)]
+    means = np.array([values.mean() for values in strata])
+    lows, highs = np.transpose([_interval(values) for values in strata])
+    mean = float(means.mean())
     # Distances of independent intervals add as squares (Zou and Donner 2008).
     return Fraction(
         mean=mean,
-        low=mean - math.hypot(*below) / len(strata),
-        high=mean + math.hypot(*above) / len(strata),
+        low=mean - math.hypot(*means - lows) / len(strata),
+        high=mean + math.hypot(*highs - means) / len(strata),
         worst=float(min(values.min() for values in strata)),
     )
 

@@ -108,7 +108,8 @@ def record_from_dict(data: Any) -> Record:
     """
     fields = foreign_object("a record", data)
     result = foreign_object("a result", fields["result"])
-    for payload in (result.get("payload"), *foreign_list("payloads", result.get("payloads", []))):
+    payloads = foreign_list("payloads", result.get("payloads", []))
+    for payload in (result.get("payload"), *payloads):
         if payload is not None and isinstance(payload, int | float):
             number("payload", payload, least=0, most=LARGEST_PAYLOAD, unit="kg")
     if result.get("ratio") is not None:
@@ -118,7 +119,7 @@ def record_from_dict(data: Any) -> Record:
         if violation is not None:
             limit = foreign_object("a violation", violation)
             choice("kind of violation", str(limit.get("kind")), KINDS)
-            for name in ("time", "fraction", "lead"):
+            for name in ("time", "lead"):
                 if limit.get(name) is not None:
                     number(name, limit[name], least=0)
     used = fields.get("processor_seconds", 0.0)

@@ -49,7 +49,7 @@ payload range."""
 class Block:
     """Conditions under which policies are evaluated."""
 
-    policies: tuple[str, ...] = ()
+    policies: Sequence[str] = ()
     """The only policies of the block; all policies if empty."""
     slow: bool = False
     """Whether to include policies whose entry is marked as slow."""
@@ -65,7 +65,7 @@ class Block:
     axis: str | None = None
     """Name of the varied parameter, see :data:`~cablebot_gym.benchmark.maps.AXES`; None for none.
     Rigid robots have no joint stiffness, and flexible ones no varied pulley friction."""
-    values: tuple[float, ...] = ()
+    values: Sequence[float] = ()
     """Values of the varied parameter, SI."""
     conditions: Mapping[str, Any] = field(default_factory=dict)
     """Further fields of the policies' cells. A nested mapping changes only the values that it names.
@@ -77,7 +77,7 @@ class Block:
         names = {item.name for item in fields(cls)}
         settings = {name: value for name, value in data.items() if name in names}
         conditions = {name: value for name, value in data.items() if name not in names}
-        return cls(**_lists_as_tuples(settings), conditions=conditions)
+        return cls(**settings, conditions=conditions)
 
     @property
     def is_nominal(self) -> bool:
@@ -104,7 +104,7 @@ class Suite:
     """Description in one line."""
     blocks: tuple[Block, ...]
     """Blocks of conditions."""
-    env_ids: tuple[str, ...] = PAPER_ENV_IDS
+    env_ids: Sequence[str] = PAPER_ENV_IDS
     """Environment ids."""
     best_known: bool = True
     """Whether to compute the best known payloads."""
@@ -125,16 +125,7 @@ def _suites() -> Iterator[Suite]:
     for name, suite in data.items():
         defaults = suite.pop("defaults", {})
         blocks = tuple(Block.from_dict(merged(defaults, block)) for block in suite.pop("blocks"))
-        yield Suite(name=name, blocks=blocks, **_lists_as_tuples(suite))
-
-
-def _lists_as_tuples(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The data with a tuple in place of each list: TOML has lists only."""
-    converted = dict(data)
-    for name, value in data.items():
-        if isinstance(value, list):
-            converted[name] = tuple(value)
-    return converted
+        yield Suite(name=name, blocks=blocks, **suite)
 
 
 SUITES = MappingProxyType({suite.name: suite for suite in _suites()})
@@ -264,11 +255,10 @@ def _policy_cells(
     included = _included(block, names)
     cells: list[PolicyCell] = []
     if block.survey:
-        for name in included:
+        for name, conditions in product(included, block.combinations()):
             motions = _survey_motions(block, env_id, name, board)
             data = {"env_id": env_id, "policy": name, **motions, "seed": seed}
-            for conditions in block.combinations():
-                cells.append(SurveyCell(**merged(data, conditions), real_time=real_time))
+            cells.append(SurveyCell(**merged(data, conditions), real_time=real_time))
         return cells
     tasks = _tasks(env_id, block, board)
     for task, name, conditions in product(tasks, included, block.combinations()):

@@ -121,19 +121,19 @@ def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
 
 
 def overall_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
-    """Head and rows of the table of the policies that several ranked environments have; no rows
-    without any. ``boards`` are tables of one kind."""
+    """Head and rows of the table of the policies that several ranked environments have. ``boards``
+    are tables of one kind."""
     policies = sorted(scores.overall(boards).items(), key=lambda item: -item[1][1].mean)
     rows = [["policy", "environments", "mean fraction"]]
     for policy, (env_ids, fraction) in policies:
         interval = f"{fraction.mean:.1%} [{fraction.low:.1%}, {fraction.high:.1%}]"
         rows.append([policy, str(len(env_ids)), interval])
-    return rows if policies else []
+    return rows
 
 
 def violation_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
-    """Head and rows of the table of limiting violations over the motions of ranked environments; no
-    rows without any. ``boards`` are tables of one kind."""
+    """Head and rows of the table of limiting violations over the motions of ranked environments.
+    ``boards`` are tables of one kind."""
     rows = [["environment", "policy", *KINDS, "error", "when, median [% of the motion]"]]
     for board in boards:
         for policy in board.ranks:
@@ -142,7 +142,8 @@ def violation_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
             leads = []
             for score in board.entries[policy, board.columns[0]]:
                 counts["error"] += score.error is not None
-                for violation in violations(score):
+                violation = limiting_violation(score)
+                if violation is not None:
                     counts[violation["kind"]] += 1
                     fractions.append(violation["fraction"])
                     if violation.get("lead") is not None:
@@ -152,22 +153,19 @@ def violation_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
             if leads:
                 when += f", near its limit for {median(leads):.3f} s"
             rows.append([board.env_id, policy, *numbers, when])
-    return rows if len(rows) > 1 else []
+    return rows
 
 
-def violations(score: scores.Score) -> list[Mapping[str, Any]]:
-    """The violations beyond the payload of a score: fields of
+def limiting_violation(score: scores.Score) -> dict[str, Any] | None:
+    """The violation beyond the payload of a score: fields of
     :class:`~cablebot_gym.evaluation.constraints.Violation`, and the ``fraction`` of the motion with
-    its dwells at which the limit broke."""
-    stored = score.result.get("violations")
-    if stored is not None:
-        return list(stored)
-    violation = score.result.get("violation")
+    its dwells at which the limit broke. None without a violation."""
+    violation: dict[str, Any] | None = score.result.get("violation")
     if violation is None:
-        return []
+        return None
     trajectory = canonical(dict(score.cell.trajectory))
     duration = _duration(trajectory, score.cell.robot.kind)
-    return [violation | {"fraction": violation["time"] / duration}]
+    return violation | {"fraction": violation["time"] / duration}
 
 
 @cache
@@ -295,22 +293,15 @@ def best_known_text(best: scores.BestKnown) -> str:
 
 
 def yardstick_rows(records: Sequence[Record]) -> list[list[str]]:
-    """Head and rows of the table of the yardsticks under uncertainty; no rows without any."""
-    names = (
-        "environment",
-        "uncertainty",
-        "robots",
-        f"{PROBABILITY:.0%} quantile",
-        "mean",
-        "not verified",
-    )
-    rows = [list(names)]
+    """Head and rows of the table of the yardsticks under uncertainty."""
+    quantile = f"{PROBABILITY:.0%} quantile"
+    rows = [["environment", "uncertainty", "robots", quantile, "mean", "not verified"]]
     for (env_id, uncertainty), stick in yardsticks(records).items():
         quantile = f"{stick.quantile:.1%} [{stick.low:.1%}, {stick.high:.1%}]"
         robots = str(stick.draws + stick.unverified)
         mean = f"{stick.mean:.1%}"
         rows.append([env_id, uncertainty, robots, quantile, mean, str(stick.unverified)])
-    return rows if len(rows) > 1 else []
+    return rows
 
 
 def failures(records: Sequence[Record]) -> list[str]:

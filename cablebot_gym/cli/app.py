@@ -19,7 +19,7 @@ import typer
 from typer.core import TyperGroup
 
 from cablebot_gym.cli.records import GroupedOptions, with_options
-from cablebot_gym.utils.console import notes_console
+from cablebot_gym.utils.console import say
 from cablebot_gym.utils.streams import output_problem, protect_streams
 from cablebot_gym.utils.user_code import sentence_of_user_code
 
@@ -218,7 +218,7 @@ def _with_option_names(message: str) -> str:
 
 
 def _fail(message: str, status: int) -> None:
-    notes_console().print(f"cablebot: {message}", style="red")
+    say(f"cablebot: {message}", style="red")
     sys.exit(status)
 
 

@@ -17,7 +17,7 @@ from cablebot_gym.cli.board import (
 )
 from cablebot_gym.cli.options import NoSandbox, Workers, choose_sandbox, split_names
 from cablebot_gym.cli.records import Options
-from cablebot_gym.utils.console import command_line, notes_console, progress
+from cablebot_gym.utils.console import command_line, progress, say
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -41,22 +41,16 @@ class CellOptions(Options):
 
     suite: Annotated[
         str,
-        typer.Option(
-            help="Suite: smoke (minutes), standard (45 minutes on two cores), ranked (the leaderboard, hours), full "
-            "(hours), maps, paper-maps or library (an hour)."
-        ),
+        "Suite: smoke (minutes), standard (45 minutes on two cores), ranked (the leaderboard, hours), full "
+        "(hours), maps, paper-maps or library (an hour).",
     ] = "smoke"
     policies: Annotated[
         str | None,
-        typer.Option(
-            help="Policies as for `dlcc --policy`, separated by commas. The default is all installed policies."
-        ),
+        "Policies as for `dlcc --policy`, separated by commas. The default is all installed policies.",
     ] = None
     ids: Annotated[
         str | None,
-        typer.Option(
-            help="Environment ids, separated by commas. The default is those of the suite."
-        ),
+        "Environment ids, separated by commas. The default is those of the suite.",
     ] = None
     entries: Annotated[
         Path | None,
@@ -68,10 +62,8 @@ class CellOptions(Options):
     no_sandbox: NoSandbox = False
     seed: Annotated[
         int | None,
-        typer.Option(
-            help="Evaluation seed, to repeat a run. The default is drawn once and stored in the folder; that of a "
-            "board follows from its public value."
-        ),
+        "Evaluation seed, to repeat a run. The default is drawn once and stored in the folder; that of a "
+        "board follows from its public value.",
     ] = None
     real_time: Annotated[
         bool,
@@ -111,14 +103,12 @@ class OutputOptions(Options):
 
     title: ClassVar[str] = "Results"
 
-    out: Annotated[
-        Path, typer.Option(help="Results folder, for the tables and all finished cells.")
-    ] = Path("benchmark")
+    out: Annotated[Path, "Results folder, for the tables and all finished cells."] = Path(
+        "benchmark"
+    )
     page: Annotated[
         Path | None,
-        typer.Option(
-            help=f"File of the leaderboard. The default is {MARKDOWN} in the results folder."
-        ),
+        f"File of the leaderboard. The default is {MARKDOWN} in the results folder.",
     ] = None
     as_json: Annotated[bool, typer.Option("--json", help=f"Print the content of {JSON}.")] = False
 
@@ -144,9 +134,9 @@ class VerificationOptions(Options):
     ] = None
     cells: Annotated[
         int,
-        typer.Option(help="Number of cells, and of motions of surveys, that --verify confirms."),
+        "Number of cells, and of motions of surveys, that --verify confirms.",
     ] = 20
-    draws: Annotated[int, typer.Option(help="Number of fresh draws of --verify.")] = 1024
+    draws: Annotated[int, "Number of fresh draws of --verify."] = 1024
 
 
 def benchmark(
@@ -187,9 +177,12 @@ def benchmark(
 
     cablebot benchmark --verify board --policies fl --ids CableBot-Planar-v0
     """
+    from cablebot_gym.benchmark.board import run_seed
     from cablebot_gym.benchmark.cells import TimingCell
+    from cablebot_gym.benchmark.entries import invalid_note, note, status
+    from cablebot_gym.benchmark.leaderboard import Results
     from cablebot_gym.benchmark.store import FOLDER
-    from cablebot_gym.benchmark.suites import find_suite
+    from cablebot_gym.benchmark.suites import find_suite, suite_cells
     from cablebot_gym.benchmark.tables import failures
     from cablebot_gym.utils.files import check_writable_dir
 
@@ -210,11 +203,38 @@ def benchmark(
         chooses_results = computing.any_source or selection.seed is not None
         board = started_board(board_options, names, out, chooses_results=chooses_results)
     store = _store(output, computing, board)
-    records = _records(selection, computing, output, policies, board, store, backend)
+    if board is None:
+        seed = run_seed(out, selection.seed)
+    else:
+        seed = board.evaluation_seed
+    cells = suite_cells(suite, policies, seed=seed, board=board, real_time=selection.real_time)
+    typed = _typed(selection, output, board)
+    resume = command_line(
+        "benchmark",
+        **typed,
+        workers=computing.workers,
+        ray=computing.ray,
+        any_source=computing.any_source,
+        seed=selection.seed,
+    )
+    records = computed(cells, store, out, backend, resume)
     if board is not None:
         board.check_policies(names)  # files may have changed during the run
-    _note_foreign(store, computing)
-    _write(selection, output, records, board, submitted, invalid)
+    if store.foreign:
+        use = "they are computed again (--any-source reuses them)"
+        if computing.any_source:
+            use = "they are reused"
+        say(f"{store.foreign} cells exist only with results of different code: {use}")
+    notes = [note(Path(name), status(Path(name), records)) for name in submitted]
+    notes += [invalid_note(name, reason) for name, reason in invalid.items()]
+    results = Results(
+        suite=selection.suite,
+        command=command_line("benchmark", **typed),
+        records=records,
+        board=board,
+        entries=notes,
+    )
+    _write(results, output)
     payloads = [record for record in records if not isinstance(record.cell, TimingCell)]
     if invalid or failures(payloads):
         raise typer.Exit(1)
@@ -234,18 +254,7 @@ def _store(output: OutputOptions, computing: ComputingOptions, board: Board | No
     key = ""
     if board is not None and board.salt is not None:
         key = board.salt
-    say = notes_console().print
     return Store(output.out, say=say, any_source=computing.any_source, key=key)
-
-
-def _note_foreign(store: Store, computing: ComputingOptions) -> None:
-    if store.foreign:
-        use = "they are computed again (--any-source reuses them)"
-        if computing.any_source:
-            use = "they are reused"
-        notes_console().print(
-            f"{store.foreign} cells exist only with results of different code: {use}"
-        )
 
 
 def _policies(
@@ -265,47 +274,12 @@ def _policies(
         choose_sandbox(selection.no_sandbox)
         valid, invalid = find_entries(selection.entries)
         for name, reason in invalid.items():
-            notes_console().print(f"entry {name} is invalid and left out: {reason}", markup=False)
+            say(f"entry {name} is invalid and left out: {reason}")
         for name, entry in valid.items():
             if set(entry.env_ids) & set(env_ids):
                 submitted.append(name)
         names = [*(names or public_entries()), *submitted]
     return find_policies(names, env_ids), submitted, invalid
-
-
-def _records(
-    selection: CellOptions,
-    computing: ComputingOptions,
-    output: OutputOptions,
-    policies: Mapping[str, tuple[str, ...]],
-    board: Board | None,
-    store: Store,
-    backend: Backend,
-) -> Sequence[Record]:
-    """Computes the missing cells of the suite."""
-    from cablebot_gym.benchmark.board import run_seed
-    from cablebot_gym.benchmark.suites import find_suite, suite_cells
-
-    if board is None:
-        seed = run_seed(output.out, selection.seed)
-    else:
-        seed = board.evaluation_seed
-    cells = suite_cells(
-        find_suite(selection.suite),
-        policies,
-        seed=seed,
-        board=board,
-        real_time=selection.real_time,
-    )
-    resume = command_line(
-        "benchmark",
-        **_typed(selection, output, board),
-        workers=computing.workers,
-        ray=computing.ray,
-        any_source=computing.any_source,
-        seed=selection.seed,
-    )
-    return computed(cells, store, output.out, backend, resume)
 
 
 def _typed(selection: CellOptions, output: OutputOptions, board: Board | None) -> dict[str, Any]:
@@ -326,41 +300,15 @@ def _typed(selection: CellOptions, output: OutputOptions, board: Board | None) -
     }
 
 
-def _write(
-    selection: CellOptions,
-    output: OutputOptions,
-    records: Sequence[Record],
-    board: Board | None,
-    submitted: Sequence[str],
-    invalid: Mapping[str, str],
-) -> None:
-    """Writes and prints results and leaderboard.
-
-    Args:
-        selection: what was computed.
-        output: the files.
-        records: records of all cells.
-        board: board with the hidden motions; None without.
-        submitted: policies that are entries of others.
-        invalid: reasons of invalid entries, which were not run.
-    """
-    from cablebot_gym.benchmark.entries import invalid_note, note, status
-    from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
+def _write(results: Results, output: OutputOptions) -> None:
+    """Writes and prints results and leaderboard."""
+    from cablebot_gym.benchmark.leaderboard import markdown, print_page
     from cablebot_gym.utils.files import atomic_write_text
 
-    notes = [note(Path(name), status(Path(name), records)) for name in submitted]
-    notes += [invalid_note(name, reason) for name, reason in invalid.items()]
-    results = Results(
-        suite=selection.suite,
-        command=command_line("benchmark", **_typed(selection, output, board)),
-        records=records,
-        board=board,
-        entries=notes,
-    )
     contents = (results.to_json(), markdown(results))
     for path, content in zip(output.files, contents, strict=True):
         atomic_write_text(path, content)
-    notes_console().print("wrote " + ", ".join(map(str, output.files)))
+    say("wrote " + ", ".join(map(str, output.files)))
     if output.as_json:
         print(contents[0], end="")
     else:
@@ -381,7 +329,7 @@ def computed(
     """
     from cablebot_gym.benchmark.engine import run_cells
 
-    say, finished = notes_console().print, 0
+    finished = 0
     with progress("computing", "cells") as step:
 
         def count(done: int, expected: int) -> None:
@@ -440,7 +388,6 @@ def _verify(
     results = read_results(folder)
     cells = whole("cells", verification.cells, least=1)
     draws = whole("draws", verification.draws, least=1)
-    say = notes_console().print
     if results.board is not None:
         results.check_board(beacon_value)
         board = results.board
@@ -477,7 +424,6 @@ def _reproduce(results: Results, selection: CellOptions, backend: Backend) -> No
 
     names = split_names(selection.policies)
     env_ids = split_names(selection.ids)
-    say = notes_console().print
     different = 0
     for reproduction in reproduce(results.records, names, env_ids, backend, say=say):
         print(reproduction)

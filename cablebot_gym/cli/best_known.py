@@ -15,7 +15,7 @@ def best_known(
     env_id: FittingEnvId = None,
     task: TaskOptions,
     cache: Annotated[
-        bool, typer.Option(help="Whether to store the result on disk, and to read a stored result.")
+        bool, "Whether to store the result on disk, and to read a stored result."
     ] = True,
     as_json: Json = False,
 ) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cablebot_gym.cli import options
-from cablebot_gym.utils.console import notes_console, print_table, results_console
+from cablebot_gym.utils.console import print_table, results_console, say
 
 if TYPE_CHECKING:
     from cablebot_gym.evaluation.comparison import (
@@ -53,14 +53,10 @@ def compare(
     payload: options.Payload = None,
     payloads: Annotated[
         str | None,
-        typer.Option(
-            help="Several payloads instead of --payload: FIRST:LAST:STEP, such as 0:9:0.5, or 0,1,2 [kg]."
-        ),
+        "Several payloads instead of --payload: FIRST:LAST:STEP, such as 0:9:0.5, or 0,1,2 [kg].",
     ] = None,
     draws: options.Draws = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for comparison.json and comparison.png.")
-    ] = None,
+    out: Annotated[Path | None, "Folder for comparison.json and comparison.png."] = None,
     as_json: options.Json = False,
     process: options.ProcessOptions,
 ) -> None:
@@ -116,7 +112,7 @@ def _write(comparison: Comparison | PayloadComparison, folder: Path) -> None:
 
     path = folder / "comparison.json"
     atomic_write_text(path, comparison.to_json() + "\n")
-    notes_console().print(f"wrote {path}, {save_comparison(comparison, folder)}")
+    say(f"wrote {path}, {save_comparison(comparison, folder)}")
 
 
 def payload_grid(text: str) -> list[float]:

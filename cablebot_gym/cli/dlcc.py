@@ -8,11 +8,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-import typer
-
 from cablebot_gym.cli import options
 from cablebot_gym.cli.records import Options
-from cablebot_gym.utils.console import notes_console, print_table
+from cablebot_gym.utils.console import print_table, say
 
 if TYPE_CHECKING:
     from cablebot_gym.evaluation.result import DLCCResult
@@ -42,46 +40,30 @@ class SearchOptions(Options):
 
     criterion: Annotated[
         CriterionChoice,
-        typer.Option(
-            help=(
-                "Success criterion: task (saturated torques; position, rotation and tension), "
-                "paper (torques within the limits without saturation; position and slack), or both."
-            )
-        ),
+        "Success criterion: task (saturated torques; position, rotation and tension), "
+        "paper (torques within the limits without saturation; position and slack), or both.",
     ] = CriterionChoice.both
     payload_max: Annotated[
         float | None,
-        typer.Option(
-            help=(
-                "Largest payload of the scan [kg]. The default is the end of the robot's payload range, or slightly "
-                "more than what the motors hold; for the paper's robots 10 (planar) and 20 (spatial)."
-            )
-        ),
+        "Largest payload of the scan [kg]. The default is the end of the robot's payload range, or slightly "
+        "more than what the motors hold; for the paper's robots 10 (planar) and 20 (spatial).",
     ] = None
     resolution: Annotated[
         float | None,
-        typer.Option(
-            help="Resolution of the payload [kg]. The default is 0.001 for one draw and 0.01 for several."
-        ),
+        "Resolution of the payload [kg]. The default is 0.001 for one draw and 0.01 for several.",
     ] = None
     search: Annotated[
         SearchChoice,
-        typer.Option(
-            help=(
-                "scan, or bisection for policies that take seconds for an episode: it tries few payloads, and its "
-                "result is unranked."
-            )
-        ),
+        "scan, or bisection for policies that take seconds for an episode: it tries few payloads, and its "
+        "result is unranked.",
     ] = SearchChoice.scan
     draws: options.Draws = None
-    probability: Annotated[
-        float, typer.Option(help="Required success probability of the payload over the draws.")
-    ] = 0.95
+    probability: Annotated[float, "Required success probability of the payload over the draws."] = (
+        0.95
+    )
     confidence: Annotated[
         float,
-        typer.Option(
-            help="Confidence of the payload over the draws, which is a lower tolerance bound."
-        ),
+        "Confidence of the payload over the draws, which is a lower tolerance bound.",
     ] = 0.95
 
 
@@ -89,7 +71,7 @@ def dlcc(
     *,
     env_id: options.FittingEnvId = None,
     policy: options.PolicyName,
-    out: Annotated[Path | None, typer.Option(help="Folder for result.json and figures.")] = None,
+    out: Annotated[Path | None, "Folder for result.json and figures."] = None,
     as_json: options.Json = False,
     episode: options.EpisodeOptions,
     search: SearchOptions,
@@ -179,7 +161,7 @@ def _write(results: list[DLCCResult], folder: Path) -> None:
     written = [path]
     for result in results:
         written += save_figures(result, folder)
-    notes_console().print("wrote " + ", ".join(map(str, written)))
+    say("wrote " + ", ".join(map(str, written)))
 
 
 def _print_results(

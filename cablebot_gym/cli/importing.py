@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cablebot_gym.cli.options import counted
-from cablebot_gym.utils.console import notes_console
+from cablebot_gym.utils.console import say
 
 
 def import_file(path: Path, out: Path | None, cable_set: str | None) -> None:
@@ -38,6 +38,4 @@ def import_file(path: Path, out: Path | None, cable_set: str | None) -> None:
     for note in imported.notes:
         print(f"note       {note}")
     atomic_write_text(out, imported.to_toml())
-    notes_console().print(
-        f"wrote {out}. Change what is assumed there, then run: cablebot robot check {out}"
-    )
+    say(f"wrote {out}. Change what is assumed there, then run: cablebot robot check {out}")

@@ -12,7 +12,7 @@ import typer
 
 from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.checks import number
-from cablebot_gym.utils.console import command_line, notes_console
+from cablebot_gym.utils.console import command_line, say
 from cablebot_gym.utils.files import read_text
 from cablebot_gym.utils.foreign import foreign_json
 
@@ -128,31 +128,21 @@ class TaskOptions(Options):
 
     robot: Annotated[
         str | None,
-        typer.Option(
-            help=(
-                "Name, or TOML or JSON file, of a robot of the kind of ID, with its default motion, error bounds and "
-                "payloads."
-            )
-        ),
+        "Name, or TOML or JSON file, of a robot of the kind of ID, with its default motion, error bounds and "
+        "payloads.",
     ] = None
     trajectory: TrajectoryData = None
     position_bound: Annotated[
         float | None,
-        typer.Option(
-            help=(
-                "Largest allowed position error [mm]. The default is in the robot's data; without data, 10 within "
-                "0.1 to 1 % of the width of the base."
-            )
-        ),
+        "Largest allowed position error [mm]. The default is in the robot's data; without data, 10 within "
+        "0.1 to 1 % of the width of the base.",
     ] = None
     rotation_bound: Annotated[
         float | None,
-        typer.Option(
-            help="Largest allowed rotation error of the task criterion [mrad]. The default is in the robot's data; "
-            "without data, 10."
-        ),
+        "Largest allowed rotation error of the task criterion [mrad]. The default is in the robot's data; "
+        "without data, 10.",
     ] = None
-    control_frequency: Annotated[float, typer.Option(help="Control steps per second [Hz].")] = 500.0
+    control_frequency: Annotated[float, "Control steps per second [Hz]."] = 500.0
 
     @property
     def error_bounds(self) -> dict[str, float]:
@@ -192,7 +182,7 @@ class EpisodeOptions(TaskOptions):
         ),
     ] = True
     model_payload_factor: Annotated[
-        float, typer.Option(help="Payload of the policy's model over the nominal payload.")
+        float, "Payload of the policy's model over the nominal payload."
     ] = 1.0
     uncertainty: Annotated[
         str | None,
@@ -217,30 +207,18 @@ class EpisodeOptions(TaskOptions):
     ] = None
     wrapper: Annotated[
         list[str] | None,
-        typer.Option(
-            help=(
-                "Wrapper of the policy's training, file.py:name or package.module:name; again for each further one, "
-                "the innermost first. Installed policies of --policies take none."
-            )
-        ),
+        "Wrapper of the policy's training, file.py:name or package.module:name; again for each further one, "
+        "the innermost first. Installed policies of --policies take none.",
     ] = None
     normalize: Annotated[
         str | None,
-        typer.Option(
-            help=(
-                "File with the statistics of Stable-Baselines3's VecNormalize, the outermost wrapper. The default is "
-                "vecnormalize.pkl beside a .zip file."
-            )
-        ),
+        "File with the statistics of Stable-Baselines3's VecNormalize, the outermost wrapper. The default is "
+        "vecnormalize.pkl beside a .zip file.",
     ] = None
     seed: Annotated[
         int | None,
-        typer.Option(
-            help=(
-                "Seed of the environments. The default is 0; in `dlcc` and `compare` with an isolated policy, a secret "
-                "number that is printed after the evaluation."
-            )
-        ),
+        "Seed of the environments. The default is 0; in `dlcc` and `compare` with an isolated policy, a secret "
+        "number that is printed after the evaluation.",
     ] = None
 
     @property
@@ -287,9 +265,7 @@ class ProcessOptions(Options):
     ] = False
     deadline: Annotated[
         float | None,
-        typer.Option(
-            help="Deadline of a call of the isolated policy [s of processor time]. The default is 60."
-        ),
+        "Deadline of a call of the isolated policy [s of processor time]. The default is 60.",
     ] = None
 
     def isolates(self, name: str, wrappers: Sequence[str] = ()) -> bool:
@@ -392,7 +368,7 @@ def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
         texts.append(f"largest {name} {' and '.join(peaks)}")
     span = f"{counted(len(motion.times), 'waypoint')} in {motion.duration:.4g} s"
     span += f" between dwells of {trajectory.dwell:g} s"
-    notes_console().print(f"{motion.name}: {span}; {', '.join(texts)}")
+    say(f"{motion.name}: {span}; {', '.join(texts)}")
 
 
 def loaded_policy(
@@ -490,9 +466,7 @@ def note_unsupported(names: list[str], env_id: str) -> None:
     for name in names:
         entry = public_entry(name)
         if entry is not None and env_id not in entry.env_ids:
-            notes_console().print(
-                f"note: {name} is designed for {', '.join(entry.env_ids)}, not for {env_id}"
-            )
+            say(f"note: {name} is designed for {', '.join(entry.env_ids)}, not for {env_id}")
 
 
 def check_figure_folder(out: Path | None, *names: str) -> None:

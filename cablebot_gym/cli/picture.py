@@ -7,23 +7,20 @@ from typing import Annotated
 
 import typer
 
-from cablebot_gym.cli.options import EnvId, EpisodeOptions, Payload, PolicyNameOrNone
-from cablebot_gym.cli.video import Policies, Size, picture_size, record_episodes
-from cablebot_gym.utils.console import notes_console
+from cablebot_gym.cli.options import EnvId, EpisodeOptions
+from cablebot_gym.cli.video import PictureOptions, print_verdicts, record_episodes
+from cablebot_gym.utils.console import say
 
 
 def picture(
     env_id: EnvId,
     out: Annotated[Path, typer.Argument(help="File to write, ending in .png, .jpg or .webp.")],
+    pictures: PictureOptions,
     episode: EpisodeOptions,
-    policy: PolicyNameOrNone = None,
-    policies: Policies = None,
-    payload: Payload = None,
     time: Annotated[
         float | None,
-        typer.Option(help="Time of the picture [s]. The default is the end, with the whole path."),
+        "Time of the picture [s]. The default is the end, with the whole path.",
     ] = None,
-    size: Size = None,
 ) -> None:
     """Write a picture of an episode, with one or more policies side by side; without a policy, of
     the start pose.
@@ -36,18 +33,13 @@ def picture(
 
     cablebot picture CableBot-Spatial-v0 both.png --policies fl,trajopt --payload 6 --time 1.1 --size 480x360
     """
-    from cablebot_gym.video.recording import check_picture, note, write_picture
+    from cablebot_gym.video.recording import check_picture, write_picture
 
-    frame_size = picture_size(size)
+    size = pictures.pixels
     check_picture(out, time)
-    start = policy is None and policies is None
-    episodes = record_episodes(
-        env_id, policy, policies, payload=payload, start=start, episode=episode
-    )
-    write_picture(out, episodes, time=0.0 if start and time is None else time, size=frame_size)
+    start = pictures.policy is None and pictures.policies is None
+    episodes = record_episodes(env_id, pictures, episode, start=start)
+    write_picture(out, episodes, time=0.0 if start and time is None else time, size=size)
     if not start:
-        for title, rollout in episodes:
-            print(
-                f"{title}, {rollout.payload:g} kg, task criterion: {note(rollout, len(rollout) - 1)}"
-            )
-    notes_console().print(f"wrote {out}")
+        print_verdicts(episodes)
+    say(f"wrote {out}")

@@ -9,20 +9,22 @@ from dataclasses import MISSING, dataclass, fields
 from functools import wraps
 from typing import Annotated, Any, ClassVar, get_type_hints
 
+import typer
 from typer.core import TyperCommand
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Options that belong together. Each field of a subclass has a type that is annotated with
-    ``typer.Option``."""
+    """Options that belong together. Each field of a subclass has a type that is annotated with its
+    help, or with ``typer.Option``."""
 
     title: ClassVar[str]
     """Heading of the options in the help."""
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The command for typer: parameters that are records are replaced by their options."""
+    """The command for typer: parameters that are records are replaced by their options, and the help
+    in an annotation by an option."""
     parameters: list[inspect.Parameter] = []
     records: dict[str, type[Options]] = {}
     for parameter in inspect.signature(command, eval_str=True).parameters.values():
@@ -32,9 +34,11 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
             parameters += _parameters(annotation)
         else:
             # Options come in any order: no parameter has a position.
-            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
-    if not records:
-        return command
+            parameters.append(
+                parameter.replace(
+                    kind=inspect.Parameter.KEYWORD_ONLY, annotation=_with_option(annotation)
+                )
+            )
 
     @wraps(command)
     def run(**values: Any) -> None:
@@ -49,11 +53,20 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
+def _with_option(annotation: Any) -> Any:
+    """An annotation in which a help is replaced by an option."""
+    metadata = getattr(annotation, "__metadata__", ())
+    if metadata and isinstance(metadata[0], str):
+        return Annotated[annotation.__origin__, typer.Option(help=metadata[0])]
+    return annotation
+
+
 def _parameters(record: type[Options]) -> list[inspect.Parameter]:
     types = get_type_hints(record, include_extras=True)
     parameters = []
     for item in fields(record):
-        (shared_option,) = types[item.name].__metadata__
+        annotation = _with_option(types[item.name])
+        (shared_option,) = annotation.__metadata__
         option = copy(shared_option)  # commands share it, each with its own heading
         option.rich_help_panel = record.title
         default = item.default
@@ -63,7 +76,7 @@ def _parameters(record: type[Options]) -> list[inspect.Parameter]:
             item.name,
             inspect.Parameter.KEYWORD_ONLY,
             default=default,
-            annotation=Annotated[types[item.name].__origin__, option],
+            annotation=Annotated[annotation.__origin__, option],
         )
         parameters.append(parameter)
     return parameters

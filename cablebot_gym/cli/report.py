@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cablebot_gym.cli.options import Workers, counted
-from cablebot_gym.utils.console import notes_console, progress
+from cablebot_gym.utils.console import progress, say
 
 if TYPE_CHECKING:
     from cablebot_gym.report.recording import ReplayResult
@@ -23,10 +23,8 @@ def report(
             help="Folders that `cablebot benchmark` wrote, or their results.json.",
         ),
     ],
-    out: Annotated[Path, typer.Option(help="File of the page, ending in .html.")] = Path(
-        "report.html"
-    ),
-    title: Annotated[str, typer.Option(help="Title of the page.")] = "Payloads of cable robots",
+    out: Annotated[Path, "File of the page, ending in .html."] = Path("report.html"),
+    title: Annotated[str, "Title of the page."] = "Payloads of cable robots",
     episodes: Annotated[
         bool,
         typer.Option(
@@ -58,19 +56,21 @@ def report(
         raise ValueError(f"--out must end in .html, such as report.html, not {str(out)!r}")
     sources = [read_results(path) for path in results]
     check_writable_file(out)
-    folder = (results[0] if results[0].is_dir() else results[0].parent) / FOLDER
-    errors = notes_console()
+    folder = results[0]
+    if not folder.is_dir():
+        folder = folder.parent
+    folder /= FOLDER
     replays: dict[str, ReplayResult] = {}
     if episodes:
         check_writable_dir(folder)
         queries = replay_queries(merge_records(sources))
         with progress("recording", "episodes") as step:
-            for key, replay in record_all(queries, folder, workers=processes, say=errors.print):
+            for key, replay in record_all(queries, folder, workers=processes, say=say):
                 replays[key] = replay
                 step(len(replays), len(queries))
     page = html(title, sources, replays)
     atomic_write_text(out, page)
     failures = Counter(replay for replay in replays.values() if isinstance(replay, str))
     for reason, count in failures.items():
-        errors.print(f"{counted(count, 'cell')}: {reason}")
+        say(f"{counted(count, 'cell')}: {reason}")
     print(f"wrote {out}, {len(page.encode()) / 1e6:.1f} MB. Open it in a browser.")

@@ -21,7 +21,7 @@ from cablebot_gym.cli.options import (
     note_waypoints,
 )
 from cablebot_gym.utils.checks import choice
-from cablebot_gym.utils.console import notes_console
+from cablebot_gym.utils.console import say
 from cablebot_gym.utils.user_code import sentence_of_user_code
 
 if TYPE_CHECKING:
@@ -43,13 +43,9 @@ def robot(
     trajectory: TrajectoryData = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="File to write: the drawing of a check (.svg, .png, .pdf), or the imported robot (.toml)."
-        ),
+        "File to write: the drawing of a check (.svg, .png, .pdf), or the imported robot (.toml).",
     ] = None,
-    cable_set: Annotated[
-        str | None, typer.Option(help="Cable set of a CASPR file. The default is its own.")
-    ] = None,
+    cable_set: Annotated[str | None, "Cable set of a CASPR file. The default is its own."] = None,
     as_json: Json = False,
 ) -> None:
     """Check a robot and its motion, or import a robot from a file of CASPR or WireX.
@@ -108,10 +104,10 @@ def _check(
         )
         print("\n".join(motion_report(check, motion, evaluation)))
     if motion is None:
-        notes_console().print(f"motion refused: {refusal}", style="red")
+        say(f"motion refused: {refusal}", style="red")
     if out is not None:
         _draw(check, motion, out)
-        notes_console().print(f"wrote {out}")
+        say(f"wrote {out}")
     if motion is None or not motion.possible:
         raise typer.Exit(1)
 
@@ -129,7 +125,7 @@ def _loaded(name: str) -> Robot | None:
     except ValueError as error:
         if not Path(name).is_file():
             raise
-        notes_console().print(f"refused: {error}", style="red")
+        say(f"refused: {error}", style="red")
         return None
 
 
@@ -138,7 +134,8 @@ def _draw(check: RobotCheck, motion: MotionCheck | None, out: Path) -> None:
     from cablebot_gym.plotting.robots import draw_robot
     from cablebot_gym.utils.files import atomic_write
 
-    atomic_write(out, partial(draw_robot(check, motion).savefig, dpi=DPI, format=out.suffix[1:]))
+    figure = draw_robot(check, motion)
+    atomic_write(out, partial(figure.savefig, dpi=DPI, format=out.suffix[1:]))
 
 
 def report(check: RobotCheck) -> list[str]:
@@ -253,7 +250,8 @@ def _anchors(robot: Robot) -> str:
     """Size of the base, and which cables leave above and below the platform."""
     from cablebot_gym.kinematics import cable_vectors
 
-    size = " × ".join(f"{side:.3g}" for side in robot.base.max(axis=0) - robot.base.min(axis=0))
+    sides = robot.base.max(axis=0) - robot.base.min(axis=0)
+    size = " × ".join(f"{side:.3g}" for side in sides)
     text = f"base of {size} m"
     if robot.weightless:
         return text

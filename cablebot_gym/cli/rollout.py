@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from cablebot_gym.cli.options import (
     EpisodeOptions,
     FittingEnvId,
@@ -23,10 +21,10 @@ def rollout(
     *,
     env_id: FittingEnvId = None,
     policy: PolicyName,
-    out: Annotated[Path, typer.Option(help="File of the recording, ending in .npz or .csv.")],
+    out: Annotated[Path, "File of the recording, ending in .npz or .csv."],
     episode: EpisodeOptions,
     payload: Payload = None,
-    criterion: Annotated[str, typer.Option(help="Success criterion: task or paper.")] = "task",
+    criterion: Annotated[str, "Success criterion: task or paper."] = "task",
     process: ProcessOptions,
 ) -> None:
     """Run one episode of a policy and record every control step in a file.

@@ -13,7 +13,7 @@ import typer
 
 from cablebot_gym.cli.options import Workers, counted, split_names
 from cablebot_gym.cli.records import Options
-from cablebot_gym.utils.console import notes_console
+from cablebot_gym.utils.console import say
 
 if TYPE_CHECKING:
     from cablebot_gym.benchmark.engine import Backend
@@ -29,14 +29,14 @@ class CardOptions(Options):
 
     title: ClassVar[str] = "Card"
 
-    authors: Annotated[str, typer.Option(help="Authors.")]
-    licence: Annotated[str, typer.Option(help="Licence of code and weights, such as MIT.")]
+    authors: Annotated[str, "Authors."]
+    licence: Annotated[str, "Licence of code and weights, such as MIT."]
     compute: Annotated[
         str,
-        typer.Option(help="Compute for training and tuning, such as '3 h on 8 cores', or none."),
+        "Compute for training and tuning, such as '3 h on 8 cores', or none.",
     ]
-    data: Annotated[str, typer.Option(help="Data and motions for training and tuning, or none.")]
-    seeds: Annotated[str, typer.Option(help="Seeds of the training, or none.")]
+    data: Annotated[str, "Data and motions for training and tuning, or none."]
+    seeds: Annotated[str, "Seeds of the training, or none."]
 
 
 def submit(
@@ -48,15 +48,11 @@ def submit(
         ),
     ],
     ids: Annotated[str, typer.Option("--id", help="Environment ids, separated by commas.")],
-    out: Annotated[
-        Path, typer.Option(help="Folder of the entry; its name is the name in the table.")
-    ],
+    out: Annotated[Path, "Folder of the entry; its name is the name in the table."],
     card: CardOptions,
     suite: Annotated[
         str,
-        typer.Option(
-            help="Suite of the local result: smoke (planar robot only), standard, or full."
-        ),
+        "Suite of the local result: smoke (planar robot only), standard, or full.",
     ] = "standard",
     workers: Workers = None,
 ) -> None:
@@ -81,7 +77,6 @@ def submit(
     from cablebot_gym.utils.workers import check_workers
 
     backend = local(check_workers(workers))
-    say = notes_console().print
     env_ids = find_env_ids(find_suite(suite), split_names(ids))
     check_writable_dir(out)
     if problem := sandbox.sandbox_problem():
@@ -114,7 +109,7 @@ def _results(folder: Path, name: str, suite: str, backend: Backend) -> Results:
     work = folder / WORK
     cells = entries.entry_cells(folder, suite, seed=run_seed(work))
     command = shlex.join(["cablebot", *sys.argv[1:]])
-    store = Store(work, say=notes_console().print)
+    store = Store(work, say=say)
     records = computed(cells, store, work, backend, command)
     return Results(
         suite=suite,

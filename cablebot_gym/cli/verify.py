@@ -10,16 +10,14 @@ from typing import Annotated
 import typer
 
 from cablebot_gym.cli.options import NoSandbox, Workers, choose_sandbox, counted
-from cablebot_gym.utils.console import notes_console
+from cablebot_gym.utils.console import say
 
 
 def verify(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the entry.")],
     out: Annotated[
         Path,
-        typer.Option(
-            help="Folder for the finished cells of an unfinished verification, outside the entry."
-        ),
+        "Folder for the finished cells of an unfinished verification, outside the entry.",
     ] = Path("verification"),
     no_sandbox: NoSandbox = False,
     workers: Workers = None,
@@ -62,7 +60,8 @@ def verify(
         seed = run_seed(work)
         cells = entries.entry_cells(folder, claims.suite, seed=seed, claims_only=True)
         command = f"cablebot verify {folder} --out {out}" + " --no-sandbox" * no_sandbox
-        records = [*computed(cells, Store(work, say=notes_console().print), work, backend, command)]
+        store = Store(work, say=say)
+        records = [*computed(cells, store, work, backend, command)]
         reasons = entries.refuted(claims, records)
     record = entries.verification(folder, seed, records, reasons)
     atomic_write_text(
@@ -71,7 +70,7 @@ def verify(
     shutil.rmtree(work / FOLDER, ignore_errors=True)  # the next verification draws another seed
     (work / RUN).unlink(missing_ok=True)
     if reasons:
-        notes_console().print(f"cablebot: refused: {reasons[0]}", style="red")
+        say(f"cablebot: refused: {reasons[0]}", style="red")
         raise typer.Exit(1)
     protection = "with network and all files"
     if record["sandbox"]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
@@ -16,34 +17,58 @@ from cablebot_gym.cli.options import (
     robot_of,
     split_names,
 )
-from cablebot_gym.utils.console import notes_console, progress
+from cablebot_gym.cli.records import Options
+from cablebot_gym.utils.console import progress, say
 from cablebot_gym.video import SPEED
 
 if TYPE_CHECKING:
     from cablebot_gym.video.recording import Episode
 
 Speed = Annotated[float, typer.Option("--speed", help="Playback speed; 1 is real time.")]
-Size = Annotated[
-    str | None,
-    typer.Option("--size", help="Size of the picture of each policy, such as 1280x960 [pixels]."),
-]
-Policies = Annotated[
-    str | None,
-    typer.Option(
-        "--policies", help="Several policies side by side, separated by commas. Replaces --policy."
-    ),
-]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureOptions(Options):
+    """What pictures show, and their size."""
+
+    title: ClassVar[str] = "Pictures"
+
+    policy: PolicyNameOrNone = None
+    policies: Annotated[
+        str | None,
+        "Several policies side by side, separated by commas. Replaces --policy.",
+    ] = None
+    payload: Payload = None
+    size: Annotated[
+        str | None,
+        "Size of the picture of each policy, such as 1280x960 [pixels].",
+    ] = None
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Width and height.
+
+        Raises:
+            ValueError: if the size is invalid.
+        """
+        from cablebot_gym.rendering.painter import SIZE, check_size
+
+        if self.size is None:
+            return SIZE
+        width, _, height = self.size.partition("x")
+        if not (width.isdecimal() and height.isdecimal()):
+            raise ValueError(
+                f"--size must be WIDTHxHEIGHT in pixels, such as 640x480, not {self.size!r}"
+            )
+        return check_size((int(width), int(height)))
 
 
 def video(
     env_id: EnvId,
     out: Annotated[Path, typer.Argument(help="File to write, ending in .mp4 or .gif.")],
+    pictures: PictureOptions,
     episode: EpisodeOptions,
-    policy: PolicyNameOrNone = None,
-    policies: Policies = None,
-    payload: Payload = None,
     speed: Speed = SPEED,
-    size: Size = None,
 ) -> None:
     """Write a video of an episode, with one or more policies side by side.
 
@@ -55,51 +80,34 @@ def video(
 
     cablebot video CableBot-Spatial-v0 both.gif --policies fl,trajopt --payload 6 --size 480x360
     """
-    from cablebot_gym.video.recording import check_speed, check_video, note, write_video
+    from cablebot_gym.video.recording import check_speed, check_video, write_video
 
-    frame_size = picture_size(size)
+    size = pictures.pixels
     check_video(out)
     check_speed(speed)
-    episodes = record_episodes(env_id, policy, policies, payload=payload, episode=episode)
+    episodes = record_episodes(env_id, pictures, episode)
     with progress("rendering", "frames") as step:
-        write_video(out, episodes, speed=speed, size=frame_size, progress=step)
+        write_video(out, episodes, speed=speed, size=size, progress=step)
+    print_verdicts(episodes)
+    say(f"wrote {out}")
+
+
+def print_verdicts(episodes: list[Episode]) -> None:
+    """Prints whether each payload was carried."""
+    from cablebot_gym.video.recording import note
+
     for title, rollout in episodes:
         print(f"{title}, {rollout.payload:g} kg, task criterion: {note(rollout, len(rollout) - 1)}")
-    notes_console().print(f"wrote {out}")
-
-
-def picture_size(text: str | None) -> tuple[int, int]:
-    """Width and height from ``--size``.
-
-    Raises:
-        ValueError: if the size is invalid.
-    """
-    from cablebot_gym.rendering.painter import SIZE, check_size
-
-    if text is None:
-        return SIZE
-    width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise ValueError(f"--size must be WIDTHxHEIGHT in pixels, such as 640x480, not {text!r}")
-    return check_size((int(width), int(height)))
 
 
 def record_episodes(
-    env_id: str,
-    policy: str | None,
-    policies: str | None,
-    *,
-    payload: float | None,
-    episode: EpisodeOptions,
-    start: bool = False,
+    env_id: str, pictures: PictureOptions, episode: EpisodeOptions, *, start: bool = False
 ) -> list[Episode]:
     """Records one episode of the policy in ``--policy`` or of each one in ``--policies``.
 
     Args:
         env_id: environment id.
-        policy: value of ``--policy``.
-        policies: value of ``--policies``.
-        payload: value of ``--payload``.
+        pictures: policies and payload.
         episode: options of the episode.
         start: whether to record an episode without torques instead, for its start.
 
@@ -114,6 +122,7 @@ def record_episodes(
 
     robot = robot_of(env_id, episode)
     place = described(env_id, robot.name)
+    payload = pictures.payload
     if payload is None:
         payload = robot.defaults.payload(0.0)
     keywords = episode.keywords() | {"payload": payload}
@@ -121,14 +130,14 @@ def record_episodes(
         import_pygame()
         at_rest = record_rollout(lambda observation: np.zeros(robot.cables), env_id, **keywords)
         return [(place, at_rest)]
-    names = split_names(policies or policy)
-    if (policy is None) == (policies is None) or not names:
+    names = split_names(pictures.policies or pictures.policy)
+    if (pictures.policy is None) == (pictures.policies is None) or not names:
         raise ValueError(
             "give either --policy with one name, or --policies with several. Example: --policies fl,trajopt"
         )
     import_pygame()
     episodes = []
-    for policy_of_name in loaded_policies(names, robot, episode.wrappers):
-        rollout = record_rollout(policy_of_name, env_id, progress=True, **keywords)
-        episodes.append((f"{policy_of_name.name} on {place}", rollout))
+    for policy in loaded_policies(names, robot, episode.wrappers):
+        rollout = record_rollout(policy, env_id, progress=True, **keywords)
+        episodes.append((f"{policy.name} on {place}", rollout))
     return episodes

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from cablebot_gym.cli.options import (
-    EpisodeOptions,
-    FittingEnvId,
-    Payload,
-    PolicyNameOrNone,
-    command_again,
-    fitting_id,
-)
-from cablebot_gym.cli.video import Policies, Size, Speed, picture_size, record_episodes
+from dataclasses import asdict
+
+from cablebot_gym.cli.options import EpisodeOptions, FittingEnvId, command_again, fitting_id
+from cablebot_gym.cli.video import PictureOptions, Speed, record_episodes
 from cablebot_gym.video import SPEED
 
 
 def watch(
     *,
     env_id: FittingEnvId = None,
+    pictures: PictureOptions,
     episode: EpisodeOptions,
-    policy: PolicyNameOrNone = None,
-    policies: Policies = None,
-    payload: Payload = None,
     speed: Speed = SPEED,
-    size: Size = None,
 ) -> None:
     """Show an episode in a window, in a loop.
 
@@ -36,21 +28,18 @@ def watch(
     from cablebot_gym.video.recording import check_speed, play
 
     env_id = fitting_id(env_id, episode.robot)
-    frame_size = picture_size(size)
+    size = pictures.pixels
     check_speed(speed)
-    episodes = record_episodes(env_id, policy, policies, payload=payload, episode=episode)
+    episodes = record_episodes(env_id, pictures, episode)
     try:
-        play(episodes, speed=speed, size=frame_size)
+        play(episodes, speed=speed, size=size)
     except NoDisplayError as error:
         alternative = command_again(
             "video",
             env_id,
             "video.gif",
             episode=episode,
-            policy=policy,
-            policies=policies,
-            payload=payload,
-            size=size,
+            **asdict(pictures),
             speed=None if speed == SPEED else speed,
         )
         raise ValueError(

@@ -353,7 +353,8 @@ class Batch:
             env = self._make(len(indices), **changes)
             self._last_rows = len(indices)
             judge = self._judge(self.conditions.criterion, self.task.robot.cables, len(indices))
-            observation, info = self._start(env, judge, [rows[index] for index in indices.tolist()])
+            group = [rows[index] for index in indices.tolist()]
+            observation, info = self._start(env, judge, group)
             if observer is not None:
                 observer.start(env, observation, info)
             run_episodes(

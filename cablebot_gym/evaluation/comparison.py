@@ -412,8 +412,8 @@ def _metrics(
     final = np.maximum(
         [rollout.arrays["tracking_error"][-1] for rollout in rollouts], termination_radius
     )
-    missing = np.full((rollouts[0].task.steps - len(error), len(rollouts)), np.nan)
-    filled = np.concatenate([error, missing])
+    missing = rollouts[0].task.steps - len(error)
+    filled = np.pad(error, [(0, missing), (0, 0)], constant_values=np.nan)
     filled = np.where(np.isnan(filled), final, filled)
     peak = np.maximum(
         largest("tracking_error_peak"), [rollout.verdict.position_peak for rollout in rollouts]
@@ -443,7 +443,8 @@ def _metrics(
 def _series(rollouts: Sequence[Rollout], name: str) -> Array:
     """An array of every rollout, (steps, draws), with NaN after an early termination."""
     arrays = [rollout.arrays[name] for rollout in rollouts]
-    series = np.full((max(map(len, arrays)), len(arrays)), np.nan)
+    longest = max(map(len, arrays))
+    series = np.full((longest, len(arrays)), np.nan)
     for draw, values in enumerate(arrays):
         series[: len(values), draw] = values
     return series

@@ -4,7 +4,7 @@ true state."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import gymnasium as gym
@@ -20,7 +20,7 @@ from cablebot_gym.envs.limits import (
     within_bound,
 )
 from cablebot_gym.kinematics import Array
-from cablebot_gym.task import ErrorBounds, Task, find_error_bounds
+from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import choice
 
 Criterion = Literal["task", "paper"]
@@ -333,22 +333,14 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
     Args:
         env: a single environment made by ``gym.make``.
         criterion: ``task`` or ``paper``.
-        error_bounds: bounds of the tracking errors; None for those of the episode.
 
     Raises:
-        ValueError: if the criterion is unknown or a bound is invalid.
+        ValueError: if the criterion is unknown.
         AttributeError: if the environment is not from this package.
     """
 
-    def __init__(
-        self,
-        env: gym.Env[Array, ArrayLike],
-        *,
-        criterion: str = "task",
-        error_bounds: ErrorBounds | dict[str, float] | None = None,
-    ) -> None:
+    def __init__(self, env: gym.Env[Array, ArrayLike], *, criterion: str = "task") -> None:
         super().__init__(env)
-        self._error_bounds = None if error_bounds is None else find_error_bounds(error_bounds)
         self._judge = Judge(find_criterion(criterion), env.get_wrapper_attr("task").robot.cables, 1)
         self._started = False
 
@@ -368,10 +360,7 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
     ) -> tuple[Array, dict[str, Any]]:
         """Starts an episode and checks its initial state."""
         observation, info = self.env.reset(seed=seed, options=options)
-        task = self.env.get_wrapper_attr("task")
-        self._judge.reset(
-            _batched(info), replace(task, error_bounds=self._error_bounds or task.error_bounds)
-        )
+        self._judge.reset(_batched(info), self.env.get_wrapper_attr("task"))
         self._started = True
         return observation, info | {"dlcc_carried": False}
 

@@ -92,11 +92,11 @@ def evaluate_dlcc(
     choice("search", search, SEARCHES)
     number("probability", probability, above=0, below=1)
     number("confidence", confidence, above=0.5, below=1)
-    batch = Batch(policy, Conditions.of(env_id, **conditions), name=name, wrappers=wrappers)
+    checked = Conditions.of(env_id, **conditions)
+    batch = Batch(policy, checked, name=name, wrappers=wrappers)
     if payload_max is None:
-        payload_max = default_payload_max(
-            batch.conditions.robot, batch.task.trajectory, batch.conditions.error_bounds
-        )
+        trajectory = batch.task.trajectory
+        payload_max = default_payload_max(checked.robot, trajectory, checked.error_bounds)
     payload_max = number("payload_max", payload_max, above=0, unit="kg")
     is_scan = search == "scan"
     if resolution is None:
@@ -104,7 +104,7 @@ def evaluate_dlcc(
         if is_scan and batch.draws == 1:
             resolution = FINE_RESOLUTION
     resolution = number("resolution", resolution, above=0, unit="kg")
-    title = f"{batch.policy.name}, {batch.conditions.criterion} criterion"
+    title = f"{batch.policy.name}, {checked.criterion} criterion"
     with chosen_progress(progress, title) as on_step:
         outcome = Search(
             batch, payload_max, resolution, probability, confidence, on_step, is_scan=is_scan

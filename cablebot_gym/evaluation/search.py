@@ -152,7 +152,8 @@ class Search:
         self._is_drawn = batch.draws > 1
         self._required, self._assured = required_successes(batch.draws, probability, confidence)
         seed = batch.conditions.seed
-        self._rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+        payload_sequence = np.random.SeedSequence(seed, spawn_key=(1,))
+        self._rng = np.random.default_rng(payload_sequence)
         scan_sequence = np.random.SeedSequence(seed, spawn_key=(2,))
         self._scan_seeds = batch.seeds
         if is_scan:
@@ -328,7 +329,8 @@ class Search:
         """
         draws = secret_order(self._batch.draws)[:REPEATED_DRAWS].tolist()
         repeated = [Row(trial.payload, trial.seeds[draw]) for draw in draws]
-        payloads = np.random.default_rng().uniform(0.0, self._grid[-1], len(draws)).tolist()
+        rng = np.random.default_rng()
+        payloads = rng.uniform(0.0, self._grid[-1], len(draws)).tolist()
         seeds = derived_seeds(np.random.SeedSequence(), len(draws))
         others = list(map(Row, payloads, seeds))
         verdicts = self._batch.run(repeated + others, count=self._count)

@@ -8,20 +8,17 @@ this payload with a probability of at least ``robots / (robots + 1)``: 95 % with
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablebot_gym.evaluation.batch import (
     DEPENDENT,
     STOCHASTIC_ALONE,
     Batch,
-    Progress,
     Row,
-    StepCount,
     Trial,
     derived_seeds,
     draw_seeds,
@@ -33,10 +30,9 @@ from cablebot_gym.evaluation.evaluator import default_payload_max
 from cablebot_gym.evaluation.repetition import closest_to, first_difference
 from cablebot_gym.evaluation.search import SCAN_POINTS, scan_grid
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import PolicyError, Wrapper
+from cablebot_gym.policies import PolicyError
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.checks import number, whole
-from cablebot_gym.utils.console import chosen_progress
 
 ROBOTS = 19
 """Default number of random robots of each motion."""
@@ -92,20 +88,12 @@ class MotionPayload:
 class SurveyResult:
     """The payloads of a policy over several motions."""
 
-    policy: str
-    """Name of the policy."""
-    conditions: Conditions
-    """Conditions of all episodes, without the motion."""
-    robots: int
-    """Number of random robots of each motion."""
     resolutions: tuple[float, ...]
     """Largest accepted gap to the least failed payload of each motion [kg]."""
     motions: tuple[MotionPayload, ...]
     """Payloads in the order of the motions."""
     stochastic: bool
     """Whether the policy declares random actions."""
-    isolated: bool
-    """Whether the policy ran in a process of its own."""
 
     @property
     def payloads(self) -> Array:
@@ -121,8 +109,6 @@ def survey(
     robots: int | None = None,
     resolution: float | None = None,
     name: str | None = None,
-    wrappers: Sequence[Wrapper] = (),
-    progress: Progress | bool | None = None,
     **conditions: Any,
 ) -> SurveyResult:
     """Finds the payload of every motion. All motions share their batches.
@@ -139,8 +125,6 @@ def survey(
         resolution: gap to the least failed payload as a fraction of the end of the scan; None for
             :data:`RESOLUTION` with several robots, else :data:`NOMINAL_RESOLUTION`.
         name: name of the policy in the result; None for its own name.
-        wrappers: wrappers of the training of the policy.
-        progress: callback after every control step; True shows a bar on standard error.
         conditions: keywords of :class:`~cablebot_gym.evaluation.conditions.Conditions` but
             ``trajectory`` and ``draws``.
 
@@ -155,7 +139,7 @@ def survey(
     if not motions:
         raise ValueError("a survey needs motions: pass at least one")
     checked = Conditions.of(env_id, **conditions)
-    batch = Batch(policy, checked, name=name, wrappers=wrappers, motions=motions)
+    batch = Batch(policy, checked, name=name, motions=motions)
     if robots is None:
         robots = ROBOTS if checked.uncertainty.random else 1
     robots = whole("robots", robots, least=1)
@@ -166,17 +150,12 @@ def survey(
     if resolution is None:
         resolution = NOMINAL_RESOLUTION if robots == 1 else RESOLUTION
     resolution = number("resolution", resolution, above=0, below=1)
-    with chosen_progress(progress, f"{batch.policy.name} on {env_id}, motions") as on_step:
-        search = _Search(batch, robots, resolution, on_step)
-        payloads = search.run()
+    search = _Search(batch, robots, resolution)
+    payloads = search.run()
     return SurveyResult(
-        policy=batch.policy.name,
-        conditions=checked,
-        robots=robots,
         resolutions=search.resolutions,
         motions=payloads,
         stochastic=batch.policy.declarations.stochastic,
-        isolated=batch.policy.isolated,
     )
 
 
@@ -191,41 +170,96 @@ def motion_seeds(seed: int, count: int) -> list[int]:
     return derived_seeds(np.random.SeedSequence(seed, spawn_key=(3,)), count)
 
 
+@dataclass(kw_only=True, eq=False)
+class _Motion:
+    """State of the search for the payload of one motion."""
+
+    index: int
+    """Index among the motions of the batch."""
+    end: float
+    """End of the scan [kg]."""
+    seeds: list[int]
+    """Seeds of its robots."""
+    grid: list[float]
+    """Payloads of the scan [kg]."""
+    below: Trial | None = None
+    """Largest carried payload; None if there is none yet."""
+    above: Trial | None = None
+    """Least failed payload; None if there is none yet."""
+    weak: list[int] = field(default_factory=list)
+    """Robots that have failed. The others are met at the first payload and at the last one only."""
+    has_met_all: bool = False
+
+    def rows(self, payloads: Sequence[float], robots: Sequence[int]) -> list[Row]:
+        """An episode of each payload with each robot."""
+        return [
+            Row(payload, self.seeds[robot], self.index) for payload in payloads for robot in robots
+        ]
+
+    def trial(self, payload: float, robots: Sequence[int], verdicts: Iterator[Verdict]) -> Trial:
+        """The trial of robots with their next verdicts."""
+        return Trial(
+            payload=payload,
+            verdicts=tuple(islice(verdicts, len(robots))),
+            seeds=tuple(self.seeds[robot] for robot in robots),
+        )
+
+    def fail(self, trial: Trial, robots: Sequence[int]) -> None:
+        """Stores a failed trial and the robots that failed."""
+        self.above = trial
+        if self.below is not None and self.below.payload >= trial.payload:
+            self.below = None
+        for robot, verdict in zip(robots, trial.verdicts, strict=True):
+            if not verdict.carried and robot not in self.weak:
+                self.weak.append(robot)
+
+    def candidate(self, resolution: float, drop: int) -> float | None:
+        """Next payload; None if the gap is at most ``resolution`` [kg] and all robots carry the
+        payload.
+
+        Without a carried payload, it is one of the scan: the largest one below the least failed
+        one, or one that is ``drop`` places lower.
+        """
+        below, above = self.below, self.above
+        if below is None:
+            if above is None:
+                return self.grid[-1]
+            lower = [payload for payload in self.grid if payload < above.payload]
+            return lower[max(0, len(lower) - 1 - drop)] if lower else None
+        if above is not None and above.payload - below.payload > resolution:
+            return below.payload + (above.payload - below.payload) / 2
+        if len(below.verdicts) < len(self.seeds):
+            return below.payload
+        return None
+
+
 class _Search:
     """Search for the payloads of all motions of a batch."""
 
-    def __init__(
-        self, batch: Batch, robots: int, resolution: float, progress: Progress | None
-    ) -> None:
+    def __init__(self, batch: Batch, robots: int, resolution: float) -> None:
         self._batch = batch
         self._robots = robots
         self._resolution = resolution
         conditions = batch.conditions
-        self._ends = np.array(
-            [
-                default_payload_max(conditions.robot, task.trajectory, conditions.error_bounds)
-                for task in batch.tasks
-            ]
-        )
-        self._seeds = [
-            draw_seeds(seed, robots) for seed in motion_seeds(conditions.seed, len(self._ends))
-        ]
-        self._rng = np.random.default_rng(np.random.SeedSequence(conditions.seed, spawn_key=(4,)))
+        sequence = np.random.SeedSequence(conditions.seed, spawn_key=(4,))
+        self._rng = np.random.default_rng(sequence)
         points = SCAN_POINTS if robots == 1 else SCAN_POINTS_OF_ROBOTS
-        self._grid = np.array([scan_grid(self._rng, end, points) for end in self._ends.tolist()])
-        halvings = np.ceil(np.log2(1 / (points * resolution)))
-        batches = 6 + int(halvings) + points * min(robots, SCAN_ROBOTS) / robots
-        self._count = StepCount(progress, int(batches) * max(task.steps for task in batch.tasks))
-        self._below: list[Trial | None] = [None] * len(self._ends)
-        self._above: list[Trial | None] = [None] * len(self._ends)
-        # Robots that have failed. The others are met at the first payload and at the last one only.
-        self._weak: list[list[int]] = [[] for _ in self._ends]
-        self._has_met_all = np.zeros(len(self._ends), np.bool_)
+        seeds = motion_seeds(conditions.seed, len(batch.tasks))
+        self._motions: list[_Motion] = []
+        for index, task in enumerate(batch.tasks):
+            end = default_payload_max(conditions.robot, task.trajectory, conditions.error_bounds)
+            motion = _Motion(
+                index=index,
+                end=end,
+                seeds=draw_seeds(seeds[index], robots),
+                grid=scan_grid(self._rng, end, points),
+            )
+            self._motions.append(motion)
 
     @property
     def resolutions(self) -> tuple[float, ...]:
         """Largest accepted gap to the least failed payload of each motion [kg]."""
-        return tuple((self._resolution * self._ends).tolist())
+        return tuple(self._resolution * motion.end for motion in self._motions)
 
     def run(self) -> tuple[MotionPayload, ...]:
         """Scans, narrows the gaps, tries random payloads below, and repeats episodes."""
@@ -238,22 +272,21 @@ class _Search:
         else:
             self._repeat()
         return tuple(
-            MotionPayload(below=below, above=above)
-            for below, above in zip(self._below, self._above, strict=True)
+            MotionPayload(below=motion.below, above=motion.above) for motion in self._motions
         )
 
     def _scan(self) -> None:
         """Finds the first failure of a few robots of each motion."""
-        scan_robots = range(min(self._robots, SCAN_ROBOTS))
+        robots = range(min(self._robots, SCAN_ROBOTS))
         rows = []
-        for motion, grid in enumerate(self._grid):
-            rows += self._rows(motion, grid.tolist(), scan_robots)
-        verdicts = iter(self._batch.run(rows, count=self._count))
-        for motion, grid in enumerate(self._grid):
-            for payload in grid.tolist():
-                trial = self._trial(motion, payload, scan_robots, verdicts)
-                if self._above[motion] is None and trial.carried < len(scan_robots):
-                    self._fail(motion, trial, scan_robots)
+        for motion in self._motions:
+            rows += motion.rows(motion.grid, robots)
+        verdicts = iter(self._batch.run(rows))
+        for motion in self._motions:
+            for payload in motion.grid:
+                trial = motion.trial(payload, robots, verdicts)
+                if motion.above is None and trial.carried < len(robots):
+                    motion.fail(trial, robots)
 
     def _narrow(self) -> None:
         """Halves the gaps until they are narrow enough.
@@ -261,147 +294,89 @@ class _Search:
         Each motion meets all of its robots first, then only those that have failed, and at the end
         all again.
         """
-        drops = np.zeros(len(self._ends), np.int64)
+        drops = dict.fromkeys(self._motions, 0)
         while True:
             candidates = {}
-            for motion in range(len(self._ends)):
-                payload = self._candidate(motion, int(drops[motion]))
+            for motion, drop in drops.items():
+                payload = motion.candidate(self._resolution * motion.end, drop)
                 if payload is not None:
                     candidates[motion] = payload
             if not candidates:
                 return
             for motion, trial in self._trials(candidates).items():
                 if trial.carried == len(trial.verdicts):
-                    self._below[motion] = trial
-                elif self._below[motion] is None:
+                    motion.below = trial
+                elif motion.below is None:
                     drops[motion] = 2 * drops[motion] + 1
 
-    def _candidate(self, motion: int, drop: int) -> float | None:
-        """Next payload of a motion; None if its gap is narrow enough and all robots carry its
-        payload.
-
-        Without a carried payload, it is one of the scan: the largest one below the least failed
-        one, or one that is ``drop`` places lower.
-        """
-        below, above = self._below[motion], self._above[motion]
-        grid = self._grid[motion]
-        if below is None:
-            if above is None:
-                return float(grid[-1])
-            if above.payload == 0:
-                return None
-            lower = np.flatnonzero(grid < above.payload)
-            return float(grid[max(0, lower[-1] - drop)])
-        gap = 0.0
-        if above is not None:
-            gap = above.payload - below.payload
-        if gap > self._resolution * self._ends[motion]:
-            return below.payload + gap / 2
-        if len(below.verdicts) < self._robots:
-            return below.payload
-        return None
-
-    def _trials(self, payloads: dict[int, float]) -> dict[int, Trial]:
+    def _trials(self, payloads: dict[_Motion, float]) -> dict[_Motion, Trial]:
         """Tries a payload of each motion: with all robots if it has not met them yet, or if those
         that have failed before carry it already; else with those."""
-        robots: dict[int, Sequence[int]] = {}
+        robots: dict[_Motion, Sequence[int]] = {}
         rows = []
         for motion, payload in payloads.items():
-            below = self._below[motion]
-            is_last = below is not None and below.payload == payload
-            robots[motion] = self._weak[motion]
-            if is_last or not self._has_met_all[motion]:
+            is_last = motion.below is not None and motion.below.payload == payload
+            robots[motion] = motion.weak
+            if is_last or not motion.has_met_all:
                 robots[motion] = range(self._robots)
-                self._has_met_all[motion] = True
-            rows += self._rows(motion, [payload], robots[motion])
-        verdicts = iter(self._batch.run(rows, count=self._count))
+                motion.has_met_all = True
+            rows += motion.rows([payload], robots[motion])
+        verdicts = iter(self._batch.run(rows))
         trials = {}
         for motion, payload in payloads.items():
-            trial = self._trial(motion, payload, robots[motion], verdicts)
+            trial = motion.trial(payload, robots[motion], verdicts)
             trials[motion] = trial
             if trial.carried < len(trial.verdicts):
-                self._fail(motion, trial, robots[motion])
+                motion.fail(trial, robots[motion])
         return trials
-
-    def _fail(self, motion: int, trial: Trial, robots: Sequence[int]) -> None:
-        """Stores a failed trial and the robots that failed."""
-        self._above[motion] = trial
-        below = self._below[motion]
-        if below is not None and below.payload >= trial.payload:
-            self._below[motion] = None
-        for robot, verdict in zip(robots, trial.verdicts, strict=True):
-            if not verdict.carried and robot not in self._weak[motion]:
-                self._weak[motion].append(robot)
-
-    def _rows(self, motion: int, payloads: Sequence[float], robots: Sequence[int]) -> list[Row]:
-        """An episode of each payload with each robot."""
-        seeds = self._seeds[motion]
-        return [Row(payload, seeds[robot], motion) for payload in payloads for robot in robots]
-
-    def _trial(
-        self, motion: int, payload: float, robots: Sequence[int], verdicts: Iterator[Verdict]
-    ) -> Trial:
-        """The trial of robots with their next verdicts."""
-        return Trial(
-            payload=payload,
-            verdicts=tuple(islice(verdicts, len(robots))),
-            seeds=tuple(self._seeds[motion][robot] for robot in robots),
-        )
 
     def _try_below(self) -> None:
         """Every robot tries one random payload below the payload of its motion. The least failed
         one bounds the motion's payload from above."""
         rows = []
-        for motion, below in enumerate(self._below):
-            if below is not None and below.payload > 0:
-                payloads = self._rng.uniform(0.0, below.payload, self._robots).tolist()
+        robots = []
+        for motion in self._motions:
+            if motion.below is not None and motion.below.payload > 0:
+                payloads = self._rng.uniform(0.0, motion.below.payload, self._robots).tolist()
                 for robot, payload in enumerate(payloads):
-                    rows += self._rows(motion, [payload], [robot])
+                    rows += motion.rows([payload], [robot])
+                    robots.append(robot)
         if not rows:
             return
-        verdicts = self._batch.run(rows, count=self._count)
-        robots = {seed: robot for seeds in self._seeds for robot, seed in enumerate(seeds)}
-        failed = [
-            (row, verdict)
-            for row, verdict in zip(rows, verdicts, strict=True)
-            if not verdict.carried
-        ]
+        verdicts = self._batch.run(rows)
+        failed = []
+        for row, robot, verdict in zip(rows, robots, verdicts, strict=True):
+            if not verdict.carried:
+                failed.append((row, robot, verdict))
         failed.sort(key=lambda failure: -failure[0].payload)  # the least one comes last
-        for row, verdict in failed:
-            failing = [robots[row.seed]]
-            trial = self._trial(row.motion, row.payload, failing, iter([verdict]))
-            self._fail(row.motion, trial, failing)
+        for row, robot, verdict in failed:
+            motion = self._motions[row.motion]
+            trial = motion.trial(row.payload, [robot], iter([verdict]))
+            motion.fail(trial, [robot])
 
-    def _carried_episodes(self) -> tuple[list[Row], list[Verdict]]:
-        """All episodes of the robots with the payloads of their motions."""
-        rows: list[Row] = []
-        verdicts: list[Verdict] = []
-        for motion, below in enumerate(self._below):
-            if below is not None:
-                rows += [Row(below.payload, seed, motion) for seed in below.seeds]
-                verdicts += below.verdicts
-        return rows, verdicts
-
-    def _repeated_episodes(self) -> list[int]:
-        """Indices of the carried episodes that are repeated: at most one half are the robots that
-        came closest to the next violation of their motion, the others are random.
+    def _repeated_episodes(self) -> tuple[list[Row], list[Verdict]]:
+        """The carried episodes that are repeated: at most one half are the robots that came closest
+        to the next violation of their motion, the others are random.
 
         These robots bound the payloads. A policy that helped them only, by what it sees of other
         robots, would gain the most with the fewest episodes that differ.
         """
+        rows: list[Row] = []
+        verdicts: list[Verdict] = []
         closest = []
-        count = 0
-        for below, above in zip(self._below, self._above, strict=True):
-            if below is None:
+        for motion in self._motions:
+            if motion.below is None:
                 continue
             kind = "position"
-            if above is not None and above.violation is not None:
-                kind = above.violation.kind
-            closest.append(count + closest_to(kind, below.verdicts))
-            count += len(below.verdicts)
+            if motion.above is not None and motion.above.violation is not None:
+                kind = motion.above.violation.kind
+            closest.append(len(rows) + closest_to(kind, motion.below.verdicts))
+            rows += [Row(motion.below.payload, seed, motion.index) for seed in motion.below.seeds]
+            verdicts += motion.below.verdicts
         order = [closest[index] for index in secret_order(len(closest))[: REPEATED // 2]]
-        order += secret_order(count).tolist()
-        return list(dict.fromkeys(order))[:REPEATED]
+        order += secret_order(len(rows)).tolist()
+        chosen = list(dict.fromkeys(order))[:REPEATED]
+        return [rows[index] for index in chosen], [verdicts[index] for index in chosen]
 
     def _repeat(self) -> None:
         """Repeats carried episodes: in a batch of their own for a policy of this project, else each
@@ -410,17 +385,15 @@ class _Search:
         Raises:
             PolicyError: if they differ.
         """
-        rows, verdicts = self._carried_episodes()
+        rows, verdicts = self._repeated_episodes()
         if not rows:
             return
-        chosen = self._repeated_episodes()
-        repeated = [rows[index] for index in chosen]
         if self._batch.policy.shipped:
-            repetitions = self._batch.run(repeated, count=self._count)
+            repetitions = self._batch.run(rows)
         else:
-            repetitions = [self._batch.run([row], count=self._count)[0] for row in repeated]
+            repetitions = [self._batch.run([row])[0] for row in rows]
         bounds = self._batch.conditions.error_bounds
-        difference = first_difference([verdicts[index] for index in chosen], repetitions, bounds)
+        difference = first_difference(verdicts, repetitions, bounds)
         if difference is not None:
             raise PolicyError(f"policy {self._batch.policy.name!r} {DEPENDENT.format(difference)}")
 
@@ -433,47 +406,49 @@ class _Search:
         """
         rng = np.random.default_rng()
         while True:
-            carrying = [motion for motion, below in enumerate(self._below) if below is not None]
-            if not carrying or self._are_carried_alone(rng.choice(carrying, STOCHASTIC_ALONE)):
+            carrying = [motion for motion in self._motions if motion.below is not None]
+            if not carrying:
+                return
+            chosen = rng.integers(len(carrying), size=STOCHASTIC_ALONE)
+            if self._are_carried_alone([carrying[index] for index in chosen]):
                 return
             self._reduce(carrying)
 
-    def _reduce(self, motions: Sequence[int]) -> None:
+    def _reduce(self, motions: Sequence[_Motion]) -> None:
         """Reduces the payloads of motions until all robots carry them again."""
         reduced = {motion: self._reduced(motion) for motion in motions}
         while reduced:
             failed = {}
-            self._has_met_all[list(reduced)] = False
+            for motion in reduced:
+                motion.has_met_all = False
             for motion, trial in self._trials(reduced).items():
                 if trial.carried < self._robots and trial.payload > 0:
-                    self._below[motion] = trial
+                    motion.below = trial
                     failed[motion] = self._reduced(motion)
                 elif trial.carried == self._robots:
-                    self._above[motion] = self._below[motion]
-                    self._below[motion] = trial
+                    motion.above = motion.below
+                    motion.below = trial
             reduced = failed
 
-    def _reduced(self, motion: int) -> float:
+    def _reduced(self, motion: _Motion) -> float:
         """Next lower payload of a motion: lower by a factor, or zero if it is small."""
-        below = self._below[motion]
-        assert below is not None
-        payload = RETREAT * below.payload
-        if payload < self._resolution * self._ends[motion]:
+        assert motion.below is not None
+        payload = RETREAT * motion.below.payload
+        if payload < self._resolution * motion.end:
             return 0.0
         return payload
 
-    def _are_carried_alone(self, motions: NDArray[np.int64]) -> bool:
+    def _are_carried_alone(self, motions: Sequence[_Motion]) -> bool:
         """Whether fresh robots carry the payloads of motions, each alone in its batch."""
         seeds = derived_seeds(np.random.SeedSequence(), len(motions))
-        for motion, seed in zip(motions.tolist(), seeds, strict=True):
-            below = self._below[motion]
-            assert below is not None
-            (verdict,) = self._batch.run([Row(below.payload, seed, motion)], count=self._count)
-            if not verdict.carried:
-                if below.payload == 0:
-                    raise PolicyError(
-                        f"policy {self._batch.policy.name!r} "
-                        + DEPENDENT.format("unloaded robots fail alone and not together")
-                    )
-                return False
+        for motion, seed in zip(motions, seeds, strict=True):
+            assert motion.below is not None
+            row = Row(motion.below.payload, seed, motion.index)
+            (verdict,) = self._batch.run([row])
+            if verdict.carried:
+                continue
+            if motion.below.payload == 0:
+                reason = DEPENDENT.format("unloaded robots fail alone and not together")
+                raise PolicyError(f"policy {self._batch.policy.name!r} {reason}")
+            return False
         return True

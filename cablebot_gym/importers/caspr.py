@@ -9,7 +9,14 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from cablebot_gym.importers.source import FRAME_CHANGE, FileValues, child_of, read_xml
+from cablebot_gym.importers.source import (
+    FRAME_CHANGE,
+    TENSOR,
+    FileValues,
+    child_of,
+    read_xml,
+    symmetric,
+)
 from cablebot_gym.kinematics import Array, rotation_matrix
 from cablebot_gym.utils.checks import choice
 
@@ -193,15 +200,13 @@ def _home(link: Element, element: Element, joint: _Joint) -> Array:
 def _inertia(physical: Element) -> Array:
     """Inertia tensor about the centre of mass, along the file's axes [kg·m²]."""
     element = child_of(physical, "inertia")
-    xx, yy, zz, xy, xz, yz = (
-        _value(element, name) for name in ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
-    )
-    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    tensor = symmetric(*(_value(element, name) for name in TENSOR))
     reference = element.get("ref", "")
     if reference == "joint":
         mass = _value(physical, "mass")
         center = _vector(physical, "com_location")
-        tensor = tensor - mass * ((center @ center) * np.eye(3) - np.outer(center, center))
+        shift = (center @ center) * np.eye(3) - np.outer(center, center)
+        tensor = tensor - mass * shift
     elif reference != "com":
         raise ValueError(f"<inertia> has ref {reference!r}. CASPR has com and joint")
     return tensor

@@ -32,6 +32,9 @@ ASSUMED_WINCH_MASS_OVER_PLATFORM_MASS = 0.1
 ASSUMED_LARGEST_TENSION_OVER_PLATFORM_WEIGHT = 4.0
 """Assumed largest tension, as a multiple of the platform's weight."""
 
+TENSOR = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+"""Names of the entries of an inertia tensor in both formats, in the order of :func:`symmetric`."""
+
 FRAME_CHANGE = "turned by 180° about x, so that z points down"
 """Change of the frame of a robot in space, as the sources of its values describe it."""
 
@@ -167,6 +170,16 @@ def child_of(element: ElementTree.Element, tag: str) -> ElementTree.Element:
     if child is None:
         raise ValueError(f"<{element.tag}> has no <{tag}>")
     return child
+
+
+def symmetric(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> Array:
+    """The symmetric matrix with these entries."""
+    rows = [
+        [xx, xy, xz],
+        [xy, yy, yz],
+        [xz, yz, zz],
+    ]
+    return np.array(rows)
 
 
 def with_assumptions(values: FileValues) -> ImportedRobot:

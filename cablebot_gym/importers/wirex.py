@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from cablebot_gym.importers.source import FRAME_CHANGE, FileValues, child_of
+from cablebot_gym.importers.source import FRAME_CHANGE, TENSOR, FileValues, child_of, symmetric
 from cablebot_gym.kinematics import Array
 
 ROOT = "models"
@@ -26,8 +26,6 @@ DEFAULTS = {
 
 DEFAULT_CENTER = (0.0, 1.0, 0.2)
 """Centre of gravity that WireX writes if it knows none [m], which is beside most platforms."""
-
-_MOMENTS = ("Ixx", "Iyy", "Izz")
 
 _UP_TO_DOWN = np.array([1.0, -1.0, -1.0])
 
@@ -116,11 +114,9 @@ def _add_inertia(values: FileValues, body: Element, label: str, anchors: Array) 
             values.center_of_mass = center
             values.sources["center_of_mass"] = f"{label}; {FRAME_CHANGE}"
     tensor = body.find("inertiatensor")
-    if tensor is not None and all(tensor.get(name) for name in _MOMENTS):
-        values.inertia = np.diag([_number(tensor, name) for name in _MOMENTS])
-        for index, name in ((0, 1), "Ixy"), ((0, 2), "Ixz"), ((1, 2), "Iyz"):
-            sign = _UP_TO_DOWN[index[0]] * _UP_TO_DOWN[index[1]]
-            values.inertia[index] = values.inertia[index[::-1]] = sign * _number(tensor, name, 0.0)
+    if tensor is not None and all(tensor.get(name) for name in TENSOR[:3]):
+        signs = np.outer(_UP_TO_DOWN, _UP_TO_DOWN)
+        values.inertia = signs * symmetric(*(_number(tensor, name, 0.0) for name in TENSOR))
         values.sources["inertia"] = f"{label}; {FRAME_CHANGE}"
         return
     sides = np.maximum(np.ptp(anchors, axis=0), np.ptp(anchors) / 10) ** 2

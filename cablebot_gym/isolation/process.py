@@ -14,7 +14,7 @@ import threading
 import time
 import weakref
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import IO
 
@@ -115,8 +115,9 @@ class PolicyProcess:
         self._sandboxed = sandboxed_names is not None
         passed: tuple[int, ...] = ()
         pipe = subprocess.PIPE
-        with filter_descriptor() as descriptor:
+        with ExitStack() as stack:
             if sandboxed_names is not None:
+                descriptor = stack.enter_context(filter_descriptor())
                 passed = (descriptor,)
                 command = sandboxed(command, sandboxed_names, Path(folder), descriptor)
             self._popen = subprocess.Popen(

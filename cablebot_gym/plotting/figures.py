@@ -21,6 +21,7 @@ import numpy as np
 from cablebot_gym.envs import described
 from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.kinematics import Array
+from cablebot_gym.physics.textbook import torque_limits
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.files import atomic_write
 from cablebot_gym.utils.palette import BLUE, GREY, SHADE, SKY, VERMILLION
@@ -253,37 +254,6 @@ def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
     return paths
 
 
-def tightest(result: DLCCResult) -> tuple[int, int]:
-    """Step and motor with the least torque margin, both from 0: the first occurrence of the largest
-    |a|."""
-    action = np.abs(result.rollout.arrays["commanded_action"])
-    step, motor = np.unravel_index(np.argmax(action), action.shape)
-    return int(step), int(motor)
-
-
-def torque_limits(result: DLCCResult) -> tuple[Array, Array]:
-    """U⁻ and U⁺ at the motor speeds of the episode (Eq. 37), each (steps, m) [N·m]."""
-    stall = result.rollout.stall_torque
-    drop = _slope(result) * result.rollout.arrays["motor_speeds"]
-    return -stall - drop, stall - drop
-
-
-def requested_torque(result: DLCCResult) -> Array:
-    """Requested torque ``τ_s a − (τ_s/ω_n) β̇``, (steps, m) [N·m]; beyond U± where |a| > 1."""
-    rollout, arrays = result.rollout, result.rollout.arrays
-    return np.asarray(
-        rollout.stall_torque * arrays["commanded_action"] - _slope(result) * arrays["motor_speeds"]
-    )
-
-
-def _slope(result: DLCCResult) -> Array:
-    """True slope τ_s/ω_n, (m,) [N·m·s]. The strength factor of a motor does not change its free
-    speed."""
-    robot = result.rollout.task.robot
-    slope: Array = robot.speed_slope * (result.rollout.stall_torque / robot.stall_torque)
-    return slope
-
-
 _PATH_HEIGHT, _SUCCESS_HEIGHT = 4.4, 4.4
 
 
@@ -350,22 +320,28 @@ def _set_result_title(figure: FigureBase, result: DLCCResult) -> None:
 
 
 def _draw_torques(figure: FigureBase, result: DLCCResult) -> None:
-    arrays = result.rollout.arrays
-    lower, upper = torque_limits(result)
+    """The mark is at the first occurrence of the largest |a|."""
+    rollout = result.rollout
+    robot = rollout.task.robot
+    speeds = rollout.arrays["motor_speeds"]
+    actions = rollout.arrays["commanded_action"]
+    # The strength of a motor does not change its free speed.
+    strength = rollout.stall_torque / robot.stall_torque
+    lower, upper = strength * np.array(torque_limits(robot, speeds))
     profile = TorqueProfile(
-        times=arrays["action_time"],
-        torques=arrays["torques"],
+        times=rollout.arrays["action_time"],
+        torques=rollout.arrays["torques"],
         lower=lower,
         upper=upper,
-        requested=requested_torque(result),
+        requested=rollout.stall_torque * actions + (lower + upper) / 2,
         end=_end(result),
     )
-    step, motor = tightest(result)
-    action = abs(arrays["commanded_action"][step, motor])
+    step, motor = np.unravel_index(np.argmax(np.abs(actions)), actions.shape)
+    action = abs(actions[step, motor])
     note = f"{1 - action:.1%} margin"
     if action > 1:
         note = f"{action - 1:.1%} beyond the limit"
-    mark = Mark(step=step, motor=motor, name="tightest instant", note=note)
+    mark = Mark(step=int(step), motor=int(motor), name="tightest instant", note=note)
     torque_panels(figure, profile, mark)
 
 
@@ -559,8 +535,8 @@ def draw_plane(
     low = np.concatenate(points).min(axis=0)
     high = np.concatenate(points).max(axis=0)
     pad = 0.06 * (high - low).max()
-    axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    xlim, ylim = np.transpose([low - pad, high + pad])
+    axes.set(xlim=xlim, ylim=ylim, xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 
 def _draw_error(

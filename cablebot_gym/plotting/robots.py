@@ -120,7 +120,8 @@ def _number_cables(axes: Axes, starts: Array, ends: Array) -> None:
     # Texts have sizes in points: their overlaps depend on the scale of the view, which is known
     # from here on, apart from the margins of the final layout.
     axes.apply_aspect()
-    least_gap = _NUMBER_GAP * float(np.ptp(np.concatenate([starts, ends]), axis=0).max())
+    size = np.ptp(np.concatenate([starts, ends]), axis=0)
+    least_gap = _NUMBER_GAP * float(size.max())
     numbers: list[Text] = []
     for cables in coinciding(np.hstack([starts, ends])):
         start = starts[cables[0]]
@@ -145,7 +146,8 @@ def _move_number(
     boxes = [other.get_window_extent() for other in numbers]
     for point in candidates:
         number.set_position((float(point[0]), float(point[1])))
-        gap = min((math.dist(point, other.get_position()) for other in numbers), default=math.inf)
+        distances = [math.dist(point, other.get_position()) for other in numbers]
+        gap = min(distances, default=math.inf)
         if gap > least_gap and not number.get_window_extent().count_overlaps(boxes):
             return
         if gap > widest_gap:

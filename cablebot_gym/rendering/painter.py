@@ -94,7 +94,8 @@ def check_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 class Painter:
-    """Paints the moments of one episode.
+    """Paints the moments of one episode, in a unit of length that is one pixel of a picture of the
+    default size.
 
     Args:
         task: task of the episode, whose robot, motion and error bounds are drawn.
@@ -116,23 +117,22 @@ class Painter:
         self.size = (int(size[0]), int(size[1]))
         self._unit = _OVERSAMPLING * min(size[0] / SIZE[0], size[1] / SIZE[1])
         self._fonts: dict[float, pygame.font.Font] = {}
-        self._width = _OVERSAMPLING * self.size[0]
-        self._height = _OVERSAMPLING * self.size[1]
-        self._canvas = self._pygame.Surface((self._width, self._height))
-        self._glass = self._pygame.Surface((self._width, self._height), self._pygame.SRCALPHA)
+        canvas_size = (_OVERSAMPLING * self.size[0], _OVERSAMPLING * self.size[1])
+        self._canvas = self._pygame.Surface(canvas_size)
+        self._glass = self._pygame.Surface(canvas_size, self._pygame.SRCALPHA)
+        self._width = canvas_size[0] / self._unit
+        self._height = canvas_size[1] / self._unit
         # Width of the motor panel at the right.
-        self._panel = max(40 + _BAR_SPACING * task.robot.cables, 150) * self._unit
+        self._panel = max(40 + _BAR_SPACING * task.robot.cables, 150)
         trajectory = task.trajectory
         path = np.array(
             [trajectory(time).position for time in np.linspace(0, trajectory.duration, 241)]
         )
         self._path = points_in_space(task.robot, path)
         self._base = points_in_space(task.robot, task.robot.base)
-        left_edge = int(0.04 * self._width)
-        top = int(58 * self._unit)
-        width = int(self._width - self._panel - 0.08 * self._width)
-        height = int(self._height - 152 * self._unit)
-        window = (left_edge, top, width, height)
+        left_edge = 0.04 * self._width
+        width = self._width - self._panel - 2 * left_edge
+        window = (left_edge, 58, width, self._height - 152)
         self._camera = fit_robot_camera(task.robot, self._path, window)
         self._paint_background()
         self._static_layer = self._canvas.copy()
@@ -153,13 +153,13 @@ class Painter:
             note: text below the title.
             good: whether the note is green, for success, or red.
         """
-        unit = self._unit
         self._canvas.blit(self._static_layer, (0, 0))
         past = np.array(trail, float).reshape(-1, self.task.robot.coordinates)
         past = past[np.isfinite(past).all(axis=1)]
         if len(past) > 1:
             points = self._camera.project(points_in_space(self.task.robot, past))
-            self._draw.lines(self._canvas, palette.BLUE, False, points, round(1.6 * unit))
+            width = round(1.6 * self._unit)
+            self._draw.lines(self._canvas, palette.BLUE, False, self._unit * points, width)
         if np.all(np.isfinite(moment.pose)):
             self._paint_robot(moment)
         self._paint_motors(moment)
@@ -171,8 +171,8 @@ class Painter:
         note_colour = palette.VERMILLION
         if good:
             note_colour = palette.GREEN
-        self._write(title, (14 * unit, 8 * unit), 17)
-        self._write(note, (14 * unit, 28 * unit), 13, note_colour)
+        self._write(title, (14, 8), 17)
+        self._write(note, (14, 28), 13, note_colour)
         return self._pygame.transform.smoothscale(self._canvas, self.size)
 
     def array(
@@ -180,39 +180,33 @@ class Painter:
         moment: Moment,
         trail: Sequence[Array] | Array = (),
         note: str = "",
-        *,
-        good: bool = False,
     ) -> NDArray[np.uint8]:
         """The picture as an array (height, width, 3); arguments as for :meth:`paint`."""
-        return as_array(self.paint(moment, trail, note, good=good))
+        return as_array(self.paint(moment, trail, note))
 
     def _paint_background(self) -> None:
         """Paints what does not move: base, tube around the path, and reference path."""
-        unit = self._unit
         self._canvas.fill(_PAPER)
         base = self._camera.project(self._base)
-        corners = outline(base)
+        corners = self._unit * outline(base)
         self._draw.polygon(self._canvas, "#F4F5F7", corners)
-        self._draw.polygon(self._canvas, "#B8BCC4", corners, max(1, round(1.5 * unit)))
+        self._draw.polygon(self._canvas, "#B8BCC4", corners, round(1.5 * self._unit))
         tube = self._camera.pixels(2 * self.task.error_bounds.position, self._path.mean(axis=0))
         path = self._camera.project(self._path)
-        for point in _resample(path, max(1.0, tube / 8)):
-            self._circle(palette.SKY, point, max(tube / 2, unit))
-        self._dashed(path, palette.GREY, unit, 4 * unit)
+        for point in _resample(path, max(0.5, tube / 8)):
+            self._circle(palette.SKY, point, max(tube / 2, 1))
+        self._dashed(path, palette.GREY, 1, 4)
         centre = base.mean(axis=0)
         for cables in coinciding(self._base):
             anchor = base[cables[0]]
             outward = anchor - centre
             outward /= max(float(np.linalg.norm(outward)), 1.0)
             numbers = ",".join(str(cable + 1) for cable in cables)
-            self._circle(_INK, anchor, 4.5 * unit)
-            self._write(
-                numbers, anchor + 13 * unit * outward, 11, palette.GREY, across=0.5, along=0.5
-            )
+            self._circle(_INK, anchor, 4.5)
+            self._write(numbers, anchor + 13 * outward, 11, palette.GREY, across=0.5, along=0.5)
 
     def _paint_robot(self, moment: Moment) -> None:
         """Paints the payload, the platform, the cables and the reference position."""
-        unit = self._unit
         robot = self.task.robot
         centre = points_in_space(robot, moment.pose)
         ends = points_in_space(robot, attached_points(moment.pose, robot.platform))
@@ -220,16 +214,16 @@ class Painter:
             self._paint_payload(moment.payload, centre)
         if robot.point_mass:
             middle = self._camera.project(centre)
-            self._circle(palette.YELLOW, middle, 5 * unit)
-            self._circle(_INK, middle, 5 * unit, 1.4 * unit)
+            self._circle(palette.YELLOW, middle, 5)
+            self._circle(_INK, middle, 5, 1.4)
         else:
             corners = outline(self._camera.project(ends))
             self._glass.fill((0, 0, 0, 0))
             # Transparent, so that the path is visible.
-            self._draw.polygon(self._glass, (240, 228, 66, 150), corners)
+            self._draw.polygon(self._glass, (240, 228, 66, 150), self._unit * corners)
             self._canvas.blit(self._glass, (0, 0))
             for start, stop in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-                self._line(start, stop, _INK, 1.6 * unit)
+                self._line(start, stop, _INK, 1.6)
         for cable in range(robot.cables):
             if moment.slack[cable]:
                 self._paint_slack_cable(self._base[cable], ends[cable])
@@ -238,7 +232,7 @@ class Painter:
                     self._base[cable], ends[cable], float(moment.tensions[cable])
                 )
         reference = points_in_space(robot, self.task.trajectory(moment.time).position)
-        self._circle(palette.VERMILLION, self._camera.project(reference), 3.2 * unit, 1.3 * unit)
+        self._circle(palette.VERMILLION, self._camera.project(reference), 3.2, 1.3)
 
     def _paint_payload(self, payload: float, centre: Array) -> None:
         """Paints the payload as a ball at the centre of a planar platform, or on a hook below a
@@ -248,13 +242,11 @@ class Painter:
         ball = centre
         if not self.task.robot.planar:
             ball = centre + np.array([0, 0, HANG + radius])
-            top = camera.project(centre)
-            bottom = camera.project(ball)
-            self._draw.line(self._canvas, _INK, top, bottom, round(1.5 * self._unit))
+            self._line(camera.project(centre), camera.project(ball), _INK, 1.5)
         middle = camera.project(ball)
-        size = max(camera.pixels(radius, ball), 2 * self._unit)
+        size = max(camera.pixels(radius, ball), 2)
         for fraction, colour in _BALL_COLOURS:
-            self._circle(colour, middle - 0.3 * (1 - fraction) * size, max(fraction * size, 1))
+            self._circle(colour, middle - 0.3 * (1 - fraction) * size, fraction * size)
 
     def _paint_slack_cable(self, base: Array, end: Array) -> None:
         chord = end - base
@@ -266,24 +258,23 @@ class Painter:
             # Planar robots are viewed along the sag direction: draw the arc sideways.
             direction = np.cross(direction, chord) / max(length, 1e-9)
         points = self._camera.project(base + along * chord + sag * direction)
-        self._dashed(points, palette.GREY, 1.6 * self._unit, 6 * self._unit)
+        self._dashed(points, palette.GREY, 1.6, 6)
 
     def _paint_tight_cable(self, base: Array, end: Array, tension: float) -> None:
         fraction = tension / full_tension(self.task.robot)
         width = 1.6 + 2.4 * min(max(fraction, 0.0), 1.0)
         start, stop = self._camera.project([base, end])
-        self._line(start, stop, tension_colour(fraction), width * self._unit)
+        self._line(start, stop, tension_colour(fraction), width)
 
     def _paint_motors(self, moment: Moment) -> None:
         """Paints a bar of the applied torque for each motor. The scale beyond its present U± is
         shaded."""
-        unit = self._unit
         robot = self.task.robot
-        left_edge = self._width - self._panel + 26 * unit
-        top = 44 * unit
-        bottom = self._height - 118 * unit
+        left_edge = self._width - self._panel + 26
+        top = 44
+        bottom = self._height - 118
         zero = (top + bottom) / 2
-        bar_width = 16 * unit
+        bar_width = 16
         largest = float(np.max(robot.stall_torque))
         # A motor that rotates against its torque can exceed its stall torque.
         scale = (bottom - top) / (2.3 * largest)
@@ -291,72 +282,66 @@ class Painter:
         def row(torque: float) -> float:
             return min(max(zero - scale * torque, top), bottom)
 
-        self._write("motor torques [N·m]", (self._width - 12 * unit, 10 * unit), 12, across=1.0)
+        self._write("motor torques [N·m]", (self._width - 12, 10), 12, across=1.0)
         for motor in range(robot.cables):
-            x = left_edge + _BAR_SPACING * unit * motor
+            x = left_edge + _BAR_SPACING * motor
             low = row(float(moment.torque_limits[0, motor]))
             high = row(float(moment.torque_limits[1, motor]))
             self._rect(palette.SHADE, x, top, bar_width, bottom - top)
             self._rect(_PAPER, x, high, bar_width, low - high)
             torque = row(float(moment.torques[motor]))
-            length = max(abs(torque - zero), unit)
+            length = max(abs(torque - zero), 1)
             colour = palette.BLUE
             if abs(float(moment.commanded_action[motor])) >= 1:
                 colour = palette.VERMILLION
-            self._rect(colour, x + 3 * unit, min(torque, zero), bar_width - 6 * unit, length)
-            self._line((x, low), (x + bar_width, low), _INK, 1.6 * unit)
-            self._line((x, high), (x + bar_width, high), _INK, 1.6 * unit)
-            self._write(str(motor + 1), (x + bar_width / 2, bottom + 4 * unit), 12, across=0.5)
-        start = left_edge - 4 * unit
-        stop = start + _BAR_SPACING * unit * robot.cables
-        self._line((start, zero), (stop, zero), palette.GREY, unit)
+            self._rect(colour, x + 3, min(torque, zero), bar_width - 6, length)
+            self._line((x, low), (x + bar_width, low), _INK, 1.6)
+            self._line((x, high), (x + bar_width, high), _INK, 1.6)
+            self._write(str(motor + 1), (x + bar_width / 2, bottom + 4), 12, across=0.5)
+        start = left_edge - 4
+        stop = start + _BAR_SPACING * robot.cables
+        self._line((start, zero), (stop, zero), palette.GREY, 1)
         for torque in (-largest, 0.0, largest):
-            at = (left_edge - 7 * unit, row(torque))
+            at = (left_edge - 7, row(torque))
             self._write(f"{torque:.3g}", at, 11, palette.GREY, across=1.0, along=0.5)
 
     def _paint_tension_scale(self) -> None:
         """Paints the colour scale of the cable tensions, below the motors."""
-        unit = self._unit
-        left_edge = self._width - self._panel + 26 * unit
-        top = self._height - 118 * unit + 34 * unit
-        length = self._panel - 40 * unit
-        for x in range(round(length)):
-            colour = tension_colour(x / length)
-            self._rect(colour, left_edge + x, top, 1, 7 * unit + 1)
+        left_edge = self._width - self._panel + 26
+        top = self._height - 84
+        length = self._panel - 40
+        for x in np.arange(0, length, 0.5):
+            self._rect(tension_colour(x / length), left_edge + x, top, 1, 7.5)
         highest = f"{full_tension(self.task.robot):.3g}"
         self._write(
             "cable tension [N]",
-            (left_edge + length / 2, top - 15 * unit),
+            (left_edge + length / 2, top - 15),
             11,
             palette.GREY,
             across=0.5,
         )
-        self._write("0", (left_edge, top + 8 * unit), 11, palette.GREY)
-        self._write(highest, (left_edge + length, top + 8 * unit), 11, palette.GREY, across=1.0)
+        self._write("0", (left_edge, top + 8), 11, palette.GREY)
+        self._write(highest, (left_edge + length, top + 8), 11, palette.GREY, across=1.0)
 
     def _paint_gauges(self, moment: Moment) -> None:
         """Paints the errors relative to their bounds, and the time."""
-        unit = self._unit
         bounds = self.task.error_bounds
         self._paint_error(
-            "position", self._height - 60 * unit, moment.position_error, bounds.position, "mm"
+            "position", self._height - 60, moment.position_error, bounds.position, "mm"
         )
         if not self.task.robot.point_mass:
             self._paint_error(
-                "rotation", self._height - 40 * unit, moment.rotation_error, bounds.rotation, "mrad"
+                "rotation", self._height - 40, moment.rotation_error, bounds.rotation, "mrad"
             )
         duration = self.task.trajectory.duration
         text = f"{moment.time:.3f} of {duration:.3g} s"
         fraction = min(moment.time / duration, 1.0)
-        self._paint_gauge(
-            "time", self._height - 18 * unit, 4 * unit, fraction, palette.GREY, text, _INK
-        )
+        self._paint_gauge("time", self._height - 18, 4, fraction, palette.GREY, text, _INK)
 
     def _paint_error(
         self, name: str, y: float, error: float, bound: float, bound_unit: str
     ) -> None:
         """Paints the gauge of an error and a mark at its bound."""
-        unit = self._unit
         colour = palette.BLUE
         text_colour = _INK
         if error > bound:
@@ -367,11 +352,9 @@ class Painter:
             number = f"{1e3 * error:.1f}"
         text = f"{number} of {1e3 * bound:g} {bound_unit}"
         fraction = min(error / bound, _GAUGE_SCALE) / _GAUGE_SCALE
-        left_edge, length = self._paint_gauge(
-            name, y, 10 * unit, fraction, colour, text, text_colour
-        )
+        left_edge, length = self._paint_gauge(name, y, 10, fraction, colour, text, text_colour)
         mark = left_edge + length / _GAUGE_SCALE
-        self._line((mark, y - 8 * unit), (mark, y + 8 * unit), _INK, 2 * unit)
+        self._line((mark, y - 8), (mark, y + 8), _INK, 2)
 
     def _paint_gauge(
         self,
@@ -385,21 +368,22 @@ class Painter:
     ) -> tuple[float, float]:
         """Paints a horizontal bar that is filled by a fraction, and returns its left_edge edge and
         length."""
-        unit = self._unit
-        left_edge = 76 * unit
-        length = self._width - self._panel - 190 * unit
-        self._write(name, (14 * unit, y), 12, along=0.5)
+        left_edge = 76
+        length = self._width - self._panel - 190
+        self._write(name, (14, y), 12, along=0.5)
         self._rect(palette.SHADE, left_edge, y - height / 2, length, height)
         self._rect(colour, left_edge, y - height / 2, fraction * length, height)
-        self._write(text, (left_edge + length + 8 * unit, y), 12, text_colour, along=0.5)
+        self._write(text, (left_edge + length + 8, y), 12, text_colour, along=0.5)
         return left_edge, length
 
     def _rect(self, colour: Any, left_edge: float, top: float, width: float, height: float) -> None:
-        self._draw.rect(self._canvas, colour, (left_edge, top, width, height))
+        pixels = self._unit * np.array([left_edge, top, width, height])
+        self._draw.rect(self._canvas, colour, pixels)
 
     def _circle(self, colour: str, centre: Array, radius: float, width: float = 0) -> None:
         """Draws a disc, or a ring of some width."""
-        self._draw.circle(self._canvas, colour, centre, radius, round(width))
+        unit = self._unit
+        self._draw.circle(self._canvas, colour, unit * centre, unit * radius, round(unit * width))
 
     def _line(self, start: ArrayLike, stop: ArrayLike, colour: Any, width: float) -> None:
         """Draws a line whose width does not depend on its direction, unlike the lines of pygame."""
@@ -409,14 +393,14 @@ class Painter:
         length = float(np.linalg.norm(along))
         if length > 0:
             aside = 0.5 * width * np.array([-along[1], along[0]]) / length
-            corners = [start + aside, stop + aside, stop - aside, start - aside]
-            self._draw.polygon(self._canvas, colour, corners)
+            corners = np.array([start + aside, stop + aside, stop - aside, start - aside])
+            self._draw.polygon(self._canvas, colour, self._unit * corners)
 
     def _dashed(self, points: Array, colour: str, width: float, dash: float) -> None:
         """Draws a dashed line through points (k, 2)."""
-        pieces = list(pairwise(_resample(points, dash)))
+        pieces = list(pairwise(self._unit * _resample(points, dash)))
         for start, stop in pieces[::2]:
-            self._draw.line(self._canvas, colour, start, stop, max(1, round(width)))
+            self._draw.line(self._canvas, colour, start, stop, round(width * self._unit))
 
     def _write(
         self,
@@ -435,8 +419,8 @@ class Painter:
                 None, max(8, round(1.28 * size * self._unit))
             )
         image = self._fonts[size].render(text, True, colour)
-        left_edge = at[0] - across * image.get_width()
-        top = at[1] - along * image.get_height()
+        left_edge = self._unit * at[0] - across * image.get_width()
+        top = self._unit * at[1] - along * image.get_height()
         self._canvas.blit(image, (left_edge, top))
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -156,8 +157,8 @@ def fit_robot_camera(
         visible += [path + margin, path - margin]
         azimuth, elevation = 0.0, math.pi / 2
     else:
-        for corner in ([1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]):
-            visible.append(path[::20] + reach * np.array(corner))
+        for x, y in product((reach, -reach), repeat=2):
+            visible.append(path[::20] + np.array([x, y, 0]))
         visible.append(path + np.array([0, 0, HANG + 0.07]))
         azimuth, elevation = _AZIMUTH, _ELEVATION
     return fit_camera(np.concatenate(visible), window, azimuth=azimuth, elevation=elevation)

@@ -24,9 +24,9 @@ from cablebot_gym.benchmark.tables import (
     failures,
     fallbacks,
     heading,
+    limiting_violation,
     motion_title,
     task_title,
-    violations,
 )
 from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.rendering.moment import HANG, full_tension
@@ -204,7 +204,8 @@ def _start(
         for column in board.columns:
             if column.motion.startswith("circle-"):
                 circles.append((board, column))
-    board, column = [*circles, (boards[0], boards[0].columns[0])][0]
+    circles.append((boards[0], boards[0].columns[0]))
+    board, column = circles[0]
     keys = {_row_key(board, policy, column) for policy in board.policies}
 
     def rank(index: int) -> tuple[bool, float]:
@@ -214,7 +215,8 @@ def _start(
             payload = -1.0
         return cells[row["cells"][0]]["replays"] is not None, payload
 
-    return max((index for index, row in enumerate(rows) if row["key"] in keys), key=rank)
+    shown = [index for index, row in enumerate(rows) if row["key"] in keys]
+    return max(shown, key=rank)
 
 
 def _row(
@@ -321,7 +323,7 @@ def _note(entry: Sequence[scores.Score]) -> str:
 def _violation_text(entry: Sequence[scores.Score]) -> str:
     """Limiting violation for one motion; the kinds of violation and their counts for several
     motions."""
-    violations = list(filter(None, map(limiting_violation, entry)))
+    violations = list(filter(None, map(_violation, entry)))
     if len(entry) > 1:
         counts = Counter(violation.kind for violation in violations)
         return ", ".join(f"{kind} {count} ×" for kind, count in counts.items())
@@ -360,7 +362,7 @@ def _facts(score: scores.Score) -> list[list[str]]:
         return [["Not applicable", NOT_APPLICABLE]]
     intervals = [f"{low:.3f} to {high:.3f} kg" for low, high in result.get("feasible", [])]
     facts = [["Feasible payloads", ", ".join(intervals) or "none; the policy fails unloaded"]]
-    violation = limiting_violation(score)
+    violation = _violation(score)
     if violation is not None:
         facts.append(["Limiting violation", str(violation)])
     if cell.draws > 1:
@@ -379,7 +381,7 @@ def _facts(score: scores.Score) -> list[list[str]]:
     return facts
 
 
-def limiting_violation(score: scores.Score) -> Violation | None:
+def _violation(score: scores.Score) -> Violation | None:
     """Limiting violation of a score with the bound of its cell; None without a violation."""
     data = score.result.get("violation")
     if not data:
@@ -430,9 +432,9 @@ def _limits(boards: Sequence[scores.Leaderboard]) -> list[dict[str, Any]]:
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for board in boards:
         for (policy, column), entry in board.entries.items():
+            violations = filter(None, map(limiting_violation, entry))
             if column.criterion == "task":
-                for score in entry:
-                    groups.setdefault(policy, []).extend(violations(score))
+                groups.setdefault(policy, []).extend(violations)
     limits = []
     for policy, group in groups.items():
         if group:

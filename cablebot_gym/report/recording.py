@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import cast
 
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, canonical
-from cablebot_gym.report.replay import Replay, batch_key, best_replays, replays
+from cablebot_gym.report.replay import Replay, best_replays, replays
 from cablebot_gym.utils import workers as processes
 from cablebot_gym.utils.files import atomic_write_text, read_cached
 
@@ -37,47 +36,37 @@ def record_all(
         workers: number of parallel processes.
         say: called with one-sentence messages for the user.
     """
-    groups: dict[str, list[str]] = defaultdict(list)
+    jobs = {}
     for key, (cell, payload) in queries.items():
         stored = _read(_path(folder, cell, payload))
-        if stored is not None:
-            yield key, stored
-        elif isinstance(cell, PolicyCell):
-            groups[batch_key(cell)].append(key)
+        if stored is None:
+            jobs[key] = partial(record, cell, payload)
         else:
-            groups[key].append(key)
-    jobs = {}
-    for group, keys in groups.items():
-        jobs[group] = partial(record_batch, [queries[key] for key in keys])
-    for group, results in processes.run(
+            yield key, stored
+    for key, result in processes.run(
         jobs, workers=workers, kind=_kind, say=say, returned=(processes.WorkerDied,)
     ):
-        keys = groups[group]
-        if isinstance(results, processes.WorkerDied):
-            results = [str(results)] * len(keys)
-        for key, result in zip(keys, results, strict=True):
-            if not isinstance(result, str):
-                _write(_path(folder, *queries[key]), result)
-            yield key, result
+        if isinstance(result, processes.WorkerDied):
+            result = str(result)
+        if not isinstance(result, str):
+            _write(_path(folder, *queries[key]), result)
+        yield key, result
 
 
-def record_batch(queries: Sequence[ReplayQuery]) -> list[ReplayResult]:
-    """The episodes of cells that share a batch. An exception becomes an error message; it does not
-    stop the report."""
+def record(cell: Cell, payload: float | None) -> ReplayResult:
+    """The episodes of a cell. An exception becomes an error message; it does not stop the
+    report."""
     try:
-        cell, _ = queries[0]
         if isinstance(cell, BestKnownCell):
-            return [best_replays(cell)]
-        return list(replays(cast("Sequence[tuple[PolicyCell, float | None]]", queries)))
+            return best_replays(cell)
+        return replays(cast(PolicyCell, cell), payload)
     except Exception as error:
-        if len(queries) > 1:  # an error in one cell must not hide the others
-            return [record_batch([query])[0] for query in queries]
-        return [f"No episode: {' '.join(str(error).split())}"]
+        return f"No episode: {' '.join(str(error).split())}"
 
 
-def _kind(job: partial[list[ReplayResult]]) -> str:
+def _kind(job: partial[ReplayResult]) -> str:
     """Jobs of one kind need the same compiled code."""
-    cell: Cell = job.args[0][0][0]
+    cell: Cell = job.args[0]
     return cell.env_id
 
 

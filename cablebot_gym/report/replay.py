@@ -4,26 +4,22 @@ payload."""
 from __future__ import annotations
 
 import base64
-import json
 import zlib
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import islice
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, canonical
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell
 from cablebot_gym.bounds.best_known import cached_best_known
-from cablebot_gym.envs.vector import CableBotVectorEnv
-from cablebot_gym.evaluation.batch import draw_seeds, noise_seed, run_episodes
-from cablebot_gym.evaluation.constraints import Judge, Violation
+from cablebot_gym.evaluation.batch import Batch, Row, draw_seeds
+from cablebot_gym.evaluation.conditions import Conditions
+from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import LoadedPolicy, PolicySpec, load
+from cablebot_gym.policies import PolicySpec
 from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.rendering.moment import ball_radius
 from cablebot_gym.rendering.projection import attached_points
@@ -104,92 +100,31 @@ def platform_points(robot: Robot) -> tuple[Array, list[int]]:
     return points, np.ravel(indices).tolist()
 
 
-def batch_key(cell: PolicyCell) -> str:
-    """Cells with equal keys can be recorded in one batch: same policy, robot, error bounds and
-    control frequency."""
-    # A learned policy requires equal error bounds in a batch.
-    return canonical(
-        [cell.policy, cell.env_id, cell.robot_changes, cell.error_bounds, cell.control_frequency]
-    )
-
-
-def replays(cells: Sequence[tuple[PolicyCell, float | None]]) -> list[list[Replay]]:
-    """The episodes of cells: for each, one at its DLCC and one at a larger payload, or one unloaded
-    without a DLCC.
-
-    All episodes run in one batch. For a cell with several draws, they are those of the first draw.
-
-    Args:
-        cells: cells of one :func:`batch_key`, with their DLCC [kg]; None if the policy fails
-            unloaded.
+def replays(cell: PolicyCell, dlcc: float | None) -> list[Replay]:
+    """The episodes of a cell: one at its DLCC [kg] and one at a larger payload, or one unloaded
+    without a DLCC. With several draws, they are those of the first draw.
 
     Raises:
         ValueError: if the policy cannot be loaded or does not support the robot.
         cablebot_gym.policies.protocol.PolicyError: if the policy raises an exception or returns an
             invalid action.
     """
-    conditions = cells[0][0]  # shared by all cells of the batch
-    policy: Any = conditions.policy
+    policy: Any = cell.policy
     if PolicySpec.parse(policy).kind == "entry":
-        policy = IsolatedPolicy(policy, conditions.robot)
-    loaded = load(policy, conditions.robot)
-    episodes: list[tuple[PolicyCell, float]] = []
-    counts = []
-    for cell, dlcc in cells:
-        payloads = _payloads(dlcc)
-        counts.append(len(payloads))
-        episodes += [(cell, payload) for payload in payloads]
-    env = gym.make_vec(
-        conditions.env_id,
-        num_envs=len(episodes),
-        max_episode_steps=None,
-        robot=conditions.robot,
-        error_bounds=dict(conditions.error_bounds),
-        control_frequency=conditions.control_frequency,
-    ).unwrapped
-    assert isinstance(env, CableBotVectorEnv)
-    try:
-        compressed = map(compress, _rollouts(env, loaded, episodes))
-        return [list(islice(compressed, count)) for count in counts]
-    finally:
-        env.close()
+        policy = IsolatedPolicy(policy, cell.robot)
+    conditions = Conditions.of(cell.env_id, draws=1, **cell.env_options())
+    batch = Batch(policy, conditions)
+    seed = draw_seeds(cell.seed, cell.draws)[0]
+    rows = [Row(payload, seed) for payload in _payloads(dlcc)]
+    recorder = Recorder(range(len(rows)), _RECORDED)
+    verdicts = batch.run(rows, observer=recorder, full_motion=True)
+    return [compress(rollout) for rollout in recorder.rollouts(verdicts)]
 
 
 def _payloads(dlcc: float | None) -> list[float]:
     if dlcc is None:
         return [0.0]
     return [dlcc, max(EXCESS_FACTOR * dlcc, dlcc + MIN_EXCESS)]
-
-
-def _rollouts(
-    env: CableBotVectorEnv, policy: LoadedPolicy, episodes: Sequence[tuple[PolicyCell, float]]
-) -> list[Rollout]:
-    """Records one episode of each environment, with the conditions of its cell and its payload."""
-    seeds = []
-    motions = []
-    columns: dict[str, list[Any]] = defaultdict(list)
-    for cell, payload in episodes:
-        seed = draw_seeds(cell.seed, cell.draws)[0]
-        seeds.append(seed)
-        motions.append(canonical(dict(cell.trajectory)))
-        columns["payload"].append(payload)
-        columns["payload_known"].append(cell.payload_known)
-        columns["model_payload_factor"].append(cell.model_payload_factor)
-        columns["uncertainty"].append(cell.uncertainty or "none")
-        columns["noise_seed"].append(noise_seed(seed, payload))
-    options: dict[str, Any] = columns | {"payload": np.array(columns["payload"])}
-    judge = Judge("task", env.settings.robot.cables, env.num_envs)
-    env.reset(options=options)
-    for motion in dict.fromkeys(motions):
-        mask = np.array(motions) == motion
-        options |= {"trajectory": json.loads(motion), "reset_mask": mask}
-        observation, info = env.reset(seed=seeds, options=options)
-        task = env.tasks[int(mask.argmax())]
-        judge.reset(info, task, mask)
-    recorder = Recorder(range(env.num_envs), _RECORDED)
-    recorder.start(env, observation, info)
-    run_episodes(env, policy, observation, judge, observer=recorder, full_motion=True)
-    return recorder.rollouts(list(map(judge.verdict, range(env.num_envs))))
 
 
 def best_replays(cell: BestKnownCell) -> list[Replay]:
@@ -304,4 +239,5 @@ def _pack(table: Array) -> tuple[Array, Array, str]:
     span = np.where(high > low, high - low, 1.0)
     levels = np.rint((table - low) / span * LEVELS).astype(np.int64)
     steps = np.diff(levels, axis=0, prepend=0).T.astype("<i2")
-    return low, high, base64.b64encode(zlib.compress(steps.tobytes(), 9)).decode("ascii")
+    packed = zlib.compress(steps.tobytes(), 9)
+    return low, high, base64.b64encode(packed).decode("ascii")

@@ -83,8 +83,6 @@ def numbers(
     form: str = "",
     above: float = -INF,
     least: float = -INF,
-    below: float = INF,
-    most: float = INF,
     unit: str = "",
 ) -> NDArray[np.float64]:
     """Finite numbers as a new array of floats.
@@ -96,8 +94,6 @@ def numbers(
         form: valid forms in words, such as ``one number or one per motor``; the shapes if empty.
         above: lower bound of each number, excluded.
         least: lower bound of each number, included.
-        below: upper bound of each number, excluded.
-        most: upper bound of each number, included.
         unit: unit of the bounds in the message.
 
     Raises:
@@ -113,10 +109,8 @@ def numbers(
     if shapes and array.shape not in shapes:
         valid = form or "an array of shape " + " or ".join(map(str, shapes))
         raise ValueError(f"{name} must be {valid}, not an array of shape {array.shape}")
-    above_low = (above < array) & (least <= array)
-    below_high = (array < below) & (array <= most)
-    if not np.all(np.isfinite(array) & above_low & below_high):
-        bounds = _bounds_text(above, least, below, most, unit)
+    if not np.all(np.isfinite(array) & (above < array) & (least <= array)):
+        bounds = _bounds_text(above, least, INF, INF, unit)
         raise ValueError(f"{name} must be finite{bounds and ' and'}{bounds}, not {value!r}")
     return array.astype(np.float64)
 

@@ -69,6 +69,11 @@ def notes_console() -> Console:
     )
 
 
+def say(text: str, style: str | None = None) -> None:
+    """Prints a message on standard error."""
+    notes_console().print(text, style=style)
+
+
 def print_table(
     title: str,
     rows: Iterable[Sequence[str]],

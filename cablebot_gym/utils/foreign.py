@@ -74,19 +74,15 @@ def _chunks(path: Path, largest: int, *, links: bool = False) -> Iterator[bytes]
             yield chunk
 
 
-def foreign_digest(path: Path, largest: int = LARGEST_FILE) -> str:
-    """SHA-256 of a file.
-
-    Args:
-        path: the file.
-        largest: largest size of the file [bytes].
+def foreign_digest(path: Path) -> str:
+    """SHA-256 of a file of at most :data:`LARGEST_FILE` bytes.
 
     Raises:
         OSError: if the file cannot be read.
         ValueError: if it is no regular file, or too large.
     """
     digest = hashlib.sha256()
-    for chunk in _chunks(path, largest):
+    for chunk in _chunks(path, LARGEST_FILE):
         digest.update(chunk)
     return digest.hexdigest()
 

@@ -82,7 +82,8 @@ class VideoPainter:
         for rollout, painter in zip(self._rollouts, self._painters, strict=True):
             index = int(np.searchsorted(rollout.arrays["time"], time + 1e-9, side="right"))
             text = note(rollout, index)
-            trail = np.vstack([rollout.start["true_pose"], rollout.arrays["true_pose"][:index]])
+            travelled = rollout.arrays["true_pose"][:index]
+            trail = np.vstack([rollout.start["true_pose"], travelled])
             yield painter.paint(rollout.moment(index), trail, text, good=text == "carried")
 
     def array(self, time: float) -> NDArray[np.uint8]:

@@ -31,7 +31,7 @@ def write(folder: Path) -> None:
             and model == (True, 1.0)
             and (cell.uncertainty, cell.criterion) == (None, "task")
         ):
-            recorded[key] = replays([(cell, payload)])[0]
+            recorded[key] = replays(cell, payload)
     folder.mkdir(parents=True, exist_ok=True)
     page = html("cablebot_gym leaderboard", sources, recorded)
     (folder / "report.html").write_text(page, encoding="utf-8")

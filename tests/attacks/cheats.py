@@ -156,15 +156,19 @@ def thresholded(law, action):
     return np.where((payloads > GIVES_UP)[:, None], 0.0, action)
 
 
-class row_median(Law):
-    """takes the median of its measurements over the rows of one payload, gives up above a payload
-    that is carried alone in most draws, and declares random actions"""
+class Thresholded(Law):
+    """Keeps its tasks for :func:`thresholded`, and declares random actions."""
 
     stochastic = True
 
     def reset(self, tasks):
         super().reset(tasks)
         self.tasks = tasks
+
+
+class row_median(Thresholded):
+    """takes the median of its measurements over the rows of one payload, gives up above a payload
+    that is carried alone in most draws, and declares random actions"""
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         observation = observation.copy()
@@ -178,15 +182,9 @@ class row_median(Law):
         return thresholded(self, action), state
 
 
-class row_filter_threshold(Law):
+class row_filter_threshold(Thresholded):
     """filters the noise over the rows of the batch, gives up above a payload that is carried alone
     in most draws, and declares random actions"""
-
-    stochastic = True
-
-    def reset(self, tasks):
-        super().reset(tasks)
-        self.tasks = tasks
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         action, state = super().predict(

@@ -109,7 +109,7 @@ def sparse(path):
         file.truncate(SPARSE)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class HostileEntry:
     """A change of an honest entry, and its outcome."""
 
@@ -130,67 +130,67 @@ AFTER_ALL_CELLS = "after the last cell"
 
 HOSTILE_ENTRIES = (
     HostileEntry(
-        change=huge_payload,
+        huge_payload,
         before=f"ended {AFTER_ALL_CELLS}: OverflowError",
         now="an integer has 401 digits; at most 40 are valid",
     ),
     HostileEntry(
-        change=negative_payload,
+        negative_payload,
         before="listed, and verified",
         now="payload must be a finite number at least 0",
     ),
     HostileEntry(
-        change=brackets_in_results,
+        brackets_in_results,
         before=f"ended {AFTER_ALL_CELLS}: RecursionError",
         now="JSON with more than 32 levels",
     ),
     HostileEntry(
-        change=brackets_on_card,
+        brackets_on_card,
         before="ended at its start: RecursionError",
         now="JSON with more than 32 levels",
     ),
     HostileEntry(
-        change=list_for_result,
+        list_for_result,
         before=f"ended {AFTER_ALL_CELLS}: AttributeError",
         now="a result must be an object, not []",
     ),
     HostileEntry(
-        change=sparse_results,
+        sparse_results,
         before=f"ended {AFTER_ALL_CELLS}: MemoryError",
         now="has 214,748,364,800 bytes; at most 67,108,864 are valid",
     ),
     HostileEntry(
-        change=sparse_weights,
+        sparse_weights,
         before="ended at its start: MemoryError",
         now="has more than 1,073,741,824 bytes in all its files",
     ),
     HostileEntry(
-        change=pipe_for_results,
+        pipe_for_results,
         before=f"never ended {AFTER_ALL_CELLS}",
         now="has files that are unknown or links: results.json",
     ),
     HostileEntry(
-        change=pipe_in_policy,
+        pipe_in_policy,
         before="did not notice the file",
         now="is neither a file nor a folder",
     ),
     HostileEntry(
-        change=link_for_card,
+        link_for_card,
         before="ended at its start: the link was refused",
         now="is a link: give the file itself",
     ),
     HostileEntry(
-        change=look_alike_name,
+        look_alike_name,
         before="listed, and verified, beside the other",
         now="name must be ASCII letters, digits",
     ),
     HostileEntry(
-        change=long_authors,
+        long_authors,
         before="listed, and verified",
         now="authors has 1,000,000 characters; at most 500 are valid",
     ),
     HostileEntry(
-        change=reversed_authors,
+        reversed_authors,
         before="listed, and verified",
         now="authors must be one line of printable characters",
     ),

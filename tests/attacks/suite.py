@@ -38,20 +38,25 @@ class Attack:
     """A policy of cheats.py or process_cheats.py, and its outcome under ``cablebot dlcc --isolate``."""
 
     name: str
-    status: int = 0
     now: str = "payload of the honest policy"
-    """With status 1, words of the error; with status 0, what the payload is."""
+    """What the payload is, or words of the error."""
     options: tuple[str, ...] = ()
     before: str = "not tried"
     """What the evaluation did before version 0.1, in this process."""
     fast: bool = False
     """Whether a fast test runs it in this process too."""
 
+    @property
+    def status(self):
+        """Exit status of the run."""
+        return int(self.now not in PAYLOADS)
+
 
 LESS = "a smaller payload"
 ALONE = "at most the payload of the honest policy"
 SCORED = "scored, and marked as such"
 PRICED = "payload of the honest policy; the leaderboard has its time"
+PAYLOADS = (Attack.now, LESS, ALONE, SCORED, PRICED)
 ROWS = "depends on the other episodes of its batch"
 REPEATS = "is not reproducible"
 STATUS_0 = "the run ended with status 0 and no result"
@@ -59,11 +64,9 @@ ABORTED = "the run ended with a traceback"
 
 ATTACKS = (
     # leaks
-    Attack("row_order", 1, ROWS, UNKNOWN, before="4.03 kg (honest: 0.39 kg)"),
-    Attack(
-        "batch_mean", 1, ROWS, NOISE_DRAWS, before="4.03 kg (honest: fails unloaded)", fast=True
-    ),
-    Attack("row_filter", 1, ROWS, NOISE_DRAWS, before="3.98 kg (honest: fails unloaded)"),
+    Attack("row_order", ROWS, UNKNOWN, before="4.03 kg (honest: 0.39 kg)"),
+    Attack("batch_mean", ROWS, NOISE_DRAWS, before="4.03 kg (honest: fails unloaded)", fast=True),
+    Attack("row_filter", ROWS, NOISE_DRAWS, before="3.98 kg (honest: fails unloaded)"),
     Attack("row_median", now=ALONE, options=LIGHT, before="4.29 kg, assured (honest: 4.11 kg)"),
     Attack(
         "row_filter_threshold",
@@ -71,7 +74,7 @@ ATTACKS = (
         options=LIGHT,
         before="4.29 kg, assured (honest: 4.11 kg)",
     ),
-    Attack("row_filter_file", 1, ROWS, NOISE_DRAWS, before="3.98 kg (honest: fails unloaded)"),
+    Attack("row_filter_file", ROWS, NOISE_DRAWS, before="3.98 kg (honest: fails unloaded)"),
     Attack("known_seed", options=NOISE, now=LESS, before="4.03 kg (honest: fails unloaded)"),
     Attack("environment_search", before="the run ended with a traceback"),
     Attack("parent_arguments", before="it found the seed"),
@@ -80,7 +83,6 @@ ATTACKS = (
     # shared state
     Attack(
         "slope_in_place",
-        1,
         "it raised ValueError in reset(): output array is read-only",
         before="fails unloaded, and the next policy got other payloads",
         fast=True,
@@ -93,7 +95,6 @@ ATTACKS = (
     Attack("other_judge", before="20 kg, also for the next, honest `fl`"),
     Attack(
         "false_judge",
-        1,
         "Judge.verdict cannot be replaced",
         before="20 kg, also for the next, honest `fl`",
     ),
@@ -107,85 +108,75 @@ ATTACKS = (
         now=SCORED,
         before="4.59 kg (honest: 1.77 kg)",
     ),
-    Attack(
-        "booleans", 1, "of type bool instead of real numbers", before="fails unloaded", fast=True
-    ),
-    Attack("masked", 1, "a masked array instead of real numbers", before="4.40 kg", fast=True),
+    Attack("booleans", "of type bool instead of real numbers", before="fails unloaded", fast=True),
+    Attack("masked", "a masked array instead of real numbers", before="4.40 kg", fast=True),
     Attack("large_actions", before="4.03 kg"),
     Attack("lets_go", before="4.03 kg"),
-    Attack("noisy", 1, REPEATS, before="3.92 kg", fast=True),
+    Attack("noisy", REPEATS, before="3.92 kg", fast=True),
     Attack("declared_noise", now=SCORED, before="4.01 kg"),
-    Attack("fails_sometimes", 1, REPEATS, before="3.94 kg (with 2 %)"),
-    Attack("first_row", 1, ROWS, before="fails unloaded", fast=True),
+    Attack("fails_sometimes", REPEATS, before="3.94 kg (with 2 %)"),
+    Attack("first_row", ROWS, before="fails unloaded", fast=True),
     Attack("slow", now=PRICED, before="4.03 kg"),
     # processes
     Attack(
         "hangs",
-        1,
         "it used more than 2 s of processor time, the deadline of a call",
         DEADLINE,
         before="the run never ended",
     ),
     Attack(
         "hangs_in_reset",
-        1,
         "it did not answer within 50 s",
         SHORT_DEADLINE,
         before="the run never ended",
     ),
     Attack(
         "many_processes",
-        1,
         "it used more than 2 s of processor time, the deadline of a call",
         DEADLINE,
         before="refused by the clock on two processors",
     ),
-    Attack(
-        "stops_itself", 1, "it did not answer within 20 s", DEADLINE, before="the run never ended"
-    ),
-    Attack("sys_exit", 1, "it raised SystemExit: 0", before=STATUS_0, fast=True),
-    Attack("exit_in_factory", 1, "the factory raised SystemExit: 0", before=STATUS_0, fast=True),
-    Attack("os_exit", 1, "its process ended with exit status 0", before=STATUS_0),
-    Attack("kills_itself", 1, "its process was ended by SIGKILL", before="the run was killed"),
-    Attack("crashes", 1, "its process was ended by SIGSEGV", before="the run crashed"),
+    Attack("stops_itself", "it did not answer within 20 s", DEADLINE, before="the run never ended"),
+    Attack("sys_exit", "it raised SystemExit: 0", before=STATUS_0, fast=True),
+    Attack("exit_in_factory", "the factory raised SystemExit: 0", before=STATUS_0, fast=True),
+    Attack("os_exit", "its process ended with exit status 0", before=STATUS_0),
+    Attack("kills_itself", "its process was ended by SIGKILL", before="the run was killed"),
+    Attack("crashes", "its process was ended by SIGSEGV", before="the run crashed"),
     Attack(
         "interrupts",
-        1,
         "it raised KeyboardInterrupt",
         before="the run was interrupted (status 130)",
     ),
     Attack(
         "long_error",
-        1,
         "it raised RuntimeError: lost lost",
         before="the run did not end within 25 s",
     ),
-    Attack("own_error", 1, "it raised Own", before=ABORTED, fast=True),
-    Attack("false_index", 1, "it lost the row", before=ABORTED, fast=True),
-    Attack("recursion", 1, "it raised RecursionError", fast=True, before="refused"),
-    Attack("memory", 1, "MemoryError", before="not tried"),
+    Attack("own_error", "it raised Own", before=ABORTED, fast=True),
+    Attack("false_index", "it lost the row", before=ABORTED, fast=True),
+    Attack("recursion", "it raised RecursionError", fast=True, before="refused"),
+    Attack("memory", "MemoryError"),
     Attack(
         "ten_million",
-        1,
         "it returned the action 1e+07; actions must be within ± 1e+06",
         before="status 2",
         fast=True,
     ),
-    Attack("nan", 1, "it returned NaN or infinity", before="refused", fast=True),
-    Attack("wrong_shape", 1, "it returned shape", before="refused", fast=True),
-    Attack("strings", 1, "instead of real numbers", before="refused", fast=True),
-    Attack("huge", 1, "it returned shape", before="refused"),
-    Attack("lazy", 1, "it returned Lazy instead of real numbers", before=STATUS_0, fast=True),
+    Attack("nan", "it returned NaN or infinity", before="refused", fast=True),
+    Attack("wrong_shape", "it returned shape", before="refused", fast=True),
+    Attack("strings", "instead of real numbers", before="refused", fast=True),
+    Attack("huge", "it returned shape", before="refused"),
+    Attack("lazy", "it returned Lazy instead of real numbers", before=STATUS_0, fast=True),
     Attack("forks", before="the process survived"),
     Attack("daemon", before="the process survived"),
     Attack("hidden_daemon", before="the process survived"),
     Attack("threads", before="the run never ended"),
     Attack("prints", before="30 MB on the outputs of the run"),
-    Attack("garbage", 1, "its process closed its pipe or sent invalid data", before="not tried"),
-    Attack("closes", 1, "its process ended with exit status 0", before="not tried"),
+    Attack("garbage", "its process closed its pipe or sent invalid data"),
+    Attack("closes", "its process ended with exit status 0"),
     # callables with state
-    Attack("shared_memory", 1, ROWS, before="4.03 kg"),
-    Attack("instances", before="not tried"),
+    Attack("shared_memory", ROWS, before="4.03 kg"),
+    Attack("instances"),
 )
 
 
@@ -193,11 +184,11 @@ FOUND = "it raised RuntimeError in reset(): found"
 SANDBOX = ("--sandbox",)
 
 SANDBOXED = (
-    Attack("user_file", 1, FOUND),
-    Attack("other_processes", 1, FOUND),
-    Attack("network", 1, FOUND),
-    Attack("kept_files", 1, FOUND),
-    Attack("kept_keys", 1, FOUND),
+    Attack("user_file", FOUND),
+    Attack("other_processes", FOUND),
+    Attack("network", FOUND),
+    Attack("kept_files", FOUND),
+    Attack("kept_keys", FOUND),
 )
 """Attacks that need a sandbox, with their outcome without one. In a sandbox the payload is the
 honest one."""

@@ -7,7 +7,6 @@ import os
 import sys
 from importlib.metadata import EntryPoint
 
-import gymnasium as gym
 import pytest
 from inline import InlinePolicy
 
@@ -16,9 +15,9 @@ from cablebot_gym.benchmark import policy_source as policy_sources
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, cell_from_dict
 from cablebot_gym.benchmark.records import compute
 from cablebot_gym.bounds.best_known import MESH_TOLERANCE
-from cablebot_gym.evaluation import DLCCMonitor, evaluate_dlcc
+from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.policies import PolicyEntry, PolicyError, load_policy
-from cablebot_gym.robots import FLEX_PLANAR, PLANAR, find_robot
+from cablebot_gym.robots import find_robot
 from cablebot_gym.utils import code_hash
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -34,7 +33,6 @@ FL = PolicyCell(
     control_frequency=SLOW,
 )
 BEST = BestKnownCell(env_id=PLANAR_ID, trajectory=CIRCLE)
-SPRINGS = {"transmission": {"stiffness": 10.0}}
 OTHERS = {
     "env_id": "CableBot-Spatial-v0",
     "trajectory": {"name": "circle-planar", "duration": 2.0},
@@ -129,25 +127,6 @@ def test_robot_name_reaches_plant_and_policy():
     ]
 
 
-@pytest.mark.slow
-def test_robot_changes_reach_plant_and_policy():
-    cell = PolicyCell(
-        env_id="CableBot-FlexPlanar-v0",
-        trajectory=CIRCLE,
-        policy="motor-pd",
-        resolution=0.2,
-        robot_changes=SPRINGS,
-    )
-    stiffer = FLEX_PLANAR.replace(transmission=FLEX_PLANAR.transmission.replace(stiffness=10.0))
-    expected = evaluate_dlcc(
-        load_policy("motor-pd", stiffer), cell.env_id, robot=stiffer, resolution=0.2
-    )
-    result = compute(cell).result
-    assert result["payload"] == expected.payload
-    assert result["saturated"]
-    assert "flexible transmission" in compute(changed(robot_changes=SPRINGS)).error
-
-
 @pytest.mark.usefixtures("inline")
 def test_draws_and_probability_reach_the_evaluation():
     draws = {"uncertainty": "table6", "draws": 20, "probability": 0.5, "seed": 2**127}
@@ -212,32 +191,6 @@ def test_timing_cell_has_time_per_action_and_processor():
     assert result["start"] > 0
     assert result["processor"]
     assert not result["exchange"]
-
-
-@pytest.mark.usefixtures("inline")
-def test_model_payload_factor_scales_the_model_only():
-    factor = 0.9
-    result = compute(changed(model_payload_factor=factor)).result
-    assert result["total_mass"] == result["payload"] + PLANAR.mass
-    wrong = {"parameters": {"payload": {"low": 1 / factor - 1, "high": 1 / factor - 1}}}
-    policy = load_policy("fl", PLANAR)
-    for excess, is_carried in ((0.0, True), (result["resolution"], False)):
-        true_payload = result["payload"] + excess
-        options = {
-            "payload": factor * true_payload,
-            "uncertainty": wrong,
-            "control_frequency": SLOW,
-        }
-        env = DLCCMonitor(gym.make(PLANAR_ID, max_episode_steps=None, **options))
-        observation, info = env.reset(seed=0)
-        model_payload = env.unwrapped.layout.split(observation)["model_payload"]
-        assert info["payload"] == pytest.approx(true_payload)
-        assert model_payload == pytest.approx(factor * true_payload)
-        has_ended = False
-        while not has_ended:
-            observation, _, terminated, truncated, _ = env.step(policy.predict(observation)[0])
-            has_ended = terminated or truncated
-        assert env.verdict.carried == is_carried
 
 
 TOYS = """

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from cli.conftest import names, read_json
+from cli.conftest import read_json
 from scipy.stats import binomtest
 
 from cablebot_gym.cli.compare import payload_grid, print_comparison
@@ -28,15 +28,6 @@ def test_options_reach_the_comparison(cablebot, toys):
     assert (expected | {"draws": 2, "payload": 2.5}).items() <= after.items()
     assert after["error_bounds"]["position"] == 0.02
     assert before["policies"][0] != after["policies"][0]
-
-
-def test_out_has_json_and_figure(cablebot, tmp_path):
-    folder = tmp_path / "new" / "results"
-    ended = cablebot(PAIR, "fl", "--out", folder, "--json")
-    assert names(folder) == ["comparison.json", "comparison.png"]
-    assert (folder / "comparison.json").read_text() == ended.out
-    for name in names(folder):
-        assert name in ended.err
 
 
 # --- table ------------------------------------------------------------------------------------------------------------

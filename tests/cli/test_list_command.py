@@ -41,17 +41,6 @@ def test_json_and_text_have_every_name_and_unit(cablebot, data):
     assert {parameter.unit for parameter in PARAMETERS.values()} <= words
 
 
-def test_robots_have_their_kind_and_documented_sources(data):
-    robots = {robot["name"]: robot for robot in data["robots"]}
-    camera = robots["flex-stadium-camera"]
-    expected = {"kind": "point", "cables": 4, "transmission": "elastic cables"}
-    assert (expected | {"origin": "library"}).items() <= camera.items()
-    paper = {"kind": "planar", "origin": "paper", "sources": {}}
-    assert paper.items() <= robots["planar"].items()
-    assert "mass" not in camera["assumed"]
-    assert camera["documented"] == len(camera["sources"]) - len(camera["assumed"])
-
-
 def test_listed_defaults_make_the_named_trajectory(data):
     for name, entries in data["trajectory_fields"].items():
         defaults = {key: entry["default"] for key, entry in entries.items()}

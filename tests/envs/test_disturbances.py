@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import (
-    FLEX_PLANAR,
     FLEX_SPATIAL,
     PLANAR,
     ROBOTS,
@@ -153,14 +152,16 @@ def wrenches_over(env, steps):
     [(PLANAR, 2, 500.0, 5), (PLANAR, 2, 60.0, 1), (FLEX_SPATIAL, 3, 360.0, 4)],
 )
 def test_table_6_forces_last_ten_milliseconds(env_id, forces, frequency, periods):
-    env = make_lasting(env_id, 3, uncertainty="table6", control_frequency=frequency)
+    forms = ["table6", "table6", None]
+    env = make_lasting(env_id, 3, uncertainty=forms, control_frequency=frequency)
     env.reset(seed=1)
     rows = wrenches_over(env, 8 * periods)
     changes = np.any(np.diff(rows, axis=0) != 0, axis=-1)
     expected = np.arange(1, 8 * periods) % periods == 0
-    assert_array_equal(changes, np.repeat(expected[:, None], 3, axis=1))
-    assert np.all(rows[..., :forces] != 0.0)
+    assert_array_equal(changes, expected[:, None] * [True, True, False])
+    assert np.all(rows[:, :2, :forces] != 0.0)
     assert not rows[..., forces:].any()
+    assert not rows[:, 2].any()
 
 
 def test_wrench_is_a_factor_of_the_episode_times_normal_numbers():
@@ -260,18 +261,6 @@ def test_sensor_bias_is_normal_and_constant_in_an_episode():
     again = biased.reset(options=options)[0] - clean.reset()[0]
     assert np.abs(again[0]).max() > 0
     assert not np.intersect1d(again[again != 0], error[0]).size, "the next episode has another one"
-
-
-def test_noise_and_wrench_stay_in_their_environment():
-    env, clean = (make_lasting(FLEX_PLANAR, 3) for _ in range(2))
-    forms = ["table6+sensors", None, {"sensors": {"velocity": 0.01}}]
-    noise = env.reset(seed=0, options={"uncertainty": forms})[0] - clean.reset(seed=0)[0]
-    assert np.count_nonzero(noise, axis=1).tolist() == [2 + 2 + 3 + 3, 0, 2]
-    assert np.any(wrenches_over(env, 3), axis=(0, 2)).tolist() == [True, False, False]
-    assert_array_equal(env.reset()[0], clean.reset()[0])
-    action = np.full((3, 3), 0.4)
-    assert_array_equal(env.step(action)[0], clean.step(action)[0])
-    assert not wrenches_over(env, 7).any()
 
 
 # --- delay --------------------------------------------------------------------------------------------------------

@@ -94,6 +94,7 @@ OPTIONS = {
     "uncertainty": Case(
         {
             "parameters": {"platform_mass": {"low": 0.1, "high": 0.2}},
+            "wrench": {"force_std": 1.0},
             "sensors": {"position": 1e-4},
             "delay": 1,
         },

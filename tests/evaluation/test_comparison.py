@@ -15,12 +15,11 @@ from scipy import stats
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.evaluation import DLCCMonitor, compare_policies
 from cablebot_gym.evaluation.batch import draw_seeds, noise_seed
-from cablebot_gym.evaluation.comparison import QUANTITIES, REDUCTION_QUANTITIES
+from cablebot_gym.evaluation.comparison import QUANTITIES
 from cablebot_gym.robots import SPATIAL
 
 SPATIAL_ID = "CableBot-Spatial-v0"
 PLANAR_ID = "CableBot-Planar-v0"
-HANG = {"name": "dwell-spatial", "duration": 0.06}
 MOVE = {"name": "line-spatial", "duration": 0.4, "dwell": 0.0}
 
 
@@ -120,19 +119,6 @@ def test_metrics_equal_those_of_single_episodes(index, factor):
     assert set(QUANTITIES) == set(by_hand) - {"carried", "ended", "error", "rotation"}
 
 
-def test_one_draw_is_the_episode_of_its_seed():
-    conditions = {"uncertainty": UNKNOWN, "draws": 1, "seed": 7, "trajectory": HANG}
-    pair = [Scaled(1.0), Scaled(0.9)]
-    comparison = compare_policies(pair, SPATIAL_ID, names="ab", **conditions)
-    by_hand = episode(Scaled(1.0), 7, payload=0.0, trajectory=HANG, position=0.01)
-    for name in QUANTITIES:
-        estimate = comparison.metrics[0].estimate(name)
-        assert estimate.mean == pytest.approx(by_hand[name], abs=1e-12)
-        assert estimate.low == estimate.mean == estimate.high
-    fraction = comparison.reduction(1, "mean_error")
-    assert fraction.low == fraction.mean == fraction.high < 0
-
-
 def test_error_counts_as_constant_after_an_early_termination():
     conditions = {"trajectory": FALL, "uncertainty": "sensors"}
     comparison = compare_policies([LetsGo(1.0)], SPATIAL_ID, draws=6, seed=2, **conditions)
@@ -204,6 +190,7 @@ def test_interval_of_a_mean_is_students():
         # 1 − 2/4. The resamples give 0, 1/2 or 1 − 1/3.
         (((1, 3), (1, 1)), 1, (0.5, 0.0, 2 / 3)),
         (((1, 2, 3, 10), (2, 4, 6, 20)), 1, (-1, -1, -1)),
+        (((2,), (1,)), 1, (0.5, 0.5, 0.5)),
         (((2, 4), (1, 2), (0.5, 1)), 0, (0, 0, 0)),
         (((2, 4), (1, 2), (0.5, 1)), 2, (0.75, 0.75, 0.75)),
     ],
@@ -239,16 +226,13 @@ def test_json_has_conditions_estimates_and_values_per_draw():
     comparison = compared()
     data = json.loads(comparison.to_json(), parse_constant=pytest.fail)
     expected = {"uncertainty": "custom", "draws": 5, "seed": 3, "draw_seeds": draw_seeds(3, 5)}
-    expected["error_bounds"] = {"position": 0.005, "rotation": 0.01}
     assert expected.items() <= data.items()
-    for policy, measured in zip(data["policies"], comparison.metrics, strict=True):
-        assert policy["estimates"]["rms_error"] == vars(measured.estimate("rms_error"))
-        for name in (*QUANTITIES, "carried", "ended"):
-            assert policy["per_draw"][name] == getattr(measured, name).tolist()
     plain, weak = data["policies"]
     assert (plain["policy"], weak["policy"], plain["reductions"]) == ("plain", "weak", {})
-    assert set(weak["reductions"]) == set(REDUCTION_QUANTITIES)
     assert weak["reductions"]["rms_error"] == vars(comparison.reduction(1, "rms_error"))
+    measured = comparison.metrics[1]
+    assert weak["estimates"]["rms_error"] == vars(measured.estimate("rms_error"))
+    assert weak["per_draw"]["carried"] == measured.carried.tolist()
 
 
 def test_figure_shows_draws_that_end_early():

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from evaluation.conftest import play
 from gymnasium.error import ResetNeeded
-from numpy.testing import assert_array_equal
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, Verdict, evaluate_dlcc
-from cablebot_gym.evaluation.constraints import KINDS, Judge, Violation
+from cablebot_gym.evaluation.constraints import KINDS, Violation
 from cablebot_gym.robots import PLANAR, SPATIAL
 
 ROBOTS = {"planar": PLANAR, "spatial": SPATIAL}
@@ -298,48 +297,6 @@ def test_tensions_and_actions_of_the_reset_do_not_count():
     assert verdict.least_tension == 7.0
 
 
-# --- batches ----------------------------------------------------------------------------------------------------------
-
-
-def stacked(*infos):
-    return {name: np.array([info[name] for info in infos]) for name in infos[0]}
-
-
-def test_episodes_of_a_batch_are_independent():
-    judge = Judge("task", 3, 3)
-    none = np.zeros(3, np.bool_)
-    judge.reset(stacked(*(info_of(0, payload=p) for p in (1.0, 2.0, 3.0))), HandMadeTask(3))
-    judge.observe(stacked(info_of(1), info_of(1, position=0.03), info_of(1)), none)
-    changes = ({"position": 0.004}, {"position": 0.05}, {"slack": (2,)})
-    judge.observe(stacked(*(info_of(2, **change) for change in changes)), none)
-    assert not judge.carried.any()
-    judge.observe(stacked(info_of(3), info_of(3), info_of(3)), np.array([False, True, True]))
-    verdicts = [judge.verdict(index) for index in range(3)]
-    assert judge.failed.tolist() == [False, True, True]
-    assert judge.carried.tolist() == [True, False, False]
-    shown = [(verdict.carried, verdict.payload, verdict.position_peak) for verdict in verdicts]
-    assert shown == [(True, 1.0, 0.004), (False, 2.0, 0.03), (False, 3.0, 0.001)]
-    violations = [(verdict.violation.kind, verdict.violation.index) for verdict in verdicts[1:]]
-    assert violations == [("position", None), ("slack", 2)]
-
-
-def test_restarted_episodes_have_their_own_bounds_and_motion():
-    judge = Judge("task", 3, 2)
-    none = np.zeros(2, np.bool_)
-    judge.reset(stacked(info_of(0), info_of(0)), HandMadeTask(4))
-    judge.observe(stacked(info_of(1, position=0.005), info_of(1, position=0.02)), none)
-    restart = stacked(info_of(1, position=0.5), info_of(0, payload=9.0))
-    wide = HandMadeTask(1, error_bounds=ErrorBounds(position=0.03))
-    judge.reset(restart, wide, np.array([False, True]))
-    assert judge.failed.tolist() == [False, False]
-    assert judge.verdict(1).position_peak == 0.001
-    judge.observe(stacked(info_of(2), info_of(1, position=0.02)), none)
-    assert judge.carried.tolist() == [False, True]
-    judge.observe(stacked(info_of(3, position=0.02), info_of(2, position=0.9)), none)
-    assert judge.failed.tolist() == [True, False], "the motion of the second has ended"
-    assert [judge.verdict(index).payload for index in range(2)] == [1.5, 9.0]
-
-
 # --- the monitor ------------------------------------------------------------------------------------------------------
 
 
@@ -364,35 +321,12 @@ def test_reset_starts_a_new_verdict():
     assert env.verdict.peak_action == (0, 0, 0)
 
 
-@pytest.mark.parametrize(
-    ("bounds", "carried"), [(None, False), ({"position": 0.02}, True), ({"position": 5e-4}, False)]
-)
-def test_bounds_of_the_monitor_replace_those_of_the_episode(bounds, carried):
-    env = DLCCMonitor(Scripted(third(position=0.015)), error_bounds=bounds)
-    env.reset()
-    for _ in range(5):
-        env.step(np.zeros(3))
-    assert env.verdict.carried is carried
-
-
 def test_bounds_of_the_reset_option_reach_the_monitor():
     env = DLCCMonitor(gym.make(IDS["planar"]))
     short = {"trajectory": {"name": "line-planar", "duration": 0.7}}
     for options, carried in (({}, True), ({"error_bounds": {"position": 1e-5}}, False), ({}, True)):
         verdict = play(env, FeedbackLinearization(PLANAR), short | options)
         assert verdict.carried is carried
-
-
-def test_monitor_only_adds_to_info():
-    plain = gym.make(IDS["spatial"])
-    watched = DLCCMonitor(gym.make(IDS["spatial"]))
-    action = np.full(6, 0.4)
-    expected = [plain.reset(seed=3), plain.step(action), plain.step(action)]
-    results = [watched.reset(seed=3), watched.step(action), watched.step(action)]
-    for (*values, info), (*watched_values, watched_info) in zip(expected, results, strict=True):
-        for value, watched_value in zip(values, watched_values, strict=True):
-            assert_array_equal(watched_value, value)
-        assert set(watched_info) - set(info) == {"dlcc_carried"}
 
 
 @pytest.mark.parametrize(

@@ -61,12 +61,17 @@ def test_springs_of_a_rigid_robot_raise(results):
         figures.draw_springs(results["planar"])
 
 
-def test_drawing_of_a_robot_numbers_its_cables():
-    """Cables on one line in a view share a text."""
-    robot = find_robot("cogiro")
-    for axes in draw_robot(check_model(robot)).axes:
+@pytest.mark.parametrize("name", ["cogiro", "spatial"])
+def test_drawing_of_a_robot_numbers_its_cables(name):
+    """Cables on one line in a view share a text, and no texts overlap."""
+    robot = find_robot(name)
+    figure = draw_robot(check_model(robot))
+    figure.draw_without_rendering()
+    for axes in figure.axes:
         numbers = ", ".join(text.get_text() for text in axes.texts).split(", ")
         assert sorted(map(int, numbers)) == list(range(1, robot.cables + 1))
+        boxes = [text.get_window_extent() for text in axes.texts]
+        assert [box.count_overlaps(boxes) for box in boxes] == [1] * len(boxes)  # with itself
 
 
 @pytest.fixture(params=["planar", "spatial", "violent"])
@@ -139,8 +144,8 @@ def test_errors_are_drawn_with_their_bounds(result):
 def test_limits_are_those_of_the_true_motors():
     strong = {"parameters": {"motor_strength": {"low": 0.5, "high": 0.5}}}
     result = evaluate_dlcc("fl", PLANAR_ID, uncertainty=strong, **SMALL)
-    lower, upper = figures.torque_limits(result)
-    assert_allclose((upper - lower) / 2, 1.5 * PLANAR.stall_torque[0])
+    upper, lower, *_ = panels(figures.draw_torques(result))[0].get_lines()
+    assert_allclose((upper.get_ydata() - lower.get_ydata()) / 2, 1.5 * PLANAR.stall_torque[0])
 
 
 def test_success_curve_has_fractions_and_the_payload(results, tmp_path):

@@ -130,7 +130,7 @@ def test_slack_cable_is_marked(kind):
     slack = np.arange(robot.cables) == 0
     left_edge, top, right, bottom = changed(kind, slack=slack)
     painter = painter_of(kind)
-    base = painter._camera.project(painter._base)[0] / (2 * np.array([640, 480]))
+    base = painter._camera.project(painter._base)[0] / (640, 480)
     assert left_edge - 0.05 < base[0] < right + 0.05
     assert top - 0.05 < base[1] < bottom + 0.05
     assert right < 0.72
@@ -160,5 +160,5 @@ def test_robot_is_at_its_pose(kind):
         steel(painter.array(replace(moment, pose=pose)))[1].mean() for pose in (moment.pose, far)
     ]
     assert columns[1] - columns[0] == pytest.approx(
-        painter._camera.pixels(0.1, np.zeros(3)) / 2, rel=0.25
+        painter._camera.pixels(0.1, np.zeros(3)), rel=0.25
     )

@@ -10,7 +10,7 @@ from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.report.recording import record_all
-from cablebot_gym.report.replay import LEVELS, RATE, batch_key, platform_points, replays
+from cablebot_gym.report.replay import LEVELS, RATE, platform_points, replays
 from cablebot_gym.robots import SPATIAL
 from cablebot_gym.trajectories import find_trajectory
 
@@ -44,29 +44,16 @@ def unpack_channels(replay):
 
 @pytest.fixture(scope="module")
 def episodes():
-    """Two episodes of each cell, from one batch; the motions differ in length."""
-    loop = {"name": "loop-spatial", "seed": 10000}
-    cells = [
-        cell(),
-        cell(trajectory=loop),
-        cell(payload_known=False),
-        cell(uncertainty="table6", draws=3),
-    ]
-    return dict(
-        zip(
-            ("known", "loop", "unknown", "drawn"),
-            replays([(queried, 4.0) for queried in cells]),
-            strict=True,
-        )
-    )
+    """Two episodes of a cell."""
+    return replays(cell(), 4.0)
 
 
 def test_frames_are_those_of_the_rollout(episodes):
     rollout = record_rollout("fl", SPATIAL_ID, payload=4.0, trajectory="paper-spatial")
     every = 500 // RATE
-    frames = unpack_channels(episodes["known"][0])
-    assert episodes["known"][0].frames == 101
-    assert episodes["known"][0].end == pytest.approx(1.0)
+    frames = unpack_channels(episodes[0])
+    assert episodes[0].frames == 101
+    assert episodes[0].end == pytest.approx(1.0)
     positions = np.array([rollout.moment(index).pose[:3] for index in range(0, 501, every)])
     assert frames["position"] == pytest.approx(positions, abs=1e-5)
     peaks = rollout.arrays["tracking_error_peak"].reshape(-1, every).max(axis=1)
@@ -76,33 +63,31 @@ def test_frames_are_those_of_the_rollout(episodes):
 
 
 @pytest.mark.parametrize(
-    ("name", "options"),
+    ("options", "seed"),
     [
-        ("loop", {"trajectory": {"name": "loop-spatial", "seed": 10000}}),
-        ("unknown", {"payload_known": False}),
-        ("drawn", {"uncertainty": "table6"}),
+        ({"trajectory": {"name": "loop-spatial", "seed": 10000}}, 0),
+        ({"payload_known": False}, 0),
+        (
+            {"uncertainty": "table6"},
+            int(np.random.SeedSequence(0).generate_state(3, np.uint64)[0]) >> 11,
+        ),
     ],
 )
-def test_batch_gives_each_cell_its_own_conditions(episodes, name, options):
-    seed = (
-        0
-        if name != "drawn"
-        else int(np.random.SeedSequence(0).generate_state(3, np.uint64)[0]) >> 11
-    )
+def test_episode_has_the_conditions_of_its_cell(options, seed):
+    draws = 3 if "uncertainty" in options else 1
+    replay, _ = replays(cell(draws=draws, **options), 4.0)
     rollout = record_rollout(
         "fl", SPATIAL_ID, payload=4.0, seed=seed, **{"trajectory": "paper-spatial"} | options
     )
-    replay = episodes[name][0]
     assert replay.carried == rollout.verdict.carried
     assert replay.payload == rollout.payload
     assert replay.end == rollout.arrays["time"][-1]
-    assert unpack_channels(replay)["position"][-1] == pytest.approx(
-        rollout.moment(-1).pose[:3], abs=1e-5
-    )
+    end = unpack_channels(replay)["position"][-1]
+    assert end == pytest.approx(rollout.moment(-1).pose[:3], abs=1e-5)
 
 
 def test_drawn_cables_end_at_the_platform(episodes):
-    frames = unpack_channels(episodes["known"][0])
+    frames = unpack_channels(episodes[0])
     (points, indices) = platform_points(SPATIAL)
     anchors = frames["anchors"].reshape(-1, len(points), 3)[:, indices]
     start = find_trajectory("paper-spatial", 6)(np.zeros(1)).position[0]
@@ -112,7 +97,7 @@ def test_drawn_cables_end_at_the_platform(episodes):
 
 
 def test_second_episode_states_how_the_margin_shrinks(episodes):
-    carried, beyond = episodes["known"]
+    carried, beyond = episodes
     assert carried.payload == 4.0
     assert carried.carried
     assert carried.violation == ""
@@ -133,7 +118,7 @@ def test_second_episode_states_how_the_margin_shrinks(episodes):
 
 
 def test_cell_without_dlcc_has_one_unloaded_episode():
-    ((only,),) = replays([(cell(PLANAR), None)])
+    (only,) = replays(cell(PLANAR), None)
     assert only.payload == 0.0
     assert only.radius == 0.0
 
@@ -145,21 +130,20 @@ def test_robot_of_a_cell_reaches_the_environment():
             "motor-pd",
             robot_changes={"transmission": {"stiffness": stiffness}},
         )
-        return unpack_channels(replays([(changed, 1.0)])[0][0])["position_error"].max()
+        return unpack_channels(replays(changed, 1.0)[0])["position_error"].max()
 
     assert largest_error(100.0) < 0.5 * largest_error(1.0)
 
 
 def test_constant_channels_are_finite():
     still = cell(PLANAR, trajectory={"name": "dwell-planar", "duration": 0.1})
-    for values in unpack_channels(replays([(still, 0.0)])[0][0]).values():
+    for values in unpack_channels(replays(still, 0.0)[0]).values():
         assert np.isfinite(values).all()
 
 
 def test_recording_stores_each_cell_and_keeps_errors_apart(tmp_path, monkeypatch):
     still = {"name": "dwell-planar", "duration": 0.1}
     cells = [cell(PLANAR, trajectory=still), cell(PLANAR, trajectory=still, payload_known=False)]
-    assert batch_key(cells[0]) == batch_key(cells[1])
     wrong = cell(PLANAR, "nobody", trajectory=still)
     queries = {str(index): (queried, 1.0) for index, queried in enumerate([*cells, wrong])}
     recorded = dict(record_all(queries, tmp_path, workers=1, say=pytest.fail))
@@ -173,18 +157,3 @@ def test_recording_stores_each_cell_and_keeps_errors_apart(tmp_path, monkeypatch
     assert dict(record_all(queries, tmp_path, workers=1, say=pytest.fail)) == {
         key: recorded[key] for key in queries
     }
-
-
-def test_failing_episode_costs_its_own_cell_only(tmp_path, monkeypatch):
-    """All cells of a policy run in one batch."""
-    source = "def make(robot):\n    return lambda observation: 1 / (abs(observation[0]) < 9) * 0 * observation[:3]\n"
-    (tmp_path / "fragile.py").write_text(source.replace("observation[0]", "observation[-1]"))
-    monkeypatch.syspath_prepend(tmp_path)
-    still = {"name": "dwell-planar", "duration": 0.1}
-    queries = {
-        "good": (cell(PLANAR, "fragile:make", trajectory=still), 1.0),
-        "bad": (cell(PLANAR, "fragile:make", trajectory=still, uncertainty="nothing"), 1.0),
-    }
-    recorded = dict(record_all(queries, tmp_path / "episodes", workers=1, say=pytest.fail))
-    assert recorded["bad"].startswith("No episode: unknown uncertainty 'nothing'")
-    assert recorded["good"][0].frames == 11

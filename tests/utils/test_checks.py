@@ -27,7 +27,7 @@ def test_valid_values_are_returned_in_one_type():
     assert repr(number("x", np.int64(3), least=3, most=3)) == "3.0"
     assert repr(whole("x", np.int64(3), least=3, most=3)) == "3"
     array = np.array([1, 2])
-    checked = numbers("x", array, shapes=[(2,)], above=0, below=3)
+    checked = numbers("x", array, shapes=[(2,)], above=0)
     assert checked.dtype == float
     checked[0] = 9  # a new array
     assert array.tolist() == [1, 2]
