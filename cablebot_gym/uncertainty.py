@@ -350,6 +350,18 @@ class Uncertainty:
         disturbances = (self.wrench, self.sensors, self.sensor_bias)
         return any(item is not None and item.random for item in disturbances)
 
+    def errors(self) -> dict[str, Uncertainty]:
+        """Each error alone, by name: an uncertain parameter, ``wrench``, ``sensors``,
+        ``sensor_bias`` or ``delay``."""
+        alone = {}
+        for name, distribution in self.parameters.items():
+            alone[name] = Uncertainty(parameters={name: distribution})
+        for name in (*_RECORDS, "delay"):
+            value = getattr(self, name)
+            if value:
+                alone[name] = Uncertainty(**{name: value})
+        return alone
+
     def check(self, robot: Robot) -> None:
         """Checks that the uncertainty is possible for a robot.
 
@@ -612,6 +624,10 @@ UNCERTAINTIES = {
 """
 
 
+ERROR_SEPARATOR = ":"
+"""What separates the name of an uncertainty from that of one of its errors, ``hardware:delay``."""
+
+
 def find_uncertainty(
     uncertainty: str | Mapping[str, Any] | Uncertainty | None, robot: Robot
 ) -> Uncertainty:
@@ -619,7 +635,8 @@ def find_uncertainty(
     :class:`Uncertainty`.
 
     Args:
-        uncertainty: such as ``"table6"``, ``"table6+sensors"``, or ``{"parameters": {"stiffness":
+        uncertainty: such as ``"table6"``, ``"table6+sensors"``, ``"hardware:delay"`` for one error
+            of ``hardware`` alone, or ``{"parameters": {"stiffness":
             {"low": -0.2, "high": 0.2}}, "wrench": {"force_std": 1.0}, "sensors": {"position":
             1e-4}, "delay": 1}``. None for no uncertainty.
         robot: nominal robot.
@@ -641,8 +658,13 @@ def _joined(names: str, robot: Robot) -> Uncertainty:
     merged: dict[str, Any] = {}
     check_not_a_file("uncertainty", names, JSON_FORM)
     for name in names.split("+"):
+        name, _, error = name.partition(ERROR_SEPARATOR)
         choice("uncertainty", name, UNCERTAINTIES, ", or join several by '+'")
-        for key, value in vars(UNCERTAINTIES[name](robot)).items():
+        uncertainty = UNCERTAINTIES[name](robot)
+        if error:
+            errors = uncertainty.errors()
+            uncertainty = errors[choice(f"error of {name!r}", error, errors)]
+        for key, value in vars(uncertainty).items():
             if not value:
                 continue
             if key in merged:

@@ -23,6 +23,7 @@ from cablebot_gym.benchmark.scores import (
     BestKnown,
     Leaderboard,
     best_known_payloads,
+    error_tables,
     leaderboards,
     payload_maps,
     scores,
@@ -255,6 +256,8 @@ def markdown(results: Results) -> str:
         "Number of held-out motions by the first violation beyond the payload.\n\n",
     )
     text += _maps_text(records)
+    for table in error_tables(records):
+        text += f"\n## {tables.error_title(table)}\n\n{_table(tables.error_rows(table))}"
     text += _section("Entries", _entry_rows(results.entries))
     text += _section("Best known payloads", _best_known_rows(best_known_payloads(records).values()))
     text += _section(

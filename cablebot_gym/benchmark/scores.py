@@ -16,6 +16,7 @@ from cablebot_gym.benchmark.records import Record, single_records
 from cablebot_gym.benchmark.yardstick import Yardstick, yardsticks
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import payload_model_text
+from cablebot_gym.uncertainty import ERROR_SEPARATOR
 
 RANKED_MOTIONS = 20
 """Least number of motions for ranks. Fewer do not tell policies apart."""
@@ -206,8 +207,8 @@ def leaderboards(
     records: Sequence[Record], authors: Mapping[str, str] | None = None
 ) -> list[Leaderboard]:
     """The tables in the order of the records, first the main table of an environment. Cells with
-    varied parameters, which belong to maps, and cells of other robots than those of the
-    environments are omitted.
+    varied parameters, which belong to maps, cells with one error alone, and cells of other robots
+    than those of the environments are omitted.
 
     Args:
         records: records of the cells.
@@ -215,7 +216,8 @@ def leaderboards(
     """
     groups: dict[str, dict[bool, list[Score]]] = {}
     for score in scores(records):
-        if score.cell.robot_name is None and not varied_fields(score.cell):
+        is_one_error = ERROR_SEPARATOR in (score.cell.uncertainty or "")
+        if score.cell.robot_name is None and not is_one_error and not varied_fields(score.cell):
             tables = groups.setdefault(score.cell.env_id, {True: [], False: []})
             tables[Column.of(score.cell).is_main].append(score)
     timings: dict[str, dict[str, Mapping[str, Any]]] = {}
@@ -230,6 +232,71 @@ def leaderboards(
                 times = timings.pop(env_id, {})
                 boards.append(_leaderboard(env_id, group, times, authors or {}))
     return boards
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorTable:
+    """DLCC of policies on one motion of one environment, with each error of an uncertainty alone."""
+
+    env_id: str
+    """Environment id."""
+    motion: str
+    """Name of the motion."""
+    payload_known: bool
+    """Whether the policies' models include the payload."""
+    uncertainty: str
+    """Name of the uncertainty."""
+    errors: tuple[str, ...]
+    """Errors: :data:`NO_ERROR`, the errors alone, :data:`ALL_ERRORS`."""
+    policies: Mapping[str, tuple[Score | None, ...]]
+    """Scores by policy, one for each error; None where the policy was not evaluated."""
+
+
+NO_ERROR = "none"
+"""Label of the exactly known robot in an error table."""
+
+ALL_ERRORS = "all together"
+"""Label of the whole uncertainty in an error table."""
+
+
+def error_tables(records: Sequence[Record]) -> list[ErrorTable]:
+    """The error tables of the records, for each environment, motion, payload model and uncertainty
+    of which there is an error alone."""
+    singles = [score for score in scores(records) if score.cell.robot_name is None]
+    groups: dict[tuple[str, str, bool, str], dict[str, dict[str, Score]]] = {}
+    for score in singles:
+        name, _, error = (score.cell.uncertainty or "").partition(ERROR_SEPARATOR)
+        if error:
+            by_error = groups.setdefault((*_place(score.cell), name), {NO_ERROR: {}})
+            by_error.setdefault(error, {})[score.cell.policy] = score
+    tables = []
+    for (env_id, motion, payload_known, uncertainty), by_error in groups.items():
+        for label, name in ((NO_ERROR, None), (ALL_ERRORS, uncertainty)):
+            by_error[label] = {}
+            for score in singles:
+                is_here = _place(score.cell) == (env_id, motion, payload_known)
+                if is_here and score.cell.uncertainty == name:
+                    by_error[label][score.cell.policy] = score
+        names = dict.fromkeys(name for by_policy in by_error.values() for name in by_policy)
+        policies = {}
+        for name in names:
+            policies[name] = tuple(by_policy.get(name) for by_policy in by_error.values())
+        tables.append(
+            ErrorTable(
+                env_id=env_id,
+                motion=motion,
+                payload_known=payload_known,
+                uncertainty=uncertainty,
+                errors=tuple(by_error),
+                policies=policies,
+            )
+        )
+    return tables
+
+
+def _place(cell: PolicyCell) -> tuple[str, str, bool]:
+    """Environment, motion and whether the payload is known."""
+    return cell.env_id, canonical(dict(cell.trajectory)), cell.payload_known
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -34,6 +34,7 @@ from cablebot_gym.policies.protocol import PolicyError
 from cablebot_gym.robots import ELASTIC, find_robot, library
 from cablebot_gym.task import find_error_bounds, to_jsonable
 from cablebot_gym.trajectories import TRAJECTORIES, held_out_seeds
+from cablebot_gym.uncertainty import ERROR_SEPARATOR, find_uncertainty
 from cablebot_gym.utils.checks import choice
 
 REAL_TIME_DRAWS = fewest_draws(0.95, 0.95)
@@ -60,6 +61,8 @@ class Block:
     bounds and payload range."""
     motions: int = 1
     """Number of held-out or hidden motions."""
+    one_at_a_time: bool = False
+    """Whether the block has each error of its uncertainty alone, and none, beside all of them."""
     survey: bool = False
     """Whether all motions of a policy are one cell, a survey."""
     axis: str | None = None
@@ -85,12 +88,19 @@ class Block:
         is_task = self.conditions.get("criterion", "task") == "task"
         return is_task and "uncertainty" not in self.conditions
 
-    def combinations(self) -> list[dict[str, Any]]:
-        """The conditions with each combination of the values of their lists."""
+    def combinations(self, env_id: str) -> list[dict[str, Any]]:
+        """The conditions with each combination of the values of their lists, for an
+        environment."""
+        conditions = dict(self.conditions)
+        if self.one_at_a_time:
+            name = conditions["uncertainty"]
+            errors = find_uncertainty(name, find_robot(env_robot(env_id))).errors()
+            alone = [f"{name}{ERROR_SEPARATOR}{error}" for error in errors]
+            conditions["uncertainty"] = [None, *alone, name]
         values = []
-        for value in self.conditions.values():
+        for value in conditions.values():
             values.append(value if isinstance(value, list) else [value])
-        names = self.conditions.keys()
+        names = conditions.keys()
         return [dict(zip(names, chosen, strict=True)) for chosen in product(*values)]
 
 
@@ -255,14 +265,16 @@ def _policy_cells(
     included = _included(block, names)
     cells: list[PolicyCell] = []
     if block.survey:
-        for name, conditions in product(included, block.combinations()):
+        for name, conditions in product(included, block.combinations(env_id)):
             motions = _survey_motions(block, env_id, name, board)
             data = {"env_id": env_id, "policy": name, **motions, "seed": seed}
             cells.append(SurveyCell(**merged(data, conditions), real_time=real_time))
         return cells
     tasks = _tasks(env_id, block, board)
-    for task, name, conditions in product(tasks, included, block.combinations()):
+    for task, name, conditions in product(tasks, included, block.combinations(env_id)):
         data = merged({"env_id": env_id, "policy": name, **task}, conditions)
+        if block.one_at_a_time and data["uncertainty"] is None:
+            data["draws"] = 1
         if block.motion == "library":
             payload_range = find_robot(task["robot_name"]).defaults.payload_range
             if payload_range is not None:

@@ -196,6 +196,29 @@ def map_rows(payload_map: scores.PayloadMap) -> list[list[str]]:
     return rows
 
 
+def error_title(table: scores.ErrorTable) -> str:
+    """Title of an error table."""
+    motion = motion_title(scores.Column(motion=json.loads(table.motion)["name"]), 1)
+    known = payload_model_text(table.payload_known)
+    return f"{table.env_id}, {motion}, {known}: errors of {table.uncertainty} one at a time"
+
+
+def error_rows(table: scores.ErrorTable) -> list[list[str]]:
+    """Head and rows of an error table: payloads [kg], and what is lost against the exactly known
+    robot."""
+    rows = [["error", *table.policies]]
+    for index, error in enumerate(table.errors):
+        cells = []
+        for entries in table.policies.values():
+            score, exact = entries[index], entries[0]
+            text = "–" if score is None else _payload(score)
+            if score is not exact and score and score.payload and exact and exact.payload:
+                text += f", {score.payload / exact.payload - 1:+.0%}"
+            cells.append(text)
+        rows.append([error.replace("_", " "), *cells])
+    return rows
+
+
 def map_note(payload_map: scores.PayloadMap) -> str:
     """One sentence on the cases with saturated motors; empty if the results do not contain them."""
     saturated = []

@@ -21,6 +21,7 @@ from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.records import Record, single_records
 from cablebot_gym.benchmark.tables import (
     best_known_text,
+    error_title,
     failures,
     fallbacks,
     heading,
@@ -116,6 +117,7 @@ def page_data(
         "robots": list(cells.robots.values()),
         "motions": list(cells.motions.values()),
         "limits": _limits(boards),
+        "errors": _errors(records),
         "maps": [_map(payload_map) for payload_map in scores.payload_maps(records)],
         "notes": _notes(sources, records),
         "rate": RATE,
@@ -440,6 +442,26 @@ def _limits(boards: Sequence[scores.Leaderboard]) -> list[dict[str, Any]]:
         if group:
             limits.append({"policy": policy, "strips": violation_strips(group)})
     return limits
+
+
+def _errors(records: Sequence[Record]) -> list[dict[str, Any]]:
+    """For each error table and policy: payloads with each error alone, 0 if it fails unloaded."""
+    figures = []
+    for table in scores.error_tables(records):
+        for policy, entries in table.policies.items():
+            bars = []
+            for error, score in zip(table.errors, entries, strict=True):
+                if score is not None and score.error is None:
+                    name = error.replace("_", " ")
+                    bars.append(
+                        {
+                            "error": name,
+                            "payload": score.payload or 0.0,
+                            "text": score.payload_text,
+                        }
+                    )
+            figures.append({"title": f"{policy}, {error_title(table)}", "bars": bars})
+    return figures
 
 
 def _map(payload_map: scores.PayloadMap) -> dict[str, Any]:

@@ -17,6 +17,23 @@ function limitFigure(entry) {
   return figure;
 }
 
+// For one policy: the payload with each error of an uncertainty alone.
+
+function errorFigure(entry) {
+  const figure = element("figure"), table = element("table", { class: "limits" });
+  const largest = Math.max(...entry.bars.map((bar) => bar.payload)) || 1;
+  for (const bar of entry.bars) {
+    const row = element("tr"), cell = element("td", { class: "strip" });
+    const picture = drawing("svg", { viewBox: "0 0 1 1", preserveAspectRatio: "none", role: "img", "aria-label": `${bar.error}: ${bar.text}` });
+    picture.append(drawing("rect", { x: 0, y: 0.1, width: bar.payload / largest, height: 0.8 }));
+    cell.append(picture);
+    row.append(element("th", { scope: "row", text: bar.error }), cell, element("td", { class: "number", text: bar.text }));
+    table.append(row);
+  }
+  figure.append(element("figcaption", { text: entry.title }), table);
+  return figure;
+}
+
 function histogram(strip, highest) {
   const bins = strip.counts.length, label = `${strip.kind}: ${strip.count} violations, median at ${percent(strip.fraction)} of the motion`;
   const picture = drawing("svg", { viewBox: `0 0 ${bins} 1`, preserveAspectRatio: "none", role: "img", "aria-label": label });

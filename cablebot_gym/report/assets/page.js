@@ -222,6 +222,8 @@ const leaderboard = makeLeaderboard(data.rows, openRow);
 drawMaps();
 find("limits-body").append(...data.limits.map(limitFigure));
 find("limits").hidden = !data.limits.length;
+find("errors-body").append(...data.errors.map(errorFigure));
+find("errors").hidden = !data.errors.length;
 const linked = data.rows.find((row) => row.key === decodeURIComponent(location.hash.slice(1)));
 const start = linked ?? data.rows[data.start];
 leaderboard.filters.id.value = start.id;
