@@ -213,9 +213,12 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.rounds < 1 or arguments.seconds <= 0:
         parser.error("--rounds must be at least 1 and --seconds greater than 0")
+    console = Console()
+    if not console.is_terminal:
+        console.width = 130
     for name in arguments.ids:
         rates = measure(ROBOTS[name], arguments.rounds, arguments.seconds)
-        Console().print(table_of(name, rates))
+        console.print(table_of(name, rates))
 
 
 if __name__ == "__main__":

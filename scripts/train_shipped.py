@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import shutil
 import sys
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -22,7 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, Card, has_loops, read_cards
+from cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, Card, read_cards
 from cards.figure import draw_curves
 from cards.making import (
     STANDARD,
@@ -31,7 +32,6 @@ from cards.making import (
     make_card,
     read_best_known,
     with_best_known,
-    with_search_results,
 )
 from cards.page import card_markdown
 
@@ -90,9 +90,7 @@ def main() -> None:
         if arguments.policy:
             policies = [SHIPPED[choice("learned policy", arguments.policy, SHIPPED)]]
         pairs = select_pairs(policies, arguments.env_id)
-        if arguments.search:
-            search_missing(pairs, runs=arguments.runs, jobs=arguments.jobs)
-        elif not arguments.page:
+        if not arguments.page:
             ship_all(
                 pairs,
                 seeds=arguments.seeds,
@@ -134,11 +132,6 @@ def _parser() -> argparse.ArgumentParser:
     add_number("--searched", HELD_OUT, "number of these with a search for the best known payload")
     add_number("--jobs", 1, "number of parallel trainings or evaluations")
     parser.add_argument("--page", action="store_true", help="only render page and figure again")
-    parser.add_argument(
-        "--search",
-        action="store_true",
-        help="only search for the best known payloads that are missing in the cards",
-    )
     return parser
 
 
@@ -223,38 +216,6 @@ def _command(shipped: Shipped, env_id: str, seeds: int, protocol: Protocol) -> s
     if protocol.searched != HELD_OUT:
         command += f" --searched {protocol.searched}"
     return command
-
-
-def search_missing(
-    pairs: Sequence[tuple[Shipped, str]],
-    *,
-    runs: Path,
-    jobs: int = 1,
-    weights: Path = WEIGHTS,
-    results: Path = RESULTS,
-) -> None:
-    """Searches for the best known payloads that are missing in the cards; arguments as for
-    :func:`ship_all`.
-
-    Raises:
-        ValueError: if a card cannot be read.
-        RuntimeError: if a search failed.
-    """
-    check_workers(jobs)
-    check_writable_dir(runs / EVALUATIONS)
-    best_known = read_best_known(results)
-    stems = {stem(shipped.name, env_id) for shipped, env_id in pairs}
-    for card in read_cards(weights):
-        name = stem(card.policy, card.env_id)
-        if name not in stems or not has_loops(card.motions):
-            continue
-        if not card.has_present_loops:
-            raise ValueError(
-                f"card {name} has random loops of an earlier family, which cannot be searched. Train "
-                f"it again: {card.command}"
-            )
-        updated = with_search_results(card, _make_evaluate(name, runs, jobs), best_known)
-        replace(updated, command=card.command.partition(" --searched")[0]).save(weights)
 
 
 def run_folder(runs: Path, shipped: Shipped, env_id: str, seed: int) -> Path:
@@ -374,8 +335,8 @@ def _write_files(card: Card, best: Path, weights: Path) -> None:
     if model is None:
         sb3.unlink(missing_ok=True)
     else:
-        _write_bytes(sb3, model)
-    _write_bytes(weights / f"{card.stem}.zip", best.read_bytes())
+        atomic_write(sb3, partial(Path.write_bytes, data=model))
+    atomic_write(weights / f"{card.stem}.zip", partial(shutil.copyfile, best))
     replace(card, sb3=model is not None).save(weights)
     payload = card.shipped.payloads[0] or 0
     _errors.print(
@@ -437,13 +398,6 @@ def write_page(weights: Path, docs: Path, results: Path = RESULTS) -> None:
     atomic_write_text(docs / PAGE, text)
     atomic_write(docs / FIGURE, lambda path: figure.savefig(path, dpi=DPI, format="png"))
     _errors.print(f"wrote {PAGE} and {FIGURE} from {len(cards)} cards")
-
-
-def _write_bytes(path: Path, data: bytes) -> None:
-    def write(temporary: Path) -> None:
-        temporary.write_bytes(data)
-
-    atomic_write(path, write)
 
 
 if __name__ == "__main__":

@@ -53,8 +53,6 @@ class Protocol:
 
     draws: int = DRAWS
     """Number of fresh draws that confirm a payload under an uncertainty."""
-    probability: float = PROBABILITY
-    """Required success rate under an uncertainty."""
     held_out: int = HELD_OUT
     """Number of held-out motions."""
     searched: int = HELD_OUT
@@ -181,7 +179,7 @@ def _evaluated_card(
         loop_durations=loop_durations(env_id),
         conditions=conditions,
         draws=protocol.draws,
-        probability=protocol.probability,
+        probability=PROBABILITY,
         shipped_seed=shipped_seed,
         sha256=hashlib.sha256(policies[shipped_seed].read_bytes()).hexdigest(),
         base_in_training=records[0]["base_payload_kg"],
@@ -238,22 +236,6 @@ def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
     )
     on_circle = best_known.get(_cell(law, env_id, KNOWN).motion_key, card.best_known)
     return replace(card, best_known=on_circle, held_out=held_out)
-
-
-def with_search_results(card: Card, evaluate: Evaluate, best_known: Mapping[str, float]) -> Card:
-    """The card after a search for the best known payload on its held-out motions without one.
-
-    Arguments as for :func:`make_card`; needs the extra ``optimal``.
-
-    Raises:
-        RuntimeError: if a search failed; the message contains the reason.
-    """
-    known = {}
-    for motion in card.held_out:
-        if motion.best_known is not None:
-            known[_best_known_cell(card.env_id, motion.seed).motion_key] = motion.best_known
-    searched = _search(card.env_id, len(card.held_out), known | {**best_known}, evaluate)
-    return with_best_known(card, searched | {**best_known})
 
 
 def _best_known_cell(env_id: str, seed: int) -> BestKnownCell:
@@ -327,7 +309,7 @@ def _cell(
         payload_known=condition.payload_known,
         uncertainty=condition.uncertainty,
         draws=protocol.draws if condition.uncertainty else 1,
-        probability=protocol.probability,
+        probability=PROBABILITY,
     )
 
 
