@@ -11,7 +11,6 @@ from cards.card import Card
 from cards.making import Protocol, base_text, make_card, with_best_known
 from cards.page import card_markdown
 from cards.statistics import iqm, iqm_interval, median_seed
-from scipy.stats import trim_mean
 from shipping import (
     APG_CIRCLE,
     BEST_KNOWN,
@@ -28,13 +27,6 @@ from cablebot_gym.benchmark.cells import BestKnownCell, SurveyCell
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.envs import env_robot
 from cablebot_gym.robots import find_robot
-
-
-def test_interquartile_mean_equals_that_of_scipy():
-    assert iqm([100.0, 2.0, 1.0, 3.0]) == 2.5
-    for count in (1, 3, 5, 8, 11):
-        values = np.random.default_rng(count).normal(size=(4, 3, count))
-        assert iqm(values) == pytest.approx(trim_mean(values, 0.25, axis=-1))
 
 
 def test_interval_equals_that_of_all_resamples():
