@@ -100,15 +100,6 @@ def test_constant_alpha_keeps_minimum_tension_and_acceleration():
     assert np.ptp(alpha) == pytest.approx(0.0, abs=1e-8)
 
 
-@pytest.mark.parametrize(("form", "payload"), [("corrected", 1.34), ("verbatim", 1.99)])
-def test_state_space_agrees_with_other_calculations(form, payload):
-    interpretation = Interpretation(line="pulley", eq24=form)
-    limit = state_space_limit(interpretation, interpretation.flexible("payload"))
-    assert limit.payload == pytest.approx(payload, abs=0.005)
-    assert limit.motor == 2
-    assert limit.time == pytest.approx(0.5, abs=1e-3)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("form", "divisor"), [("corrected", 4e-4), ("verbatim", 1.0004)])
 def test_motors_of_the_state_space_satisfy_eq_24(form, divisor):
