@@ -114,13 +114,11 @@ def make_card(
         The card, and the path of the bundle to ship.
 
     Raises:
-        ValueError: if the runs belong to another policy or to different configurations, or are not
-            bundles.
+        ValueError: if the runs are not bundles.
         RuntimeError: if an evaluation failed; the message contains the reason.
     """
     bundle, *_ = [Bundle.load(run / BEST) for run in runs]
     records = [Bundle.load(run / LAST).card for run in runs]
-    _check_runs(shipped, env_id, runs, records)
     policies = {record["seed"]: run / BEST for record, run in zip(records, runs, strict=True)}
     base = runs[0].parent / f"{stem(shipped.name, env_id)}-base.zip"
     bundle.base_alone.save(base)
@@ -258,25 +256,6 @@ def _search(
                 f"the search for the best known payload on {env_id} failed: {record.error}"
             )
     return _best_known(records)
-
-
-def _check_runs(
-    shipped: Shipped, env_id: str, runs: Sequence[Path], records: Sequence[Mapping[str, Any]]
-) -> None:
-    seeds = [card["seed"] for card in records]
-    if len({*seeds}) != len(seeds):
-        raise ValueError(f"the runs of {shipped.name} must have different seeds, not {seeds}")
-    for run, card in zip(runs, records, strict=True):
-        if (card["env_id"], card["algorithm"]) != (env_id, shipped.algorithm):
-            actual = f"{card['env_id']} by {card['algorithm']}"
-            expected = f"{env_id} by {shipped.algorithm}"
-            raise ValueError(
-                f"run {str(run)!r} is a training on {actual}, not on {expected}: choose another --runs"
-            )
-        if card["config"] != records[0]["config"]:
-            raise ValueError(
-                f"runs {str(runs[0])!r} and {str(run)!r} have different configurations: repeat one of them"
-            )
 
 
 def _seed_run(card: Mapping[str, Any], payloads: tuple[float | None, ...]) -> SeedRun:

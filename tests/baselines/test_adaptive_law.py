@@ -1,4 +1,4 @@
-"""The law that estimates its payload: the estimate, the torque allocation, and the DLCC of both."""
+"""The law that estimates its payload: the estimate, and the torque allocation."""
 
 import math
 
@@ -12,7 +12,6 @@ from cablebot_baselines.classical import Adaptive, Composite, FeedbackLinearizat
 from cablebot_baselines.classical.adaptive import ADAPTIVE, ADAPTIVE_COMPOSITE
 from cablebot_baselines.classical.allocation import allocate
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -155,24 +154,3 @@ def test_law_declares_whether_it_saturates_its_actions():
     observation, _ = gym.make(SPATIAL_ID, payload=15.0).reset(seed=0)
     assert np.abs(free.predict(observation)[0]).max() > 1.2
     assert np.abs(ADAPTIVE.factory(SPATIAL).predict(observation)[0]).max() == 1.0
-
-
-# --- DLCC -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("entry", "env_id", "payload"),
-    [(ADAPTIVE, PLANAR_ID, 1.93), (ADAPTIVE_COMPOSITE, FLEX_ID, 5.45)],
-)
-def test_dlcc_with_unknown_payload(entry, env_id, payload):
-    """On the circle as printed, with tensions above 0. Payload known: fl 1.92 and 4.03 kg, fl4 with
-    springs 4.63 kg."""
-    robot = LAWS[env_id].robot.replace(minimum_tension=1e-9)
-    keywords = {
-        "trajectory": "paper-planar" if robot.planar else "paper-spatial",
-        "robot": robot,
-        "resolution": 0.02,
-    }
-    result = evaluate_dlcc(entry.factory(robot), env_id, payload_known=False, **keywords)
-    assert result.payload == pytest.approx(payload, abs=0.05)

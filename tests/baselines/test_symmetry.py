@@ -1,11 +1,14 @@
 """Equivariant networks: the symmetries of robots, and networks that have them exactly."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cablebot_baselines.learned.features import REFERENCE_FEATURES, feature_symmetry
+from cablebot_baselines.learned.features import feature_symmetry
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
+from cablebot_baselines.learned.runs import read_yaml
 from cablebot_baselines.learned.steering import Shift
 from cablebot_baselines.learned.symmetry import symmetries
 from cablebot_gym.physics.inverse import inverse_dynamics
@@ -13,7 +16,7 @@ from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
 from cablebot_gym.trajectories import find_trajectory
 
-FEATURES = (*REFERENCE_FEATURES, "reference_jerk", "reference_snap")
+FEATURES = read_yaml("CableBot-FlexPlanar-v0", Path("gradient-loops"))["features"]
 LOOP = {"name": "loop-planar", "seed": 3}
 
 

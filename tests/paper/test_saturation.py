@@ -15,7 +15,6 @@ from cablebot_baselines.paper.exact import (
     state_space_profile,
 )
 from cablebot_baselines.paper.interpretation import Interpretation
-from cablebot_baselines.paper.parts.flexible_saturation import with_friction
 from cablebot_baselines.paper.parts.profiles import (
     PayloadSummary,
     computed_profile,
@@ -166,16 +165,3 @@ def test_errors_are_those_of_the_drawn_episodes(results, name, source, loop):
     shown = numbers(name, DEFAULT, results[source])
     assert peak * (1 - 1e-12) <= shown["peak_error_mm"] <= 1.01 * peak + 1e-3
     assert (shown["within"], shown["bound_mm"]) == (True, 10.0)
-
-
-@pytest.mark.slow
-def test_eq_22_leaves_the_tube_without_motor_friction_only(results):
-    shown = numbers("fig14", DEFAULT, results["fig14"])
-    assert not shown["eq22_within"]
-    assert shown["eq22_leaves_s"] < 0.6
-    assert shown["eq22_friction_within"]
-    assert shown["eq22_friction_leaves_s"] is None
-    robot = DEFAULT.flexible("payload")
-    changed = with_friction(DEFAULT, robot)
-    assert changed.motor_damping.tolist() == DEFAULT.spatial("payload").damping.tolist()
-    assert changed.damping.tolist() == robot.damping.tolist()

@@ -54,17 +54,6 @@ _DERIVED = ("shift", "shift_velocity", "actions", "error", *_COMPUTED)
 SHIFT_FEATURES = ("shift", "shift_velocity")
 """Features that exist only with a shifted reference."""
 
-REFERENCE_FEATURES = (
-    "reference_velocity",
-    "reference_acceleration",
-    *("preview_20ms", "preview_50ms", "preview_100ms", "preview_200ms"),
-    "reference_pose",
-    "time_since_start",
-    "time_to_go_decays",
-)
-"""Features of the reference and its preview; they contain neither the payload nor the tracking
-error."""
-
 
 def check_features(names: Sequence[str], robot: Robot) -> tuple[str, ...]:
     """Checks names of features for a robot and returns them.
