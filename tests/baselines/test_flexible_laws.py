@@ -14,7 +14,6 @@ from cablebot_baselines.classical import (
     FourthOrder,
     MotorPD,
 )
-from cablebot_baselines.classical.flexible import Motion
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.physics import textbook
@@ -92,16 +91,6 @@ def test_motor_pd_tracks_a_smooth_motion_closely():
         control_frequency=2000.0,
     )
     assert loop.arrays["tracking_error_peak"].max() < 2e-4
-
-
-def test_taylor_motion_equals_its_polynomial():
-    values = np.random.default_rng(0).normal(size=(5, 3, 6))
-    factors = 0.3 ** np.arange(5) / np.array([1, 1, 2, 6, 24])
-    names = ("position", "velocity", "acceleration", "jerk", "snap")
-    motion = Motion(**dict(zip(names, values, strict=True)))
-    for order, computed in enumerate(motion.after(0.3)):
-        expected = np.tensordot(factors[: 5 - order], values[order:], axes=1)
-        assert_allclose(computed, expected, rtol=1e-12)
 
 
 def test_damping_of_soft_springs_is_the_papers_at_500_hz():
