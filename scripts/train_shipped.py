@@ -58,7 +58,9 @@ from cablebot_gym.utils.workers import run as run_tasks
 
 ROOT = Path(__file__).resolve().parents[1]
 
-RESULTS = ROOT / "docs" / "leaderboard" / "results.json"
+DOCS = ROOT / "docs"
+
+RESULTS = DOCS / "leaderboard" / "results.json"
 """Results of the leaderboard."""
 
 EVALUATIONS = "judged"
@@ -102,7 +104,7 @@ def main() -> None:
                 ),
                 jobs=arguments.jobs,
             )
-        write_page(WEIGHTS, ROOT / "docs")
+        write_page()
     except (ValueError, ImportError, OSError, RuntimeError) as error:
         _errors.print(f"error: {error}")
         sys.exit(2)
@@ -377,26 +379,26 @@ def sb3_model(best: Path) -> bytes | None:
     return compressed.getvalue()
 
 
-def write_page(weights: Path, docs: Path, results: Path = RESULTS) -> None:
+def write_page() -> None:
     """Updates the best known payloads of all cards, and renders page and figure.
 
     Raises:
         ValueError: if there is no card, or one is damaged.
         ImportError: if matplotlib is missing.
     """
-    cards = read_cards(weights)
+    cards = read_cards()
     if not cards:
         raise ValueError(
-            f"folder {weights.name} contains no card. Make one: python scripts/train_shipped.py"
+            f"folder {WEIGHTS.name} contains no card. Make one: python scripts/train_shipped.py"
         )
-    best_known = read_best_known(results)
+    best_known = read_best_known(RESULTS)
     for index, card in enumerate(cards):
         cards[index] = with_best_known(card, best_known)
         if cards[index] != card:
-            cards[index].save(weights)
+            cards[index].save(WEIGHTS)
     text, figure = card_markdown(cards), draw_curves(cards)
-    atomic_write_text(docs / PAGE, text)
-    atomic_write(docs / FIGURE, lambda path: figure.savefig(path, dpi=DPI, format="png"))
+    atomic_write_text(DOCS / PAGE, text)
+    atomic_write(DOCS / FIGURE, lambda path: figure.savefig(path, dpi=DPI, format="png"))
     _errors.print(f"wrote {PAGE} and {FIGURE} from {len(cards)} cards")
 
 

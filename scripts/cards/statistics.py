@@ -26,28 +26,22 @@ def iqm(values: ArrayLike) -> Array:
 
 
 def iqm_interval(
-    strata: Sequence[ArrayLike],
-    *,
-    resamples: int = RESAMPLES,
-    confidence: float = CONFIDENCE,
-    seed: int = 0,
+    strata: Sequence[ArrayLike], *, confidence: float = CONFIDENCE
 ) -> tuple[float, float]:
     """Percentile bootstrap interval (low, high) of the interquartile mean over all values.
 
     Args:
         strata: values of each task, (seeds,); resampling is within each task.
-        resamples: number of resamples.
         confidence: confidence level.
-        seed: seed of the resampling, which does not depend on the version of NumPy.
     """
     drawn = []
     for stratum_index, values in enumerate(np.asarray(stratum, float) for stratum in strata):
         # NumPy guarantees reproducibility across versions for raw bits only.
-        bits = np.random.Philox(np.random.SeedSequence([seed, stratum_index])).random_raw(
-            resamples * len(values)
+        bits = np.random.Philox(np.random.SeedSequence([0, stratum_index])).random_raw(
+            RESAMPLES * len(values)
         )
         index = ((bits >> np.uint64(11)) * 2.0**-53 * len(values)).astype(int)
-        drawn.append(values[index.reshape(resamples, len(values))])
+        drawn.append(values[index.reshape(RESAMPLES, len(values))])
     ends = np.quantile(
         iqm(np.concatenate(drawn, axis=1)), [(1 - confidence) / 2, (1 + confidence) / 2]
     )

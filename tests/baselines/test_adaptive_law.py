@@ -5,6 +5,7 @@ import math
 import gymnasium as gym
 import numpy as np
 import pytest
+from driving import drive, keeps_limits
 from numpy.testing import assert_allclose
 from scipy.optimize import lsq_linear
 
@@ -25,22 +26,15 @@ LAWS = {
 
 
 def run(law, env, *, steps=None):
-    """Whether each episode kept 10 mm, 10 mrad and taut cables, the mass estimates and the last
-    state."""
-    observation, _ = env.reset(seed=0)
-    count = env.num_envs
+    """Whether each episode kept its limits, the mass estimates and the last step."""
     column = observation_layout(law.robot).slices()["model_payload"]
-    state = None
-    start = np.ones(count, np.bool_)
-    is_within = np.ones(count, np.bool_)
+    is_within = np.ones(env.num_envs, np.bool_)
     estimates = []
-    for _ in range(steps or env.unwrapped.tasks[0].steps - 1):
-        action, state = law.predict(observation, state=state, episode_start=start)
-        estimates.append(law.mass(state, law.robot.mass + observation[:, column][:, 0]))
-        observation, _, start, _, info = env.step(action)
-        is_within &= ~start & ~info["slack"].any(axis=1)
-        is_within &= (info["tracking_error_peak"] < 0.01) & (info["rotation_error_peak"] < 0.01)
-    return is_within, np.array(estimates), (observation, state)
+    for step in drive(law, env, steps):
+        mass = law.robot.mass + step.observation[:, column][:, 0]
+        estimates.append(law.mass(step.state, mass))
+        is_within &= keeps_limits(step.info)
+    return is_within, np.array(estimates), step
 
 
 # --- the estimate -----------------------------------------------------------------------------------------------------
@@ -69,16 +63,16 @@ def test_estimate_uses_the_saturated_torque():
     weak = SPATIAL.replace(motors=type(SPATIAL.motors)(stall_torque=2.9, free_speed=20.0))
     env = gym.make_vec(SPATIAL_ID, num_envs=1, robot=weak, payload=1.5, payload_known=False)
     law = Adaptive(FeedbackLinearization(weak), estimator_prior_weight=1e-4, allocation=False)
-    _, estimates, (observation, state) = run(law, env, steps=61)
-    assert np.abs(law.predict(observation, state)[0]).max() > 1.05
+    _, estimates, last = run(law, env, steps=61)
+    assert np.abs(last.action).max() > 1.05
     assert estimates[-1][0] == pytest.approx(11.5, rel=5e-3)
 
 
 def test_new_episode_starts_with_the_model_mass():
     law = Adaptive(LAWS[SPATIAL_ID])
     env = gym.make_vec(SPATIAL_ID, num_envs=2, payload=3.0, payload_known=False)
-    *_, (observation, state) = run(law, env, steps=20)
-    _, state = law.predict(observation, state=state, episode_start=np.array([True, False]))
+    *_, last = run(law, env, steps=20)
+    _, state = law.predict(last.observation, last.state, np.array([True, False]))
     estimate = law.mass(state, np.array([10.0, 10.0]))
     assert estimate[0] == 10.0
     assert estimate[1] > 12.0
