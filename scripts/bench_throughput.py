@@ -63,22 +63,11 @@ ROBOTS = {
     "planar-platform": plain("ttk4900"),
 }
 
-RANDOM_SIZE = 1024
-"""Size of the vector environment for the measurement with random parameters."""
-
 Turn = Callable[[], int]
 """Function that makes some RK4 steps and returns their number."""
 
 PEER = "MuJoCo, 300 steps a call"
 SINGLE = "our env"
-
-
-def vector_name(count: int) -> str:
-    """Name of the contender for a size of our vector environment."""
-    return f"our vector env, N = {count}"
-
-
-RANDOM = f"{vector_name(RANDOM_SIZE)}, random parameters"
 
 
 def action_near_holding(robot: Robot) -> np.ndarray:
@@ -120,15 +109,9 @@ def single_turn(robot: Robot) -> Turn:
     return turn
 
 
-def vector_turn(robot: Robot, count: int, *, drawn: bool = False) -> Turn:
-    """A turn of our vector environment with episodes of 1 s; ``drawn``: with random parameters."""
+def vector_turn(robot: Robot, count: int) -> Turn:
+    """A turn of our vector environment with episodes of 1 s."""
     keywords = keywords_of(robot)
-    if drawn:
-        tenth = {"low": -0.1, "high": 0.1}
-        names = ["platform_mass", "motor_strength", "damping"]
-        if robot.flexible:
-            names.append("stiffness")
-        keywords["uncertainty"] = {"parameters": dict.fromkeys(names, tenth)}
     env = gym.make_vec(fitting_env_id(robot), num_envs=count, max_episode_steps=100, **keywords)
     actions = np.tile(action_near_holding(robot), (count, 1))
     env.reset(seed=0)
@@ -162,8 +145,7 @@ def contenders_for(robot: Robot) -> dict[str, Turn]:
     """The contenders for a robot by name."""
     contenders = {PEER: mujoco_turn(robot), SINGLE: single_turn(robot)}
     for count in SIZES:
-        contenders[vector_name(count)] = vector_turn(robot, count)
-    contenders[RANDOM] = vector_turn(robot, RANDOM_SIZE, drawn=True)
+        contenders[f"our vector env, N = {count}"] = vector_turn(robot, count)
     for turn in contenders.values():
         turn()  # compiles and warms up
     return contenders
@@ -183,15 +165,12 @@ def measure(robot: Robot, rounds: int, seconds: float) -> dict[str, list[float]]
 def table_of(name: str, rates: dict[str, list[float]]) -> Table:
     """Table of the medians of a robot."""
     table = Table(title=f"{name}: medians of the rounds", title_justify="left")
-    for heading in ("contender", "RK4 steps per second", "×", "of"):
+    for heading in ("contender", "RK4 steps per second", "× MuJoCo"):
         table.add_column(heading)
     for contender, values in rates.items():
-        peer = PEER
-        if contender == RANDOM:
-            peer = vector_name(RANDOM_SIZE)
-        ratios = [ours / theirs for ours, theirs in zip(values, rates[peer], strict=True)]
+        ratios = [ours / theirs for ours, theirs in zip(values, rates[PEER], strict=True)]
         median = f"{statistics.median(values):,.0f}"
-        table.add_row(contender, median, f"{statistics.median(ratios):.3g}", peer)
+        table.add_row(contender, median, f"{statistics.median(ratios):.3g}")
     return table
 
 

@@ -6,11 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_baselines.paper import linearised
 from cablebot_baselines.paper.exact import exact_limit
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.laws import FeedForward
-from cablebot_baselines.paper.parts import claims, maps, scan
+from cablebot_baselines.paper.parts import maps, scan
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
 
@@ -73,55 +74,26 @@ def test_map_has_paper_circle_weak_motors_and_slack_cables(monkeypatch, line):
 # --- claims of the text -----------------------------------------------------------------------------------------------
 
 
-def released(stiffness, damping):
-    """Recorded arrays of a loop with an initial error of 1 mm that satisfies ë + K_D ė + K_P e =
-    0."""
-    time = np.arange(5001) / 10_000
-    decay = damping / 2
-    root = np.sqrt(complex(damping**2 / 4 - stiffness))
-    error = (
-        1e-3
-        * np.exp(-decay * time)
-        * np.real(np.cosh(root * time) + decay / root * np.sinh(root * time))
-    )
-    pose = np.stack([0.3 + error, np.full_like(error, -0.2)], axis=1)
-    reference = np.broadcast_to([0.3, -0.2], pose.shape)
-    return SimpleNamespace(arrays={"time": time, "pose": pose, "reference_pose": reference})
-
-
-@pytest.mark.parametrize("gains", [(2000.0, 10.0), (30.0, 20.0)])
-def test_decay_error_is_zero_for_the_given_poles_only(gains):
-    stiffness, damping = gains
-    assert claims.decay_error(released(stiffness, damping), gains) < 1e-9
-    assert claims.decay_error(released(stiffness, 2 * damping), gains) > 0.05
-    assert claims.decay_error(released(2 * stiffness, damping), gains) > 0.05
-
-
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL])
 def test_open_loop_torques_depend_on_the_reference_only(robot):
     rng = np.random.default_rng(3)
-    shape = (4, robot.coordinates)
-    mass = np.full(4, robot.mass + 0.3)
-    reference = robot.home + 0.02 * rng.standard_normal(shape)
-    velocity, acceleration = rng.standard_normal((2, *shape))
+    pose = robot.home + 0.02 * rng.standard_normal(robot.coordinates)
+    velocity, acceleration = rng.standard_normal((2, robot.coordinates))
+    blocks = {
+        "pose": pose,
+        "velocity": velocity,
+        "reference_pose": pose,
+        "reference_velocity": velocity,
+        "reference_acceleration": acceleration,
+    }
+    mass = np.array(robot.mass + 0.3)
+    exact, _ = FeedbackLinearization(robot, minimum_tension=2.0).torques(blocks, mass)
     law = FeedForward(robot, minimum_tension=2.0)
-    tensions = textbook.required_tensions(
-        robot, mass, reference, velocity, acceleration, minimum=2.0
-    )
-    required = textbook.required_torques(robot, tensions, reference, velocity, acceleration)
     for offset in (0.0, 0.01):
-        blocks = {
-            "pose": reference + offset,
-            "velocity": 0.1 * velocity - offset,
-            "reference_pose": reference,
-            "reference_velocity": velocity,
-            "reference_acceleration": acceleration,
-        }
-        torques, speeds = law.torques(blocks, mass)
-        assert torques == pytest.approx(required, rel=1e-9)
-        assert speeds == pytest.approx(
-            textbook.pulley_speed(robot, blocks["pose"], blocks["velocity"]), rel=1e-9
-        )
+        state = {"pose": pose + offset, "velocity": velocity - offset}
+        torques, speeds = law.torques(blocks | state, mass)
+        assert torques == pytest.approx(exact, rel=1e-9)
+        assert speeds == pytest.approx(textbook.pulley_speed(robot, *state.values()), rel=1e-9)
 
 
 # --- controllability --------------------------------------------------------------------------------------------------

@@ -1,5 +1,5 @@
 """Load iteration of the paper: the corrected form finds the exact payload, the printed form half of
-it."""
+it; tests/errata has the coefficients of single motors."""
 
 import math
 
@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cablebot_baselines.paper.load_iteration import iterate_load, load_coefficient
+from cablebot_baselines.paper.load_iteration import iterate_load
 from cablebot_gym.bounds.closed_form import exact_payload
-from cablebot_gym.robots import PLANAR, RPM, SPATIAL
+from cablebot_gym.robots import PLANAR, SPATIAL
 from cablebot_gym.trajectories import TRAJECTORIES, find_trajectory, trajectory_names
 
 MOVING = {name for kind in ("planar", "spatial") for name in trajectory_names(kind)} - {
@@ -18,34 +18,6 @@ MOVING = {name for kind in ("planar", "spatial") for name in trajectory_names(ki
 CIRCLE = find_trajectory("paper-spatial", 6)
 TOO_FAST = find_trajectory({"name": "smooth-circle-spatial", "duration": 1.0, "dwell": 0}, 6)
 """Motor 2 is overloaded by the platform alone, by 1.26 kg."""
-
-
-@pytest.mark.parametrize(
-    ("full", "empty", "corrected", "printed"),
-    [
-        (3.0, 1.0, 2.0, 1.0),  # (5 - 1)/2; the printed (5 - 3)/2
-        (-1.0, 1.0, 3.0, 2.0),  # (-5 - 1)/-2; the printed (-5 + 1)/-2
-        (1.0, 2.0, 7.0, 4.0),  # positive, but falling to -5: (-5 - 2)/-1; the printed |(5 - 1)/-1|
-        (-1.0, -2.0, 7.0, 4.0),  # negative, but rising to 5
-        (7.0, 6.0, -1.0, 2.0),  # overloaded without load: (5 - 6)/1; the printed |(5 - 7)/1|
-        (5.0, 5.0, math.inf, math.inf),  # does not depend on the load
-    ],
-)
-def test_coefficient_of_both_forms(full, empty, corrected, printed):
-    """Planar motors of 5 N·m."""
-    for is_corrected, expected in ((True, corrected), (False, printed)):
-        motors = load_coefficient(
-            PLANAR, [full, 1.0, 1.0], [empty, 1.0, 1.0], np.zeros(3), corrected=is_corrected
-        )
-        assert_allclose(motors, [expected, np.inf, np.inf])
-
-
-@pytest.mark.parametrize(("corrected", "torque"), [(True, 1.0), (False, 2.0)])
-def test_coefficient_uses_the_motor_speed(corrected, torque):
-    """At 200 rpm of 1000 the line has fallen by a fifth of 5 N·m."""
-    speed = np.array([200.0, -200.0, 0.0]) * RPM
-    motors = load_coefficient(PLANAR, np.full(3, 2.0), np.ones(3), speed, corrected=corrected)
-    assert_allclose(motors, [4 - torque, 6 - torque, 5 - torque])
 
 
 @pytest.mark.parametrize("name", sorted(MOVING))
