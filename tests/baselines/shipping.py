@@ -59,12 +59,14 @@ def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
         "curve": [{"timesteps": 350, "wall_s": 60.0, "payload_kg": IN_TRAINING.get(seed)}],
         "base_payload_kg": 1.4,
     }
-    settings = {
-        "base": steering.base,
-        "action_mapping": steering.action_mapping,
-        "features": steering.features,
-    }
-    bundle = Bundle(env_id=env_id, network=network, card=card | changes, **settings)
+    bundle = Bundle(
+        env_id=env_id,
+        base=steering.base,
+        action_mapping=steering.action_mapping,
+        features=steering.features,
+        network=network,
+        card=card | changes,
+    )
     bundle.save(folder / BEST)
     bundle.save(folder / LAST)
     return folder

@@ -57,7 +57,7 @@ def parts(monkeypatch):
 def interrupt(folder, count):
     """Runs until ``count`` computations are finished, and returns the missing parts."""
 
-    def progress(activity, done, total):
+    def progress(done, total, activity):
         if done >= count:
             raise KeyboardInterrupt
 

@@ -92,7 +92,7 @@ def test_new_parts_are_the_stored_ones(stored, new):
 def test_one_process_gives_the_numbers_of_worker_processes(new, tmp_path):
     steps = []
 
-    def progress(activity, done, expected):
+    def progress(done, expected, activity):
         steps.append((done, expected))
 
     alone = reproduce(Interpretation(), tmp_path, only=["eq37"], workers=1, progress=progress)
