@@ -10,12 +10,9 @@ from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors
 
-IDS = {"planar": "CableBot-Planar-v0", "spatial": "CableBot-Spatial-v0"}
-ROBOTS = {"planar": PLANAR, "spatial": SPATIAL}
-GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
+PAPER_GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
 """(K_P, K_D), Tables 2 and 4."""
 
-each_kind = pytest.mark.parametrize("kind", list(ROBOTS))
 STRONG = Motors(stall_torque=20.0, free_speed=1000 * RPM)
 
 SQUARE = PLANAR.replace(
@@ -48,25 +45,25 @@ def random_observations(robot, count):
 # --- the law ----------------------------------------------------------------------------------------------------------
 
 
-@each_kind
+@pytest.mark.parametrize("robot", [PLANAR, SPATIAL])
 @pytest.mark.parametrize(
     ("motors", "gains", "minimum"), [(None, None, 5.0), (STRONG, (123.0, 4.5), 17.0)]
 )
-def test_actions_equal_the_paper_s_equations(kind, motors, gains, minimum):
+def test_actions_equal_the_paper_s_equations(robot, motors, gains, minimum):
     """Eqs. 10–13 (planar) and 16–18 (spatial); on a planar robot the least tension is the
     minimum."""
-    robot = ROBOTS[kind].replace(motors=motors or ROBOTS[kind].motors)
+    robot = robot.replace(motors=motors or robot.motors)
     observation = random_observations(robot, 40)
     law = FeedbackLinearization(robot, gains=gains, minimum_tension=minimum)
     x = law.split(observation)
-    stiffness, damping = gains or GAINS[kind]
+    stiffness, damping = gains or PAPER_GAINS[robot.kind]
     # Eq. 18
     v = (
         x["reference_acceleration"]
         + damping * (x["reference_velocity"] - x["velocity"])
         + stiffness * (x["reference_pose"] - x["pose"])
     )
-    mass = {"planar": 1.0, "spatial": 10.0}[kind] + x["model_payload"][:, 0]
+    mass = robot.mass + x["model_payload"][:, 0]
     tensions = textbook.required_tensions(robot, mass, x["pose"], x["velocity"], v, minimum=minimum)
     torques = textbook.required_torques(robot, tensions, x["pose"], x["velocity"], v)
     speeds = textbook.pulley_speed(robot, x["pose"], x["velocity"])
@@ -80,10 +77,11 @@ def test_actions_equal_the_paper_s_equations(kind, motors, gains, minimum):
 # --- in the loop ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("env_id", "robot"), [(IDS["planar"], SQUARE), (IDS["spatial"], SPATIAL)])
-def test_closed_loop_tracks_the_reference_within_a_millimetre(env_id, robot):
+@pytest.mark.parametrize("robot", [SQUARE, SPATIAL])
+def test_closed_loop_tracks_the_reference_within_a_millimetre(robot):
     """Also with four cables in the plane; the plant has the tensions that the law requests."""
     law = FeedbackLinearization(robot, minimum_tension=3.0)
+    env_id = f"CableBot-{robot.kind.capitalize()}-v0"
     loop = record_rollout(law, env_id, robot=robot, trajectory=f"paper-{robot.kind}")
     arrays = loop.arrays
     assert not loop.reason

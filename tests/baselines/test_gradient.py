@@ -146,8 +146,6 @@ def test_violations_equal_the_inverse_dynamics():
             "softness is for planar robots with three cables",
         ),
         (lambda: made(SPATIAL, Shift(), tension=0.5), "below the robot's 1 N"),
-        (lambda: GradientSettings(iterations=0), "iterations"),
-        (lambda: GradientSettings(lighter=1.0), "lighter"),
         (lambda: GradientSettings(softness=(1.0,)), "softness"),
         (lambda: configured(motions="circle"), "motions"),
         (lambda: configured(motions={"loops": VALIDATION[0] + 1}), "loops"),
