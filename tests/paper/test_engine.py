@@ -75,12 +75,6 @@ def test_shared_computations_run_once(tmp_path):
     assert {path.name for path in tmp_path.glob("*.[ps][nv]g")} == {"one.png", "one.svg"}
 
 
-def test_interpretation_is_part_of_the_key_of_a_job():
-    key = job(limit, interpretation=DEFAULT).key
-    assert key == job(limit, interpretation=Interpretation()).key
-    assert key != job(limit, interpretation=FLAT).key
-
-
 def test_only_keeps_parts_of_the_same_code_and_interpretation(tmp_path, monkeypatch):
     reproduce(DEFAULT, tmp_path, workers=1)
     computed.clear()
