@@ -166,7 +166,6 @@ def ship_all(
     protocol: Protocol = STANDARD,
     jobs: int = 1,
     weights: Path = WEIGHTS,
-    results: Path = RESULTS,
 ) -> None:
     """Runs the missing trainings, then evaluates and writes one policy after the other.
 
@@ -177,7 +176,6 @@ def ship_all(
         protocol: sizes of the evaluation.
         jobs: number of parallel trainings or evaluations.
         weights: folder for weights and cards.
-        results: results of the leaderboard, for the best known payloads.
 
     Raises:
         ValueError: if a number is too small, or a run belongs to another policy or another
@@ -196,7 +194,7 @@ def ship_all(
     check_workers(jobs)
     check_writable_dir(runs / EVALUATIONS)
     check_writable_dir(weights)
-    best_known = read_best_known(results)
+    best_known = read_best_known(RESULTS)
     train_missing(pairs, seeds=seeds, runs=runs, jobs=jobs)
     for shipped, env_id in pairs:
         card, best = make_card(

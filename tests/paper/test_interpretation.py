@@ -53,8 +53,7 @@ def test_cable_line_uses_the_rate_of_the_cable_length():
 @pytest.mark.parametrize("line", ["cable", "reversed", "pulley"])
 def test_line_that_no_motor_has_allows_no_closed_loop(line):
     interpretation = Interpretation(line=line)
-    with pytest.raises(ValueError, match="flat or physical"):
-        interpretation.motors(FLEX_SPATIAL)
+    assert not interpretation.flexible_loop_possible
     assert interpretation.closed_loop_robot(FLEX_SPATIAL) == FLEX_SPATIAL
     # a rigid motor turns with its pulley
     assert interpretation.closed_loop_possible is (line == "pulley")

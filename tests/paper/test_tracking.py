@@ -123,8 +123,5 @@ def test_episodes_of_one_draw_differ_in_the_law_only():
     assert plain.compute.keywords | {"law": None} == better.compute.keywords | {"law": None}
     for env_id, job in robust.term_jobs(DEFAULT).items():
         assert job.key == jobs[f"{env_id} robust"].key
-    plain_loop, better_loop = plain.compute(), better.compute()
-    assert 0.5 < robust.reduced(plain_loop, better_loop, "tracking_error") < 0.8
-    assert robust.reduced(better_loop, plain_loop, "tracking_error") < 0
-    lost = SimpleNamespace(arrays=plain_loop.arrays, reason="slack")
-    assert robust.reduced(lost, better_loop, "tracking_error") is None
+    lost = SimpleNamespace(reason="slack")
+    assert robust.reduced(lost, lost, "tracking_error") is None

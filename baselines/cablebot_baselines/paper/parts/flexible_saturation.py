@@ -81,7 +81,7 @@ def path_jobs(interpretation: Interpretation) -> Jobs:
     """Episodes of Fig. 14."""
     if not interpretation.flexible_loop_possible:
         return {}
-    robot = interpretation.motors(interpretation.flexible("payload"))
+    robot = interpretation.closed_loop_robot(interpretation.flexible("payload"))
     return {
         "fl4": _payload(robot, FourthOrder, "fl4"),
         "empty": _episode(robot, FourthOrder),
@@ -219,8 +219,8 @@ def torque_jobs(interpretation: Interpretation) -> Jobs:
     }
     if not interpretation.flexible_loop_possible:
         return jobs
-    rigid = interpretation.motors(rigid)
-    robot = interpretation.motors(robot)
+    rigid = interpretation.closed_loop_robot(rigid)
+    robot = interpretation.closed_loop_robot(robot)
     loop = {"env_id": SPATIAL, "law": FeedbackLinearization, "robot": rigid, "name": "fl"}
     return jobs | {
         "fl4": _payload(robot, FourthOrder, "fl4"),
@@ -284,7 +284,7 @@ def draw_torques(interpretation: Interpretation, results: Results) -> Figure:
     if interpretation.flexible_loop_possible:
         summary = PayloadSummary.simulated(results["fl4"])
         shown = _shown(results)
-        profile = profiles.simulated_profile(interpretation.motors(robot), shown.arrays)
+        profile = profiles.simulated_profile(interpretation.closed_loop_robot(robot), shown.arrays)
         profiles.draw_panels(panels[0], profile, profiles.first_saturation(profile, summary))
         title = "Robot with joint springs, fl4 in closed loop, paper criterion: |a| ≤ 1 at every control instant"
         rigid = results["rigid"].payload

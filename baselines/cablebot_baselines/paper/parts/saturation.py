@@ -70,7 +70,7 @@ class Rigid:
         loop = {
             "env_id": f"CableBot-{self.kind.capitalize()}-v0",
             "law": law,
-            "robot": interpretation.motors(robot),
+            "robot": interpretation.closed_loop_robot(robot),
         }
         payload = partial(job, largest_payload, **loop, name="fl")
         jobs["paper"] = payload(criterion="paper")
@@ -104,7 +104,9 @@ class Rigid:
         if self.closed_loop_possible(interpretation):
             summary = PayloadSummary.simulated(results["paper"])
             shown = _shown(results)
-            profile = profiles.simulated_profile(interpretation.motors(robot), shown.arrays)
+            profile = profiles.simulated_profile(
+                interpretation.closed_loop_robot(robot), shown.arrays
+            )
             end_reason = shown.end_reason
             description = (
                 "in closed loop with fl, paper criterion: |a| ≤ 1 at every control instant"
