@@ -1,7 +1,5 @@
 """The paper's law for joint springs (Eq. 22): its instability, and the effect of motor friction."""
 
-import dataclasses
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -21,9 +19,7 @@ PERIOD = 1 / 500
 def robot(stiffness, *, friction=0.0, unsaturated_actions=False):
     """The paper's robot at 11 kg; unsaturated motors have a very large stall torque and the same
     slope."""
-    springs = dataclasses.replace(
-        FLEX_SPATIAL.transmission, stiffness=stiffness, motor_damping=friction
-    )
+    springs = FLEX_SPATIAL.transmission.replace(stiffness=stiffness, motor_damping=friction)
     paper_robot = FLEX_SPATIAL.replace(mass=11.0, transmission=springs)
     return linearised.unsaturated_actions(paper_robot) if unsaturated_actions else paper_robot
 

@@ -1,7 +1,5 @@
 """The laws for joint springs: figures of independent runs, and the equations that they solve."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -25,7 +23,7 @@ FLEX_PLANAR_ID = "CableBot-FlexPlanar-v0"
 
 
 def with_stiffness(stiffness, mass):
-    transmission = dataclasses.replace(FLEX_SPATIAL.transmission, stiffness=stiffness)
+    transmission = FLEX_SPATIAL.transmission.replace(stiffness=stiffness)
     return FLEX_SPATIAL.replace(mass=mass, transmission=transmission)
 
 

@@ -19,14 +19,13 @@ from steering import (
 )
 
 from cablebot_baselines.learned.base import Base
-from cablebot_baselines.learned.features import RBF_COUNT
 from cablebot_baselines.learned.steering import (
     DERIVATIVES,
     Residual,
     Shift,
 )
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
+from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import find_trajectory
 
@@ -185,12 +184,3 @@ def test_shifted_motion_starts_at_rest_at_the_start_pose(preview):
         assert_allclose(reference["reference_pose"], blocks["pose"], rtol=0, atol=1e-15)
         assert_allclose(reference["reference_velocity"], 0.0, atol=1e-13)
     assert tasks[0].start_pose[2] > poses[0][2] + 1e-3
-
-
-def test_progress_features_span_the_motion():
-    steering = steering_of(features=("rbf_progress",))
-    rows = np.zeros((RBF_COUNT, observation_layout(PLANAR).size))
-    observation_layout(PLANAR).split(rows)["time_to_go"][::-1, 0] = np.arange(len(rows)) * PERIOD
-    _, learner = steer(steering, rows, np.zeros((len(rows), 2)))
-    assert np.argmax(learner, axis=1).tolist() == list(range(RBF_COUNT))
-    assert_allclose(np.diagonal(learner), 1.0)

@@ -85,7 +85,7 @@ def test_network_is_equivariant_before_and_after_training(hidden, iterations):
     outputs = network(inputs)
     assert np.abs(outputs).min() > 1e-4
     for transform in symmetries(FLEX_PLANAR):
-        transformed = network(inputs @ feature_symmetry(FEATURES, FLEX_PLANAR, transform).T)
+        transformed = network(inputs @ feature_symmetry(FEATURES, transform).T)
         assert_allclose(transformed, outputs @ transform.T, atol=1e-12)
     assert not hidden or np.abs(network(-inputs) + outputs).max() > 1e-3  # it is not odd by itself
 
@@ -94,4 +94,4 @@ def test_spatial_robots_and_other_features_raise():
     with pytest.raises(ValueError, match="planar robots, but 'spatial' is spatial"):
         symmetries(SPATIAL)
     with pytest.raises(ValueError, match="feature 'motor_angle' is invalid with symmetric"):
-        feature_symmetry(["motor_angle"], FLEX_PLANAR, np.eye(2))
+        feature_symmetry(["motor_angle"], np.eye(2))
