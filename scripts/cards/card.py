@@ -249,11 +249,9 @@ class Card:
                 f"the text is not a card of a policy ({type(error).__name__}: {error})"
             ) from error
 
-    def save(self, folder: Path) -> Path:
+    def save(self, folder: Path) -> None:
         """Writes ``NAME-KIND.json`` atomically."""
-        path = folder / f"{self.stem}.json"
-        atomic_write_text(path, self.to_json())
-        return path
+        atomic_write_text(folder / f"{self.stem}.json", self.to_json())
 
 
 def _json(value: Any) -> str:

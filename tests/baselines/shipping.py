@@ -84,7 +84,7 @@ def survey_result(payloads):
     }
 
 
-def ship(runs, weights, **keywords):
+def ship(runs, weights):
     """Ships ``apg-circle`` on the planar robot and returns its card."""
     script.ship_all(
         [(APG_CIRCLE, PLANAR_ID)],
@@ -92,7 +92,6 @@ def ship(runs, weights, **keywords):
         runs=runs,
         weights=weights,
         protocol=Protocol(held_out=4),
-        **keywords,
     )
     (card,) = read_cards(weights)
     return card

@@ -131,7 +131,6 @@ def test_episode_start_is_one_boolean_or_one_per_row():
         (Robust, SPATIAL, {"q": [[1.0, 0.5], [0.2, 1.0]]}, "symmetric and positive definite"),
         (Robust, SPATIAL, {"q": [1.0, 1.0]}, "q must be a positive number or a 2×2 matrix"),
         (Composite, SPATIAL, {}, "needs joint springs"),
-        (Composite, FLEX_SPATIAL, {"gains": (30.0, -1.0)}, "gains must be"),
         (Composite, FLEX_SPATIAL, {"spring_damping": -1.0}, "spring_damping must be"),
         (MotorPD, FLEX_SPATIAL, {"frequency": 0.0}, "frequency must be"),
         (MotorPD, FLEX_SPATIAL, {"damping_ratio": 0.0}, "damping_ratio must be"),

@@ -25,9 +25,9 @@ def narrow(monkeypatch):
     """Restricts the scan to few geometries."""
     all_sizes = dict(scan.SIZES)
 
-    def narrowed(*, base_turn=0.0, platform_turn=0.0, sizes=("half side",)):
+    def narrowed(*, base_turn=0.0, sizes=("half side",)):
         monkeypatch.setattr(scan, "BASE_TURNS", np.array([base_turn]))
-        monkeypatch.setattr(scan, "PLATFORM_TURNS", np.array([platform_turn]))
+        monkeypatch.setattr(scan, "PLATFORM_TURNS", np.zeros(1))
         monkeypatch.setattr(scan, "SIZES", {size: all_sizes[size] for size in sizes})
 
     return narrowed

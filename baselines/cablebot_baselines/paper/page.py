@@ -87,11 +87,13 @@ def html(results: Results) -> str:
         if token.type == "heading_open" and token.tag == "h2":
             anchor = re.sub(r"\W+", "-", inline.content.lower())
             token.attrSet("id", anchor)
-            links.append(f'<li><a href="#{anchor}">{reader.renderInline(inline.content)}</a></li>')
+            text = reader.renderInline(inline.content)
+            links.append(f'<li><a href="#{anchor}">{text}</a></li>')
         elif token.type == "td_open" and inline.content in _VERDICTS:
             token.attrSet("class", f"verdict {_VERDICTS[inline.content]}")
     body = reader.renderer.render(tokens, reader.options, {})
-    body = body.replace("<table>", f"{_SCROLLED}<table>").replace("</table>", "</table></div>")
+    body = body.replace("<table>", f"{_SCROLLED}<table>")
+    body = body.replace("</table>", "</table></div>")
     frame = Template(load_text("page.html"))
     return frame.substitute(title=TITLE, links="\n".join(links), body=body)
 
