@@ -28,6 +28,8 @@ from cablebot_gym.utils.files import atomic_write_text
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "measurement"
 
+RESULTS = FOLDER / "results.json"
+
 LAWS = {
     "CableBot-Planar-v0": "adaptive",
     "CableBot-Spatial-v0": "adaptive",
@@ -217,9 +219,6 @@ def main() -> None:
         choices=PAPER_ENV_IDS,
         help="environments; all by default",
     )
-    parser.add_argument(
-        "--out", type=Path, default=FOLDER / "results.json", help="file of the results"
-    )
     arguments = parser.parse_args()
     data: dict[str, Any] = {
         "draws": DRAWS,
@@ -227,19 +226,19 @@ def main() -> None:
         "versions": versions(),
         "cases": [],
     }
-    if arguments.out.is_file():
+    if RESULTS.is_file():
         settings = {name: value for name, value in data.items() if name != "cases"}
-        data = json.loads(arguments.out.read_text(encoding="utf-8"))
+        data = json.loads(RESULTS.read_text(encoding="utf-8"))
         if settings != {name: data[name] for name in settings}:
-            parser.error(f"{arguments.out} has other settings or versions: remove it")
-    arguments.out.parent.mkdir(exist_ok=True)
+            parser.error(f"{RESULTS} has other settings or versions: remove it")
+    FOLDER.mkdir(exist_ok=True)
     todo = [{"env_id": env_id, **case} for env_id in arguments.env for case in cases(env_id)]
     for number, case in enumerate(todo, 1):
         if any(case.items() <= stored.items() for stored in data["cases"]):
             continue
         data["cases"].append(case | payload(case["env_id"], case))
         text = json.dumps(data, indent=1, ensure_ascii=False)
-        atomic_write_text(arguments.out, text + "\n")
+        atomic_write_text(RESULTS, text + "\n")
         notes_console().print(f"{number} of {len(todo)}: {data['cases'][-1]}")
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import shutil
 import sys
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -22,7 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, Card, has_loops, read_cards
+from cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, Card, read_cards
 from cards.figure import draw_curves
 from cards.making import (
     STANDARD,
@@ -31,7 +32,6 @@ from cards.making import (
     make_card,
     read_best_known,
     with_best_known,
-    with_search_results,
 )
 from cards.page import card_markdown
 
@@ -58,7 +58,9 @@ from cablebot_gym.utils.workers import run as run_tasks
 
 ROOT = Path(__file__).resolve().parents[1]
 
-RESULTS = ROOT / "docs" / "leaderboard" / "results.json"
+DOCS = ROOT / "docs"
+
+RESULTS = DOCS / "leaderboard" / "results.json"
 """Results of the leaderboard."""
 
 EVALUATIONS = "judged"
@@ -90,9 +92,7 @@ def main() -> None:
         if arguments.policy:
             policies = [SHIPPED[choice("learned policy", arguments.policy, SHIPPED)]]
         pairs = select_pairs(policies, arguments.env_id)
-        if arguments.search:
-            search_missing(pairs, runs=arguments.runs, jobs=arguments.jobs)
-        elif not arguments.page:
+        if not arguments.page:
             ship_all(
                 pairs,
                 seeds=arguments.seeds,
@@ -104,7 +104,7 @@ def main() -> None:
                 ),
                 jobs=arguments.jobs,
             )
-        write_page(WEIGHTS, ROOT / "docs")
+        write_page()
     except (ValueError, ImportError, OSError, RuntimeError) as error:
         _errors.print(f"error: {error}")
         sys.exit(2)
@@ -134,11 +134,6 @@ def _parser() -> argparse.ArgumentParser:
     add_number("--searched", HELD_OUT, "number of these with a search for the best known payload")
     add_number("--jobs", 1, "number of parallel trainings or evaluations")
     parser.add_argument("--page", action="store_true", help="only render page and figure again")
-    parser.add_argument(
-        "--search",
-        action="store_true",
-        help="only search for the best known payloads that are missing in the cards",
-    )
     return parser
 
 
@@ -171,7 +166,6 @@ def ship_all(
     protocol: Protocol = STANDARD,
     jobs: int = 1,
     weights: Path = WEIGHTS,
-    results: Path = RESULTS,
 ) -> None:
     """Runs the missing trainings, then evaluates and writes one policy after the other.
 
@@ -182,7 +176,6 @@ def ship_all(
         protocol: sizes of the evaluation.
         jobs: number of parallel trainings or evaluations.
         weights: folder for weights and cards.
-        results: results of the leaderboard, for the best known payloads.
 
     Raises:
         ValueError: if a number is too small, or a run belongs to another policy or another
@@ -201,7 +194,7 @@ def ship_all(
     check_workers(jobs)
     check_writable_dir(runs / EVALUATIONS)
     check_writable_dir(weights)
-    best_known = read_best_known(results)
+    best_known = read_best_known(RESULTS)
     train_missing(pairs, seeds=seeds, runs=runs, jobs=jobs)
     for shipped, env_id in pairs:
         card, best = make_card(
@@ -223,38 +216,6 @@ def _command(shipped: Shipped, env_id: str, seeds: int, protocol: Protocol) -> s
     if protocol.searched != HELD_OUT:
         command += f" --searched {protocol.searched}"
     return command
-
-
-def search_missing(
-    pairs: Sequence[tuple[Shipped, str]],
-    *,
-    runs: Path,
-    jobs: int = 1,
-    weights: Path = WEIGHTS,
-    results: Path = RESULTS,
-) -> None:
-    """Searches for the best known payloads that are missing in the cards; arguments as for
-    :func:`ship_all`.
-
-    Raises:
-        ValueError: if a card cannot be read.
-        RuntimeError: if a search failed.
-    """
-    check_workers(jobs)
-    check_writable_dir(runs / EVALUATIONS)
-    best_known = read_best_known(results)
-    stems = {stem(shipped.name, env_id) for shipped, env_id in pairs}
-    for card in read_cards(weights):
-        name = stem(card.policy, card.env_id)
-        if name not in stems or not has_loops(card.motions):
-            continue
-        if not card.has_present_loops:
-            raise ValueError(
-                f"card {name} has random loops of an earlier family, which cannot be searched. Train "
-                f"it again: {card.command}"
-            )
-        updated = with_search_results(card, _make_evaluate(name, runs, jobs), best_known)
-        replace(updated, command=card.command.partition(" --searched")[0]).save(weights)
 
 
 def run_folder(runs: Path, shipped: Shipped, env_id: str, seed: int) -> Path:
@@ -374,8 +335,8 @@ def _write_files(card: Card, best: Path, weights: Path) -> None:
     if model is None:
         sb3.unlink(missing_ok=True)
     else:
-        _write_bytes(sb3, model)
-    _write_bytes(weights / f"{card.stem}.zip", best.read_bytes())
+        atomic_write(sb3, partial(Path.write_bytes, data=model))
+    atomic_write(weights / f"{card.stem}.zip", partial(shutil.copyfile, best))
     replace(card, sb3=model is not None).save(weights)
     payload = card.shipped.payloads[0] or 0
     _errors.print(
@@ -416,34 +377,27 @@ def sb3_model(best: Path) -> bytes | None:
     return compressed.getvalue()
 
 
-def write_page(weights: Path, docs: Path, results: Path = RESULTS) -> None:
+def write_page() -> None:
     """Updates the best known payloads of all cards, and renders page and figure.
 
     Raises:
         ValueError: if there is no card, or one is damaged.
         ImportError: if matplotlib is missing.
     """
-    cards = read_cards(weights)
+    cards = read_cards()
     if not cards:
         raise ValueError(
-            f"folder {weights.name} contains no card. Make one: python scripts/train_shipped.py"
+            f"folder {WEIGHTS.name} contains no card. Make one: python scripts/train_shipped.py"
         )
-    best_known = read_best_known(results)
+    best_known = read_best_known(RESULTS)
     for index, card in enumerate(cards):
         cards[index] = with_best_known(card, best_known)
         if cards[index] != card:
-            cards[index].save(weights)
+            cards[index].save(WEIGHTS)
     text, figure = card_markdown(cards), draw_curves(cards)
-    atomic_write_text(docs / PAGE, text)
-    atomic_write(docs / FIGURE, lambda path: figure.savefig(path, dpi=DPI, format="png"))
+    atomic_write_text(DOCS / PAGE, text)
+    atomic_write(DOCS / FIGURE, lambda path: figure.savefig(path, dpi=DPI, format="png"))
     _errors.print(f"wrote {PAGE} and {FIGURE} from {len(cards)} cards")
-
-
-def _write_bytes(path: Path, data: bytes) -> None:
-    def write(temporary: Path) -> None:
-        temporary.write_bytes(data)
-
-    atomic_write(path, write)
 
 
 if __name__ == "__main__":

@@ -271,12 +271,9 @@ def error_tables(records: Sequence[Record]) -> list[ErrorTable]:
             by_error.setdefault(error, {})[score.cell.policy] = score
     tables = []
     for (env_id, motion, payload_known, uncertainty), by_error in groups.items():
-        for label, name in ((NO_ERROR, None), (ALL_ERRORS, uncertainty)):
-            by_error[label] = {}
-            for score in singles:
-                is_here = _place(score.cell) == (env_id, motion, payload_known)
-                if is_here and score.cell.uncertainty == name:
-                    by_error[label][score.cell.policy] = score
+        here = [s for s in singles if _place(s.cell) == (env_id, motion, payload_known)]
+        by_error[NO_ERROR] = {s.cell.policy: s for s in here if s.cell.uncertainty is None}
+        by_error[ALL_ERRORS] = {s.cell.policy: s for s in here if s.cell.uncertainty == uncertainty}
         names = dict.fromkeys(name for by_policy in by_error.values() for name in by_policy)
         policies = {}
         for name in names:

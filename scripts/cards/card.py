@@ -107,11 +107,7 @@ class HeldOut:
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """Card of a shipped policy in one environment; JSON-able.
-
-    Raises:
-        ValueError: if its fields are inconsistent.
-    """
+    """Card of a shipped policy in one environment; JSON-able."""
 
     policy: str
     env_id: str
@@ -172,21 +168,6 @@ class Card:
     sb3: bool = False
     """Whether ``NAME-KIND-sb3.zip``, the model of Stable-Baselines3 with the same actor, is shipped
     too."""
-
-    def __post_init__(self) -> None:
-        rows = [self.base_payloads, self.law_payloads, *(run.payloads for run in self.seeds)]
-        if not self.conditions or {*map(len, rows)} != {len(self.conditions)}:
-            raise ValueError("a card must have one payload for each condition")
-        seeds = [run.seed for run in self.seeds]
-        if len({*seeds}) != len(seeds) or self.shipped_seed not in seeds:
-            raise ValueError(
-                f"the seeds of a card must be distinct and include the shipped one, not {seeds}"
-            )
-        for run in (*self.evaluated_runs, self.shipped):
-            if len(run.held_out) != len(self.held_out):
-                raise ValueError(
-                    "the shipped run of a card must have one payload for each held-out motion"
-                )
 
     @property
     def stem(self) -> str:
@@ -268,11 +249,9 @@ class Card:
                 f"the text is not a card of a policy ({type(error).__name__}: {error})"
             ) from error
 
-    def save(self, folder: Path) -> Path:
+    def save(self, folder: Path) -> None:
         """Writes ``NAME-KIND.json`` atomically."""
-        path = folder / f"{self.stem}.json"
-        atomic_write_text(path, self.to_json())
-        return path
+        atomic_write_text(folder / f"{self.stem}.json", self.to_json())
 
 
 def _json(value: Any) -> str:

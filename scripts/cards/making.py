@@ -53,8 +53,6 @@ class Protocol:
 
     draws: int = DRAWS
     """Number of fresh draws that confirm a payload under an uncertainty."""
-    probability: float = PROBABILITY
-    """Required success rate under an uncertainty."""
     held_out: int = HELD_OUT
     """Number of held-out motions."""
     searched: int = HELD_OUT
@@ -116,13 +114,11 @@ def make_card(
         The card, and the path of the bundle to ship.
 
     Raises:
-        ValueError: if the runs belong to another policy or to different configurations, or are not
-            bundles.
+        ValueError: if the runs are not bundles.
         RuntimeError: if an evaluation failed; the message contains the reason.
     """
     bundle, *_ = [Bundle.load(run / BEST) for run in runs]
     records = [Bundle.load(run / LAST).card for run in runs]
-    _check_runs(shipped, env_id, runs, records)
     policies = {record["seed"]: run / BEST for record, run in zip(records, runs, strict=True)}
     base = runs[0].parent / f"{stem(shipped.name, env_id)}-base.zip"
     bundle.base_alone.save(base)
@@ -181,7 +177,7 @@ def _evaluated_card(
         loop_durations=loop_durations(env_id),
         conditions=conditions,
         draws=protocol.draws,
-        probability=protocol.probability,
+        probability=PROBABILITY,
         shipped_seed=shipped_seed,
         sha256=hashlib.sha256(policies[shipped_seed].read_bytes()).hexdigest(),
         base_in_training=records[0]["base_payload_kg"],
@@ -240,22 +236,6 @@ def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
     return replace(card, best_known=on_circle, held_out=held_out)
 
 
-def with_search_results(card: Card, evaluate: Evaluate, best_known: Mapping[str, float]) -> Card:
-    """The card after a search for the best known payload on its held-out motions without one.
-
-    Arguments as for :func:`make_card`; needs the extra ``optimal``.
-
-    Raises:
-        RuntimeError: if a search failed; the message contains the reason.
-    """
-    known = {}
-    for motion in card.held_out:
-        if motion.best_known is not None:
-            known[_best_known_cell(card.env_id, motion.seed).motion_key] = motion.best_known
-    searched = _search(card.env_id, len(card.held_out), known | {**best_known}, evaluate)
-    return with_best_known(card, searched | {**best_known})
-
-
 def _best_known_cell(env_id: str, seed: int) -> BestKnownCell:
     return BestKnownCell(env_id=env_id, trajectory=_loop(env_id, seed))
 
@@ -276,25 +256,6 @@ def _search(
                 f"the search for the best known payload on {env_id} failed: {record.error}"
             )
     return _best_known(records)
-
-
-def _check_runs(
-    shipped: Shipped, env_id: str, runs: Sequence[Path], records: Sequence[Mapping[str, Any]]
-) -> None:
-    seeds = [card["seed"] for card in records]
-    if len({*seeds}) != len(seeds):
-        raise ValueError(f"the runs of {shipped.name} must have different seeds, not {seeds}")
-    for run, card in zip(runs, records, strict=True):
-        if (card["env_id"], card["algorithm"]) != (env_id, shipped.algorithm):
-            actual = f"{card['env_id']} by {card['algorithm']}"
-            expected = f"{env_id} by {shipped.algorithm}"
-            raise ValueError(
-                f"run {str(run)!r} is a training on {actual}, not on {expected}: choose another --runs"
-            )
-        if card["config"] != records[0]["config"]:
-            raise ValueError(
-                f"runs {str(runs[0])!r} and {str(run)!r} have different configurations: repeat one of them"
-            )
 
 
 def _seed_run(card: Mapping[str, Any], payloads: tuple[float | None, ...]) -> SeedRun:
@@ -327,7 +288,7 @@ def _cell(
         payload_known=condition.payload_known,
         uncertainty=condition.uncertainty,
         draws=protocol.draws if condition.uncertainty else 1,
-        probability=protocol.probability,
+        probability=PROBABILITY,
     )
 
 

@@ -59,12 +59,14 @@ def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
         "curve": [{"timesteps": 350, "wall_s": 60.0, "payload_kg": IN_TRAINING.get(seed)}],
         "base_payload_kg": 1.4,
     }
-    settings = {
-        "base": steering.base,
-        "action_mapping": steering.action_mapping,
-        "features": steering.features,
-    }
-    bundle = Bundle(env_id=env_id, network=network, card=card | changes, **settings)
+    bundle = Bundle(
+        env_id=env_id,
+        base=steering.base,
+        action_mapping=steering.action_mapping,
+        features=steering.features,
+        network=network,
+        card=card | changes,
+    )
     bundle.save(folder / BEST)
     bundle.save(folder / LAST)
     return folder
@@ -82,7 +84,7 @@ def survey_result(payloads):
     }
 
 
-def ship(runs, weights, **keywords):
+def ship(runs, weights):
     """Ships ``apg-circle`` on the planar robot and returns its card."""
     script.ship_all(
         [(APG_CIRCLE, PLANAR_ID)],
@@ -90,7 +92,6 @@ def ship(runs, weights, **keywords):
         runs=runs,
         weights=weights,
         protocol=Protocol(held_out=4),
-        **keywords,
     )
     (card,) = read_cards(weights)
     return card

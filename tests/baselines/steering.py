@@ -83,14 +83,14 @@ def network_of(steering, *, scale=1.0, hidden=(8,), seed=1):
 
 def bundle_of(case="planar shift", **network):
     env_id, base, action_mapping, features = CASES[case]
-    trained_network = network_of(steering_of(env_id, base, action_mapping, features), **network)
-    contents = {
-        "base": base,
-        "action_mapping": action_mapping,
-        "features": features,
-        "network": trained_network,
-    }
-    return Bundle(env_id=env_id, card={"seed": 1, "note": "é"}, **contents)
+    return Bundle(
+        env_id=env_id,
+        base=base,
+        action_mapping=action_mapping,
+        features=features,
+        network=network_of(steering_of(env_id, base, action_mapping, features), **network),
+        card={"seed": 1, "note": "é"},
+    )
 
 
 def observations(env_id, steps, envs=4):

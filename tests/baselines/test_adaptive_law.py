@@ -1,10 +1,11 @@
-"""The law that estimates its payload: the estimate, the torque allocation, and the DLCC of both."""
+"""The law that estimates its payload: the estimate, and the torque allocation."""
 
 import math
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from driving import drive, keeps_limits
 from numpy.testing import assert_allclose
 from scipy.optimize import lsq_linear
 
@@ -12,7 +13,6 @@ from cablebot_baselines.classical import Adaptive, Composite, FeedbackLinearizat
 from cablebot_baselines.classical.adaptive import ADAPTIVE, ADAPTIVE_COMPOSITE
 from cablebot_baselines.classical.allocation import allocate
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -26,22 +26,15 @@ LAWS = {
 
 
 def run(law, env, *, steps=None):
-    """Whether each episode kept 10 mm, 10 mrad and taut cables, the mass estimates and the last
-    state."""
-    observation, _ = env.reset(seed=0)
-    count = env.num_envs
+    """Whether each episode kept its limits, the mass estimates and the last step."""
     column = observation_layout(law.robot).slices()["model_payload"]
-    state = None
-    start = np.ones(count, np.bool_)
-    is_within = np.ones(count, np.bool_)
+    is_within = np.ones(env.num_envs, np.bool_)
     estimates = []
-    for _ in range(steps or env.unwrapped.tasks[0].steps - 1):
-        action, state = law.predict(observation, state=state, episode_start=start)
-        estimates.append(law.mass(state, law.robot.mass + observation[:, column][:, 0]))
-        observation, _, start, _, info = env.step(action)
-        is_within &= ~start & ~info["slack"].any(axis=1)
-        is_within &= (info["tracking_error_peak"] < 0.01) & (info["rotation_error_peak"] < 0.01)
-    return is_within, np.array(estimates), (observation, state)
+    for step in drive(law, env, steps):
+        mass = law.robot.mass + step.observation[:, column][:, 0]
+        estimates.append(law.mass(step.state, mass))
+        is_within &= keeps_limits(step.info)
+    return is_within, np.array(estimates), step
 
 
 # --- the estimate -----------------------------------------------------------------------------------------------------
@@ -70,16 +63,16 @@ def test_estimate_uses_the_saturated_torque():
     weak = SPATIAL.replace(motors=type(SPATIAL.motors)(stall_torque=2.9, free_speed=20.0))
     env = gym.make_vec(SPATIAL_ID, num_envs=1, robot=weak, payload=1.5, payload_known=False)
     law = Adaptive(FeedbackLinearization(weak), estimator_prior_weight=1e-4, allocation=False)
-    _, estimates, (observation, state) = run(law, env, steps=61)
-    assert np.abs(law.predict(observation, state)[0]).max() > 1.05
+    _, estimates, last = run(law, env, steps=61)
+    assert np.abs(last.action).max() > 1.05
     assert estimates[-1][0] == pytest.approx(11.5, rel=5e-3)
 
 
 def test_new_episode_starts_with_the_model_mass():
     law = Adaptive(LAWS[SPATIAL_ID])
     env = gym.make_vec(SPATIAL_ID, num_envs=2, payload=3.0, payload_known=False)
-    *_, (observation, state) = run(law, env, steps=20)
-    _, state = law.predict(observation, state=state, episode_start=np.array([True, False]))
+    *_, last = run(law, env, steps=20)
+    _, state = law.predict(last.observation, last.state, np.array([True, False]))
     estimate = law.mass(state, np.array([10.0, 10.0]))
     assert estimate[0] == 10.0
     assert estimate[1] > 12.0
@@ -155,24 +148,3 @@ def test_law_declares_whether_it_saturates_its_actions():
     observation, _ = gym.make(SPATIAL_ID, payload=15.0).reset(seed=0)
     assert np.abs(free.predict(observation)[0]).max() > 1.2
     assert np.abs(ADAPTIVE.factory(SPATIAL).predict(observation)[0]).max() == 1.0
-
-
-# --- DLCC -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("entry", "env_id", "payload"),
-    [(ADAPTIVE, PLANAR_ID, 1.93), (ADAPTIVE_COMPOSITE, FLEX_ID, 5.45)],
-)
-def test_dlcc_with_unknown_payload(entry, env_id, payload):
-    """On the circle as printed, with tensions above 0. Payload known: fl 1.92 and 4.03 kg, fl4 with
-    springs 4.63 kg."""
-    robot = LAWS[env_id].robot.replace(minimum_tension=1e-9)
-    keywords = {
-        "trajectory": "paper-planar" if robot.planar else "paper-spatial",
-        "robot": robot,
-        "resolution": 0.02,
-    }
-    result = evaluate_dlcc(entry.factory(robot), env_id, payload_known=False, **keywords)
-    assert result.payload == pytest.approx(payload, abs=0.05)

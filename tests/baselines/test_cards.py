@@ -3,15 +3,13 @@
 import hashlib
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from cards.card import Card
-from cards.making import Protocol, base_text, make_card, with_best_known, with_search_results
+from cards.making import Protocol, base_text, make_card, with_best_known
 from cards.page import card_markdown
 from cards.statistics import iqm, iqm_interval, median_seed
-from scipy.stats import trim_mean
 from shipping import (
     APG_CIRCLE,
     BEST_KNOWN,
@@ -28,13 +26,6 @@ from cablebot_gym.benchmark.cells import BestKnownCell, SurveyCell
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.envs import env_robot
 from cablebot_gym.robots import find_robot
-
-
-def test_interquartile_mean_equals_that_of_scipy():
-    assert iqm([100.0, 2.0, 1.0, 3.0]) == 2.5
-    for count in (1, 3, 5, 8, 11):
-        values = np.random.default_rng(count).normal(size=(4, 3, count))
-        assert iqm(values) == pytest.approx(trim_mean(values, 0.25, axis=-1))
 
 
 def test_interval_equals_that_of_all_resamples():
@@ -89,58 +80,43 @@ SEARCHED = {10_003: (2.0, True), 10_004: (5.0, True), 10_005: (6.0, False)}
 """Payload that the search finds for the loop of each seed [kg], and whether it is verified."""
 
 
-class Search:
-    """Evaluates cells: three seeds carry 4 kg, one 1 kg, ``fl`` 3 kg. Keeps the seeds of the
-    searched loops."""
-
-    def __init__(self):
-        self.seeds = []
-
-    def __call__(self, cells_by_key):
-        return [self.record(cell) for cell in cells_by_key.values()]
-
-    def record(self, cell):
-        is_final = isinstance(cell, BestKnownCell)
-        if is_final:
-            seed = cell.trajectory["seed"]
-            self.seeds.append(seed)
-            payload, verified = SEARCHED[seed]
-            result = {"payload": payload, "verified": verified, "found": True}
-        else:
-            payload = 1.0
-            if cell.policy == "fl":
-                payload = 3.0
-            elif Path(cell.policy).parent.name[-1] in "023":
-                payload = 4.0
-            result = {"payload": payload}
-            if isinstance(cell, SurveyCell):
-                result = survey_result([payload] * len(cell.parts))
-        return Record(cell=cell, source="", versions={}, result=result, seconds=0.0, final=is_final)
-
-
 def test_best_known_payloads_of_held_out_loops_are_searched(runs):
     motions = {"motions": {"loops": 2}}
     folders = [save_run(runs / f"loops-{seed}", seed, config=motions) for seed in range(5)]
+    seeds = []
 
-    def make(search, count):
-        protocol = Protocol(held_out=6, searched=count)
-        keywords = {"best_known": BEST_KNOWN, "command": "", "protocol": protocol}
-        card, _ = make_card(APG_CIRCLE, PLANAR_ID, folders, evaluate=search, **keywords)
+    def record(cell):
+        result = {"payload": 4.0}
+        is_final = isinstance(cell, BestKnownCell)
+        if is_final:
+            seed = cell.trajectory["seed"]
+            seeds.append(seed)
+            payload, verified = SEARCHED[seed]
+            result = {"payload": payload, "verified": verified, "found": True}
+        elif isinstance(cell, SurveyCell):
+            result = survey_result([4.0] * len(cell.parts))
+        return Record(cell=cell, source="", versions={}, result=result, seconds=0.0, final=is_final)
+
+    def make(count):
+        seeds.clear()
+        card, _ = make_card(
+            APG_CIRCLE,
+            PLANAR_ID,
+            folders,
+            evaluate=lambda cells: [record(cell) for cell in cells.values()],
+            best_known=BEST_KNOWN,
+            command="",
+            protocol=Protocol(held_out=6, searched=count),
+        )
         return card
 
-    search = Search()
-    card = make(search, 6)
-    assert search.seeds == [10_003, 10_004, 10_005]
-    # A seed carries 4 kg on the fourth; the search of the last is not verified.
+    card = make(6)
+    assert seeds == [10_003, 10_004, 10_005]
+    # The policies carry 4 kg on the fourth; the search of the last is not verified.
     assert [loop.best_known for loop in card.held_out[3:]] == [4.0, 5.0, None]
     assert with_best_known(card, BEST_KNOWN) == card
-    search = Search()
-    few = make(search, 4)
-    assert search.seeds == [10_003]
-    assert few.held_out[4].best_known is None
-    search = Search()
-    assert with_search_results(few, search, BEST_KNOWN) == card
-    assert search.seeds == [10_004, 10_005]
+    assert make(4).held_out[4].best_known is None
+    assert seeds == [10_003]
 
 
 @pytest.mark.parametrize(("env_id", "law"), [(PLANAR_ID, "fl"), (FLEX_PLANAR_ID, "motor-pd")])

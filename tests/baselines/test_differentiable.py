@@ -99,16 +99,3 @@ def test_gradients_equal_difference_quotients(robot, softness):
     # With springs the action contains difference quotients in time, whose rounding is larger.
     tolerance = 1e-3 if robot.flexible else 1e-5
     assert torch.autograd.gradcheck(actuation, single, eps=1e-6, atol=tolerance, rtol=1e-4)
-
-
-@pytest.mark.slow
-def test_soft_tensions_equal_the_textbook():
-    robot = FLEX_PLANAR
-    x, mass = motion(robot)
-    keywords = {"minimum": MINIMUM, "softness": 10.0}
-    soft = required_actuation(robot, tensors(robot, x), torch.tensor(mass), **keywords)
-    derivatives = (x.position, x.velocity, x.acceleration)
-    required = inverse_dynamics(robot, mass, *derivatives, minimum=MINIMUM)
-    structure = textbook.jacobian(robot, x.position)
-    expected = textbook.smooth_tension_distribution(structure, required.tensions, MINIMUM, 10.0)
-    assert_allclose(soft.tensions.numpy(), expected, rtol=0, atol=1e-8)

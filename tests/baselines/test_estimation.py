@@ -40,20 +40,19 @@ def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertai
     state = None
     errors = []
     squares = []
+    size = 2 * robot.coordinates
     last_pose = env.pose
     for _ in range(300):
         actions, state = policy.predict(rows, state)
         estimate = state[0]
+        true = np.concatenate([env.pose, env._simulation._plant.velocity], axis=-1)
         if isinstance(estimator, ExtendedKalmanFilter):
-            n = robot.coordinates
-            error = estimate.mean[:, :n] - env.pose
-            rate = estimate.mean[:, n : 2 * n] - env._simulation._plant.velocity
-            errors.append(np.concatenate([error, rate], axis=-1))
-            inverse = np.linalg.inv(estimate.covariance[:, : 2 * n, : 2 * n])
+            errors.append(estimate.mean[:, :size] - true)
+            inverse = np.linalg.inv(estimate.covariance[:, :size, :size])
             squares.append(np.einsum("ij,ijk,ik->i", errors[-1], inverse, errors[-1]))
         else:
-            rate = (estimate - last_pose) / 2e-3 - env._simulation._plant.velocity
-            errors.append(np.concatenate([estimate - env.pose, rate], axis=-1))
+            rate = (estimate - last_pose) / 2e-3
+            errors.append(np.concatenate([estimate, rate], axis=-1) - true)
             last_pose = estimate
         rows = env.step(actions)[0]
     return np.array(errors[50:]), np.array(squares[50:])

@@ -1,22 +1,18 @@
-"""Feedback linearization against the paper's formulas, in closed loop, and its DLCC."""
+"""Feedback linearization against the paper's formulas and in closed loop."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cablebot_baselines.classical import FL, FL_TUNED, FeedbackLinearization
+from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors
 
-IDS = {"planar": "CableBot-Planar-v0", "spatial": "CableBot-Spatial-v0"}
-ROBOTS = {"planar": PLANAR, "spatial": SPATIAL}
-GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
+PAPER_GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
 """(K_P, K_D), Tables 2 and 4."""
 
-each_kind = pytest.mark.parametrize("kind", list(ROBOTS))
 STRONG = Motors(stall_torque=20.0, free_speed=1000 * RPM)
 
 SQUARE = PLANAR.replace(
@@ -49,25 +45,25 @@ def random_observations(robot, count):
 # --- the law ----------------------------------------------------------------------------------------------------------
 
 
-@each_kind
+@pytest.mark.parametrize("robot", [PLANAR, SPATIAL])
 @pytest.mark.parametrize(
     ("motors", "gains", "minimum"), [(None, None, 5.0), (STRONG, (123.0, 4.5), 17.0)]
 )
-def test_actions_equal_the_paper_s_equations(kind, motors, gains, minimum):
+def test_actions_equal_the_paper_s_equations(robot, motors, gains, minimum):
     """Eqs. 10–13 (planar) and 16–18 (spatial); on a planar robot the least tension is the
     minimum."""
-    robot = ROBOTS[kind].replace(motors=motors or ROBOTS[kind].motors)
+    robot = robot.replace(motors=motors or robot.motors)
     observation = random_observations(robot, 40)
     law = FeedbackLinearization(robot, gains=gains, minimum_tension=minimum)
     x = law.split(observation)
-    stiffness, damping = gains or GAINS[kind]
+    stiffness, damping = gains or PAPER_GAINS[robot.kind]
     # Eq. 18
     v = (
         x["reference_acceleration"]
         + damping * (x["reference_velocity"] - x["velocity"])
         + stiffness * (x["reference_pose"] - x["pose"])
     )
-    mass = {"planar": 1.0, "spatial": 10.0}[kind] + x["model_payload"][:, 0]
+    mass = robot.mass + x["model_payload"][:, 0]
     tensions = textbook.required_tensions(robot, mass, x["pose"], x["velocity"], v, minimum=minimum)
     torques = textbook.required_torques(robot, tensions, x["pose"], x["velocity"], v)
     speeds = textbook.pulley_speed(robot, x["pose"], x["velocity"])
@@ -81,40 +77,17 @@ def test_actions_equal_the_paper_s_equations(kind, motors, gains, minimum):
 # --- in the loop ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("env_id", "robot"), [(IDS["planar"], SQUARE), (IDS["spatial"], SPATIAL)])
-def test_closed_loop_tracks_the_reference_within_a_millimetre(env_id, robot):
+@pytest.mark.parametrize("robot", [SQUARE, SPATIAL])
+def test_closed_loop_tracks_the_reference_within_a_millimetre(robot):
     """Also with four cables in the plane; the plant has the tensions that the law requests."""
-    circle = "paper-planar" if robot.planar else "paper-spatial"
-    env = gym.make(env_id, robot=robot, trajectory=circle)
     law = FeedbackLinearization(robot, minimum_tension=3.0)
-    observation, _ = env.reset(seed=0)
-    truncated = False
-    while not truncated:
-        observation, _, terminated, truncated, info = env.step(law.predict(observation)[0])
-        assert not terminated
-        assert not info["slack"].any()
-        if robot.planar and np.all(np.abs(info["commanded_action"]) <= 1):
-            assert info["tensions"].min() == pytest.approx(3.0, rel=1e-6)
-    assert 0 < info["tracking_error_peak"] < 1e-3
-    assert info["rotation_error_peak"] < 1e-3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "paper", "tuned"),
-    [("planar", (1.92, 0.66), (1.94, 0.79)), ("spatial", (4.03, 0.39), (3.88, 4.15))],
-)
-def test_dlcc_with_the_paper_s_and_with_tuned_gains(kind, paper, tuned):
-    """Payload known and unknown on the circle as printed, with tensions above 0 [kg]. Known: gains
-    hardly matter."""
-    keywords = {
-        "trajectory": f"paper-{kind}",
-        "resolution": 0.02,
-        "robot": ROBOTS[kind].replace(minimum_tension=1e-9),
-    }
-    for entry, payloads in ((FL, paper), (FL_TUNED, tuned)):
-        for known, payload in zip((True, False), payloads, strict=True):
-            result = evaluate_dlcc(
-                entry.factory(ROBOTS[kind]), IDS[kind], payload_known=known, **keywords
-            )
-            assert result.payload == pytest.approx(payload, abs=0.04)
+    env_id = f"CableBot-{robot.kind.capitalize()}-v0"
+    loop = record_rollout(law, env_id, robot=robot, trajectory=f"paper-{robot.kind}")
+    arrays = loop.arrays
+    assert not loop.reason
+    assert not arrays["slack"].any()
+    if robot.planar:
+        unsaturated = np.all(np.abs(arrays["commanded_action"]) <= 1, axis=1)
+        assert_allclose(arrays["tensions"][unsaturated].min(axis=1), 3.0, rtol=1e-6)
+    assert 0 < arrays["tracking_error_peak"].max() < 1e-3
+    assert arrays["rotation_error_peak"].max() < 1e-3

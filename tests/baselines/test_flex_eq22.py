@@ -1,7 +1,5 @@
 """The paper's law for joint springs (Eq. 22): its instability, and the effect of motor friction."""
 
-import dataclasses
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -10,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cablebot_baselines.classical import Composite, PaperFlexible
 from cablebot_baselines.paper import linearised
 from cablebot_baselines.paper.linearised import growth_rate
+from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL
 
@@ -20,9 +19,7 @@ PERIOD = 1 / 500
 def robot(stiffness, *, friction=0.0, unsaturated_actions=False):
     """The paper's robot at 11 kg; unsaturated motors have a very large stall torque and the same
     slope."""
-    springs = dataclasses.replace(
-        FLEX_SPATIAL.transmission, stiffness=stiffness, motor_damping=friction
-    )
+    springs = FLEX_SPATIAL.transmission.replace(stiffness=stiffness, motor_damping=friction)
     paper_robot = FLEX_SPATIAL.replace(mass=11.0, transmission=springs)
     return linearised.unsaturated_actions(paper_robot) if unsaturated_actions else paper_robot
 
@@ -30,23 +27,11 @@ def robot(stiffness, *, friction=0.0, unsaturated_actions=False):
 def peaks(law, plant_robot, **keywords):
     """Largest position error in each tenth of a second on Table 3's circle [m]; infinite after a
     termination."""
-    env = gym.make(
-        ID,
-        robot=plant_robot,
-        trajectory="paper-spatial",
-        error_bounds={"position": 0.1},
-        **keywords,
-    )
-    observation, _ = env.reset(seed=0)
-    state = None
-    record = np.full(500, np.inf)
-    for step in range(500):
-        action, state = law.predict(observation, state=state, episode_start=np.array(step == 0))
-        observation, _, terminated, _, info = env.step(action)
-        if terminated:
-            break
-        record[step] = info["tracking_error_peak"]
-    return record.reshape(10, 50).max(axis=1)
+    conditions = {"trajectory": "paper-spatial", "error_bounds": {"position": 0.1}}
+    loop = record_rollout(law, ID, robot=plant_robot, **conditions, **keywords)
+    errors = np.full(500, np.inf)
+    errors[: len(loop) - 1] = loop.arrays["tracking_error_peak"]
+    return errors.reshape(10, 50).max(axis=1)
 
 
 def test_errors_grow_at_the_rate_of_the_linearised_loop():

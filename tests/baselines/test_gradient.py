@@ -14,7 +14,6 @@ from steering import tasks_of
 
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.features import REFERENCE_FEATURES
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
 from cablebot_baselines.learned.gradient_run import VALIDATION, make_gradient_config, train_gradient
 from cablebot_baselines.learned.policy import LearnedPolicy
@@ -24,6 +23,7 @@ from cablebot_baselines.learned.runs import (
     LAST,
     Interrupted,
     TrainingResult,
+    read_yaml,
     shortest_dwell,
 )
 from cablebot_baselines.learned.steering import Shift, Steering
@@ -49,6 +49,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 PLANAR = "CableBot-Planar-v0"
 SPATIAL = "CableBot-Spatial-v0"
 FLEX = "CableBot-FlexSpatial-v0"
+REFERENCE_FEATURES = read_yaml(SPATIAL, Path("gradient-loops"))["features"]
 
 
 def made(env_id, action_mapping, *, features=("rbf_progress",), motions=None, **settings):
@@ -86,12 +87,7 @@ def blocks_on_reference(robot, trajectory, time):
         (PLANAR, "fl", Shift(action_period=0.02, degree=3), ("rbf_progress",)),
         (SPATIAL, "fl", Shift(action_period=0.02, degree=3), ("rbf_progress",)),
         (SPATIAL, "fl", Shift(action_period=0.01, degree=2, preview=0.05), REFERENCE_FEATURES),
-        (
-            FLEX,
-            "motor-pd",
-            Shift(action_period=0.04, degree=4, preview=0.02),
-            ("time_since_start",),
-        ),
+        (FLEX, "motor-pd", Shift(action_period=0.04, degree=4), ("time_since_start",)),
     ],
 )
 def test_training_motion_equals_the_reference_of_the_law(env_id, law, action_mapping, features):
@@ -150,8 +146,6 @@ def test_violations_equal_the_inverse_dynamics():
             "softness is for planar robots with three cables",
         ),
         (lambda: made(SPATIAL, Shift(), tension=0.5), "below the robot's 1 N"),
-        (lambda: GradientSettings(iterations=0), "iterations"),
-        (lambda: GradientSettings(lighter=1.0), "lighter"),
         (lambda: GradientSettings(softness=(1.0,)), "softness"),
         (lambda: configured(motions="circle"), "motions"),
         (lambda: configured(motions={"loops": VALIDATION[0] + 1}), "loops"),
@@ -272,12 +266,6 @@ def test_short_run_carries_far_more_than_its_base(trained):
     payload = evaluate_dlcc(policy, PLANAR, criterion="task", resolution=0.05).payload
     assert payload == bundle.card["payload_kg"] == trained.best.payload_kg
     assert payload > 1.5 * trained.base_payload_kg > 1.0
-    assert bundle.card["seed"] == 3
-    assert not bundle.card["planner_output_used"]
-    assert (
-        bundle.card["command"]
-        == f"cablebot train {PLANAR} --algo gradient --config small.yaml --seed 3 --threads 1"
-    )
 
 
 @pytest.mark.slow
@@ -308,12 +296,8 @@ def test_interrupted_run_resumes_to_the_same_weights(
 
 
 @pytest.mark.slow
-def test_run_that_cannot_be_resumed_is_rejected(trained, tmp_path, config):
+def test_damaged_checkpoint_is_rejected(trained, tmp_path):
     out = shutil.copytree(trained.out, tmp_path / "run")
-    with pytest.raises(ValueError, match="--resume"):
-        train_gradient(PLANAR, out=out, config=config)
-    with pytest.raises(ValueError, match="another"):
-        train_gradient(PLANAR, out=out, resume=True, config=Path("gradient"))
     (TrainingResult.load(out).checkpoint / "training.npz").write_bytes(b"damaged")
     with pytest.raises(ValueError, match="no file was changed"):
         train_gradient(PLANAR, out=out, resume=True)

@@ -6,6 +6,7 @@ from unittest.mock import Mock
 import gymnasium as gym
 import numpy as np
 import pytest
+from driving import drive, keeps_limits
 from numpy.testing import assert_allclose, assert_array_equal
 
 pytest.importorskip("casadi")
@@ -30,23 +31,14 @@ def policies():
 def rollout(policy, env, *, steps=None):
     """Whether each episode kept its limits, largest position errors, all actions, and the last
     state."""
-    observation, _ = env.reset(seed=0)
-    tasks = env.unwrapped.tasks
-    policy.reset(tasks)
-    state = None
-    start = np.ones(env.num_envs, np.bool_)
-    actions = []
     is_within = np.ones(env.num_envs, np.bool_)
     peak = np.zeros(env.num_envs)
-    for _ in range(steps or tasks[0].steps):
-        action, state = policy.predict(observation, state=state, episode_start=start)
-        actions.append(action)
-        observation, _, ended, _, info = env.step(action)
-        start = np.zeros(env.num_envs, np.bool_)
-        peak = np.maximum(peak, info["tracking_error_peak"])
-        is_within &= ~ended & ~info["slack"].any(axis=1)
-        is_within &= (info["tracking_error_peak"] <= 0.01) & (info["rotation_error_peak"] <= 0.01)
-    return is_within, peak, np.array(actions), state
+    actions = []
+    for step in drive(policy, env, steps):
+        actions.append(step.action)
+        peak = np.maximum(peak, step.info["tracking_error_peak"])
+        is_within &= keeps_limits(step.info)
+    return is_within, peak, np.array(actions), step.state
 
 
 def vector(env_id, count, **keywords):
@@ -86,16 +78,11 @@ def test_plan_uses_the_error_bounds_of_the_task(policies):
 def test_batch_gives_the_same_actions_as_single_observations(policies, env_id):
     policy = policies[env_id]
     env = vector(env_id, 3, payload=np.array([0.0, 1.0, 2.0]))
-    observation, _ = env.reset(seed=0)
-    policy.reset(env.unwrapped.tasks)
-    together = None
     alone = [None] * 3
-    for _ in range(2 * STEPS_PER_PLAN + 1):
-        action, together = policy.predict(observation, state=together)
+    for step in drive(policy, env, 2 * STEPS_PER_PLAN + 1):
         for index in range(3):
-            single, alone[index] = policy.predict(observation[index], state=alone[index])
-            assert_allclose(single, action[index], rtol=0, atol=1e-12)
-        observation, *_ = env.step(action)
+            single, alone[index] = policy.predict(step.observation[index], state=alone[index])
+            assert_allclose(single, step.action[index], rtol=0, atol=1e-12)
 
 
 def test_new_episode_discards_the_plan(policies):

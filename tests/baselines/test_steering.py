@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from steering import (
-    FLEX_PLANAR_ID,
     FLEX_SPATIAL_ID,
     PERIOD,
     PLANAR_ID,
@@ -20,14 +19,13 @@ from steering import (
 )
 
 from cablebot_baselines.learned.base import Base
-from cablebot_baselines.learned.features import RBF_COUNT, TIME_CONSTANTS
 from cablebot_baselines.learned.steering import (
     DERIVATIVES,
     Residual,
     Shift,
 )
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
+from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import find_trajectory
 
@@ -99,28 +97,6 @@ def test_preview_delays_uniform_motion_by_half_the_spline(degree, preview):
         assert_allclose(
             law_blocks[f"reference_{name}"][inside], 0.0, atol=1e-12 / action_period**order
         )
-
-
-def test_flexible_law_gets_derivatives_up_to_snap():
-    action_mapping = Shift(action_period=0.01, degree=5)
-    steps = 40
-    steering = steering_of(FLEX_PLANAR_ID, base=Base(law="motor-pd"), action_mapping=action_mapping)
-    actions = np.random.default_rng(0).uniform(-0.6, 0.6, (steps, 2))
-    rows = line(FLEX_PLANAR, np.zeros(2), np.zeros(2), np.arange(steps))
-    observation_layout(FLEX_PLANAR).split(rows)["reference_snap"][:] = 7.0
-    law_blocks, _ = steer(steering, rows, actions)
-    points = np.concatenate([np.zeros((5, 2)), actions[::5]]) * action_mapping.bounds(
-        ErrorBounds(), PLANAR
-    )
-    for step in range(steps):
-        weights = action_mapping.weights(np.array(step % 5 * PERIOD), 0.01)
-        expected = (
-            weights @ points[step // 5 : step // 5 + 6]
-            + np.array([0.0, 0.0, 0.0, 0.0, 7.0])[:, None]
-        )
-        for order, name in enumerate(DERIVATIVES):
-            result = law_blocks[f"reference_{name}"][step]
-            assert_allclose(result, expected[order], rtol=1e-9, atol=1e-9 / 0.01**order)
 
 
 def test_action_period_is_rounded_to_control_periods():
@@ -208,25 +184,3 @@ def test_shifted_motion_starts_at_rest_at_the_start_pose(preview):
         assert_allclose(reference["reference_pose"], blocks["pose"], rtol=0, atol=1e-15)
         assert_allclose(reference["reference_velocity"], 0.0, atol=1e-13)
     assert tasks[0].start_pose[2] > poses[0][2] + 1e-3
-
-
-def test_progress_features_span_the_motion():
-    steering = steering_of(features=("rbf_progress",))
-    rows = np.zeros((RBF_COUNT, observation_layout(PLANAR).size))
-    observation_layout(PLANAR).split(rows)["time_to_go"][::-1, 0] = np.arange(len(rows)) * PERIOD
-    _, learner = steer(steering, rows, np.zeros((len(rows), 2)))
-    assert np.argmax(learner, axis=1).tolist() == list(range(RBF_COUNT))
-    assert_allclose(np.diagonal(learner), 1.0)
-
-
-def test_time_features_start_with_the_episode():
-    steering = steering_of(features=("time_since_start", "time_to_go_decays"))
-    assert steering.inputs == 2 * len(TIME_CONSTANTS)
-    rows = np.zeros((30, observation_layout(PLANAR).size))
-    observation_layout(PLANAR).split(rows)["time_to_go"][:, 0] = 1.0 - np.arange(30) * PERIOD
-    _, learner = steer(steering, rows, np.zeros((30, 2)))
-    times = np.arange(30)[:, None] * PERIOD
-    assert_allclose(learner[:, : len(TIME_CONSTANTS)], np.exp(-times / TIME_CONSTANTS), rtol=1e-12)
-    assert_allclose(
-        learner[:, -len(TIME_CONSTANTS) :], np.exp(-(1.0 - times) / TIME_CONSTANTS), rtol=1e-12
-    )

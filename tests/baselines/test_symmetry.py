@@ -1,11 +1,14 @@
 """Equivariant networks: the symmetries of robots, and networks that have them exactly."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cablebot_baselines.learned.features import REFERENCE_FEATURES, feature_symmetry
+from cablebot_baselines.learned.features import feature_symmetry
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
+from cablebot_baselines.learned.runs import read_yaml
 from cablebot_baselines.learned.steering import Shift
 from cablebot_baselines.learned.symmetry import symmetries
 from cablebot_gym.physics.inverse import inverse_dynamics
@@ -13,7 +16,7 @@ from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
 from cablebot_gym.trajectories import find_trajectory
 
-FEATURES = (*REFERENCE_FEATURES, "reference_jerk", "reference_snap")
+FEATURES = read_yaml("CableBot-FlexPlanar-v0", Path("gradient-loops"))["features"]
 LOOP = {"name": "loop-planar", "seed": 3}
 
 
@@ -82,7 +85,7 @@ def test_network_is_equivariant_before_and_after_training(hidden, iterations):
     outputs = network(inputs)
     assert np.abs(outputs).min() > 1e-4
     for transform in symmetries(FLEX_PLANAR):
-        transformed = network(inputs @ feature_symmetry(FEATURES, FLEX_PLANAR, transform).T)
+        transformed = network(inputs @ feature_symmetry(FEATURES, transform).T)
         assert_allclose(transformed, outputs @ transform.T, atol=1e-12)
     assert not hidden or np.abs(network(-inputs) + outputs).max() > 1e-3  # it is not odd by itself
 
@@ -91,4 +94,4 @@ def test_spatial_robots_and_other_features_raise():
     with pytest.raises(ValueError, match="planar robots, but 'spatial' is spatial"):
         symmetries(SPATIAL)
     with pytest.raises(ValueError, match="feature 'motor_angle' is invalid with symmetric"):
-        feature_symmetry(["motor_angle"], FLEX_PLANAR, np.eye(2))
+        feature_symmetry(["motor_angle"], np.eye(2))

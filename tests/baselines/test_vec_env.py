@@ -28,12 +28,12 @@ def failing(env_id):
     }
 
 
-def ours(env_id=PLANAR_ID, count=COUNT, **keywords):
-    return make_sb3_vec_env(env_id, count, **(failing(env_id) | keywords))
+def ours(env_id=PLANAR_ID, **keywords):
+    return make_sb3_vec_env(env_id, COUNT, **(failing(env_id) | keywords))
 
 
-def dummy(env_id=PLANAR_ID, count=COUNT, **keywords):
-    return DummyVecEnv([lambda: gym.make(env_id, **(failing(env_id) | keywords))] * count)
+def dummy(env_id=PLANAR_ID, **keywords):
+    return DummyVecEnv([lambda: gym.make(env_id, **(failing(env_id) | keywords))] * COUNT)
 
 
 def random_actions(env, steps, seed=0):

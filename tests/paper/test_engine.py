@@ -57,7 +57,7 @@ def parts(monkeypatch):
 def interrupt(folder, count):
     """Runs until ``count`` computations are finished, and returns the missing parts."""
 
-    def progress(activity, done, total):
+    def progress(done, total, activity):
         if done >= count:
             raise KeyboardInterrupt
 
@@ -73,12 +73,6 @@ def test_shared_computations_run_once(tmp_path):
     assert numbers["one.third"] == 0.3333333333  # digits on which machines agree
     assert numbers["one.none"] is None
     assert {path.name for path in tmp_path.glob("*.[ps][nv]g")} == {"one.png", "one.svg"}
-
-
-def test_interpretation_is_part_of_the_key_of_a_job():
-    key = job(limit, interpretation=DEFAULT).key
-    assert key == job(limit, interpretation=Interpretation()).key
-    assert key != job(limit, interpretation=FLAT).key
 
 
 def test_only_keeps_parts_of_the_same_code_and_interpretation(tmp_path, monkeypatch):

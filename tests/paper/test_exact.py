@@ -47,30 +47,8 @@ def test_state_space_touches_the_limits_at_the_largest_payload(line):
     assert reserve(profile).min() == pytest.approx(0.0, abs=1e-8)
 
 
-def assert_limited_by_lower_line(profile, limit):
-    """At the largest payload a torque is on U⁻ and none is close to U⁺; more payload goes below
-    U⁻."""
-    at_limit = profile(limit.payload)
-    below = at_limit.torques - at_limit.lower
-    k, motor = np.unravel_index(below.argmin(), below.shape)
-    assert below[k, motor] == pytest.approx(0.0, abs=1e-6)
-    assert np.all(at_limit.upper - at_limit.torques > 0.1)
-    assert motor + 1 == limit.motor
-    assert at_limit.times[k] == pytest.approx(limit.time, abs=1e-6)
-    assert reserve(profile(limit.payload - 1e-3)).min() > 0
-    assert reserve(profile(limit.payload + 1e-3)).min() < 0
-
-
-@pytest.mark.slow
-def test_lower_line_can_limit_the_payload_of_the_state_space():
-    interpretation = Interpretation(line="reversed")
-    # the motors also have to push the platform
-    light = interpretation.flexible("payload").replace(gravity=0.3)
-    profile = partial(state_space_profile, interpretation, light)
-    assert_limited_by_lower_line(profile, state_space_limit(interpretation, light))
-
-
-def test_lower_line_can_limit_the_payload_of_exact_tracking(monkeypatch):
+def test_lower_line_can_limit_the_payload(monkeypatch):
+    """At the largest payload a torque is on U⁻ and none is close to U⁺."""
     limits = textbook.torque_limits
 
     def raised(robot, speed):
@@ -79,8 +57,14 @@ def test_lower_line_can_limit_the_payload_of_exact_tracking(monkeypatch):
 
     monkeypatch.setattr(textbook, "torque_limits", raised)
     interpretation = Interpretation(line="reversed", alpha="constant")
-    profile = partial(exact_profile, interpretation, PLANAR)
-    assert_limited_by_lower_line(profile, exact_limit(interpretation, PLANAR))
+    limit = exact_limit(interpretation, PLANAR)
+    at_limit = exact_profile(interpretation, PLANAR, limit.payload)
+    below = at_limit.torques - at_limit.lower
+    k, motor = np.unravel_index(below.argmin(), below.shape)
+    assert below[k, motor] == pytest.approx(0.0, abs=1e-6)
+    assert np.all(at_limit.upper - at_limit.torques > 0.1)
+    assert motor + 1 == limit.motor
+    assert at_limit.times[k] == pytest.approx(limit.time, abs=1e-6)
 
 
 def test_constant_alpha_keeps_minimum_tension_and_acceleration():
@@ -98,15 +82,6 @@ def test_constant_alpha_keeps_minimum_tension_and_acceleration():
     null = np.cross(structure[:, :, 0], structure[:, :, 1])
     alpha = np.abs(np.sum(tension * null, axis=1) / np.linalg.norm(null, axis=1))
     assert np.ptp(alpha) == pytest.approx(0.0, abs=1e-8)
-
-
-@pytest.mark.parametrize(("form", "payload"), [("corrected", 1.34), ("verbatim", 1.99)])
-def test_state_space_agrees_with_other_calculations(form, payload):
-    interpretation = Interpretation(line="pulley", eq24=form)
-    limit = state_space_limit(interpretation, interpretation.flexible("payload"))
-    assert limit.payload == pytest.approx(payload, abs=0.005)
-    assert limit.motor == 2
-    assert limit.time == pytest.approx(0.5, abs=1e-3)
 
 
 @pytest.mark.slow

@@ -86,15 +86,3 @@ def test_new_parts_are_the_stored_ones(stored, new):
                     before["name"],
                     old_cell,
                 )
-
-
-@pytest.mark.slow
-def test_one_process_gives_the_numbers_of_worker_processes(new, tmp_path):
-    steps = []
-
-    def progress(activity, done, expected):
-        steps.append((done, expected))
-
-    alone = reproduce(Interpretation(), tmp_path, only=["eq37"], workers=1, progress=progress)
-    assert alone["numbers"].items() <= new["numbers"].items()
-    assert list(dict.fromkeys(steps)) == [(done, 6) for done in range(1, 7)]

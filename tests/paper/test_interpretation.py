@@ -1,4 +1,5 @@
-"""The options of the interpretation and their effect on the robots."""
+"""The options of the interpretation and their effect on the robots; test_published has those of
+sizes, masses and stiffnesses."""
 
 import numpy as np
 import pytest
@@ -15,25 +16,6 @@ def test_default_robots_are_those_of_the_package():
     assert DEFAULT.planar == PLANAR
     assert DEFAULT.spatial("payload").to_dict() == SPATIAL.to_dict()
     assert DEFAULT.flexible("payload").to_dict() == FLEX_SPATIAL.to_dict()
-
-
-@pytest.mark.parametrize(
-    ("interpretation", "source", "mass", "stiffness"),
-    [
-        (DEFAULT, "control", 11.0, 2.0),
-        (DEFAULT, "payload", 10.0, 3.0),
-        (Interpretation(platform_mass="10", stiffness="3"), "control", 10.0, 3.0),
-    ],
-)
-def test_mass_and_stiffness_follow_section_or_option(interpretation, source, mass, stiffness):
-    assert interpretation.spatial(source).mass == mass
-    assert interpretation.flexible(source).transmission.stiffness == stiffness
-
-
-def test_circumradius_is_the_distance_of_a_corner_from_centre():
-    robot = Interpretation(sides="circumradius").spatial("payload")
-    assert np.linalg.norm(robot.base[:, :2], axis=1) == pytest.approx(0.47)
-    assert np.linalg.norm(robot.platform, axis=1) == pytest.approx(0.148)
 
 
 def test_turned_robot_is_rotated_about_z():
@@ -56,11 +38,6 @@ def test_planar_apex_is_the_direction_of_the_third_motor(apex, direction):
     assert third / np.linalg.norm(third) == pytest.approx(direction)
 
 
-def test_pulleys_of_table_5_are_light_and_have_no_damping():
-    pulleys = Interpretation(pulleys="table5").spatial("payload").transmission
-    assert (pulleys.pulley_inertia, pulleys.damping) == (0.0004, 0.0)
-
-
 def test_cable_line_uses_the_rate_of_the_cable_length():
     pose = np.array([0.05, 0.02, 0.1, 0.1, 0.1, 0.1])
     velocity = np.array([0.3, -0.2, 0.1, 0.4, 0.1, -0.3])
@@ -76,8 +53,7 @@ def test_cable_line_uses_the_rate_of_the_cable_length():
 @pytest.mark.parametrize("line", ["cable", "reversed", "pulley"])
 def test_line_that_no_motor_has_allows_no_closed_loop(line):
     interpretation = Interpretation(line=line)
-    with pytest.raises(ValueError, match="flat or physical"):
-        interpretation.motors(FLEX_SPATIAL)
+    assert not interpretation.flexible_loop_possible
     assert interpretation.closed_loop_robot(FLEX_SPATIAL) == FLEX_SPATIAL
     # a rigid motor turns with its pulley
     assert interpretation.closed_loop_possible is (line == "pulley")

@@ -6,11 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_baselines.paper import linearised
 from cablebot_baselines.paper.exact import exact_limit
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.laws import FeedForward
-from cablebot_baselines.paper.parts import claims, maps, scan
+from cablebot_baselines.paper.parts import maps, scan
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
 
@@ -24,9 +25,9 @@ def narrow(monkeypatch):
     """Restricts the scan to few geometries."""
     all_sizes = dict(scan.SIZES)
 
-    def narrowed(*, base_turn=0.0, platform_turn=0.0, sizes=("half side",)):
+    def narrowed(*, base_turn=0.0, sizes=("half side",)):
         monkeypatch.setattr(scan, "BASE_TURNS", np.array([base_turn]))
-        monkeypatch.setattr(scan, "PLATFORM_TURNS", np.array([platform_turn]))
+        monkeypatch.setattr(scan, "PLATFORM_TURNS", np.zeros(1))
         monkeypatch.setattr(scan, "SIZES", {size: all_sizes[size] for size in sizes})
 
     return narrowed
@@ -54,20 +55,6 @@ def test_platform_that_needs_ballast_has_no_payload(narrow, monkeypatch, lowest,
     assert scan.geometries(interpretation=DEFAULT, base_size="half side") == [(payload, 3)]
 
 
-@pytest.mark.parametrize(
-    ("size", "sides"),
-    [
-        ("half side", 2.0),
-        ("circumradius", 3**0.5),
-        ("inradius", 12**0.5),
-        ("half altitude", 4 / 3**0.5),
-    ],
-)
-def test_side_follows_the_meaning_of_the_published_length(size, sides):
-    side = np.linalg.norm(SPATIAL.base[2] - SPATIAL.base[0]) * scan.SIZES[size]
-    assert side == pytest.approx(sides * 0.47)
-
-
 @pytest.mark.parametrize("line", ["physical", "reversed"])
 def test_map_has_paper_circle_weak_motors_and_slack_cables(monkeypatch, line):
     monkeypatch.setattr(maps, "RADII", (0.1, 0.2))
@@ -87,108 +74,34 @@ def test_map_has_paper_circle_weak_motors_and_slack_cables(monkeypatch, line):
 # --- claims of the text -----------------------------------------------------------------------------------------------
 
 
-def released(stiffness, damping):
-    """Recorded arrays of a loop with an initial error of 1 mm that satisfies ë + K_D ė + K_P e =
-    0."""
-    time = np.arange(5001) / 10_000
-    decay = damping / 2
-    root = np.sqrt(complex(damping**2 / 4 - stiffness))
-    error = (
-        1e-3
-        * np.exp(-decay * time)
-        * np.real(np.cosh(root * time) + decay / root * np.sinh(root * time))
-    )
-    pose = np.stack([0.3 + error, np.full_like(error, -0.2)], axis=1)
-    reference = np.broadcast_to([0.3, -0.2], pose.shape)
-    return SimpleNamespace(arrays={"time": time, "pose": pose, "reference_pose": reference})
-
-
-@pytest.mark.parametrize("gains", [(2000.0, 10.0), (30.0, 20.0)])
-def test_decay_error_is_zero_for_the_given_poles_only(gains):
-    stiffness, damping = gains
-    assert claims.decay_error(released(stiffness, damping), gains) < 1e-9
-    assert claims.decay_error(released(stiffness, 2 * damping), gains) > 0.05
-    assert claims.decay_error(released(2 * stiffness, damping), gains) > 0.05
-
-
-def test_torques_are_affine_in_the_mass_without_minimum_tension():
-    assert claims.affinity(robot=PLANAR, minimum_tension=5.0) > 0.01
-    assert claims.affinity(robot=PLANAR, minimum_tension=0.0) < 1e-9
-    assert claims.affinity(robot=SPATIAL, minimum_tension=5.0) < 1e-9
-
-
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL])
 def test_open_loop_torques_depend_on_the_reference_only(robot):
     rng = np.random.default_rng(3)
-    shape = (4, robot.coordinates)
-    mass = np.full(4, robot.mass + 0.3)
-    reference = robot.home + 0.02 * rng.standard_normal(shape)
-    velocity, acceleration = rng.standard_normal((2, *shape))
+    pose = robot.home + 0.02 * rng.standard_normal(robot.coordinates)
+    velocity, acceleration = rng.standard_normal((2, robot.coordinates))
+    blocks = {
+        "pose": pose,
+        "velocity": velocity,
+        "reference_pose": pose,
+        "reference_velocity": velocity,
+        "reference_acceleration": acceleration,
+    }
+    mass = np.array(robot.mass + 0.3)
+    exact, _ = FeedbackLinearization(robot, minimum_tension=2.0).torques(blocks, mass)
     law = FeedForward(robot, minimum_tension=2.0)
-    tensions = textbook.required_tensions(
-        robot, mass, reference, velocity, acceleration, minimum=2.0
-    )
-    required = textbook.required_torques(robot, tensions, reference, velocity, acceleration)
     for offset in (0.0, 0.01):
-        blocks = {
-            "pose": reference + offset,
-            "velocity": 0.1 * velocity - offset,
-            "reference_pose": reference,
-            "reference_velocity": velocity,
-            "reference_acceleration": acceleration,
-        }
-        torques, speeds = law.torques(blocks, mass)
-        assert torques == pytest.approx(required, rel=1e-9)
-        assert speeds == pytest.approx(
-            textbook.pulley_speed(robot, blocks["pose"], blocks["velocity"]), rel=1e-9
-        )
+        state = {"pose": pose + offset, "velocity": velocity - offset}
+        torques, speeds = law.torques(blocks | state, mass)
+        assert torques == pytest.approx(exact, rel=1e-9)
+        assert speeds == pytest.approx(textbook.pulley_speed(robot, *state.values()), rel=1e-9)
 
 
 # --- controllability --------------------------------------------------------------------------------------------------
 
 
-def linear_plant(robot):
-    """A and B of (X, β′, Ẋ, β̇′) at rest at home, from Eqs. 3 and 4 in numpy."""
-    n, m = robot.coordinates, robot.cables
-    rest = np.concatenate([robot.home, textbook.static_motor_angle(robot, robot.mass, robot.home)])
-
-    def accelerations(state):
-        pose, angle = state[:n], state[n:]
-        structure = textbook.jacobian(robot, pose)
-        twist = robot.stiffness * (angle - textbook.pulley_angle(robot, pose))
-        pulleys = structure.T @ np.diag(robot.pulley_inertia / robot.pulley_radius**2) @ structure
-        load = textbook.bias(robot, robot.mass, pose, np.zeros(n)) + structure.T @ (
-            twist / robot.pulley_radius
-        )
-        platform = np.linalg.solve(textbook.mass_matrix(robot, robot.mass, pose) + pulleys, -load)
-        return np.concatenate([platform, -twist / robot.motor_inertia])
-
-    assert accelerations(rest)[:n] == pytest.approx(0.0, abs=1e-9)
-    slopes = []
-    for step in 1e-6 * np.eye(n + m):
-        slopes.append((accelerations(rest + step) - accelerations(rest - step)) / 2e-6)
-    zero, identity = np.zeros((n + m, n + m)), np.eye(n + m)
-    drive = np.concatenate([np.zeros((n + m + n, m)), np.diag(1 / robot.motor_inertia)])
-    return np.block([[zero, identity], [np.stack(slopes, axis=1), zero]]), drive
-
-
-def uncontrollable_modes(transition, drive):
-    """Number of modes by Popov, Belevitch and Hautus: the largest rank deficit of [A − λ, B]."""
-    size = len(transition)
-    deficits = []
-    for value in np.linalg.eigvals(transition):
-        pencil = np.hstack([transition - value * np.eye(size), drive])
-        deficits.append(size - int(np.linalg.matrix_rank(pencil, rtol=1e-9)))
-    return max(deficits)
-
-
 def test_motors_control_all_states_of_the_flexible_robot():
-    robot = DEFAULT.flexible("control")
-    transition, drive = linear_plant(robot)
-    assert uncontrollable_modes(transition, drive) == 0
-    # one action for all motors
-    assert uncontrollable_modes(transition, drive.sum(axis=1, keepdims=True)) > 0
-    assert linearised.controllable_states(robot) == len(transition) == 24
+    """As by the test of Hautus in tests/errata."""
+    assert linearised.controllable_states(DEFAULT.flexible("control")) == 24
 
 
 def test_fewer_motors_control_fewer_states_in_four_samples(monkeypatch):

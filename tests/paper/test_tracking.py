@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from cablebot_baselines.classical import PD, Robust, RobustComposite, RobustPD
 from cablebot_baselines.paper.contents import PARTS
-from cablebot_baselines.paper.exact import Profile, paper_circle
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.parts import drawings, robust, tracking
 from cablebot_baselines.paper.parts.plotting import MOTORS
@@ -93,16 +92,6 @@ def test_minimum_tension_reaches_the_law():
     assert numbers["least_tension_N"] == pytest.approx(2.0, abs=1e-6)
 
 
-def test_ripple_separates_before_and_after_the_jump():
-    times = np.linspace(0, 1, 1001)
-    zero = np.zeros((1001, 6))
-    ringing = np.where(times > 0.5, 2.0, 0.5)[:, None] * np.ones(6)
-    flexible = Profile(times=times, torques=ringing, lower=zero, upper=zero)
-    rigid = Profile(times=times, torques=zero, lower=zero, upper=zero)
-    assert tracking.ripple(flexible, rigid, tracking.JUMP - tracking.WINDOW) == pytest.approx(0.5)
-    assert tracking.ripple(flexible, rigid, tracking.JUMP) == pytest.approx(2.0)
-
-
 class Recording(RobustPD):
     """Records the robust term."""
 
@@ -127,18 +116,6 @@ def test_added_input_is_the_term_of_the_same_instant(env_id, law_class):
     assert_allclose(added.times, np.arange(1, 500) / 500)
 
 
-@pytest.mark.parametrize(("layer", "is_outside"), [(1e-6, True), (1e3, False)])
-def test_instants_outside_the_boundary_layer_are_marked(layer, is_outside):
-    robot = DEFAULT.spatial("control")
-    times = np.arange(1, 11) / 10
-    reference = paper_circle(robot)(times)
-    error, rate = np.random.default_rng(0).normal(scale=0.01, size=(2, 10, 6))
-    arrays = {"pose": reference.position - error, "velocity": reference.velocity - rate}
-    loop = SimpleNamespace(arrays=arrays | {"time": times})
-    outer = RobustPD(gains=(30.0, 20.0), boundary_layer=layer)
-    assert np.all(robust.added_input(outer, loop, robot).outside == is_outside)
-
-
 def test_episodes_of_one_draw_differ_in_the_law_only():
     jobs = robust.tracking_jobs(DEFAULT)
     plain = jobs[f"{SPATIAL} plain"]
@@ -146,8 +123,5 @@ def test_episodes_of_one_draw_differ_in_the_law_only():
     assert plain.compute.keywords | {"law": None} == better.compute.keywords | {"law": None}
     for env_id, job in robust.term_jobs(DEFAULT).items():
         assert job.key == jobs[f"{env_id} robust"].key
-    plain_loop, better_loop = plain.compute(), better.compute()
-    assert 0.5 < robust.reduced(plain_loop, better_loop, "tracking_error") < 0.8
-    assert robust.reduced(better_loop, plain_loop, "tracking_error") < 0
-    lost = SimpleNamespace(arrays=plain_loop.arrays, reason="slack")
-    assert robust.reduced(lost, better_loop, "tracking_error") is None
+    lost = SimpleNamespace(reason="slack")
+    assert robust.reduced(lost, lost, "tracking_error") is None

@@ -11,7 +11,7 @@ from cablebot_baselines.classical.feedback_linearization import FeedbackLineariz
 from cablebot_baselines.classical.flexible import Composite, FourthOrder, MotorPD
 from cablebot_baselines.classical.law import ClassicalLaw
 from cablebot_gym.robots import Robot
-from cablebot_gym.utils.checks import choice, number, numbers, record
+from cablebot_gym.utils.checks import choice, numbers, record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +19,7 @@ class Base:
     """A classical law with its parameters.
 
     Raises:
-        ValueError: if the law is unknown, does not have a given parameter, or a value is invalid.
+        ValueError: if the law is unknown, does not have a given parameter, or its gains are invalid.
     """
 
     law: str = "fl"
@@ -47,21 +47,9 @@ class Base:
                 raise ValueError(
                     f"base law {self.law!r} has no {name}: leave it out, or choose {' or '.join(laws)}"
                 )
-        checked: dict[str, Any] = {
-            "estimator_prior_weight": number(
-                "estimator_prior_weight", self.estimator_prior_weight, above=0.0, unit="s"
-            ),
-        }
         if self.gains is not None:
-            checked["gains"] = tuple(
-                numbers("gains", self.gains, shapes=[(2,)], above=0.0).tolist()
-            )
-        if self.minimum_tension is not None:
-            checked["minimum_tension"] = number(
-                "minimum_tension", self.minimum_tension, least=0.0, unit="N"
-            )
-        if self.frequency is not None:
-            checked["frequency"] = number("frequency", self.frequency, above=0.0, unit="rad/s")
+            gains = numbers("gains", self.gains, shapes=[(2,)], above=0.0)
+            object.__setattr__(self, "gains", tuple(gains.tolist()))
         for name in ("estimates_payload", "allocates"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name} must be True or False, not {getattr(self, name)!r}")
@@ -69,14 +57,12 @@ class Base:
             raise ValueError(
                 "allocates requires estimates_payload: set estimates_payload to True too"
             )
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
 
     def make(self, robot: Robot) -> ClassicalLaw:
         """Creates the law for a nominal robot.
 
         Raises:
-            ValueError: if the law does not support the robot.
+            ValueError: if the law does not support the robot, or rejects a parameter.
         """
         law = _LAWS[self.law](robot, self)
         if not self.estimates_payload:

@@ -51,19 +51,16 @@ _DERIVED = ("shift", "shift_velocity", "actions", "error", *_COMPUTED)
   has passed.
 """
 
+_TIME_SIZES = {
+    "time_to_go": 1,
+    "time_since_start": len(TIME_CONSTANTS),
+    "time_to_go_decays": len(TIME_CONSTANTS),
+    "rbf_progress": RBF_COUNT,
+}
+"""Sizes of the features that are functions of time."""
+
 SHIFT_FEATURES = ("shift", "shift_velocity")
 """Features that exist only with a shifted reference."""
-
-REFERENCE_FEATURES = (
-    "reference_velocity",
-    "reference_acceleration",
-    *("preview_20ms", "preview_50ms", "preview_100ms", "preview_200ms"),
-    "reference_pose",
-    "time_since_start",
-    "time_to_go_decays",
-)
-"""Features of the reference and its preview; they contain neither the payload nor the tracking
-error."""
 
 
 def check_features(names: Sequence[str], robot: Robot) -> tuple[str, ...]:
@@ -100,30 +97,27 @@ def feature_values(
     return np.concatenate(features, axis=-1)
 
 
-def feature_symmetry(names: Sequence[str], robot: Robot, transform: Array) -> Array:
+def is_planned(name: str) -> bool:
+    """Whether a feature is known before an episode: a time, or a vector of the reference."""
+    return name in _TIME_SIZES or name.startswith(("reference_", "preview_"))
+
+
+def feature_symmetry(names: Sequence[str], transform: Array) -> Array:
     """Matrix (count, count) that a rotation or reflection of the plane applies to features of the
     reference.
 
     Args:
-        names: names of the features.
-        robot: planar robot.
+        names: names of the features of a planar robot.
         transform: orthogonal matrix (2, 2).
 
     Raises:
         ValueError: if a feature is neither a vector of the reference nor a time.
     """
-    times = {
-        "time_to_go": 1,
-        "time_since_start": len(TIME_CONSTANTS),
-        "time_to_go_decays": len(TIME_CONSTANTS),
-        "rbf_progress": RBF_COUNT,
-    }
-    known = observation_layout(robot).slices()
     matrices = []
     for name in names:
-        if name in times:
-            matrices.append(np.eye(times[name]))
-        elif name in known and name.startswith(("reference_", "preview_")):
+        if name in _TIME_SIZES:
+            matrices.append(np.eye(_TIME_SIZES[name]))
+        elif is_planned(name):
             matrices.append(transform)
         else:
             raise ValueError(

@@ -33,7 +33,7 @@ except ImportError as error:
 
 from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.differentiable import required_actuation
-from cablebot_baselines.learned.features import feature_symmetry, feature_values
+from cablebot_baselines.learned.features import feature_symmetry, feature_values, is_planned
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.steering import Shift
 from cablebot_baselines.learned.symmetry import SymmetricLayers, symmetries
@@ -54,20 +54,6 @@ HISTORY = 50
 
 SHORTEST = 5
 """Number of evaluations; a search that ends sooner has converged."""
-
-_STATE_FEATURES = (
-    "shift",
-    "shift_velocity",
-    "actions",
-    "error",
-    "pose",
-    "velocity",
-    "motor_angle",
-    "motor_speed",
-    "model_payload",
-    "payload_known",
-)
-"""Features that are not known before an episode."""
 
 _EDGE = 1e-9
 """Inset of a decision's first and last instant, as a fraction of it: a spline's derivatives jump at
@@ -200,7 +186,7 @@ class GradientTraining:
 
     def _check(self) -> None:
         for name in self.features:
-            if name in _STATE_FEATURES:
+            if not is_planned(name):
                 raise ValueError(
                     f"features must depend on the reference and time alone: remove {name!r}"
                 )
@@ -220,7 +206,7 @@ class GradientTraining:
         if self.settings.symmetric:
             transforms = symmetries(self.robot)
         input_transforms = np.array(
-            [feature_symmetry(self.features, self.robot, transform) for transform in transforms]
+            [feature_symmetry(self.features, transform) for transform in transforms]
         )
         self._layers = SymmetricLayers(input_transforms, transforms, self.settings.hidden)
         self._variables = list(self._layers.layers.parameters())

@@ -32,9 +32,9 @@ def stem(name: str, env_id: str) -> str:
     return f"{name}-{short_id(env_id).lower()}"
 
 
-def weights_file(name: str, env_id: str, folder: Path = WEIGHTS) -> Path:
+def weights_file(name: str, env_id: str) -> Path:
     """Path of a policy's bundle."""
-    return folder / f"{stem(name, env_id)}.zip"
+    return WEIGHTS / f"{stem(name, env_id)}.zip"
 
 
 def short_id(env_id: str) -> str:
@@ -42,13 +42,12 @@ def short_id(env_id: str) -> str:
     return env_id.removeprefix("CableBot-").removesuffix("-v0")
 
 
-def load_shipped(name: str, robot: Robot, folder: Path = WEIGHTS) -> Policy:
+def load_shipped(name: str, robot: Robot) -> Policy:
     """Loads a shipped policy for a nominal robot; the robot's kind selects the weights.
 
     Args:
         name: name in :data:`SHIPPED`.
         robot: nominal robot.
-        folder: folder of the weights.
 
     Raises:
         ValueError: if the name is unknown, the weights for this kind of robot are missing or
@@ -65,7 +64,7 @@ def load_shipped(name: str, robot: Robot, folder: Path = WEIGHTS) -> Policy:
         raise ValueError(
             f"policy {name!r} is for {', '.join(shipped.env_ids)}, not for {env_id}: choose {fitting}"
         )
-    return LearnedPolicy(Bundle.load(weights_file(name, env_id, folder)), robot)
+    return LearnedPolicy(Bundle.load(weights_file(name, env_id)), robot)
 
 
 def _shipped(name: str) -> Shipped:

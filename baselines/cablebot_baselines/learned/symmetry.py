@@ -10,7 +10,8 @@ network.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -60,30 +61,16 @@ def symmetries(robot: Robot) -> Array:
     anchors = robot.base
     parameters = np.stack(motors, axis=1)
     tolerance = _TOLERANCE * np.abs(anchors).max()
-    transforms = {}
-    for permutation in _permutations(anchors):
+    transforms = []
+    for permutation in permutations(range(robot.cables)):
         permuted = list(permutation)
         # The closest orthogonal transform.
         left_vectors, _, right_vectors = np.linalg.svd(anchors[permuted].T @ anchors)
         transform = left_vectors @ right_vectors
         same_anchors = np.allclose(anchors @ transform.T, anchors[permuted], rtol=0, atol=tolerance)
         if same_anchors and np.allclose(parameters, parameters[permuted], rtol=_TOLERANCE, atol=0):
-            transforms[permutation] = transform
-    return np.array([transforms[permutation] for permutation in sorted(transforms)])
-
-
-def _permutations(anchors: Array) -> Iterator[tuple[int, ...]]:
-    """Permutations of the anchors by the transforms that move the outermost anchor onto some
-    anchor."""
-    angles = np.arctan2(anchors[:, 1], anchors[:, 0])
-    radii = np.linalg.norm(anchors, axis=1)
-    outermost = int(np.argmax(radii))
-    for angle in angles:
-        for turned in (angles - angles[outermost] + angle, angles[outermost] - angles + angle):
-            images = radii[:, None] * np.stack([np.cos(turned), np.sin(turned)], axis=1)
-            indices = np.linalg.norm(images[:, None] - anchors, axis=-1).argmin(axis=1).tolist()
-            if len(set(indices)) == len(anchors):
-                yield tuple(indices)
+            transforms.append(transform)
+    return np.array(transforms)
 
 
 class SymmetricLayers:

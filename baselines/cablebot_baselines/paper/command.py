@@ -56,7 +56,7 @@ def reproduce(
                 out,
                 only=names,
                 workers=workers,
-                progress=lambda activity, done, expected: step(done, expected, activity),
+                progress=step,
                 say=say,
             )
     except KeyboardInterrupt:

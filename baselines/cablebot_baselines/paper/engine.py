@@ -37,9 +37,9 @@ MARKDOWN = "reproduction.md"
 HTML = "reproduction.html"
 """Names of the output files besides the figures."""
 
-Progress = Callable[[str, int, int], None]
-"""Progress callback with the current activity, the number of finished computations and their total
-number."""
+Progress = Callable[[int, int, str], None]
+"""Progress callback with the number of finished computations, their total number and the current
+activity."""
 
 _ERRATA = "../errata.md"
 """Relative path of the list of misprints from docs/reproduction."""
@@ -285,7 +285,7 @@ def _computed(
                     results[name] = results_by_key[job.key]
             if len(results) < len(jobs):
                 continue
-            progress(f"drawing {page_part.name}", len(results_by_key), len(all_jobs))
+            progress(len(results_by_key), len(all_jobs), f"drawing {page_part.name}")
             waiting.remove((page_part, jobs))
             for result in results.values():
                 if isinstance(result, NoEquilibriumError):
@@ -298,5 +298,5 @@ def _computed(
     computed = run_jobs(all_jobs.values(), local(workers), say=say, returned=(NoEquilibriumError,))
     for key, result in computed:
         results_by_key[key] = result
-        progress("computing", len(results_by_key), len(all_jobs))
+        progress(len(results_by_key), len(all_jobs), "computing")
         yield from finished()

@@ -194,30 +194,11 @@ class Interpretation:
         """Whether a motor of a robot with joint springs can have this torque-speed line."""
         return self.line in ("physical", "flat")
 
-    def _possible(self, robot: Robot) -> bool:
-        if robot.flexible:
-            return self.flexible_loop_possible
-        return self.closed_loop_possible
-
-    def motors(self, robot: Robot) -> Robot:
-        """The robot with the torque-speed line of this interpretation.
-
-        Raises:
-            ValueError: if no motor can have this line.
-        """
-        if not self._possible(robot):
-            raise ValueError(
-                f"no motor can have the torque-speed line {self.line!r} in closed loop; use flat or physical"
-            )
-        if self.line == "flat":
-            return robot.replace(motors=robot.motors.replace(free_speed=_FLAT))
-        return robot
-
     def closed_loop_robot(self, robot: Robot) -> Robot:
         """Robot for closed loops: with this torque-speed line if a motor can have it, otherwise
         unchanged."""
-        if self._possible(robot):
-            return self.motors(robot)
+        if self.line == "flat":
+            return robot.replace(motors=robot.motors.replace(free_speed=_FLAT))
         return robot
 
     def counted(self, robot: Robot, added: float) -> float:

@@ -24,6 +24,9 @@ damping."""
 _DIFFERENCE = 1e-6
 """Half step of the central differences."""
 
+_SAMPLING = 0.02
+"""Sampling period for the controllability [s]; the platform moves within a few periods."""
+
 _BEYOND = 1e6
 """Factor of the motor torques for motors that never saturate."""
 
@@ -67,17 +70,13 @@ def growth_rate(law: Any, robot: Robot, *, control_frequency: float = 500.0) -> 
     return float(np.log(np.abs(np.linalg.eigvals(loop)).max()) / period)
 
 
-def controllable_states(robot: Robot, *, period: float = 0.02) -> int:
+def controllable_states(robot: Robot) -> int:
     """Rank of the controllability matrix of a flexible robot's plant, sampled and linearised at
     rest at home.
 
     With m inputs and 2 (n + m) states, [B, AB, …] up to the fourth power is square if n = m. Each
     column is divided by its norm and each row by its largest absolute entry, which removes the
     influence of the units.
-
-    Args:
-        robot: flexible robot.
-        period: sampling period [s]; the platform should move within a few periods.
     """
     robot = unsaturated_actions(robot)
     minimum = textbook.MINIMUM_TENSION
@@ -90,7 +89,7 @@ def controllable_states(robot: Robot, *, period: float = 0.02) -> int:
     states = np.concatenate([rest_state + np.diag(step), rest_state - np.diag(step)])
     plant = _plant_at(robot, states)
     plant.set_action(states[:, size:] + robot.speed_slope / robot.stall_torque * plant.motor_speed)
-    _advance(plant, robot, period)
+    _advance(plant, robot, _SAMPLING)
     after = _state(plant)
     above, below = np.split(after, 2)
     response = (above - below).T / (2 * step)

@@ -26,12 +26,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cablebot_baselines.paper.runs import CONTROL_FREQUENCY
 from cablebot_gym.bounds.closed_form import control_instants
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import Reference, Trajectory
-from cablebot_gym.utils.checks import number, whole
+from cablebot_gym.utils.checks import number
+
+TOLERANCE = 1e-6
+"""Largest difference between m_load and m_e at convergence (7b) [kg]."""
+
+MOST_GUESSES = 100
+"""Largest number of guesses."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +51,8 @@ class LoadIteration:
     """``C m_e`` of the last guess [kg], the result if the iteration converged (step 7b); ``inf`` if
     no motor torque depends on the load."""
     converged: bool
-    """Whether the last guess and ``payload`` differ by at most the tolerance. False after
-    ``max_iterations`` guesses without convergence, or if the next guess would make the total mass
+    """Whether the last guess and ``payload`` differ by at most :data:`TOLERANCE`. False after
+    :data:`MOST_GUESSES` guesses without convergence, or if the next guess would make the total mass
     zero or negative because the motion is too fast for any payload."""
     motor: int | None
     """Motor with the smallest coefficient at the last guess, counted from 1; None if no torque
@@ -92,9 +99,6 @@ def iterate_load(
     guess: float,
     corrected: bool,
     minimum_tension: float = 0.0,
-    tolerance: float = 1e-6,
-    max_iterations: int = 100,
-    frequency: float = 500.0,
     line_speed: ArrayLike = 1.0,
 ) -> LoadIteration:
     """Runs the eight steps of the paper for exact tracking. The average of ``C m_e`` and m_e is the
@@ -110,18 +114,13 @@ def iterate_load(
         guess: first guess m_e [kg]; > 0.
         corrected: whether to use the corrected form instead of the printed one.
         minimum_tension: lower tension bound [N]; only a planar robot uses it.
-        tolerance: difference between m_load and m_e at convergence (7b) [kg]; > 0.
-        max_iterations: maximum number of guesses; ≥ 1.
-        frequency: number of control instants of exact tracking per second [Hz].
         line_speed: factor of the pulley speed in the torque-speed line, as for exact tracking.
 
     Raises:
-        ValueError: if an argument is invalid, or if no tensions produce the motion.
+        ValueError: if the guess is invalid, or if no tensions produce the motion.
     """
     guess = number("guess", guess, above=0, unit="kg")
-    tolerance = number("tolerance", tolerance, above=0, unit="kg")
-    max_iterations = whole("max_iterations", max_iterations, least=1)
-    times, reference = control_instants(robot, trajectory, frequency)
+    times, reference = control_instants(robot, trajectory, CONTROL_FREQUENCY)
     pulley_speed = textbook.pulley_speed(robot, reference.position, reference.velocity)
     speed = np.asarray(line_speed, float) * pulley_speed
     empty = _torques(robot, 0.0, reference, minimum_tension)
@@ -130,7 +129,7 @@ def iterate_load(
         loads.append(guess)
         # Steps 5 and 6. The probe load must differ from zero. A torque that a negative load removes
         # equals the torque that the corresponding positive load adds.
-        probe = math.copysign(max(abs(guess), tolerance), guess)
+        probe = math.copysign(max(abs(guess), TOLERANCE), guess)
         change = _torques(robot, probe, reference, minimum_tension) - empty
         full = empty + math.copysign(1.0, probe) * change
         coefficient = load_coefficient(robot, full, empty, speed, corrected=corrected)
@@ -138,9 +137,9 @@ def iterate_load(
         payload = float(coefficient[k, motor]) * abs(probe)
         if not math.isfinite(payload):
             return LoadIteration(tuple(loads), payload, converged=True, motor=None, time=None)
-        converged = abs(payload - guess) <= tolerance
+        converged = abs(payload - guess) <= TOLERANCE
         next_guess = (guess + payload) / 2
-        if converged or len(loads) == max_iterations or next_guess <= -robot.mass:
+        if converged or len(loads) == MOST_GUESSES or next_guess <= -robot.mass:
             return LoadIteration(
                 tuple(loads), payload, converged, motor=int(motor) + 1, time=float(times[k])
             )

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from html import escape
-from importlib.resources import files
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from string import Template
-from typing import Any, NamedTuple
+from typing import Any
 
 from markdown_it import MarkdownIt
 
 from cablebot_baselines.paper.findings import RULE
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.judgement import Run
+from cablebot_baselines.paper.published import load_text
 from cablebot_baselines.paper.summary import HEADINGS, points
 from cablebot_baselines.paper.texts import as_text, option_text
 
@@ -27,33 +27,6 @@ Row = Mapping[str, Any]
 Entry = Mapping[str, Any]
 """One part of the results: title, text, figure and tables."""
 
-
-class Heading(NamedTuple):
-    """A heading of the page."""
-
-    level: int
-    """1 for the title."""
-    text: str
-    """Text in Markdown."""
-
-
-class Table(NamedTuple):
-    """A table of the page."""
-
-    header: Sequence[str]
-    """Names of the columns."""
-    rows: Sequence[Sequence[Any]]
-    """Values of the cells."""
-
-    def numeric(self) -> list[bool]:
-        """Whether each column contains only numbers. Such columns are right-aligned."""
-        if not self.rows:
-            return [False] * len(self.header)
-        return [all(map(_is_number, column)) for column in zip(*self.rows, strict=True)]
-
-
-Block = Heading | Table | str
-"""A heading, a table, or Markdown."""
 
 TITLE = "Reproduction of the paper"
 
@@ -102,33 +75,31 @@ _VERDICTS = {
 
 def markdown(results: Results) -> str:
     """Page in Markdown. The figures are files in the same folder."""
-    return "\n\n".join(map(_as_markdown, _blocks(results))) + "\n"
+    return "\n\n".join(_blocks(results)) + "\n"
 
 
 def html(results: Results) -> str:
     """Page as one HTML file. The figures are files in the same folder."""
-    reader = MarkdownIt("commonmark", {"html": False})
-    body: list[str] = []
+    reader = MarkdownIt("commonmark", {"html": False}).enable("table")
+    tokens = reader.parse(markdown(results))
     links: list[str] = []
-    names: list[str] = []
-    for block in _blocks(results):
-        if isinstance(block, str):
-            body.append(reader.render(block))
-        elif isinstance(block, Table):
-            body.append(_as_html(block, reader))
-        else:
-            anchor = name = re.sub(r"\W+", "-", block.text.lower()).strip("-")
-            names.append(name)
-            if names.count(name) > 1:
-                anchor = f"{name}-{names.count(name)}"
-            text = reader.renderInline(block.text)
-            body.append(f'<h{block.level} id="{anchor}">{text}</h{block.level}>\n')
-            if block.level == 2:
-                links.append(f'<li><a href="#{anchor}">{text}</a></li>')
-    frame = Template(
-        files("cablebot_baselines.paper").joinpath("page.html").read_text(encoding="utf-8")
-    )
-    return frame.substitute(title=escape(TITLE), links="\n".join(links), body="".join(body))
+    for token, inline in pairwise(tokens):
+        if token.type == "heading_open" and token.tag == "h2":
+            anchor = re.sub(r"\W+", "-", inline.content.lower())
+            token.attrSet("id", anchor)
+            text = reader.renderInline(inline.content)
+            links.append(f'<li><a href="#{anchor}">{text}</a></li>')
+        elif token.type == "td_open" and inline.content in _VERDICTS:
+            token.attrSet("class", f"verdict {_VERDICTS[inline.content]}")
+    body = reader.renderer.render(tokens, reader.options, {})
+    body = body.replace("<table>", f"{_SCROLLED}<table>")
+    body = body.replace("</table>", "</table></div>")
+    frame = Template(load_text("page.html"))
+    return frame.substitute(title=TITLE, links="\n".join(links), body=body)
+
+
+_SCROLLED = '<div class="scroll" role="region" tabindex="0" aria-label="table">'
+"""Tag around a table, which scrolls on narrow screens."""
 
 
 def tally(rows: Sequence[Row]) -> str:
@@ -140,33 +111,33 @@ def tally(rows: Sequence[Row]) -> str:
 # --- contents -------------------------------------------------------------------------------------------------------
 
 
-def _blocks(results: Results) -> Iterator[Block]:
+def _blocks(results: Results) -> Iterator[str]:
     rows = results["rows"]
     yield from _head(results)
     yield from _summary(results)
     for kind in ("result", "claim"):
-        yield Heading(2, f"{kind.capitalize()}s")
+        yield f"## {kind.capitalize()}s"
         yield _judged(rows, kind)
     for heading, entries in _grouped(results["parts"]):
-        yield Heading(2, heading)
+        yield f"## {heading}"
         for entry in entries:
             yield from _part(entry, results["numbers"])
-    yield Heading(2, "Inputs")
+    yield "## Inputs"
     yield (
         "Values of tables and motions, and counts. Our values are read from the objects of the runs; the evidence "
         "names the object and its attribute."
     )
     yield _judged(rows, "input")
-    yield Heading(2, "Options and versions")
+    yield "## Options and versions"
     options = []
     for name, value in results["interpretation"].items():
         options.append((f"`--{name.replace('_', '-')}`", value, option_text(name, value)))
-    yield Table(("option", "value", "meaning"), options)
-    yield Table(("package", "version"), list(results["versions"].items()))
+    yield _table(("option", "value", "meaning"), options)
+    yield _table(("package", "version"), list(results["versions"].items()))
 
 
-def _head(results: Results) -> Iterator[Block]:
-    yield Heading(1, TITLE)
+def _head(results: Results) -> Iterator[str]:
+    yield f"# {TITLE}"
     yield (
         f"Reproduction of the tables, figures and claims of {SOURCE}. The page states which of them are reproduced, "
         "which are not, and the reasons. This command generates the page, its figures and `results.json`:"
@@ -213,8 +184,8 @@ _SUBJECTS = {
 """Options in the order of the introduction."""
 
 
-def _summary(results: Results) -> Iterator[Block]:
-    yield Heading(2, "Summary")
+def _summary(results: Results) -> Iterator[str]:
+    yield "## Summary"
     lines = []
     for kind in ("result", "claim", "input"):
         rows = [row for row in results["rows"] if row["kind"] == kind]
@@ -227,11 +198,11 @@ def _summary(results: Results) -> Iterator[Block]:
     for verdict, heading in HEADINGS.items():
         lines = [f"* {_escaped(text, bold=True)}" for result, text in judged if result == verdict]
         if lines:
-            yield Heading(3, heading)
+            yield f"### {heading}"
             yield "\n".join(lines)
-    yield Heading(3, "Rules of the verdicts")
+    yield "### Rules of the verdicts"
     yield RULE
-    yield Heading(3, "Terms")
+    yield "### Terms"
     yield _TERMS
 
 
@@ -253,7 +224,7 @@ _TERMS = """\
 * **ε**: boundary layer within which the robust term Δv is continuous."""
 
 
-def _judged(rows: Sequence[Row], kind: str) -> Table:
+def _judged(rows: Sequence[Row], kind: str) -> str:
     """Table of the findings of one kind."""
     cells = []
     for row in rows:
@@ -262,7 +233,7 @@ def _judged(rows: Sequence[Row], kind: str) -> Table:
             paper = (row["place"], row["statement"], row["printed"])
             verdict = (row["interpretation"], _verdict(row), row["evidence"], f"`{row['command']}`")
             cells.append((*paper, ours, *verdict))
-    return Table(_COLUMNS, cells)
+    return _table(_COLUMNS, cells)
 
 
 def _verdict(row: Row) -> str:
@@ -281,8 +252,8 @@ def _grouped(entries: Sequence[Entry]) -> Iterator[tuple[str, list[Entry]]]:
         yield _UNGROUPED, ungrouped
 
 
-def _part(entry: Entry, numbers: Mapping[str, Any]) -> Iterator[Block]:
-    yield Heading(3, entry["title"])
+def _part(entry: Entry, numbers: Mapping[str, Any]) -> Iterator[str]:
+    yield f"### {entry['title']}"
     yield entry["text"].strip()
     if entry.get("impossible"):
         yield f"Not possible under the chosen interpretation: {_escaped(entry['impossible'])}"
@@ -296,58 +267,25 @@ def _part(entry: Entry, numbers: Mapping[str, Any]) -> Iterator[Block]:
             rows.append((f"`{name}`", numbers[key]))
     if rows:
         yield "**Numbers in the text**"
-        yield Table(("number", "value"), rows)
+        yield _table(("number", "value"), rows)
     for table in entry["tables"]:
         yield f"**{_escaped(table['title'])}**"
-        yield Table(table["header"], table["rows"])
+        yield _table(table["header"], table["rows"])
 
 
 # --- formats --------------------------------------------------------------------------------------------------------
 
 
-def _as_markdown(block: Block) -> str:
-    if isinstance(block, str):
-        return block
-    if isinstance(block, Heading):
-        return f"{'#' * block.level} {block.text}"
-    rules = {True: "---:", False: "---"}
-    lines = [map(_escaped, block.header), map(rules.__getitem__, block.numeric())]
-    for row in block.rows:
+def _table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """A table in Markdown. Columns that contain only numbers are right-aligned."""
+    rules = ["---"] * len(header)
+    for index, column in enumerate(zip(*rows, strict=True)):
+        if all(map(_is_number, column)):
+            rules[index] = "---:"
+    lines: list[Iterable[str]] = [map(_escaped, header), rules]
+    for row in rows:
         lines.append(map(_escaped, map(as_text, row)))
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def _as_html(table: Table, reader: MarkdownIt) -> str:
-    """HTML table that scrolls. The columns of findings and the verdicts have classes."""
-
-    def cell(tag: str, attributes: str, text: str) -> str:
-        plain = _escaped(text).replace("\\|", "|")  # a bar separates cells only in Markdown
-        return f"<{tag}{attributes}>{reader.renderInline(plain)}</{tag}>"
-
-    styles = []
-    heads = []
-    for name, is_numeric in zip(table.header, table.numeric(), strict=True):
-        style = ""
-        if is_numeric:
-            style = ' style="text-align:right"'
-        styles.append(style)
-        heads.append(cell("th", f' scope="col"{style}', name))
-    lines = []
-    for row in table.rows:
-        cells = []
-        for name, style, text in zip(table.header, styles, map(as_text, row), strict=True):
-            attributes = style
-            if name in _COLUMNS:
-                classes = name.lower().replace(" ", "-")
-                if name == "Verdict":
-                    classes += f" {_VERDICTS[text]}"
-                attributes += f' class="{classes}"'
-            cells.append(cell("td", attributes, text))
-        lines.append(f"<tr>{''.join(cells)}</tr>\n")
-    return (
-        '<div class="scroll" role="region" tabindex="0" aria-label="table">\n'
-        f"<table>\n<thead><tr>{''.join(heads)}</tr></thead>\n<tbody>\n{''.join(lines)}</tbody>\n</table>\n</div>\n"
-    )
 
 
 def _is_number(value: Any) -> bool:

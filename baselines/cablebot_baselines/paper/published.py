@@ -33,8 +33,6 @@ class Published:
     """Number in ``unit``, without "about"; None if there is no number."""
     unit: str = ""
     """Correct unit of the value, which may differ from the printed one; empty if dimensionless."""
-    times: int = 1
-    """Number of occurrences at this place, in digits or words."""
 
     @property
     def place(self) -> str:

@@ -43,7 +43,6 @@ def iterations(
         paper_circle(robot),
         corrected=corrected,
         minimum_tension=interpretation.minimum_tension,
-        frequency=CONTROL_FREQUENCY,
         line_speed=interpretation.line_speed(robot),
     )
     return [iterate(guess=guess) for guess in guesses]

@@ -81,7 +81,7 @@ def path_jobs(interpretation: Interpretation) -> Jobs:
     """Episodes of Fig. 14."""
     if not interpretation.flexible_loop_possible:
         return {}
-    robot = interpretation.motors(interpretation.flexible("payload"))
+    robot = interpretation.closed_loop_robot(interpretation.flexible("payload"))
     return {
         "fl4": _payload(robot, FourthOrder, "fl4"),
         "empty": _episode(robot, FourthOrder),
@@ -92,30 +92,25 @@ def path_jobs(interpretation: Interpretation) -> Jobs:
 
 def path_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Numbers of Fig. 14."""
-    bound = ErrorBounds().position
     if not interpretation.flexible_loop_possible:
-        return Outcome(numbers={"peak_error_mm": None, "bound_mm": 1e3 * bound, "within": None})
+        return Outcome(numbers=profiles.NO_PATH)
     shown = _shown(results)
-    position, rotation = shown.peaks
-    numbers: dict[str, Number] = {
-        "payload_kg": shown.result.payload,
-        "peak_error_mm": 1e3 * position,
-        "bound_mm": 1e3 * bound,
-        "within": shown.within,
-        "peak_rotation_mrad": 1e3 * rotation,
-        "peak_z_mm": 1e3 * float(np.abs(_errors(interpretation, shown.arrays)[:, 2]).max()),
-    }
+    _, rotation = shown.peaks
+    numbers = profiles.path_numbers(shown)
+    numbers["peak_rotation_mrad"] = 1e3 * rotation
+    depths = _errors(interpretation, shown.arrays)[:, 2]
+    numbers["peak_z_mm"] = 1e3 * float(np.abs(depths).max())
     for name in ("eq22", "eq22_friction"):
-        for quantity, value in _eq22_numbers(results[name], bound).items():
+        for quantity, value in _eq22_numbers(results[name]).items():
             numbers[f"{name}_{quantity}"] = value
     return Outcome(numbers=numbers)
 
 
-def _eq22_numbers(loop: Rollout, bound: float) -> dict[str, Number]:
+def _eq22_numbers(loop: Rollout) -> dict[str, Number]:
     """Numbers of an episode of the law of the paper."""
     arrays = loop.arrays
     error = arrays["tracking_error_peak"]
-    times_outside = arrays["time"][error > bound].tolist()
+    times_outside = arrays["time"][error > ErrorBounds().position].tolist()
     end = None
     if loop.reason:
         end = float(arrays["time"][-1])
@@ -224,8 +219,8 @@ def torque_jobs(interpretation: Interpretation) -> Jobs:
     }
     if not interpretation.flexible_loop_possible:
         return jobs
-    rigid = interpretation.motors(rigid)
-    robot = interpretation.motors(robot)
+    rigid = interpretation.closed_loop_robot(rigid)
+    robot = interpretation.closed_loop_robot(robot)
     loop = {"env_id": SPATIAL, "law": FeedbackLinearization, "robot": rigid, "name": "fl"}
     return jobs | {
         "fl4": _payload(robot, FourthOrder, "fl4"),
@@ -289,7 +284,7 @@ def draw_torques(interpretation: Interpretation, results: Results) -> Figure:
     if interpretation.flexible_loop_possible:
         summary = PayloadSummary.simulated(results["fl4"])
         shown = _shown(results)
-        profile = profiles.simulated_profile(interpretation.motors(robot), shown.arrays)
+        profile = profiles.simulated_profile(interpretation.closed_loop_robot(robot), shown.arrays)
         profiles.draw_panels(panels[0], profile, profiles.first_saturation(profile, summary))
         title = "Robot with joint springs, fl4 in closed loop, paper criterion: |a| ≤ 1 at every control instant"
         rigid = results["rigid"].payload

@@ -113,15 +113,15 @@ def jobs(interpretation: Interpretation) -> Jobs:
             continue
         if options <= VARIED["planar"].keys():
             law = partial(FeedbackLinearization, minimum_tension=variant.minimum_tension)
-            robot = variant.motors(variant.planar)
+            robot = variant.closed_loop_robot(variant.planar)
             jobs[f"planar_{name}"] = payload(env_id=PLANAR, law=law, robot=robot, name="fl")
         if options <= VARIED["spatial"].keys() and _has_equilibrium(variant):
-            robot = variant.motors(variant.spatial("payload"))
+            robot = variant.closed_loop_robot(variant.spatial("payload"))
             jobs[f"spatial_{name}"] = payload(
                 env_id=SPATIAL, law=FeedbackLinearization, robot=robot, name="fl"
             )
     if interpretation.flexible_loop_possible and _has_equilibrium(interpretation):
-        robot = interpretation.motors(interpretation.flexible("payload"))
+        robot = interpretation.closed_loop_robot(interpretation.flexible("payload"))
         for name, flexible_law in _FLEXIBLE_LAWS.items():
             for branch, motion in _BRANCHES.items():
                 loop = payload(env_id=FLEX, law=flexible_law, robot=robot, name=name, **motion)

@@ -19,6 +19,7 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.plotting.figures import Mark, TorqueProfile, TravelledPath, torque_panels
 from cablebot_gym.robots import Robot
+from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.palette import BLUE
 
@@ -158,6 +159,25 @@ class Shown:
         """Whether the episode is complete and within the position error bound."""
         position, _ = self.peaks
         return not self.end_reason and position <= self._bound
+
+
+NO_PATH: dict[str, Number] = {
+    "peak_error_mm": None,
+    "bound_mm": 1e3 * ErrorBounds().position,
+    "within": None,
+}
+"""Numbers of a path without closed loop."""
+
+
+def path_numbers(shown: Shown) -> dict[str, Number]:
+    """Numbers of the path of a closed loop."""
+    position, _ = shown.peaks
+    return {
+        "payload_kg": shown.result.payload,
+        "peak_error_mm": 1e3 * position,
+        "bound_mm": NO_PATH["bound_mm"],
+        "within": shown.within,
+    }
 
 
 def travelled(run: Mapping[str, Array], *, name: str, color: str = BLUE) -> TravelledPath:

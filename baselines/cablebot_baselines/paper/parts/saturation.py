@@ -10,7 +10,7 @@ from cablebot_baselines.classical.feedback_linearization import FeedbackLineariz
 from cablebot_baselines.paper.exact import exact_limit, exact_profile, paper_circle
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.judgement import Judgement, Run, verdict
-from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, job
+from cablebot_baselines.paper.part import Jobs, Outcome, Results, job
 from cablebot_baselines.paper.parts import profiles
 from cablebot_baselines.paper.parts.interpretations import evidence_of_combinations
 from cablebot_baselines.paper.parts.plotting import add_title
@@ -70,7 +70,7 @@ class Rigid:
         loop = {
             "env_id": f"CableBot-{self.kind.capitalize()}-v0",
             "law": law,
-            "robot": interpretation.motors(robot),
+            "robot": interpretation.closed_loop_robot(robot),
         }
         payload = partial(job, largest_payload, **loop, name="fl")
         jobs["paper"] = payload(criterion="paper")
@@ -104,7 +104,9 @@ class Rigid:
         if self.closed_loop_possible(interpretation):
             summary = PayloadSummary.simulated(results["paper"])
             shown = _shown(results)
-            profile = profiles.simulated_profile(interpretation.motors(robot), shown.arrays)
+            profile = profiles.simulated_profile(
+                interpretation.closed_loop_robot(robot), shown.arrays
+            )
             end_reason = shown.end_reason
             description = (
                 "in closed loop with fl, paper criterion: |a| ≤ 1 at every control instant"
@@ -127,22 +129,14 @@ class Rigid:
 
     def path(self, interpretation: Interpretation, results: Results) -> Outcome:
         """Numbers of Figs. 11 and 13."""
-        bounds = ErrorBounds()
         if not self.closed_loop_possible(interpretation):
-            return Outcome(
-                numbers={"peak_error_mm": None, "bound_mm": 1e3 * bounds.position, "within": None}
-            )
+            return Outcome(numbers=profiles.NO_PATH)
         shown = _shown(results)
-        position, rotation = shown.peaks
-        numbers: dict[str, Number] = {
-            "payload_kg": shown.result.payload,
-            "peak_error_mm": 1e3 * position,
-            "bound_mm": 1e3 * bounds.position,
-            "within": shown.within,
-        }
+        numbers = profiles.path_numbers(shown)
         if self.kind == "spatial":
+            _, rotation = shown.peaks
             numbers["peak_rotation_mrad"] = 1e3 * rotation
-            numbers["rotation_bound_mrad"] = 1e3 * bounds.rotation
+            numbers["rotation_bound_mrad"] = 1e3 * ErrorBounds().rotation
         return Outcome(numbers=numbers)
 
     def draw_path(self, interpretation: Interpretation, results: Results) -> Figure:
