@@ -18,7 +18,7 @@ from cablebot_baselines.classical import (
     PaperFlexible,
     Robust,
 )
-from cablebot_baselines.classical.law import first_steps
+from cablebot_baselines.episodes import first_steps
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import PAPER_ENV_IDS, fitting_env_id
 from cablebot_gym.evaluation import evaluate_dlcc

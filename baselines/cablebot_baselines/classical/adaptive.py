@@ -12,9 +12,10 @@ import numpy as np
 from cablebot_baselines.classical.allocation import allocate
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flexible import composite_tuned
-from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
+from cablebot_baselines.classical.law import Array, ClassicalLaw
 from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
+from cablebot_baselines.episodes import first_steps
 from cablebot_gym.kinematics import cable_vectors
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import GRAVITY, Robot

@@ -10,9 +10,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from cablebot_baselines.classical.flexible import FlexibleLaw
-from cablebot_baselines.classical.law import Array, first_steps
+from cablebot_baselines.classical.law import Array
 from cablebot_baselines.classical.outer_loop import PD, OuterLoop, checked_gains
 from cablebot_baselines.entries import entry
+from cablebot_baselines.episodes import first_steps
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import choice
 

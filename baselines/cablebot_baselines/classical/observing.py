@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from cablebot_baselines.classical.allocation import allocate
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flexible import composite_tuned
-from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
+from cablebot_baselines.classical.law import Array, ClassicalLaw
 from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
+from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.estimation.observer import ObserverState, RobotEstimate, RobotObserver
 from cablebot_gym.bounds.closed_form import exact_payload

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_baselines.classical.law import first_steps
+from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.estimation.ekf import ExtendedKalmanFilter
 from cablebot_gym.envs.observation import ObservationLayout, observation_layout
 from cablebot_gym.measurement import POSE

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from cablebot_baselines.classical.law import Array, first_steps
+from cablebot_baselines.classical.law import Array
+from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.features import SHIFT_FEATURES, check_features, feature_values
 from cablebot_gym.envs.observation import PREVIEWS, observation_layout, preview_name

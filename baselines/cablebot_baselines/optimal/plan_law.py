@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from cablebot_baselines.classical.adaptive import Adaptive, EstimatorState
-from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
+from cablebot_baselines.classical.law import Array, ClassicalLaw
+from cablebot_baselines.episodes import first_steps
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Follower, PlannedMotion, State
 from cablebot_gym.robots import Robot

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.classical.adaptive import make_adaptive
-from cablebot_baselines.classical.law import Array, ClassicalLaw, first_steps
+from cablebot_baselines.classical.law import Array, ClassicalLaw
 from cablebot_baselines.classical.observing import Observing
 from cablebot_baselines.entries import entry
+from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.optimal.plan_law import AdaptivePlanLaw, TrackingGains
 from cablebot_baselines.optimal.rehearsed import find_rehearsed_plan, intervals_of, tracking_law
