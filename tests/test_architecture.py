@@ -89,6 +89,18 @@ def test_imports_form_no_cycle():
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError with the cycle
 
 
+def test_rooms_of_the_baselines_form_no_cycle():
+    """A law may use an estimator, so no estimator may use a law."""
+    graph = {}
+    for module in FILES:
+        room = module.split(".")[:2]
+        for imported, _ in imports(module):
+            target = imported.split(".")[:2]
+            if room[0] == target[0] == "cablebot_baselines" and room != target:
+                graph.setdefault(".".join(room), set()).add(".".join(target))
+    graphlib.TopologicalSorter(graph).prepare()
+
+
 @pytest.mark.parametrize("package", ORDER)
 def test_package_imports_only_those_before_it(package):
     allowed = {"", *ORDER[: ORDER.index(package) + 1]}
