@@ -284,6 +284,7 @@ IMPOSSIBLE = [
         "unknown uncertainty 'noise'; choose one of none, table6, .*sensors, or join",
     ),
     (PLANAR, "table6+table6", "'table6.table6' defines parameters twice"),
+    (PLANAR, "hardware:stiffness", "unknown error of 'hardware' 'stiffness'; choose one of pla"),
     (
         PLANAR,
         {"wrench": {"force_mean": [1, 2, 3]}},
@@ -315,6 +316,17 @@ IMPOSSIBLE = [
         "position must be a finite number at least 0",
     ),
 ]
+
+
+def test_errors_of_an_uncertainty_are_all_of_it():
+    hardware = find_uncertainty("hardware", FLEX_PLANAR)
+    names = [f"hardware:{name}" for name in hardware.errors()]
+    parameters = {}
+    for name in names:
+        parameters |= find_uncertainty(name, FLEX_PLANAR).parameters
+    assert parameters == hardware.parameters
+    others = "+".join(names[len(parameters) :])
+    assert find_uncertainty(others, FLEX_PLANAR) == dataclasses.replace(hardware, parameters={})
 
 
 @pytest.mark.parametrize(("robot", "data", "message"), IMPOSSIBLE)

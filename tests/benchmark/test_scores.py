@@ -19,11 +19,13 @@ from cablebot_gym.benchmark.ranking import fraction
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.scores import (
     RANKED_MOTIONS,
+    error_tables,
     leaderboards,
     overall,
     payload_maps,
     scores,
 )
+from cablebot_gym.benchmark.tables import error_rows
 from cablebot_gym.trajectories import find_trajectory
 
 PLANAR = "CableBot-Planar-v0"
@@ -247,6 +249,31 @@ def test_columns_with_the_most_motions_order_the_rows():
     assert loops.endswith("worst 40%")
     assert circle == "1.00, 50%"
     assert drawn == "0.50"
+
+
+def test_error_table_compares_each_error_with_the_exactly_known_robot():
+    """It is not a column of the leaderboard, which would be as wide as there are errors."""
+    unknown = {"payload_known": False}
+    drawn = {"draws": 128, **unknown}
+    records = [
+        carries("fl", 4.0, **unknown),
+        carries("fl", 3.0, uncertainty="hardware:delay", **drawn),
+        carries("fl", None, uncertainty="hardware:wrench", **drawn),
+        carries("fl", 1.0, uncertainty="hardware", **drawn),
+        carries("nmpc", 5.0, uncertainty="hardware:delay", **drawn),
+        carries("fl", 4.5),  # with a known payload: another table
+    ]
+    (table,) = error_tables(records)
+    assert error_rows(table) == [
+        ["error", "fl", "nmpc"],
+        ["none", "4", "–"],
+        ["delay", "3, -25%", "5"],
+        ["wrench", "fails unloaded", "–"],
+        ["all together", "1, -75%", "–"],
+    ]
+    columns = {column.uncertainty for board in leaderboards(records) for column in board.columns}
+    assert columns == {None, "hardware"}
+    assert "| delay | 3, -25% | 5 |" in page_of(records)
 
 
 def test_error_on_one_motion_counts_as_zero_and_is_named():

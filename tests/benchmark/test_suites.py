@@ -128,6 +128,18 @@ def test_planners_and_robots_with_long_searches_have_the_first_motions_only():
     }
 
 
+def test_errors_of_an_uncertainty_are_cells_of_their_own():
+    """A rigid robot has no stiffness. Without error there is one draw."""
+    cells = policy_cells("errors", ["fl"])
+    draws = {cell.uncertainty: cell.draws for cell in cells if cell.env_id == PLANAR}
+    assert draws.pop(None) == 1
+    assert set(draws.values()) == {128}
+    names = ["platform_mass", "payload", "motor_strength", "motor_lag", "coulomb_friction"]
+    names += ["pulley_inertia", "base_anchors", "damping"]
+    names += ["wrench", "sensors", "sensor_bias", "delay"]
+    assert list(draws) == [*(f"hardware:{name}" for name in names), "hardware"]
+
+
 def test_real_time_repeats_every_episode():
     suite = find_suite("standard")
     some = suite_cells(suite, {PLANAR: ("fl",)}, real_time=True).values()

@@ -20,7 +20,7 @@ from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.estimation.observer import ObserverState, RobotEstimate, RobotObserver
 from cablebot_gym.bounds.closed_form import exact_payload
-from cablebot_gym.physics.textbook import normalised_action
+from cablebot_gym.physics.textbook import allocated_minimum, normalised_action
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.uncertainty import find_uncertainty
@@ -28,9 +28,13 @@ from cablebot_gym.uncertainty import find_uncertainty
 PERIOD = 2e-3
 """Control period of the observer before :meth:`Observing.reset` [s]."""
 
-GAINS = {"planar": (1600.0, 80.0), "spatial": (400.0, 40.0)}
+GAINS = {"planar": (900.0, 60.0), "spatial": (400.0, 40.0)}
 """(K_P, K_D) of ``observing`` for rigid robots [1/s², 1/s]. Higher ones amplify the noise of the
 sensors."""
+
+MINIMUM_TENSION = 7.0
+"""Least tension that ``observing`` allocates with more cables than coordinates [N]. Less, and a cable
+goes slack where the reference's acceleration jumps."""
 
 UNCERTAINTY = "hardware"
 """Uncertainty that ``observing`` expects."""
@@ -192,7 +196,11 @@ def make_observing(robot: Robot) -> Observing:
     if robot.flexible:
         law = composite_tuned(expectation.robot)
     else:
-        law = FeedbackLinearization(expectation.robot, gains=by_kind(GAINS, robot))
+        law = FeedbackLinearization(
+            expectation.robot,
+            gains=by_kind(GAINS, robot),
+            minimum_tension=allocated_minimum(robot, MINIMUM_TENSION),
+        )
     return Observing(law, expectation)
 
 

@@ -38,7 +38,7 @@ TUNING = {
     "planar": Tuning(
         intervals=10,
         instants=2,
-        margins=Margins(position=7e-4, action=0.005, tension=3.0),
+        margins=Margins(position=7e-4, action=0.005, tension=3.5),
         action_exponent=4.0,
         error_weight=0.1,
         end_error_weight=0.0,
