@@ -6,9 +6,9 @@ A block stands between two comments, so that the page is plain Markdown, on the 
     <!-- end of NAME -->
 
 NAME is ``leaderboard`` (the best policy of each kind), ``measurement`` (payload lost by sensors and
-errors), ``library`` (the real robots), ``library payloads`` (payloads of laws on them), ``budgets``
-(of an entry's processor time), a table of ``cablebot list``, or a script in ``examples/``, with its
-output if the name ends in ``and output``.
+errors), ``errors`` (payload with each error alone), ``library`` (the real robots), ``library
+payloads`` (payloads of laws on them), ``budgets`` (of an entry's processor time), a table of
+``cablebot list``, or a script in ``examples/``, with its output if the name ends in ``and output``.
 
 python scripts/page_blocks.py
 """
@@ -24,7 +24,7 @@ from pathlib import Path
 
 import measure_winches
 
-from cablebot_gym.benchmark.leaderboard import Results, library_tables
+from cablebot_gym.benchmark.leaderboard import Results, errors_text, library_tables
 from cablebot_gym.benchmark.scores import Column, Leaderboard, best_known_payloads, leaderboards
 from cablebot_gym.benchmark.tables import heading, motion_title
 from cablebot_gym.bounds.robot_check import MotionCheck, RobotCheck, check_model, check_motion
@@ -44,6 +44,7 @@ PAGES = (
     "docs/policies.md",
     "docs/measurement.md",
     "docs/robots.md",
+    "docs/uncertainty.md",
     "docs/submit.md",
 )
 """Pages with blocks."""
@@ -172,6 +173,9 @@ def block(name: str) -> str:
     if name == "library payloads":
         stored = (ROOT / "docs/library/results.json").read_text(encoding="utf-8")
         return f"\n{library_tables(Results.from_json(stored).records)}\n"
+    if name == "errors":
+        stored = (ROOT / "docs/errors/results.json").read_text(encoding="utf-8")
+        return errors_text(Results.from_json(stored).records, "###") + "\n"
     if name == "measurement":
         return measure_winches.table(
             json.loads((measure_winches.FOLDER / "results.json").read_text(encoding="utf-8"))

@@ -256,8 +256,7 @@ def markdown(results: Results) -> str:
         "Number of held-out motions by the first violation beyond the payload.\n\n",
     )
     text += _maps_text(records)
-    for table in error_tables(records):
-        text += f"\n## {tables.error_title(table)}\n\n{_table(tables.error_rows(table))}"
+    text += errors_text(records, "##")
     text += _section("Entries", _entry_rows(results.entries))
     text += _section("Best known payloads", _best_known_rows(best_known_payloads(records).values()))
     text += _section(
@@ -332,6 +331,14 @@ def _maps_text(records: Sequence[Record]) -> str:
         note = tables.map_note(payload_map)
         if note:
             text += f"\n{note}\n"
+    return text
+
+
+def errors_text(records: Sequence[Record], heading: str) -> str:
+    """The error tables under headings of a level, such as ``##``."""
+    text = ""
+    for table in error_tables(records):
+        text += f"\n{heading} {tables.error_title(table)}\n\n{_table(tables.error_rows(table))}"
     return text
 
 

@@ -262,7 +262,11 @@ ALL_ERRORS = "all together"
 def error_tables(records: Sequence[Record]) -> list[ErrorTable]:
     """The error tables of the records, for each environment, motion, payload model and uncertainty
     of which there is an error alone."""
-    singles = [score for score in scores(records) if score.cell.robot_name is None]
+    singles = []
+    for score in scores(records):
+        is_usual = score.cell.robot_name is None and score.cell.criterion == "task"
+        if is_usual and not varied_fields(score.cell):
+            singles.append(score)
     groups: dict[tuple[str, str, bool, str], dict[str, dict[str, Score]]] = {}
     for score in singles:
         name, _, error = (score.cell.uncertainty or "").partition(ERROR_SEPARATOR)

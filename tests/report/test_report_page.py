@@ -137,6 +137,18 @@ def test_limits_of_a_policy_are_those_of_all_its_cells():
     assert counts == {"adaptive": {"position": 1}, "fl": {"position": 4}}
 
 
+def test_figure_has_each_error_of_an_uncertainty():
+    delayed = policy(uncertainty="table6:wrench", draws=128)
+    source = replace(RESULTS, records=[*RECORDS, carried(delayed, 1.5)])
+    figures = {
+        figure["title"].partition(",")[0]: figure["bars"]
+        for figure in page_data([source], {})["errors"]
+    }
+    payloads = {bar["error"]: bar["payload"] for bar in figures["fl"]}
+    assert payloads == {"none": 1.9, "wrench": 1.5, "all together": 1.0}
+    assert figures["adaptive"] == [{"error": "none", "payload": 1.7, "text": "1.70"}]
+
+
 def test_page_has_title_and_data_as_text(results, capsys):
     out = results / "report.html"
     report([results, results / "results.json"], out=out, title="A <title>", episodes=False)
