@@ -252,10 +252,10 @@ class ErrorTable:
     """Scores by policy, one for each error; None where the policy was not evaluated."""
 
 
-NO_ERROR = "none"
+NO_ERROR = "no error"
 """Label of the exactly known robot in an error table."""
 
-ALL_ERRORS = "all together"
+ALL_ERRORS = "all errors together"
 """Label of the whole uncertainty in an error table."""
 
 

@@ -206,7 +206,7 @@ def error_title(table: scores.ErrorTable) -> str:
 def error_rows(table: scores.ErrorTable) -> list[list[str]]:
     """Head and rows of an error table: payloads [kg], and what is lost against the exactly known
     robot."""
-    rows = [["error", *table.policies]]
+    rows = [["payload [kg] with", *table.policies]]
     for index, error in enumerate(table.errors):
         cells = []
         for entries in table.policies.values():

@@ -265,11 +265,11 @@ def test_error_table_compares_each_error_with_the_exactly_known_robot():
     ]
     (table,) = error_tables(records)
     assert error_rows(table) == [
-        ["error", "fl", "nmpc"],
-        ["none", "4", "–"],
+        ["payload [kg] with", "fl", "nmpc"],
+        ["no error", "4", "–"],
         ["delay", "3, -25%", "5"],
         ["wrench", "fails unloaded", "–"],
-        ["all together", "1, -75%", "–"],
+        ["all errors together", "1, -75%", "–"],
     ]
     columns = {column.uncertainty for board in leaderboards(records) for column in board.columns}
     assert columns == {None, "hardware"}

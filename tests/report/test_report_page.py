@@ -145,8 +145,8 @@ def test_figure_has_each_error_of_an_uncertainty():
         for figure in page_data([source], {})["errors"]
     }
     payloads = {bar["error"]: bar["payload"] for bar in figures["fl"]}
-    assert payloads == {"none": 1.9, "wrench": 1.5, "all together": 1.0}
-    assert figures["adaptive"] == [{"error": "none", "payload": 1.7, "text": "1.70"}]
+    assert payloads == {"no error": 1.9, "wrench": 1.5, "all errors together": 1.0}
+    assert figures["adaptive"] == [{"error": "no error", "payload": 1.7, "text": "1.70"}]
 
 
 def test_page_has_title_and_data_as_text(results, capsys):

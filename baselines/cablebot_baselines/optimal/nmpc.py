@@ -58,7 +58,7 @@ TUNING = {
 }
 """Tuning with the largest DLCC on the paper's circles."""
 
-PAYLOAD_OF_PLANS = 2.0
+PAYLOAD_OF_PLANS = 1.6
 """Largest payload of a plan within the error bounds, as a multiple of that with which the motors can
 track the reference exactly."""
 
