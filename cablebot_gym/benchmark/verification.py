@@ -6,7 +6,7 @@ import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import ceil, sqrt
+from math import ceil, log
 from statistics import mean
 
 from cablebot_gym.benchmark.cells import PolicyCell
@@ -21,9 +21,8 @@ true one."""
 SLACK = 0.02
 """Largest shortfall of the success rate of any cell."""
 
-
-STANDARD_ERRORS = 3
-"""Largest shortfall of the mean success rate of surveyed payloads, in standard errors."""
+FALSE_ALARM = 1e-3
+"""Fraction of honest boards whose surveyed payloads are called broken."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,12 +147,12 @@ def broken(confirmations: Sequence[Confirmation]) -> str:
             f"at least {required} have to"
         )
     if surveyed:
-        rates = [confirmation.success_rate for confirmation in surveyed]
-        least = mean(map(_least_mean, surveyed)) - STANDARD_ERRORS * _standard_error(surveyed)
-        if mean(rates) < least:
+        rarity = _rarity(surveyed)
+        if rarity < FALSE_ALARM:
+            rate = mean(confirmation.success_rate for confirmation in surveyed)
             return (
-                f"the surveyed payloads are carried in {mean(rates):.1%} on the mean; "
-                f"at least {least:.1%} have to"
+                f"the surveyed payloads are carried in {rate:.1%} on the mean; "
+                f"honest ones are so rarely in {rarity:.1g} of all checks"
             )
     for confirmation in bounds:
         if confirmation.success_rate < confirmation.cell.probability - SLACK:
@@ -161,21 +160,20 @@ def broken(confirmations: Sequence[Confirmation]) -> str:
     return ""
 
 
-def _least_mean(confirmation: Confirmation) -> float:
-    """Mean of the success probability if the weakest of all robots has just carried the payload."""
-    robots = confirmation.cell.draws
-    return robots / (robots + 1)
+def _rarity(surveyed: Sequence[Confirmation]) -> float:
+    """Probability that honest surveys of as many motions are carried as rarely.
 
+    The success probability p of a payload that the weakest of r robots has just carried has the
+    distribution Beta(r, 1), so −r ln p is exponential, and the sum over motions has a gamma
+    distribution.
+    """
+    from scipy.special import gammaincc  # slow to import
 
-def _standard_error(confirmations: Sequence[Confirmation]) -> float:
-    """Standard error of the mean success rate: that of the probabilities, which then have the
-    distribution Beta(robots, 1), and that of the draws."""
-    variance = 0.0
-    for confirmation in confirmations:
-        robots = confirmation.cell.draws
-        rate = _least_mean(confirmation)
-        variance += rate / (robots + 1) / (robots + 2) + rate * (1 - rate) / confirmation.draws
-    return sqrt(variance) / len(confirmations)
+    total = 0.0
+    for confirmation in surveyed:
+        rate = max(confirmation.success_rate, 0.5 / confirmation.draws)
+        total -= confirmation.cell.draws * log(rate)
+    return float(gammaincc(len(surveyed), total))
 
 
 @dataclass(frozen=True, kw_only=True)
