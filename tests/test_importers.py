@@ -48,7 +48,7 @@ def cables(base=BASE, body=BODY, reference="com", tag="cable_ideal", fixed="atta
     return f'<cables default_cable_set="one"><cable_set id="one">{items}</cable_set><cable_set id="two"/></cables>'
 
 
-def wirex(pattern="3R3T", extra=""):
+def wirex(pattern="3R3T"):
     point = 'x="{}" y="{}" z="{}"'
     chains = "".join(
         f"<chain><base {point.format(*a)} radius='0.1'/><platform {point.format(*b)}/></chain>"
@@ -57,7 +57,7 @@ def wirex(pattern="3R3T", extra=""):
     return f"""<models><robot motionpattern="{pattern}"><geometry>{chains}</geometry>
       <platform mass="5"><inertiatensor Ixx="14"/><centerofgravity x="0" y="1" z="0.2"/></platform></robot>
       <cable elasticity="1e9" radius="0.001" weight="0.02"/><winch><cable f_max="720" max_velocity="1.5"/>
-      <motor inertia="0.001" gear_ratio="3"/><drum r_drum="0.05"/></winch>{extra}</models>"""
+      <motor inertia="0.001" gear_ratio="3"/><drum r_drum="0.05"/></winch></models>"""
 
 
 @pytest.fixture

@@ -3,11 +3,9 @@ follow."""
 
 import tomllib
 
-import numpy as np
 import pytest
 
-from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import HELD, feasible
+from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.robots import (
     ELASTIC,
     find_robot,
@@ -15,8 +13,6 @@ from cablebot_gym.robots import (
     load_robot,
     robot_names,
 )
-from cablebot_gym.task import check_workspace
-from cablebot_gym.trajectories import find_trajectory
 
 every_robot = pytest.mark.parametrize("name", library())
 
@@ -54,22 +50,4 @@ def test_motors_hold_the_default_motion(name):
     """With the least payload of its range, at least the minimum tension, and torques within the
     torque-speed lines."""
     robot = find_robot(name)
-    motion = find_trajectory(robot.defaults.trajectory or "", robot.kind)
-    check_workspace(robot, motion)
-    assert held(robot, motion(np.linspace(0, motion.duration, 101))).all()
-
-
-def held(robot, reference):
-    pose = reference.position
-    velocity = reference.velocity
-    acceleration = reference.acceleration
-    mass = robot.mass + robot.defaults.payload(0.0)
-    load = textbook.load(robot, np.full(len(pose), mass), pose, velocity, acceleration)
-    speed = textbook.pulley_speed(robot, pose, velocity)
-    moving = robot.pulley_inertia * textbook.pulley_acceleration(
-        robot, pose, velocity, acceleration
-    )
-    moving = moving + robot.damping * speed + textbook.coulomb_torque(robot, speed)
-    low, high = (np.array(textbook.torque_limits(robot, speed)) - moving) / robot.pulley_radius
-    structure = textbook.jacobian(robot, pose)
-    return feasible(structure, load, np.maximum(low, robot.minimum_tension), high).status == HELD
+    assert check_motion(robot).held

@@ -9,10 +9,9 @@ from numpy.testing import assert_array_equal
 
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
-from cablebot_gym.task import ErrorBounds, Task, check_workspace
-from cablebot_gym.trajectories import find_trajectory, held_out_seeds
+from cablebot_gym.task import ErrorBounds, at_rest, check_workspace, start_pose
+from cablebot_gym.trajectories import find_trajectory
 
 PLANAR_ID = "CableBot-Planar-v0"
 OUTSIDE = {"name": "smooth-circle-planar", "radius": 3.0}
@@ -60,28 +59,9 @@ def test_motion_may_leave_the_workspace_by_the_error_bounds(coordinate, side):
 # --- the start of an episode --------------------------------------------------------------------------------------
 
 
-def held_at_rest(robot, pose):
-    """Largest payload that the motors hold at rest [kg]; a spatial robot's torques are proportional
-    to the mass."""
-    per_mass = textbook.static_torque(robot, 1.0, pose)
-    return float(np.min(robot.stall_torque / per_mass)) - robot.mass
-
-
-def make_task(robot, trajectory, position=0.01):
-    return Task(
-        robot=robot,
-        trajectory=find_trajectory(trajectory, robot.coordinates),
-        error_bounds=ErrorBounds(position=position),
-        control_frequency=500.0,
-        cable="unilateral",
-        model_payload=0.0,
-        payload_known=False,
-    )
-
-
 @pytest.mark.parametrize("position", [0.01, 0.3])
 @pytest.mark.parametrize(
-    ("robot", "trajectory", "at_rest"),
+    ("robot", "trajectory", "rests"),
     [
         (SPATIAL, "circle-spatial", True),
         (FLEX_SPATIAL, {"name": "loop-spatial", "seed": 10_003}, True),
@@ -93,25 +73,12 @@ def make_task(robot, trajectory, position=0.01):
         (PLANAR, "paper-planar", False),
     ],
 )
-def test_spatial_robots_start_lower_than_a_motion_at_rest(robot, trajectory, at_rest, position):
+def test_spatial_robots_start_lower_than_a_motion_at_rest(robot, trajectory, rests, position):
     """By half the position bound, at most 50 mm."""
-    task = make_task(robot, trajectory, position)
-    expected = task.trajectory(0.0).position.copy()
-    if at_rest and not robot.planar:
+    motion = find_trajectory(trajectory, robot.coordinates)
+    start = motion(0.0)
+    expected = start.position.copy()
+    if rests and not robot.planar:
         expected[2] += min(position / 2, 0.05)
-    assert_array_equal(task.start_pose, expected)
-    assert task.starts_at_rest == at_rest
-
-
-@pytest.mark.parametrize("robot", [SPATIAL, FLEX_SPATIAL], ids=lambda robot: robot.name)
-def test_motors_hold_about_a_kilogram_more_at_the_start_pose(robot):
-    motions = [
-        "circle-spatial",
-        *({"name": "loop-spatial", "seed": seed} for seed in held_out_seeds(20)),
-    ]
-    for motion in motions:
-        task = make_task(robot, motion)
-        gained = held_at_rest(robot, task.start_pose) - held_at_rest(
-            robot, task.trajectory(0.0).position
-        )
-        assert 0.9 <= gained <= 1.3
+    assert_array_equal(start_pose(robot, motion, ErrorBounds(position=position)), expected)
+    assert at_rest(start) == rests

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cablebot_gym.robots import load_robot
 from cablebot_gym.task import to_jsonable
 from cablebot_gym.trajectories import Chain, Waypoints, find_trajectory
 
@@ -104,15 +103,3 @@ def test_missing_file_and_invalid_waypoints_raise(tmp_path):
         Waypoints(times=(0.0, 1.0, 1.0), poses=((0, 0),) * 3)
     with pytest.raises(ValueError, match="spaced too unevenly"):
         Waypoints(times=(0.0, 1e-9, 1.0, 2.0), poses=((0, 0), (1, 1), (0, 1), (1, 0)))
-
-
-def test_motion_of_a_robot_file_is_beside_it(write_file, tmp_path):
-    write_file()
-    text = 'name = "r"\nbase_anchors = [[-1, -1], [1, -1], [0, 1]]\nmass = 1\nhome_pose = [0, 0]\n'
-    text += "[motors]\nstall_torque = 5\nfree_speed = 100\n"
-    text += "[transmission]\npulley_radius = 0.05\npulley_inertia = 1e-3\n"
-    (tmp_path / "r.TOML").write_text(
-        text + '[defaults]\ntrajectory = {name = "way.csv", duration = 2}\n', "utf-8"
-    )
-    robot = load_robot(tmp_path / "r.TOML")
-    assert find_trajectory(robot.defaults.trajectory, robot.kind).motion.duration == 2

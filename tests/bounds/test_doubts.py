@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles.plants import each_of
 
 from cablebot_gym.bounds.doubts import doubtful_values
 from cablebot_gym.robots import (
@@ -13,8 +14,8 @@ from cablebot_gym.robots import (
     Robot,
     Transmission,
     find_robot,
+    robot_names,
 )
-from cablebot_gym.robots import robot_names as all_robot_names
 
 CAMERA = find_robot("flex-stadium-camera")
 COGIRO = find_robot("flex-cogiro")
@@ -109,9 +110,8 @@ def test_value_in_a_wrong_unit_is_questioned(robot, field, value, question):
     assert any(question in text for text in questions), questions
 
 
-@pytest.mark.parametrize("name", [*all_robot_names(), "hanging"])
-def test_plausible_robots_raise_no_question(name):
-    robot = HANGING if name == "hanging" else find_robot(name)
+@each_of(HANGING, *map(find_robot, robot_names()))
+def test_plausible_robots_raise_no_question(robot):
     assert list(doubtful_values(robot)) == []
 
 

@@ -7,6 +7,7 @@ import pytest
 from cablebot_gym.bounds import best_known
 from cablebot_gym.bounds.best_known import find_best_known
 from cablebot_gym.bounds.drawn import _DrawnCase, drawn_robot, find_drawn_best_known
+from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.uncertainty import Uncertainty
 
@@ -86,22 +87,21 @@ def test_hardware_draw_is_verified_in_its_own_draw_only(monkeypatch):
 
 @pytest.mark.parametrize("robot", [PLANAR, SPATIAL, FLEX_SPATIAL])
 def test_drawn_robot_has_the_true_parameters(robot):
-    env_id = {
-        PLANAR: PLANAR_ID,
-        SPATIAL: "CableBot-Spatial-v0",
-        FLEX_SPATIAL: "CableBot-FlexSpatial-v0",
-    }[robot]
-    env = gym.make(env_id, uncertainty="hardware").unwrapped
+    env = gym.make(fitting_env_id(robot), uncertainty="hardware").unwrapped
     env.reset(seed=5)
     true = drawn_robot(robot, env.truth)
     again = Uncertainty().draw(true, np.zeros(1), np.zeros((1, 1000)))
     assert true.mass == env.truth["platform_mass"] != robot.mass
     assert again.stall_torque == pytest.approx(env.truth["motor_strength"][None])
-    np.testing.assert_array_equal(true.base, env.truth["base_anchors"])
-    np.testing.assert_array_equal(true.motor_lag, env.truth["motor_lag"])
-    np.testing.assert_array_equal(true.coulomb_friction, env.truth["coulomb_friction"])
-    assert true.motors.free_speed == robot.motors.free_speed
+    equal = {
+        "base": "base_anchors",
+        "motor_lag": "motor_lag",
+        "coulomb_friction": "coulomb_friction",
+    }
     if not robot.point_mass:
-        np.testing.assert_array_equal(true.moments, env.truth["platform_inertia"])
+        equal["moments"] = "platform_inertia"
     if robot.jointed:
-        np.testing.assert_array_equal(true.stiffness, env.truth["stiffness"])
+        equal["stiffness"] = "stiffness"
+    for attribute, parameter in equal.items():
+        np.testing.assert_array_equal(getattr(true, attribute), env.truth[parameter])
+    assert true.motors.free_speed == robot.motors.free_speed

@@ -20,7 +20,6 @@ UNIT = 50.0
 
 def largest_payload(robot, trajectory, error_bounds, *, nodes, period):
     """Largest payload of the collocation [kg] for torques that are constant over a period [s]."""
-    robot = textbook.cable_equivalent(robot)
     opti = ca.Opti()
     payload = opti.variable()
     times = np.linspace(0.0, trajectory.duration, nodes + 1)
@@ -28,7 +27,7 @@ def largest_payload(robot, trajectory, error_bounds, *, nodes, period):
     pose, velocity, acceleration = _states(opti, robot.coordinates, times, reference)
     opti.subject_to(pose[:, 0] == start_pose(robot, trajectory, error_bounds))
     opti.subject_to(velocity[:, 0] == trajectory(0.0).velocity)
-    _keep_error_bounds(opti, robot, pose[:, 1:], reference[1:].T, error_bounds)
+    _keep_error_bounds(opti, pose[:, 1:], reference[1:].T, error_bounds)
     columns = [pose, velocity, acceleration]
     if robot.flexible:
         angles = textbook.static_motor_angle(robot, robot.mass, reference)
@@ -65,13 +64,9 @@ def _states(opti, count, times, values):
     return value, rate, second
 
 
-def _keep_error_bounds(opti, robot, pose, reference, error_bounds):
-    dimensions = robot.dimensions
-    error = (pose - reference)[:dimensions, :] / error_bounds.position
+def _keep_error_bounds(opti, pose, reference, error_bounds):
+    error = (pose - reference) / error_bounds.position
     opti.subject_to(ca.vec(ca.sum1(error**2)) <= 1)
-    if not robot.point_mass:
-        turn = (pose - reference)[dimensions:, :] / error_bounds.rotation
-        opti.subject_to(opti.bounded(-1, ca.vec(turn), 1))
 
 
 def _stage(robot, period):
@@ -87,12 +82,9 @@ def _stage(robot, period):
         angle, speed, second = cables
         torque, springs = textbook.spring_drive(robot, x, v, angle, speed, second)
         least.append(springs[0] / UNIT)
-        if robot.jointed:
-            drag = robot.damping * textbook.pulley_speed(robot, x, v)
-            pulley = robot.pulley_inertia * textbook.pulley_acceleration(robot, x, v, a) + drag
-            tensions = springs - pulley / robot.pulley_radius
-        else:
-            tensions, _ = textbook.cable_springs(robot, x, v, angle, speed, cable="bilateral")
+        drag = robot.damping * textbook.pulley_speed(robot, x, v)
+        pulley = robot.pulley_inertia * textbook.pulley_acceleration(robot, x, v, a) + drag
+        tensions = springs - pulley / robot.pulley_radius
     else:
         tensions = UNIT * cables[0]
         speed = textbook.pulley_speed(robot, x, v)

@@ -7,8 +7,7 @@ import dataclasses
 import numpy as np
 
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.plant import Plant
-from oracles.plants import State
+from oracles.plants import State, loaded_plant, state_of
 
 
 @dataclasses.dataclass
@@ -27,40 +26,32 @@ def states(robot, count, tension=400.0, spread=1.0):
     pose = robot.home + random.uniform(-0.15, 0.15, size)
     velocity = random.normal(size=size) / 3
     tensions = tension * (1 + spread * random.uniform(-1, 1, (count, robot.cables)))
+    return wound_state(robot, pose, velocity, tensions)
+
+
+def wound_state(robot, pose, velocity, tensions):
+    """A state in which springs and cables are wound by tensions (N, m) at rest."""
+    motor = 0 * tensions
+    pulley = 0 * tensions
     if robot.elastic:
         motor, pulley = textbook.rest_angles(robot, tensions, pose)
     elif robot.jointed:
-        motor = (
-            textbook.pulley_angle(robot, pose) + robot.pulley_radius * tensions / robot.stiffness
-        )
-        pulley = 0 * motor
-    else:
-        motor = 0 * tensions
-        pulley = 0 * tensions
+        twist = robot.pulley_radius * tensions / robot.stiffness
+        motor = textbook.pulley_angle(robot, pose) + twist
     speed = textbook.pulley_speed(robot, pose, velocity)
     return ElasticState(pose, velocity, motor, speed.copy(), pulley, speed)
 
 
 def plant_at(robot, state, cable="unilateral"):
-    everyone = np.arange(len(state.pose))
-    plant = Plant(robot, len(everyone), cable=cable)
-    plant.set_state(everyone, state.pose, state.velocity)
-    if robot.flexible:
-        plant.set_motors(everyone, state.angle, state.speed)
+    plant = loaded_plant(robot, state, cable)
     if robot.elastic and robot.jointed:
-        plant.set_pulleys(everyone, state.pulley, state.pulley_speed)
+        plant.set_pulleys(np.arange(plant.count), state.pulley, state.pulley_speed)
     return plant
 
 
 def elastic_state_of(plant):
-    motors = plant.motor_angle, plant.motor_speed
-    return ElasticState(
-        plant.pose,
-        plant.velocity,
-        *motors,
-        plant.pulley_angle,
-        plant.pulley_speed,
-    )
+    values = vars(state_of(plant)).values()
+    return ElasticState(*values, plant.pulley_angle, plant.pulley_speed)
 
 
 def holding_torques(robot, state):

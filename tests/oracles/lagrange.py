@@ -91,7 +91,7 @@ def by_columns(function, at, step=1e-6):
 def flexible_rates(robot, states, torques):
     """Rates of (X, Ẋ, β′, β̇′), (N, 24)."""
     rates, _ = textbook_rates(robot, State(*np.split(states, 4, axis=1)), torques)
-    return np.concatenate(list(vars(rates).values()), axis=1)
+    return rates.columns()
 
 
 def resting(robot):
@@ -113,14 +113,11 @@ def mujoco_state(state):
 
 def outer_loop(law, pose, velocity, reference=0.0, acceleration=0.0):
     """The acceleration that an outer loop asks for, about a resting reference."""
-    blocks = {
-        "pose": pose,
-        "velocity": velocity,
-        "reference_pose": reference + 0 * pose,
-    }
     return law(
-        blocks
-        | {
+        {
+            "pose": pose,
+            "velocity": velocity,
+            "reference_pose": reference + 0 * pose,
             "reference_velocity": 0 * pose,
             "reference_acceleration": acceleration + 0 * pose,
         }

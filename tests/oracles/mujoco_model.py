@@ -8,9 +8,9 @@ caller's business. Needs the extra ``cablebot-gym[mujoco]``.
 """
 
 import importlib
-import math
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cablebot_gym.kinematics import (
     cable_lengths,
@@ -78,7 +78,7 @@ def mjcf(robot, payload=0.0, timestep=1e-3):
         f'<motor name="motor{i}" {kind}="{driven}{i}" gear="{sign / radius!r}"/>'
         for i, radius in enumerate(radii)
     )
-    return f"""<mujoco model="{_escaped(robot.name)}">
+    return f"""<mujoco>
 <compiler angle="radian" inertiafromgeom="false"/>
 <option timestep="{timestep!r}" integrator="RK4" jacobian="dense" gravity="{gravity}"><flag {flags}/></option>
 <worldbody>{_sites("base", robot.base)}<body name="platform" {_body_frame(robot)}>{body}</body>{winches}</worldbody>
@@ -156,46 +156,20 @@ def _numbers(values):
     return " ".join(repr(float(value)) for value in values)
 
 
-def _escaped(text):
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
-
-
 def quaternion(euler):
     """``(w, x, y, z)`` of ``R = Rz(φ) Ry(θ) Rx(ψ)``, shape (4,), from ``(ψ, θ, φ)``."""
-    psi, theta, phi = np.asarray(euler, float).tolist()
-    cx = math.cos(psi / 2)
-    sx = math.sin(psi / 2)
-    cy = math.cos(theta / 2)
-    sy = math.sin(theta / 2)
-    cz = math.cos(phi / 2)
-    sz = math.sin(phi / 2)
-    return np.array(
-        [
-            cz * cy * cx + sz * sy * sx,
-            cz * cy * sx - sz * sy * cx,
-            cz * sy * cx + sz * cy * sx,
-            sz * cy * cx - cz * sy * sx,
-        ]
-    )
+    return Rotation.from_euler("ZYX", euler[::-1]).as_quat(scalar_first=True)
 
 
 def euler_angles(quat):
     """``(ψ, θ, φ)`` with θ in [−π/2, π/2], of ``quat``, the inverse of :func:`quaternion`."""
-    w, x, y, z = np.asarray(quat, float).tolist()
-    along = w * w + x * x - y * y - z * z
-    across = 2 * (w * z + x * y)  # cos θ cos φ, cos θ sin φ
-    psi = math.atan2(2 * (w * x + y * z), w * w - x * x - y * y + z * z)
-    return (
-        psi,
-        math.atan2(2 * (w * y - x * z), math.hypot(along, across)),
-        math.atan2(across, along),
-    )
+    return Rotation.from_quat(quat, scalar_first=True).as_euler("ZYX")[::-1]
 
 
 class MujocoRobot:
     """One robot in MuJoCo, in the pose X of its kind, and β′ if flexible.
 
-    It starts at rest in ``robot.home_pose``, springs unwound; ``timestep`` is MuJoCo's [s].
+    It starts at rest in ``robot.home_pose``; ``timestep`` is MuJoCo's [s].
     :attr:`model` and :attr:`data` are MuJoCo's own objects, to use freely.
     """
 
@@ -212,17 +186,13 @@ class MujocoRobot:
         self._platform_speeds = robot.coordinates
         # a quaternion has four numbers
         self._platform_positions = robot.coordinates + (robot.kind == "spatial")
-        self._home_lengths = cable_lengths(robot.base, robot.platform, robot.home)
         self.set_state(robot.home, np.zeros(robot.coordinates))
 
     def set_state(self, pose, velocity):
         """Put the platform at pose X with velocity Ẋ, each of shape (n,); the time becomes 0.
 
-        A flexible robot's springs are unwound then, its motors turning with the pulleys; see
-        :meth:`set_motors`.
+        A flexible robot's motors come to rest at β′ = 0; see :meth:`set_motors`.
         """
-        pose = np.asarray(pose, float)
-        velocity = np.asarray(velocity, float)
         self._mujoco.mj_resetData(self.model, self.data)
         positions = self._platform_qpos
         speeds = self._platform_qvel
@@ -234,13 +204,6 @@ class MujocoRobot:
             positions[3:] = quaternion(pose[3:])
             speeds[:3] = velocity[:3]
             speeds[3:] = euler_rate_matrix(pose[3:]) @ velocity[3:]
-        if self.robot.jointed:
-            unwound = (self._home_lengths - self.lengths()) / self.robot.pulley_radius
-            self._mujoco.mj_fwdVelocity(self.model, self.data)
-            self.set_motors(
-                unwound,
-                -self.data.ten_velocity[: self.robot.cables] / self.robot.pulley_radius,
-            )
 
     def set_motors(self, angle, speed):
         """Motor angles β′ and speeds β̇′ of a flexible robot, each of shape (m,), after
@@ -286,11 +249,6 @@ class MujocoRobot:
         return self.data.qpos[self._platform_positions :] / radius, self.data.qvel[
             self._platform_speeds :
         ] / radius
-
-    def lengths(self):
-        """Cable lengths q [m], shape (m,)."""
-        self._mujoco.mj_fwdPosition(self.model, self.data)
-        return np.array(self.data.ten_length[: self.robot.cables])
 
     def accelerations(self, torques):
         """``Ẍ`` in the present state under motor torques of shape (m,) [N·m], shape (n,)."""

@@ -126,6 +126,10 @@ class State:
     def __getitem__(self, members):
         return type(self)(*(value[members] for value in vars(self).values()))
 
+    def columns(self):
+        """All values side by side, one row per state."""
+        return np.concatenate(list(vars(self).values()), axis=1)
+
     def moved(self, rate, time):
         """The state after a time at a rate, itself a state."""
         pairs = zip(vars(self).values(), vars(rate).values(), strict=True)
@@ -160,6 +164,17 @@ def random_states(robot, count, seed=1, reach=0.6):
     twist *= rng.choice([-1.0, 1.0, 1.0], twist.shape)
     angle = textbook.pulley_angle(robot, pose) + twist
     return State(pose, velocity, angle, rng.uniform(-30, 30, actions.shape)), actions
+
+
+def random_motion(robot, shape, seed=1, spread=1.0):
+    """Masses from the robot's on, poses all over the workspace, velocities up to 2, accelerations
+    up to 10."""
+    rng = np.random.default_rng(seed)
+    reach = robot.home + spread * (robot.pose_bounds - robot.home)
+    pose = rng.uniform(*reach, (*shape, robot.coordinates))
+    velocity = rng.uniform(-2, 2, pose.shape)
+    acceleration = rng.uniform(-10, 10, pose.shape)
+    return robot.mass + rng.uniform(0, 3, shape), pose, velocity, acceleration
 
 
 def holding_state(robot, pose, velocity=0.0, minimum=20.0):

@@ -44,14 +44,6 @@ def unwritable(tmp_path):
     return tmp_path / "file" / "folder"
 
 
-def test_compiled_code_is_read_by_later_processes(folders, tmp_path, caplog):
-    folders(tmp_path)
-    assert [hits(), hits()] == [0, 1]
-    (path,) = tmp_path.iterdir()
-    assert path.name.startswith("test_code_cache.triple-")
-    assert [hits(argument=0.5, expected=1.5), hits()] == [0, 1]
-
-
 def test_read_only_folder_is_read(folders, tmp_path, unwritable):
     folders(tmp_path)
     hits()

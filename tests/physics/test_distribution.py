@@ -316,18 +316,6 @@ def test_impossible_structures_have_finite_tensions():
     )
 
 
-def test_square_structure_gives_the_unique_tensions():
-    """Without bounds too."""
-    structure, load, *_ = random_items("6/6", 50)
-    expected = -np.linalg.solve(np.swapaxes(structure, 1, 2), load[..., None])[..., 0]
-    for solution in (
-        least_norm(structure, load, -np.inf),
-        least_action(structure, load, -np.inf, 1e-3, 0.1),
-    ):
-        assert np.all(solution.status == HELD)
-        assert_allclose(solution.tensions, expected, rtol=1e-9, atol=1e-7)
-
-
 def test_arguments_broadcast():
     """A scale or a bound per item must not be read as one per cable."""
     structure, load, lower, _ = random_items(CAMERA, 6)

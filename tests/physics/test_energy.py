@@ -33,7 +33,7 @@ from oracles.plants import (
     with_transmission,
 )
 from oracles.platforms import HANGING
-from scipy.linalg import block_diag, eigh
+from scipy.linalg import eigh
 
 from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.physics import kernel, textbook
@@ -50,10 +50,6 @@ def assert_order_four(end, coarsest, finest):
         assert 3.7 < np.log2(coarse / halved) < 4.5
 
 
-def flat(state):
-    return np.concatenate([value.ravel() for value in vars(state).values()])
-
-
 @each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL)
 def test_integrator_has_order_four_while_motors_are_saturated(robot):
     """Motors follow their torque-speed lines; limits once per step would give order one."""
@@ -67,7 +63,7 @@ def test_integrator_has_order_four_while_motors_are_saturated(robot):
         plant.advance(*no_reference(robot), substeps=substeps, step=0.01 / substeps)
         saturated = drive_speed(robot, state_of(plant)) > drive_speed(robot, state) + 1
         assert np.mean(saturated) >= 0.5
-        return flat(state_of(plant))
+        return state_of(plant).columns()
 
     assert_order_four(end, 8 if robot.flexible else 2, 2048)
 
@@ -82,7 +78,7 @@ def test_order_is_four_while_elastic_cables_are_taut():
         plant = plant_at(robot, state)
         advance(plant, torques, duration, 8 * steps)
         assert not plant.per_cable(kernel.SLACK).any()
-        return flat(elastic_state_of(plant))
+        return elastic_state_of(plant).columns()
 
     assert_order_four(end, 2, 128)
 
@@ -165,12 +161,8 @@ def test_default_step_keeps_the_energy_of_the_fastest_mode(robot):
     robot = free_motors(robot)
     if not robot.planar:
         robot = robot.replace(gravity=1e-9)  # otherwise it falls
-    turning = textbook.jacobian(robot, robot.home) / robot.pulley_radius[:, None]
-    platform = textbook.mass_matrix(robot, robot.mass, robot.home)
-    platform = platform + turning.T * robot.pulley_inertia @ turning
-    twist = np.concatenate([turning, np.eye(robot.cables)], axis=1)
-    inertia = block_diag(platform, np.diag(robot.motor_inertia))
-    values, modes = eigh(twist.T * robot.stiffness @ twist, inertia)
+    model = textbook.linear_model(robot)
+    values, modes = eigh(model.stiffness, model.inertia)
     assert values[-1] ** 0.5 == pytest.approx(textbook.highest_frequency(robot))
     pose, angle = np.split(
         1e-3 / np.abs(modes[:, -1]).max() * modes[None, :, -1], [robot.coordinates], 1

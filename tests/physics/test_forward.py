@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.plants import each_of, slowly
+from oracles.plants import each_of, random_motion, slowly
 from oracles.platforms import PLATFORMS
 from scipy.optimize import least_squares
 
@@ -49,18 +49,11 @@ def test_lengths_give_the_least_squares_pose(robot):
 
 def case(robot, count):
     """Poses, their cable lengths and guesses."""
-    rng = np.random.default_rng(0)
-    turning = np.arange(robot.coordinates) >= robot.dimensions
-    poses = robot.home + np.where(turning, 0.15, 0.1) * rng.uniform(
-        -1, 1, (count, robot.coordinates)
-    )
+    _, poses, *_ = random_motion(robot, (count,), spread=0.1)
+    error = np.random.default_rng(0).uniform(-1, 1, poses.shape)
     if not robot.planar:
         poses[:, 2] += 0.2  # below the base of the suspended robot
-    return (
-        poses,
-        textbook.cable_lengths(robot, poses),
-        poses + 0.02 * rng.uniform(-1, 1, poses.shape),
-    )
+    return poses, textbook.cable_lengths(robot, poses), poses + 0.02 * error
 
 
 @pytest.mark.parametrize("name", ["turning", "cogiro"])

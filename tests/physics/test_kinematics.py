@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.plants import QUAD, differentiated, each_of
+from oracles.plants import QUAD, differentiated, each_of, random_motion
 from oracles.platforms import CRANE, PLATFORMS, SWIVELLED
 from scipy.spatial.transform import Rotation
 
@@ -28,10 +28,7 @@ def test_lengths_are_distances_between_turned_anchors(robot):
 
 @each_of(PLANAR, SPATIAL, QUAD, *PLATFORMS.values(), SWIVELLED)
 def test_pulley_speed_and_acceleration_are_slopes_of_the_angle(robot):
-    rng = np.random.default_rng(3)
-    pose = robot.home + rng.uniform(-0.2, 0.2, (50, robot.coordinates))
-    velocity = rng.uniform(-2, 2, pose.shape)
-    acceleration = rng.uniform(-5, 5, pose.shape)
+    _, pose, velocity, acceleration = random_motion(robot, (50,), spread=0.1)
 
     def moved(time):
         return pose + time * velocity + time**2 / 2 * acceleration

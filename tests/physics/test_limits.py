@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from oracles.elastic import ElasticState, plant_at
+from oracles.elastic import plant_at, wound_state
 from oracles.plants import advance, each_of, free_motors, off_centre, slowly, with_transmission
 from oracles.platforms import CRANE, HANGING
 
@@ -18,25 +18,13 @@ def slope_of_error(stiffnesses, error):
     return np.polyfit(np.log(stiffnesses), np.log(errors), 1)[0]
 
 
-def start(robot, rigid, pose, velocity, torques):
-    """A state in which springs and cables are wound by torques, (1, m)."""
-    still = 0 * torques
-    speed = textbook.pulley_speed(rigid, pose, velocity)
-    if robot.elastic:
-        motor, pulley = textbook.rest_angles(robot, torques / robot.pulley_radius, pose)
-        return ElasticState(pose, velocity, motor, speed, pulley, speed)
-    motor = still
-    if robot.jointed:
-        motor = textbook.pulley_angle(robot, pose) + torques / robot.stiffness
-    return ElasticState(pose, velocity, motor, speed, still, still)
-
-
 def distance(robot, rigid, holding, torques, duration, *, pose, velocity):
     """Largest difference of the poses of two robots under the same torques, which ``holding``
     torques precede."""
     plants = []
     for free_robot in (free_motors(robot), free_motors(rigid)):
-        plants.append(plant_at(free_robot, start(free_robot, rigid, pose, velocity, holding)))
+        tensions = holding / robot.pulley_radius
+        plants.append(plant_at(free_robot, wound_state(free_robot, pose, velocity, tensions)))
     step = min(1e-4, 0.2 / textbook.highest_frequency(free_motors(robot)))
     period = 5e-3
     largest = 0.0
@@ -49,18 +37,13 @@ def distance(robot, rigid, holding, torques, duration, *, pose, velocity):
     return largest
 
 
-def held_at(robot, pose, minimum):
-    """Torques (1, m) that hold a rigid robot at a pose."""
-    return textbook.static_torque(robot, robot.mass, pose, minimum=minimum)
-
-
 @pytest.mark.parametrize("damping", [0.0, 0.01])
 @pytest.mark.parametrize(("flexible", "rigid"), [(FLEX_PLANAR, PLANAR), (FLEX_SPATIAL, SPATIAL)])
 def test_stiff_springs_approach_the_rigid_plant(flexible, rigid, damping):
     """The error against J + J′ and the same c falls as 1/K."""
     rigid = with_transmission(rigid, damping=damping)
     pose, velocity = off_centre(rigid)
-    holding = held_at(rigid, pose[None], 30.0)
+    holding = textbook.static_torque(rigid, rigid.mass, pose[None], minimum=30.0)
     torques = holding * np.linspace(0.93, 1.07, rigid.cables)
 
     def error(stiffness):
@@ -75,7 +58,7 @@ def test_stiff_springs_approach_the_rigid_plant(flexible, rigid, damping):
 def error_at_home(robot, rigid):
     """Error of a robot at rest at its home pose, whose torques change by a tenth."""
     pose = rigid.home[None]
-    holding = held_at(rigid, pose, 60.0)
+    holding = textbook.static_torque(rigid, rigid.mass, pose, minimum=60.0)
     torques = holding * np.linspace(0.9, 1.1, rigid.cables)
     return distance(robot, rigid, holding, torques, 0.1, pose=pose, velocity=0 * pose)
 
@@ -93,22 +76,11 @@ def test_stiff_cables_approach_the_rigid_robot(robot):
 def test_stiff_joints_approach_the_robot_with_rigid_joints():
     """Motor and pulley turn together: their inertias add."""
     single = with_transmission(HANGING, axial_stiffness=2e4)
-    pose = HANGING.home[None]
-    holding = held_at(HANGING, pose, 60.0)
-    torques = holding * np.linspace(0.9, 1.1, HANGING.cables)
 
     def error(stiffness):
         double = with_transmission(
             single, stiffness=stiffness, pulley_inertia=1e-3, motor_inertia=3e-3
         )
-        return distance(
-            double,
-            single,
-            holding,
-            torques,
-            0.1,
-            pose=pose,
-            velocity=0 * pose,
-        )
+        return error_at_home(double, single)
 
     assert -1.1 < slope_of_error((1e4, 1e5, 1e6), error) < -0.9

@@ -29,9 +29,7 @@ from oracles.plants import (
 )
 from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
 
-from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import PLANAR, SPATIAL
 
 pytest.importorskip("mujoco", reason="needs the extra cablebot-gym[mujoco]")
 
@@ -135,19 +133,6 @@ def test_wrench_acts_at_the_centre_of_mass_in_the_base_frame(robot):
     plant.set_wrench(np.arange(STATES), force[:, : robot.dimensions], moment)
     acceleration, _ = evaluated(plant, torques)
     assert worst_relative_error(acceleration, expected) <= 1e-10
-
-
-@each_of(PLANAR, SPATIAL, QUAD, UNEQUAL)
-def test_model_has_the_lengths_and_returns_the_state(robot):
-    """The oracle's own conversion of Euler angles to quaternions and back."""
-    peer = MujocoRobot(robot)
-    state, _ = random_states(robot, STATES, reach=1.0)
-    lengths = cable_lengths(robot.base, robot.platform, state.pose)
-    for lane in range(STATES):
-        load_state(peer, state, lane)
-        assert_allclose(peer.lengths(), lengths[lane], rtol=0, atol=1e-14)
-        for value, expected in zip(peer.state(), vars(state[lane]).values(), strict=False):
-            assert_allclose(value, expected, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -3,8 +3,8 @@ equations."""
 
 import numpy as np
 from numpy.testing import assert_allclose
-from oracles.plants import differentiated, each_of
-from oracles.platforms import CRANE, HANGING, PLATFORMS, SWIVELLED
+from oracles.plants import differentiated, each_of, random_motion
+from oracles.platforms import CRANE, PLATFORMS, SWIVELLED
 
 from cablebot_gym import kinematics
 from cablebot_gym.physics import textbook
@@ -24,17 +24,6 @@ LOWER_WINCHES = CRANE.replace(  # four cables come from below and pull downwards
 )
 
 
-def random_motion(robot, count=5):
-    """Poses near home, velocities and accelerations, each (count, n)."""
-    random = np.random.default_rng(7)
-    size = (count, robot.coordinates)
-    return (
-        robot.home + random.uniform(-0.2, 0.2, size),
-        random.normal(size=size),
-        random.normal(size=size),
-    )
-
-
 def gradient(function, point):
     """∂f/∂X by central differences, with a last axis n."""
 
@@ -42,21 +31,6 @@ def gradient(function, point):
         return differentiated(lambda step: function(point + step * direction), 1e-3)
 
     return np.stack([slope(direction) for direction in np.eye(point.shape[-1])], axis=-1)
-
-
-@each_of(*PLATFORMS.values())
-def test_jacobian_and_rate_at_once_are_those_alone(robot):
-    """Over leading axes."""
-    pose, velocity, _ = random_motion(robot, 6)
-    ends = robot.base, robot.platform
-    shape = (2, 3, robot.coordinates)
-    jacobian, rate = kinematics.jacobian_and_rate(
-        *ends, pose.reshape(shape), velocity.reshape(shape)
-    )
-    alone = kinematics.structure_jacobian(*ends, pose[5])
-    assert_allclose(jacobian[1, 2], alone, atol=1e-14)
-    alone = kinematics.structure_jacobian_rate(*ends, pose[5], velocity[5])
-    assert_allclose(rate[1, 2], alone, atol=1e-13)
 
 
 def test_cable_wraps_its_swivel_pulley_on_the_right_side():
@@ -81,7 +55,7 @@ def lagrangian(robot, mass, pose, velocity):
         return moved[..., : robot.dimensions] + offset
 
     speed = differentiated(center, 1e-3)
-    energy = mass * np.sum(speed**2, axis=-1) / 2 + mass * center(0.0) @ robot.gravity_vector
+    energy = mass * np.sum(speed**2, axis=-1) / 2 + mass * (center(0.0) @ robot.gravity_vector)
     if robot.point_mass:
         return energy
     omega = np.zeros((*pose.shape[:-1], 3))
@@ -94,8 +68,7 @@ def lagrangian(robot, mass, pose, velocity):
 
 @each_of(*PLATFORMS.values())
 def test_load_agrees_with_lagranges_equations(robot):
-    pose, velocity, acceleration = random_motion(robot)
-    mass = robot.mass + 3.0
+    mass, pose, velocity, acceleration = random_motion(robot, (5,), spread=0.1)
 
     def momentum(time):
         moved = pose + time * velocity
@@ -106,18 +79,3 @@ def test_load_agrees_with_lagranges_equations(robot):
     load = textbook.load(robot, mass, pose, velocity, acceleration)
     expected = differentiated(momentum, 1e-3) - force
     assert_allclose(load, expected, rtol=1e-5, atol=1e-5 * np.abs(load).max())
-
-
-def test_linear_model_contains_the_springs_of_the_cables():
-    """A mass between a locked winch and its cable oscillates with √(EA/(l m)); the winch turns with
-    √(EA r²/(l J))."""
-    transmission = HANGING.transmission.replace(axial_stiffness=1e4, pulley_inertia=1e6)
-    anchors = [(-1.0, 0.0), (1.0, 0.0)]
-    robot = HANGING.replace(
-        base_anchors=anchors,
-        home_pose=(0.0, 1.0),
-        transmission=transmission,
-    )
-    model = textbook.linear_model(robot)
-    values = np.linalg.eigvals(np.linalg.solve(model.inertia, model.stiffness)).real
-    assert_allclose(np.sort(values)[-2:], [1e4 / np.sqrt(2) / 5] * 2, rtol=1e-6)

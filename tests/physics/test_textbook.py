@@ -6,24 +6,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from oracles.plants import QUAD, ROUGH, UNEQUAL, each_of
+from oracles.plants import QUAD, ROUGH, UNEQUAL, each_of, random_motion
 from scipy.linalg import null_space
 from scipy.optimize import linprog
 from scipy.special import logsumexp
 
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
-
-
-def random_motion(robot, count, seed=3):
-    """Poses around home, within the polygon of the anchors, and velocities and accelerations of any
-    direction."""
-    rng = np.random.default_rng(seed)
-    reach = np.array([0.12, 0.12] if robot.planar else [0.1, 0.1, 0.05, 0.2, 0.2, 0.2])
-    pose = robot.home + rng.uniform(-reach, reach, (count, robot.coordinates))
-    if not robot.planar:
-        pose[:, 2] += 0.3
-    return pose, rng.uniform(-1, 1, pose.shape), rng.uniform(-5, 5, pose.shape)
 
 
 def least_by_linear_program(structure, load, minimum, cost):
@@ -115,8 +104,7 @@ def test_impossible_force_raises_or_gives_the_minimum(robot):
 @pytest.mark.parametrize("minimum", [0.0, 3.0])
 @each_of(QUAD, SPATIAL, UNEQUAL, *ROUGH[:2])
 def test_forward_dynamics_invert_the_inverse_dynamics(robot, minimum):
-    motion = random_motion(robot, 200)
-    mass = robot.mass + np.linspace(0, 3, 200)
+    mass, *motion = random_motion(robot, (200,), spread=0.25)
     tension = textbook.required_tensions(robot, mass, *motion, minimum=minimum)
     at_once = textbook.inverse_dynamics(robot, mass, *motion, minimum=minimum)
     expected = {
