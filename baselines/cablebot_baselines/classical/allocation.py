@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from cablebot_gym.kinematics import Array
+from cablebot_gym.physics.textbook import times_vector
 
 _JOINT_ITERATIONS = 6
 """Number of iterations that change all wrong constraints at once. They nearly always suffice.
@@ -46,11 +47,11 @@ def allocate(action: Array, slope: Array) -> Array:
         # Minimum over the free actions, with the active actions at their bounds.
         are_free = ~is_active[..., :, None] & ~is_active[..., None, :]
         reduced = np.where(are_free, hessian, np.eye(action.shape[-1]))
-        descent = np.where(is_active, 0.0, -_times(hessian, step))
+        descent = np.where(is_active, 0.0, -times_vector(hessian, step))
         step = step + np.linalg.solve(reduced, descent[..., None])[..., 0]
         candidate = action + step
         # Release a bound if the descent points inwards; add a bound if the candidate exceeds it.
-        descent = -_times(hessian, step)
+        descent = -times_vector(hessian, step)
         kept_bound = np.where(descent * bound > 0, bound, 0.0)
         violated_bound = np.where(np.abs(candidate) > 1, np.sign(candidate), 0.0)
         new_bound = np.where(is_active, kept_bound, violated_bound)
@@ -62,8 +63,3 @@ def allocate(action: Array, slope: Array) -> Array:
         bound = np.where(is_wrong, new_bound, bound)
     closest: Array = np.clip(action + step, -1.0, 1.0)
     return closest
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    product: Array = (matrix @ vector[..., None])[..., 0]
-    return product

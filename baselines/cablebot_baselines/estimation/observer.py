@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.textbook import times_vector
 from cablebot_gym.robots import Robot
 
 MASS_DRIFT = 0.03
@@ -313,9 +314,9 @@ class RobotObserver:
             (speed_slope / robot.pulley_radius)[..., None] * structure
         )
         slopes[..., self._mass] = dynamics.mass_slope(acceleration)
-        slopes[..., self._mass] += _times(torque_slope, drives.per_mass)
+        slopes[..., self._mass] += times_vector(torque_slope, drives.per_mass)
         slopes[..., self._strength] = torque_slope * drives.per_strength[:, None, :]
-        slopes[..., self._delay] = _times(torque_slope, drives.per_delay)
+        slopes[..., self._delay] = times_vector(torque_slope, drives.per_delay)
         slopes[..., self._wrench] = mobility
         predicted, transition = self._moved(state.mean, now.velocity, acceleration, slopes)
         return predicted, transition, torque_slope
@@ -469,7 +470,7 @@ class RobotObserver:
         rates = np.zeros_like(weights)
         actions = actions[:, :2]
         dynamics = self._dynamics(now, now.pose + delay / 2 * now.velocity)
-        disturbance = _times(dynamics.mobility, now.wrench)
+        disturbance = times_vector(dynamics.mobility, now.wrench)
         if not robot.flexible:
             speed = dynamics.equations.pulley_speed
             drives = self._weighed(actions, weights, rates, state.steps, state, now, speed)
@@ -493,7 +494,7 @@ class RobotObserver:
             velocity = velocity + step * dynamics.acceleration(spring, now.wrench)
             pose = pose + step * velocity
             angle = angle + step * speed
-            winding = _times(dynamics.equations.structure, velocity) / robot.pulley_radius
+            winding = times_vector(dynamics.equations.structure, velocity) / robot.pulley_radius
             twist = twist + step * (speed + winding)
         return {
             "pose": pose,
@@ -548,14 +549,14 @@ class _Dynamics:
     def acceleration(self, torque: Array, wrench: Array) -> Array:
         """Ẍ for torques on the pulleys, (N, m) [N·m], and wrenches, (N, n) [N, N·m]."""
         equations = self.equations
-        drag = _times(np.swapaxes(equations.structure, -1, -2), equations.cable_drag)
-        passive = _times(self.mobility, wrench - equations.bias - drag)
-        return passive + _times(self.torque_slope, torque)
+        drag = times_vector(np.swapaxes(equations.structure, -1, -2), equations.cable_drag)
+        passive = times_vector(self.mobility, wrench - equations.bias - drag)
+        return passive + times_vector(self.torque_slope, torque)
 
     def mass_slope(self, acceleration: Array) -> Array:
         """Derivative of an acceleration Ẍ with respect to the mass, (N, n)."""
-        change = _times(self.matrix_per_mass, acceleration) + self.bias_per_mass
-        return -_times(self.mobility, change)
+        change = times_vector(self.matrix_per_mass, acceleration) + self.bias_per_mass
+        return -times_vector(self.mobility, change)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -613,8 +614,3 @@ def _corrected(
     mean = mean + (gain @ innovation[..., None])[..., 0]
     covariance = covariance - gain @ np.swapaxes(crossed, -1, -2)
     return mean, (covariance + np.swapaxes(covariance, -1, -2)) / 2
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    product: Array = (matrix @ vector[..., None])[..., 0]
-    return product

@@ -58,6 +58,7 @@ from cablebot_gym.physics.textbook.platform import (
     pulley_speed,
     smooth_tension_distribution,
     tension_distribution,
+    times_vector,
 )
 
 __all__ = [
@@ -102,5 +103,6 @@ __all__ = [
     "static_torque",
     "stretched_torque",
     "tension_distribution",
+    "times_vector",
     "torque_limits",
 ]
