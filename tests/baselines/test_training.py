@@ -141,7 +141,7 @@ def test_batch_is_proportional_to_the_environments():
     assert ppo_settings(PLANAR, 8)["batch_size"] == 32
 
 
-def test_model_of_other_environments_gives_no_policy():
+def test_model_of_other_environments_is_refused():
     with pytest.raises(ValueError, match="must have the environments that it was trained on"):
         trained_policy(PPO("MlpPolicy", "CartPole-v1", device="cpu"))
 

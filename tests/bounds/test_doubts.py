@@ -111,7 +111,7 @@ def test_value_in_a_wrong_unit_is_questioned(robot, field, value, question):
 
 
 @each_of(HANGING, *map(find_robot, robot_names()))
-def test_plausible_robots_raise_no_question(robot):
+def test_plausible_robots_pass_all_checks(robot):
     assert list(doubtful_values(robot)) == []
 
 

@@ -30,7 +30,7 @@ def plan(robot=PLANAR, trajectory=LINE, error_bounds=BOUNDS, intervals=8, **opti
     return plan_motion(robot, trajectory, error_bounds, intervals=intervals, **options)
 
 
-def test_stored_plan_is_not_solved_again(cache, monkeypatch):
+def test_stored_plan_is_read_in_place_of_a_solution(cache, monkeypatch):
     solution = plan(lightest=0.1)
     monkeypatch.setattr(MotionProgram, "solve", lambda *_: pytest.fail("solved again"))
     stored = plan(lightest=0.1)
