@@ -100,6 +100,7 @@ PUBLIC_MODULES = (
     "cablebot_gym.measurement",
     "cablebot_gym.physics.distribution",
     "cablebot_gym.physics.forward",
+    "cablebot_gym.physics.inlining",
     "cablebot_gym.physics.inverse",
     "cablebot_gym.physics.plant",
     "cablebot_gym.physics.textbook",

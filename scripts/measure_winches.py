@@ -1,9 +1,9 @@
 """Measures the payload that laws lose with the sensors of winches, for the page
 docs/measurement.md.
 
-Each case is the DLCC of a law on the circle, payload known, task criterion, by bisection. The
-results are kept in docs/measurement/results.json after every case: a second call computes the
-missing ones.
+Each case is the DLCC of a law on the circle, payload known, task criterion, by bisection, with the
+attainable deviation of the estimate. The results are kept in docs/measurement/results.json after
+every case: a second call computes the missing ones.
 
 python scripts/measure_winches.py [--env ID …]
 """
@@ -18,9 +18,20 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
+import numpy as np
+from scipy.stats import chi2
+
+from cablebot_baselines.estimation import (
+    Estimated,
+    ExtendedKalmanFilter,
+    FilterErrors,
+    attainable_deviation,
+)
 from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.batch import versions
+from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.uncertainty import find_uncertainty
 from cablebot_gym.utils.console import notes_console
@@ -43,6 +54,9 @@ DRAWS = 64
 
 RESOLUTION = 0.02
 """Resolution of the payloads [kg]."""
+
+PAYLOAD = 1.0
+"""Payload for the attainable deviations [kg]."""
 
 COUNTS = 8192
 """Steps of an encoder per revolution."""
@@ -128,16 +142,18 @@ def cases(env_id: str) -> Iterator[dict[str, str]]:
         yield case("pose", disturbance=disturbance)
         if disturbance == "start":
             yield case(cells, "ekf", "load-cells", disturbance)
+        if not planar and disturbance == "hardware":
+            yield case("winches", "ekf-homed", "calibrated", disturbance)
         yield case(cells, "ekf-homed", "load-cells", disturbance)
         if not planar and disturbance in ("start", "hardware"):
             yield case(imu, "ekf-homed", "imu", disturbance)
 
 
-def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
-    """The result of a case: payload [kg], None if it fails unloaded, and the limiting violation."""
+def conditions(env_id: str, case: dict[str, str]) -> dict[str, Any]:
+    """Keywords of the environment of a case: measurement, uncertainty and error of the start
+    pose."""
     robot = find_robot(env_robot(env_id))
     disturbance = case["disturbance"]
-    policy = "+".join(filter(None, [case["estimator"], LAWS[env_id]]))
     options: dict[str, Any] = {"measurement": {"kind": "pose"}}
     if case["sensors"] != "pose":
         _, *sensors = case["sensors"].split("+")
@@ -155,8 +171,83 @@ def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
     elif disturbance:
         named = find_uncertainty(disturbance, robot)
         uncertainty |= {"parameters": named.parameters, "wrench": named.wrench}
+    options["uncertainty"] = uncertainty or None
+    return options
+
+
+def estimator(env_id: str, case: dict[str, str]) -> ExtendedKalmanFilter | None:
+    """The filter of a case, which knows the standard deviations of the errors; None for the
+    estimator of this name without errors."""
+    robot = find_robot(env_robot(env_id))
+    if not case["errors"] or not case["estimator"].startswith("ekf"):
+        return None
+    start = None
+    if case["estimator"] == "ekf-homed":
+        position, rotation = START.get(case["disturbance"], (0.0, 0.0))
+        start = position / math.sqrt(3), rotation / math.sqrt(3)
+    uncertainty = find_uncertainty(conditions(env_id, case)["uncertainty"], robot)
+    return ExtendedKalmanFilter(robot, FilterErrors.of(uncertainty, robot, start=start))
+
+
+def attainable(env_id: str, case: dict[str, str]) -> float | None:
+    """Largest attainable standard deviation of an angle along the motion [rad], of a coordinate of
+    a point mass [m]; None without a filter that knows the errors."""
+    kalman = estimator(env_id, case)
+    if kalman is None:
+        return None
+    measurement = conditions(env_id, case)["measurement"]
+    env: Any = gym.make_vec(env_id, num_envs=1, payload=PAYLOAD, measurement=measurement).unwrapped
+    env.reset(seed=0)
+    deviations = attainable_deviation(kalman, env.tasks[0])
+    first = 0
+    if not kalman.robot.point_mass:
+        first = kalman.robot.dimensions
+    return float(deviations[:, first:].max())
+
+
+def consistency(env_id: str, case: dict[str, str]) -> float | None:
+    """Squared errors of the pose by the covariance that the filter states, divided by the number of
+    coordinates (NEES/n): mean of the draws and of the motion. None without a filter that knows the
+    errors."""
+    kalman = estimator(env_id, case)
+    if kalman is None:
+        return None
+    n = kalman.robot.coordinates
+    env: Any = gym.make_vec(
+        env_id,
+        num_envs=DRAWS,
+        payload=PAYLOAD,
+        max_episode_steps=None,
+        **conditions(env_id, case),
+    ).unwrapped
+    policy = Estimated(load_policy(LAWS[env_id], kalman.robot), kalman.robot, kalman)
+    rows, _ = env.reset(seed=0)
+    policy.reset(env.tasks)
+    state = None
+    squares = []
+    running = np.full(DRAWS, True)
+    for step in range(env.tasks[0].steps):
+        actions, state = policy.predict(rows, state)
+        if step:  # without a start error the first pose is certain
+            # A terminated episode starts anew elsewhere, where the filter does not expect it.
+            error = state[0].mean[running, :n] - env.pose[running]
+            covariance = state[0].covariance[running, :n, :n]
+            weighted = np.linalg.solve(covariance, error[..., None])[..., 0]
+            squares.append(np.sum(error * weighted, axis=-1) / n)
+        rows, _, terminated, _, _ = env.step(actions)
+        running &= ~terminated
+    return float(np.mean(np.concatenate(squares)))
+
+
+def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
+    """The result of a case: payload [kg], None if it fails unloaded, and the limiting violation."""
+    robot = find_robot(env_robot(env_id))
+    policy: Any = "+".join(filter(None, [case["estimator"], LAWS[env_id]]))
+    kalman = estimator(env_id, case)
+    if kalman is not None:
+        policy = Estimated(load_policy(LAWS[env_id], robot), robot, kalman)
     draws = None
-    if case["errors"] or disturbance:
+    if case["errors"] or case["disturbance"]:
         draws = DRAWS
     payload_max = 8.0
     if robot.planar:
@@ -164,12 +255,11 @@ def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
     result = evaluate_dlcc(
         policy,
         env_id,
-        uncertainty=uncertainty or None,
         draws=draws,
         search="bisection",
         payload_max=payload_max,
         resolution=RESOLUTION,
-        **options,
+        **conditions(env_id, case),
     )
     violation = None
     if result.violation is not None:
@@ -177,36 +267,64 @@ def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
     return {"payload": result.payload, "violation": violation}
 
 
+CASE = ("estimator", "sensors", "errors", "disturbance")
+"""Keys of a case."""
+
+
 def table(data: dict[str, Any]) -> str:
-    """Markdown table of the stored results: payload of each case, and its fraction of that with the
-    exact pose."""
-    exact = {}
+    """Markdown table of the stored results: payload of each case, its fraction of that with the exact
+    pose, and the attainable deviation."""
+    stored = {}
+    for result in data["cases"]:
+        key = tuple(result[name] for name in ("env_id", *CASE))
+        stored[key] = result
     rows: dict[tuple[str, ...], dict[str, str]] = defaultdict(dict)
-    for case in data["cases"]:
-        payload = case["payload"]
-        env_id = case["env_id"]
-        disturbance = case["disturbance"]
-        if case["sensors"] == "pose":
-            exact[env_id, disturbance] = payload
-        exact_payload = exact[env_id, disturbance]
-        text = "fails unloaded"
-        if payload is not None:
-            text = f"{payload:.2f} kg"
-            if case["estimator"] and exact_payload is not None:
-                text += f", {payload / exact_payload:.0%}"
-        estimator = "–"
-        if case["estimator"]:
-            estimator = f"`{case['estimator']}`"
-        key = (f"`{case['sensors']}`", estimator, NAMES[case["errors"]], DISTURBANCES[disturbance])
-        rows[key][env_id] = text
-    measured = {case["env_id"] for case in data["cases"]}
-    env_ids = [env_id for env_id in PAPER_ENV_IDS if env_id in measured]
+    for env_id in LAWS:
+        for case in cases(env_id):
+            disturbance = case["disturbance"]
+            result = stored.get((env_id, *(case[name] for name in CASE)))
+            exact = stored.get((env_id, "", "pose", "", disturbance))
+            estimator = "–"
+            if case["estimator"]:
+                estimator = f"`{case['estimator']}`"
+            errors = NAMES[case["errors"]]
+            row = (f"`{case['sensors']}`", estimator, errors, DISTURBANCES[disturbance])
+            rows[row][env_id] = _cell(env_id, result, exact)
     head = ["sensors", "estimator", "errors of the sensors", "deviation"]
-    head += [f"`{env_id}`, `{LAWS[env_id]}`" for env_id in env_ids]
+    head += [f"`{env_id}`, `{law}`" for env_id, law in LAWS.items()]
     lines = [head, ["---"] * len(head)]
     for row, entries in rows.items():
-        lines.append([*row, *(entries.get(env_id, "–") for env_id in env_ids)])
-    return "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines) + "\n"
+        lines.append([*row, *(entries.get(env_id, "–") for env_id in LAWS)])
+    return (
+        f"\nWith {data['draws']} draws, 95 % of consistent filters have a NEES at one instant "
+        f"between {interval(2, data['draws'])} in a plane, and {interval(6, data['draws'])} in space.\n\n"
+        + "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        + "\n"
+    )
+
+
+def _cell(env_id: str, result: dict[str, Any] | None, exact: dict[str, Any] | None) -> str:
+    """Text of a case, from its result and that with the exact pose."""
+    if result is None:
+        return "not computed yet"
+    payload = result["payload"]
+    text = "fails unloaded"
+    if payload is not None:
+        text = f"{payload:.2f} kg"
+        if result["estimator"] and exact is not None and exact["payload"] is not None:
+            text += f", {payload / exact['payload']:.0%}"
+    deviation = result.get("deviation")
+    if deviation is None:
+        return text
+    unit = "mm" if find_robot(env_robot(env_id)).point_mass else "mrad"
+    return f"{text} (σ {1e3 * deviation:.2f} {unit}, NEES {result['nees']:.2f})"
+
+
+def interval(coordinates: int, draws: int) -> str:
+    """95 % interval of the NEES, divided by the number of coordinates."""
+    degrees = coordinates * draws
+    low, high = (float(chi2.ppf(level, degrees)) / degrees for level in (0.025, 0.975))
+    return f"{low:.2f} and {high:.2f}"
 
 
 def main() -> None:
@@ -236,7 +354,13 @@ def main() -> None:
     for number, case in enumerate(todo, 1):
         if any(case.items() <= stored.items() for stored in data["cases"]):
             continue
-        data["cases"].append(case | payload(case["env_id"], case))
+        env_id = case["env_id"]
+        result = {
+            "deviation": attainable(env_id, case),
+            "nees": consistency(env_id, case),
+            **payload(env_id, case),
+        }
+        data["cases"].append(case | result)
         text = json.dumps(data, indent=1, ensure_ascii=False)
         atomic_write_text(RESULTS, text + "\n")
         notes_console().print(f"{number} of {len(todo)}: {data['cases'][-1]}")

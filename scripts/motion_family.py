@@ -29,7 +29,6 @@ from cablebot_gym.bounds.best_known import INTERVALS_PER_SECOND, MIN_INTERVALS
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation.survey import survey
-from cablebot_gym.isolation.installed import public_entries
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.statics import feasible_payloads, hold_payload, resting
 from cablebot_gym.planning import Infeasible, MotionProgram
@@ -45,7 +44,9 @@ PAGE = ROOT / "docs" / "motions.md"
 GRAVITY = 9.81
 """Gravitational acceleration [m/s²]."""
 
-LAWS = ("fl", "robust", "adaptive", "composite", "composite-tuned", "adaptive-composite")
+RIGID_LAWS = ("fl", "robust", "adaptive")
+FLEXIBLE_LAWS = ("composite", "composite-tuned", "adaptive-composite")
+LAWS = (*RIGID_LAWS, *FLEXIBLE_LAWS)
 """Control laws. The first that is made for a robot is the paper's law."""
 
 STATIC_FRACTION = 0.9
@@ -321,10 +322,11 @@ def stored_laws() -> LawPayloads:
     return payloads
 
 
-def laws_of(env_id: str) -> list[str]:
-    """The laws that are made for the robot of an environment."""
-    entries = public_entries()
-    return [law for law in LAWS if env_id in entries[law].env_ids]
+def laws_of(env_id: str) -> tuple[str, ...]:
+    """The laws for the transmission of the robot of an environment, which is exactly known."""
+    if find_robot(env_robot(env_id)).flexible:
+        return FLEXIBLE_LAWS
+    return RIGID_LAWS
 
 
 def store_records(records: Records) -> None:

@@ -5,10 +5,11 @@ A block stands between two comments, so that the page is plain Markdown, on the 
     <!-- NAME: written by scripts/page_blocks.py -->
     <!-- end of NAME -->
 
-NAME is ``leaderboard`` (the best policy of each kind), ``measurement`` (payload lost by sensors and
-errors), ``errors`` (payload with each error alone), ``library`` (the real robots), ``library
-payloads`` (payloads of laws on them), ``budgets`` (of an entry's processor time), a table of
-``cablebot list``, or a script in ``examples/``, with its output if the name ends in ``and output``.
+NAME is ``leaderboard`` (the best policy of each kind), ``main table`` (of the present policies),
+``measurement`` (payload lost by sensors and errors), ``errors`` (payload with each error alone),
+``library`` (the real robots), ``library payloads`` (payloads of laws on them), ``budgets`` (of an
+entry's processor time), a table of ``cablebot list``, or a script in ``examples/``, with its output
+if the name ends in ``and output``.
 
 python scripts/page_blocks.py
 """
@@ -22,6 +23,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import main_table
 import measure_winches
 
 from cablebot_gym.benchmark.leaderboard import Results, errors_text, library_tables
@@ -42,6 +44,7 @@ PAGES = (
     "docs/getting-started.md",
     "docs/environments.md",
     "docs/policies.md",
+    "docs/which-controller.md",
     "docs/measurement.md",
     "docs/robots.md",
     "docs/uncertainty.md",
@@ -176,6 +179,10 @@ def block(name: str) -> str:
     if name == "errors":
         stored = (ROOT / "docs/errors/results.json").read_text(encoding="utf-8")
         return errors_text(Results.from_json(stored).records, "###") + "\n"
+    if name == "main table":
+        return main_table.table(
+            main_table.read(main_table.BOARD), main_table.read(main_table.RESULTS)
+        )
     if name == "measurement":
         return measure_winches.table(
             json.loads((measure_winches.FOLDER / "results.json").read_text(encoding="utf-8"))

@@ -29,6 +29,7 @@ from cards.making import (
     STANDARD,
     Evaluate,
     Protocol,
+    known_on_held_out,
     make_card,
     read_best_known,
     with_best_known,
@@ -194,7 +195,7 @@ def ship_all(
     check_workers(jobs)
     check_writable_dir(runs / EVALUATIONS)
     check_writable_dir(weights)
-    best_known = read_best_known(RESULTS)
+    best_known = known_on_held_out(read_cards()) | read_best_known(RESULTS)
     train_missing(pairs, seeds=seeds, runs=runs, jobs=jobs)
     for shipped, env_id in pairs:
         card, best = make_card(

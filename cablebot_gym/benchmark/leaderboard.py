@@ -311,11 +311,7 @@ def _boards_text(
     unverified = {entry.policy for entry in entries if not entry.verified}
     text = ""
     for board in boards:
-        rows = tables.leaderboard_rows(board)
-        column = rows[0].index("policy")
-        for row in rows[1:]:
-            mark = ", unverified" if row[column] in unverified else ""
-            row[column] = f"`{row[column]}`{mark}"
+        rows = tables.leaderboard_rows(board, unverified)
         level = "###" if has_main else "##"
         title = board.env_id
         if has_main and not board.is_main:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from statistics import median
 from typing import Any
@@ -15,6 +15,7 @@ from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.yardstick import PROBABILITY, yardsticks
 from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.evaluation.constraints import KINDS, Violation
+from cablebot_gym.isolation.installed import public_entry
 from cablebot_gym.robots import KIND_TEXTS, Kind
 from cablebot_gym.task import payload_model_text
 from cablebot_gym.trajectories import find_trajectory
@@ -98,7 +99,21 @@ def timing_text(timing: Mapping[str, Any] | None) -> str:
     return text
 
 
-def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
+def policy_text(policy: str, unverified: Collection[str] = ()) -> str:
+    """Name of a policy as code, with its marks. One that is not installed any more has none of its
+    own."""
+    text = f"`{policy}`"
+    if policy in unverified:
+        text += ", unverified"
+    entry = public_entry(policy)
+    if entry is not None and entry.as_printed:
+        text += ", as printed"
+    return text
+
+
+def leaderboard_rows(
+    leaderboard: scores.Leaderboard, unverified: Collection[str] = ()
+) -> list[list[str]]:
     """Head and rows of a table: one row per policy, with its rank if there are ranks, and its
     computing time."""
     ranks, timings = leaderboard.ranks, leaderboard.timings
@@ -109,7 +124,7 @@ def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
         head.append("median, p99 [ms], late, start [s]")
     rows = [head]
     for policy in leaderboard.policies:
-        row = [policy]
+        row = [policy_text(policy, unverified)]
         for column in leaderboard.columns:
             row.append(entry_text(leaderboard, policy, column))
         if ranks:

@@ -12,6 +12,7 @@ from statistics import mean
 from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.engine import Backend, Job, MessageCallback, run_jobs
 from cablebot_gym.benchmark.records import Record, compute, single_records
+from cablebot_gym.policies.spec import PolicySpec
 
 KEPT = 0.9
 """Least fraction of the cells whose success rate is at least the promised probability. A 95/95
@@ -73,7 +74,7 @@ def confirm(
     say: MessageCallback,
 ) -> Iterator[Confirmation]:
     """Tries payloads of randomly chosen uncertain cells, and of as many motions of surveys, in fresh
-    draws, which the cells share.
+    draws, which the cells share. Policies that are not installed any more are named and left out.
 
     Args:
         records: stored records.
@@ -81,20 +82,26 @@ def confirm(
         cells: number of cells, and of motions of surveys; all if there are fewer.
         draws: number of fresh draws.
         seed: seed of the choice and of the draws.
-        say: called with messages of the workers.
+        say: called with messages for the user.
 
     Raises:
         ValueError: if there is no cell with an uncertain payload.
     """
     promises: dict[bool, dict[str, tuple[PolicyCell, float]]] = {False: {}, True: {}}
+    gone: set[str] = set()
     for record in single_records(records):
         cell = record.cell
         payload = record.result.get("payload")
         if not isinstance(cell, PolicyCell) or cell.uncertainty is None or not payload:
             continue
+        if PolicySpec.parse(cell.policy).kind == "unknown":
+            gone.add(cell.policy)
+            continue
         is_surveyed = "assured" not in record.result
         if is_surveyed or record.result["assured"]:
             promises[is_surveyed][cell.key] = (cell, float(payload))
+    if gone:
+        say(f"not tried, because they are not installed: {', '.join(sorted(gone))}")
     if not any(promises.values()):
         raise ValueError(
             "the results have no payload under uncertainty; choose a suite with uncertain columns"

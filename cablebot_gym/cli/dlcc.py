@@ -86,7 +86,7 @@ def dlcc(
 
     cablebot dlcc CableBot-Spatial-v0 --policy fl --out results
 
-    cablebot dlcc CableBot-Spatial-v0 --policy robust-tuned --uncertainty table6
+    cablebot dlcc CableBot-Spatial-v0 --policy fl-tuned --uncertainty table6
 
     cablebot dlcc --policy fl,robust,adaptive --robot cogiro
     """

@@ -70,7 +70,12 @@ def _data() -> dict[str, Any]:
             name: parameter.unit for name, parameter in PARAMETERS.items()
         },
         "policies": [
-            {"name": item.name, "kind": item.kind, "env_ids": list(item.env_ids)}
+            {
+                "name": item.name,
+                "kind": item.kind,
+                "env_ids": list(item.env_ids),
+                "as_printed": item.as_printed,
+            }
             for item in policy_entries().values()
         ],
     }
@@ -279,7 +284,10 @@ def _policy_rows() -> list[list[str]]:
         ids = _short_ids(policy.env_ids)
         if set(policy.env_ids) >= set(ENV_IDS):
             ids = "all"
-        rows.append([policy.name, policy.kind, ids, policy.summary])
+        kind: str = policy.kind
+        if policy.as_printed:
+            kind += ", as printed"
+        rows.append([policy.name, kind, ids, policy.summary])
     return rows
 
 

@@ -4,6 +4,7 @@ the textbook."""
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,7 +52,76 @@ def inverse_dynamics(
         ValueError: if the shapes do not match the robot or each other, or a number is not finite.
     """
     number("minimum", minimum)
-    shape = np.broadcast_shapes(np.shape(pose), np.shape(velocity), np.shape(acceleration))
+    masses, motion = _checked(robot, mass, pose, velocity, acceleration)
+    shape = (*masses.shape, robot.cables)
+    results = np.empty((4, *shape))
+    if robot.cables > robot.coordinates and robot.kind != "planar":
+        required = demands(robot, masses, motion)
+        results[2], results[3] = required.speeds, required.pulley_accelerations
+        results[0] = textbook.least_action_tensions(
+            robot, required.structure, required.load, results[2], results[3], minimum
+        )
+        results[1] = textbook.motor_torques(robot, results[0], *results[2:])
+    else:
+        form, packed = _prepared(robot)
+        items = masses.reshape(-1), motion.reshape(3, -1, robot.coordinates)
+        kernel.compiled(form, kernel.LANES).required(
+            packed, float(minimum), *_memory(form), *items, results.reshape(4, -1, robot.cables)
+        )
+    tensions, torques, speeds, accelerations = results
+    return InverseDynamics(
+        tensions=tensions, torques=torques, speeds=speeds, pulley_accelerations=accelerations
+    )
+
+
+class Demands(NamedTuple):
+    """What a motion demands of cables and pulleys. S and load are those of the accelerations y, see
+    :mod:`~cablebot_gym.physics.kernel`: ``−Sᵀ T = load`` has the tensions of the textbook."""
+
+    structure: Array
+    """S, (..., m, n)."""
+    load: Array
+    """Load, (..., n)."""
+    y: Array
+    """y, affine in Ẍ, (..., n)."""
+    speeds: Array
+    """Pulley speeds β̇, (..., m) [rad/s]."""
+    pulley_accelerations: Array
+    """β̈, (..., m) [rad/s²]."""
+
+
+def demands(robot: Robot, mass: Array, motion: Array) -> Demands:
+    """What motions demand of a robot, without checks of the arguments.
+
+    Args:
+        robot: any robot.
+        mass: mass of platform and payload [kg], shape (...).
+        motion: X, Ẋ and Ẍ, shape (3, ..., n).
+    """
+    form, packed = _prepared(robot)
+    m, n = robot.cables, robot.coordinates
+    structure = np.empty((*mass.shape, m, n))
+    load, y = np.empty((2, *mass.shape, n))
+    speeds, accelerations = pulleys = np.empty((2, *mass.shape, m))
+    kernel.compiled(form, kernel.LANES).demanded(
+        packed,
+        *_memory(form),
+        mass.reshape(-1),
+        motion.reshape(3, -1, n),
+        structure.reshape(-1, m, n),
+        load.reshape(-1, n),
+        y.reshape(-1, n),
+        pulleys.reshape(2, -1, m),
+    )
+    return Demands(structure, load, y, speeds, accelerations)
+
+
+def _checked(
+    robot: Robot, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
+) -> tuple[Array, Array]:
+    """Masses (...) and motion (3, ..., n) as arrays that the kernel can read."""
+    shapes = np.shape(pose), np.shape(velocity), np.shape(acceleration)
+    shape = np.broadcast_shapes(*shapes, (*np.shape(mass), 1))
     if shape[-1:] != (robot.coordinates,):
         raise ValueError(
             f"poses of {robot.name} need {robot.coordinates} coordinates; the arrays have shape {shape}"
@@ -60,25 +130,12 @@ def inverse_dynamics(
     motion[0], motion[1], motion[2], masses[...] = pose, velocity, acceleration, mass
     all_finite("pose, velocity and acceleration", motion)
     all_finite("mass", masses)
-    form, packed = _prepared(robot)
-    compiled = kernel.compiled(form, kernel.LANES)
-    memory = (
+    return masses, motion
+
+
+def _memory(form: kernel.Form) -> tuple[Array, Array]:
+    """Memory of the kernel for the parameters of a tile and for its scratch values."""
+    return (
         np.empty(kernel.parameter_rows(form) * kernel.LANES),
         np.empty(kernel.scratch_rows(form) * kernel.LANES),
-    )
-    items = masses.reshape(-1), motion.reshape(3, -1, robot.coordinates)
-    results = np.empty((4, masses.size, robot.cables))
-    if robot.cables > robot.coordinates and robot.kind != "planar":
-        structure = np.empty((masses.size, robot.cables, robot.coordinates))
-        load = np.empty((masses.size, robot.coordinates))
-        compiled.demanded(packed, *memory, *items, structure, load, results[2:])
-        results[0] = textbook.least_action_tensions(
-            robot, structure, load, results[2], results[3], minimum
-        )
-        results[1] = textbook.motor_torques(robot, results[0], *results[2:])
-    else:
-        compiled.required(packed, float(minimum), *memory, *items, results)
-    tensions, torques, speeds, accelerations = results.reshape(4, *shape[:-1], robot.cables)
-    return InverseDynamics(
-        tensions=tensions, torques=torques, speeds=speeds, pulley_accelerations=accelerations
     )

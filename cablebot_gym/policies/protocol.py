@@ -76,6 +76,9 @@ class PolicyEntry:
     """Whether a test of this project holds the policy to its declaration ``unsaturated_actions``.
     The paper criterion marks the results of other policies as declared, also of policies of other
     packages."""
+    as_printed: bool = False
+    """Whether the policy is a law of the paper that is kept with its equations and gains, although
+    it fails unloaded on robots of ``hardware`` whose payload is unknown."""
     files: tuple[Path, ...] | None = None
     """Data files that the policy reads, such as weights. Benchmark results depend on their content.
     None stands for all files in the folder of the policy's module."""

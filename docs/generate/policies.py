@@ -25,6 +25,9 @@ def page(entry: PolicyEntry) -> str:
     needs = "no extra"
     if entry.kind == "optimal":
         needs = "`pip install 'cablebot-gym[optimal]'`"
+    kind: str = entry.kind
+    if entry.as_printed:
+        kind += ", as printed"
     commands = ""
     for env_id in entry.env_ids:
         commands += f"cablebot dlcc {env_id} --policy {entry.name}\n"
@@ -32,7 +35,7 @@ def page(entry: PolicyEntry) -> str:
     text += table(
         [
             ["kind", "made for", "needs"],
-            [entry.kind, ", ".join(f"`{env_id}`" for env_id in entry.env_ids), needs],
+            [kind, ", ".join(f"`{env_id}`" for env_id in entry.env_ids), needs],
         ]
     )
     text += f"\n```sh\n{commands}```\n\n## Payload\n\nPayload [kg] and its fraction of the best known payload, task "

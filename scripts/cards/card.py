@@ -49,15 +49,8 @@ KNOWN, UNKNOWN = Condition(), Condition(payload_known=False)
 CONDITIONS = {
     "ppo-circle": (KNOWN, UNKNOWN),
     "apg-circle": (KNOWN, UNKNOWN),
-    "apg-circle-margin": (
-        UNKNOWN,
-        KNOWN,
-        *(
-            Condition(payload_known=False, uncertainty=name)
-            for name in ("sensors", "table6", "hardware")
-        ),
-    ),
     "apg-loops": (KNOWN, UNKNOWN),
+    "planner": (KNOWN, UNKNOWN),
 }
 """Conditions of the evaluation of each shipped policy; the first one selects the shipped seed."""
 

@@ -29,10 +29,10 @@ def draw_curves(cards: Sequence[Card]) -> Figure:
     columns = min(3, len(cards))
     rows = -(-len(cards) // columns)
     figure = new_figure(1.2 + 2.6 * rows)
-    panels = figure.subplots(rows, columns, squeeze=False).flat
+    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
     for card, axes in zip(cards, panels, strict=False):
         _curves(axes, card)
-    for axes in list(panels)[len(cards) :]:
+    for axes in panels[len(cards) :]:
         axes.set_axis_off()
     # The panel of a circle has all labels.
     complete = [bool(card.best_known) and not has_loops(card.motions) for card in cards]

@@ -38,6 +38,9 @@ from cards.card import (
 )
 from cards.statistics import median_seed
 
+PLANNER_BASE = "feedback linearization behind the observer of `observing`"
+"""Description of the law that moves the platform as a planning network says."""
+
 Evaluate = Callable[[Mapping[str, Cell]], Sequence[Record]]
 """Function that computes cells, given by key, and returns one record for each."""
 
@@ -165,8 +168,8 @@ def _evaluated_card(
         algorithm=shipped.algorithm,
         config=shipped.config,
         command="",
-        base=asdict(bundle.base),
-        base_text=base_text(bundle.base, env_id),
+        base=asdict(bundle.base) if bundle.base else {},
+        base_text=base_text(bundle.base, env_id) if bundle.base else PLANNER_BASE,
         steering=action_mapping_to_jsonable(bundle.action_mapping),
         features=bundle.features,
         parameters=sum(array.size for array in (*bundle.network.weights, *bundle.network.biases)),
@@ -238,6 +241,18 @@ def with_best_known(card: Card, best_known: Mapping[str, float]) -> Card:
 
 def _best_known_cell(env_id: str, seed: int) -> BestKnownCell:
     return BestKnownCell(env_id=env_id, trajectory=_loop(env_id, seed))
+
+
+def known_on_held_out(cards: Sequence[Card]) -> dict[str, float]:
+    """Best known payloads on the held-out motions of cards, as :func:`read_best_known` returns
+    them [kg]."""
+    payloads: dict[str, float] = {}
+    for card in cards:
+        for motion in card.held_out if card.has_present_loops else ():
+            if motion.best_known is not None:
+                key = _best_known_cell(card.env_id, motion.seed).motion_key
+                payloads[key] = max(motion.best_known, payloads.get(key, 0.0))
+    return payloads
 
 
 def _search(

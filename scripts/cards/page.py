@@ -47,6 +47,8 @@ with the median payload in training, so that it is typical and not the luckiest.
 {earlier}
 """
 
+_PLANNER_INPUTS = "expected state, estimates of the observer and preview of the reference"
+
 _COLUMNS = (
     *(
         "policy",
@@ -194,7 +196,7 @@ def _details(card: Card) -> str:
     text = f"\n### {short_id(card.env_id)}\n\n"
     text += f"* Base law: {card.base_text}.\n"
     text += f"* Action mapping: {_steering(card.steering)}. Network: {card.parameters} parameters; inputs "
-    text += f"{', '.join(card.features)}.\n"
+    text += f"{', '.join(card.features) or _PLANNER_INPUTS}.\n"
     text += f"* Training motions: {_trained_on(card)}, with dwells of at least {card.dwell:g} s. "
     text += f"{planner}\n"
     text += f"* Shipped seed {card.shipped_seed}: `{card.shipped.command}`\n"
@@ -217,7 +219,9 @@ def _steering(action_mapping: Mapping[str, Any]) -> str:
     words = [action_mapping["kind"]]
     for name, value in action_mapping.items():
         if name != "kind" and (value or name != "preview"):
-            words.append(f"{name} {value:g}{units.get(name, '')}")
+            numbers = value if isinstance(value, (list, tuple)) else [value]
+            text = " and ".join(f"{number:g}" for number in numbers)
+            words.append(f"{name} {text}{units.get(name, '')}")
     return ", ".join(words)
 
 

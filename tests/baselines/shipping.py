@@ -1,15 +1,14 @@
 """Finished training runs for the tests of cards and of the script that makes them."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import train_shipped as script
 from cards.card import read_cards
 from cards.making import Protocol
 
-from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.gradient_run import ALGORITHM, make_gradient_config
-from cablebot_baselines.learned.network import zero_network
 from cablebot_baselines.learned.runs import BEST, LAST, read_yaml
 from cablebot_baselines.learned.shipped import SHIPPED
 from cablebot_gym import ENV_IDS
@@ -40,8 +39,8 @@ def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
     """Writes a finished run of ``apg-circle`` whose network outputs nearly zero; ``changes`` are of
     its card."""
     plain = read_yaml(env_id, Path("gradient"))
-    steering = make_gradient_config(env_id, plain).steering
-    network = zero_network(steering.inputs, steering.actions)
+    untrained = make_gradient_config(env_id, plain).untrained
+    network = untrained.network
     network.biases[0][:] = 1e-9 * seed
     card = {
         "command": f"cablebot train {env_id} --algo gradient --config gradient --seed {seed} --threads 1",
@@ -59,14 +58,7 @@ def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
         "curve": [{"timesteps": 350, "wall_s": 60.0, "payload_kg": IN_TRAINING.get(seed)}],
         "base_payload_kg": 1.4,
     }
-    bundle = Bundle(
-        env_id=env_id,
-        base=steering.base,
-        action_mapping=steering.action_mapping,
-        features=steering.features,
-        network=network,
-        card=card | changes,
-    )
+    bundle = replace(untrained, card=card | changes)
     bundle.save(folder / BEST)
     bundle.save(folder / LAST)
     return folder

@@ -1,14 +1,19 @@
 """Estimation of pose and velocity from the sensors of winches."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import chi2
 
 from cablebot_baselines.estimation import (
     Estimated,
     ExtendedKalmanFilter,
+    FilterErrors,
     KinematicEstimator,
+    attainable_deviation,
     calibrate,
     home_offset,
 )
@@ -17,12 +22,15 @@ from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.physics import textbook
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
+from cablebot_gym.uncertainty import find_uncertainty
 
 ENCODERS = {"kind": "winches", "encoder_resolution": 2 * np.pi / 8192}
 WHITE = {"sensors": {"motor_angle": 1e-4, "motor_speed": 1e-2}}
 
 
-def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertainty=None):
+def run(
+    env_id, estimator, *, law="fl", count=4, measurement="winches", uncertainty=None, **options
+):
     """Errors of pose and velocity (steps, N, 2n) in closed loop, and normalised squared errors of
     the filter."""
     robot = find_robot(env_robot(env_id))
@@ -33,6 +41,7 @@ def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertai
         measurement=measurement,
         uncertainty=uncertainty,
         max_episode_steps=None,
+        **options,
     ).unwrapped
     policy = Estimated(load_policy(law, robot), robot, estimator)
     rows, _ = env.reset(seed=0)
@@ -62,7 +71,8 @@ def run(env_id, estimator, *, law="fl", count=4, measurement="winches", uncertai
 def test_filter_is_better_than_forward_kinematics(env_id):
     robot = find_robot(env_robot(env_id))
     noise = {"measurement": ENCODERS, "uncertainty": WHITE}
-    errors, squares = run(env_id, ExtendedKalmanFilter(robot), **noise)
+    expected = FilterErrors.of(find_uncertainty(WHITE, robot), robot)
+    errors, squares = run(env_id, ExtendedKalmanFilter(robot, expected), **noise)
     raw, _ = run(env_id, KinematicEstimator(robot), **noise)
     n = robot.coordinates
     assert 0.3 < squares.mean() / (2 * n) < 2
@@ -85,14 +95,136 @@ def test_filter_finds_the_pose_behind_the_springs():
     ("env_id", "law"), [("CableBot-Planar-v0", "fl"), ("CableBot-FlexPlanar-v0", "motor-pd")]
 )
 def test_homing_removes_zero_errors_of_sensors(env_id, law):
+    robot = find_robot(env_robot(env_id))
     errors, _ = run(
         env_id,
-        ExtendedKalmanFilter(find_robot(env_robot(env_id)), homing=True),
+        ExtendedKalmanFilter(robot, FilterErrors.usual(robot, homing=True)),
         law=law,
         measurement="winches+tensions",
         uncertainty={"sensor_bias": {"motor_angle": 1e-3, "tension": 5.0}},
     )
     assert np.abs(errors[..., :2]).max() < 2e-4
+
+
+@pytest.mark.parametrize("law", ["motor-pd", "adaptive-composite"])
+def test_law_reads_motor_angles_less_the_offset_that_homing_finds(law):
+    """With the raw angles both laws fail at once: the zero error is centimetres of cable."""
+    steps = 300
+    env = gym.make_vec(
+        "CableBot-FlexPlanar-v0",
+        num_envs=2,
+        payload=1.0,
+        measurement="winches+tensions",
+        uncertainty={"sensor_bias": {"motor_angle": 0.3}},
+        max_episode_steps=None,
+    ).unwrapped
+    robot = find_robot("flex-planar")
+    policy = Estimated(
+        load_policy(law, robot),
+        robot,
+        ExtendedKalmanFilter(robot, FilterErrors.usual(robot, homing=True)),
+    )
+    rows, _ = env.reset(seed=0)
+    policy.reset(env.tasks)
+    state = None
+    for _ in range(steps):
+        actions, state = policy.predict(rows, state)
+        rows = env.step(actions)[0]
+    reference = policy._measured.split(rows)["reference_pose"]
+    assert np.abs(env.pose - reference).max() < 0.01
+
+
+def test_diverged_filter_starts_anew_and_leaves_the_other_episodes():
+    """Equations that take only finite numbers would end the evaluation of all episodes."""
+    env = gym.make_vec("CableBot-FlexPlanar-v0", num_envs=2, measurement="winches").unwrapped
+    rows, _ = env.reset(seed=0)
+    robot = find_robot("flex-planar")
+    policy = Estimated(load_policy("composite-tuned", robot), robot)
+    policy.reset(env.tasks)
+    _, (estimate, law) = policy.predict(rows)
+    for value in (np.nan, 1e200):
+        lost = estimate.mean.copy()
+        lost[0] = value
+        _, (following, _) = policy.predict(rows, (replace(estimate, mean=lost), law))
+        _, (expected, _) = policy.predict(rows, (estimate, law))
+        assert np.isfinite(following.mean).all()
+        assert_allclose(following.mean[1], expected.mean[1])
+
+
+POSITION, ROTATION = 2e-3, 2e-3
+"""Half widths of the error of the start pose [m, rad]."""
+
+
+def homed(env_id, law, count, errors):
+    """Errors of the pose (steps, N, n) and their normalised squares (steps, N) with an error of the
+    start pose that the filter expects."""
+    robot = find_robot(env_robot(env_id))
+    uncertainty = find_uncertainty(errors, robot)
+    start = POSITION / np.sqrt(3), ROTATION / np.sqrt(3)
+    expected = FilterErrors.of(uncertainty, robot, start=start)
+    turns = robot.coordinates - robot.dimensions
+    pose_errors, squares = run(
+        env_id,
+        ExtendedKalmanFilter(robot, expected),
+        law=law,
+        count=count,
+        measurement=ENCODERS | {"tensions": True},
+        uncertainty=errors,
+        initial_error_range=[POSITION] * robot.dimensions + [ROTATION] * turns,
+    )
+    return pose_errors[..., : robot.coordinates], squares
+
+
+SENSORS = {
+    "sensors": {"motor_angle": 1e-4, "motor_speed": 1e-2, "tension": 0.4},
+    "sensor_bias": {"motor_angle": 6e-3, "tension": 2.0},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("env_id", "law"),
+    [
+        ("CableBot-Planar-v0", "fl"),
+        ("CableBot-Spatial-v0", "fl"),
+        ("CableBot-FlexPlanar-v0", "composite-tuned"),
+        ("CableBot-FlexSpatial-v0", "composite"),
+    ],
+)
+def test_errors_are_as_large_as_the_filter_states(env_id, law):
+    """Zeros taken once at the nominal start pose would give thousands instead of one: the errors of
+    the pose and of the zeros belong together."""
+    robot = find_robot(env_robot(env_id))
+    errors, squares = homed(env_id, law, 32, SENSORS)
+    degrees = 32 * 2 * robot.coordinates
+    low, high = chi2.ppf([0.001, 0.999], degrees) / degrees
+    # the motion of the filter is integrated less exactly than that of the plant
+    assert 0.8 * low < squares.mean() / (2 * robot.coordinates) < 1.2 * high
+    if env_id == "CableBot-FlexSpatial-v0":
+        assert np.abs(errors[..., 3:]).max() < 4e-3  # 40 % of the bound
+
+
+def test_filter_finds_the_stiffness():
+    """With nominal springs the error is a millimetre: 10 % of a deflection of centimetres."""
+    softer = {"stiffness": {"low": -0.1, "high": 0.1, "each": False}}
+    errors, _ = homed(
+        "CableBot-FlexPlanar-v0", "composite-tuned", 4, SENSORS | {"parameters": softer}
+    )
+    assert np.abs(errors[-50:]).max() < 5e-4
+
+
+def test_bound_before_the_motion_is_that_of_weighted_least_squares():
+    """Of a rigid robot at rest, with zero errors that are independent."""
+    env = gym.make_vec("CableBot-Planar-v0", num_envs=1, measurement=ENCODERS).unwrapped
+    env.reset(seed=0)
+    task = env.tasks[0]
+    zeros = {"sensors": {"motor_speed": 1e-2}, "sensor_bias": {"motor_angle": 6e-3}}
+    expected = FilterErrors.of(find_uncertainty(zeros, PLANAR), PLANAR)
+    deviation = attainable_deviation(ExtendedKalmanFilter(PLANAR, expected), task)
+    turning = textbook.jacobian(PLANAR, task.trajectory(0.0).position) / 0.05
+    variance = 6e-3**2 + ENCODERS["encoder_resolution"] ** 2 / 12
+    covariance = variance * np.linalg.inv(turning.T @ turning)
+    assert_allclose(deviation[0], np.sqrt(np.diag(covariance)), rtol=1e-3)
 
 
 @pytest.mark.slow
@@ -109,9 +241,9 @@ def test_diverged_estimate_stops_the_motors_of_its_own_episode():
 
     class Diverging(KinematicEstimator):
         def update(self, blocks, state, starts):
-            pose, velocity, state = super().update(blocks, state, starts)
-            pose[0], velocity[1] = np.nan, np.inf
-            return pose, velocity, state
+            estimated, state = super().update(blocks, state, starts)
+            estimated["pose"][0], estimated["velocity"][1] = np.nan, np.inf
+            return estimated, state
 
     env = gym.make_vec("CableBot-Planar-v0", num_envs=3, measurement="winches").unwrapped
     rows, _ = env.reset(seed=0)

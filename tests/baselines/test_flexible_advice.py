@@ -7,7 +7,7 @@ from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL, find_robot
 
 
-@pytest.mark.parametrize("name", ["fl", "fl-tuned", "robust", "robust-tuned"])
+@pytest.mark.parametrize("name", ["fl", "fl-tuned", "robust"])
 @pytest.mark.parametrize(
     ("robot", "springs"), [("flex-spatial", "joint springs"), ("flex-ttk4900", "elastic cables")]
 )

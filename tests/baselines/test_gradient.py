@@ -151,7 +151,9 @@ def test_violations_equal_the_inverse_dynamics():
         (lambda: configured(motions={"loops": VALIDATION[0] + 1}), "loops"),
         (lambda: configured(motions={"named": [HELD_OUT]}), "motions"),
         (lambda: configured(tensoin=3.0), "tensoin"),
-        (lambda: configured(steering={"kind": "residual"}), "kind shift"),
+        (lambda: configured(steering={"kind": "residual"}), "kind shift or planning"),
+        (lambda: configured(steering={"kind": "planning"}), "base"),
+        (lambda: configured(steering={"kind": "nonsense"}), "planning"),
         (lambda: configured(features=["nonsense"]), "nonsense"),
     ],
 )
@@ -322,7 +324,7 @@ def loop_seeds(trajectories):
 
 
 @pytest.mark.parametrize(
-    "name", ["gradient", pytest.param("gradient-loops", marks=pytest.mark.slow)]
+    "name", ["gradient", "planner", pytest.param("gradient-loops", marks=pytest.mark.slow)]
 )
 def test_shipped_configurations_use_training_motions_only(name):
     configs = yaml.safe_load((HYPERPARAMS / f"{name}.yaml").read_text())
@@ -333,4 +335,4 @@ def test_shipped_configurations_use_training_motions_only(name):
         validation = loop_seeds(config.validation)
         assert max(trained | validation, default=0) < FIRST_HELD_OUT_SEED
         assert trained.isdisjoint(VALIDATION)
-        assert bool(trained) == bool(validation) == (name == "gradient-loops")
+        assert bool(trained) == bool(validation) == (name != "gradient")

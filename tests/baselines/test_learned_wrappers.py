@@ -279,13 +279,7 @@ def test_policy_on_the_plain_environment_repeats_training(case):
     steering = env.steering
     env_id = CASES[case]["env_id"]
     network = SinglePrecision(**vars(network_of(steering, scale=0.1)))
-    bundle = Bundle(
-        env_id=env_id,
-        base=steering.base,
-        action_mapping=steering.action_mapping,
-        features=steering.features,
-        network=network,
-    )
+    bundle = Bundle.of_steering(env_id, steering, network)
     plain = gym.make(env_id)
     policy = LearnedPolicy(bundle, plain.unwrapped.settings.robot)
     start = {"seed": 0, "options": {"payload": 0.4}}

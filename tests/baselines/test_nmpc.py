@@ -1,6 +1,7 @@
 """The receding-horizon controller: its plans, its state, and its behaviour without a plan."""
 
 import logging
+from dataclasses import replace
 from unittest.mock import Mock
 
 import gymnasium as gym
@@ -11,11 +12,18 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 pytest.importorskip("casadi")
 
-from cablebot_baselines.optimal.horizon import HORIZON, ExpectedRobot, HorizonProgram, PlanningError
+from cablebot_baselines.optimal.horizon import (
+    HORIZON,
+    ExpectedRobot,
+    HorizonProgram,
+    PlanningError,
+    Target,
+)
 from cablebot_baselines.optimal.nmpc import NMPC, STEPS_PER_PLAN, TUNING, NonlinearMPC
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
+from cablebot_gym.planning.stage_functions import TENSION
+from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, find_robot
 from cablebot_gym.task import ErrorBounds
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -120,9 +128,12 @@ def test_planned_motion_keeps_the_limits_between_its_instants():
         return home + 0.02 * np.sin(2 * np.pi * times / HORIZON)[:, None] ** 2 * [0.0, 1.0]
 
     requested = reference(program.instants)
-    robot = ExpectedRobot(mass=mass)
-    keywords = {"robot": robot, "error_bounds": ErrorBounds(position=0.03), "iterations": 8}
-    plan = program.plan(requested, home, zero, requested, zero, **keywords)
+    target = Target(
+        reference=requested,
+        last_velocity=zero,
+        error_bounds=ErrorBounds(position=0.03),
+    )
+    plan = program.plan(home, zero, target, robot=ExpectedRobot(mass=mass), iterations=8)
     fine = np.linspace(0.0, HORIZON, 201)
     pose, velocity, acceleration = program.basis(fine) @ plan
     minimum = program.minimum_tension
@@ -145,16 +156,69 @@ def test_plan_exists_from_every_regular_state(policies, env_id):
     zero = np.zeros(program.robot.coordinates)
     home = np.array(robot.home)
     away = np.eye(len(zero))[min(len(zero), 3) - 1]
-    keywords = {"robot": ExpectedRobot(mass=20.0), "error_bounds": ErrorBounds()}
     still = np.tile(home, (len(program.instants), 1))
-    assert np.isfinite(
-        program.plan(still, home - 0.015 * away, -2.0 * away, still, zero, **keywords)
-    ).all()
+    target = Target(reference=still, last_velocity=zero, error_bounds=ErrorBounds())
+    heavy = ExpectedRobot(mass=20.0)
+    plan = program.plan(home - 0.015 * away, -2.0 * away, target, robot=heavy)
+    assert np.isfinite(plan).all()
     if robot.planar:  # at an anchor, a cable has no direction
         anchor = np.array(robot.base[0])
         still = np.tile(anchor, (len(program.instants), 1))
         with pytest.raises(PlanningError):
-            program.plan(still, anchor, zero, still, zero, **keywords)
+            program.plan(anchor, zero, replace(target, reference=still), robot=heavy)
+
+
+@pytest.mark.parametrize("env_id", ROBOTS)
+def test_linearisation_has_the_slopes_of_the_textbook(policies, env_id):
+    """Of tensions that balance the forces, and of the actions for them."""
+    program = policies[env_id].program
+    robot = program.robot
+    m = robot.cables
+    wave = 0.02 * np.sin(20 * program.instants)[:, None]
+    plan = program._fit @ (np.array(robot.home) + wave)
+    change = 1e-5 * np.random.default_rng(0).normal(size=plan.shape)
+    linear = program.linearised(plan, ExpectedRobot(mass=8.0))
+    values = linear.values + linear.slope @ change.ravel()
+    tensions = TENSION * values[:, m:]
+    motion = program.basis(program.instants) @ (plan + change)
+    pull = np.einsum("kmn,km->kn", textbook.jacobian(robot, motion[0]), tensions)
+    load = textbook.load(robot, 8.0, *motion)
+    assert_allclose(pull, -load, atol=1e-5 * np.abs(load).max())
+    torques = textbook.required_torques(robot, tensions, *motion)
+    speeds = textbook.pulley_speed(robot, *motion[:2])
+    actions = textbook.normalised_action(robot, torques, speeds)
+    assert_allclose(values[:, :m], actions, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", TUNING)
+def test_start_of_the_last_part_counts_as_if_known_before(kind):
+    """To first order, where the objective is quadratic in the actions."""
+    tuning = replace(TUNING[kind], action_exponent=2.0)
+    program = HorizonProgram(find_robot(kind), tuning)
+    home = np.array(program.robot.home)
+    zero = np.zeros_like(home)
+    reference = np.tile(home, (len(program.instants), 1))
+    target = Target(reference=reference, last_velocity=zero, error_bounds=ErrorBounds())
+    robot = ExpectedRobot(mass=8.0)
+    pose, velocity = home + 1e-4, zero + 1e-3
+    still = program._fit @ reference
+    plans = []
+    for plan in (still, program._with_start(still, pose, velocity)):
+        part = program.assembled(program.linearised(plan, robot), target)
+        plans.append(program.solved(part, pose, velocity))
+    assert_allclose(plans[0], plans[1], atol=1e-5)
+
+
+def test_control_step_has_at_most_one_part_of_a_plan(monkeypatch):
+    policy = NMPC.factory(PLANAR)
+    parts = []
+    for name in ("linearised", "assembled", "solved"):
+        part = getattr(policy.program, name)
+        spy = Mock(side_effect=lambda *_, part=part, name=name: parts.append(name) or part(*_))
+        monkeypatch.setattr(policy.program, name, spy)
+    for number, _ in enumerate(drive(policy, vector(PLANAR_ID, 1), 4 * STEPS_PER_PLAN)):
+        assert number == 0 or len(parts) <= 1
+        parts.clear()
 
 
 # --- fallbacks --------------------------------------------------------------------------------------------------------
@@ -167,14 +231,14 @@ def failing(monkeypatch):
     def make(earliest, latest=10**9):
         policy = NMPC.factory(PLANAR)
         number = iter(range(10**9))
-        plan = policy.program.plan
+        solved = policy.program.solved
 
-        def sometimes(*args, **keywords):
+        def sometimes(*arguments):
             if earliest <= next(number) <= latest:
                 raise PlanningError("made to fail")
-            return plan(*args, **keywords)
+            return solved(*arguments)
 
-        monkeypatch.setattr(policy.program, "plan", sometimes)
+        monkeypatch.setattr(policy.program, "solved", sometimes)
         return policy
 
     return make

@@ -5,13 +5,16 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 from numpy.testing import assert_allclose
+from oracles.plants import FLEX_UNEQUAL, QUAD, UNEQUAL, each_of, random_motion, slowly
+from oracles.platforms import CAMERA, CRANE, TURNING
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flexible import composite_tuned
 from cablebot_baselines.classical.observing import Observing
 from cablebot_baselines.estimation.expectation import Expectation
-from cablebot_baselines.estimation.observer import delayed_weights
+from cablebot_baselines.estimation.filtering import delayed_weights, dynamics_of
 from cablebot_gym.envs import env_robot
+from cablebot_gym.physics import textbook
 from cablebot_gym.robots import find_robot
 from cablebot_gym.uncertainty import ExternalWrench, Uncertainty, find_uncertainty
 
@@ -86,6 +89,34 @@ def test_exactly_known_robot_is_expected_as_it_is():
     assert expected.effect_times(PERIOD) == (0.0, 0.0)
     assert expected.strength_spread == expected.anchor_spread == expected.stiffness_spread == 0.0
     assert not expected.wrench_spread.any()
+
+
+# --- model ------------------------------------------------------------------------------------------------------------
+
+
+@each_of(QUAD, UNEQUAL, TURNING, *slowly(CAMERA, CRANE, FLEX_UNEQUAL))
+def test_dynamics_keep_the_force_balance_of_the_textbook(robot):
+    """For any torques and wrench, and with 1 kg more."""
+    mass, pose, velocity, _ = random_motion(robot, (20,), seed=5)
+    rng = np.random.default_rng(0)
+    torque = rng.normal(size=(20, robot.cables))
+    wrench = rng.normal(size=(20, robot.coordinates))
+    dynamics = dynamics_of(robot, mass, pose, velocity)
+    acceleration = dynamics.acceleration(torque, wrench)
+    motion = pose, velocity, acceleration
+    speed = textbook.pulley_speed(robot, pose, velocity)
+    drag = robot.pulley_inertia * textbook.pulley_acceleration(robot, *motion)
+    tension = (torque - drag - robot.damping * speed) / robot.pulley_radius
+    structure = textbook.jacobian(robot, pose)
+    load = textbook.load(robot, mass, *motion)
+    pull = np.einsum("kmn,km->kn", structure, tension)
+    tolerance = {"rtol": 0, "atol": 1e-11 * np.abs(load).max()}
+    assert_allclose(load + pull, wrench, **tolerance)
+    heavier = textbook.times_vector(dynamics.matrix_per_mass, acceleration)
+    heavier += load + dynamics.bias_per_mass
+    assert_allclose(heavier, textbook.load(robot, mass + 1.0, *motion), **tolerance)
+    assert_allclose(dynamics.structure, structure, atol=1e-13)
+    assert_allclose(dynamics.pulley_speed, speed, atol=1e-11)
 
 
 # --- delay ------------------------------------------------------------------------------------------------------------

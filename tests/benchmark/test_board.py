@@ -355,6 +355,19 @@ def test_fresh_draws_tell_a_kept_promise_from_a_broken_one(inline):
         list(confirm(unpromised, local(1), cells=20, draws=60, seed=5, say=print))
 
 
+def test_verification_names_policies_that_left_the_product_and_tries_the_others():
+    """A stored board keeps their rows."""
+    messages = []
+    records = [record(cell(), 0.3), record(cell(policy="bygone"), 0.3)]
+
+    def backend(jobs, say, returned):
+        yield from ((key, 1.0) for key in jobs)
+
+    confirmations = confirm(records, backend, cells=20, draws=60, seed=5, say=messages.append)
+    assert [confirmation.cell.policy for confirmation in confirmations] == ["fl"]
+    assert messages == ["not tried, because they are not installed: bygone"]
+
+
 def test_seed_of_the_confirmation_chooses_the_cells():
     records = [record(cell(seed=number)) for number in range(30)]
 

@@ -154,7 +154,7 @@ def test_policies_are_assigned_to_their_environments():
         PLANAR: ("fl",),
         SPATIAL: ("fl",),
         "CableBot-FlexPlanar-v0": ("motor-pd",),
-        "CableBot-FlexSpatial-v0": ("motor-pd",),
+        "CableBot-FlexSpatial-v0": (),
     }
 
 

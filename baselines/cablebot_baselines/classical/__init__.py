@@ -13,14 +13,14 @@ from cablebot_baselines.classical.flexible import (
     MotorPD,
 )
 from cablebot_baselines.classical.observing import OBSERVING, Observing
-from cablebot_baselines.classical.outer_loop import PD, RobustPD
+from cablebot_baselines.classical.outer_loop import PD, BoundedRobustPD, RobustPD
 from cablebot_baselines.classical.robust import (
     ROBUST,
     ROBUST_COMPOSITE,
-    ROBUST_TUNED,
     Robust,
     RobustComposite,
 )
+from cablebot_baselines.classical.robust_observing import ROBUST_OBSERVING, RobustObserving
 
 __all__ = [
     "ADAPTIVE",
@@ -36,8 +36,9 @@ __all__ = [
     "PD",
     "ROBUST",
     "ROBUST_COMPOSITE",
-    "ROBUST_TUNED",
+    "ROBUST_OBSERVING",
     "Adaptive",
+    "BoundedRobustPD",
     "Composite",
     "FeedbackLinearization",
     "FourthOrder",
@@ -46,5 +47,6 @@ __all__ = [
     "PaperFlexible",
     "Robust",
     "RobustComposite",
+    "RobustObserving",
     "RobustPD",
 ]

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from cablebot_baselines.classical.law import Array, ClassicalLaw
-from cablebot_baselines.classical.outer_loop import PD, RobustPD, checked_gains
+from cablebot_baselines.classical.outer_loop import PD, BoundedRobustPD, RobustPD, checked_gains
 from cablebot_baselines.entries import entry
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, Robot
@@ -110,6 +110,25 @@ class FlexibleLaw(ClassicalLaw):
         second = (after - 2 * now + before) / DIFFERENCE_STEP**2
         return now, rate, second
 
+    def _reference_spring_torques(
+        self, mass: Array, blocks: dict[str, Array]
+    ) -> tuple[Array, Array, Array]:
+        """κ_d, κ̇_d and κ̈_d of the reference.
+
+        The tensions of redundant cables have kinks along a motion; the rates are then zero.
+        """
+        motion = Motion(
+            position=blocks["reference_pose"],
+            velocity=blocks["reference_velocity"],
+            acceleration=blocks["reference_acceleration"],
+            jerk=blocks["reference_jerk"],
+            snap=blocks["reference_snap"],
+        )
+        if self.robot.cables <= self.robot.coordinates or self.robot.kind == "planar":
+            return self._spring_torque_derivatives(mass, motion)
+        spring = self._spring_torques(mass, *motion.after(0.0))
+        return spring, np.zeros_like(spring), np.zeros_like(spring)
+
 
 class Composite(FlexibleLaw):
     """Rigid law for motor and pulley as one inertia, plus damping of the springs, ``K_v (β̇ −
@@ -138,6 +157,8 @@ class Composite(FlexibleLaw):
         robot: nominal robot.
         gains: (K_P, K_D) of the rigid law; None for the paper's gains.
         spring_damping: largest K_v in units of √(K J′); ≥ 0.
+        leads_springs: whether the torque κ leads by the lag of the damped springs along the
+            reference, (K_v κ̇ + J′ κ̈)/K.
         minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
 
     Raises:
@@ -151,12 +172,13 @@ class Composite(FlexibleLaw):
         *,
         gains: tuple[float, float] | None = None,
         spring_damping: float = 1.0,
+        leads_springs: bool = False,
         minimum_tension: float | None = None,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
-        self.outer: PD | RobustPD = PD(gains=checked_gains(gains, robot))
-        factor = number("spring_damping", spring_damping, least=0.0)
-        self._max_damping = factor * np.sqrt(self.model.stiffness * self.model.motor_inertia)
+        self.outer: PD | RobustPD | BoundedRobustPD = PD(gains=checked_gains(gains, robot))
+        self.spring_damping = number("spring_damping", spring_damping, least=0.0)
+        self.leads_springs = leads_springs
         self._damping = self._max_damping
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -167,6 +189,11 @@ class Composite(FlexibleLaw):
         """
         super().reset(tasks)
         self._damping = self.damping(max(1 / task.control_frequency for task in tasks))
+
+    @property
+    def _max_damping(self) -> Array:
+        root: Array = np.sqrt(self.model.stiffness * self.model.motor_inertia)
+        return self.spring_damping * root
 
     def damping(self, period: float) -> Array:
         """K_v [N·m·s/rad] for a control period [s], (m,)."""
@@ -186,8 +213,13 @@ class Composite(FlexibleLaw):
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
         torques, acceleration, speeds = self._rigid_torques(mass, blocks, self.outer(blocks))
-        spring_damping = self._damping * (speeds - blocks["motor_speed"])
-        return torques + self.model.motor_inertia * acceleration + spring_damping
+        torques = torques + self.model.motor_inertia * acceleration
+        torques += self._damping * (speeds - blocks["motor_speed"])
+        if self.leads_springs:
+            _, rate, second = self._reference_spring_torques(mass, blocks)
+            stiffness = textbook.joint_stiffness(self.robot, blocks["pose"])
+            torques += (self._damping * rate + self.model.motor_inertia * second) / stiffness
+        return torques
 
 
 class MotorPD(FlexibleLaw):
@@ -195,8 +227,7 @@ class MotorPD(FlexibleLaw):
     feedforward.
 
     The plant is differentially flat: all reference values follow from X_d and its derivatives up to
-    snap. The law does not read the measured pose of the platform. The tensions of redundant cables
-    have kinks along a motion, so the law then leaves out the rates of κ_d.
+    snap. The law does not read the measured pose of the platform.
 
     Args:
         robot: nominal robot.
@@ -230,18 +261,7 @@ class MotorPD(FlexibleLaw):
         pose = blocks["reference_pose"]
         velocity = blocks["reference_velocity"]
         acceleration = blocks["reference_acceleration"]
-        if robot.cables > robot.coordinates and robot.kind != "planar":
-            spring = self._spring_torques(mass, pose, velocity, acceleration)
-            spring_rate = spring_second = np.zeros_like(spring)
-        else:
-            motion = Motion(
-                position=pose,
-                velocity=velocity,
-                acceleration=acceleration,
-                jerk=blocks["reference_jerk"],
-                snap=blocks["reference_snap"],
-            )
-            spring, spring_rate, spring_second = self._spring_torque_derivatives(mass, motion)
+        spring, spring_rate, spring_second = self._reference_spring_torques(mass, blocks)
         stiffness = textbook.joint_stiffness(self.robot, pose)
         angle, _ = textbook.rest_angles(self.robot, spring / robot.pulley_radius, pose)
         # With elastic cables the motor torque at rest exceeds r T.
@@ -338,7 +358,7 @@ def composite_tuned(robot: Robot) -> Composite:
     constant.
     """
     if robot.kind == "planar":
-        return Composite(robot, gains=(800.0, 30.0), spring_damping=0.5)
+        return Composite(robot, gains=(800.0, 30.0), spring_damping=0.5, leads_springs=True)
     ratio = 1.0
     if robot.elastic:
         # The outer loop is as slow, compared with the winches, as that of the paper's robot.
@@ -346,7 +366,8 @@ def composite_tuned(robot: Robot) -> Composite:
         slowest = float(np.sqrt(np.min(model.stiffness / model.motor_inertia)))
         paper = float(np.sqrt(FLEX_SPATIAL.stiffness[0] / FLEX_SPATIAL.motor_inertia[0]))
         ratio = min(1.0, slowest / paper)
-    return Composite(robot, gains=(ratio**2 * 200.0, ratio * 28.0), spring_damping=0.4)
+    gains = (ratio**2 * 200.0, ratio * 28.0)
+    return Composite(robot, gains=gains, spring_damping=0.4, leads_springs=True)
 
 
 COMPOSITE = entry("composite", Composite)

@@ -20,6 +20,7 @@ from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.estimation.observer import ObserverState, RobotEstimate, RobotObserver
 from cablebot_gym.bounds.closed_form import exact_payload
+from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics.textbook import allocated_minimum, normalised_action
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
@@ -41,6 +42,21 @@ UNCERTAINTY = "hardware"
 
 _REFERENCE = ("pose", "velocity", "acceleration", "jerk", "snap")
 """Derivatives of the reference in the observation, if it has them."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instant:
+    """What is known in a control step of N episodes."""
+
+    blocks: dict[str, Array]
+    """Blocks of the observation, each (N, size)."""
+    estimate: RobotEstimate
+    """Estimates of the observer."""
+    ahead: dict[str, Array]
+    """State at the instant at which the action takes effect, see
+    :meth:`~cablebot_baselines.estimation.observer.RobotObserver.at_effect`."""
+    starts: NDArray[np.bool_]
+    """Whether an episode starts, (N,)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,7 +84,9 @@ class Observing(ClassicalLaw):
         law: control law without memory for the expected robot.
         expectation: what is expected of the robot.
         largest_payload: largest payload that is considered possible if the payload is unknown [kg];
-            None for that with which the motors can track the reference of the task exactly.
+            None for ``payload_prior`` times that with which the motors can track the reference of
+            the task exactly.
+        payload_prior: a multiple, as above.
     """
 
     unsaturated_actions = False
@@ -79,11 +97,14 @@ class Observing(ClassicalLaw):
         expectation: Expectation,
         *,
         largest_payload: float | None = None,
+        payload_prior: float = 1.0,
     ) -> None:
         super().__init__(law.robot, minimum_tension=law.minimum_tension)
         self.law = law
         self.expectation = expectation
         self.largest_payload = largest_payload
+        self._payload_prior = payload_prior
+        self._tasks: tuple[Task, ...] = ()
         self.observer = self._observer(PERIOD, np.array([self._possible(None)]))
         self._allocates = law.robot.cables == law.robot.coordinates
 
@@ -94,23 +115,37 @@ class Observing(ClassicalLaw):
             ValueError: if a task's robot differs from the law's robot in kind or anchors.
         """
         self.law.reset(tasks)
-        period = 1 / tasks[0].control_frequency
+        self._tasks = tuple(tasks)
         largest: dict[int, float] = {}
         for task in tasks:
             motion = id(task.trajectory)
             if motion not in largest:
                 largest[motion] = self._possible(task)
-        payloads = [largest[id(task.trajectory)] for task in tasks]
-        self.observer = self._observer(period, np.array(payloads))
+        payloads = np.array([largest[id(task.trajectory)] for task in tasks])
+        self._prepare(tasks, payloads)
+        self.observer = self._observer(1 / tasks[0].control_frequency, payloads)
+        self._load_compiled_code(tasks)
+
+    def _load_compiled_code(self, tasks: Sequence[Task]) -> None:
+        """Runs the observer for two steps: in a control step the loading of its compiled code would
+        take longer than the control period."""
+        blocks = self.split(np.zeros((len(tasks), observation_layout(self.robot).size)))
+        blocks["pose"] = np.array([task.start_pose for task in tasks])
+        starts = np.zeros(len(tasks), np.bool_)
+        state = self.observer.update(blocks, None, starts)
+        self.observer.at_effect(blocks, self.observer.update(blocks, state, starts))
+
+    def _prepare(self, tasks: Sequence[Task], payloads: Array) -> None:
+        """Adapts the law to the tasks and the largest possible payload of each, (N,) [kg]."""
 
     def _possible(self, task: Task | None) -> float:
         """Largest payload that is considered possible in a task; None for an unknown task [kg]."""
         if self.largest_payload is not None:
             return self.largest_payload
         least = float(self.robot.mass)
-        if task is None:
-            return least
-        return max(least, exact_payload(task.robot, task.trajectory).payload)
+        if task is not None:
+            least = max(least, exact_payload(task.robot, task.trajectory).payload)
+        return self._payload_prior * least
 
     def _observer(self, period: float, payloads: Array) -> RobotObserver:
         if np.ptp(payloads) == 0:
@@ -122,53 +157,74 @@ class Observing(ClassicalLaw):
     ) -> tuple[Array, Any]:
         """Actions within ±1 from the blocks of an observation, and the next state."""
         shape = blocks["pose"].shape[:-1]
-        rows = {name: np.atleast_2d(values) for name, values in blocks.items()}
+        rows = blocks
+        if not shape:
+            rows = {name: values[None] for name, values in blocks.items()}
         starts = first_steps(state, episode_start, shape).reshape(-1)
         before = None if state is None else state.observer
         observed = self.observer.update(rows, before, starts)
         estimate = self.observer.estimate(observed)
         ahead = self.observer.at_effect(rows, observed)
         memory = None if state is None else state.memory
-        reference, memory = self.reference(rows, estimate, ahead, memory, starts)
+        instant = Instant(blocks=rows, estimate=estimate, ahead=ahead, starts=starts)
+        reference, memory = self.reference(instant, memory)
         requested, action = self._act(rows | ahead | reference, estimate)
         after = ObservingState(observer=observed, requested=requested, memory=memory)
         return action.reshape(*shape, self.robot.cables), after
 
-    def reference(
-        self,
-        blocks: dict[str, Array],
-        estimate: RobotEstimate,
-        ahead: dict[str, Array],
-        memory: Any,
-        starts: NDArray[np.bool_],
-    ) -> tuple[dict[str, Array], Any]:
+    def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], Any]:
         """Blocks of the reference at the instant at which the action takes effect, and the memory
-        for the next step.
+        for the next step; ``memory`` is that of the last step, None before the first."""
+        return _later_reference(instant.blocks, instant.estimate.delay), None
 
-        Args:
-            blocks: blocks of the observation, each (N, size).
-            estimate: estimates of the observer.
-            ahead: state at that instant, see
-                :meth:`~cablebot_baselines.estimation.observer.RobotObserver.at_effect`.
-            memory: memory of the last step; None before the first.
-            starts: whether an episode starts, (N,).
-        """
-        return _later_reference(blocks, estimate.delay), None
+    def _rows_by_motion(self, count: int) -> list[tuple[Task, NDArray[np.intp]]]:
+        """Each motion's first task and its rows of a batch of ``count`` episodes."""
+        tasks = self._tasks
+        groups: dict[int, list[int]] = {}
+        for row in range(count):
+            groups.setdefault(id(tasks[row % len(tasks)].trajectory), []).append(row)
+        return [(tasks[rows[0] % len(tasks)], np.array(rows)) for rows in groups.values()]
 
     def _act(self, blocks: dict[str, Array], estimate: RobotEstimate) -> tuple[Array, Array]:
         """Requested and saturated actions, each (N, m), for blocks at the instant at which they
         take effect."""
+        return self._of_law(self.law, blocks, estimate)
+
+    def _of_law(
+        self, law: ClassicalLaw, blocks: dict[str, Array], estimate: RobotEstimate
+    ) -> tuple[Array, Array]:
+        """The actions of :meth:`_act` by a law."""
         acceleration = blocks["reference_acceleration"] - blocks["disturbance"]
         blocks = blocks | {"reference_acceleration": acceleration}
-        torques, speeds = self.law.torques(blocks, estimate.mass)
+        torques, speeds = law.torques(blocks, estimate.mass)
         requested = normalised_action(self.robot, torques / estimate.strength, speeds)
         action = requested.copy()
         is_saturated = np.any(np.abs(requested) > 1, axis=-1)
-        if self._allocates and np.any(is_saturated):
-            slope = self.law.torque_slope(estimate.mass[is_saturated], blocks["pose"][is_saturated])
-            stall = self.robot.stall_torque * estimate.strength[is_saturated]
-            action[is_saturated] = allocate(action[is_saturated], slope / stall[..., None])
+        if np.any(is_saturated):
+            saturated = {name: values[is_saturated] for name, values in blocks.items()}
+            action[is_saturated] = self._reduced(
+                law,
+                requested[is_saturated],
+                saturated,
+                estimate.mass[is_saturated],
+                estimate.strength[is_saturated],
+            )
         return requested, np.clip(action, -1.0, 1.0)
+
+    def _reduced(
+        self,
+        law: ClassicalLaw,
+        requested: Array,
+        blocks: dict[str, Array],
+        mass: Array,
+        strength: Array,
+    ) -> Array:
+        """Actions in place of requested ones beyond ±1, each (N, m)."""
+        if not self._allocates:
+            return requested
+        slope = law.torque_slope(mass, blocks["pose"])
+        stall = self.robot.stall_torque * strength
+        return allocate(requested, slope / stall[..., None])
 
 
 def _later_reference(blocks: dict[str, Array], delay: Array) -> dict[str, Array]:

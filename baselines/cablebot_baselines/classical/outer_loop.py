@@ -162,6 +162,61 @@ class RobustPD:
         return PD(gains=self.gains)(blocks) + added
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoundedRobustPD:
+    """The robust term of Eqs. 31–36 with the largest stiffness Ω that delay and noise permit: ``v =
+    v₀ + min(κ, ρ/‖s‖) s`` with ``v₀ = z̈_d + 2 ω ė + ω² e`` and ω = Ω/2, for positions and for
+    angles each.
+
+    With Q = diag(2 ω² λ, 4 ω − 2 λ) and λ = (Ω + ω)/2 Eq. 35 gives s = BᵀPe = ė + λ e. Inside the
+    boundary layer ‖s‖ ≤ ρ/κ with κ = 2 (Ω − ω) the law is PD with K_P = Ω² and K_D = 2 Ω: the
+    layer is as thin as Ω permits.
+
+    With the model mass m̂ the acceleration is (m̂/m)(v − g) + g + f/m. Outside the layer V̇ ≤ −eᵀQe
+    follows from
+
+        ρ = ζ ‖v₀ − g‖ + φ   with   |m/m̂ − 1| ≤ ζ   and   ‖f‖/m̂ ≤ φ.
+
+    The paper divides by 1 − ζ and needs ζ < 1. An error of the mass alone multiplies Δv by the
+    positive m̂/m, so this law needs neither. Angles have no error of the mass.
+    """
+
+    stiffness: float
+    """Ω [1/s]."""
+    zeta: float
+    """ζ, bound of |m/m̂ − 1|."""
+    phi: tuple[float, float]
+    """φ of positions and of angles [m/s², rad/s²]."""
+    gravity: Array
+    """g, (d,) [m/s²]. The first d coordinates are positions."""
+
+    @property
+    def gains(self) -> tuple[float, float]:
+        """(K_P, K_D) inside the boundary layer [1/s², 1/s]."""
+        return self.stiffness**2, 2 * self.stiffness
+
+    def bounds(self, acceleration: Array) -> tuple[Array, Array]:
+        """ρ of positions and of angles, each (..., 1), for v₀, (..., n)."""
+        weighed = acceleration[..., : len(self.gravity)] - self.gravity
+        position = self.zeta * np.linalg.norm(weighed, axis=-1, keepdims=True) + self.phi[0]
+        return position, np.full_like(position, self.phi[1])
+
+    def __call__(self, blocks: dict[str, Array]) -> Array:
+        """The acceleration v, shape (..., n)."""
+        error, rate = errors(blocks)
+        soft = self.stiffness / 2
+        acceleration = PD(gains=(soft**2, 2 * soft))(blocks)
+        switching = rate + (self.stiffness + soft) / 2 * error
+        steepest = 2 * (self.stiffness - soft)
+        groups = np.split(switching, [len(self.gravity)], axis=-1)
+        added = []
+        for s, bound in zip(groups, self.bounds(acceleration), strict=True):
+            length = np.maximum(np.linalg.norm(s, axis=-1, keepdims=True), bound / steepest)
+            # Angles have the bound 0 if nothing turns the platform.
+            added.append(bound / np.maximum(length, 1e-12) * s)
+        return acceleration + np.concatenate(added, axis=-1)
+
+
 def errors(blocks: dict[str, Array]) -> tuple[Array, Array]:
     """Pose error e and velocity error ė, each (..., n)."""
     error = blocks["reference_pose"] - blocks["pose"]

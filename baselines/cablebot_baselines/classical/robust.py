@@ -66,15 +66,5 @@ class RobustComposite(Composite):
         self.outer = RobustPD(gains=checked_gains(gains, robot), **robustness)
 
 
-def _tuned(robot: Robot) -> Robust:
-    """Robust law for an unknown payload.
-
-    φ = g/2 corresponds to a payload of half the platform's weight. The law does not tolerate sensor
-    noise, because the boundary layer is thin.
-    """
-    return Robust(robot, boundary_layer=1e-3, zeta=0.5, phi=5.0)
-
-
 ROBUST = entry("robust", Robust)
-ROBUST_TUNED = entry("robust-tuned", _tuned)
 ROBUST_COMPOSITE = entry("robust-composite", RobustComposite)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.estimation.ekf import ExtendedKalmanFilter
+from cablebot_baselines.estimation.errors import FilterErrors
 from cablebot_gym.envs.observation import ObservationLayout, observation_layout
 from cablebot_gym.measurement import POSE
 from cablebot_gym.physics import textbook
@@ -30,8 +31,12 @@ class Estimator(Protocol):
 
     def update(
         self, blocks: dict[str, Array], state: Any, starts: NDArray[np.bool_]
-    ) -> tuple[Array, Array, Any]:
-        """Pose and velocity, each (N, n), from the blocks of an observation, and the next state."""
+    ) -> tuple[dict[str, Array], Any]:
+        """Estimated blocks by name and the next state, from the blocks of an observation.
+
+        ``pose`` and ``velocity``, each (N, n), are among the estimated blocks. Readings whose
+        constant errors the estimator has found replace the measured ones.
+        """
 
 
 class KinematicEstimator:
@@ -55,7 +60,7 @@ class KinematicEstimator:
 
     def update(
         self, blocks: dict[str, Array], state: Any, starts: NDArray[np.bool_]
-    ) -> tuple[Array, Array, Any]:
+    ) -> tuple[dict[str, Array], Any]:
         """Pose and velocity, each (N, n), and the pose as the next guess."""
         robot = self.robot
         angle = blocks["motor_angle"]
@@ -75,18 +80,18 @@ class KinematicEstimator:
             previous = pose
             if state is not None:
                 previous = np.where(starts[:, None], pose, state)
-            return pose, (pose - previous) / self._period, pose
+            return {"pose": pose, "velocity": (pose - previous) / self._period}, pose
         inverse = np.linalg.pinv(textbook.jacobian(robot, pose))
         rates = -robot.pulley_radius * blocks["motor_speed"]
         velocity = (inverse @ rates[..., None])[..., 0]
-        return pose, velocity, pose
+        return {"pose": pose, "velocity": velocity}, pose
 
 
 class Estimated:
     """A policy that reads pose and velocity, for environments that measure winches only.
 
-    An estimator adds pose and velocity to the observation. If an estimate is not finite, the
-    actions are zero.
+    An estimator adds pose and velocity to the observation, and subtracts the constant errors of the
+    readings that it has found. If an estimate is not finite, the actions are zero.
 
     Args:
         policy: any policy that reads pose and velocity.
@@ -143,13 +148,14 @@ class Estimated:
         estimator_state, policy_state = state or (None, None)
         starts = first_steps(state, episode_start, (len(observations),))
         with np.errstate(over="ignore", invalid="ignore"):  # an estimate may diverge
-            pose, velocity, estimator_state = self.estimator.update(blocks, estimator_state, starts)
-        values = blocks | {"pose": pose, "velocity": velocity}
+            estimated, estimator_state = self.estimator.update(blocks, estimator_state, starts)
+        values = blocks | estimated
         full = np.concatenate([values[block.name] for block in self._full.blocks], axis=-1)
         space = self._full.space()
         full = np.clip(np.nan_to_num(full), space.low, space.high)
         actions, policy_state = self.policy.predict(full, policy_state, starts, deterministic)
-        is_finite = np.isfinite(pose + velocity).all(axis=-1, keepdims=True)
+        estimates = np.concatenate(list(estimated.values()), axis=-1)
+        is_finite = np.isfinite(estimates).all(axis=-1, keepdims=True)
         actions = np.where(is_finite, actions, 0.0)
         if np.ndim(observation) == 1:
             actions = actions[0]
@@ -164,7 +170,9 @@ def ekf(robot: Robot, policy: Policy) -> Estimated:
 def ekf_homed(robot: Robot, policy: Policy) -> Estimated:
     """The same, with motor angles and load cells zeroed at the start pose, the estimator
     ``ekf-homed``."""
-    return Estimated(policy, robot, ExtendedKalmanFilter(robot, homing=True))
+    return Estimated(
+        policy, robot, ExtendedKalmanFilter(robot, FilterErrors.usual(robot, homing=True))
+    )
 
 
 def fk(robot: Robot, policy: Policy) -> Estimated:

@@ -35,6 +35,10 @@ class Expectation:
     """Standard deviation of the strength of a motor as a fraction of it."""
     friction_spread: float
     """Standard deviation of the Coulomb friction as a fraction of it."""
+    inertia_spread: float
+    """Standard deviation of the inertia of a pulley as a fraction of it."""
+    damping_spread: float
+    """Standard deviation of the damping of a pulley [N·m·s/rad]."""
     stiffness_spread: float
     """Standard deviation of the stiffness of a joint spring as a fraction of it."""
     anchor_spread: float
@@ -63,6 +67,8 @@ class Expectation:
             payload_spread=_relative_spread(uncertainty, "payload"),
             strength_spread=_spread(robot, uncertainty, "motor_strength"),
             friction_spread=_friction_spread(robot, uncertainty),
+            inertia_spread=_spread(robot, uncertainty, "pulley_inertia"),
+            damping_spread=_spread(robot, uncertainty, "damping", relative=False),
             stiffness_spread=_spread(robot, uncertainty, "stiffness"),
             anchor_spread=float(
                 np.hypot(

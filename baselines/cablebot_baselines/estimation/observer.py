@@ -6,16 +6,25 @@ acts for the robot that it meets, at the instant at which its action takes effec
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.estimation.expectation import Expectation
+from cablebot_baselines.estimation.filtering import (
+    Drives,
+    Dynamics,
+    correct,
+    delayed_weights,
+    dynamics_of,
+    predict,
+    weigh,
+)
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import times_vector
-from cablebot_gym.robots import Robot
 
 MASS_DRIFT = 0.03
 """Growth of the relative standard deviation of the mass in one second [√(1/s)]. The mass is constant;
@@ -66,6 +75,10 @@ class RobotEstimate:
     zero: Array
     """Zero error of the deflection of each spring, (N, m) [rad]; zero for a rigid robot."""
 
+    def of(self, rows: NDArray[np.intp]) -> RobotEstimate:
+        """The estimates of some of the robots."""
+        return RobotEstimate(**{name: values[rows] for name, values in vars(self).items()})
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObserverState:
@@ -84,6 +97,8 @@ class ObserverState:
     """Last motor angles of a flexible robot, (N, m) [rad]; zero for a rigid robot."""
     motor_speed: Array
     """Last motor speeds of a flexible robot, (N, m) [rad/s]; zero for a rigid robot."""
+    dynamics: Dynamics
+    """Motion with the estimates, at the pose half a control period later."""
 
 
 class RobotObserver:
@@ -139,11 +154,14 @@ class RobotObserver:
             ** 2
         )
         self._reading_variance += 1e-14  # exact sensors
+        self._reading_gradient = np.eye(self._mass, self._size)
+        self._motors = np.stack([robot.stall_torque, robot.speed_slope])
+        self._least_growth = self._growth_without_mass()
 
     def estimate(self, state: ObserverState) -> RobotEstimate:
         """The estimates in a state of the filter."""
         mean = state.mean
-        zero = np.zeros_like(state.motor_angle)
+        zero = state.motor_angle
         if self.robot.flexible:
             zero = mean[:, self._zero]
         return RobotEstimate(
@@ -211,6 +229,7 @@ class RobotObserver:
             holding=holding,
             motor_angle=angle,
             motor_speed=speed,
+            dynamics=self._dynamics(mean),
         )
 
     def _at_rest(
@@ -232,7 +251,10 @@ class RobotObserver:
         gradient[..., self._zero] = np.diag(robot.stiffness)
         gradient[..., self._mass] = holding[..., 0]
         noise = (robot.stiffness * expected.noise.motor_angle) ** 2 + _EPS
-        return _corrected(mean, covariance, innovation, gradient, noise)
+        mean = mean.copy()
+        variance = np.broadcast_to(noise, innovation.shape).copy()
+        correct(innovation, gradient, variance, mean, covariance)
+        return mean, covariance
 
     def _holding_torque(self, mass: float, pose: Array) -> Array:
         minimum = textbook.allocated_minimum(self.robot)
@@ -242,89 +264,92 @@ class RobotObserver:
 
     def _following(self, blocks: dict[str, Array], state: ObserverState) -> ObserverState:
         """Prediction over one control period, and correction by the sensors."""
+        mean, covariance = state.mean.copy(), state.covariance.copy()
+        count = len(mean)
+        jumps = self._torque_errors(blocks)
+        variance = np.repeat(self._reading_variance[None], count, axis=0)
+        gradient = np.repeat(self._reading_gradient[None], count, axis=0)
         balance = None
         if self.robot.flexible:
-            predicted, transition, balance = self._flexible_period(blocks, state)
-            growth = self._growth(predicted)
+            torque, torque_gradient, balance = self._flexible_torques(blocks, state, jumps)
+            jumps = np.zeros_like(jumps)
         else:
-            predicted, transition, torque_slope = self._rigid_period(blocks, state)
-            growth = self._growth(predicted)
-            # Errors of the torques move the platform at once.
-            jumps = self.period * torque_slope * self._torque_errors(blocks)[:, None, :]
-            growth[:, self._velocity] += np.sum(jumps**2, axis=-1)
-        covariance = transition @ state.covariance @ np.swapaxes(transition, -1, -2)
-        covariance = covariance + growth[:, :, None] * np.eye(self._size)
+            torque, torque_gradient = self._rigid_torques(blocks, state)
+        predict(
+            state.dynamics,
+            torque,
+            torque_gradient,
+            self._growth(mean),
+            jumps,
+            self._wrench.start,
+            self._mass,
+            self.period,
+            self._wrench_decay,
+            mean,
+            covariance,
+        )
         readings = np.concatenate([blocks["pose"], blocks["velocity"]], axis=-1)
-        innovation = readings - predicted[:, : self._mass]
-        gradient = np.eye(self._mass, self._size)
-        variance = np.broadcast_to(self._reading_variance, innovation.shape)
+        innovation = readings - mean[:, : self._mass]
         if balance is not None:
             # The balance concerns the period before: its gradient refers to the predicted state,
             # which hardly differs.
             excess, slopes, noise = balance
             innovation = np.concatenate([innovation, excess], axis=-1)
-            gradient = np.concatenate(
-                [np.broadcast_to(gradient, (len(excess), *gradient.shape)), slopes], axis=-2
-            )
+            gradient = np.concatenate([gradient, slopes], axis=-2)
             variance = np.concatenate([variance, noise], axis=-1)
-        mean, covariance = _corrected(predicted, covariance, innovation, gradient, variance)
+        correct(innovation, gradient, variance, mean, covariance)
         mean[:, self._delay] = np.clip(mean[:, self._delay], *self._effect_times)
         mean[:, self._mass] = np.maximum(mean[:, self._mass], self.robot.mass / 2)
-        zero = np.zeros_like(state.motor_angle)
         return ObserverState(
             mean=mean,
             covariance=covariance,
             steps=state.steps + 1,
             holding=state.holding,
-            motor_angle=blocks.get("motor_angle", zero),
-            motor_speed=blocks.get("motor_speed", zero),
+            motor_angle=blocks.get("motor_angle", state.motor_angle),
+            motor_speed=blocks.get("motor_speed", state.motor_speed),
+            dynamics=self._dynamics(mean),
         )
 
     def _growth(self, mean: Array) -> Array:
         """Variances that one control period adds, (N, size)."""
-        period, expected = self.period, self.expectation
-        variance = np.zeros((len(mean), self._size))
-        variance[:, self._velocity] = self._acceleration_noise**2 * period
-        variance[:, self._pose] = self._acceleration_noise**2 * period**3 / 3
-        variance[:, self._wrench] = (1 - self._wrench_decay**2) * expected.wrench_spread**2
-        variance[:, self._mass] = (MASS_DRIFT * mean[:, self._mass]) ** 2 * period
-        variance[:, self._strength] = STRENGTH_DRIFT**2 * period
-        if self.robot.flexible:
-            drift = OFFSET_DRIFT * expected.anchor_spread / self.robot.pulley_radius
-            variance[:, self._zero] = drift**2 * period
+        variance = np.repeat(self._least_growth[None], len(mean), axis=0)
+        variance[:, self._mass] = (MASS_DRIFT * mean[:, self._mass]) ** 2 * self.period
         return variance
 
-    def _rigid_period(
-        self, blocks: dict[str, Array], state: ObserverState
-    ) -> tuple[Array, Array, Array]:
-        """Predicted mean, transition and derivative of the acceleration with respect to the torques
-        of a rigid robot."""
-        robot, period = self.robot, self.period
-        now = self.estimate(state)
-        dynamics = self._dynamics(now, now.pose + period / 2 * now.velocity)
-        speed = dynamics.equations.pulley_speed
-        drives = self._drives(blocks["last_actions"], state, now, speed)
-        friction = textbook.coulomb_torque(robot, speed)
-        acceleration = dynamics.acceleration(drives.torque - friction, now.wrench)
-        torque_slope, mobility = dynamics.torque_slope, dynamics.mobility
-        structure = dynamics.equations.structure
-        speed_slope = now.strength * robot.speed_slope + robot.damping
-        slopes = np.zeros((len(acceleration), robot.coordinates, self._size))
-        slopes[..., self._velocity] = torque_slope @ (
-            (speed_slope / robot.pulley_radius)[..., None] * structure
-        )
-        slopes[..., self._mass] = dynamics.mass_slope(acceleration)
-        slopes[..., self._mass] += times_vector(torque_slope, drives.per_mass)
-        slopes[..., self._strength] = torque_slope * drives.per_strength[:, None, :]
-        slopes[..., self._delay] = times_vector(torque_slope, drives.per_delay)
-        slopes[..., self._wrench] = mobility
-        predicted, transition = self._moved(state.mean, now.velocity, acceleration, slopes)
-        return predicted, transition, torque_slope
+    def _growth_without_mass(self) -> Array:
+        """Variances that one control period adds, (size,), but for that of the mass."""
+        period, expected = self.period, self.expectation
+        variance = np.zeros(self._size)
+        variance[self._velocity] = self._acceleration_noise**2 * period
+        variance[self._pose] = self._acceleration_noise**2 * period**3 / 3
+        variance[self._wrench] = (1 - self._wrench_decay**2) * expected.wrench_spread**2
+        variance[self._strength] = STRENGTH_DRIFT**2 * period
+        if self.robot.flexible:
+            drift = OFFSET_DRIFT * expected.anchor_spread / self.robot.pulley_radius
+            variance[self._zero] = drift**2 * period
+        return variance
 
-    def _flexible_period(
-        self, blocks: dict[str, Array], state: ObserverState
+    def _rigid_torques(self, blocks: dict[str, Array], state: ObserverState) -> tuple[Array, Array]:
+        """Mean torques on the pulleys of a rigid robot, (N, m), and their derivatives with respect
+        to the state, (N, m, size)."""
+        robot = self.robot
+        now = self.estimate(state)
+        dynamics = state.dynamics
+        speed = dynamics.pulley_speed
+        drives = self._drives(blocks["last_actions"], state, now, speed)
+        speed_slope = (now.strength * robot.speed_slope + robot.damping) / robot.pulley_radius
+        gradient = np.zeros((*speed.shape, self._size))
+        gradient[..., self._velocity] = speed_slope[..., None] * dynamics.structure
+        gradient[..., self._mass] = drives.per_mass
+        gradient[..., self._strength] = drives.per_strength[..., None] * np.eye(robot.cables)
+        gradient[..., self._delay] = drives.per_delay
+        return drives.torque - textbook.coulomb_torque(robot, speed), gradient
+
+    def _flexible_torques(
+        self, blocks: dict[str, Array], state: ObserverState, errors: Array
     ) -> tuple[Array, Array, tuple[Array, Array, Array]]:
-        """Predicted mean, transition and torque balance of the motors of a flexible robot."""
+        """Mean torques of the springs of a flexible robot, (N, m), their derivatives, (N, m, size),
+        and the torque balance of the motors: excess, derivatives and variance."""
         robot, period = self.robot, self.period
         now = self.estimate(state)
         angle, speed = blocks["motor_angle"], blocks["motor_speed"]
@@ -333,38 +358,30 @@ class RobotObserver:
         middle = now.pose + period / 2 * now.velocity
         stiffness = textbook.joint_stiffness(robot, middle)
         spring = stiffness * (mean_angle - now.zero - textbook.pulley_angle(robot, middle))
-        dynamics = self._dynamics(now, middle)
-        acceleration = dynamics.acceleration(spring, now.wrench)
-        torque_slope, structure = dynamics.torque_slope, dynamics.equations.structure
+        spring_gradient = np.zeros((*spring.shape, self._size))
         # β = (l₀ − l)/r, so a displacement winds the spring by S/r.
-        wound = (stiffness / robot.pulley_radius)[..., None] * structure
-        slopes = np.zeros((len(acceleration), robot.coordinates, self._size))
-        slopes[..., self._pose] = torque_slope @ wound
-        slopes[..., self._mass] = dynamics.mass_slope(acceleration)
-        slopes[..., self._zero] = -torque_slope * stiffness[..., None, :]
-        slopes[..., self._wrench] = dynamics.mobility
-        predicted, transition = self._moved(state.mean, now.velocity, acceleration, slopes)
+        wound = (stiffness / robot.pulley_radius)[..., None] * state.dynamics.structure
+        spring_gradient[..., self._pose] = wound
+        spring_gradient[..., self._zero] = -np.eye(robot.cables) * stiffness[..., None, :]
         drives = self._drives(blocks["last_actions"], state, now, mean_speed)
         change = robot.motor_inertia * (speed - state.motor_speed) / period
         friction = textbook.motor_friction(robot, mean_speed)
         excess = change - (drives.torque - spring - friction)
-        gradient = np.zeros((len(excess), robot.cables, self._size))
-        gradient[..., self._pose] = -wound
-        gradient[..., self._zero] = np.eye(robot.cables) * stiffness[..., None, :]
+        gradient = -spring_gradient
         gradient[..., self._mass] = drives.per_mass
         gradient[..., self._strength] = np.eye(robot.cables) * drives.per_strength[:, None, :]
         gradient[..., self._delay] = drives.per_delay
-        return predicted, transition, (excess, gradient, self._balance_variance(blocks))
+        return spring, spring_gradient, (excess, gradient, self._balance_variance(errors))
 
-    def _balance_variance(self, blocks: dict[str, Array]) -> Array:
-        """Variance of the torque balance of the motors in one control period, (N, m) [N²·m²]."""
+    def _balance_variance(self, errors: Array) -> Array:
+        """Variance of the torque balance of the motors in one control period, with errors of their
+        torques, each (N, m) [N²·m²]."""
         robot, noise = self.robot, self.expectation.noise
         speed = robot.motor_inertia * noise.motor_speed * np.sqrt(2) / self.period
         angle = robot.stiffness * noise.motor_angle
         friction = self.expectation.friction_spread * robot.coulomb_friction
         friction = friction * np.sqrt(robot.cables * FRICTION_TIME / self.period)
-        jump = self._torque_errors(blocks)
-        variance: Array = speed**2 + angle**2 + friction**2 + jump**2 + _EPS
+        variance: Array = speed**2 + angle**2 + friction**2 + errors**2 + _EPS
         return variance
 
     def _torque_errors(self, blocks: dict[str, Array]) -> Array:
@@ -373,85 +390,41 @@ class RobotObserver:
         errors: Array = LAG_ERROR * self.robot.stall_torque * np.ptp(actions, axis=1)
         return errors
 
-    def _moved(
-        self, mean: Array, velocity: Array, acceleration: Array, slopes: Array
-    ) -> tuple[Array, Array]:
-        """Mean after one control period with an acceleration, and its transition.
-
-        Args:
-            mean: mean at the start.
-            velocity: velocity at the start, (N, n).
-            acceleration: acceleration Ẍ, (N, n).
-            slopes: its derivative with respect to the state, (N, n, size).
-        """
-        period = self.period
-        predicted = mean.copy()
-        predicted[:, self._pose] += period * velocity + period**2 / 2 * acceleration
-        predicted[:, self._velocity] += period * acceleration
-        predicted[:, self._wrench] *= self._wrench_decay
-        n = self.robot.coordinates
-        transition = np.zeros((len(mean), self._size, self._size))
-        transition[...] = np.eye(self._size)
-        transition[:, self._pose, self._velocity] += period * np.eye(n)
-        transition[:, self._pose] += period**2 / 2 * slopes
-        transition[:, self._velocity] += period * slopes
-        transition[:, self._wrench, self._wrench] *= self._wrench_decay
-        return predicted, transition
-
-    def _dynamics(self, now: RobotEstimate, pose: Array) -> _Dynamics:
-        """Dynamics with the estimates, at other poses (N, n)."""
-        masses = np.stack([now.mass, now.mass + 1.0])
-        equations = textbook.motion_equations(self.robot, masses, pose[None], now.velocity[None])
-        return _Dynamics.of(self.robot, equations)
+    def _dynamics(self, mean: Array) -> Dynamics:
+        """Motion with the estimates of a mean, (N, size)."""
+        mass, velocity = mean[:, self._mass], mean[:, self._velocity]
+        middle = mean[:, self._pose] + self.period / 2 * velocity
+        return dynamics_of(self.robot, mass, middle, velocity)
 
     # Actions
 
     def _drives(
         self, last_actions: Array, state: ObserverState, now: RobotEstimate, speed: Array
-    ) -> _Drives:
+    ) -> Drives:
         """Mean torque of the motors in the last control period, at speeds (N, m) [rad/s]."""
-        weights, rates = delayed_weights(now.delay, self.period)
-        actions = np.clip(last_actions.reshape(len(speed), -1, self.robot.cables), -1.0, 1.0)
-        return self._weighed(actions, weights, rates, state.steps + 1, state, now, speed)
+        weights, rates = delayed_weights(np.ascontiguousarray(now.delay), self.period)
+        return self._weighed(last_actions, weights, rates, state.steps + 1, state, now, speed)
 
     def _weighed(
         self,
-        actions: Array,
+        last_actions: Array,
         weights: Array,
         rates: Array,
         sent: Array,
         state: ObserverState,
         now: RobotEstimate,
         speed: Array,
-    ) -> _Drives:
-        """Torque of actions that act in parts of a time.
-
-        Args:
-            actions: the last actions, the latest first, (N, k, m).
-            weights: fraction of the time in which each acts, (N, k).
-            rates: derivative of the weights with respect to the delay, (N, k) [1/s].
-            sent: number of actions since the start, (N,). Those before hold the robot.
-            state: state of the filter.
-            now: its estimates.
-            speed: motor speeds, (N, m) [rad/s].
-        """
-        robot = self.robot
-        is_sent = np.arange(weights.shape[1]) < sent[:, None]
-        held = np.sum(np.where(is_sent, 0.0, weights), axis=1)[:, None]
-        held_rate = np.sum(np.where(is_sent, 0.0, rates), axis=1)[:, None]
-        weights = np.where(is_sent, weights, 0.0)
-        rates = np.where(is_sent, rates, 0.0)
-        requested = robot.stall_torque * np.sum(weights[..., None] * actions, axis=1)
-        unit = requested - (1 - held) * robot.speed_slope * speed
-        holding = state.holding[..., 0] * now.mass[:, None] + state.holding[..., 1]
-        rate = robot.stall_torque * np.sum(rates[..., None] * actions, axis=1)
-        rate += held_rate * robot.speed_slope * speed
-        return _Drives(
-            torque=now.strength * unit + held * holding,
-            per_strength=unit,
-            per_delay=now.strength * rate + held_rate * holding,
-            per_mass=held * state.holding[..., 0],
+    ) -> Drives:
+        """Torque of the last actions, see :func:`~cablebot_baselines.estimation.filtering.weigh`."""
+        actions = last_actions.reshape(len(speed), -1, self.robot.cables)
+        robots = speed, now.strength, now.mass, state.holding
+        drives = np.empty((4, *speed.shape))
+        weigh(
+            *map(np.ascontiguousarray, (actions, weights, rates, sent, *robots)),
+            self._motors,
+            drives,
         )
+        return Drives(*drives)
 
     # Prediction
 
@@ -461,18 +434,15 @@ class RobotObserver:
         effect, by block name."""
         robot = self.robot
         now = self.estimate(state)
-        actions = np.clip(
-            blocks["last_actions"].reshape(len(now.pose), -1, robot.cables), -1.0, 1.0
-        )
+        actions = blocks["last_actions"]
         delay = now.delay[:, None]
         latest = np.minimum(1.0, self.period / np.maximum(now.delay, _EPS))
         weights = np.stack([latest, 1 - latest], axis=1)
         rates = np.zeros_like(weights)
-        actions = actions[:, :2]
-        dynamics = self._dynamics(now, now.pose + delay / 2 * now.velocity)
+        dynamics = state.dynamics
         disturbance = times_vector(dynamics.mobility, now.wrench)
         if not robot.flexible:
-            speed = dynamics.equations.pulley_speed
+            speed = dynamics.pulley_speed
             drives = self._weighed(actions, weights, rates, state.steps, state, now, speed)
             friction = textbook.coulomb_torque(robot, speed)
             acceleration = dynamics.acceleration(drives.torque - friction, now.wrench)
@@ -494,7 +464,7 @@ class RobotObserver:
             velocity = velocity + step * dynamics.acceleration(spring, now.wrench)
             pose = pose + step * velocity
             angle = angle + step * speed
-            winding = times_vector(dynamics.equations.structure, velocity) / robot.pulley_radius
+            winding = times_vector(dynamics.structure, velocity) / robot.pulley_radius
             twist = twist + step * (speed + winding)
         return {
             "pose": pose,
@@ -505,112 +475,19 @@ class RobotObserver:
         }
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Dynamics:
-    """Motion of N robots at a state, for any torques on the pulleys."""
-
-    equations: textbook.MotionEquations
-    """Equations for the estimated masses."""
-    mobility: Array
-    """Acceleration by a wrench, (N, n, n) [1/kg, …]: the inverse of the inertia of platform and
-    pulleys."""
-    torque_slope: Array
-    """Acceleration by the torques on the pulleys, (N, n, m)."""
-    matrix_per_mass: Array
-    """Derivative of the mass matrix, (N, n, n) [1/kg]."""
-    bias_per_mass: Array
-    """Derivative of the bias h, (N, n)."""
-
-    @classmethod
-    def of(cls, robot: Robot, equations: textbook.MotionEquations) -> _Dynamics:
-        """From the equations for the masses and, (2, N, …), for 1 kg more. Both are affine in the
-        mass."""
-        matrix, heavier_matrix = equations.mass_matrix
-        bias, heavier_bias = equations.bias
-        now = replace(
-            equations,
-            mass_matrix=matrix,
-            bias=bias,
-            structure=equations.structure[0],
-            pulley_speed=equations.pulley_speed[0],
-            cable_drag=equations.cable_drag[0],
-        )
-        pulls = np.swapaxes(now.structure, -1, -2)
-        inertia = matrix + pulls @ (now.rotor_masses[:, None] * now.structure)
-        mobility = np.linalg.inv(inertia)
-        return cls(
-            equations=now,
-            mobility=mobility,
-            torque_slope=-mobility @ pulls / robot.pulley_radius,
-            matrix_per_mass=heavier_matrix - matrix,
-            bias_per_mass=heavier_bias - bias,
-        )
-
-    def acceleration(self, torque: Array, wrench: Array) -> Array:
-        """Ẍ for torques on the pulleys, (N, m) [N·m], and wrenches, (N, n) [N, N·m]."""
-        equations = self.equations
-        drag = times_vector(np.swapaxes(equations.structure, -1, -2), equations.cable_drag)
-        passive = times_vector(self.mobility, wrench - equations.bias - drag)
-        return passive + times_vector(self.torque_slope, torque)
-
-    def mass_slope(self, acceleration: Array) -> Array:
-        """Derivative of an acceleration Ẍ with respect to the mass, (N, n)."""
-        change = times_vector(self.matrix_per_mass, acceleration) + self.bias_per_mass
-        return -times_vector(self.mobility, change)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Drives:
-    """Mean torque of the motors in a time, and its derivatives, each (N, m)."""
-
-    torque: Array
-    """Torque [N·m]."""
-    per_strength: Array
-    """Derivative with respect to the strength of the motor [N·m]."""
-    per_delay: Array
-    """Derivative with respect to the delay [N·m/s]."""
-    per_mass: Array
-    """Derivative with respect to the mass [N·m/kg]: before the first action arrives, the motors hold
-    the mass."""
-
-
-def delayed_weights(delay: Array, period: float) -> tuple[Array, Array]:
-    """Fraction of a control period in which each of the last three actions acts, the latest first,
-    and its derivative with respect to the delay [1/s], each (N, 3).
-
-    Args:
-        delay: time between the request of an action and its torque, (N,) [s].
-        period: control period [s].
-    """
-    periods = np.clip(delay / period, 0.0, 2.0)[:, None]
-    ages = np.arange(3)
-    # An action of age k acts from k h + τ before the end of the period on, for one period.
-    weights = np.maximum(1 - np.abs(periods - ages), 0.0)
-    is_growing = (ages > periods) & (weights > 0)
-    is_shrinking = (ages <= periods) & (weights > 0)
-    rates = (is_growing.astype(float) - is_shrinking.astype(float)) / period
-    return weights, rates
-
-
 def _merged(
     starts: NDArray[np.bool_], initial: ObserverState, following: ObserverState
 ) -> ObserverState:
     """The initial state of the episodes that start, and the following state of the others."""
-    arrays = {}
+
+    def either(old: Array, new: Array) -> Array:
+        return np.where(starts.reshape(-1, *(1,) * (new.ndim - 1)), old, new)
+
+    merged: dict[str, Any] = {}
     for field in fields(following):
-        values = getattr(following, field.name)
-        mask = starts.reshape(-1, *(1,) * (values.ndim - 1))
-        arrays[field.name] = np.where(mask, getattr(initial, field.name), values)
-    return ObserverState(**arrays)
-
-
-def _corrected(
-    mean: Array, covariance: Array, innovation: Array, gradient: Array, variance: Array
-) -> tuple[Array, Array]:
-    """Mean and covariance after readings with independent errors of a variance (..., k)."""
-    crossed = covariance @ np.swapaxes(gradient, -1, -2)
-    total = gradient @ crossed + variance[..., None] * np.eye(variance.shape[-1])
-    gain = np.swapaxes(np.linalg.solve(total, np.swapaxes(crossed, -1, -2)), -1, -2)
-    mean = mean + (gain @ innovation[..., None])[..., 0]
-    covariance = covariance - gain @ np.swapaxes(crossed, -1, -2)
-    return mean, (covariance + np.swapaxes(covariance, -1, -2)) / 2
+        old, new = getattr(initial, field.name), getattr(following, field.name)
+        if isinstance(new, Dynamics):
+            merged[field.name] = Dynamics(*map(either, old, new))
+        else:
+            merged[field.name] = either(old, new)
+    return ObserverState(**merged)

@@ -96,8 +96,6 @@ class GradientSettings:
     robot."""
     tension_scale: float = 20.0
     """Scale of violations of the minimum tension [N]; the scale of actions is 1."""
-    lighter: float = 0.0
-    """Fraction of its mass by which the platform may be lighter than its model."""
     decay: float = 1e-6
     """Weight of the squared network weights in the objective."""
     spread: float = 0.01
@@ -114,7 +112,6 @@ class GradientSettings:
             )
         for name in ("action_limit", "spread", "tension_scale"):
             number(name, getattr(self, name), above=0.0)
-        number("lighter", self.lighter, least=0.0, below=1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -183,6 +180,11 @@ class GradientTraining:
         self.evaluations = 0
         """Evaluations of the objective in the current round."""
         self._softness = 0.0
+
+    @property
+    def rounds(self) -> int:
+        """Number of rounds."""
+        return len(self.settings.rounds)
 
     def _check(self) -> None:
         for name in self.features:
@@ -291,7 +293,7 @@ class GradientTraining:
         inside = self._motions.inside
         motion = self.motion()[inside]
         payloads = self._payloads[:, None, None].expand(inside.shape)[inside]
-        light = torch.full_like(payloads, robot.mass * (1 - settings.lighter))
+        light = torch.full_like(payloads, robot.mass)
         required = required_actuation(
             robot if settings.stretch else robot.with_rigid_cables(),
             [derivative.repeat(2, 1) for derivative in motion.unbind(1)],

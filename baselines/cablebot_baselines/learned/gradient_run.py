@@ -12,8 +12,11 @@ import numpy as np
 
 from cablebot_baselines.learned import runs
 from cablebot_baselines.learned.base import find_base
+from cablebot_baselines.learned.bundle import Bundle, find_mapping
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
-from cablebot_baselines.learned.steering import Shift, Steering, find_action_mapping
+from cablebot_baselines.learned.planner import Planning
+from cablebot_baselines.learned.planner_training import PlannerSettings, PlannerTraining
+from cablebot_baselines.learned.steering import Residual, Shift, Steering
 from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.robots import Robot, find_robot
@@ -32,8 +35,8 @@ ALGORITHM = "gradient"
 VALIDATION = TRAINING_SEEDS[-8:]
 """Seeds of the random loops that select the best round of a run; they are never trained on."""
 
-_SETUP = ("motions", "base", "steering", "features", "evaluation")
-"""Keys of a configuration besides the fields of :class:`GradientSettings`."""
+_SETUP = ("motions", "steering", "evaluation")
+"""Keys of each configuration besides the fields of the settings."""
 
 _ARRAYS = "training.npz"
 
@@ -46,12 +49,9 @@ class GradientConfig:
     """Training motions."""
     validation: tuple[Trajectory, ...]
     """Motions that select the best round."""
-    steering: Steering
-    """Base law, mapping from actions to shifts of the reference, and names of the network's
-    inputs."""
-    shift: Shift
-    """Action mapping of ``steering``."""
-    settings: GradientSettings
+    untrained: Bundle
+    """The policy with a network of output zero."""
+    settings: GradientSettings | PlannerSettings
     """Hyperparameters of the optimisation."""
     evaluation: Mapping[str, Any]
     """Keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc`."""
@@ -60,9 +60,10 @@ class GradientConfig:
 def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfig:
     """Checks ``plain``, the content of a configuration file for an environment.
 
-    The keys are ``motions``, ``base``, ``steering``, ``features``, ``evaluation``, and the fields
-    of :class:`GradientSettings`. ``motions`` is a mapping with one or both of these keys; the
-    default is the default motion of the environment:
+    The keys are ``motions``, ``steering``, ``evaluation``, and for steering of kind planning the
+    fields of :class:`PlannerSettings`; for steering of kind shift ``base``, ``features`` and the
+    fields of :class:`GradientSettings`. ``motions`` is a mapping with one or both of these keys;
+    the default is the default motion of the environment:
 
     * ``loops``: a number N, for the random loops with training seeds 0 to N − 1.
     * ``named``: a list of trajectories for :func:`cablebot_gym.trajectories.names.find_trajectory`.
@@ -71,27 +72,48 @@ def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfi
         ValueError: if a key is unknown or missing, or a value is invalid.
     """
     robot = find_robot(env_robot(env_id))
-    optimisation = [item.name for item in fields(GradientSettings)]
-    mapping("hyperparameters", plain, [*_SETUP, *optimisation])
-    if missing := [name for name in ("base", "steering", "features") if name not in plain]:
+    if "steering" not in plain:
+        raise ValueError("hyperparameters: steering must be given")
+    action_mapping = find_mapping(plain["steering"])
+    plans = isinstance(action_mapping, Planning)
+    kind: type[PlannerSettings] | type[GradientSettings]
+    kind, parts = (PlannerSettings, ()) if plans else (GradientSettings, ("base", "features"))
+    optimisation = [item.name for item in fields(kind)]
+    mapping("hyperparameters", plain, [*_SETUP, *parts, *optimisation])
+    if missing := [name for name in parts if name not in plain]:
         raise ValueError(f"hyperparameters: {', '.join(missing)} must be given")
-    shift = find_action_mapping(plain["steering"])
-    if not isinstance(shift, Shift):
-        raise ValueError(f"steering must be of kind shift for {ALGORITHM}, not residual")
     settings = {name: plain[name] for name in optimisation if name in plain}
-    for name in {"hidden", "rounds", "softness"} & settings.keys():
-        settings[name] = tuple(settings[name])
+    for name, value in settings.items():
+        settings[name] = tuple(value) if isinstance(value, list) else value
     trajectories, validation = _motions(plain.get("motions"), robot)
     return GradientConfig(
         trajectories=trajectories,
         validation=validation,
-        steering=Steering(
-            robot, base=find_base(plain["base"]), action_mapping=shift, features=plain["features"]
-        ),
-        shift=shift,
-        settings=GradientSettings(**settings),
+        untrained=_untrained(env_id, robot, plain, action_mapping),
+        settings=kind(**settings),
         evaluation=dict(plain.get("evaluation", {})),
     )
+
+
+def _untrained(
+    env_id: str,
+    robot: Robot,
+    plain: Mapping[str, Any],
+    action_mapping: Shift | Residual | Planning,
+) -> Bundle:
+    if isinstance(action_mapping, Planning):
+        return Bundle.of_planning(env_id, action_mapping)
+    if isinstance(action_mapping, Residual):
+        raise ValueError(
+            f"steering must be of kind shift or planning for {ALGORITHM}, not residual"
+        )
+    steering = Steering(
+        robot,
+        base=find_base(plain["base"]),
+        action_mapping=action_mapping,
+        features=plain["features"],
+    )
+    return Bundle.of_steering(env_id, steering)
 
 
 def _motions(value: Any, robot: Robot) -> tuple[tuple[Trajectory, ...], tuple[Trajectory, ...]]:
@@ -171,8 +193,8 @@ def train_gradient(
                 training.restore(np.load(file, allow_pickle=False))
         run = runs.Run(
             state,
-            checked.steering,
-            total=checked.settings.iterations * len(checked.settings.rounds),
+            checked.untrained,
+            total=checked.settings.iterations * training.rounds,
             evaluation=checked.evaluation,
             trained_on=checked.trajectories,
             motions=[{"trajectory": motion} for motion in checked.validation],
@@ -184,20 +206,33 @@ def train_gradient(
     return state
 
 
-def _make_training(config: GradientConfig, seed: int) -> GradientTraining:
-    steering = config.steering
-    return GradientTraining(
-        robot=steering.robot,
-        trajectories=config.trajectories,
-        action_mapping=config.shift,
-        features=steering.features,
-        seed=seed,
-        settings=config.settings,
-        minimum_tension=steering.base.make(steering.robot).minimum_tension,
-    )
+def _make_training(config: GradientConfig, seed: int) -> GradientTraining | PlannerTraining:
+    untrained = config.untrained
+    robot = find_robot(env_robot(untrained.env_id))
+    match untrained.action_mapping, config.settings:
+        case Planning() as planning, PlannerSettings() as settings:
+            return PlannerTraining(
+                robot=robot,
+                trajectories=config.trajectories,
+                planning=planning,
+                seed=seed,
+                settings=settings,
+            )
+        case Shift() as shift, GradientSettings() as settings:
+            steering = untrained.steering(robot)
+            return GradientTraining(
+                robot=robot,
+                trajectories=config.trajectories,
+                action_mapping=shift,
+                features=steering.features,
+                seed=seed,
+                settings=settings,
+                minimum_tension=steering.law.minimum_tension,
+            )
+    raise AssertionError("the settings belong to another kind of steering")
 
 
-def _train(run: runs.Run, training: GradientTraining, resume: bool) -> None:
+def _train(run: runs.Run, training: GradientTraining | PlannerTraining, resume: bool) -> None:
     """Trains to the end.
 
     Raises:
@@ -220,7 +255,7 @@ def _train(run: runs.Run, training: GradientTraining, resume: bool) -> None:
     if not resume:
         run.start()
         run.save(write)
-    while state.rounds < len(training.settings.rounds):
+    while state.rounds < training.rounds:
         training.round(state.rounds, report)
         state.timesteps += training.evaluations
         state.rounds += 1

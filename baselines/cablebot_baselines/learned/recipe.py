@@ -113,11 +113,5 @@ def trained_policy(model: BaseAlgorithm) -> LearnedPolicy:
     env = steered_env(model)
     assert env.spec is not None
     steering = env.steering
-    bundle = Bundle(
-        env_id=env.spec.id,
-        base=steering.base,
-        action_mapping=steering.action_mapping,
-        features=steering.features,
-        network=network_from_sb3(model),
-    )
+    bundle = Bundle.of_steering(env.spec.id, steering, network_from_sb3(model))
     return LearnedPolicy(bundle, steering.robot)

@@ -32,9 +32,8 @@ from typing import Any
 import numpy as np
 
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.network import Network, zero_network
-from cablebot_baselines.learned.policy import LearnedPolicy
-from cablebot_baselines.learned.steering import Steering
+from cablebot_baselines.learned.network import Network
+from cablebot_baselines.learned.policy import make_policy
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import find_robot
@@ -268,7 +267,7 @@ class Run:
 
     Args:
         state: result so far, from :func:`open_run`; it is kept up to date.
-        steering: base law, action mapping and features of the policy.
+        untrained: the policy with a network of output zero.
         total: number of timesteps at the end.
         evaluation: keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc`.
         trained_on: training motions.
@@ -281,7 +280,7 @@ class Run:
     def __init__(
         self,
         state: TrainingResult,
-        steering: Steering,
+        untrained: Bundle,
         *,
         total: int,
         evaluation: Mapping[str, Any],
@@ -297,13 +296,7 @@ class Run:
         self._total = total
         self._motions = motions
         self._dwell = shortest_dwell(trained_on)
-        self._base = Bundle(
-            env_id=state.settings["env_id"],
-            base=steering.base,
-            action_mapping=steering.action_mapping,
-            features=steering.features,
-            network=zero_network(steering.inputs, steering.actions),
-        )
+        self._base = untrained
         self._conditions = {"criterion": "task", "resolution": RESOLUTION, **evaluation}
         self._progress = progress
         self._say = say
@@ -407,7 +400,7 @@ class Run:
     def _dlcc(self, bundle: Bundle) -> float | None:
         """Mean DLCC of a bundle over the motions [kg], with 0 where it fails unloaded; None if it
         always does."""
-        policy = LearnedPolicy(bundle, find_robot(env_robot(bundle.env_id)))
+        policy = make_policy(bundle, find_robot(env_robot(bundle.env_id)))
         payloads = []
         for motion in self._motions:
             result = evaluate_dlcc(policy, bundle.env_id, **motion, **self._conditions)

@@ -55,7 +55,7 @@ def load_shipped(name: str, robot: Robot) -> Policy:
     """
     # Imported here: listing policies does not need them.
     from cablebot_baselines.learned.bundle import Bundle
-    from cablebot_baselines.learned.policy import LearnedPolicy
+    from cablebot_baselines.learned.policy import make_policy
 
     shipped = SHIPPED[choice("learned policy", name, SHIPPED)]
     env_id = fitting_env_id(robot)
@@ -64,7 +64,7 @@ def load_shipped(name: str, robot: Robot) -> Policy:
         raise ValueError(
             f"policy {name!r} is for {', '.join(shipped.env_ids)}, not for {env_id}: choose {fitting}"
         )
-    return LearnedPolicy(Bundle.load(weights_file(name, env_id)), robot)
+    return make_policy(Bundle.load(weights_file(name, env_id)), robot)
 
 
 def _shipped(name: str) -> Shipped:
@@ -78,8 +78,7 @@ def _shipped(name: str) -> Shipped:
 
 PPO_CIRCLE = _shipped("ppo-circle")
 APG_CIRCLE = _shipped("apg-circle")
-APG_CIRCLE_MARGIN = _shipped("apg-circle-margin")
 APG_LOOPS = _shipped("apg-loops")
 
-SHIPPED = {entry.name: entry for entry in (PPO_CIRCLE, APG_CIRCLE, APG_CIRCLE_MARGIN, APG_LOOPS)}
+SHIPPED = {entry.name: entry for entry in (PPO_CIRCLE, APG_CIRCLE, APG_LOOPS)}
 """Shipped policies by name."""

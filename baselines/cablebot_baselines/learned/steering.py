@@ -161,7 +161,7 @@ def _check_period_and_fraction(action_mapping: Shift | Residual) -> None:
 _KINDS: dict[str, type[Shift] | type[Residual]] = {Shift.kind: Shift, Residual.kind: Residual}
 
 
-def action_mapping_to_jsonable(action_mapping: Shift | Residual) -> dict[str, Any]:
+def action_mapping_to_jsonable(action_mapping: Any) -> dict[str, Any]:
     """An action mapping as JSON-able data, for :func:`find_action_mapping`."""
     return {"kind": action_mapping.kind, **asdict(action_mapping)}
 

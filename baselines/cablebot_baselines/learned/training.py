@@ -33,6 +33,7 @@ except ImportError as error:
     ) from error
 
 from cablebot_baselines.learned import gradient_run, runs
+from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.config import ALGORITHMS, Config, algorithm_class, make_config
 from cablebot_baselines.learned.export import network_from_sb3
 from cablebot_baselines.learned.recipe import make_training_envs, steered_env
@@ -122,7 +123,7 @@ def train(
         plant: Any = steered.unwrapped
         run = runs.Run(
             state,
-            steered.steering,
+            Bundle.of_steering(env_id, steered.steering),
             total=timesteps,
             evaluation=state.settings["evaluation"],
             trained_on=[plant.settings.trajectory],

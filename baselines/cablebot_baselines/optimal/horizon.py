@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from cablebot_gym.envs.observation import PREVIEWS
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.inverse import inverse_dynamics
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.inverse import demands, inverse_dynamics
+from cablebot_gym.physics.textbook import times_vector
 from cablebot_gym.planning import Margins
-from cablebot_gym.planning.stage_functions import TENSION, check_model, import_casadi, rigid_stage
+from cablebot_gym.planning.stage_functions import TENSION, check_model, import_casadi
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds
 
@@ -29,6 +32,9 @@ _DEGREE = 3
 
 _TIME_SCALE = 0.05
 """Time that scales velocities (bound per time) and accelerations (bound per time²) [s]."""
+
+_DIFFERENCE = 1e-6
+"""Step of the difference quotients along X [m, rad] and Ẋ [m/s, rad/s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,40 +82,75 @@ class PlanningError(RuntimeError):
     """The quadratic program has no solution, or the solver failed."""
 
 
-class _Model(NamedTuple):
-    """Actions and tensions, linearised about a plan."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Target:
+    """What a plan has to do."""
 
-    action: Array
-    """Actions, (K, m)."""
-    action_slope: Array
-    """Derivatives of the actions with respect to the variables, (K·m, variables)."""
-    tension: Array
-    """Tensions in units of ``TENSION``, (K, m)."""
-    tension_slope: Array
-    """Derivatives of the tensions, (K·m, variables)."""
+    reference: Array
+    """X_d at :attr:`HorizonProgram.instants`, (K, n)."""
+    last_velocity: Array
+    """Ẋ_d at the end of the horizon, (n,)."""
+    error_bounds: ErrorBounds
+    """Bounds of the tracking errors."""
 
 
-class _Constraint(NamedTuple):
-    """``slope z + excess_factors · (excess of actions, excess of errors) ≤ limit``, one row for each
-    limit."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Linearisation:
+    """Actions and tensions, linearised about a plan. Rows are the actions and then the tensions, in
+    units of ``TENSION``, of all motors."""
 
+    plan: Array
+    """Control points (points, n)."""
+    strength: Array | float
+    """Strength of each motor as a fraction of the nominal one, (m,)."""
+    values: Array
+    """Actions and tensions at the instants, (K, 2m)."""
     slope: Array
-    """Coefficients of the first variables, (rows, ...). Those of the further variables are 0."""
-    excess_factors: tuple[float, float]
-    """Coefficients of the two excesses, the last variables."""
+    """Derivatives with respect to the control points, (K, 2m, points·n)."""
+    null_slope: Array
+    """Derivatives with respect to the null-space tensions of the same instant, (K, 2m, m − n)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Program:
+    """Quadratic program for the change of a plan whose start is not yet given: ``½ w'w + (g + G s)'w``
+    subject to ``A w ≤ b − B s``, with the change s of the first two control points. The excesses
+    are not part of w here."""
+
+    plan: Array
+    """Control points (points, n)."""
+    whitening: Array
+    """L⁻ᵀ: from w to the changes of the free control points and the null-space tensions."""
+    matrix: Array
+    """Aᵀ."""
+    start_matrix: Array
+    """B."""
     limit: Array
-    """Upper limits, any shape with one value for each row."""
+    """b."""
+    gradient: Array
+    """g."""
+    start_gradient: Array
+    """G."""
 
 
-class _SquaredTerm(NamedTuple):
-    """Term of the objective: half the sum of weight · (value + slope z)²."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Fixed:
+    """Parts of the program that depend only on the error bounds. Errors are in units of them."""
 
-    slope: Array
-    """Coefficients of the first variables, (rows, ...)."""
-    value: Array
-    """Value without change of the plan, any shape with one value for each row."""
-    weight: Array | float
-    """Weight of each row, or of all rows."""
+    bounds: Array
+    """Error bound of each coordinate, (n,)."""
+    limits: Array
+    """Largest error of each coordinate in a plan, (n,)."""
+    error_slope: Array
+    """Derivatives of the errors, (K, n, points·n)."""
+    matrix: Array
+    """Constraint matrix, (rows, columns). The next program overwrites the rows that are not
+    fixed."""
+    hessian: Array
+    """Hessian of the terms of errors, last velocity and acceleration steps, (points·n, points·n)."""
+    gradient: Array
+    """Derivative of the gradient of these terms with respect to their values, (points·n,
+    values)."""
 
 
 class HorizonProgram:
@@ -143,34 +184,52 @@ class HorizonProgram:
         self.instants = np.linspace(0.0, HORIZON, tuning.intervals * tuning.instants + 1)
         """Times at which the constraints apply, (K,) [s]."""
         self._bases = self.basis(self.instants)
+        self._bases_of_instants = np.moveaxis(self._bases, 0, -1)
         self._fit = np.linalg.pinv(self._bases[0])
         self.basis_at = lru_cache(maxsize=1024)(self.basis)
         """:meth:`basis` of one time, cached."""
+        self.shift = lru_cache(maxsize=64)(self._shift)
+        """Matrix from the control points of a plan to those of the plan from a later time on,
+        (points, points), by extrapolation beyond the horizon; cached."""
         n = robot.coordinates
         m = robot.cables
         count = len(self.instants)
         self._positions = robot.dimensions
-        self._motion = (tuning.intervals + _DEGREE - 2) * n
+        self._start = 2 * n
+        self._motion = (tuning.intervals + _DEGREE) * n
         self._null = (m - n) * count
-        self._size = self._motion + self._null + 2
-        function = rigid_stage(robot)
-        arguments = ca.SX.sym("w", function.size1_in(0))
-        values = function(arguments)
-        slope = ca.densify(ca.jacobian(values, arguments[: 3 * n + m]))
-        names = ["motion"], ["values", "slopes"]
-        linear = ca.Function("linear", [arguments], [values, slope], *names, {"cse": True})
-        self._linear = _BufferedFunction(linear.map(count))
-        rows = 2 * m * count + (1 + 2 * n) * (count - 1)
-        dense = {
-            "h": ca.Sparsity.dense(self._size, self._size),
-            "a": ca.Sparsity.dense(rows, self._size),
-        }
+        self._columns = self._motion + self._null
+        self._action_per_tension = TENSION * robot.pulley_radius / robot.stall_torque
+        # The load is linear in Ẍ.
+        self._steps = np.repeat([_DIFFERENCE, _DIFFERENCE, 1.0], n)
+        self._limited = 2 * m * count
+        rows = self._limited + (1 + 2 * n) * (count - 1)
+        self._fixed = lru_cache(maxsize=16)(self._fixed_parts)
+        size = self._columns - self._start + 2
+        dense = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity.dense(rows, size)}
         self._quadratic = _BufferedFunction(
             ca.conic("plan", "daqp", dense, {"error_on_fail": False})
         )
-        # The last two variables, the excesses, are at least 0.
-        self._quadratic.inputs["lbx"][:-2] = -np.inf
-        self._quadratic.inputs["ubx"][:] = np.inf
+        self._write_excesses()
+
+    def _write_excesses(self) -> None:
+        """Writes what is the same in all programs into the arrays of the solver. The last two
+        variables are the excesses of actions and errors."""
+        inputs = self._quadratic.inputs
+        inputs["h"][:] = np.eye(len(inputs["h"]))
+        inputs["g"][-2:, 0] = self.tuning.action_excess_weight, self.tuning.error_excess_weight
+        actions = slice(self._limited // 2)
+        tensions = slice(self._limited // 2, self._limited)
+        inputs["a"][actions, -2] = -1.0
+        # Null-space tensions can always be raised. Without a null space the tension constraints are
+        # soft, like those of the actions.
+        if not self._null:
+            inputs["a"][tensions, -2] = -0.2
+        inputs["a"][self._limited :, -1] = -1.0
+        inputs["lba"][:] = -np.inf
+        # The excesses are at least 0.
+        inputs["lbx"][:-2] = -np.inf
+        inputs["ubx"][:] = np.inf
 
     def basis(self, times: Array | float) -> Array:
         """Matrices from control points to pose, velocity and acceleration at times in the horizon,
@@ -178,221 +237,269 @@ class HorizonProgram:
         spline = BSpline(self._knots, np.eye(len(self._knots) - _DEGREE - 1), _DEGREE)
         return np.stack([spline(times), spline.derivative(1)(times), spline.derivative(2)(times)])
 
+    def _shift(self, time: float) -> Array:
+        shift: Array = self._fit @ self.basis(self.instants + time)[0]
+        return shift
+
     def plan(
         self,
-        guess: Array,
         pose: Array,
         velocity: Array,
-        reference: Array,
-        last_velocity: Array,
+        target: Target,
         *,
         robot: ExpectedRobot,
-        error_bounds: ErrorBounds,
         iterations: int = 1,
     ) -> Array:
-        """Control points (points, n) of a plan.
+        """Control points (points, n) of a plan, from the reference as the first guess.
 
         Args:
-            guess: poses at :attr:`instants` for the first linearisation, (K, n).
             pose: X, (n,) [m, rad].
             velocity: Ẋ, (n,) [m/s, rad/s].
-            reference: X_d at :attr:`instants`, (K, n).
-            last_velocity: Ẋ_d at the end of the horizon, (n,).
+            target: what the plan has to do.
             robot: what is expected of the robot.
-            error_bounds: bounds of the tracking errors.
             iterations: number of quadratic programs to solve in sequence.
 
         Raises:
             PlanningError: if one of the quadratic programs has no solution.
         """
-        plan: Array = self._fit @ guess
-        plan[0], plan[1] = pose, pose + self._second_point_time * velocity
+        plan = self._with_start(self._fit @ target.reference, pose, velocity)
         for _ in range(iterations):
-            try:
-                self._write_program(plan, reference, last_velocity, robot, error_bounds)
-            except np.linalg.LinAlgError as error:
-                raise PlanningError("the pose is singular") from error
-            plan[2:] += self._solution().reshape(-1, self.robot.coordinates)
+            program = self.assembled(self.linearised(plan, robot), target)
+            plan = self.solved(program, pose, velocity)
         return plan
 
-    # The quadratic program minimises ½ z'Hz + g'z subject to low ≤ A z ≤ high. The variables z are
-    # the changes of the free control points, the null-space tensions, and the excesses of actions
-    # and errors over their limits.
+    def _with_start(self, plan: Array, pose: Array, velocity: Array) -> Array:
+        """A plan with another start."""
+        start = pose, pose + self._second_point_time * velocity
+        return np.concatenate([start, plan[2:]])
 
-    def _write_program(
-        self,
-        plan: Array,
-        reference: Array,
-        last_velocity: Array,
-        robot: ExpectedRobot,
-        error_bounds: ErrorBounds,
-    ) -> None:
-        """Writes the quadratic program, linearised about a plan, into the arrays of the solver."""
-        bounds = self._by_coordinate(error_bounds.position, error_bounds.rotation)
-        poses, velocities, accelerations = self._bases @ plan
-        forced = accelerations - robot.disturbance
-        model = self._linearised(poses, velocities, forced, robot.mass)
-        errors = (poses - reference) / bounds
-        n = self.robot.coordinates
-        shape = (len(self.instants), n, 3 * n)
-        error_slope = self._slope(np.broadcast_to(np.eye(n, 3 * n) / bounds[:, None], shape))
-        inputs = self._quadratic.inputs
-        row = 0
-        for constraint in self._constraints(model, errors, error_slope, bounds, robot.strength):
-            rows = slice(row, row + len(constraint.slope))
-            inputs["a"][rows, : constraint.slope.shape[1]] = constraint.slope
-            inputs["a"][rows, -2:] = constraint.excess_factors
-            inputs["lba"][rows, 0] = -np.inf
-            inputs["uba"][rows, 0] = constraint.limit.ravel()
-            row = rows.stop
-        hessian = inputs["h"]
-        gradient = inputs["g"][:, 0]
-        hessian[:] = 0.0
-        gradient[:] = 0.0
-        terms = [
-            *self._tracking_terms(model.action, model.action_slope, errors, error_slope),
-            *self._motion_terms(velocities[-1] - last_velocity, accelerations, bounds),
-        ]
-        for term in terms:
-            z = slice(term.slope.shape[1])
-            weighted = term.slope.T * term.weight
-            hessian[z, z] += weighted @ term.slope
-            gradient[z] += weighted @ term.value.ravel()
-        null = np.arange(self._motion, self._motion + self._null)
+    def linearised(self, plan: Array, expected: ExpectedRobot) -> Linearisation:
+        """First part of an iteration: the robot, linearised about a plan.
+
+        Raises:
+            PlanningError: if the pose is singular.
+        """
+        robot, mass = self.robot, expected.mass
+        motion = self._bases @ plan
+        motion[2] -= expected.disturbance
+        varied = self._varied(motion)
+        demand = demands(robot, np.full(varied.shape[1:3], mass), varied)
+        if not np.isfinite(demand.pulley_accelerations).all():
+            raise PlanningError("the pose is singular")
+        structure = np.swapaxes(demand.structure, -1, -2)
+        try:
+            inverse, null_space = _inverse_and_null_space(structure[0])
+        except np.linalg.LinAlgError as error:
+            raise PlanningError("the pose is singular") from error
+        minimum = self.minimum_tension
+        if not self._null:
+            tensions = -times_vector(inverse, demand.load[0])
+        elif robot.kind == "planar":
+            tensions = inverse_dynamics(robot, mass, *motion, minimum=minimum).tensions
+        else:
+            speeds, accelerations = demand.speeds[0], demand.pulley_accelerations[0]
+            tensions = textbook.least_action_tensions(
+                robot, demand.structure[0], demand.load[0], speeds, accelerations, minimum
+            )
+        imbalance = demand.load + times_vector(structure, tensions)
+        torques = textbook.motor_torques(robot, 0.0, demand.speeds, demand.pulley_accelerations)
+        passive = textbook.normalised_action(robot, torques, demand.speeds)
+        steps = self._steps[:, None, None]
+        imbalance_slope = np.moveaxis((imbalance[1:] - imbalance[0]) / steps, 0, -1)
+        passive_slope = np.moveaxis((passive[1:] - passive[0]) / steps, 0, -1)
+        # The force balance gives the change of the tensions as a function of the motion, up to the
+        # null space.
+        tension_slope = inverse @ imbalance_slope / -TENSION
+        per_tension = self._action_per_tension
+        action_slope = passive_slope + per_tension[:, None] * tension_slope
+        tensions = tensions / TENSION
+        actions = passive[0] + per_tension * tensions
+        return Linearisation(
+            plan=plan,
+            strength=expected.strength,
+            values=np.concatenate([actions, tensions], axis=1),
+            slope=self._slope(np.concatenate([action_slope, tension_slope], axis=1)),
+            null_slope=np.concatenate([per_tension[:, None] * null_space, null_space], axis=1),
+        )
+
+    def _varied(self, motion: Array) -> Array:
+        """A motion (3, K, n), and after it those with a difference of one coordinate of X, Ẋ or Ẍ,
+        (3, 1 + 3n, K, n)."""
+        rows = np.arange(len(self._steps))
+        order, coordinate = np.divmod(rows, self.robot.coordinates)
+        varied = np.repeat(motion[:, None], 1 + len(rows), axis=1)
+        varied[order, 1 + rows, :, coordinate] += self._steps[:, None]
+        return varied
+
+    # The quadratic program minimises ½ z'Hz + g'z subject to A z ≤ b. The variables z are the changes
+    # of the free control points, the null-space tensions, and the excesses of actions and errors
+    # over their limits. The solver gets H = 1 by a change of variables, z = L⁻ᵀ w with H = LLᵀ: it
+    # would need more time than BLAS for it.
+
+    def assembled(self, linearisation: Linearisation, target: Target) -> Program:
+        """Second part of an iteration: the quadratic program.
+
+        Raises:
+            PlanningError: if a number is not finite.
+        """
+        fixed = self._fixed(target.error_bounds)
+        poses, velocities, accelerations = self._bases @ linearisation.plan
+        errors = (poses - target.reference) / fixed.bounds
+        self._write_rows(fixed.matrix, linearisation)
+        length = self._write_lengths(fixed, errors[1:])
+        end_velocity = (velocities[-1] - target.last_velocity) / fixed.bounds
+        jumps = np.diff(accelerations, axis=0) / fixed.bounds
+        fixed_values = np.concatenate([errors.ravel(), end_velocity, jumps.ravel()])
+        hessian = np.zeros((self._columns, self._columns))
+        gradient = np.zeros(self._columns)
+        hessian[: self._motion, : self._motion] = fixed.hessian
+        gradient[: self._motion] = fixed.gradient @ fixed_values
+        null = np.arange(self._motion, self._columns)
         hessian[null, null] += 1e-6  # makes the program strictly convex
-        hessian[[-2, -1], [-2, -1]] = 1.0
-        gradient[-2:] = self.tuning.action_excess_weight, self.tuning.error_excess_weight
+        self._add_actions(hessian, gradient, linearisation.values, fixed.matrix)
+        free = slice(self._start, None)
+        factor, failed = dpotrf(hessian[free, free], lower=1)
+        if failed or not np.isfinite(fixed.matrix).all():
+            raise PlanningError("the linearised equations are not finite")
+        whitening = dtrtri(factor, lower=1)[0].T
+        room = (fixed.limits - errors[1:]).ravel(), (fixed.limits + errors[1:]).ravel()
+        limits = *self._room(linearisation), fixed.limits[0] - length, *room
+        return Program(
+            plan=linearisation.plan,
+            whitening=whitening,
+            matrix=whitening.T @ fixed.matrix[:, free].T,
+            start_matrix=fixed.matrix[:, : self._start].copy(),
+            limit=np.concatenate(limits),
+            gradient=gradient[free] @ whitening,
+            start_gradient=whitening.T @ hessian[free, : self._start],
+        )
+
+    def solved(self, program: Program, pose: Array, velocity: Array) -> Array:
+        """Last part of an iteration: control points (points, n) of a plan from a start.
+
+        Args:
+            program: the quadratic program; its plan has a start nearby.
+            pose: X, (n,) [m, rad].
+            velocity: Ẋ, (n,) [m/s, rad/s].
+
+        Raises:
+            PlanningError: if the program has no solution.
+        """
+        plan = self._with_start(program.plan, pose, velocity)
+        moved = (plan - program.plan)[:2].ravel()
+        inputs = self._quadratic.inputs
+        inputs["g"][:-2, 0] = program.gradient + program.start_gradient @ moved
+        inputs["a"][:, :-2] = program.matrix.T
+        inputs["uba"][:, 0] = program.limit - program.start_matrix @ moved
+        change = program.whitening @ self._solution()
+        plan[2:] += change[: self._motion - self._start].reshape(-1, self.robot.coordinates)
+        return plan
+
+    def _write_rows(self, matrix: Array, linearisation: Linearisation) -> None:
+        """Writes the rows of actions and tensions: actions have an upper limit, tensions a lower
+        one."""
+        m = self.robot.cables
+        count = len(self.instants)
+        rows = matrix[: self._limited].reshape(2, count, m, self._columns)
+        slope = linearisation.slope.reshape(count, 2, m, self._motion)
+        rows[0, :, :, : self._motion] = slope[:, 0]
+        np.negative(slope[:, 1], out=rows[1, :, :, : self._motion])
+        if self._null:
+            null_slope = linearisation.null_slope.reshape(count, 2, m, -1)
+            by_instant = rows[..., self._motion :].reshape(2, count, m, count, -1)
+            each = np.arange(count)
+            by_instant[0, each, :, each] = null_slope[:, 0]
+            by_instant[1, each, :, each] = -null_slope[:, 1]
+
+    def _room(self, linearisation: Linearisation) -> tuple[Array, Array]:
+        """Room of actions and tensions to their limits, each (K·m,)."""
+        m = self.robot.cables
+        largest = linearisation.strength * (1 - self.tuning.margins.action)
+        actions = largest - linearisation.values[:, :m]
+        tensions = linearisation.values[:, m:] - self.minimum_tension / TENSION
+        return actions.ravel(), tensions.ravel()
+
+    def _write_lengths(self, fixed: _Fixed, errors: Array) -> Array:
+        """Writes the rows of ‖e‖, linearised, and returns it at all instants but the first, (K −
+        1,)."""
+        position = slice(self._positions)
+        length: Array = np.linalg.norm(errors[:, position], axis=1)
+        direction = errors[:, position] / np.maximum(length, 1e-9)[:, None]
+        slope = (direction[:, None] @ fixed.error_slope[1:, position])[:, 0]
+        fixed.matrix[self._limited : self._limited + len(length), : self._motion] = slope
+        return length
+
+    def _add_actions(self, hessian: Array, gradient: Array, values: Array, matrix: Array) -> None:
+        """Adds the mean of aᵖ, as the square of a^(p/2), to the objective."""
+        m = self.robot.cables
+        count = len(self.instants)
+        positive = np.maximum(values[:, :m], 0.05)  # the slope of a^(p/2) must not vanish
+        half = self.tuning.action_exponent / 2
+        # The last instant counts half, as in the trapezoidal rule.
+        weights = np.full((count, 1), 1 / count)
+        weights[-1] /= 2
+        power_slope = half * positive ** (half - 1) * np.sqrt(weights)
+        slope = power_slope.reshape(-1, 1) * matrix[: self._limited // 2]
+        hessian += slope.T @ slope
+        gradient += (np.sqrt(weights) * positive**half).ravel() @ slope
+
+    def _fixed_parts(self, error_bounds: ErrorBounds) -> _Fixed:
+        """The parts of all programs with the same error bounds."""
+        tuning, margins = self.tuning, self.tuning.margins
+        n, count = self.robot.coordinates, len(self.instants)
+        bounds = self._by_coordinate(error_bounds.position, error_bounds.rotation)
+        position, velocity, acceleration = self._bases
+        per_bound = np.diag(1 / bounds)
+        error_slope = np.kron(position, per_bound)
+        end_velocity_slope = np.kron(velocity[-1:], per_bound)
+        jump_slope = np.kron(np.diff(acceleration, axis=0), per_bound)
+        slope = np.concatenate([error_slope, end_velocity_slope, jump_slope])
+        weights = np.zeros(len(slope))
+        weights[: n * count] = tuning.error_weight / count
+        weights[n * (count - 1) : n * count] += tuning.end_error_weight
+        weights[n * count : n * (count + 1)] = tuning.end_velocity_weight * _TIME_SCALE**2
+        weights[n * (count + 1) :] = tuning.smoothness_weight * _TIME_SCALE**4
+        gradient = (slope * weights[:, None]).T
+        matrix = np.zeros((len(self._quadratic.inputs["uba"]), self._columns))
+        # The initial state is given, so error constraints start at the second instant. ‖e‖ is
+        # linearised. Additional bounds on each coordinate limit the linearisation error.
+        first = self._limited + count - 1
+        matrix[first:, : self._motion] = np.concatenate([error_slope[n:], -error_slope[n:]])
+        return _Fixed(
+            bounds=bounds,
+            limits=1 - self._by_coordinate(margins.position, margins.rotation) / bounds,
+            error_slope=error_slope.reshape(count, n, -1),
+            matrix=matrix,
+            hessian=gradient @ slope,
+            gradient=gradient,
+        )
 
     def _by_coordinate(self, position: float, rotation: float) -> Array:
         """A value for each coordinate, (n,)."""
         is_position = np.arange(self.robot.coordinates) < self._positions
         return np.where(is_position, position, rotation)
 
-    def _constraints(
-        self,
-        model: _Model,
-        errors: Array,
-        error_slope: Array,
-        bounds: Array,
-        strength: Array | float,
-    ) -> list[_Constraint]:
-        """Constraints of actions, tensions and errors; errors are in units of their bounds."""
-        margins = self.tuning.margins
-        largest_action = strength * (1 - margins.action)
-        actions = _Constraint(model.action_slope, (-1, 0), largest_action - model.action)
-        # Null-space tensions can always be raised. Without a null space the tension constraints are
-        # soft, like those of the actions.
-        tension_factor = -0.2
-        if self._null:
-            tension_factor = 0
-        reserve = model.tension - self.minimum_tension / TENSION
-        tensions = _Constraint(-model.tension_slope, (tension_factor, 0), reserve)
-        # The initial state is given, so error constraints start at the second instant. ‖e‖ is
-        # linearised. Additional bounds on each coordinate limit the linearisation error.
-        errors = errors[1:]
-        by_instant = error_slope.reshape(len(self.instants), self.robot.coordinates, -1)[1:]
-        limits = 1 - self._by_coordinate(margins.position, margins.rotation) / bounds
-        position = slice(self._positions)
-        length = np.linalg.norm(errors[:, position], axis=1)
-        direction = errors[:, position] / np.maximum(length, 1e-9)[:, None]
-        length_slope = np.einsum("kl,klz->kz", direction, by_instant[:, position])
-        slope = by_instant.reshape(-1, self._motion)
-        return [
-            actions,
-            tensions,
-            _Constraint(length_slope, (0, -1), limits[0] - length),
-            _Constraint(slope, (0, -1), limits - errors),
-            _Constraint(-slope, (0, -1), limits + errors),
-        ]
-
-    def _tracking_terms(
-        self, action: Array, action_slope: Array, errors: Array, error_slope: Array
-    ) -> list[_SquaredTerm]:
-        """Terms of the actions and of the errors; errors are in units of their bounds."""
-        tuning = self.tuning
-        count = len(self.instants)
-        positive = np.maximum(action.ravel(), 0.05)  # the slope of a^(p/2) must not vanish
-        half = tuning.action_exponent / 2
-        power_slope = half * positive[:, None] ** (half - 1) * action_slope
-        # The last instant counts half, as in the trapezoidal rule.
-        weights = np.repeat(np.r_[np.ones(count - 1), 0.5] / count, self.robot.cables)
-        end_slope = error_slope.reshape(count, self.robot.coordinates, -1)[-1]
-        return [
-            _SquaredTerm(power_slope, positive**half, weights),
-            _SquaredTerm(error_slope, errors, tuning.error_weight / count),
-            _SquaredTerm(end_slope, errors[-1], tuning.end_error_weight),
-        ]
-
-    def _motion_terms(
-        self, end_velocity_error: Array, accelerations: Array, bounds: Array
-    ) -> list[_SquaredTerm]:
-        """Terms of the velocity error at the end and of the acceleration steps."""
-        _, velocity_basis, acceleration_basis = self._bases
-        unit = bounds / _TIME_SCALE
-        end_slope = np.kron(velocity_basis[-1, 2:], np.diag(1 / unit))
-        end = _SquaredTerm(end_slope, end_velocity_error / unit, self.tuning.end_velocity_weight)
-        unit = bounds / _TIME_SCALE**2
-        jump_slope = np.kron(np.diff(acceleration_basis, axis=0)[:, 2:], np.diag(1 / unit))
-        jumps = np.diff(accelerations, axis=0) / unit
-        return [end, _SquaredTerm(jump_slope, jumps, self.tuning.smoothness_weight)]
-
-    def _linearised(
-        self, poses: Array, velocities: Array, accelerations: Array, mass: float
-    ) -> _Model:
-        """Actions and tensions of a motion, each (K, n), linearised about it."""
-        n = self.robot.coordinates
-        m = self.robot.cables
-        count = len(poses)
-        required = inverse_dynamics(
-            self.robot, mass, poses, velocities, accelerations, minimum=self.minimum_tension
-        )
-        tensions = required.tensions / TENSION
-        masses = np.full((count, 1), mass)
-        self._linear.inputs["motion"][:] = np.concatenate(
-            [poses, velocities, accelerations, tensions, masses], 1
-        ).T
-        results = self._linear()
-        action = results["values"][n:].T.copy()
-        slope = results["slopes"].reshape(n + m, count, 3 * n + m).swapaxes(0, 1)
-        by_motion, by_tension = np.split(slope, [3 * n], axis=2)
-        # The force balance gives the change of the tensions as a function of the motion, up to the
-        # null space.
-        force_by_tension = by_tension[:, :n]
-        invert: Any = np.linalg.inv
-        if self._null:
-            invert = np.linalg.pinv
-        tension_by_motion = -invert(force_by_tension) @ by_motion[:, :n]
-        action_slope = self._slope(by_motion[:, n:] + by_tension[:, n:] @ tension_by_motion)
-        tension_slope = self._slope(tension_by_motion)
-        if self._null:
-            null_space = np.swapaxes(np.linalg.svd(force_by_tension)[2][:, n:], 1, 2)
-            action_by_null = _block_diagonal(by_tension[:, n:] @ null_space)
-            action_slope = np.hstack([action_slope, action_by_null])
-            tension_slope = np.hstack([tension_slope, _block_diagonal(null_space)])
-        return _Model(action, action_slope, tensions, tension_slope)
-
     def _slope(self, by_motion: Array) -> Array:
-        """Converts derivatives with respect to (X, Ẋ, Ẍ), (K, rows, 3n), to those for the free
-        control points."""
+        """Converts derivatives with respect to (X, Ẋ, Ẍ), (K, rows, 3n), to those for the control
+        points, (K, rows, points·n)."""
+        count, rows, _ = by_motion.shape
         n = self.robot.coordinates
-        derivatives = np.split(by_motion, [n, 2 * n], axis=2)
-        slope: Array = np.zeros(())
-        for basis, derivative in zip(self._bases, derivatives, strict=True):
-            slope = slope + basis[:, None, 2:, None] * derivative[:, :, None, :]
-        return slope.reshape(-1, self._motion)
+        by_order = np.swapaxes(by_motion.reshape(count, rows, 3, n), 1, 2)
+        slope = self._bases_of_instants @ by_order.reshape(count, 3, rows * n)
+        return np.swapaxes(slope.reshape(count, -1, rows, n), 1, 2).reshape(count, rows, -1)
 
     def _solution(self) -> Array:
-        """Solves the program and returns the change of the free control points."""
-        for name in ("h", "g", "a", "uba"):
+        """Solves the program and returns the variables without the excesses."""
+        for name in ("g", "uba"):
             if not np.all(np.isfinite(self._quadratic.inputs[name])):
                 raise PlanningError("the linearised equations are not finite")
         try:
-            change = self._quadratic()["x"][: self._motion, 0]
+            variables = self._quadratic()["x"][:-2, 0]
         except RuntimeError as error:
             raise PlanningError(str(error)) from error
-        if not (self._quadratic.succeeded and np.all(np.isfinite(change))):
+        if not (self._quadratic.succeeded and np.all(np.isfinite(variables))):
             raise PlanningError("the solver failed")
-        return change
+        return variables
 
 
 class _BufferedFunction:
@@ -437,9 +544,16 @@ class _BufferedFunction:
         return bool(self._buffer.stats()["success"])
 
 
-def _block_diagonal(blocks: Array) -> Array:
-    """Block-diagonal matrix (K·rows, K·columns) of blocks (K, rows, columns)."""
-    count, rows, columns = blocks.shape
-    matrix = np.zeros((count, rows, count, columns))
-    matrix[np.arange(count), :, np.arange(count)] = blocks
-    return matrix.reshape(count * rows, count * columns)
+def _inverse_and_null_space(forces: Array) -> tuple[Array, Array]:
+    """Pseudoinverses (K, m, n) and null spaces (K, m, m − n) of matrices (K, n, m).
+
+    Raises:
+        numpy.linalg.LinAlgError: if a square matrix is singular, or a number is not finite.
+    """
+    _, n, m = forces.shape
+    if n == m:
+        return np.linalg.inv(forces), np.zeros((len(forces), m, 0))
+    left, values, right = np.linalg.svd(forces)
+    right = np.swapaxes(right, 1, 2)
+    inverse = right[:, :, :n] @ np.swapaxes(left / values[:, None], 1, 2)
+    return inverse, right[:, :, n:]

@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.law import Array, flexible_advice
-from cablebot_baselines.classical.observing import GAINS, UNCERTAINTY, Observing
+from cablebot_baselines.classical.observing import GAINS, UNCERTAINTY, Instant, Observing
 from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
 from cablebot_baselines.estimation.expectation import Expectation
-from cablebot_baselines.estimation.observer import RobotEstimate
 from cablebot_baselines.optimal.horizon import (
     HORIZON,
     ExpectedRobot,
     HorizonProgram,
+    Linearisation,
     PlanningError,
+    Program,
+    Target,
     Tuning,
 )
 from cablebot_gym.planning import Margins
@@ -33,6 +35,9 @@ _LOGGER = logging.getLogger("cablebot_gym")
 
 STEPS_PER_PLAN = 5
 """Number of control steps between two plans."""
+
+_LINEARISING = STEPS_PER_PLAN - 2
+"""Control step after a plan in which the next plan begins."""
 
 TUNING = {
     "planar": Tuning(
@@ -78,7 +83,9 @@ class PlannerState:
     plans: tuple[Array | None, ...]
     """Control points (points, n) of the plan of each environment; None without a valid plan."""
     plan_age: Array
-    """Time since each plan was made, (N,) [s]."""
+    """Time since the start of each plan, (N,) [s]."""
+    pending: tuple[Linearisation | Program | None, ...]
+    """Finished parts of the next plan of each environment; None if there are none."""
     out_of_range: NDArray[np.bool_]
     """Whether the platform is too far from its reference to plan, (N,)."""
 
@@ -89,7 +96,10 @@ class NonlinearMPC(Observing):
     A plan starts from the state that the observer expects at the instant at which the action takes
     effect, stays within the error bounds and needs small motor actions, see
     :class:`~cablebot_baselines.optimal.horizon.Tuning`. It is a plan for the estimated mass,
-    strengths of the motors and wrench.
+    strengths of the motors and wrench. Each plan is one iteration from the one before, a real-time
+    iteration: of the control steps before the plan, one linearises the robot and the next assembles
+    the quadratic program. That of the plan solves it for the measured state. Without a plan before,
+    one step makes the plan.
 
     If the solver fails, the controller tracks the last plan until its end, and then the reference
     itself. If the platform is too far from the reference to plan, or the task is unknown because
@@ -123,11 +133,10 @@ class NonlinearMPC(Observing):
             gains=gains or by_kind(GAINS, robot),
             minimum_tension=self.program.minimum_tension,
         )
-        super().__init__(law, expectation)
+        super().__init__(law, expectation, payload_prior=PAYLOAD_OF_PLANS)
         self.fallbacks = 0
         """Number of plans that were not made since the last :meth:`reset`: solver failures, and
         times that a platform moved too far from its reference."""
-        self._tasks: tuple[Task, ...] = ()
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Reads motions and error bounds of the tasks, and sets :attr:`fallbacks` to zero.
@@ -136,28 +145,18 @@ class NonlinearMPC(Observing):
             ValueError: if a task's robot differs from the law's robot in kind or anchors.
         """
         super().reset(tasks)
-        self._tasks = tuple(tasks)
         self.fallbacks = 0
 
-    def _possible(self, task: Task | None) -> float:
-        """Largest payload that is considered possible in a task [kg]. Plans use the error bounds."""
-        return PAYLOAD_OF_PLANS * super()._possible(task)
-
-    def reference(
-        self,
-        blocks: dict[str, Array],
-        estimate: RobotEstimate,
-        ahead: dict[str, Array],
-        memory: Any,
-        starts: NDArray[np.bool_],
-    ) -> tuple[dict[str, Array], PlannerState]:
+    def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], PlannerState]:
         """The plans at the instant at which the action takes effect in place of the reference, and
         the plans for the next step."""
-        reference, _ = super().reference(blocks, estimate, ahead, memory, starts)
-        planner = self._advanced(memory, starts)
-        due = np.flatnonzero(planner.steps % STEPS_PER_PLAN == 0)
-        if len(due):
-            planner = self._replanned(blocks, estimate, ahead, planner, due)
+        reference, _ = super().reference(instant, memory)
+        planner = self._advanced(memory, instant.starts)
+        phase = planner.steps % STEPS_PER_PLAN
+        if np.any(phase == 0):
+            planner = self._replanned(instant, planner, np.flatnonzero(phase == 0))
+        if np.any(phase >= _LINEARISING):
+            planner = self._prepared(instant, planner, phase)
         names = ("reference_pose", "reference_velocity", "reference_acceleration")
         planned = {name: reference[name].copy() for name in names}
         for index, plan in enumerate(planner.plans):
@@ -176,84 +175,98 @@ class NonlinearMPC(Observing):
                 steps=np.zeros(count, int),
                 plans=(None,) * count,
                 plan_age=np.zeros(count),
+                pending=(None,) * count,
                 out_of_range=np.zeros(count, np.bool_),
             )
         plan_age = np.where(starts, np.inf, before.plan_age + self.observer.period)
         plans = list(before.plans)
         for index in np.flatnonzero(~(plan_age <= HORIZON)):
             plans[index] = None
+        pending = list(before.pending)
+        for index in np.flatnonzero(starts):
+            pending[index] = None
         return PlannerState(
             steps=np.where(starts, 0, before.steps + 1),
             plans=tuple(plans),
             plan_age=plan_age,
+            pending=tuple(pending),
             out_of_range=before.out_of_range & ~starts,
         )
 
     def _replanned(
-        self,
-        blocks: dict[str, Array],
-        estimate: RobotEstimate,
-        ahead: dict[str, Array],
-        planner: PlannerState,
-        due: NDArray[Any],
+        self, instant: Instant, planner: PlannerState, due: NDArray[Any]
     ) -> PlannerState:
         """The state with new plans for the given environments."""
         plans = list(planner.plans)
+        pending = list(planner.pending)
         plan_age = planner.plan_age.copy()
         out_of_range = planner.out_of_range.copy()
         for index in due:
+            program = pending[index]
+            pending[index] = None
             was_out_of_range = out_of_range[index]
-            reason = self._obstacle(blocks, index)
+            reason = self._obstacle(instant.blocks, index)
             out_of_range[index] = bool(reason)
             if reason:
                 plans[index] = None
                 if not was_out_of_range:
                     self._count_fallback(reason)
                 continue
-            robot = ExpectedRobot(
-                mass=float(estimate.mass[index]),
-                strength=estimate.strength[index],
-                disturbance=ahead["disturbance"][index],
-            )
-            start = ahead["pose"][index], ahead["velocity"][index]
-            task = self._task(index)
-            now = task.trajectory.duration - blocks["time_to_go"][index, 0]
-            time = float(now + estimate.delay[index])
+            start = instant.ahead["pose"][index], instant.ahead["velocity"][index]
             try:
-                plans[index] = self._plan(task, time, start, robot, plans[index], plan_age[index])
+                if isinstance(program, Program):
+                    plans[index] = self.program.solved(program, *start)
+                elif plans[index] is None:
+                    plans[index] = self.program.plan(
+                        *start,
+                        self._target(instant, index, 0.0),
+                        robot=_expected(instant, index),
+                        iterations=_FIRST_ITERATIONS,
+                    )
+                else:
+                    continue  # nothing was prepared, and the last plan is still valid
                 plan_age[index] = 0.0
             except PlanningError as error:
                 self._count_fallback(str(error))
-        return replace(planner, plans=tuple(plans), plan_age=plan_age, out_of_range=out_of_range)
+        return replace(
+            planner,
+            plans=tuple(plans),
+            plan_age=plan_age,
+            pending=tuple(pending),
+            out_of_range=out_of_range,
+        )
 
-    def _plan(
-        self,
-        task: Task,
-        time: float,
-        start: tuple[Array, Array],
-        robot: ExpectedRobot,
-        previous: Array | None,
-        age: float,
-    ) -> Array:
-        """Control points of a plan from a time of the task on."""
-        program, motion = self.program, task.trajectory
-        reference = motion(time + program.instants).position
-        guess = reference
-        iterations = _FIRST_ITERATIONS
-        if previous is not None:
-            iterations = 1
-            # Beyond the end of the previous plan, its last error stays constant.
-            times = np.minimum(program.instants, HORIZON - age)
-            guess = program.basis(times + age)[0] @ previous
-            guess = guess + reference - motion(time + times).position
-        return program.plan(
-            guess,
-            *start,
-            reference,
-            motion(time + HORIZON).velocity,
-            robot=robot,
+    def _prepared(
+        self, instant: Instant, planner: PlannerState, phase: NDArray[Any]
+    ) -> PlannerState:
+        """The state with the next parts of the next plans, in the control steps before them."""
+        pending = list(planner.pending)
+        for index in np.flatnonzero(phase >= _LINEARISING).tolist():
+            plan, part = planner.plans[index], pending[index]
+            pending[index] = None
+            try:
+                if isinstance(part, Linearisation):
+                    target = self._target(instant, index, self.observer.period)
+                    pending[index] = self.program.assembled(part, target)
+                elif plan is not None and phase[index] == _LINEARISING:
+                    age = round(float(planner.plan_age[index]) + 2 * self.observer.period, 9)
+                    robot = _expected(instant, index)
+                    pending[index] = self.program.linearised(self.program.shift(age) @ plan, robot)
+            except PlanningError as error:
+                self._count_fallback(str(error))
+        return replace(planner, pending=tuple(pending))
+
+    def _target(self, instant: Instant, index: int, time: float) -> Target:
+        """What a plan has to do that starts a time after the instant at which the action takes
+        effect."""
+        task = self._task(index)
+        now = task.trajectory.duration - instant.blocks["time_to_go"][index, 0]
+        start = float(now + instant.estimate.delay[index] + time)
+        motion = task.trajectory(start + self.program.instants)
+        return Target(
+            reference=motion.position,
+            last_velocity=motion.velocity[-1],
             error_bounds=task.error_bounds,
-            iterations=iterations,
         )
 
     def _task(self, index: int) -> Task:
@@ -278,6 +291,15 @@ class NonlinearMPC(Observing):
                 "nmpc has no new plan and tracks the previous plan or the reference: %s", reason
             )
         self.fallbacks += 1
+
+
+def _expected(instant: Instant, index: int) -> ExpectedRobot:
+    """What is expected of the robot of an environment."""
+    return ExpectedRobot(
+        mass=float(instant.estimate.mass[index]),
+        strength=instant.estimate.strength[index],
+        disturbance=instant.ahead["disturbance"][index],
+    )
 
 
 NMPC = entry("nmpc", NonlinearMPC)

@@ -20,7 +20,7 @@ class Compiled(NamedTuple):
     (trajectories,): last line of each path, path and step (tiles·lanes,): index of its path and
     control step of each lane. Of the inverse dynamics: parameters (parameter_rows,) of one robot, p
     (parameter_rows·lanes,) for a tile of copies, mass (N,), motion (3, N, n) = (X, Ẋ, Ẍ), structure
-    (N, m, n), load (N, n).
+    (N, m, n), load and y (N, n).
     """
 
     advance: Any
@@ -36,7 +36,7 @@ class Compiled(NamedTuple):
     coordinates: the unique tensions; more cables, only of point masses in a plane: the smallest
     tensions of at least ``minimum``."""
     demanded: Any
-    """``(parameters, p, w, mass, motion, structure, load, results)``: what a tension distribution
+    """``(parameters, p, w, mass, motion, structure, load, y, results)``: what a tension distribution
     needs, ``−Sᵀ T = load``, and pulley speeds and pulley accelerations (2, N, m). The coordinates
     of S and load are those of y."""
     locate: Any
@@ -84,8 +84,8 @@ def compiled(form: Form, lanes: int) -> Compiled:
         required_tiles(form, lanes, parameters, minimum, p, w, mass, motion, results)
 
     @compile_form
-    def demanded(parameters, p, w, mass, motion, structure, load, results):
-        demanded_tiles(form, lanes, parameters, p, w, mass, motion, structure, load, results)
+    def demanded(parameters, p, w, mass, motion, structure, load, y, results):
+        demanded_tiles(form, lanes, parameters, p, w, mass, motion, structure, load, y, results)
 
     @compile_form
     def locate(parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):

@@ -298,8 +298,8 @@ def required_tiles(form, lanes, parameters, minimum, p, w, mass, motion, results
 
 
 @inline
-def demanded_tiles(form, lanes, parameters, p, w, mass, motion, structure, load, results):
-    """S, load, pulley speeds and pulley accelerations of all lanes in tiles."""
+def demanded_tiles(form, lanes, parameters, p, w, mass, motion, structure, load, y, results):
+    """S, load, y, pulley speeds and pulley accelerations of all lanes in tiles."""
     count = mass.shape[0]
     copy_parameters(parameters, p, lanes)
     for start in range(0, count, lanes):
@@ -320,3 +320,4 @@ def demanded_tiles(form, lanes, parameters, p, w, mass, motion, structure, load,
         for at in range(min(lanes, count - start)):
             for j in range(form.coordinates):
                 load[start + at, j] = -w[(LOAD + j) * lanes + at]
+                y[start + at, j] = w[(UNKNOWNS + j) * lanes + at]

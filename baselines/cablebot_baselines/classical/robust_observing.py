@@ -1,0 +1,134 @@
+"""Robust control behind an observer: the paper's robust law (Eqs. 26–36) in a form that holds on
+robots that are not exactly known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
+from cablebot_baselines.classical.flexible import Composite
+from cablebot_baselines.classical.law import Array, ClassicalLaw
+from cablebot_baselines.classical.observing import PERIOD, UNCERTAINTY, Observing
+from cablebot_baselines.classical.robust_design import Peaks, RobustDesign
+from cablebot_baselines.entries import entry
+from cablebot_baselines.estimation.expectation import Expectation
+from cablebot_baselines.estimation.observer import RobotEstimate
+from cablebot_gym.physics.textbook import normalised_action
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import Task
+from cablebot_gym.uncertainty import find_uncertainty
+
+_HALVINGS = 7
+"""Number of halvings that find the largest acceleration within the limits of the motors."""
+
+_Law = FeedbackLinearization | Composite
+
+
+class RobustObserving(Observing):
+    """The law of :class:`~cablebot_baselines.classical.observing.Observing` with the gains, bounds
+    and tensions of a :class:`~cablebot_baselines.classical.robust_design.RobustDesign` for each
+    motion that it meets.
+
+    Args:
+        expectation: what is expected of the robot.
+        largest_payload: as in :class:`~cablebot_baselines.classical.observing.Observing`.
+    """
+
+    law: _Law
+
+    def __init__(self, expectation: Expectation, *, largest_payload: float | None = None) -> None:
+        kind = Composite if expectation.robot.flexible else FeedbackLinearization
+        super().__init__(kind(expectation.robot), expectation, largest_payload=largest_payload)
+        self._unknown = self._designed(PERIOD, self._possible(None), Peaks())
+        self._of_motions: dict[int, _Law] = {}
+
+    def _prepare(self, tasks: Sequence[Task], payloads: Array) -> None:
+        self._of_motions = {}
+        for task, payload in zip(tasks, payloads.tolist(), strict=True):
+            motion = id(task.trajectory)
+            if motion not in self._of_motions:
+                peaks = Peaks.of(self.robot, task, float(self.robot.mass) + payload / 2)
+                law = self._designed(1 / task.control_frequency, payload, peaks)
+                law.reset([task])
+                self._of_motions[motion] = law
+
+    def _designed(self, period: float, largest_payload: float, peaks: Peaks) -> _Law:
+        """The law for a motion."""
+        design = RobustDesign(
+            expectation=self.expectation,
+            period=period,
+            largest_payload=largest_payload,
+            peaks=peaks,
+        )
+        law: _Law
+        minimum = design.minimum_tension
+        if self.robot.flexible:
+            law = Composite(
+                self.robot,
+                spring_damping=design.spring_damping,
+                leads_springs=True,
+                minimum_tension=minimum,
+            )
+        else:
+            law = FeedbackLinearization(self.robot, minimum_tension=minimum)
+        law.outer = design.outer
+        return law
+
+    def _by_motion(self, count: int) -> list[tuple[_Law, NDArray[np.intp]]]:
+        """The law of each motion, and its rows of a batch of ``count`` episodes."""
+        if not self._tasks:
+            return [(self._unknown, np.arange(count))]
+        return [
+            (self._of_motions[id(task.trajectory)], rows)
+            for task, rows in self._rows_by_motion(count)
+        ]
+
+    def _act(self, blocks: dict[str, Array], estimate: RobotEstimate) -> tuple[Array, Array]:
+        count = len(estimate.mass)
+        requested = np.empty((count, self.robot.cables))
+        action = np.empty_like(requested)
+        for law, rows in self._by_motion(count):
+            of_motion = {name: values[rows] for name, values in blocks.items()}
+            requested[rows], action[rows] = self._of_law(law, of_motion, estimate.of(rows))
+        return requested, action
+
+    def _reduced(
+        self,
+        law: ClassicalLaw,
+        requested: Array,
+        blocks: dict[str, Array],
+        mass: Array,
+        strength: Array,
+    ) -> Array:
+        """With more cables than coordinates the acceleration is reduced in its direction, so that
+        all cables keep the allocated tension."""
+        if self._allocates:
+            return super()._reduced(law, requested, blocks, mass, strength)
+        assert isinstance(law, _Law)
+        acceleration = law.outer(blocks)
+        on_reference = blocks | {
+            "reference_pose": blocks["pose"],
+            "reference_velocity": blocks["velocity"],
+        }
+        factor = np.zeros(len(mass))
+        action = np.clip(requested, -1.0, 1.0)
+        for step in 0.5 ** np.arange(1, _HALVINGS + 1):
+            larger = factor + step
+            on_reference["reference_acceleration"] = larger[:, None] * acceleration
+            torques, speeds = law.torques(on_reference, mass)
+            candidate = normalised_action(self.robot, torques / strength, speeds)
+            is_possible = np.all(np.abs(candidate) <= 1, axis=-1)
+            factor[is_possible] = larger[is_possible]
+            action[is_possible] = candidate[is_possible]
+        return action
+
+
+def make_robust_observing(robot: Robot) -> RobustObserving:
+    """Makes the policy ``robust-observing``."""
+    return RobustObserving(Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot)))
+
+
+ROBUST_OBSERVING = entry("robust-observing", make_robust_observing)

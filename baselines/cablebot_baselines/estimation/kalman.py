@@ -1,0 +1,179 @@
+"""State and arithmetic of the extended Kalman filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablebot_baselines.estimation.errors import FilterErrors
+from cablebot_gym.robots import Robot
+
+Array = NDArray[Any]
+
+
+class Columns:
+    """Columns of the state of N episodes, k in total. A part that the filter does not estimate is
+    empty.
+
+    Args:
+        robot: nominal robot with joint springs in place of elastic cables.
+        errors: the expected errors.
+        names: names of the blocks of the observation.
+        quantised: whether the encoders have a resolution.
+    """
+
+    def __init__(
+        self, robot: Robot, errors: FilterErrors, names: frozenset[str], *, quantised: bool
+    ) -> None:
+        n, m = robot.coordinates, robot.cables
+        self._start = 0
+        self.pose = self._next(n)
+        """Pose X."""
+        self.velocity = self._next(n)
+        """Velocity Ẋ."""
+        self.disturbance = self._next(n)
+        """Disturbance d, an acceleration [m/s², rad/s²]."""
+        self.zero = self._next(m)
+        """Zero errors of the motor angles [rad]."""
+        self.quantisation = self._next(m * quantised)
+        """Quantisation errors of the last motor angles [rad]."""
+        self.last_noise = self._next(m * robot.flexible)
+        """Noise of the motor speeds before the last ones [rad/s]."""
+        self.noise = self._next(m * robot.flexible)
+        """Noise of the last motor speeds [rad/s]."""
+        self.compliance = self._next(m * (errors.compliance is not None and robot.flexible))
+        """Relative errors of the compliances 1/K."""
+        self.torque = self._next(m * (errors.torque > 0))
+        """Error of the torque on the pulleys [N·m]."""
+        self.strength = self._next(m * (errors.strength > 0))
+        """Relative errors of the torques of the motors."""
+        self.rotor = self._next(m * (errors.rotor > 0 and robot.flexible))
+        """Relative errors of the motor inertias."""
+        self.lag = self._next(m * (errors.lag > 0))
+        """Lags of the motor torques [s]."""
+        self.mass = self._next(int(errors.mass > 0 or errors.payload > 0))
+        """Error of the mass of platform and payload [kg]."""
+        base, platform = errors.anchors
+        self.base = self._next(robot.base.size * (base > 0))
+        """Errors of the base anchors [m], cable by cable."""
+        self.platform = self._next(robot.platform.size * (platform > 0))
+        """Errors of the platform anchors [m], cable by cable."""
+        self.cell = self._next(m * ("tensions" in names))
+        """Biases of the load cells [N]."""
+        self.orientation = self._next(3 * ("orientation" in names))
+        """Biases of the orientation [rad]."""
+        self.total = self._start
+
+    def _next(self, size: int) -> slice:
+        columns = slice(self._start, self._start + size)
+        self._start += size
+        return columns
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KalmanState:
+    """State of the filter for N episodes."""
+
+    mean: Array
+    """Mean of the parts of :class:`Columns`, (N, k)."""
+    covariance: Array
+    """Covariance of ``mean``, (N, k, k)."""
+    angle: Array
+    """Last motor angles as measured, (N, m) [rad]."""
+    speed: Array
+    """Last motor speeds, (N, m) [rad/s]."""
+    motor_torque: Array
+    """Mean torques of the motors in the last control period, (N, m) [N·m]."""
+    slow_speed: Array
+    """Motor speeds without most of their noise, (N, m) [rad/s]."""
+    tensions: Array
+    """Predicted mean tensions in the last control period, (N, m) [N]."""
+
+
+class Readings:
+    """Innovations of the sensors of N episodes, their gradient with respect to the state, and their
+    variances.
+
+    Args:
+        count: number of episodes, N.
+        size: number of columns of the state, k.
+    """
+
+    def __init__(self, count: int, size: int) -> None:
+        self._shape = (count, size)
+        self._innovations: list[Array] = []
+        self._gradients: list[Array] = []
+        self._variances: list[Array] = []
+
+    def add(
+        self, innovation: Array, variance: Array | float, *parts: tuple[slice, Array | float]
+    ) -> None:
+        """Adds readings of one kind.
+
+        Args:
+            innovation: reading minus its prediction, (N, j).
+            variance: variance of the independent errors, broadcast to (N, j).
+            parts: columns of the state and the gradient with respect to them, broadcast to (N, j,
+                columns); a number stands for a multiple of the identity. Empty columns are skipped.
+        """
+        count, size = self._shape
+        readings = innovation.shape[-1]
+        gradient = np.zeros((count, readings, size))
+        for columns, part in parts:
+            if columns.start == columns.stop:
+                continue
+            if np.ndim(part) == 0:
+                part = part * np.eye(readings)
+            gradient[:, :, columns] += part
+        self._innovations.append(innovation)
+        self._gradients.append(gradient)
+        self._variances.append(np.broadcast_to(variance, innovation.shape))
+
+    def corrected(
+        self, mean: Array, covariance: Array, at: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Mean and covariance after the readings.
+
+        Args:
+            mean: mean before the readings, (N, k).
+            covariance: covariance before the readings, (N, k, k).
+            at: state for which the readings were predicted, (N, k); None for ``mean``.
+        """
+        innovation = np.concatenate(self._innovations, axis=-1)
+        gradient = np.concatenate(self._gradients, axis=-2)
+        if at is not None:
+            innovation = innovation + (gradient @ (at - mean)[..., None])[..., 0]
+        variance = np.concatenate(self._variances, axis=-1)
+        crossed = covariance @ np.swapaxes(gradient, -1, -2)
+        total = gradient @ crossed + variance[..., None] * np.eye(variance.shape[-1])
+        gain = np.swapaxes(_solved(total, np.swapaxes(crossed, -1, -2)), -1, -2)
+        mean = mean + (gain @ innovation[..., None])[..., 0]
+        covariance = covariance - gain @ np.swapaxes(crossed, -1, -2)
+        return mean, (covariance + np.swapaxes(covariance, -1, -2)) / 2
+
+
+def _solved(left: Array, right: Array) -> Array:
+    """Solutions of N systems; NaN where one has none, so that the others keep theirs."""
+    try:
+        return np.linalg.solve(left, right)
+    except np.linalg.LinAlgError:
+        pass
+    solutions = np.full(right.shape, np.nan)
+    for solution, matrix, column in zip(solutions, left, right, strict=True):
+        try:
+            solution[:] = np.linalg.solve(matrix, column)
+        except np.linalg.LinAlgError:
+            continue
+    return solutions
+
+
+def merged(starts: NDArray[np.bool_], initial: KalmanState, following: KalmanState) -> KalmanState:
+    """The initial state of the episodes that start, and the following state of the others."""
+    arrays = {}
+    for name, values in vars(following).items():
+        mask = starts.reshape(-1, *(1,) * (values.ndim - 1))
+        arrays[name] = np.where(mask, getattr(initial, name), values)
+    return KalmanState(**arrays)

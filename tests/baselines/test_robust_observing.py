@@ -1,0 +1,165 @@
+"""Robust control with computed gains: margins, bounds and tensions by independent calculations."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.linalg import solve_continuous_lyapunov
+
+from cablebot_baselines.classical import BoundedRobustPD
+from cablebot_baselines.classical.robust_design import Peaks, RobustDesign, stiffness_limit
+from cablebot_baselines.estimation.expectation import Expectation
+from cablebot_gym.envs import env_robot
+from cablebot_gym.robots import find_robot
+from cablebot_gym.uncertainty import find_uncertainty
+
+PERIOD = 2e-3
+RIGID = ["CableBot-Planar-v0", "CableBot-Spatial-v0", "CableBot-Point-v0"]
+FLEXIBLE = ["CableBot-FlexPlanar-v0", "CableBot-FlexSpatial-v0"]
+PEAKS = Peaks(jump=5.0, pulley_speed=40.0, pulley_acceleration=500.0)
+
+
+def design(env_id, uncertainty="hardware", payload=2.0, peaks=PEAKS, **changes):
+    robot = find_robot(env_robot(env_id))
+    expectation = Expectation.of(robot, find_uncertainty(uncertainty, robot))
+    return RobustDesign(
+        expectation=replace(expectation, **changes),
+        period=PERIOD,
+        largest_payload=payload,
+        peaks=peaks,
+    )
+
+
+def spectral_radius(gains, dead_time):
+    """Of a sampled double integrator with state feedback whose input acts after a dead time:
+    the exact discretisation, with the inputs that have not acted as states."""
+    whole, part = divmod(dead_time, PERIOD)
+    h, rest = PERIOD, PERIOD - part
+    size = 2 + int(whole) + 1
+    system = np.zeros((size, size))
+    system[:2, :2] = [[1.0, h], [0.0, 1.0]]
+    # The oldest input acts first, and the next one for the rest of the period.
+    oldest = np.array([h**2 / 2 - rest**2 / 2, h - rest])
+    following = np.array([rest**2 / 2, rest])
+    feedback = np.zeros(size)
+    feedback[:2] = -np.asarray(gains)
+    inputs = [np.eye(size)[2 + age] for age in range(int(whole) + 1)]
+    newest_first = [feedback, *inputs]
+    system[:2] += np.outer(oldest, newest_first[-1]) + np.outer(following, newest_first[-2])
+    system[2] = feedback
+    for age in range(int(whole)):
+        system[3 + age] = inputs[age]
+    return np.abs(np.linalg.eigvals(system)).max()
+
+
+@pytest.mark.parametrize("env_id", RIGID)
+def test_delayed_sampled_loop_has_the_phase_margin(env_id):
+    """At the gain crossover 60° are a further dead time of π/3 over its frequency, within which the
+    sampled loop must be stable; with a quarter more it is not."""
+    made = design(env_id)
+    _, longest = made.expectation.effect_times(PERIOD)
+    gains = made.outer.gains
+    crossover = np.sqrt(gains[1] ** 2 / 2 + np.sqrt(gains[1] ** 4 / 4 + gains[0] ** 2))
+    further = np.pi / 3 / crossover
+    assert spectral_radius(gains, longest) < 1
+    assert spectral_radius(gains, longest + 0.97 * further) < 1
+    assert spectral_radius(gains, longest + 1.25 * further) > 1
+
+
+@pytest.mark.parametrize("env_id", FLEXIBLE)
+def test_loop_with_springs_has_its_margins(env_id):
+    """Of the open loop over all frequencies, to the accuracy of the formulas."""
+    made = design(env_id)
+    omega = made.spring_frequency
+    s = 1j * np.linspace(1.0, 3 * omega, 200_000)
+    stiffness, damping = made.outer.gains
+    springs = 1 / ((s / omega) ** 2 + made.spring_damping * s / omega + 1)
+    loop = (damping * s + stiffness) / s**2 * springs * np.exp(-s * made.lag)
+    phase = np.unwrap(np.angle(loop))
+    assert np.degrees(np.pi + phase[np.abs(loop) > 1][-1]) > 55
+    assert np.abs(loop[np.argmax(phase < -np.pi)]) < 0.6
+    assert np.abs(loop[np.argmin(np.abs(s - 1j * omega))]) == pytest.approx(0.5, rel=0.02)
+
+
+def test_stiff_springs_have_the_limit_of_a_rigid_robot():
+    assert stiffness_limit(5e-3, 1e9) == pytest.approx(stiffness_limit(5e-3))
+    assert stiffness_limit(5e-3, 80.0) < stiffness_limit(5e-3)
+
+
+def test_noise_limits_the_stiffness_of_a_robot_with_as_many_cables_as_coordinates():
+    noise = design("CableBot-Spatial-v0").expectation.noise
+    noisy = replace(noise, position=100 * noise.position, velocity=100 * noise.velocity)
+    quiet, loud = design("CableBot-Spatial-v0"), design("CableBot-Spatial-v0", noise=noisy)
+    assert quiet.stiffness == pytest.approx(stiffness_limit(quiet.lag))
+    assert loud.stiffness == loud.noise_limit
+    assert loud.stiffness < quiet.stiffness / 2
+
+
+@pytest.mark.parametrize(
+    ("field", "bound"),
+    [
+        ("mass_spread", "zeta"),
+        ("payload_spread", "zeta"),
+        ("strength_spread", "phi"),
+        ("friction_spread", "phi"),
+        ("wrench_spread", "phi"),
+        ("strength_spread", "minimum_tension"),
+        ("inertia_spread", "minimum_tension"),
+        ("damping_spread", "minimum_tension"),
+    ],
+)
+def test_larger_uncertainty_has_larger_bounds(field, bound):
+    env_id = "CableBot-Planar-v0"
+    made = design(env_id)
+    wider = design(env_id, **{field: 3 * getattr(made.expectation, field)})
+    assert np.all(np.asarray(getattr(wider, bound)) >= getattr(made, bound))
+    assert np.max(getattr(wider, bound)) > np.max(getattr(made, bound))
+
+
+def test_bounds_contain_the_masses_of_all_payloads():
+    made = design("CableBot-Planar-v0", payload=6.0)
+    masses = made.robot.mass + np.linspace(0.0, 6.0, 7)
+    assert np.all(np.abs(masses / made.mass - 1) <= made.zeta)
+
+
+def loop_and_errors(size, mass_error, seed=0):
+    """Outer loop, and blocks with errors of a size on robots in space."""
+    outer = BoundedRobustPD(
+        stiffness=20.0, zeta=mass_error, phi=(2.0, 3.0), gravity=np.array([0.0, 0.0, 9.81])
+    )
+    rng = np.random.default_rng(seed)
+    names = ("reference_pose", "reference_velocity", "reference_acceleration")
+    blocks = {name: size * rng.normal(size=(200, 6)) for name in names}
+    return outer, blocks | {"pose": np.zeros((200, 6)), "velocity": np.zeros((200, 6))}
+
+
+def test_law_inside_the_layer_is_pd_of_the_largest_stiffness():
+    outer, blocks = loop_and_errors(1e-4, 0.3)
+    stiffness, damping = outer.gains
+    expected = blocks["reference_acceleration"] + stiffness * blocks["reference_pose"]
+    assert_allclose(outer(blocks), expected + damping * blocks["reference_velocity"], rtol=1e-9)
+
+
+def test_lyapunov_function_decreases_outside_the_layer_for_the_worst_errors():
+    """Eq. 35 by SciPy. The masses are at both ends of the bound, and the forces of size φ push
+    along the errors. Platforms much heavier than their model need ζ > 1."""
+    for zeta in (0.3, 1.5):
+        outer, blocks = loop_and_errors(3.0, zeta)
+        soft = outer.stiffness / 2
+        slope = (outer.stiffness + soft) / 2
+        system = np.array([[0.0, 1.0], [-(soft**2), -2 * soft]])
+        q = np.diag([2 * soft**2 * slope, 4 * soft - 2 * slope])
+        p = solve_continuous_lyapunov(system.T, -q)
+        assert_allclose(p[1], [slope, 1.0])
+        errors = np.stack([blocks["reference_pose"], blocks["reference_velocity"]], axis=-1)[:, :3]
+        s = errors @ p[1]
+        direction = s / np.linalg.norm(s, axis=-1, keepdims=True)
+        requested = outer(blocks)[:, :3]
+        for ratio in (max(1 - zeta, 0.01), 1 + zeta):  # m/m̂
+            force = -outer.phi[0] * direction
+            true = (requested - outer.gravity + force) / ratio + outer.gravity
+            second = blocks["reference_acceleration"][:, :3] - true
+            rates = np.stack([errors[..., 1], second], axis=-1)
+            decrease = 2 * np.sum(errors * (rates @ p), axis=(-2, -1))
+            assert np.all(decrease <= -np.sum(errors * (errors @ q), axis=(-2, -1)) + 1e-9)
