@@ -358,7 +358,7 @@ def composite_tuned(robot: Robot) -> Composite:
     constant.
     """
     if robot.kind == "planar":
-        return Composite(robot, gains=(800.0, 30.0), spring_damping=0.5, leads_springs=True)
+        return Composite(robot, gains=(800.0, 30.0), spring_damping=0.5)
     ratio = 1.0
     if robot.elastic:
         # The outer loop is as slow, compared with the winches, as that of the paper's robot.
