@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import yaml
 
-from cablebot_baselines.classical.observing import Observing, make_observing
+from cablebot_baselines.classical.observing import GAINS, Observing
+from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.gradient_run import train_gradient
 from cablebot_baselines.learned.network import zero_network
@@ -48,14 +49,15 @@ def largest_errors(policy, trajectory, payloads, uncertainty=None):
     return np.max(errors, axis=0) / env.tasks[0].error_bounds.position
 
 
-def test_zero_network_tracks_the_reference_as_observing_does():
+def test_zero_network_tracks_the_reference_as_closely_as_observing():
     network = zero_network(input_count(PLANAR), PLANAR.coordinates)
-    policy = PlanningPolicy(PLANAR, network, Planning())
+    planning = Planning(gains=by_kind(GAINS, PLANAR))
+    policy = PlanningPolicy(PLANAR, network, planning)
+    observing = Observing(policy.law, policy.expectation, payload_prior=planning.payload_prior)
     (motion,) = loops(1)
-    tracked = largest_errors(policy, motion, np.array([0.0, 1.0]))
-    assert tracked == pytest.approx(
-        largest_errors(make_observing(PLANAR), motion, np.array([0.0, 1.0])), abs=0.05
-    )
+    payloads = np.array([0.0, 1.0])
+    tracked = largest_errors(policy, motion, payloads)
+    assert np.all(tracked < largest_errors(observing, motion, payloads) + 0.05)
 
 
 def test_policy_tracks_the_reference_until_it_knows_a_task():

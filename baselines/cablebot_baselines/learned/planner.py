@@ -54,7 +54,7 @@ class Planning:
     """Acceleration of an output of 1 [m/s²]; > 0."""
     angular_acceleration: float = 20.0
     """Angular acceleration of an output of 1 [rad/s²]; > 0."""
-    gains: tuple[float, float] = (400.0, 40.0)
+    gains: tuple[float, float] = (900.0, 60.0)
     """(K_P, K_D) with which a network without output tracks the reference [1/s², 1/s]."""
     tension: float = 5.0
     """Least tension that the law allocates with more cables than coordinates [N]."""

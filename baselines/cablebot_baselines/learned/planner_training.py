@@ -101,7 +101,7 @@ class PlannerSettings:
     """Margin of the actions to ± 1."""
     tension_margin: float = 4.0
     """Margin to the minimum tension of the robot [N]."""
-    error_margin: float = 0.08
+    error_margin: float = 0.12
     """Margin to the error bounds, as a fraction of them."""
     noise: float = 0.3
     """Standard deviation of the random accelerations [m/s², rad/s²]."""
