@@ -39,8 +39,11 @@ limit only a few per cent of the DLCC.
 class Motion(Reference):
     """Pose and its first four time derivatives at one instant; each array is (..., n)."""
 
-    def after(self, time: float) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration after ``time`` [s], by Taylor series."""
+    def after(self, time: float | Array) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration after ``time`` [s], by Taylor series.
+
+        Times have the shape of the arrays, or one that broadcasts with them.
+        """
         x = self.position
         v = self.velocity
         a = self.acceleration
@@ -103,9 +106,10 @@ class FlexibleLaw(ClassicalLaw):
 
     def _spring_torque_derivatives(self, mass: Array, motion: Motion) -> tuple[Array, Array, Array]:
         """κ, κ̇ and κ̈ along a motion, by central differences."""
-        before = self._spring_torques(mass, *motion.after(-DIFFERENCE_STEP))
-        now = self._spring_torques(mass, *motion.after(0.0))
-        after = self._spring_torques(mass, *motion.after(DIFFERENCE_STEP))
+        steps = DIFFERENCE_STEP * np.array([-1.0, 0.0, 1.0])
+        times = steps.reshape(-1, *np.ones(motion.position.ndim, int))
+        masses = np.broadcast_to(mass, (len(steps), *np.shape(mass)))
+        before, now, after = self._spring_torques(masses, *motion.after(times))
         rate = (after - before) / (2 * DIFFERENCE_STEP)
         second = (after - 2 * now + before) / DIFFERENCE_STEP**2
         return now, rate, second
