@@ -99,6 +99,7 @@ PLAIN = (
 OTHER = {
     "inverse_dynamics of the kernel": (partial(inverse_dynamics, SPATIAL), {"minimum": 1.0}),
     "cable_lengths with swivels": (kinematics.cable_lengths, {"swivel": np.full(6, 0.01)}),
+    "central": (distribution.central, {"minimum": 1.0}),
     "rest_angles": (partial(textbook.rest_angles, FLEX_SPATIAL), {}),
     "forward_kinematics": (
         partial(forward_kinematics, SPATIAL),

@@ -5,6 +5,7 @@ a choice::
 
     least_norm             the tensions nearest to reference tensions
     least_largest_action   the tensions whose largest motor action is the least
+    central                tensions away from all bounds, which change smoothly along a motion
     feasible               whether some tensions within the bounds hold the load, and if not, why
     largest_scale          the interval of s for which they hold ``w₀ + s w₁``, e.g. the payload
 
@@ -16,7 +17,7 @@ For example, the least tensions of eight cables on six coordinates, each at leas
 All arrays broadcast: structure (..., m, n), load (..., n), values of cables (..., m) or one number.
 Bounds may be infinite. With ``m == n`` the tensions are the unique solution.
 
-The compiled solutions are in ``tension_problems``.
+The compiled solutions are in ``tension_problems`` and ``central_tensions``.
 """
 
 from __future__ import annotations
@@ -29,13 +30,14 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import nearest_point
+from cablebot_gym.physics.central_tensions import solve_central
 from cablebot_gym.physics.tension_problems import (
     solve_feasible,
     solve_interval,
     solve_least_largest,
     solve_least_norm,
 )
-from cablebot_gym.utils.checks import all_finite
+from cablebot_gym.utils.checks import all_finite, number
 
 HELD = nearest_point.HELD
 """Status of an item whose load tensions within the bounds hold."""
@@ -48,6 +50,9 @@ SINGULAR = nearest_point.SINGULAR
 
 SMOOTHING = 1e-2
 """Default weight ε of the sum of the squared actions in :func:`least_largest_action`."""
+
+BARRIER = 1e-2
+"""Default barrier parameter μ of :func:`central`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -246,6 +251,63 @@ def unchecked_least_largest_action(
         status,
     )
     return _distribution(shape, matrices, loads, tensions, status)
+
+
+def central(
+    structure: ArrayLike,
+    load: ArrayLike,
+    minimum: ArrayLike,
+    slope: ArrayLike,
+    offset: ArrayLike,
+    *,
+    barrier: float = BARRIER,
+) -> Array:
+    """Tensions that hold the load away from their bounds, shape (..., m) [N].
+
+    They minimise ``½ Σ a_i² − μ Σ [log(a_i − a_i(minimum)) + log(1 − a_i)]`` with the actions ``a_i =
+    slope_i T_i + offset_i``. The least of a smooth, strictly convex function is a smooth function
+    of S, w, slope and offset where S has full rank, whereas :func:`least_largest_action` crosses
+    its edges fast. A cable keeps a distance of about μ over the gradient of the rest from its
+    bounds. For μ → 0 the tensions become those of the least squared actions within the bounds; for
+    μ → ∞ the analytic centre of the tensions that hold the load.
+
+    Closer to a bound than a tenth of μ, a parabola continues the logarithm, so that also a load
+    beyond the bounds has a solution: it holds the load, with tensions below ``minimum`` and actions
+    above 1.
+
+    Args:
+        structure: S, shape (..., m, n), m ≥ n.
+        load: w, shape (..., n) [N, N·m].
+        minimum: lower bounds, shape (..., m) [N].
+        slope: action per tension, shape (..., m) [1/N]; > 0.
+        offset: action at zero tension, shape (..., m).
+        barrier: μ; > 0.
+
+    Raises:
+        ValueError: if the shapes do not match, or a number is invalid.
+    """
+    number("barrier", barrier, above=0.0)
+    for name, values in {"minimum": minimum, "slope": slope, "offset": offset}.items():
+        all_finite(name, values)
+    _check_problem(structure, load, minimum, np.inf)
+    return unchecked_central(structure, load, minimum, slope, offset, barrier)
+
+
+def unchecked_central(
+    structure: ArrayLike,
+    load: ArrayLike,
+    minimum: ArrayLike,
+    slope: ArrayLike,
+    offset: ArrayLike,
+    barrier: float,
+) -> Array:
+    """As :func:`central`, for laws, whose numbers are finite. NaN if S has a rank below n."""
+    shape, matrices, loads, (low, slopes, offsets) = _arrays(
+        structure, load, minimum, slope, offset
+    )
+    tensions = np.empty_like(low)
+    solve_central(matrices, loads, low, slopes, offsets, float(barrier), tensions)
+    return tensions.reshape(*shape, -1)
 
 
 def feasible(

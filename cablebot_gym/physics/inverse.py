@@ -32,6 +32,7 @@ def inverse_dynamics(
     acceleration: ArrayLike,
     *,
     minimum: float = 0.0,
+    smooth: bool = False,
 ) -> InverseDynamics:
     """Inverse dynamics as in :func:`cablebot_gym.physics.textbook.drives.inverse_dynamics` with
     ``strict=False``.
@@ -47,6 +48,9 @@ def inverse_dynamics(
         velocity: Ẋ, shape (..., n).
         acceleration: Ẍ, shape (..., n).
         minimum: minimum tension with more cables than coordinates [N]; has no effect otherwise.
+        smooth: whether redundant cables, other than those of a point mass in a plane, have
+            :func:`~cablebot_gym.physics.textbook.drives.central_tensions`, for laws whose motors
+            need time.
 
     Raises:
         ValueError: if the shapes do not match the robot or each other, or a number is not finite.
@@ -58,7 +62,8 @@ def inverse_dynamics(
     if robot.cables > robot.coordinates and robot.kind != "planar":
         required = demands(robot, masses, motion)
         results[2], results[3] = required.speeds, required.pulley_accelerations
-        results[0] = textbook.least_action_tensions(
+        distribute = textbook.central_tensions if smooth else textbook.least_action_tensions
+        results[0] = distribute(
             robot, required.structure, required.load, results[2], results[3], minimum
         )
         results[1] = textbook.motor_torques(robot, results[0], *results[2:])

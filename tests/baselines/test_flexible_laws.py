@@ -12,10 +12,11 @@ from cablebot_baselines.classical import (
     FourthOrder,
     MotorPD,
 )
+from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import FLEX_SPATIAL
+from cablebot_gym.robots import FLEX_SPATIAL, find_robot
 
 LAWS = {"composite": Composite, "motor-pd": MotorPD, "fl4": FourthOrder}
 FLEX_SPATIAL_ID = "CableBot-FlexSpatial-v0"
@@ -89,6 +90,27 @@ def test_motor_pd_tracks_a_smooth_motion_closely():
         control_frequency=2000.0,
     )
     assert loop.arrays["tracking_error_peak"].max() < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("law", "name", "holds"),
+    [
+        ("motor-pd", "flex-expo-lucia", True),
+        ("motor-pd", "flex-gch-klaus", True),
+        pytest.param("composite-tuned", "flex-ipanema-3", False, marks=pytest.mark.slow),
+        pytest.param("adaptive-composite", "flex-ipanema-3", False, marks=pytest.mark.slow),
+    ],
+)
+def test_redundant_elastic_cables_stay_taut(law, name, holds):
+    """Excludes a jump from the tensions of the start to those of the law, and tensions that change
+    faster than the cables follow."""
+    robot = find_robot(name)
+    options = {"robot": robot}
+    if holds:
+        name = f"dwell-{robot.kind}"
+        options["trajectory"] = {"name": name, "pose": robot.home, "duration": 1.0}
+    loop = record_rollout(law, fitting_env_id(robot), **options)
+    assert loop.verdict.carried
 
 
 def test_leading_the_springs_lessens_the_error_of_a_smooth_motion():

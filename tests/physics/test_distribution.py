@@ -10,9 +10,11 @@ from scipy.sparse import block_diag
 
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import (
+    BARRIER,
     HELD,
     INFEASIBLE,
     SINGULAR,
+    central,
     feasible,
     largest_scale,
     least_norm,
@@ -252,8 +254,8 @@ def motion(rate):
 @pytest.mark.parametrize(
     "allocate",
     [
-        lambda structure, load: least_norm(structure, load, 300.0, 1500.0),
-        lambda structure, load: least_action(structure, load, 50.0, 2e-4, 0.0, 5000.0),
+        lambda structure, load: least_norm(structure, load, 300.0, 1500.0).tensions,
+        lambda structure, load: least_action(structure, load, 50.0, 2e-4, 0.0, 5000.0).tensions,
     ],
     ids=["least norm", "least largest action"],
 )
@@ -261,9 +263,49 @@ def test_tensions_are_continuous_along_a_motion(allocate):
     """The exact least largest action jumps on this motion, by the same amount at every rate."""
     changes = []
     for rate in (500, 2000):
-        tensions = allocate(*motion(rate)).tensions
+        tensions = allocate(*motion(rate))
         changes.append(np.abs(np.diff(tensions, axis=0)).max())
     assert changes[1] < 0.3 * changes[0]
+
+
+def test_central_tensions_change_as_slowly_as_the_motion():
+    """Excludes kinks, at which elastic cables overshoot. The rate of the least action does not
+    depend on the motion."""
+    structure, load = motion(500)
+    problem = structure, load, 50.0, 2e-4, 0.0
+    sharp, smooth = least_action(*problem).tensions, central(*problem)
+    rates = [np.abs(np.diff(tensions, axis=0)).max() * 500 for tensions in (sharp, smooth)]
+    assert rates[1] < 0.2 * rates[0]
+
+
+@each_kind
+def test_central_tensions_are_the_least_of_their_function(kind):
+    """By its gradient along the tensions that hold the load. Excludes a barrier of another weight,
+    and a search that stops early."""
+    structure, load, lower, upper = held_items(kind, 60)
+    slope = 1 / upper
+    tensions = central(structure, load, lower, slope, 0.05)
+    assert_allclose(load + np.einsum("kci,kc->ki", structure, tensions), 0, atol=1e-6)
+    actions = slope * tensions + 0.05
+    gradient = slope * actions
+    for sign, distance in ((-1, actions - slope * lower - 0.05), (1, 1 - actions)):
+        least = 0.1 * BARRIER
+        inside = 1 / np.maximum(distance, least)
+        outside = (2 - distance / least) / least
+        gradient += sign * BARRIER * slope * np.where(distance > least, inside, outside)
+    for k, rows in enumerate(structure):
+        balance, *_ = np.linalg.lstsq(rows, gradient[k], rcond=None)
+        assert_allclose(rows @ balance, gradient[k], atol=1e-7 * np.abs(gradient[k]).max())
+
+
+def test_central_tensions_hold_the_load_within_their_bounds_where_these_allow_it():
+    structure, load = motion(50)
+    tensions = central(structure, load, 50.0, 2e-4, 0.0)
+    possible = feasible(structure, load, 50.0 + 20.0, 5000.0 - 20.0).status == HELD
+    assert possible.mean() > 0.5
+    assert np.all((tensions > 50.0) & (tensions < 5000.0), axis=1)[possible].all()
+    beyond = central(structure, 20 * load, 50.0, 2e-4, 0.0)
+    assert_allclose(np.einsum("kci,kc->ki", structure, beyond), -20 * load, atol=1e-4)
 
 
 def test_infeasible_load_gets_the_least_wrench_error():

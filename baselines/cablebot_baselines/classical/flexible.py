@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from cablebot_baselines.classical.law import Array, ClassicalLaw
 from cablebot_baselines.classical.outer_loop import PD, BoundedRobustPD, RobustPD, checked_gains
 from cablebot_baselines.entries import entry
+from cablebot_baselines.episodes import first_steps
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, Robot
 from cablebot_gym.task import Task
@@ -25,6 +27,13 @@ from cablebot_gym.utils.checks import number
 DIFFERENCE_STEP = 2e-4
 """Time step of the central differences for κ̇ and κ̈ along a motion [s]; their error is below
 1e-6."""
+
+FADE_TIME = 0.5
+"""Time constant with which :class:`MotorPD` leaves the tensions at the start of an episode for its own
+[s].
+
+Faster, a cable of ``flex-gch-klaus`` swings below its minimum tension.
+"""
 
 FLEXIBLE_MINIMUM_TENSION = 14.0
 """Least tension that the laws allocate on a planar robot with joint springs [N].
@@ -117,10 +126,7 @@ class FlexibleLaw(ClassicalLaw):
     def _reference_spring_torques(
         self, mass: Array, blocks: dict[str, Array]
     ) -> tuple[Array, Array, Array]:
-        """κ_d, κ̇_d and κ̈_d of the reference.
-
-        The tensions of redundant cables have kinks along a motion; the rates are then zero.
-        """
+        """κ_d, κ̇_d and κ̈_d of the reference."""
         motion = Motion(
             position=blocks["reference_pose"],
             velocity=blocks["reference_velocity"],
@@ -128,10 +134,7 @@ class FlexibleLaw(ClassicalLaw):
             jerk=blocks["reference_jerk"],
             snap=blocks["reference_snap"],
         )
-        if self.robot.cables <= self.robot.coordinates or self.robot.kind == "planar":
-            return self._spring_torque_derivatives(mass, motion)
-        spring = self._spring_torques(mass, *motion.after(0.0))
-        return spring, np.zeros_like(spring), np.zeros_like(spring)
+        return self._spring_torque_derivatives(mass, motion)
 
 
 class Composite(FlexibleLaw):
@@ -231,7 +234,9 @@ class MotorPD(FlexibleLaw):
     feedforward.
 
     The plant is differentially flat: all reference values follow from X_d and its derivatives up to
-    snap. The law does not read the measured pose of the platform.
+    snap. The law does not read the measured pose of the platform, except at the start on elastic
+    cables: an episode starts at rest, lower than the reference and with other tensions than the
+    law's. The law fades from these motor angles and torques to its own.
 
     Args:
         robot: nominal robot.
@@ -259,6 +264,43 @@ class MotorPD(FlexibleLaw):
         damping_ratio = number("damping_ratio", damping_ratio, above=0.0)
         self._stiffness = self.model.motor_inertia * frequency**2
         self._damping = 2 * damping_ratio * self.model.motor_inertia * frequency
+        self._fading = 0.0
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Checks the robots of the tasks and reads the control period.
+
+        Raises:
+            ValueError: if a task's robot differs from the law's robot in kind or anchors.
+        """
+        super().reset(tasks)
+        self._fading = math.exp(-max(1 / task.control_frequency for task in tasks) / FADE_TIME)
+
+    def _control(
+        self, blocks: dict[str, Array], mass: Array, state: Any, episode_start: Any
+    ) -> tuple[Array, Array, Any]:
+        if not self.robot.elastic:
+            return super()._control(blocks, mass, state, episode_start)
+        starts = first_steps(state, episode_start, np.shape(mass))[..., None, None]
+        offset = state
+        if np.any(starts):
+            at_start = self._offset_at_rest(blocks, mass)
+            offset = at_start if state is None else np.where(starts, at_start, state)
+        angle_offset, torque_offset = np.moveaxis(offset, -2, 0)
+        torques = self._motor_torques(blocks, mass) - torque_offset
+        torques -= self._stiffness * angle_offset
+        return torques, blocks["motor_speed"], self._fading * offset
+
+    def _offset_at_rest(self, blocks: dict[str, Array], mass: Array) -> Array:
+        """Motor angles [rad] and spring torques [N·m] of the law at rest on the reference, less the
+        measured ones, (..., 2, m)."""
+        pose = blocks["reference_pose"]
+        zero = np.zeros_like(pose)
+        spring = self._spring_torques(mass, pose, zero, zero)
+        angle, _ = textbook.rest_angles(self.robot, spring / self.model.pulley_radius, pose)
+        deflection = blocks["motor_angle"] - textbook.pulley_angle(self.model, blocks["pose"])
+        measured = textbook.joint_stiffness(self.robot, blocks["pose"]) * deflection
+        spring = textbook.holding_torque(self.robot, spring)
+        return np.stack([angle - blocks["motor_angle"], spring - measured], axis=-2)
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
         robot = self.model

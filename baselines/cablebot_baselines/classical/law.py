@@ -149,7 +149,13 @@ class ClassicalLaw:
     ) -> InverseDynamics:
         """Tensions, torques, pulley speeds β̇ and pulley accelerations β̈ for a motion."""
         return inverse_dynamics(
-            self.model, mass, pose, velocity, acceleration, minimum=self.minimum_tension
+            self.model,
+            mass,
+            pose,
+            velocity,
+            acceleration,
+            minimum=self.minimum_tension,
+            smooth=True,
         )
 
     @property

@@ -18,7 +18,8 @@ from torch import Tensor
 from cablebot_baselines.classical.flexible import DIFFERENCE_STEP, Motion
 from cablebot_baselines.classical.law import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import SMOOTHING, least_largest_action
+from cablebot_gym.physics.central_tensions import RELAXED
+from cablebot_gym.physics.distribution import BARRIER, central
 from cablebot_gym.physics.textbook import joint_equivalent
 from cablebot_gym.robots import Robot
 
@@ -104,7 +105,7 @@ def _tensions_and_torques(
         offset = textbook.normalised_action(
             robot, idle, textbook.pulley_speed(robot, pose, velocity)
         )
-        tensions = _least_action_tensions(robot, structure, load, _tensor(offset), minimum)
+        tensions = _central_tensions(robot, structure, load, _tensor(offset), minimum)
     if softness:
         tensions = _tensor(
             textbook.smooth_tension_distribution(lines, _objects(tensions), minimum, softness)
@@ -130,57 +131,42 @@ def _tension_distribution(structure: Tensor, load: Tensor, minimum: float) -> Te
     return minimum + torch.zeros_like(structure[..., 0]).scatter(1, active, excess)
 
 
-def _least_action_tensions(
+def _central_tensions(
     robot: Robot, structure: Tensor, load: Tensor, offset: Tensor, minimum: float
 ) -> Tensor:
-    """The tensions of :func:`~cablebot_gym.physics.distribution.least_largest_action`.
+    """The tensions of :func:`~cablebot_gym.physics.distribution.central`.
 
-    That function gives the active constraints. The tensions solve the optimality conditions of t² +
-    ε Σ a_i² with these as equations, for x = (T, t) and the multipliers of S, of the minimum
-    tensions and of the largest actions.
+    That function gives the values. One step of Newton's method from them changes them by rounding
+    only, and has their derivatives.
     """
     slope = torch.tensor(robot.pulley_radius / robot.stall_torque)
-    count, m, n = structure.shape
-    with torch.no_grad():
-        arrays = structure.numpy(), load.numpy(), minimum, slope.numpy(), offset.numpy()
-        tensions = torch.tensor(least_largest_action(*arrays).tensions)
-        actions = slope * tensions + offset
-        largest = actions.abs().amax(dim=1, keepdim=True)
-        tolerance = 1e-7 * (1 + tensions.amax(dim=1, keepdim=True))
-        at_minimum = (tensions - minimum <= tolerance).double()
-        at_largest = torch.where(actions.abs() >= (1 - 1e-7) * largest, actions.sign(), 0.0)
-    # Unknowns are T and t in units of the mean slope, so that all are tensions.
-    unit = float(slope.mean())
-    identity = torch.eye(m, dtype=torch.float64)
-    hessian = torch.diag(
-        torch.cat([2 * SMOOTHING * (slope / unit) ** 2, torch.full((1,), 2.0, dtype=torch.float64)])
-    )
-    column = torch.zeros((count, m, 1), dtype=torch.float64)
-    rows = torch.cat(
-        [
-            torch.cat([-structure.mT, column[:, :n]], dim=2),
-            torch.cat([at_minimum[:, :, None] * identity, column], dim=2),
-            torch.cat(
-                [at_largest[:, :, None] * (slope / unit * identity), -at_largest.abs()[:, :, None]],
-                dim=2,
-            ),
-        ],
-        dim=1,
-    )
-    # The multiplier of an inactive constraint is zero; the small number keeps dependent constraints
-    # solvable.
-    active = torch.cat([torch.ones_like(load), at_minimum, at_largest.abs()], dim=1)
-    idle = torch.diag_embed(active - 1 - 1e-12)
+    arrays = structure, load, torch.full_like(offset, minimum), slope.expand_as(offset), offset
+    tensions = torch.tensor(central(*(array.detach().numpy() for array in arrays)))
+    actions = slope * tensions + offset
+    below, below_curvature = _barrier_derivatives(slope * (tensions - minimum))
+    above, above_curvature = _barrier_derivatives(1 - actions)
+    gradient = slope * (actions + BARRIER * (below - above))
+    curvature = slope**2 * (1 + BARRIER * (below_curvature + above_curvature))
+    coordinates = load.shape[-1]
+    nothing = torch.zeros((len(load), coordinates, coordinates), dtype=torch.float64)
     system = torch.cat(
         [
-            torch.cat([hessian.expand(count, -1, -1), rows.mT], dim=2),
-            torch.cat([rows, idle], dim=2),
+            torch.cat([torch.diag_embed(curvature), -structure], dim=2),
+            torch.cat([-structure.mT, nothing], dim=2),
         ],
         dim=1,
     )
-    gradient = torch.cat([2 * SMOOTHING * slope * offset / unit**2, column[:, 0]], dim=1)
-    right = torch.cat([-gradient, load, at_minimum * minimum, -at_largest * offset / unit], dim=1)
-    return torch.linalg.solve(system, right)[:, :m]
+    missing = load + (structure.mT @ tensions[..., None])[..., 0]
+    step = torch.linalg.solve(system, torch.cat([-gradient, missing], dim=1))
+    return tensions + step[:, : robot.cables]
+
+
+def _barrier_derivatives(distance: Tensor) -> tuple[Tensor, Tensor]:
+    """First and second derivative of the barrier in :mod:`cablebot_gym.physics.central_tensions`."""
+    relaxed = RELAXED * BARRIER
+    inverse = 1 / distance.clamp(min=relaxed)
+    first = torch.where(distance > relaxed, -inverse, (distance / relaxed - 2) / relaxed)
+    return first, inverse**2
 
 
 def _objects(values: Tensor) -> Array:

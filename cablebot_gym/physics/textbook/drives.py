@@ -12,7 +12,12 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array, as_numbers
-from cablebot_gym.physics.distribution import HELD, unchecked_least_largest_action
+from cablebot_gym.physics.distribution import (
+    BARRIER,
+    HELD,
+    unchecked_central,
+    unchecked_least_largest_action,
+)
 from cablebot_gym.physics.textbook.platform import (
     bias,
     cable_lengths,
@@ -386,9 +391,7 @@ def least_action_tensions(
     Raises:
         ValueError: if ``strict`` and no tensions of at least ``minimum`` hold the load.
     """
-    radius = np.broadcast_to(robot.pulley_radius, robot.stall_torque.shape)
-    offset = normalised_action(robot, motor_torques(robot, 0.0, speed, acceleration), speed)
-    slope = radius / robot.stall_torque
+    slope, offset = _actions_of_tensions(robot, speed, acceleration)
     span = 1.0 / np.max(np.abs(robot.platform), initial=1e-3)
     weights = np.where(np.arange(robot.coordinates) < robot.dimensions, 1.0, span)
     distribution = unchecked_least_largest_action(
@@ -397,6 +400,37 @@ def least_action_tensions(
     if strict and np.any(distribution.status != HELD):
         raise ValueError(f"no cable tensions of at least {minimum:g} N give this wrench")
     return distribution.tensions
+
+
+def central_tensions(
+    robot: RobotArrays,
+    structure: Array,
+    load: Array,
+    speed: Array,
+    acceleration: Array,
+    minimum: float,
+) -> Array:
+    """Tensions of redundant cables that change smoothly along a motion, shape (..., m) [N]: those of
+    :func:`~cablebot_gym.physics.distribution.central`, or in a pose where S is singular those of
+    :func:`least_action_tensions`.
+
+    The arguments are as there.
+    """
+    slope, offset = _actions_of_tensions(robot, speed, acceleration)
+    tensions = unchecked_central(structure, as_numbers(load), minimum, slope, offset, BARRIER)
+    if np.isfinite(tensions).all():
+        return tensions
+    least = least_action_tensions(robot, structure, load, speed, acceleration, minimum)
+    return np.where(np.isfinite(tensions), tensions, least)
+
+
+def _actions_of_tensions(
+    robot: RobotArrays, speed: Array, acceleration: Array
+) -> tuple[Array, Array]:
+    """Action per tension [1/N] and action at zero tension."""
+    radius = np.broadcast_to(robot.pulley_radius, robot.stall_torque.shape)
+    offset = normalised_action(robot, motor_torques(robot, 0.0, speed, acceleration), speed)
+    return radius / robot.stall_torque, offset
 
 
 def required_torques(
