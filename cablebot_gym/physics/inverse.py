@@ -3,6 +3,7 @@ the textbook."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -32,7 +33,7 @@ def inverse_dynamics(
     acceleration: ArrayLike,
     *,
     minimum: float = 0.0,
-    smooth: bool = False,
+    distribute: Callable[..., Array] = textbook.least_action_tensions,
 ) -> InverseDynamics:
     """Inverse dynamics as in :func:`cablebot_gym.physics.textbook.drives.inverse_dynamics` with
     ``strict=False``.
@@ -48,9 +49,10 @@ def inverse_dynamics(
         velocity: Ẋ, shape (..., n).
         acceleration: Ẍ, shape (..., n).
         minimum: minimum tension with more cables than coordinates [N]; has no effect otherwise.
-        smooth: whether redundant cables, other than those of a point mass in a plane, have
-            :func:`~cablebot_gym.physics.textbook.drives.central_tensions`, for laws whose motors
-            need time.
+        distribute: tensions of redundant cables, other than those of a point mass in a plane:
+            :func:`~cablebot_gym.physics.textbook.drives.least_action_tensions`, or
+            :func:`~cablebot_gym.physics.textbook.drives.central_tensions` for laws, which need
+            tensions that change slowly.
 
     Raises:
         ValueError: if the shapes do not match the robot or each other, or a number is not finite.
@@ -62,7 +64,6 @@ def inverse_dynamics(
     if robot.cables > robot.coordinates and robot.kind != "planar":
         required = demands(robot, masses, motion)
         results[2], results[3] = required.speeds, required.pulley_accelerations
-        distribute = textbook.central_tensions if smooth else textbook.least_action_tensions
         results[0] = distribute(
             robot, required.structure, required.load, results[2], results[3], minimum
         )

@@ -43,7 +43,9 @@ def tensors(robot, values):
 def test_actuation_equals_the_compiled_inverse_dynamics(robot):
     x, mass = motion(robot)
     derivatives = (x.position, x.velocity, x.acceleration)
-    expected = inverse_dynamics(robot, mass, *derivatives, minimum=MINIMUM, smooth=True)
+    expected = inverse_dynamics(
+        robot, mass, *derivatives, minimum=MINIMUM, distribute=textbook.central_tensions
+    )
     result = required_actuation(robot, tensors(robot, x), torch.tensor(mass), minimum=MINIMUM)
     assert_allclose(result.tensions.numpy(), expected.tensions, rtol=1e-6, atol=1e-9)
     action = textbook.normalised_action(robot, expected.torques, expected.speeds)

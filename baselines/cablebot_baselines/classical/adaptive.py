@@ -120,10 +120,12 @@ class Adaptive(ClassicalLaw):
         action = self._action(torques, speeds)
         saturated = np.any(np.abs(action) > 1, axis=-1)
         if self._allocates and np.any(saturated):
-            torque_slope = self.law.torque_slope(estimate[saturated], blocks["pose"][saturated])
-            action_slope = torque_slope / self.robot.stall_torque[:, None]
+            robot = self.robot
+            pose = blocks["pose"][saturated]
+            torque_slope = self.law.torque_slope(estimate[saturated], pose)
+            action_slope = torque_slope / robot.stall_torque[:, None]
             action[saturated] = allocate(action[saturated], action_slope)
-            torques = self.robot.stall_torque * action - self.robot.speed_slope * speeds
+            torques = robot.stall_torque * action - robot.speed_slope * speeds
         if not self.robot.flexible:
             memory = replace(memory, torques=torques)
         return torques, speeds, memory
@@ -136,12 +138,14 @@ class Adaptive(ClassicalLaw):
         if before is None:
             return now
         reference = blocks["reference_acceleration"][..., : self.robot.dimensions]
-        impulse, change = self._weighted_balance(before, now, reference - self.robot.gravity_vector)
+        weight = reference - self.robot.gravity_vector
+        impulse, change = self._weighted_balance(before, now, weight)
         # The time to go stays constant after the end of the reference. The estimate is then frozen.
         is_running = now.time_to_go < before.time_to_go
         impulse = before.weighted_impulse + np.where(is_running, impulse, 0.0)
         change = before.weighted_change + np.where(is_running, change, 0.0)
-        starts = first_steps(before, episode_start, now.pose.shape[:-1])[..., None]
+        shape = now.pose.shape[:-1]
+        starts = first_steps(before, episode_start, shape)[..., None]
         return replace(
             now,
             weighted_impulse=np.where(starts, 0.0, impulse),
@@ -151,21 +155,24 @@ class Adaptive(ClassicalLaw):
     def _measured_state(self, blocks: dict[str, Array]) -> EstimatorState:
         """Estimator state without past. The torques of a rigid robot are zero until the law has
         computed them."""
-        robot, pose = self.robot, blocks["pose"]
-        pulley_speed = self.pulley_speed(pose, blocks["velocity"])
+        robot = self.robot
+        pose = blocks["pose"]
+        velocity = blocks["velocity"]
+        time_to_go = blocks["time_to_go"]
+        pulley_speed = self.pulley_speed(pose, velocity)
         torques = np.zeros_like(pulley_speed)
         if robot.flexible:
-            deflection = np.maximum(blocks["motor_angle"] - textbook.pulley_angle(robot, pose), 0.0)
-            torques = textbook.stretched_torque(
-                robot, textbook.joint_stiffness(robot, pose) * deflection
-            )
-        zero = np.zeros_like(blocks["time_to_go"])
+            deflection = blocks["motor_angle"] - textbook.pulley_angle(robot, pose)
+            stretch = np.maximum(deflection, 0.0)
+            stiffness = textbook.joint_stiffness(robot, pose)
+            torques = textbook.stretched_torque(robot, stiffness * stretch)
+        zero = np.zeros_like(time_to_go)
         return EstimatorState(
             pose=pose.copy(),
-            velocity=blocks["velocity"].copy(),
+            velocity=velocity.copy(),
             pulley_speed=pulley_speed,
             torques=torques,
-            time_to_go=blocks["time_to_go"].copy(),
+            time_to_go=time_to_go.copy(),
             weighted_impulse=zero,
             weighted_change=zero,
         )
@@ -176,10 +183,10 @@ class Adaptive(ClassicalLaw):
         """w·f and w·y of the control period between two states, each (..., 1)."""
         robot = self.model
         period = before.time_to_go - now.time_to_go
+        speed_change = now.pulley_speed - before.pulley_speed
+        torque_impulse = period * self._mean_torque(before, now)
         # r ∫ T dt of each cable
-        angular_impulse = period * self._mean_torque(before, now) - robot.pulley_inertia * (
-            now.pulley_speed - before.pulley_speed
-        )
+        angular_impulse = torque_impulse - robot.pulley_inertia * speed_change
         tension_impulse = angular_impulse / robot.pulley_radius
         middle = (before.pose + now.pose) / 2
         if robot.swivel is None:
@@ -190,11 +197,9 @@ class Adaptive(ClassicalLaw):
             directions = textbook.jacobian(robot, middle)[..., : robot.dimensions]
             scale = tension_impulse
         impulse = -np.sum(scale[..., None] * directions, axis=-2)
-        change = (
-            self._mass_center_velocity(now)
-            - self._mass_center_velocity(before)
-            - robot.gravity_vector * period
-        )
+        start_velocity = self._mass_center_velocity(before)
+        end_velocity = self._mass_center_velocity(now)
+        change = end_velocity - start_velocity - robot.gravity_vector * period
         weighted_impulse = np.sum(weight * impulse, axis=-1, keepdims=True)
         weighted_change = np.sum(weight * change, axis=-1, keepdims=True)
         return weighted_impulse, weighted_change
@@ -207,23 +212,24 @@ class Adaptive(ClassicalLaw):
         friction = robot.damping * (before.pulley_speed + now.pulley_speed)
         if not robot.flexible:
             # The requested torque is constant over the period, but saturates at the motor speed.
-            start_torque = np.clip(
-                before.torques, *textbook.torque_limits(robot, before.pulley_speed)
-            )
-            end_torque = np.clip(before.torques, *textbook.torque_limits(robot, now.pulley_speed))
+            start_limits = textbook.torque_limits(robot, before.pulley_speed)
+            end_limits = textbook.torque_limits(robot, now.pulley_speed)
+            start_torque = np.clip(before.torques, *start_limits)
+            end_torque = np.clip(before.torques, *end_limits)
             # Coulomb friction of a flexible robot acts on the motors.
-            coulomb = textbook.coulomb_torque(robot, before.pulley_speed)
-            friction += coulomb + textbook.coulomb_torque(robot, now.pulley_speed)
-        mean: Array = (start_torque + end_torque - friction) / 2
-        return mean
+            start_coulomb = textbook.coulomb_torque(robot, before.pulley_speed)
+            end_coulomb = textbook.coulomb_torque(robot, now.pulley_speed)
+            friction += start_coulomb + end_coulomb
+        return (start_torque + end_torque - friction) / 2
 
     def _mass_center_velocity(self, state: EstimatorState) -> Array:
         """Velocity of the centre of mass [m/s], (..., d)."""
         d = self.robot.dimensions
         if not np.any(self.robot.mass_center):
             return state.velocity[..., :d]
-        momentum = textbook.mass_matrix(self.robot, 1.0, state.pose) @ state.velocity[..., None]
-        return momentum[..., :d, 0]
+        mass_matrix = textbook.mass_matrix(self.robot, 1.0, state.pose)
+        momentum = textbook.times_vector(mass_matrix, state.velocity)
+        return momentum[..., :d]
 
 
 def make_adaptive(robot: Robot) -> Adaptive:

@@ -76,8 +76,9 @@ class FlexibleLaw(ClassicalLaw):
 
     def __init__(self, robot: Robot, *, minimum_tension: float | None = None) -> None:
         if not robot.flexible:
+            law = type(self).__name__
             raise ValueError(
-                f"{type(self).__name__} needs joint springs or elastic cables; robot {robot.name!r} has none. Use fl."
+                f"{law} needs joint springs or elastic cables; robot {robot.name!r} has none. Use fl."
             )
         super().__init__(robot, minimum_tension=minimum_tension)
 
@@ -109,15 +110,16 @@ class FlexibleLaw(ClassicalLaw):
 
     def _pulley_acceleration(self, pose: Array, velocity: Array, acceleration: Array) -> Array:
         """β̈ [rad/s²], (..., m)."""
-        return self._inverse_dynamics(
-            np.asarray(self.robot.mass), pose, velocity, acceleration
-        ).pulley_accelerations
+        mass = np.asarray(self.robot.mass)
+        required = self._inverse_dynamics(mass, pose, velocity, acceleration)
+        return required.pulley_accelerations
 
     def _spring_torque_derivatives(self, mass: Array, motion: Motion) -> tuple[Array, Array, Array]:
         """κ, κ̇ and κ̈ along a motion, by central differences."""
         steps = DIFFERENCE_STEP * np.array([-1.0, 0.0, 1.0])
-        times = steps.reshape(-1, *np.ones(motion.position.ndim, int))
-        masses = np.broadcast_to(mass, (len(steps), *np.shape(mass)))
+        times = steps.reshape(-1, *[1] * motion.position.ndim)
+        masses = np.stack([mass] * len(steps))
+        # One batch takes a third of the time of three.
         before, now, after = self._spring_torques(masses, *motion.after(times))
         rate = (after - before) / (2 * DIFFERENCE_STEP)
         second = (after - 2 * now + before) / DIFFERENCE_STEP**2
@@ -195,22 +197,25 @@ class Composite(FlexibleLaw):
             ValueError: if a task's robot differs from the law's robot in kind or anchors.
         """
         super().reset(tasks)
-        self._damping = self.damping(max(1 / task.control_frequency for task in tasks))
+        self._damping = self.damping(_longest_period(tasks))
+
+    @property
+    def _damping_unit(self) -> Array:
+        """√(K J′) [N·m·s/rad], (m,)."""
+        return np.sqrt(self.model.stiffness * self.model.motor_inertia)
 
     @property
     def _max_damping(self) -> Array:
-        root: Array = np.sqrt(self.model.stiffness * self.model.motor_inertia)
-        return self.spring_damping * root
+        return self.spring_damping * self._damping_unit
 
     def damping(self, period: float) -> Array:
         """K_v [N·m·s/rad] for a control period [s], (m,)."""
-        robot = self.model
         _, outer_damping = self.outer.gains
-        phase = textbook.highest_frequency(robot) * period
-        damping = robot.motor_inertia * outer_damping
+        damping = self.model.motor_inertia * outer_damping
+        phase = textbook.highest_frequency(self.model) * period
         if phase < math.pi:
-            stable = np.sqrt(robot.stiffness * robot.motor_inertia) / math.tan(phase / 2)
-            damping = np.maximum(stable / 2, damping)
+            largest_stable = self._damping_unit / math.tan(phase / 2)
+            damping = np.maximum(largest_stable / 2, damping)
         return np.minimum(self._max_damping, damping)
 
     @property
@@ -219,13 +224,16 @@ class Composite(FlexibleLaw):
         return self.model.pulley_inertia + self.model.motor_inertia
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
-        torques, acceleration, speeds = self._rigid_torques(mass, blocks, self.outer(blocks))
-        torques = torques + self.model.motor_inertia * acceleration
-        torques += self._damping * (speeds - blocks["motor_speed"])
+        inertia = self.model.motor_inertia
+        damping = self._damping
+        acceleration = self.outer(blocks)
+        torques, accelerations, speeds = self._rigid_torques(mass, blocks, acceleration)
+        torques = torques + inertia * accelerations
+        torques += damping * (speeds - blocks["motor_speed"])
         if self.leads_springs:
             _, rate, second = self._reference_spring_torques(mass, blocks)
             stiffness = textbook.joint_stiffness(self.robot, blocks["pose"])
-            torques += (self._damping * rate + self.model.motor_inertia * second) / stiffness
+            torques += (damping * rate + inertia * second) / stiffness
         return torques
 
 
@@ -262,8 +270,9 @@ class MotorPD(FlexibleLaw):
         super().__init__(robot, minimum_tension=minimum_tension)
         frequency = number("frequency", frequency, above=0.0, unit="rad/s")
         damping_ratio = number("damping_ratio", damping_ratio, above=0.0)
-        self._stiffness = self.model.motor_inertia * frequency**2
-        self._damping = 2 * damping_ratio * self.model.motor_inertia * frequency
+        inertia = self.model.motor_inertia
+        self._stiffness = inertia * frequency**2
+        self._damping = 2 * damping_ratio * inertia * frequency
         self._fading = 0.0
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -273,7 +282,7 @@ class MotorPD(FlexibleLaw):
             ValueError: if a task's robot differs from the law's robot in kind or anchors.
         """
         super().reset(tasks)
-        self._fading = math.exp(-max(1 / task.control_frequency for task in tasks) / FADE_TIME)
+        self._fading = math.exp(-_longest_period(tasks) / FADE_TIME)
 
     def _control(
         self, blocks: dict[str, Array], mass: Array, state: Any, episode_start: Any
@@ -283,8 +292,9 @@ class MotorPD(FlexibleLaw):
         starts = first_steps(state, episode_start, np.shape(mass))[..., None, None]
         offset = state
         if np.any(starts):
-            at_start = self._offset_at_rest(blocks, mass)
-            offset = at_start if state is None else np.where(starts, at_start, state)
+            offset = self._offset_at_rest(blocks, mass)
+            if state is not None:
+                offset = np.where(starts, offset, state)
         angle_offset, torque_offset = np.moveaxis(offset, -2, 0)
         torques = self._motor_torques(blocks, mass) - torque_offset
         torques -= self._stiffness * angle_offset
@@ -296,11 +306,14 @@ class MotorPD(FlexibleLaw):
         pose = blocks["reference_pose"]
         zero = np.zeros_like(pose)
         spring = self._spring_torques(mass, pose, zero, zero)
-        angle, _ = textbook.rest_angles(self.robot, spring / self.model.pulley_radius, pose)
-        deflection = blocks["motor_angle"] - textbook.pulley_angle(self.model, blocks["pose"])
-        measured = textbook.joint_stiffness(self.robot, blocks["pose"]) * deflection
+        tensions = spring / self.model.pulley_radius
+        angle, _ = textbook.rest_angles(self.robot, tensions, pose)
         spring = textbook.holding_torque(self.robot, spring)
-        return np.stack([angle - blocks["motor_angle"], spring - measured], axis=-2)
+        measured_pose = blocks["pose"]
+        measured_angle = blocks["motor_angle"]
+        deflection = measured_angle - textbook.pulley_angle(self.model, measured_pose)
+        measured_spring = textbook.joint_stiffness(self.robot, measured_pose) * deflection
+        return np.stack([angle - measured_angle, spring - measured_spring], axis=-2)
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
         robot = self.model
@@ -309,18 +322,15 @@ class MotorPD(FlexibleLaw):
         acceleration = blocks["reference_acceleration"]
         spring, spring_rate, spring_second = self._reference_spring_torques(mass, blocks)
         stiffness = textbook.joint_stiffness(self.robot, pose)
-        angle, _ = textbook.rest_angles(self.robot, spring / robot.pulley_radius, pose)
+        tensions = spring / robot.pulley_radius
+        angle, _ = textbook.rest_angles(self.robot, tensions, pose)
         # With elastic cables the motor torque at rest exceeds r T.
         spring = textbook.holding_torque(self.robot, spring)
         speed = self.pulley_speed(pose, velocity) + spring_rate / stiffness
-        motor_acceleration = (
-            self._pulley_acceleration(pose, velocity, acceleration) + spring_second / stiffness
-        )
-        feedforward = (
-            spring
-            + robot.motor_inertia * motor_acceleration
-            + textbook.motor_friction(robot, speed)
-        )
+        pulley_acceleration = self._pulley_acceleration(pose, velocity, acceleration)
+        motor_acceleration = pulley_acceleration + spring_second / stiffness
+        inertial = robot.motor_inertia * motor_acceleration
+        feedforward = spring + inertial + textbook.motor_friction(robot, speed)
         angle_error = angle - blocks["motor_angle"]
         speed_error = speed - blocks["motor_speed"]
         correction = self._stiffness * angle_error + self._damping * speed_error
@@ -349,12 +359,14 @@ class FourthOrder(FlexibleLaw):
         super().__init__(robot)
         if robot.cables != robot.coordinates:
             raise ValueError(
-                f"fl4 needs as many cables as coordinates, but robot {robot.name!r} has {robot.cables} cables and "
-                f"{robot.coordinates} coordinates. Use composite-tuned or motor-pd."
+                "fl4 needs as many cables as coordinates, "
+                f"but robot {robot.name!r} has {robot.cables} cables and {robot.coordinates} coordinates. "
+                "Use composite-tuned or motor-pd."
             )
         gains = np.poly(np.asarray(poles))
+        rounding = 1e-9 * np.abs(gains)
         are_stable = np.all(np.real(poles) < 0)
-        are_conjugate = np.all(np.abs(np.imag(gains)) <= 1e-9 * np.abs(gains))
+        are_conjugate = np.all(np.abs(np.imag(gains)) <= rounding)
         if len(poles) != 4 or not are_stable or not are_conjugate:
             raise ValueError(
                 f"poles must be four stable poles, complex poles in conjugate pairs, not {poles}"
@@ -363,14 +375,18 @@ class FourthOrder(FlexibleLaw):
 
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
         robot = self.model
-        pose, velocity = blocks["pose"], blocks["velocity"]
+        pose = blocks["pose"]
+        velocity = blocks["velocity"]
         zero = np.zeros_like(pose)
         slope = self.torque_slope(mass, pose)
         stiffness = textbook.joint_stiffness(self.robot, pose)
         # κ = K (β′ − β) and its rate are measured. They determine acceleration and jerk.
-        spring = stiffness * (blocks["motor_angle"] - textbook.pulley_angle(robot, pose))
-        spring_rate = stiffness * (blocks["motor_speed"] - self.pulley_speed(pose, velocity))
-        acceleration = _solve(slope, spring - self._spring_torques(mass, pose, velocity, zero))
+        deflection = blocks["motor_angle"] - textbook.pulley_angle(robot, pose)
+        deflection_rate = blocks["motor_speed"] - self.pulley_speed(pose, velocity)
+        spring = stiffness * deflection
+        spring_rate = stiffness * deflection_rate
+        spring_without_acceleration = self._spring_torques(mass, pose, velocity, zero)
+        acceleration = _solve(slope, spring - spring_without_acceleration)
         motion = Motion(
             position=pose, velocity=velocity, acceleration=acceleration, jerk=zero, snap=zero
         )
@@ -385,16 +401,26 @@ class FourthOrder(FlexibleLaw):
             + velocity_gain * (blocks["reference_velocity"] - velocity)
             + pose_gain * (blocks["reference_pose"] - pose)
         )
-        spring_second = second_without_snap + (slope @ snap[..., None])[..., 0]
+        spring_second = second_without_snap + textbook.times_vector(slope, snap)
         pulley_acceleration = self._pulley_acceleration(pose, velocity, acceleration)
-        # β̈′ = β̈ + κ̈/K
-        rotor = robot.motor_inertia * (pulley_acceleration + spring_second / stiffness)
-        return spring + rotor + textbook.motor_friction(robot, blocks["motor_speed"])
+        motor_acceleration = pulley_acceleration + spring_second / stiffness
+        inertial = robot.motor_inertia * motor_acceleration
+        return spring + inertial + textbook.motor_friction(robot, blocks["motor_speed"])
 
 
 def _solve(matrix: Array, vector: Array) -> Array:
-    solution: Array = np.linalg.solve(matrix, vector[..., None])[..., 0]
-    return solution
+    return np.linalg.solve(matrix, vector[..., None])[..., 0]
+
+
+def _longest_period(tasks: Sequence[Task]) -> float:
+    """Longest control period [s]."""
+    return max(1 / task.control_frequency for task in tasks)
+
+
+def _slowest_frequency(robot: Robot) -> float:
+    """Smallest √(K/J′) of the motors [rad/s]."""
+    squares = robot.stiffness / robot.motor_inertia
+    return float(np.sqrt(np.min(squares)))
 
 
 def composite_tuned(robot: Robot) -> Composite:
@@ -408,10 +434,8 @@ def composite_tuned(robot: Robot) -> Composite:
     ratio = 1.0
     if robot.elastic:
         # The outer loop is as slow, compared with the winches, as that of the paper's robot.
-        model = textbook.joint_equivalent(robot)
-        slowest = float(np.sqrt(np.min(model.stiffness / model.motor_inertia)))
-        paper = float(np.sqrt(FLEX_SPATIAL.stiffness[0] / FLEX_SPATIAL.motor_inertia[0]))
-        ratio = min(1.0, slowest / paper)
+        frequency = _slowest_frequency(textbook.joint_equivalent(robot))
+        ratio = min(1.0, frequency / _slowest_frequency(FLEX_SPATIAL))
     gains = (ratio**2 * 200.0, ratio * 28.0)
     return Composite(robot, gains=gains, spring_damping=0.4, leads_springs=True)
 

@@ -17,6 +17,7 @@ from cablebot_gym.physics.textbook import (
     TENSION_RESERVE,
     InverseDynamics,
     allocated_minimum,
+    central_tensions,
     joint_equivalent,
     normalised_action,
 )
@@ -155,7 +156,7 @@ class ClassicalLaw:
             velocity,
             acceleration,
             minimum=self.minimum_tension,
-            smooth=True,
+            distribute=central_tensions,
         )
 
     @property

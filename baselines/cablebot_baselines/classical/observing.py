@@ -18,7 +18,8 @@ from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.estimation.expectation import Expectation
-from cablebot_baselines.estimation.observer import ObserverState, RobotEstimate, RobotObserver
+from cablebot_baselines.estimation.observer import RobotObserver
+from cablebot_baselines.estimation.observer_state import ObserverState, RobotEstimate
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics.textbook import allocated_minimum, normalised_action
@@ -40,8 +41,14 @@ goes slack where the reference's acceleration jumps."""
 UNCERTAINTY = "hardware"
 """Uncertainty that ``observing`` expects."""
 
-_REFERENCE = ("pose", "velocity", "acceleration", "jerk", "snap")
-"""Derivatives of the reference in the observation, if it has them."""
+_REFERENCE = (
+    "reference_pose",
+    "reference_velocity",
+    "reference_acceleration",
+    "reference_jerk",
+    "reference_snap",
+)
+"""Blocks of the reference and its derivatives, if the observation has them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,7 +112,8 @@ class Observing(ClassicalLaw):
         self.largest_payload = largest_payload
         self._payload_prior = payload_prior
         self._tasks: tuple[Task, ...] = ()
-        self.observer = self._observer(PERIOD, np.array([self._possible(None)]))
+        payloads = np.array([self._possible(None)])
+        self.observer = self._observer(PERIOD, payloads)
         self._allocates = law.robot.cables == law.robot.coordinates
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -116,24 +124,25 @@ class Observing(ClassicalLaw):
         """
         self.law.reset(tasks)
         self._tasks = tuple(tasks)
-        largest: dict[int, float] = {}
-        for task in tasks:
-            motion = id(task.trajectory)
-            if motion not in largest:
-                largest[motion] = self._possible(task)
-        payloads = np.array([largest[id(task.trajectory)] for task in tasks])
+        payloads = np.zeros(len(tasks))
+        for task, rows in self._rows_by_motion(len(tasks)):
+            payloads[rows] = self._possible(task)
         self._prepare(tasks, payloads)
-        self.observer = self._observer(1 / tasks[0].control_frequency, payloads)
+        period = 1 / tasks[0].control_frequency
+        self.observer = self._observer(period, payloads)
         self._load_compiled_code(tasks)
 
     def _load_compiled_code(self, tasks: Sequence[Task]) -> None:
         """Runs the observer for two steps: in a control step the loading of its compiled code would
         take longer than the control period."""
-        blocks = self.split(np.zeros((len(tasks), observation_layout(self.robot).size)))
+        size = observation_layout(self.robot).size
+        blocks = self.split(np.zeros((len(tasks), size)))
         blocks["pose"] = np.array([task.start_pose for task in tasks])
         starts = np.zeros(len(tasks), np.bool_)
-        state = self.observer.update(blocks, None, starts)
-        self.observer.at_effect(blocks, self.observer.update(blocks, state, starts))
+        observer = self.observer
+        state = observer.update(blocks, None, starts)
+        state = observer.update(blocks, state, starts)
+        observer.at_effect(blocks, state)
 
     def _prepare(self, tasks: Sequence[Task], payloads: Array) -> None:
         """Adapts the law to the tasks and the largest possible payload of each, (N,) [kg]."""
@@ -142,10 +151,11 @@ class Observing(ClassicalLaw):
         """Largest payload that is considered possible in a task; None for an unknown task [kg]."""
         if self.largest_payload is not None:
             return self.largest_payload
-        least = float(self.robot.mass)
+        payload = float(self.robot.mass)
         if task is not None:
-            least = max(least, exact_payload(task.robot, task.trajectory).payload)
-        return self._payload_prior * least
+            exact = exact_payload(task.robot, task.trajectory)
+            payload = max(payload, exact.payload)
+        return self._payload_prior * payload
 
     def _observer(self, period: float, payloads: Array) -> RobotObserver:
         if np.ptp(payloads) == 0:
@@ -161,11 +171,14 @@ class Observing(ClassicalLaw):
         if not shape:
             rows = {name: values[None] for name, values in blocks.items()}
         starts = first_steps(state, episode_start, shape).reshape(-1)
-        before = None if state is None else state.observer
-        observed = self.observer.update(rows, before, starts)
+        observed = None
+        memory = None
+        if state is not None:
+            observed = state.observer
+            memory = state.memory
+        observed = self.observer.update(rows, observed, starts)
         estimate = self.observer.estimate(observed)
         ahead = self.observer.at_effect(rows, observed)
-        memory = None if state is None else state.memory
         instant = Instant(blocks=rows, estimate=estimate, ahead=ahead, starts=starts)
         reference, memory = self.reference(instant, memory)
         requested, action = self._act(rows | ahead | reference, estimate)
@@ -179,11 +192,14 @@ class Observing(ClassicalLaw):
 
     def _rows_by_motion(self, count: int) -> list[tuple[Task, NDArray[np.intp]]]:
         """Each motion's first task and its rows of a batch of ``count`` episodes."""
-        tasks = self._tasks
+        tasks: dict[int, Task] = {}
         groups: dict[int, list[int]] = {}
         for row in range(count):
-            groups.setdefault(id(tasks[row % len(tasks)].trajectory), []).append(row)
-        return [(tasks[rows[0] % len(tasks)], np.array(rows)) for rows in groups.values()]
+            task = self._tasks[row % len(self._tasks)]
+            motion = id(task.trajectory)
+            tasks.setdefault(motion, task)
+            groups.setdefault(motion, []).append(row)
+        return [(tasks[motion], np.array(rows)) for motion, rows in groups.items()]
 
     def _act(self, blocks: dict[str, Array], estimate: RobotEstimate) -> tuple[Array, Array]:
         """Requested and saturated actions, each (N, m), for blocks at the instant at which they
@@ -231,7 +247,7 @@ def _later_reference(blocks: dict[str, Array], delay: Array) -> dict[str, Array]
     """Reference and time to go after a delay (N,) [s], by the Taylor series of the observed
     derivatives."""
     step = delay[:, None]
-    names = [f"reference_{name}" for name in _REFERENCE if f"reference_{name}" in blocks]
+    names = [name for name in _REFERENCE if name in blocks]
     later = {}
     for index, name in enumerate(names):
         value = blocks[name]
@@ -247,7 +263,8 @@ def _later_reference(blocks: dict[str, Array], delay: Array) -> dict[str, Array]
 def make_observing(robot: Robot) -> Observing:
     """Makes the policy ``observing``: the reference is tracked by feedback linearization of a rigid
     robot or by the composite law of a flexible one."""
-    expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
+    uncertainty = find_uncertainty(UNCERTAINTY, robot)
+    expectation = Expectation.of(robot, uncertainty)
     law: ClassicalLaw
     if robot.flexible:
         law = composite_tuned(expectation.robot)

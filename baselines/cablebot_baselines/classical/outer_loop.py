@@ -18,9 +18,15 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import number, numbers
 
+Blocks = dict[str, Array]
+"""Blocks of an observation by name."""
+
 _T = TypeVar("_T")
 
-PAPER_GAINS = {"planar": (2000.0, 10.0), "spatial": (30.0, 20.0)}
+PAPER_GAINS = {
+    "planar": (2000.0, 10.0),
+    "spatial": (30.0, 20.0),
+}
 """(K_P, K_D) of Tables 2 and 4 [1/s², 1/s]."""
 
 
@@ -40,9 +46,9 @@ def checked_gains(gains: tuple[float, float] | None, robot: Robot) -> tuple[floa
     """
     if gains is None:
         return by_kind(PAPER_GAINS, robot)
-    stiffness, damping = numbers(
-        "gains", gains, shapes=[(2,)], form="two numbers (K_P, K_D)", above=0.0
-    ).tolist()
+    form = "two numbers (K_P, K_D)"
+    checked = numbers("gains", gains, shapes=[(2,)], form=form, above=0.0)
+    stiffness, damping = checked.tolist()
     return stiffness, damping
 
 
@@ -50,7 +56,7 @@ class OuterLoop(Protocol):
     """Function from the blocks of an observation to the requested acceleration v, (..., n) [m/s²,
     rad/s²]."""
 
-    def __call__(self, blocks: dict[str, Array]) -> Array:
+    def __call__(self, blocks: Blocks) -> Array:
         """The requested acceleration v, (..., n)."""
 
 
@@ -61,7 +67,7 @@ class PD:
     gains: tuple[float, float]
     """(K_P, K_D), the same for each coordinate [1/s², 1/s]."""
 
-    def __call__(self, blocks: dict[str, Array]) -> Array:
+    def __call__(self, blocks: Blocks) -> Array:
         """The acceleration v, shape (..., n)."""
         stiffness, damping = self.gains
         error, rate = errors(blocks)
@@ -111,11 +117,11 @@ class RobustPD:
             raise ValueError(f"boundary_layer must be greater than 0, not {self.boundary_layer}")
         number("zeta", self.zeta, least=0.0, below=1.0)
         number("phi", self.phi, least=0.0)
-        numbers("q", self.q, shapes=[(), (2, 2)], form="a positive number or a 2×2 matrix")
-        if (
-            not np.array_equal(self.weight, self.weight.T)
-            or np.linalg.eigvalsh(self.weight)[0] <= 0
-        ):
+        form = "a positive number or a 2×2 matrix"
+        numbers("q", self.q, shapes=[(), (2, 2)], form=form)
+        is_symmetric = np.array_equal(self.weight, self.weight.T)
+        smallest_eigenvalue, _ = np.linalg.eigvalsh(self.weight)
+        if not is_symmetric or smallest_eigenvalue <= 0:
             raise ValueError(f"q must be symmetric and positive definite, not {self.q!r}")
 
     @cached_property
@@ -137,29 +143,39 @@ class RobustPD:
         """P of one coordinate (Eq. 35), shape (2, 2), positive definite."""
         from scipy.linalg import solve_continuous_lyapunov  # slow to import
 
-        solution: Array = solve_continuous_lyapunov(self.system.T, -self.weight)
+        system = self.system
+        solution: Array = solve_continuous_lyapunov(system.T, -self.weight)
         return solution
 
-    def lyapunov_value(self, blocks: dict[str, Array]) -> Array:
+    def lyapunov_value(self, blocks: Blocks) -> Array:
         """V = eᵀPe over all coordinates, shape (...)."""
-        e = np.stack(errors(blocks), axis=-1)
-        return np.sum(e * (e @ self.lyapunov), axis=(-2, -1))
+        e = _error_states(blocks)
+        products = e * (e @ self.lyapunov)
+        return np.sum(products, axis=(-2, -1))
 
-    def switching(self, blocks: dict[str, Array]) -> Array:
+    def switching(self, blocks: Blocks) -> Array:
         """s = BᵀPe, shape (..., n)."""
-        value: Array = np.stack(errors(blocks), axis=-1) @ self.lyapunov[1]
-        return value
+        e = _error_states(blocks)
+        _, rate_row = self.lyapunov
+        switching: Array = e @ rate_row
+        return switching
 
-    def __call__(self, blocks: dict[str, Array]) -> Array:
+    def __call__(self, blocks: Blocks) -> Array:
         """The acceleration v, shape (..., n)."""
-        e = np.stack(errors(blocks), axis=-1)
+        drift = _error_states(blocks) @ self.system.T
+        drift_norm = np.linalg.norm(drift, axis=(-2, -1))
+        reference = blocks["reference_acceleration"]
+        reference_norm = np.linalg.norm(reference, axis=-1)
+        inertia_error = self.zeta * (reference_norm + drift_norm)
+        model_error = inertia_error + self.phi
+        rho = model_error / (1 - self.zeta)
         s = self.switching(blocks)
-        drift = np.linalg.norm(e @ self.system.T, axis=(-2, -1))
-        reference = np.linalg.norm(blocks["reference_acceleration"], axis=-1)
-        rho = (self.zeta * (reference + drift) + self.phi) / (1 - self.zeta)
-        length = np.maximum(np.linalg.norm(s, axis=-1), self.boundary_layer)
-        added = (rho / length)[..., None] * s
-        return PD(gains=self.gains)(blocks) + added
+        length = np.linalg.norm(s, axis=-1)
+        length = np.maximum(length, self.boundary_layer)
+        slope = rho / length
+        robust_term = slope[..., None] * s
+        nominal_law = PD(gains=self.gains)
+        return nominal_law(blocks) + robust_term
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,28 +213,43 @@ class BoundedRobustPD:
 
     def bounds(self, acceleration: Array) -> tuple[Array, Array]:
         """ρ of positions and of angles, each (..., 1), for v₀, (..., n)."""
-        weighed = acceleration[..., : len(self.gravity)] - self.gravity
-        position = self.zeta * np.linalg.norm(weighed, axis=-1, keepdims=True) + self.phi[0]
-        return position, np.full_like(position, self.phi[1])
+        position_phi, rotation_phi = self.phi
+        position_count = len(self.gravity)
+        pull = acceleration[..., :position_count] - self.gravity
+        pull_norm = np.linalg.norm(pull, axis=-1, keepdims=True)
+        position_bound = self.zeta * pull_norm + position_phi
+        rotation_bound = np.full_like(position_bound, rotation_phi)
+        return position_bound, rotation_bound
 
-    def __call__(self, blocks: dict[str, Array]) -> Array:
+    def __call__(self, blocks: Blocks) -> Array:
         """The acceleration v, shape (..., n)."""
         error, rate = errors(blocks)
-        soft = self.stiffness / 2
-        acceleration = PD(gains=(soft**2, 2 * soft))(blocks)
-        switching = rate + (self.stiffness + soft) / 2 * error
-        steepest = 2 * (self.stiffness - soft)
-        groups = np.split(switching, [len(self.gravity)], axis=-1)
-        added = []
-        for s, bound in zip(groups, self.bounds(acceleration), strict=True):
-            length = np.maximum(np.linalg.norm(s, axis=-1, keepdims=True), bound / steepest)
+        omega = self.stiffness / 2
+        soft_law = PD(gains=(omega**2, 2 * omega))
+        acceleration = soft_law(blocks)
+        error_weight = (self.stiffness + omega) / 2  # λ
+        largest_slope = 2 * (self.stiffness - omega)  # κ
+        switching = rate + error_weight * error
+        position_count = len(self.gravity)
+        groups = np.split(switching, [position_count], axis=-1)
+        bounds = self.bounds(acceleration)
+        robust_terms = []
+        for s, bound in zip(groups, bounds, strict=True):
+            length = np.linalg.norm(s, axis=-1, keepdims=True)
+            length = np.maximum(length, bound / largest_slope)
             # Angles have the bound 0 if nothing turns the platform.
-            added.append(bound / np.maximum(length, 1e-12) * s)
-        return acceleration + np.concatenate(added, axis=-1)
+            length = np.maximum(length, 1e-12)
+            robust_terms.append(bound / length * s)
+        return acceleration + np.concatenate(robust_terms, axis=-1)
 
 
-def errors(blocks: dict[str, Array]) -> tuple[Array, Array]:
+def errors(blocks: Blocks) -> tuple[Array, Array]:
     """Pose error e and velocity error ė, each (..., n)."""
     error = blocks["reference_pose"] - blocks["pose"]
     rate = blocks["reference_velocity"] - blocks["velocity"]
     return error, rate
+
+
+def _error_states(blocks: Blocks) -> Array:
+    """(e, ė) of each coordinate, (..., n, 2)."""
+    return np.stack(errors(blocks), axis=-1)

@@ -73,18 +73,25 @@ class Peaks:
             motion.velocity,
             motion.acceleration,
             minimum=robot.minimum_tension,
+            distribute=textbook.central_tensions,
         )
-        change = 0.0
+        tension_change = 0.0
         if robot.flexible:
             time = 1 / spring_frequency(model)
             window = max(1, round(time * task.control_frequency))
-            change = np.abs(required.tensions[window:] - required.tensions[:-window]).max()
+            tensions = required.tensions
+            tension_change = _largest(tensions[window:] - tensions[:-window])
         return cls(
-            jump=float(np.linalg.norm(changes, axis=1).max()),
-            pulley_speed=float(np.abs(required.speeds).max()),
-            pulley_acceleration=float(np.abs(required.pulley_accelerations).max()),
-            tension_change=float(change),
+            jump=_largest(np.linalg.norm(changes, axis=1)),
+            pulley_speed=_largest(required.speeds),
+            pulley_acceleration=_largest(required.pulley_accelerations),
+            tension_change=tension_change,
         )
+
+
+def _largest(values: Array) -> float:
+    """Largest absolute value."""
+    return float(np.abs(values).max())
 
 
 def spring_frequency(model: Robot, stiffness_spread: float = 0.0) -> float:
@@ -92,7 +99,8 @@ def spring_frequency(model: Robot, stiffness_spread: float = 0.0) -> float:
     if not model.flexible:
         return math.inf
     softest = 1 - DEVIATIONS * stiffness_spread
-    return math.sqrt(softest * np.min(model.stiffness / model.motor_inertia))
+    lowest_square = np.min(model.stiffness / model.motor_inertia)
+    return math.sqrt(softest * lowest_square)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,8 +132,9 @@ class RobustDesign:
     def zeta(self) -> float:
         """ζ, bound of |m/m̂ − 1|."""
         expected = self.expectation
-        payload = (0.5 + DEVIATIONS * expected.payload_spread) * self.largest_payload
-        return (payload + DEVIATIONS * expected.mass_spread) / self.mass
+        payload_error = (0.5 + DEVIATIONS * expected.payload_spread) * self.largest_payload
+        platform_error = DEVIATIONS * expected.mass_spread
+        return (payload_error + platform_error) / self.mass
 
     # Gains
 
@@ -170,16 +179,16 @@ class RobustDesign:
         root = np.sqrt(4 * by_velocity**2 + by_pose * margin**2)
         with np.errstate(divide="ignore", invalid="ignore"):
             squares = margin**2 / (2 * by_velocity + root)
-        return math.sqrt(np.min(np.where(margin > 0, squares, 0.0)))
+        squares = np.where(margin > 0, squares, 0.0)
+        return math.sqrt(np.min(squares))
 
     @property
     def _noise(self) -> tuple[Array, Array]:
         """Standard deviations of pose and velocity, each (n,)."""
         noise = self.expectation.noise
-        return (
-            self._by_coordinate(noise.position, noise.rotation),
-            self._by_coordinate(noise.velocity, noise.rotation_rate),
-        )
+        pose = self._by_coordinate(noise.position, noise.rotation)
+        velocity = self._by_coordinate(noise.velocity, noise.rotation_rate)
+        return pose, velocity
 
     def _by_coordinate(self, position: float, rotation: float) -> Array:
         is_position = np.arange(self.robot.coordinates) < self.robot.dimensions
@@ -190,7 +199,8 @@ class RobustDesign:
         """Change of the tensions per acceleration of the platform, (m, n)."""
         robot = self.robot
         pulls = textbook.jacobian(robot, robot.home).T
-        slope: Array = -np.linalg.pinv(pulls) @ textbook.mass_matrix(robot, self.mass, robot.home)
+        inertia = textbook.mass_matrix(robot, self.mass, robot.home)
+        slope: Array = -np.linalg.pinv(pulls) @ inertia
         return slope
 
     # Bounds
@@ -199,9 +209,8 @@ class RobustDesign:
     def _motor_errors(self) -> Array:
         """Standard deviations of the torques at rest by strengths and friction, (m,) [N·m]."""
         robot, expected = self.robot, self.expectation
-        torque = textbook.static_torque(
-            robot, self.mass, robot.home, minimum=self.robot.minimum_tension
-        )
+        minimum = robot.minimum_tension
+        torque = textbook.static_torque(robot, self.mass, robot.home, minimum=minimum)
         friction = expected.friction_spread * math.sqrt(robot.cables) * robot.coulomb_friction
         errors: Array = np.hypot(expected.strength_spread * torque, friction)
         return errors
@@ -211,15 +220,19 @@ class RobustDesign:
         """φ, bounds of the accelerations by motors and wrench, of positions and of angles [m/s²,
         rad/s²]."""
         robot = self.robot
-        state = robot.home, np.zeros(robot.coordinates)
-        equations = textbook.motion_equations(robot, self.mass, *state)
+        at_rest = np.zeros(robot.coordinates)
+        equations = textbook.motion_equations(robot, self.mass, robot.home, at_rest)
         structure = equations.structure
         rotors = structure.T @ (equations.rotor_masses[:, None] * structure)
         mobility = np.linalg.inv(equations.mass_matrix + rotors)
-        by_motors = (mobility @ structure.T / robot.pulley_radius) ** 2 @ self._motor_errors**2
-        variance = by_motors + mobility**2 @ self.expectation.wrench_spread**2
+        torque_slope = mobility @ structure.T / robot.pulley_radius
+        by_motors = torque_slope**2 @ self._motor_errors**2
+        by_wrench = mobility**2 @ self.expectation.wrench_spread**2
+        variance = by_motors + by_wrench
         positions, angles = np.split(variance, [robot.dimensions])
-        return DEVIATIONS * math.sqrt(positions.sum()), DEVIATIONS * math.sqrt(angles.sum())
+        position_bound = DEVIATIONS * math.sqrt(positions.sum())
+        angle_bound = DEVIATIONS * math.sqrt(angles.sum())
+        return position_bound, angle_bound
 
     @property
     def outer(self) -> BoundedRobustPD:
@@ -244,9 +257,10 @@ class RobustDesign:
         radius = np.min(robot.pulley_radius)
         pose, velocity = self._noise
         noise = np.hypot(self.stiffness**2 * pose, 2 * self.stiffness * velocity)
+        noise_variance = self._tension_slope**2 @ noise**2
         errors = [
             np.max(self._motor_errors) / radius,
-            math.sqrt(np.max(self._tension_slope**2 @ noise**2)),
+            math.sqrt(np.max(noise_variance)),
             expected.inertia_spread * rotor_inertia * self.peaks.pulley_acceleration / radius,
             expected.damping_spread * self.peaks.pulley_speed / radius,
         ]
@@ -255,10 +269,12 @@ class RobustDesign:
         structure = textbook.jacobian(robot, robot.home)
         rotors = rotor_inertia / radius**2
         moved = rotors * np.linalg.norm(structure, 2) ** 2
-        excess = self.peaks.jump * (self.mass - robot.mass) / (robot.mass + moved)
+        missing = self.mass - robot.mass
+        excess = self.peaks.jump * missing / (robot.mass + moved)
         jump = rotors * (excess + self.phi[0])
         if robot.flexible:
             ratio = self.spring_damping / 2
             overshoot = math.exp(-math.pi * ratio / math.sqrt(1 - ratio**2))
             jump += overshoot * self.peaks.tension_change
-        return float(robot.minimum_tension + DEVIATIONS * np.linalg.norm(errors) + jump)
+        random_errors = DEVIATIONS * np.linalg.norm(errors)
+        return float(robot.minimum_tension + random_errors + jump)

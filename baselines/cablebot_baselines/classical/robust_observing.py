@@ -15,7 +15,7 @@ from cablebot_baselines.classical.observing import PERIOD, UNCERTAINTY, Observin
 from cablebot_baselines.classical.robust_design import Peaks, RobustDesign
 from cablebot_baselines.entries import entry
 from cablebot_baselines.estimation.expectation import Expectation
-from cablebot_baselines.estimation.observer import RobotEstimate
+from cablebot_baselines.estimation.observer_state import RobotEstimate
 from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablebot_baselines.estimation.ekf import ExtendedKalmanFilter
+from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
+from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
-
-Array = NDArray[Any]
+from cablebot_gym.trajectories import Reference
 
 
 def attainable_deviation(estimator: ExtendedKalmanFilter, task: Task) -> Array:
@@ -27,22 +26,47 @@ def attainable_deviation(estimator: ExtendedKalmanFilter, task: Task) -> Array:
         estimator: the filter with the expected errors.
         task: task with the sensors; the motion starts at rest.
     """
-    robot, measurement = estimator.robot, task.measurement
     estimator.reset([task])
     period = 1 / task.control_frequency
     reference = task.trajectory(period * np.arange(task.steps))
-    mass = np.full(task.steps, robot.mass + task.model_payload)
-    motion = (reference.position, reference.velocity, reference.acceleration)
+    blocks = _exact_readings(estimator.robot, task, reference)
+    n = estimator.robot.coordinates
+    state = None
+    deviations = []
+    for step in range(task.steps):
+        readings = {name: values[step : step + 1] for name, values in blocks.items()}
+        starts = np.array([state is None])
+        _, state = estimator.update(readings, state, starts)
+        true_mean = np.zeros_like(state.mean)
+        true_mean[:, :n] = reference.position[step]
+        true_mean[:, n : 2 * n] = reference.velocity[step]
+        state = dataclasses.replace(state, mean=true_mean)
+        variances = np.diagonal(state.covariance[0])
+        deviations.append(np.sqrt(variances[:n]))
+    return np.array(deviations)
+
+
+def _exact_readings(robot: Robot, task: Task, reference: Reference) -> dict[str, Array]:
+    """Blocks of the observations along the reference, each (steps, size)."""
+    period = 1 / task.control_frequency
+    pose = reference.position
     required = textbook.inverse_dynamics(
-        robot, mass, *motion, minimum=textbook.allocated_minimum(robot), strict=False
+        robot,
+        np.full(task.steps, robot.mass + task.model_payload),
+        pose,
+        reference.velocity,
+        reference.acceleration,
+        minimum=textbook.allocated_minimum(robot),
+        strict=False,
     )
-    angle = textbook.pulley_angle(robot, reference.position)
-    speed, torque = required.speeds, required.torques
+    angle = textbook.pulley_angle(robot, pose)
+    speed = required.speeds
+    torque = required.torques
     if robot.flexible:
-        angle = angle + required.torques / textbook.joint_stiffness(robot, reference.position)
+        angle = angle + torque / textbook.joint_stiffness(robot, pose)
         speed = np.gradient(angle, period, axis=0)
-        rotor = robot.motor_inertia * np.gradient(speed, period, axis=0)
-        torque = torque + rotor + textbook.motor_friction(robot, speed)
+        rotor_torque = robot.motor_inertia * np.gradient(speed, period, axis=0)
+        torque = torque + rotor_torque + textbook.motor_friction(robot, speed)
     action = textbook.normalised_action(robot, torque, speed)
     blocks = {
         "motor_angle": angle,
@@ -50,19 +74,10 @@ def attainable_deviation(estimator: ExtendedKalmanFilter, task: Task) -> Array:
         "last_actions": np.concatenate([action[:1], action[:-1]]),
         "model_payload": np.full((task.steps, 1), task.model_payload),
     }
-    if measurement.tensions:
+    if task.measurement.tensions:
         blocks["tensions"] = required.tensions
-    if measurement.imu:
+    if task.measurement.imu:
+        unread = np.zeros((task.steps, 3))  # the covariance does not depend on readings
         for name in ("orientation", "angular_rate", "specific_force"):
-            blocks[name] = np.zeros((task.steps, 3))  # the covariance does not depend on readings
-    state = None
-    deviations = []
-    n = robot.coordinates
-    for step in range(task.steps):
-        readings = {name: values[step : step + 1] for name, values in blocks.items()}
-        _, state = estimator.update(readings, state, np.array([state is None]))
-        mean = np.zeros_like(state.mean)
-        mean[:, :n], mean[:, n : 2 * n] = reference.position[step], reference.velocity[step]
-        state = dataclasses.replace(state, mean=mean)
-        deviations.append(np.sqrt(np.diagonal(state.covariance[0])[:n]))
-    return np.array(deviations)
+            blocks[name] = unread
+    return blocks

@@ -4,7 +4,6 @@ winches and platform."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +17,15 @@ from cablebot_baselines.estimation.sensor_model import (
     SensorModel,
     orientation_deviations,
 )
+from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import Measurement
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.textbook import times_vector
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 
-Array = NDArray[Any]
+Blocks = dict[str, Array]
+"""Blocks of an observation by name, each (N, size)."""
 
 TORQUE_TIME = 0.1
 """Correlation time of the error of the torque on the pulleys [s]."""
@@ -66,7 +68,8 @@ class ExtendedKalmanFilter:
         self._nominal = robot
         self.robot = textbook.joint_equivalent(robot)  # springs in place of elastic cables
         self.errors = errors or FilterErrors.usual(robot)
-        platform_size = float(np.mean(np.linalg.norm(robot.platform, axis=-1))) or 1.0
+        anchor_distances = np.linalg.norm(robot.platform, axis=-1)
+        platform_size = float(np.mean(anchor_distances)) or 1.0
         self._is_position = np.arange(robot.coordinates) < robot.dimensions
         self._unit = np.where(self._is_position, 1.0, 1.0 / platform_size)
         self._measurement = Measurement(kind="winches")
@@ -83,8 +86,8 @@ class ExtendedKalmanFilter:
         self._names = None  # the layout depends on the tasks
 
     def update(
-        self, blocks: dict[str, Array], state: KalmanState | None, starts: NDArray[np.bool_]
-    ) -> tuple[dict[str, Array], KalmanState]:
+        self, blocks: Blocks, state: KalmanState | None, starts: NDArray[np.bool_]
+    ) -> tuple[Blocks, KalmanState]:
         """Pose and velocity, motor angles without their zero errors and tensions without their
         biases, and the next state.
 
@@ -94,17 +97,9 @@ class ExtendedKalmanFilter:
             starts: whether an episode starts, (N,).
         """
         self._set_columns(frozenset(blocks))
-        if state is not None:
-            starts = starts | ~self._is_usable(state)
-        if state is None or starts.all():
-            state = self._initial(blocks)
-        elif starts.any():
-            initial = self._initial(blocks)
-            usable = merged(starts, initial, state)
-            state = merged(starts, initial, self._following(blocks, usable))
-        else:
-            state = self._following(blocks, state)
-        columns, mean = self._columns, state.mean
+        state = self._next(blocks, state, starts)
+        mean = state.mean
+        columns = self._columns
         estimated = {
             "pose": mean[:, columns.pose],
             "velocity": mean[:, columns.velocity],
@@ -114,11 +109,28 @@ class ExtendedKalmanFilter:
             estimated["tensions"] = blocks["tensions"] - mean[:, columns.cell]
         return estimated, state
 
+    def _next(
+        self, blocks: Blocks, state: KalmanState | None, starts: NDArray[np.bool_]
+    ) -> KalmanState:
+        """The state after an observation. Diverged episodes start anew."""
+        if state is None:
+            return self._initial(blocks)
+        starts = starts | ~self._is_usable(state)
+        if not starts.any():
+            return self._following(blocks, state)
+        initial = self._initial(blocks)
+        if starts.all():
+            return initial
+        usable = merged(starts, initial, state)
+        following = self._following(blocks, usable)
+        return merged(starts, initial, following)
+
     @staticmethod
     def _is_usable(state: KalmanState) -> NDArray[np.bool_]:
         """Whether the estimates have not diverged, (N,)."""
         variance = np.diagonal(state.covariance, axis1=-2, axis2=-1)
-        values = np.concatenate([state.mean, np.sqrt(np.abs(variance))], axis=-1)
+        deviation = np.sqrt(np.abs(variance))
+        values = np.concatenate([state.mean, deviation], axis=-1)
         usable: NDArray[np.bool_] = (np.abs(values) < DIVERGED).all(axis=-1)
         return usable
 
@@ -132,185 +144,231 @@ class ExtendedKalmanFilter:
         self._sensors = SensorModel(
             self._nominal, self.robot, self.errors, self._columns, self._period
         )
+        self._variances = self._initial_variances()
 
-    def _mass(self, blocks: dict[str, Array]) -> Array:
+    def _initial_variances(self) -> Array:
+        """Variances before the first reading, (k,), but for those of velocity, compliances and
+        mass."""
+        errors = self.errors
+        columns = self._columns
+        position, rotation = errors.start or (UNKNOWN_POSE, UNKNOWN_POSE)
+        pose_error = np.where(self._is_position, position, rotation)
+        disturbance = errors.initial_disturbance * self._unit
+        torque_error = errors.torque * self.robot.stall_torque
+        base_error, platform_error = errors.anchors
+        variances = np.zeros(columns.total)
+        variances[columns.pose] = pose_error**2
+        variances[columns.disturbance] = disturbance**2
+        variances[columns.zero] = errors.bias.motor_angle**2
+        variances[columns.quantisation] = self._measurement.encoder_resolution**2 / 12
+        variances[columns.noise] = errors.noise.motor_speed**2
+        if errors.torque:
+            variances[columns.torque] = torque_error**2
+        variances[columns.strength] = errors.strength**2
+        variances[columns.rotor] = errors.rotor**2
+        variances[columns.lag] = errors.lag**2
+        variances[columns.base] = base_error**2
+        variances[columns.platform] = platform_error**2
+        variances[columns.cell] = errors.bias.tension**2
+        if columns.orientation.stop > columns.orientation.start:
+            variances[columns.orientation] = orientation_deviations(errors.bias) ** 2
+        return variances
+
+    def _mass(self, blocks: Blocks) -> Array:
         return self.robot.mass + blocks["model_payload"][:, 0]
 
-    def _initial(self, blocks: dict[str, Array]) -> KalmanState:
+    def _initial(self, blocks: Blocks) -> KalmanState:
         """The state at the first observation: at rest, or at the speed of the motors."""
-        robot, columns, angle = self.robot, self._columns, blocks["motor_angle"]
+        robot = self.robot
+        columns = self._columns
+        angle = blocks["motor_angle"]
+        speed = blocks["motor_speed"]
         count = len(angle)
         start = self._start
         if len(start) != count:
             start = start[:1]
         pose = np.broadcast_to(start, (count, robot.coordinates))
-        inverse = np.linalg.pinv(textbook.jacobian(robot, pose))
-        rates = -robot.pulley_radius * blocks["motor_speed"]
-        mean = np.zeros((count, columns.total))
-        mean[:, columns.pose] = pose
-        mean[:, columns.velocity] = textbook.times_vector(inverse, rates)
-        prior, before = self._prior(blocks, inverse), mean
+        structure = textbook.jacobian(robot, pose)
+        inverse = np.linalg.pinv(structure)
+        cable_rates = -robot.pulley_radius * speed
+        prior_mean = np.zeros((count, columns.total))
+        prior_mean[:, columns.pose] = pose
+        prior_mean[:, columns.velocity] = times_vector(inverse, cable_rates)
+        prior_covariance = self._prior_covariance(blocks, inverse)
+        mass = self._mass(blocks)
+        mean = prior_mean
         for _ in range(START_ITERATIONS):
-            readings, torque = self._sensors.at_rest(blocks, mean, self._mass(blocks))
-            mean, covariance = readings.corrected(before, prior, at=mean)
+            readings, torque = self._sensors.at_rest(blocks, mean, mass)
+            mean, covariance = readings.corrected(prior_mean, prior_covariance, at=mean)
         return KalmanState(
             mean=mean,
             covariance=covariance,
             angle=angle,
-            speed=blocks["motor_speed"],
+            speed=speed,
             motor_torque=textbook.holding_torque(self._nominal, torque),
             slow_speed=np.zeros_like(angle),
             tensions=torque / robot.pulley_radius,
         )
 
-    def _prior(self, blocks: dict[str, Array], inverse: Array) -> Array:
+    def _prior_covariance(self, blocks: Blocks, inverse: Array) -> Array:
         """Covariance before the first reading, (N, k, k), with the inverse of the Jacobian."""
-        robot, errors, columns = self.robot, self.errors, self._columns
-        position, rotation = errors.start or (UNKNOWN_POSE, UNKNOWN_POSE)
-        payload = blocks["model_payload"]
-        variances = np.zeros((len(payload), columns.total))
-        variances[:, columns.pose] = np.where(self._is_position, position, rotation) ** 2
-        variances[:, columns.disturbance] = (errors.initial_disturbance * self._unit) ** 2
-        variances[:, columns.zero] = errors.bias.motor_angle**2
-        variances[:, columns.quantisation] = self._quantisation_variance
-        variances[:, columns.noise] = errors.noise.motor_speed**2
-        variances[:, columns.torque] = self._torque_variance
-        variances[:, columns.strength] = errors.strength**2
-        variances[:, columns.rotor] = errors.rotor**2
-        variances[:, columns.lag] = errors.lag**2
-        variances[:, columns.mass] = (errors.mass * robot.mass) ** 2 + (
-            errors.payload * payload
-        ) ** 2
-        for part, anchor in zip((columns.base, columns.platform), errors.anchors, strict=True):
-            variances[:, part] = anchor**2
-        variances[:, columns.cell] = errors.bias.tension**2
-        if "orientation" in blocks:
-            variances[:, columns.orientation] = orientation_deviations(errors.bias) ** 2
+        robot = self.robot
+        errors = self.errors
+        columns = self._columns
+        platform_error = errors.mass * robot.mass
+        payload_error = errors.payload * blocks["model_payload"]
+        variances = np.repeat(self._variances[None], len(inverse), axis=0)
+        variances[:, columns.mass] = platform_error**2 + payload_error**2
         covariance = variances[:, :, None] * np.eye(columns.total)
-        speed = inverse * (robot.pulley_radius * self.errors.noise.motor_speed)
-        covariance[:, columns.velocity, columns.velocity] = speed @ np.swapaxes(speed, -1, -2)
-        if errors.compliance is not None and robot.flexible:
-            covariance[:, columns.compliance, columns.compliance] = errors.compliance_covariance(
-                robot.cables
-            )
+        velocity = inverse * (robot.pulley_radius * errors.noise.motor_speed)
+        covariance[:, columns.velocity, columns.velocity] = velocity @ velocity.mT
+        if columns.compliance.stop > columns.compliance.start:
+            compliance = errors.compliance_covariance(robot.cables)
+            covariance[:, columns.compliance, columns.compliance] = compliance
         return covariance
 
-    def _following(self, blocks: dict[str, Array], state: KalmanState) -> KalmanState:
+    def _following(self, blocks: Blocks, state: KalmanState) -> KalmanState:
         """Prediction over one control period, and correction by the sensors."""
-        robot, columns, period = self.robot, self._columns, self._period
-        mean, covariance = state.mean.copy(), state.covariance.copy()
-        slow_speed = state.slow_speed + self._speed_gain * (
-            blocks["motor_speed"] - state.slow_speed
-        )
-        self._age_errors(mean, covariance, slow_speed)
-        pose, velocity = mean[:, columns.pose], mean[:, columns.velocity]
-        pulled = pulley_torque(robot, blocks, state, mean, columns, period)
-        torque = pulled.torque
-        mass = self._mass(blocks) + mean[:, columns.mass].sum(axis=-1)
-        at_start, _ = textbook.forward_dynamics(
-            robot, mass, pose, velocity, torque, cable="bilateral"
-        )
-        at_start = at_start + mean[:, columns.disturbance]
-        # of second order: the velocity in the middle of the period matters for friction and rotors
-        middle = pose + period / 2 * velocity + period**2 / 8 * at_start
-        motion = accelerated(robot, mass, middle, velocity + period / 2 * at_start, torque)
-        steady, _ = self.errors.wrench.statistics(robot)
-        acceleration = motion.acceleration + mean[:, columns.disturbance]
-        acceleration = acceleration + textbook.times_vector(motion.by_wrench, steady)
-        mean[:, columns.pose] = pose + period * velocity + period**2 / 2 * acceleration
-        mean[:, columns.velocity] = velocity + period * acceleration
-        by_state = self._acceleration_gradient(motion, pulled)
-        covariance = self._predicted_covariance(covariance, by_state, motion.by_wrench)
-        prediction = Prediction(
-            mean=mean, acceleration=acceleration, by_state=by_state, motion=motion, pulled=pulled
-        )
+        speed = blocks["motor_speed"]
+        speed_gain = self._period / SPEED_TIME
+        slow_speed = state.slow_speed + speed_gain * (speed - state.slow_speed)
+        mean, covariance = self._aged_errors(state, slow_speed)
+        prediction = self._predicted(blocks, state, mean)
+        covariance = self._predicted_covariance(covariance, prediction)
         readings = self._sensors.following(blocks, state, prediction)
-        mean, covariance = readings.corrected(mean, covariance)
+        mean, covariance = readings.corrected(prediction.mean, covariance)
         return KalmanState(
             mean=mean,
             covariance=covariance,
             angle=blocks["motor_angle"],
-            speed=blocks["motor_speed"],
-            motor_torque=pulled.motor,
+            speed=speed,
+            motor_torque=prediction.pulled.motor,
             slow_speed=slow_speed,
-            tensions=motion.tensions,
+            tensions=prediction.motion.tensions,
+        )
+
+    def _predicted(self, blocks: Blocks, state: KalmanState, mean: Array) -> Prediction:
+        """Prediction of a mean, (N, k), over one control period that began with ``state``."""
+        robot = self.robot
+        columns = self._columns
+        period = self._period
+        pose = mean[:, columns.pose]
+        velocity = mean[:, columns.velocity]
+        disturbance = mean[:, columns.disturbance]
+        mass_error = mean[:, columns.mass].sum(axis=-1)
+        mass = self._mass(blocks) + mass_error
+        pulled = pulley_torque(robot, blocks, state, mean, columns, period)
+        torque = pulled.torque
+        at_start, _ = textbook.forward_dynamics(
+            robot, mass, pose, velocity, torque, cable="bilateral"
+        )
+        at_start = at_start + disturbance
+        # of second order: the velocity in the middle of the period matters for friction and rotors
+        middle = pose + period / 2 * velocity + period**2 / 8 * at_start
+        middle_velocity = velocity + period / 2 * at_start
+        motion = accelerated(robot, mass, middle, middle_velocity, torque)
+        mean_wrench, _ = self.errors.wrench.statistics(robot)
+        by_wrench = times_vector(motion.by_wrench, mean_wrench)
+        acceleration = motion.acceleration + disturbance + by_wrench
+        displacement = period * velocity
+        predicted = mean.copy()
+        predicted[:, columns.pose] = pose + displacement + period**2 / 2 * acceleration
+        predicted[:, columns.velocity] = velocity + period * acceleration
+        return Prediction(
+            mean=predicted,
+            acceleration=acceleration,
+            by_state=self._acceleration_gradient(motion, pulled),
+            motion=motion,
+            pulled=pulled,
         )
 
     def _acceleration_gradient(self, motion: Accelerated, pulled: PulleyTorque) -> Array:
         """Gradient of the acceleration with respect to the state, (N, n, k)."""
-        columns, n = self._columns, self.robot.coordinates
-        gradient = np.zeros((len(motion.acceleration), n, columns.total))
-        gradient[:, :, columns.pose] = motion.by_pose[0]
-        gradient[:, :, columns.velocity] = self._period / 2 * motion.by_pose[0]
+        columns = self._columns
+        n = self.robot.coordinates
+        by_pose, _ = motion.by_pose
+        by_mass, _ = motion.by_mass
+        by_torque, _ = motion.by_torque
+        count = len(by_pose)
+        gradient = np.zeros((count, n, columns.total))
+        gradient[:, :, columns.pose] = by_pose
+        gradient[:, :, columns.velocity] = self._period / 2 * by_pose
         gradient[:, :, columns.disturbance] = np.eye(n)
-        for part, factor in pulled.errors:
-            gradient[:, :, part] = factor[..., None, :] * motion.by_torque[0]
-        if columns.mass.stop > columns.mass.start:
-            gradient[:, :, columns.mass] = motion.by_mass[0]
+        gradient[:, :, columns.mass] = by_mass
+        for error_columns, factor in pulled.errors:
+            gradient[:, :, error_columns] = factor[..., None, :] * by_torque
         return gradient
 
-    def _predicted_covariance(self, covariance: Array, by_state: Array, by_wrench: Array) -> Array:
+    def _predicted_covariance(self, covariance: Array, prediction: Prediction) -> Array:
         """Covariance after one control period."""
-        columns, period, n = self._columns, self._period, self.robot.coordinates
-        change = np.zeros((len(covariance), 2 * n, columns.total))
+        columns = self._columns
+        period = self._period
+        n = self.robot.coordinates
+        motion = slice(0, 2 * n)  # pose and velocity
+        by_state = prediction.by_state
+        count = len(by_state)
+        change = np.zeros((count, 2 * n, columns.total))
         change[:, :n] = period**2 / 2 * by_state
         change[:, n:] = period * by_state
         change[:, :n, columns.velocity] += period * np.eye(n)
         moved = change @ covariance
-        both = slice(0, 2 * n)
-        covariance[:, both] += moved
-        covariance[:, :, both] += np.swapaxes(moved, -1, -2)
-        covariance[:, both, both] += moved @ np.swapaxes(change, -1, -2)
-        # d walks; a short wrench acts on the velocity like white noise with the same impulse
-        growth = (self.errors.disturbance * self._unit) ** 2 * period
-        jerk = np.array([period**2 / 6, period / 2, 1.0])
-        covariance[:, : 3 * n, : 3 * n] += np.kron(np.outer(jerk, jerk), np.diag(growth))
-        wrench = self.errors.wrench
-        _, deviation = wrench.statistics(self.robot)
-        impulse = by_wrench * deviation * np.sqrt(wrench.correlation_time * period)
-        shaken = np.concatenate([period / 2 * impulse, impulse], axis=-2)
-        covariance[:, both, both] += shaken @ np.swapaxes(shaken, -1, -2)
+        covariance[:, motion] += moved
+        covariance[:, :, motion] += moved.mT
+        covariance[:, motion, motion] += moved @ change.mT
+        covariance[:, : 3 * n, : 3 * n] += self._disturbance_walk()
+        shaken = self._wrench_deviation(prediction.motion.by_wrench)
+        covariance[:, motion, motion] += shaken @ shaken.mT
         return covariance
 
-    def _age_errors(self, mean: Array, covariance: Array, speed: Array) -> None:
-        """Lets the errors that change forget a part of their past, for motor speeds (N, m)."""
-        robot, columns = self.robot, self._columns
+    def _disturbance_walk(self) -> Array:
+        """Covariance of pose, velocity and disturbance that the walk of the disturbance adds in one
+        control period, (3n, 3n)."""
+        period = self._period
+        deviation = self.errors.disturbance * self._unit
+        growth = deviation**2 * period
+        factors = np.array([period**2 / 6, period / 2, 1.0])
+        products = np.outer(factors, factors)
+        return np.kron(products, np.diag(growth))
+
+    def _wrench_deviation(self, by_wrench: Array) -> Array:
+        """Deviations of pose and velocity by each component of the wrench in one control period,
+        (N, 2n, n), with the gradient of the acceleration.
+
+        A short wrench acts on the velocity like white noise with the same impulse.
+        """
+        wrench = self.errors.wrench
+        _, deviation = wrench.statistics(self.robot)
+        duration = np.sqrt(wrench.correlation_time * self._period)
+        velocity = by_wrench * deviation * duration
+        pose = self._period / 2 * velocity
+        return np.concatenate([pose, velocity], axis=-2)
+
+    def _aged_errors(self, state: KalmanState, speed: Array) -> tuple[Array, Array]:
+        """Mean and covariance after the errors that change forget a part of their past, for motor
+        speeds (N, m)."""
+        columns = self._columns
+        mean = state.mean.copy()
+        covariance = state.covariance.copy()
         memory = np.ones_like(mean)
-        variance = np.zeros_like(mean)
         memory[:, columns.torque] = np.exp(-self._period / TORQUE_TIME)
-        variance[:, columns.torque] = self._torque_variance
         if self._measurement.encoder_resolution:
             memory[:, columns.quantisation] = self._quantisation_memory(speed)
-            variance[:, columns.quantisation] = self._quantisation_variance
-        if robot.flexible:
-            for array in (mean, covariance, np.swapaxes(covariance, -1, -2)):
+        if self.robot.flexible:
+            for array in (mean, covariance, covariance.mT):
                 array[:, columns.last_noise] = array[:, columns.noise]
             memory[:, columns.noise] = 0.0
-            variance[:, columns.noise] = self.errors.noise.motor_speed**2
         mean *= memory
         covariance *= memory[:, :, None] * memory[:, None, :]
         index = np.arange(columns.total)
-        covariance[:, index, index] += (1 - memory**2) * variance
-
-    @property
-    def _torque_variance(self) -> Any:
-        if not self.errors.torque:
-            return 0.0
-        return (self.errors.torque * self.robot.stall_torque) ** 2
-
-    @property
-    def _quantisation_variance(self) -> float:
-        return self._measurement.encoder_resolution**2 / 12
-
-    @property
-    def _speed_gain(self) -> float:
-        return self._period / SPEED_TIME
+        covariance[:, index, index] += (1 - memory**2) * self._variances
+        return mean, covariance
 
     def _quantisation_memory(self, speed: Array) -> Array:
         """Correlation of the quantisation error over a control period at motor speeds (N, m).
 
         The autocorrelation of a sawtooth falls as 1 − 6u over the fraction u of a step.
         """
+        resolution = self._measurement.encoder_resolution
         turned = np.abs(speed) * self._period
-        memory: Array = np.exp(-6 * turned / self._measurement.encoder_resolution)
+        memory: Array = np.exp(-6 * turned / resolution)
         return memory

@@ -55,16 +55,18 @@ class Drives(NamedTuple):
 
 def dynamics_of(robot: Robot, masses: Array, pose: Array, velocity: Array) -> Dynamics:
     """Dynamics of robots with masses (N,) [kg] at poses and velocities, each (N, n)."""
-    n, m = robot.coordinates, robot.cables
+    n = robot.coordinates
+    m = robot.cables
     count = len(masses)
     # Load and y are affine in Ẍ and in the mass: without acceleration and with 1 of each
     # coordinate, for the masses and for 1 kg more.
     motion = np.zeros((3, 2, count, n + 1, n))
-    motion[0], motion[1] = pose[:, None], velocity[:, None]
+    motion[0] = pose[:, None]
+    motion[1] = velocity[:, None]
     motion[2, ..., 1:, :] = np.eye(n)
-    both = np.empty((2, count, n + 1))
-    both[0] = masses[:, None]
-    both[1] = both[0] + 1.0
+    two_masses = np.empty((2, count, n + 1))
+    two_masses[0] = masses[:, None]
+    two_masses[1] = two_masses[0] + 1.0
     dynamics = Dynamics(
         structure=np.empty((count, m, n)),
         pulley_speed=np.empty((count, m)),
@@ -75,8 +77,45 @@ def dynamics_of(robot: Robot, masses: Array, pose: Array, velocity: Array) -> Dy
         bias_per_mass=np.empty((count, n)),
     )
     pulleys = np.stack([robot.pulley_radius, robot.pulley_inertia, robot.damping])
-    _combine(demands(robot, both, motion), pulleys, dynamics)
+    _combine(demands(robot, two_masses, motion), pulleys, dynamics)
     return dynamics
+
+
+@helper
+def _add_multiple(target, factor, source):
+    """Adds a multiple of a vector to another one."""
+    for c in range(len(target)):
+        target[c] += factor * source[c]
+
+
+@helper
+def _add_products(total, left, right):
+    """Total plus the products of the entries of two vectors, one after the other."""
+    for c in range(len(left)):
+        total += left[c] * right[c]
+    return total
+
+
+@helper
+def _multiply_transposed(left, right, product):
+    """Product of a matrix and the transpose of another one."""
+    for a in range(len(left)):
+        for b in range(len(right)):
+            total = 0.0
+            for c in range(left.shape[1]):
+                total += left[a, c] * right[b, c]
+            product[a, b] = total
+
+
+@helper
+def _slopes(values):
+    """Derivatives with respect to each coordinate of Ẍ, (n, k), from the values without acceleration
+    and with 1 of each coordinate, (n + 1, k)."""
+    slopes = np.empty_like(values[1:])
+    for b in range(len(slopes)):
+        for a in range(slopes.shape[1]):
+            slopes[b, a] = values[1 + b, a] - values[0, a]
+    return slopes
 
 
 @helper
@@ -92,27 +131,79 @@ def _invert(matrix, inverse):
             matrix[p, c] *= scale
             inverse[p, c] *= scale
         for a in range(size):
+            if a == p:
+                continue
             factor = matrix[a, p]
-            if a != p:
-                for c in range(size):
-                    matrix[a, c] -= factor * matrix[p, c]
-                    inverse[a, c] -= factor * inverse[p, c]
+            for c in range(size):
+                matrix[a, c] -= factor * matrix[p, c]
+                inverse[a, c] -= factor * inverse[p, c]
 
 
 @helper
-def _write_structure(demand, i, y_slope, dynamics):
-    """∂y/∂Ẍ, S and the pulley speeds of robot i."""
-    n, m = dynamics.torque_slope.shape[1:]
-    for a in range(n):
-        for b in range(n):
-            y_slope[a, b] = demand.y[0, i, 1 + b, a] - demand.y[0, i, 0, a]
-    for j in range(m):
-        dynamics.pulley_speed[i, j] = demand.speeds[0, i, 0, j]
-        for b in range(n):
-            total = 0.0
-            for a in range(n):
-                total += demand.structure[0, i, 0, j, a] * y_slope[a, b]
-            dynamics.structure[i, j, b] = total
+def _dynamics_of_robot(dynamics, i):
+    """Views of the dynamics of robot i."""
+    return Dynamics(
+        dynamics.structure[i],
+        dynamics.pulley_speed[i],
+        dynamics.mobility[i],
+        dynamics.torque_slope[i],
+        dynamics.passive_wrench[i],
+        dynamics.matrix_per_mass[i],
+        dynamics.bias_per_mass[i],
+    )
+
+
+@helper
+def _write_bias(load, heavier_load, y_slopes, dynamics):
+    """Wrench of weight and velocity of a robot, and the derivative of its bias."""
+    for a in range(len(load)):
+        bias = _add_products(0.0, y_slopes[a], load)
+        heavier_bias = _add_products(0.0, y_slopes[a], heavier_load)
+        dynamics.bias_per_mass[a] = heavier_bias - bias
+        dynamics.passive_wrench[a] = -bias
+
+
+@helper
+def _add_drag(pulley_acceleration, pulleys, dynamics):
+    """Adds the wrench of the pulleys of a robot, with accelerations (m,) [rad/s²]."""
+    for j in range(len(pulley_acceleration)):
+        drag = pulleys[1, j] * pulley_acceleration[j]
+        drag += pulleys[2, j] * dynamics.pulley_speed[j]
+        for a in range(len(dynamics.passive_wrench)):
+            force = dynamics.structure[j, a] * drag
+            dynamics.passive_wrench[a] += force / pulleys[0, j]
+
+
+@helper
+def _write_mass_matrix(load, heavier_load, y_slopes, dynamics, inertia):
+    """Mass matrix of a robot, in ``inertia``, and its derivative, from loads (n + 1, n)."""
+    _multiply_transposed(y_slopes, _slopes(load), inertia)
+    _multiply_transposed(y_slopes, _slopes(heavier_load), dynamics.matrix_per_mass)
+    for a in range(len(inertia)):
+        for b in range(len(inertia)):
+            dynamics.matrix_per_mass[a, b] -= inertia[a, b]
+
+
+@helper
+def _add_rotors(pulleys, structure, inertia):
+    """Adds the inertia of the pulleys, for S, (m, n), of a robot."""
+    for j in range(len(structure)):
+        rotor_mass = pulleys[1, j] / pulleys[0, j] ** 2
+        for a in range(len(inertia)):
+            factor = structure[j, a] * rotor_mass
+            for b in range(len(inertia)):
+                inertia[a, b] += factor * structure[j, b]
+
+
+@helper
+def _write_torque_slope(radius, dynamics):
+    """Acceleration of a robot by the torques on its pulleys."""
+    slope = dynamics.torque_slope
+    _multiply_transposed(dynamics.mobility, dynamics.structure, slope)
+    for a in range(len(slope)):
+        for j in range(len(radius)):
+            # unlike −x, 0.0 − x is never a negative zero
+            slope[a, j] = (0.0 - slope[a, j]) / radius[j]
 
 
 @entry_point
@@ -121,42 +212,22 @@ def _combine(demand, pulleys, dynamics):
 
     ``pulleys`` are radius, inertia and damping, (3, m).
     """
-    n, m = dynamics.torque_slope.shape[1:]
-    y_slope = np.empty((n, n))
-    inertia = np.empty((n, n))
+    inertia = np.empty(dynamics.mobility.shape[1:])
     for i in range(len(dynamics.mobility)):
-        _write_structure(demand, i, y_slope, dynamics)
-        structure = dynamics.structure[i]
-        for a in range(n):
-            bias, heavier_bias = 0.0, 0.0
-            for c in range(n):
-                bias += y_slope[c, a] * demand.load[0, i, 0, c]
-                heavier_bias += y_slope[c, a] * demand.load[1, i, 0, c]
-            dynamics.bias_per_mass[i, a] = heavier_bias - bias
-            dynamics.passive_wrench[i, a] = -bias
-            for j in range(m):
-                drag = pulleys[1, j] * demand.pulley_accelerations[0, i, 0, j]
-                drag += pulleys[2, j] * demand.speeds[0, i, 0, j]
-                dynamics.passive_wrench[i, a] += structure[j, a] * drag / pulleys[0, j]
-            for b in range(n):
-                entry, heavier = 0.0, 0.0
-                for c in range(n):
-                    load = demand.load[0, i, 1 + b, c] - demand.load[0, i, 0, c]
-                    heavier_load = demand.load[1, i, 1 + b, c] - demand.load[1, i, 0, c]
-                    entry += y_slope[c, a] * load
-                    heavier += y_slope[c, a] * heavier_load
-                dynamics.matrix_per_mass[i, a, b] = heavier - entry
-                for j in range(m):
-                    rotor_mass = pulleys[1, j] / pulleys[0, j] ** 2
-                    entry += structure[j, a] * rotor_mass * structure[j, b]
-                inertia[a, b] = entry
-        _invert(inertia, dynamics.mobility[i])
-        for a in range(n):
-            for j in range(m):
-                total = 0.0
-                for b in range(n):
-                    total -= dynamics.mobility[i, a, b] * structure[j, b]
-                dynamics.torque_slope[i, a, j] = total / pulleys[0, j]
+        robot_dynamics = _dynamics_of_robot(dynamics, i)
+        structure = robot_dynamics.structure
+        for j in range(len(structure)):
+            robot_dynamics.pulley_speed[j] = demand.speeds[0, i, 0, j]
+        load = demand.load[0, i]
+        heavier_load = demand.load[1, i]
+        y_slopes = _slopes(demand.y[0, i])
+        _multiply_transposed(demand.structure[0, i, 0], y_slopes, structure)
+        _write_bias(load[0], heavier_load[0], y_slopes, robot_dynamics)
+        _add_drag(demand.pulley_accelerations[0, i, 0], pulleys, robot_dynamics)
+        _write_mass_matrix(load, heavier_load, y_slopes, robot_dynamics, inertia)
+        _add_rotors(pulleys, structure, inertia)
+        _invert(inertia, robot_dynamics.mobility)
+        _write_torque_slope(pulleys[0], robot_dynamics)
 
 
 @entry_point
@@ -177,7 +248,9 @@ def delayed_weights(delay, period):
             weight = 1.0 - abs(periods - age)
             if weight > 0.0:
                 weights[i, age] = weight
-                rates[i, age] = 1.0 / period if age > periods else -1.0 / period
+                rates[i, age] = 1.0 / period
+                if age <= periods:
+                    rates[i, age] = -1.0 / period
     return weights, rates
 
 
@@ -197,51 +270,90 @@ def weigh(actions, weights, rates, sent, speed, strength, mass, holding, motors,
         motors: stall torque [N·m] and its drop with the speed [N·m·s/rad], (2, m).
         drives: the results, in the order of :class:`Drives`, (4, N, m).
     """
+    ages = weights.shape[1]
     for i in range(len(mass)):
+        acting = min(int(sent[i]), ages)
+        held = weights[i, acting:].sum()
+        held_rate = rates[i, acting:].sum()
         for j in range(motors.shape[1]):
-            stall, slope = motors[0, j], motors[1, j]
-            requested, requested_rate, held, held_rate = 0.0, 0.0, 0.0, 0.0
-            for k in range(weights.shape[1]):
-                if k < sent[i]:
-                    action = min(max(actions[i, k, j], -1.0), 1.0)
-                    requested += weights[i, k] * action
-                    requested_rate += rates[i, k] * action
-                else:
-                    held += weights[i, k]
-                    held_rate += rates[i, k]
+            requested = 0.0
+            requested_rate = 0.0
+            for k in range(acting):
+                action = min(max(actions[i, k, j], -1.0), 1.0)
+                requested += weights[i, k] * action
+                requested_rate += rates[i, k] * action
+            stall = motors[0, j]
+            slope = motors[1, j]
+            holding_per_mass = holding[i, j, 0]
+            holding_torque = holding_per_mass * mass[i] + holding[i, j, 1]
             unit = stall * requested - (1.0 - held) * slope * speed[i, j]
-            rate = stall * requested_rate + held_rate * slope * speed[i, j]
-            torque = holding[i, j, 0] * mass[i] + holding[i, j, 1]
-            drives[0, i, j] = strength[i, j] * unit + held * torque
+            unit_rate = stall * requested_rate + held_rate * slope * speed[i, j]
+            drives[0, i, j] = strength[i, j] * unit + held * holding_torque
             drives[1, i, j] = unit
-            drives[2, i, j] = strength[i, j] * rate + held_rate * torque
-            drives[3, i, j] = held * holding[i, j, 0]
+            drives[2, i, j] = strength[i, j] * unit_rate + held_rate * holding_torque
+            drives[3, i, j] = held * holding_per_mass
 
 
 @helper
-def _accelerate(dynamics, i, torque, gradient, wrench, mass, mean, acceleration, slopes):
-    """Ẍ of robot i, and its derivatives with respect to the state."""
-    n, m = dynamics.torque_slope.shape[1:]
-    for a in range(n):
+def _accelerate(dynamics, torque, wrench, acceleration):
+    """Ẍ of a robot with torques, (m,), and a wrench, (n,)."""
+    for a in range(len(acceleration)):
         total = 0.0
-        for b in range(n):
-            force = mean[i, wrench + b] + dynamics.passive_wrench[i, b]
-            total += dynamics.mobility[i, a, b] * force
-        for j in range(m):
-            total += dynamics.torque_slope[i, a, j] * torque[i, j]
-        acceleration[a] = total
+        for b in range(len(wrench)):
+            force = wrench[b] + dynamics.passive_wrench[b]
+            total += dynamics.mobility[a, b] * force
+        acceleration[a] = _add_products(total, dynamics.torque_slope[a], torque)
+
+
+@helper
+def _write_slopes(dynamics, gradient, acceleration, wrench, mass, slopes):
+    """Derivatives of Ẍ of a robot with respect to the state, from those of the torques."""
+    n, m = dynamics.torque_slope.shape
     slopes[:] = 0.0
     for a in range(n):
         for j in range(m):
-            slope = dynamics.torque_slope[i, a, j]
-            for c in range(slopes.shape[1]):
-                slopes[a, c] += slope * gradient[i, j, c]
+            _add_multiple(slopes[a], dynamics.torque_slope[a, j], gradient[j])
         for b in range(n):
-            slopes[a, wrench + b] += dynamics.mobility[i, a, b]
-            change = dynamics.bias_per_mass[i, b]
-            for c in range(n):
-                change += dynamics.matrix_per_mass[i, b, c] * acceleration[c]
-            slopes[a, mass] -= dynamics.mobility[i, a, b] * change
+            mobility = dynamics.mobility[a, b]
+            force_per_mass = _add_products(
+                dynamics.bias_per_mass[b], dynamics.matrix_per_mass[b], acceleration
+            )
+            slopes[a, wrench + b] += mobility
+            slopes[a, mass] -= mobility * force_per_mass
+
+
+@helper
+def _write_transition(slopes, wrench, period, decay, transition):
+    """Derivatives of the state after a period with respect to that before."""
+    transition[:] = 0.0
+    for c in range(len(transition)):
+        transition[c, c] = 1.0
+    n = len(slopes)
+    for a in range(n):
+        transition[a, n + a] = period
+        transition[wrench + a, wrench + a] = decay
+        _add_multiple(transition[a], period * period / 2, slopes[a])
+        _add_multiple(transition[n + a], period, slopes[a])
+
+
+@helper
+def _move(acceleration, wrench, period, decay, mean):
+    """Changes the mean of a robot to that after a period."""
+    n = len(acceleration)
+    for a in range(n):
+        mean[a] += period * mean[n + a] + period * period / 2 * acceleration[a]
+        mean[n + a] += period * acceleration[a]
+        mean[wrench + a] *= decay
+
+
+@helper
+def _symmetrise(matrix):
+    """Replaces each pair of entries by its mean."""
+    for c in range(len(matrix)):
+        for d in range(c):
+            entry = (matrix[c, d] + matrix[d, c]) / 2
+            matrix[c, d] = entry
+            matrix[d, c] = entry
 
 
 @helper
@@ -251,9 +363,19 @@ def _multiply(sparse, matrix, product):
     for a in range(len(sparse)):
         for b in range(len(matrix)):
             factor = sparse[a, b]
-            if factor != 0.0:
-                for c in range(product.shape[1]):
-                    product[a, c] += factor * matrix[b, c]
+            if factor == 0.0:
+                continue
+            for c in range(product.shape[1]):
+                product[a, c] += factor * matrix[b, c]
+
+
+@helper
+def _add_jumps(torque_slope, jumps, period, covariance):
+    """Adds the variances of velocities that change at once by errors of the torques, (m,)."""
+    for a in range(len(torque_slope)):
+        for j in range(len(jumps)):
+            jump = period * torque_slope[a, j] * jumps[j]
+            covariance[a, a] += jump * jump
 
 
 @entry_point
@@ -275,38 +397,27 @@ def predict(
         mean: pose, velocity and further components, (N, size).
         covariance: (N, size, size).
     """
-    n, m = dynamics.torque_slope.shape[1:]
+    n = dynamics.mobility.shape[1]
     size = mean.shape[1]
     acceleration = np.empty(n)
     slopes = np.empty((n, size))
     transition = np.empty((size, size))
     product = np.empty((size, size))
     for i in range(len(mean)):
-        _accelerate(dynamics, i, torque, gradient, wrench, mass, mean, acceleration, slopes)
-        transition[:] = 0.0
-        for c in range(size):
-            transition[c, c] = 1.0
-        for a in range(n):
-            transition[a, n + a] = period
-            transition[wrench + a, wrench + a] = decay
-            for c in range(size):
-                transition[a, c] += period * period / 2 * slopes[a, c]
-                transition[n + a, c] += period * slopes[a, c]
-            mean[i, a] += period * mean[i, n + a] + period * period / 2 * acceleration[a]
-            mean[i, n + a] += period * acceleration[a]
-            mean[i, wrench + a] *= decay
+        robot_dynamics = _dynamics_of_robot(dynamics, i)
+        estimated_wrench = mean[i, wrench : wrench + n]
+        _accelerate(robot_dynamics, torque[i], estimated_wrench, acceleration)
+        _write_slopes(robot_dynamics, gradient[i], acceleration, wrench, mass, slopes)
+        _write_transition(slopes, wrench, period, decay, transition)
+        _move(acceleration, wrench, period, decay, mean[i])
         # F P Fᵀ = F (F P)ᵀ
         _multiply(transition, covariance[i], product)
         _multiply(transition, product.T, covariance[i])
+        _symmetrise(covariance[i])
         for c in range(size):
             covariance[i, c, c] += growth[i, c]
-            for d in range(c):
-                mean_entry = (covariance[i, c, d] + covariance[i, d, c]) / 2
-                covariance[i, c, d] = covariance[i, d, c] = mean_entry
-        for a in range(n):
-            for j in range(m):
-                jump = period * dynamics.torque_slope[i, a, j] * jumps[i, j]
-                covariance[i, n + a, n + a] += jump * jump
+        velocity_covariance = covariance[i, n : 2 * n, n : 2 * n]
+        _add_jumps(robot_dynamics.torque_slope, jumps[i], period, velocity_covariance)
 
 
 @entry_point
@@ -327,16 +438,15 @@ def correct(innovation, gradient, variance, mean, covariance):
     for i in range(len(mean)):
         change[:] = 0.0
         for k in range(innovation.shape[1]):
-            total = variance[i, k]
-            rest = innovation[i, k]
+            slopes = gradient[i, k]
             for a in range(size):
-                crossed[a] = 0.0
-                for b in range(size):
-                    crossed[a] += covariance[i, a, b] * gradient[i, k, b]
-                total += gradient[i, k, a] * crossed[a]
-                rest -= gradient[i, k, a] * change[a]
+                crossed[a] = _add_products(0.0, covariance[i, a], slopes)
+            total = _add_products(variance[i, k], slopes, crossed)
+            unexplained = innovation[i, k]
             for a in range(size):
-                change[a] += crossed[a] * rest / total
+                unexplained -= slopes[a] * change[a]
+            for a in range(size):
+                change[a] += crossed[a] * unexplained / total
                 for b in range(size):
                     covariance[i, a, b] -= crossed[a] * crossed[b] / total
         for a in range(size):

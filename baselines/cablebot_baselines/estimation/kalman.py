@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_baselines.estimation.errors import FilterErrors
+from cablebot_gym.kinematics import Array
+from cablebot_gym.physics.textbook import times_vector
 from cablebot_gym.robots import Robot
-
-Array = NDArray[Any]
 
 
 class Columns:
@@ -28,8 +28,12 @@ class Columns:
     def __init__(
         self, robot: Robot, errors: FilterErrors, names: frozenset[str], *, quantised: bool
     ) -> None:
-        n, m = robot.coordinates, robot.cables
-        self._start = 0
+        n = robot.coordinates
+        m = robot.cables
+        springs = m * robot.flexible
+        base_error, platform_error = errors.anchors
+        has_mass_error = errors.mass > 0 or errors.payload > 0
+        self.total = 0
         self.pose = self._next(n)
         """Pose X."""
         self.velocity = self._next(n)
@@ -38,39 +42,38 @@ class Columns:
         """Disturbance d, an acceleration [m/s², rad/s²]."""
         self.zero = self._next(m)
         """Zero errors of the motor angles [rad]."""
-        self.quantisation = self._next(m * quantised)
+        self.quantisation = self._next(m, quantised)
         """Quantisation errors of the last motor angles [rad]."""
-        self.last_noise = self._next(m * robot.flexible)
+        self.last_noise = self._next(springs)
         """Noise of the motor speeds before the last ones [rad/s]."""
-        self.noise = self._next(m * robot.flexible)
+        self.noise = self._next(springs)
         """Noise of the last motor speeds [rad/s]."""
-        self.compliance = self._next(m * (errors.compliance is not None and robot.flexible))
+        self.compliance = self._next(springs, errors.compliance is not None)
         """Relative errors of the compliances 1/K."""
-        self.torque = self._next(m * (errors.torque > 0))
+        self.torque = self._next(m, errors.torque > 0)
         """Error of the torque on the pulleys [N·m]."""
-        self.strength = self._next(m * (errors.strength > 0))
+        self.strength = self._next(m, errors.strength > 0)
         """Relative errors of the torques of the motors."""
-        self.rotor = self._next(m * (errors.rotor > 0 and robot.flexible))
+        self.rotor = self._next(springs, errors.rotor > 0)
         """Relative errors of the motor inertias."""
-        self.lag = self._next(m * (errors.lag > 0))
+        self.lag = self._next(m, errors.lag > 0)
         """Lags of the motor torques [s]."""
-        self.mass = self._next(int(errors.mass > 0 or errors.payload > 0))
+        self.mass = self._next(1, has_mass_error)
         """Error of the mass of platform and payload [kg]."""
-        base, platform = errors.anchors
-        self.base = self._next(robot.base.size * (base > 0))
+        self.base = self._next(robot.base.size, base_error > 0)
         """Errors of the base anchors [m], cable by cable."""
-        self.platform = self._next(robot.platform.size * (platform > 0))
+        self.platform = self._next(robot.platform.size, platform_error > 0)
         """Errors of the platform anchors [m], cable by cable."""
-        self.cell = self._next(m * ("tensions" in names))
+        self.cell = self._next(m, "tensions" in names)
         """Biases of the load cells [N]."""
-        self.orientation = self._next(3 * ("orientation" in names))
+        self.orientation = self._next(3, "orientation" in names)
         """Biases of the orientation [rad]."""
-        self.total = self._start
 
-    def _next(self, size: int) -> slice:
-        columns = slice(self._start, self._start + size)
-        self._start += size
-        return columns
+    def _next(self, size: int, is_estimated: bool = True) -> slice:
+        start = self.total
+        if is_estimated:
+            self.total += size
+        return slice(start, self.total)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,16 +124,18 @@ class Readings:
         """
         count, size = self._shape
         readings = innovation.shape[-1]
+        identity = np.eye(readings)
         gradient = np.zeros((count, readings, size))
         for columns, part in parts:
             if columns.start == columns.stop:
                 continue
             if np.ndim(part) == 0:
-                part = part * np.eye(readings)
+                part = part * identity
             gradient[:, :, columns] += part
+        variances = np.broadcast_to(variance, innovation.shape)
         self._innovations.append(innovation)
         self._gradients.append(gradient)
-        self._variances.append(np.broadcast_to(variance, innovation.shape))
+        self._variances.append(variances)
 
     def corrected(
         self, mean: Array, covariance: Array, at: Array | None = None
@@ -144,15 +149,18 @@ class Readings:
         """
         innovation = np.concatenate(self._innovations, axis=-1)
         gradient = np.concatenate(self._gradients, axis=-2)
-        if at is not None:
-            innovation = innovation + (gradient @ (at - mean)[..., None])[..., 0]
         variance = np.concatenate(self._variances, axis=-1)
-        crossed = covariance @ np.swapaxes(gradient, -1, -2)
-        total = gradient @ crossed + variance[..., None] * np.eye(variance.shape[-1])
-        gain = np.swapaxes(_solved(total, np.swapaxes(crossed, -1, -2)), -1, -2)
-        mean = mean + (gain @ innovation[..., None])[..., 0]
-        covariance = covariance - gain @ np.swapaxes(crossed, -1, -2)
-        return mean, (covariance + np.swapaxes(covariance, -1, -2)) / 2
+        if at is not None:
+            innovation = innovation + times_vector(gradient, at - mean)
+        crossed = covariance @ gradient.mT
+        readings = variance.shape[-1]
+        noise = variance[..., None] * np.eye(readings)
+        innovation_covariance = gradient @ crossed + noise
+        gain = _solved(innovation_covariance, crossed.mT).mT
+        mean = mean + times_vector(gain, innovation)
+        covariance = covariance - gain @ crossed.mT
+        covariance = (covariance + covariance.mT) / 2
+        return mean, covariance
 
 
 def _solved(left: Array, right: Array) -> Array:
@@ -160,13 +168,10 @@ def _solved(left: Array, right: Array) -> Array:
     try:
         return np.linalg.solve(left, right)
     except np.linalg.LinAlgError:
-        pass
-    solutions = np.full(right.shape, np.nan)
-    for solution, matrix, column in zip(solutions, left, right, strict=True):
-        try:
-            solution[:] = np.linalg.solve(matrix, column)
-        except np.linalg.LinAlgError:
-            continue
+        solutions = np.full(right.shape, np.nan)
+    for episode in range(len(left)):
+        with suppress(np.linalg.LinAlgError):
+            solutions[episode] = np.linalg.solve(left[episode], right[episode])
     return solutions
 
 
@@ -174,6 +179,8 @@ def merged(starts: NDArray[np.bool_], initial: KalmanState, following: KalmanSta
     """The initial state of the episodes that start, and the following state of the others."""
     arrays = {}
     for name, values in vars(following).items():
-        mask = starts.reshape(-1, *(1,) * (values.ndim - 1))
-        arrays[name] = np.where(mask, getattr(initial, name), values)
+        initial_values = getattr(initial, name)
+        further_axes = (1,) * (values.ndim - 1)
+        mask = starts.reshape(-1, *further_axes)
+        arrays[name] = np.where(mask, initial_values, values)
     return KalmanState(**arrays)

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cablebot_gym import kinematics
+from cablebot_gym.kinematics import Array, cable_vectors, rotation_matrix
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
-
-Array = NDArray[Any]
 
 STEP = 1e-6
 """Step of the difference quotients with respect to coordinates [m, rad] and mass [kg]."""
@@ -41,24 +37,28 @@ def accelerated(
 ) -> Accelerated:
     """Bilateral dynamics for masses (N,), poses and velocities (N, n) and torques (N, m)."""
     poses, masses = _varied(pose, mass)
+    velocities = np.broadcast_to(velocity, poses.shape)
     acceleration, tensions = textbook.forward_dynamics(
-        robot, masses, poses, np.broadcast_to(velocity, poses.shape), torque, cable="bilateral"
+        robot, masses, poses, velocities, torque, cable="bilateral"
     )
+    acceleration_by_pose, acceleration_by_mass = _quotients(acceleration)
+    tensions_by_pose, tensions_by_mass = _quotients(tensions)
+    radius = robot.pulley_radius
     structure = textbook.jacobian(robot, pose)
-    transposed = np.swapaxes(structure, -1, -2)
-    rotors = (robot.pulley_inertia / robot.pulley_radius**2)[:, None]
-    inertia = textbook.mass_matrix(robot, mass, pose) + transposed @ (rotors * structure)
-    by_wrench = np.linalg.inv(inertia)
-    by_torque = -by_wrench @ transposed / robot.pulley_radius
-    pulled = np.eye(robot.cables) / robot.pulley_radius + rotors * (structure @ by_torque)
-    by_pose, by_mass = zip(_quotients(acceleration), _quotients(tensions), strict=True)
+    rotor_mass = (robot.pulley_inertia / radius**2)[:, None]
+    rotors = structure.mT @ (rotor_mass * structure)
+    inertia = textbook.mass_matrix(robot, mass, pose) + rotors
+    acceleration_by_wrench = np.linalg.inv(inertia)
+    acceleration_by_torque = -acceleration_by_wrench @ structure.mT / radius
+    drag_by_torque = rotor_mass * (structure @ acceleration_by_torque)
+    tensions_by_torque = np.eye(robot.cables) / radius + drag_by_torque
     return Accelerated(
         acceleration=acceleration[0],
         tensions=tensions[0],
-        by_pose=by_pose,
-        by_mass=by_mass,
-        by_torque=(by_torque, pulled),
-        by_wrench=by_wrench,
+        by_pose=(acceleration_by_pose, tensions_by_pose),
+        by_mass=(acceleration_by_mass, tensions_by_mass),
+        by_torque=(acceleration_by_torque, tensions_by_torque),
+        by_wrench=acceleration_by_wrench,
     )
 
 
@@ -68,22 +68,28 @@ def static(robot: Robot, mass: Array, pose: Array) -> tuple[Array, Array, Array]
     poses, masses = _varied(pose, mass)
     minimum = textbook.allocated_minimum(robot)
     torques = textbook.static_torque(robot, masses, poses, minimum=minimum)
-    return torques[0], *_quotients(torques)
+    by_pose, by_mass = _quotients(torques)
+    return torques[0], by_pose, by_mass
 
 
 def _varied(pose: Array, mass: Array) -> tuple[Array, Array]:
     """Poses (n + 2, N, n) and masses (n + 2, N): nominal, each coordinate changed, mass changed."""
     n = pose.shape[-1]
-    changes = STEP * np.eye(n + 2, n, -1)
-    masses = np.broadcast_to(mass, (n + 2, *mass.shape)).copy()
+    count = n + 2
+    changes = STEP * np.eye(count, n, -1)
+    poses = pose + changes[:, None]
+    masses = np.repeat(mass[None], count, axis=0)
     masses[-1] += STEP
-    return pose + changes[:, None, :], masses
+    return poses, masses
 
 
 def _quotients(values: Array) -> tuple[Array, Array]:
     """Difference quotients of values (n + 2, N, j) with respect to X (N, j, n) and mass (N, j, 1)."""
-    quotients = np.moveaxis(values[1:] - values[0], 0, -1) / STEP
-    return quotients[..., :-1], quotients[..., -1:]
+    changes = values[1:] - values[0]
+    quotients = np.moveaxis(changes, 0, -1) / STEP
+    by_pose = quotients[..., :-1]
+    by_mass = quotients[..., -1:]
+    return by_pose, by_mass
 
 
 def anchor_gradients(robot: Robot, pose: Array) -> tuple[Array, Array]:
@@ -94,28 +100,34 @@ def anchor_gradients(robot: Robot, pose: Array) -> tuple[Array, Array]:
     """
     base, platform = _directions(robot, pose)
     base_at_home, platform_at_home = _directions(robot, robot.home[None])
-    return (
-        _by_cable(robot, base - base_at_home),
-        _by_cable(robot, platform - platform_at_home),
-    )
+    by_base = _by_cable(robot, base - base_at_home)
+    by_platform = _by_cable(robot, platform - platform_at_home)
+    return by_base, by_platform
 
 
 def _directions(robot: Robot, pose: Array) -> tuple[Array, Array]:
     """Gradients of the cable lengths with respect to their own anchors, each (N, m, d)."""
-    vectors = kinematics.cable_vectors(robot.base, robot.platform, pose)
-    units = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    turned_back = units
-    if robot.dimensions == 3 and robot.coordinates == 6:
-        turned_back = units @ kinematics.rotation_matrix(pose[:, 3:])
-    elif robot.coordinates == 3 and robot.dimensions == 2:
-        cosine, sine = np.cos(pose[:, 2:]), np.sin(pose[:, 2:])
-        x, y = units[..., 0], units[..., 1]
-        turned_back = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=-1)
+    vectors = cable_vectors(robot.base, robot.platform, pose)
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    units = vectors / lengths
+    if robot.coordinates == robot.dimensions:
+        return -units, units
+    angles = pose[:, robot.dimensions :]
+    if robot.dimensions == 3:
+        return -units, units @ rotation_matrix(angles)
+    cosine = np.cos(angles)
+    sine = np.sin(angles)
+    x, y = np.moveaxis(units, -1, 0)
+    turned_back_x = cosine * x + sine * y
+    turned_back_y = cosine * y - sine * x
+    turned_back = np.stack([turned_back_x, turned_back_y], axis=-1)
     return -units, turned_back
 
 
 def _by_cable(robot: Robot, directions: Array) -> Array:
     """Gradients of the pulley angles (N, m, m·d) from those of the lengths (N, m, d)."""
-    count, m, d = directions.shape
-    spread = np.eye(m)[:, :, None] * directions[:, :, None, :]
-    return -spread.reshape(count, m, m * d) / robot.pulley_radius[:, None]
+    m = robot.cables
+    own_anchor = np.eye(m)[:, :, None]
+    by_anchor = own_anchor * directions[:, :, None, :]
+    lengths = by_anchor.reshape(-1, m, robot.base.size)
+    return -lengths / robot.pulley_radius[:, None]

@@ -6,9 +6,6 @@ acts for the robot that it meets, at the instant at which its action takes effec
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -22,6 +19,7 @@ from cablebot_baselines.estimation.filtering import (
     predict,
     weigh,
 )
+from cablebot_baselines.estimation.observer_state import ObserverState, RobotEstimate, merged
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import times_vector
@@ -55,50 +53,8 @@ effect."""
 
 _EPS = 1e-12
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RobotEstimate:
-    """What the observer knows of N robots."""
-
-    pose: Array
-    """Pose X, (N, n) [m, rad]."""
-    velocity: Array
-    """Velocity Ẋ, (N, n) [m/s, rad/s]."""
-    mass: Array
-    """Mass of platform and payload, (N,) [kg]."""
-    strength: Array
-    """Strength of each motor as a fraction of the expected one, (N, m)."""
-    delay: Array
-    """Time between the request of an action and its torque, (N,) [s]."""
-    wrench: Array
-    """Wrench on the platform, (N, n) [N, N·m]."""
-    zero: Array
-    """Zero error of the deflection of each spring, (N, m) [rad]; zero for a rigid robot."""
-
-    def of(self, rows: NDArray[np.intp]) -> RobotEstimate:
-        """The estimates of some of the robots."""
-        return RobotEstimate(**{name: values[rows] for name, values in vars(self).items()})
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ObserverState:
-    """State of the filter for N episodes."""
-
-    mean: Array
-    """Pose, velocity, mass, strengths, delay, wrench and, of a flexible robot, zeros of the springs,
-    (N, size)."""
-    covariance: Array
-    """Covariance of ``mean``, (N, size, size)."""
-    steps: Array
-    """Control steps since the start, (N,)."""
-    holding: Array
-    """Torque per mass that holds the robot at the start, (N, m) [N·m/kg], and that without mass."""
-    motor_angle: Array
-    """Last motor angles of a flexible robot, (N, m) [rad]; zero for a rigid robot."""
-    motor_speed: Array
-    """Last motor speeds of a flexible robot, (N, m) [rad/s]; zero for a rigid robot."""
-    dynamics: Dynamics
-    """Motion with the estimates, at the pose half a control period later."""
+Blocks = dict[str, Array]
+"""Blocks of an observation by name, each (N, size)."""
 
 
 class RobotObserver:
@@ -128,35 +84,37 @@ class RobotObserver:
         self.period = period
         self.largest_payload = np.asarray(largest_payload, float)
         self._effect_times = expectation.effect_times(period)
+        decay = np.exp(-period / expectation.wrench_time)
+        self._wrench_decay = float(decay)
+        self._set_columns()
         robot = self.robot
-        n, m = robot.coordinates, robot.cables
-        self._pose = slice(0, n)
-        self._velocity = slice(n, 2 * n)
-        self._mass = 2 * n
-        self._strength = slice(2 * n + 1, 2 * n + 1 + m)
-        self._delay = 2 * n + 1 + m
-        self._wrench = slice(self._delay + 1, self._delay + 1 + n)
-        self._zero = slice(self._wrench.stop, self._wrench.stop + (m if robot.flexible else 0))
-        self._size = self._zero.stop
-        size = float(np.mean(np.linalg.norm(robot.platform, axis=-1))) or 1.0
-        is_position = np.arange(n) < robot.dimensions
-        self._wrench_decay = float(np.exp(-period / expectation.wrench_time))
-        self._acceleration_noise = ACCELERATION_NOISE * np.where(is_position, 1.0, 1.0 / size)
+        is_position = np.arange(robot.coordinates) < robot.dimensions
+        anchor_distances = np.linalg.norm(robot.platform, axis=-1)
+        platform_size = float(np.mean(anchor_distances)) or 1.0
+        unit = np.where(is_position, 1.0, 1.0 / platform_size)
+        self._acceleration_noise = ACCELERATION_NOISE * unit
         noise = expectation.noise
-        rotations = n - robot.dimensions
-        self._reading_variance = (
-            np.array(
-                [noise.position] * robot.dimensions
-                + [noise.rotation] * rotations
-                + [noise.velocity] * robot.dimensions
-                + [noise.rotation_rate] * rotations
-            )
-            ** 2
-        )
-        self._reading_variance += 1e-14  # exact sensors
+        pose_noise = np.where(is_position, noise.position, noise.rotation)
+        velocity_noise = np.where(is_position, noise.velocity, noise.rotation_rate)
+        reading_noise = np.concatenate([pose_noise, velocity_noise])
+        self._reading_variance = reading_noise**2 + 1e-14  # exact sensors
         self._reading_gradient = np.eye(self._mass, self._size)
         self._motors = np.stack([robot.stall_torque, robot.speed_slope])
         self._least_growth = self._growth_without_mass()
+
+    def _set_columns(self) -> None:
+        """Lays out the mean of :class:`ObserverState`."""
+        n = self.robot.coordinates
+        m = self.robot.cables
+        springs = m * self.robot.flexible
+        self._pose = slice(0, n)
+        self._velocity = slice(n, 2 * n)
+        self._mass = 2 * n
+        self._strength = slice(self._mass + 1, self._mass + 1 + m)
+        self._delay = self._strength.stop
+        self._wrench = slice(self._delay + 1, self._delay + 1 + n)
+        self._zero = slice(self._wrench.stop, self._wrench.stop + springs)
+        self._size = self._zero.stop
 
     def estimate(self, state: ObserverState) -> RobotEstimate:
         """The estimates in a state of the filter."""
@@ -175,7 +133,7 @@ class RobotObserver:
         )
 
     def update(
-        self, blocks: dict[str, Array], state: ObserverState | None, starts: NDArray[np.bool_]
+        self, blocks: Blocks, state: ObserverState | None, starts: NDArray[np.bool_]
     ) -> ObserverState:
         """The state after an observation.
 
@@ -187,41 +145,32 @@ class RobotObserver:
         if state is None or starts.all():
             return self._initial(blocks)
         following = self._following(blocks, state)
-        if starts.any():
-            return _merged(starts, self._initial(blocks), following)
-        return following
+        if not starts.any():
+            return following
+        initial = self._initial(blocks)
+        return merged(starts, initial, following)
 
     # Start
 
-    def _initial(self, blocks: dict[str, Array]) -> ObserverState:
+    def _initial(self, blocks: Blocks) -> ObserverState:
         """The state at the first observation: a robot at rest on its springs."""
-        robot, expected = self.robot, self.expectation
+        robot = self.robot
         pose = blocks["pose"]
         count = len(pose)
-        is_known = blocks["payload_known"][:, 0] > 0.5
-        largest = np.broadcast_to(self.largest_payload, is_known.shape)
-        payload = np.where(is_known, blocks["model_payload"][:, 0], largest / 2)
-        spread = np.where(is_known, expected.payload_spread * payload, largest / np.sqrt(12))
-        mean = np.zeros((count, self._size))
-        mean[:, self._pose] = pose
-        mean[:, self._velocity] = blocks["velocity"]
-        mean[:, self._mass] = robot.mass + payload
-        mean[:, self._strength] = 1.0
-        mean[:, self._delay] = np.mean(self._effect_times)
-        variance = np.zeros((count, self._size))
-        variance[:, : self._mass] = self._reading_variance
-        variance[:, self._mass] = spread**2 + expected.mass_spread**2
-        variance[:, self._strength] = expected.strength_spread**2
-        variance[:, self._delay] = np.ptp(self._effect_times) ** 2 / 12
-        variance[:, self._wrench] = expected.wrench_spread**2
-        light, heavy = (self._holding_torque(mass, pose) for mass in (robot.mass, 2 * robot.mass))
-        slope = (heavy - light) / robot.mass
-        holding = np.stack([slope, light - slope * robot.mass], axis=-1)
+        mean, variance = self._prior(blocks)
         covariance = variance[:, :, None] * np.eye(self._size)
-        angle = speed = np.zeros((count, robot.cables))
+        # the torque is affine in the mass
+        light = self._holding_torque(robot.mass, pose)
+        heavy = self._holding_torque(2 * robot.mass, pose)
+        per_mass = (heavy - light) / robot.mass
+        without_mass = light - per_mass * robot.mass
+        holding = np.stack([per_mass, without_mass], axis=-1)
+        angle = np.zeros((count, robot.cables))
+        speed = angle
         if robot.flexible:
-            angle, speed = blocks["motor_angle"], blocks["motor_speed"]
-            mean, covariance = self._at_rest(mean, covariance, holding, angle)
+            angle = blocks["motor_angle"]
+            speed = blocks["motor_speed"]
+            self._correct_at_rest(mean, covariance, holding, angle)
         return ObserverState(
             mean=mean,
             covariance=covariance,
@@ -232,47 +181,76 @@ class RobotObserver:
             dynamics=self._dynamics(mean),
         )
 
-    def _at_rest(
+    def _prior(self, blocks: Blocks) -> tuple[Array, Array]:
+        """Mean and variances of the state before the springs are read, each (N, size)."""
+        robot = self.robot
+        expected = self.expectation
+        is_known = blocks["payload_known"][:, 0] > 0.5
+        model_payload = blocks["model_payload"][:, 0]
+        largest = np.broadcast_to(self.largest_payload, is_known.shape)
+        payload = np.where(is_known, model_payload, largest / 2)
+        known_spread = expected.payload_spread * payload
+        unknown_spread = largest / np.sqrt(12)
+        payload_spread = np.where(is_known, known_spread, unknown_spread)
+        count = len(payload)
+        mean = np.zeros((count, self._size))
+        mean[:, self._pose] = blocks["pose"]
+        mean[:, self._velocity] = blocks["velocity"]
+        mean[:, self._mass] = robot.mass + payload
+        mean[:, self._strength] = 1.0
+        mean[:, self._delay] = np.mean(self._effect_times)
+        variance = np.zeros_like(mean)
+        variance[:, : self._mass] = self._reading_variance
+        variance[:, self._mass] = payload_spread**2 + expected.mass_spread**2
+        variance[:, self._strength] = expected.strength_spread**2
+        variance[:, self._delay] = np.ptp(self._effect_times) ** 2 / 12
+        variance[:, self._wrench] = expected.wrench_spread**2
+        return mean, variance
+
+    def _correct_at_rest(
         self, mean: Array, covariance: Array, holding: Array, angle: Array
-    ) -> tuple[Array, Array]:
-        """Mean and covariance of a flexible robot whose springs hold it at the start."""
-        robot, expected = self.robot, self.expectation
+    ) -> None:
+        """Changes mean and covariance of a flexible robot to those with the motor angles at which
+        its springs hold it at the start."""
+        robot = self.robot
+        expected = self.expectation
+        stiffness = robot.stiffness
         pose = mean[:, self._pose]
-        torque = robot.stiffness * (angle - textbook.pulley_angle(robot, pose))
-        zero_variance = (expected.stiffness_spread * torque / robot.stiffness) ** 2
-        zero_variance += (expected.anchor_spread / robot.pulley_radius) ** 2
-        covariance = covariance.copy()
+        mass = mean[:, self._mass, None]
+        torque = stiffness * (angle - textbook.pulley_angle(robot, pose))
+        innovation = torque - holding[..., 0] * mass - holding[..., 1]
+        stiffness_error = expected.stiffness_spread * torque / stiffness
+        anchor_error = expected.anchor_spread / robot.pulley_radius
         zeros = np.arange(self._size)[self._zero]
-        covariance[:, zeros, zeros] = zero_variance
-        innovation = torque - holding[..., 0] * mean[:, self._mass, None] - holding[..., 1]
-        gradient = np.zeros((len(mean), robot.cables, self._size))
-        wound = (robot.stiffness / robot.pulley_radius)[:, None] * textbook.jacobian(robot, pose)
-        gradient[..., self._pose] = -wound
-        gradient[..., self._zero] = np.diag(robot.stiffness)
+        covariance[:, zeros, zeros] = stiffness_error**2 + anchor_error**2
+        winding = (stiffness / robot.pulley_radius)[:, None]
+        count = len(mean)
+        gradient = np.zeros((count, robot.cables, self._size))
+        gradient[..., self._pose] = -(winding * textbook.jacobian(robot, pose))
+        gradient[..., self._zero] = np.diag(stiffness)
         gradient[..., self._mass] = holding[..., 0]
-        noise = (robot.stiffness * expected.noise.motor_angle) ** 2 + _EPS
-        mean = mean.copy()
-        variance = np.broadcast_to(noise, innovation.shape).copy()
+        noise = (stiffness * expected.noise.motor_angle) ** 2 + _EPS
+        variance = np.repeat(noise[None], count, axis=0)
         correct(innovation, gradient, variance, mean, covariance)
-        return mean, covariance
 
     def _holding_torque(self, mass: float, pose: Array) -> Array:
-        minimum = textbook.allocated_minimum(self.robot)
-        return textbook.static_torque(self.robot, np.full(len(pose), mass), pose, minimum=minimum)
+        robot = self.robot
+        masses = np.full(len(pose), mass)
+        minimum = textbook.allocated_minimum(robot)
+        return textbook.static_torque(robot, masses, pose, minimum=minimum)
 
     # One control period
 
-    def _following(self, blocks: dict[str, Array], state: ObserverState) -> ObserverState:
+    def _following(self, blocks: Blocks, state: ObserverState) -> ObserverState:
         """Prediction over one control period, and correction by the sensors."""
-        mean, covariance = state.mean.copy(), state.covariance.copy()
+        mean = state.mean.copy()
+        covariance = state.covariance.copy()
         count = len(mean)
-        jumps = self._torque_errors(blocks)
-        variance = np.repeat(self._reading_variance[None], count, axis=0)
-        gradient = np.repeat(self._reading_gradient[None], count, axis=0)
-        balance = None
+        torque_errors = self._torque_errors(blocks)
+        jumps = torque_errors
         if self.robot.flexible:
-            torque, torque_gradient, balance = self._flexible_torques(blocks, state, jumps)
-            jumps = np.zeros_like(jumps)
+            torque, torque_gradient = self._spring_torques(blocks, state)
+            jumps = np.zeros_like(torque_errors)
         else:
             torque, torque_gradient = self._rigid_torques(blocks, state)
         predict(
@@ -290,16 +268,21 @@ class RobotObserver:
         )
         readings = np.concatenate([blocks["pose"], blocks["velocity"]], axis=-1)
         innovation = readings - mean[:, : self._mass]
-        if balance is not None:
+        gradient = np.repeat(self._reading_gradient[None], count, axis=0)
+        variance = np.repeat(self._reading_variance[None], count, axis=0)
+        if self.robot.flexible:
             # The balance concerns the period before: its gradient refers to the predicted state,
             # which hardly differs.
-            excess, slopes, noise = balance
+            excess, slopes = self._motor_balance(blocks, state, torque, torque_gradient)
+            noise = self._balance_variance(torque_errors)
             innovation = np.concatenate([innovation, excess], axis=-1)
             gradient = np.concatenate([gradient, slopes], axis=-2)
             variance = np.concatenate([variance, noise], axis=-1)
         correct(innovation, gradient, variance, mean, covariance)
-        mean[:, self._delay] = np.clip(mean[:, self._delay], *self._effect_times)
-        mean[:, self._mass] = np.maximum(mean[:, self._mass], self.robot.mass / 2)
+        delay = mean[:, self._delay]
+        mass = mean[:, self._mass]
+        mean[:, self._delay] = np.clip(delay, *self._effect_times)
+        mean[:, self._mass] = np.maximum(mass, self.robot.mass / 2)
         return ObserverState(
             mean=mean,
             covariance=covariance,
@@ -312,155 +295,196 @@ class RobotObserver:
 
     def _growth(self, mean: Array) -> Array:
         """Variances that one control period adds, (N, size)."""
-        variance = np.repeat(self._least_growth[None], len(mean), axis=0)
-        variance[:, self._mass] = (MASS_DRIFT * mean[:, self._mass]) ** 2 * self.period
+        count = len(mean)
+        mass_drift = MASS_DRIFT * mean[:, self._mass]
+        variance = np.repeat(self._least_growth[None], count, axis=0)
+        variance[:, self._mass] = mass_drift**2 * self.period
         return variance
 
     def _growth_without_mass(self) -> Array:
         """Variances that one control period adds, (size,), but for that of the mass."""
-        period, expected = self.period, self.expectation
+        period = self.period
+        expected = self.expectation
+        acceleration_density = self._acceleration_noise**2
+        forgotten = 1 - self._wrench_decay**2
         variance = np.zeros(self._size)
-        variance[self._velocity] = self._acceleration_noise**2 * period
-        variance[self._pose] = self._acceleration_noise**2 * period**3 / 3
-        variance[self._wrench] = (1 - self._wrench_decay**2) * expected.wrench_spread**2
+        variance[self._velocity] = acceleration_density * period
+        variance[self._pose] = acceleration_density * period**3 / 3
+        variance[self._wrench] = forgotten * expected.wrench_spread**2
         variance[self._strength] = STRENGTH_DRIFT**2 * period
         if self.robot.flexible:
             drift = OFFSET_DRIFT * expected.anchor_spread / self.robot.pulley_radius
             variance[self._zero] = drift**2 * period
         return variance
 
-    def _rigid_torques(self, blocks: dict[str, Array], state: ObserverState) -> tuple[Array, Array]:
+    def _rigid_torques(self, blocks: Blocks, state: ObserverState) -> tuple[Array, Array]:
         """Mean torques on the pulleys of a rigid robot, (N, m), and their derivatives with respect
         to the state, (N, m, size)."""
         robot = self.robot
-        now = self.estimate(state)
         dynamics = state.dynamics
+        strength = state.mean[:, self._strength]
         speed = dynamics.pulley_speed
-        drives = self._drives(blocks["last_actions"], state, now, speed)
-        speed_slope = (now.strength * robot.speed_slope + robot.damping) / robot.pulley_radius
+        drives = self._last_drives(blocks, state, speed)
+        torque = drives.torque - textbook.coulomb_torque(robot, speed)
         gradient = np.zeros((*speed.shape, self._size))
-        gradient[..., self._velocity] = speed_slope[..., None] * dynamics.structure
-        gradient[..., self._mass] = drives.per_mass
-        gradient[..., self._strength] = drives.per_strength[..., None] * np.eye(robot.cables)
-        gradient[..., self._delay] = drives.per_delay
-        return drives.torque - textbook.coulomb_torque(robot, speed), gradient
+        speed_slope = strength * robot.speed_slope + robot.damping
+        rate_slope = speed_slope / robot.pulley_radius
+        gradient[..., self._velocity] = rate_slope[..., None] * dynamics.structure
+        self._set_drive_gradient(gradient, drives)
+        return torque, gradient
 
-    def _flexible_torques(
-        self, blocks: dict[str, Array], state: ObserverState, errors: Array
-    ) -> tuple[Array, Array, tuple[Array, Array, Array]]:
-        """Mean torques of the springs of a flexible robot, (N, m), their derivatives, (N, m, size),
-        and the torque balance of the motors: excess, derivatives and variance."""
-        robot, period = self.robot, self.period
+    def _set_drive_gradient(self, gradient: Array, drives: Drives) -> None:
+        """Writes the derivatives of the motor torques, (N, m, size), but for those by the speed."""
+        strength_slope = drives.per_strength[..., None]
+        gradient[..., self._mass] = drives.per_mass
+        gradient[..., self._strength] = strength_slope * np.eye(self.robot.cables)
+        gradient[..., self._delay] = drives.per_delay
+
+    def _spring_torques(self, blocks: Blocks, state: ObserverState) -> tuple[Array, Array]:
+        """Mean torques of the springs of a flexible robot, (N, m), and their derivatives, (N, m,
+        size)."""
+        robot = self.robot
+        period = self.period
         now = self.estimate(state)
-        angle, speed = blocks["motor_angle"], blocks["motor_speed"]
-        mean_angle = (angle + state.motor_angle) / 2 - period / 12 * (speed - state.motor_speed)
-        mean_speed = (speed + state.motor_speed) / 2
+        angle_sum = blocks["motor_angle"] + state.motor_angle
+        speed_change = blocks["motor_speed"] - state.motor_speed
+        mean_angle = angle_sum / 2 - period / 12 * speed_change
         middle = now.pose + period / 2 * now.velocity
         stiffness = textbook.joint_stiffness(robot, middle)
-        spring = stiffness * (mean_angle - now.zero - textbook.pulley_angle(robot, middle))
-        spring_gradient = np.zeros((*spring.shape, self._size))
+        twist = mean_angle - now.zero - textbook.pulley_angle(robot, middle)
+        gradient = np.zeros((*twist.shape, self._size))
         # β = (l₀ − l)/r, so a displacement winds the spring by S/r.
-        wound = (stiffness / robot.pulley_radius)[..., None] * state.dynamics.structure
-        spring_gradient[..., self._pose] = wound
-        spring_gradient[..., self._zero] = -np.eye(robot.cables) * stiffness[..., None, :]
-        drives = self._drives(blocks["last_actions"], state, now, mean_speed)
-        change = robot.motor_inertia * (speed - state.motor_speed) / period
+        winding = (stiffness / robot.pulley_radius)[..., None]
+        gradient[..., self._pose] = winding * state.dynamics.structure
+        zero_slope = -np.eye(robot.cables)
+        gradient[..., self._zero] = zero_slope * stiffness[..., None, :]
+        return stiffness * twist, gradient
+
+    def _motor_balance(
+        self, blocks: Blocks, state: ObserverState, spring: Array, spring_gradient: Array
+    ) -> tuple[Array, Array]:
+        """Excess in the torque balance of the motors of a flexible robot, (N, m), and its
+        derivatives, (N, m, size), with the torques of the springs and their derivatives."""
+        robot = self.robot
+        speed = blocks["motor_speed"]
+        mean_speed = (speed + state.motor_speed) / 2
+        drives = self._last_drives(blocks, state, mean_speed)
         friction = textbook.motor_friction(robot, mean_speed)
-        excess = change - (drives.torque - spring - friction)
+        speed_change = speed - state.motor_speed
+        rotor_torque = robot.motor_inertia * speed_change / self.period
+        excess = rotor_torque - (drives.torque - spring - friction)
         gradient = -spring_gradient
-        gradient[..., self._mass] = drives.per_mass
-        gradient[..., self._strength] = np.eye(robot.cables) * drives.per_strength[:, None, :]
-        gradient[..., self._delay] = drives.per_delay
-        return spring, spring_gradient, (excess, gradient, self._balance_variance(errors))
+        self._set_drive_gradient(gradient, drives)
+        return excess, gradient
 
     def _balance_variance(self, errors: Array) -> Array:
         """Variance of the torque balance of the motors in one control period, with errors of their
         torques, each (N, m) [N²·m²]."""
-        robot, noise = self.robot, self.expectation.noise
+        robot = self.robot
+        noise = self.expectation.noise
         speed = robot.motor_inertia * noise.motor_speed * np.sqrt(2) / self.period
         angle = robot.stiffness * noise.motor_angle
+        correlated_periods = robot.cables * FRICTION_TIME / self.period
         friction = self.expectation.friction_spread * robot.coulomb_friction
-        friction = friction * np.sqrt(robot.cables * FRICTION_TIME / self.period)
+        friction = friction * np.sqrt(correlated_periods)
         variance: Array = speed**2 + angle**2 + friction**2 + errors**2 + _EPS
         return variance
 
-    def _torque_errors(self, blocks: dict[str, Array]) -> Array:
+    def _torque_errors(self, blocks: Blocks) -> Array:
         """Errors of the mean torques in one control period by changes of the actions, (N, m)."""
-        actions = blocks["last_actions"].reshape(len(blocks["pose"]), -1, self.robot.cables)
-        errors: Array = LAG_ERROR * self.robot.stall_torque * np.ptp(actions, axis=1)
+        robot = self.robot
+        actions = blocks["last_actions"].reshape(len(blocks["pose"]), -1, robot.cables)
+        changes = np.ptp(actions, axis=1)
+        errors: Array = LAG_ERROR * robot.stall_torque * changes
         return errors
 
     def _dynamics(self, mean: Array) -> Dynamics:
         """Motion with the estimates of a mean, (N, size)."""
-        mass, velocity = mean[:, self._mass], mean[:, self._velocity]
+        mass = mean[:, self._mass]
+        velocity = mean[:, self._velocity]
         middle = mean[:, self._pose] + self.period / 2 * velocity
         return dynamics_of(self.robot, mass, middle, velocity)
 
     # Actions
 
-    def _drives(
-        self, last_actions: Array, state: ObserverState, now: RobotEstimate, speed: Array
-    ) -> Drives:
+    def _last_drives(self, blocks: Blocks, state: ObserverState, speed: Array) -> Drives:
         """Mean torque of the motors in the last control period, at speeds (N, m) [rad/s]."""
-        weights, rates = delayed_weights(np.ascontiguousarray(now.delay), self.period)
-        return self._weighed(last_actions, weights, rates, state.steps + 1, state, now, speed)
+        delay = np.ascontiguousarray(state.mean[:, self._delay])
+        weights, rates = delayed_weights(delay, self.period)
+        sent = state.steps + 1
+        return self._drives(blocks, weights, rates, sent, state, speed)
 
-    def _weighed(
+    def _drives(
         self,
-        last_actions: Array,
+        blocks: Blocks,
         weights: Array,
         rates: Array,
         sent: Array,
         state: ObserverState,
-        now: RobotEstimate,
         speed: Array,
     ) -> Drives:
         """Torque of the last actions, see :func:`~cablebot_baselines.estimation.filtering.weigh`."""
-        actions = last_actions.reshape(len(speed), -1, self.robot.cables)
-        robots = speed, now.strength, now.mass, state.holding
+        actions = blocks["last_actions"].reshape(len(speed), -1, self.robot.cables)
+        strength = state.mean[:, self._strength]
+        mass = state.mean[:, self._mass]
+        arguments = actions, weights, rates, sent, speed, strength, mass, state.holding
         drives = np.empty((4, *speed.shape))
-        weigh(
-            *map(np.ascontiguousarray, (actions, weights, rates, sent, *robots)),
-            self._motors,
-            drives,
-        )
+        weigh(*map(np.ascontiguousarray, arguments), self._motors, drives)
         return Drives(*drives)
 
     # Prediction
 
-    def at_effect(self, blocks: dict[str, Array], state: ObserverState) -> dict[str, Array]:
+    def at_effect(self, blocks: Blocks, state: ObserverState) -> Blocks:
         """Pose, velocity, acceleration ``disturbance`` by the wrench and, of a flexible robot, motor
         angle without zero error and motor speed at the instant at which the next action takes
         effect, by block name."""
-        robot = self.robot
-        now = self.estimate(state)
-        actions = blocks["last_actions"]
-        delay = now.delay[:, None]
-        latest = np.minimum(1.0, self.period / np.maximum(now.delay, _EPS))
+        delay = state.mean[:, self._delay]
+        positive_delay = np.maximum(delay, _EPS)
+        latest = np.minimum(1.0, self.period / positive_delay)
         weights = np.stack([latest, 1 - latest], axis=1)
-        rates = np.zeros_like(weights)
+        if self.robot.flexible:
+            ahead = self._flexible_at_effect(blocks, state, weights)
+        else:
+            ahead = self._rigid_at_effect(blocks, state, weights)
+        wrench = state.mean[:, self._wrench]
+        ahead["disturbance"] = times_vector(state.dynamics.mobility, wrench)
+        return ahead
+
+    def _rigid_at_effect(self, blocks: Blocks, state: ObserverState, weights: Array) -> Blocks:
+        """Pose and velocity of a rigid robot when the next action takes effect."""
+        now = self.estimate(state)
+        delay = now.delay[:, None]
         dynamics = state.dynamics
-        disturbance = times_vector(dynamics.mobility, now.wrench)
-        if not robot.flexible:
-            speed = dynamics.pulley_speed
-            drives = self._weighed(actions, weights, rates, state.steps, state, now, speed)
-            friction = textbook.coulomb_torque(robot, speed)
-            acceleration = dynamics.acceleration(drives.torque - friction, now.wrench)
-            return {
-                "pose": now.pose + delay * now.velocity + delay**2 / 2 * acceleration,
-                "velocity": now.velocity + delay * acceleration,
-                "disturbance": disturbance,
-            }
-        pose, velocity = now.pose, now.velocity
-        angle, speed = blocks["motor_angle"] - now.zero, blocks["motor_speed"]
+        speed = dynamics.pulley_speed
+        rates = np.zeros_like(weights)
+        drives = self._drives(blocks, weights, rates, state.steps, state, speed)
+        torque = drives.torque - textbook.coulomb_torque(self.robot, speed)
+        acceleration = dynamics.acceleration(torque, now.wrench)
+        displacement = delay * now.velocity
+        return {
+            "pose": now.pose + displacement + delay**2 / 2 * acceleration,
+            "velocity": now.velocity + delay * acceleration,
+        }
+
+    def _flexible_at_effect(self, blocks: Blocks, state: ObserverState, weights: Array) -> Blocks:
+        """Pose, velocity, motor angle and motor speed of a flexible robot when the next action
+        takes effect."""
+        robot = self.robot
+        dynamics = state.dynamics
+        now = self.estimate(state)
+        pose = now.pose
+        velocity = now.velocity
+        angle = blocks["motor_angle"] - now.zero
+        speed = blocks["motor_speed"]
+        rates = np.zeros_like(weights)
         twist = angle - textbook.pulley_angle(robot, pose)
         stiffness = textbook.joint_stiffness(robot, pose)
-        step = delay / _AHEAD_STEPS
+        step = now.delay[:, None] / _AHEAD_STEPS
         for _ in range(_AHEAD_STEPS):
-            drives = self._weighed(actions, weights, rates, state.steps, state, now, speed)
+            drives = self._drives(blocks, weights, rates, state.steps, state, speed)
             spring = stiffness * twist
-            friction = textbook.motor_friction(robot, speed)
-            speed = speed + step * (drives.torque - spring - friction) / robot.motor_inertia
+            net_torque = drives.torque - spring - textbook.motor_friction(robot, speed)
+            speed = speed + step * net_torque / robot.motor_inertia
             velocity = velocity + step * dynamics.acceleration(spring, now.wrench)
             pose = pose + step * velocity
             angle = angle + step * speed
@@ -471,23 +495,4 @@ class RobotObserver:
             "velocity": velocity,
             "motor_angle": angle,
             "motor_speed": speed,
-            "disturbance": disturbance,
         }
-
-
-def _merged(
-    starts: NDArray[np.bool_], initial: ObserverState, following: ObserverState
-) -> ObserverState:
-    """The initial state of the episodes that start, and the following state of the others."""
-
-    def either(old: Array, new: Array) -> Array:
-        return np.where(starts.reshape(-1, *(1,) * (new.ndim - 1)), old, new)
-
-    merged: dict[str, Any] = {}
-    for field in fields(following):
-        old, new = getattr(initial, field.name), getattr(following, field.name)
-        if isinstance(new, Dynamics):
-            merged[field.name] = Dynamics(*map(either, old, new))
-        else:
-            merged[field.name] = either(old, new)
-    return ObserverState(**merged)

@@ -7,9 +7,9 @@ batch of instants, so that the physics is not implemented twice.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,6 +22,7 @@ from cablebot_gym.physics.central_tensions import RELAXED
 from cablebot_gym.physics.distribution import BARRIER, central
 from cablebot_gym.physics.textbook import joint_equivalent
 from cablebot_gym.robots import Robot
+from cablebot_gym.trajectories import ORDERS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,25 +62,20 @@ def required_actuation(
     pose, velocity, acceleration = map(_objects, motion[:3])
     speed = _tensor(textbook.pulley_speed(robot, pose, velocity))
     if robot.flexible:
-        names = [item.name for item in fields(Motion)]
-        series = Motion(**cast(Any, dict(zip(names, motion, strict=True))))
+        orders: dict[str, Any] = dict(zip(ORDERS, motion, strict=True))
+        series: Any = Motion(**orders)
         step = DIFFERENCE_STEP
-        pulley_acceleration = _tensor(
-            textbook.pulley_acceleration(robot, pose, velocity, acceleration)
-        )
-        _, before = tensions_and_torques(cast(Any, series.after(-step)))
-        _, after = tensions_and_torques(cast(Any, series.after(step)))
+        pulley_acceleration = textbook.pulley_acceleration(robot, pose, velocity, acceleration)
+        _, before = tensions_and_torques(series.after(-step))
+        _, after = tensions_and_torques(series.after(step))
         stiffness = torch.tensor(robot.stiffness)
         inertia = torch.tensor(robot.motor_inertia)
-        speed = speed + (after - before) / (2 * step) / stiffness
-        motor_acceleration = (
-            pulley_acceleration + (after - 2 * torque + before) / step**2 / stiffness
-        )
-        torque = (
-            torque
-            + inertia * motor_acceleration
-            + _tensor(textbook.motor_friction(robot, _objects(speed)))
-        )
+        torque_rate = (after - before) / (2 * step)
+        speed = speed + torque_rate / stiffness
+        torque_second = (after - 2 * torque + before) / step**2
+        motor_acceleration = _tensor(pulley_acceleration) + torque_second / stiffness
+        friction = textbook.motor_friction(robot, _objects(speed))
+        torque = torque + inertia * motor_acceleration + _tensor(friction)
     action = _tensor(textbook.normalised_action(robot, _objects(torque), _objects(speed)))
     return RequiredActuation(tensions=tensions, action=action)
 
@@ -90,29 +86,26 @@ def _tensions_and_torques(
     """Tensions T from ``−Sᵀ T = D Ẍ + h`` (Eq. 16), and torques r T + J β̈ + c β̇ (of the springs
     if flexible)."""
     pose, velocity, acceleration = map(_objects, motion)
-    lines = textbook.jacobian(robot, pose)
-    structure = _tensor(lines)
-    load = _tensor(
-        textbook.load(robot, _objects(mass[:, None])[:, 0], pose, velocity, acceleration)
-    )
+    jacobian = textbook.jacobian(robot, pose)
+    masses = _objects(mass[:, None])[:, 0]
+    structure = _tensor(jacobian)
+    load = _tensor(textbook.load(robot, masses, pose, velocity, acceleration))
     if robot.cables == robot.coordinates:
         tensions = torch.linalg.solve(-structure.mT, load)
     elif robot.kind == "planar":
         tensions = _tension_distribution(structure, load, minimum)
     else:
         slack = np.zeros((1, robot.cables))
-        idle = textbook.required_torques(robot, slack, pose, velocity, acceleration)
-        offset = textbook.normalised_action(
-            robot, idle, textbook.pulley_speed(robot, pose, velocity)
-        )
-        tensions = _central_tensions(robot, structure, load, _tensor(offset), minimum)
+        torques = textbook.required_torques(robot, slack, pose, velocity, acceleration)
+        speed = textbook.pulley_speed(robot, pose, velocity)
+        offset = _tensor(textbook.normalised_action(robot, torques, speed))
+        tensions = _central_tensions(robot, structure, load, offset, minimum)
     if softness:
-        tensions = _tensor(
-            textbook.smooth_tension_distribution(lines, _objects(tensions), minimum, softness)
-        )
-    return tensions, _tensor(
-        textbook.required_torques(robot, _objects(tensions), pose, velocity, acceleration)
-    )
+        sharp = _objects(tensions)
+        smooth = textbook.smooth_tension_distribution(jacobian, sharp, minimum, softness)
+        tensions = _tensor(smooth)
+    torques = textbook.required_torques(robot, _objects(tensions), pose, velocity, acceleration)
+    return tensions, _tensor(torques)
 
 
 def _tension_distribution(structure: Tensor, load: Tensor, minimum: float) -> Tensor:
@@ -125,10 +118,13 @@ def _tension_distribution(structure: Tensor, load: Tensor, minimum: float) -> Te
         distribution = textbook.tension_distribution(
             structure.numpy(), load.numpy(), minimum, strict=False
         )
-    active = torch.tensor(np.argsort(distribution, axis=-1)[..., -2:])
-    pair = torch.gather(structure, 1, active[..., None].expand(-1, -1, structure.shape[-1]))
-    excess = torch.linalg.solve(-pair.mT, load + minimum * structure.sum(dim=-2))
-    return minimum + torch.zeros_like(structure[..., 0]).scatter(1, active, excess)
+    by_tension = np.argsort(distribution, axis=-1)
+    active = torch.tensor(by_tension[..., -2:])
+    pair = torch.take_along_dim(structure, active[..., None], dim=1)
+    remaining_load = load + minimum * structure.sum(dim=-2)
+    excess = torch.linalg.solve(-pair.mT, remaining_load)
+    zeros = torch.zeros_like(structure[..., 0])
+    return minimum + zeros.scatter(1, active, excess)
 
 
 def _central_tensions(
@@ -140,24 +136,23 @@ def _central_tensions(
     only, and has their derivatives.
     """
     slope = torch.tensor(robot.pulley_radius / robot.stall_torque)
-    arrays = structure, load, torch.full_like(offset, minimum), slope.expand_as(offset), offset
-    tensions = torch.tensor(central(*(array.detach().numpy() for array in arrays)))
+    least = torch.full_like(offset, minimum)
+    arguments = structure, load, least, slope.expand_as(offset), offset
+    arrays = [argument.detach().numpy() for argument in arguments]
+    tensions = torch.tensor(central(*arrays))
     actions = slope * tensions + offset
     below, below_curvature = _barrier_derivatives(slope * (tensions - minimum))
     above, above_curvature = _barrier_derivatives(1 - actions)
     gradient = slope * (actions + BARRIER * (below - above))
     curvature = slope**2 * (1 + BARRIER * (below_curvature + above_curvature))
     coordinates = load.shape[-1]
-    nothing = torch.zeros((len(load), coordinates, coordinates), dtype=torch.float64)
-    system = torch.cat(
-        [
-            torch.cat([torch.diag_embed(curvature), -structure], dim=2),
-            torch.cat([-structure.mT, nothing], dim=2),
-        ],
-        dim=1,
-    )
+    zeros = load.new_zeros(len(load), coordinates, coordinates)
+    stationarity = torch.cat([torch.diag_embed(curvature), -structure], dim=2)
+    balance = torch.cat([-structure.mT, zeros], dim=2)
+    system = torch.cat([stationarity, balance], dim=1)
     missing = load + (structure.mT @ tensions[..., None])[..., 0]
-    step = torch.linalg.solve(system, torch.cat([-gradient, missing], dim=1))
+    residual = torch.cat([-gradient, missing], dim=1)
+    step = torch.linalg.solve(system, residual)
     return tensions + step[:, : robot.cables]
 
 

@@ -15,8 +15,10 @@ def _ball(values: Array) -> Array:
     """Squashes the first (at most three) numbers as one vector, x/√(1 + |x|²), and each other
     number on its own."""
     square = values**2
-    square[..., :3] = np.sum(square[..., :3], axis=-1, keepdims=True)
-    squashed: Array = values / np.sqrt(1 + square)
+    position = square[..., :3]
+    position[:] = np.sum(position, axis=-1, keepdims=True)
+    length = np.sqrt(1 + square)
+    squashed: Array = values / length
     return squashed
 
 
@@ -61,22 +63,28 @@ class Network:
     """Bound at which normalised inputs are clipped."""
 
     def __post_init__(self) -> None:
-        for name, known in (("activation", ACTIVATIONS), ("squash", SQUASHES)):
-            choice(name, getattr(self, name), known)
-        sizes = (self.mean.size, *(bias.size for bias in self.biases))
-        vectors = (self.mean, *self.biases)
-        if (
-            not self.biases
-            or self.scale.shape != self.mean.shape
-            or [vector.shape for vector in vectors] != [(size,) for size in sizes]
-            or [weight.shape for weight in self.weights] != [*zip(sizes[1:], sizes, strict=False)]
-        ):
+        choice("activation", self.activation, ACTIVATIONS)
+        choice("squash", self.squash, SQUASHES)
+        if not self._has_consistent_shapes():
             raise ValueError("the shapes of the network's layers are inconsistent")
         arrays = (self.mean, self.scale, *self.weights, *self.biases)
-        if not all(np.all(np.isfinite(array)) for array in arrays) or not np.all(self.scale > 0):
+        is_finite = all(np.isfinite(array).all() for array in arrays)
+        if not is_finite or not np.all(self.scale > 0):
             raise ValueError(
                 "the network's numbers must be finite, and the scale of its inputs must be above 0"
             )
+
+    def _has_consistent_shapes(self) -> bool:
+        if not self.biases or len(self.weights) != len(self.biases):
+            return False
+        if self.mean.ndim != 1 or self.scale.shape != self.mean.shape:
+            return False
+        inputs = self.inputs
+        for weight, bias in zip(self.weights, self.biases, strict=True):
+            if bias.ndim != 1 or weight.shape != (len(bias), inputs):
+                return False
+            inputs = len(bias)
+        return True
 
     @property
     def inputs(self) -> int:
@@ -90,18 +98,29 @@ class Network:
 
     def __call__(self, values: Array) -> Array:
         """Outputs (..., outputs) for inputs (..., inputs)."""
-        values = np.clip((values - self.mean) / self.scale, -self.CUT, self.CUT)
-        *hidden, (weight, bias) = zip(self.weights, self.biases, strict=True)
-        for hidden_weight, hidden_bias in hidden:
-            values = ACTIVATIONS[self.activation](values @ hidden_weight.T + hidden_bias)
-        return SQUASHES[self.squash](values @ weight.T + bias)
+        normalised = (values - self.mean) / self.scale
+        values = np.clip(normalised, -self.CUT, self.CUT)
+        activate = ACTIVATIONS[self.activation]
+        squash = SQUASHES[self.squash]
+        *hidden_layers, last_layer = zip(self.weights, self.biases, strict=True)
+        for weight, bias in hidden_layers:
+            values = activate(values @ weight.T + bias)
+        weight, bias = last_layer
+        return squash(values @ weight.T + bias)
 
     def to_arrays(self) -> dict[str, Array]:
         """The network as arrays by name, for :meth:`from_arrays`."""
-        layers = {f"weight{index}": values for index, values in enumerate(self.weights)}
-        layers |= {f"bias{index}": values for index, values in enumerate(self.biases)}
-        names = {"activation": np.array(self.activation), "squash": np.array(self.squash)}
-        return {"mean": self.mean, "scale": self.scale, **names, **layers}
+        arrays = {
+            "mean": self.mean,
+            "scale": self.scale,
+            "activation": np.array(self.activation),
+            "squash": np.array(self.squash),
+        }
+        for index, weight in enumerate(self.weights):
+            arrays[f"weight{index}"] = weight
+        for index, bias in enumerate(self.biases):
+            arrays[f"bias{index}"] = bias
+        return arrays
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array]) -> Network:
@@ -115,14 +134,15 @@ class Network:
         if count == 0:
             raise KeyError("weight0")
 
-        def layers(kind: str) -> tuple[Array, ...]:
-            return tuple(np.asarray(arrays[f"{kind}{index}"], float) for index in range(count))
+        def floats(name: str) -> Array:
+            return np.asarray(arrays[name], float)
 
+        indices = range(count)
         return cls(
-            mean=np.asarray(arrays["mean"], float),
-            scale=np.asarray(arrays["scale"], float),
-            weights=layers("weight"),
-            biases=layers("bias"),
+            mean=floats("mean"),
+            scale=floats("scale"),
+            weights=tuple(floats(f"weight{index}") for index in indices),
+            biases=tuple(floats(f"bias{index}") for index in indices),
             activation=str(arrays["activation"]),
             squash=str(arrays["squash"]),
         )
@@ -130,7 +150,11 @@ class Network:
 
 def zero_network(inputs: int, outputs: int) -> Network:
     """A network with output 0 for every input; its policy is the base law alone."""
-    zeros = (np.zeros((outputs, inputs)),)
+    weight = np.zeros((outputs, inputs))
+    bias = np.zeros(outputs)
     return Network(
-        mean=np.zeros(inputs), scale=np.ones(inputs), weights=zeros, biases=(np.zeros(outputs),)
+        mean=np.zeros(inputs),
+        scale=np.ones(inputs),
+        weights=(weight,),
+        biases=(bias,),
     )

@@ -34,7 +34,6 @@ PREVIEW_TIMES = np.linspace(0.0, 0.2, 21)
 
 _MEAN_TIMES = PREVIEW_TIMES[1::2]
 
-
 WALL_GAINS = (3600.0, 120.0)
 """(K_P, K_D) with which the platform comes to the wall of its tube [1/s², 1/s]."""
 
@@ -69,8 +68,9 @@ class Planning:
             number(name, getattr(self, name), above=0.0)
         number("tension", self.tension, least=0.0)
         number("wall", self.wall, above=0.0, below=1.0)
-        gains = numbers("gains", self.gains, shapes=[(2,)], above=0.0)
-        object.__setattr__(self, "gains", tuple(gains.tolist()))
+        checked = numbers("gains", self.gains, shapes=[(2,)], above=0.0)
+        gains = tuple(checked.tolist())
+        object.__setattr__(self, "gains", gains)
 
     def scale(self, robot: Robot) -> Array:
         """Acceleration of an output of 1, (n,) [m/s², rad/s²]."""
@@ -79,7 +79,8 @@ class Planning:
 
 def _by_coordinate(robot: Robot, position: float, rotation: float) -> Array:
     """A value for each coordinate, (n,)."""
-    return np.where(np.arange(robot.coordinates) < robot.dimensions, position, rotation)
+    indices = np.arange(robot.coordinates)
+    return np.where(indices < robot.dimensions, position, rotation)
 
 
 def error_scale(robot: Robot, error_bounds: ErrorBounds) -> Array:
@@ -107,16 +108,25 @@ def confined(
     upper = pose_gain * (wall - error) - rate_gain * rate
     lower = -pose_gain * (wall + error) - rate_gain * rate
     # For a position this bounds the speed across the direction outward.
-    kept = acceleration.clip(lower, upper)
+    confined_by_coordinate = acceleration.clip(lower, upper)
     position = error * is_position
-    distance = ((position**2).sum(-1)[..., None] + 1e-12) ** 0.5
+    velocity = rate * is_position
+    distance = (_total(position**2) + 1e-12) ** 0.5
     outward = position / distance
-    speed = (outward * rate).sum(-1)[..., None]
-    across = ((rate * is_position) ** 2).sum(-1)[..., None] - speed**2
+    speed = _total(outward * rate)
     # A motion across the direction moves the error outward as well.
-    limit = pose_gain * (wall - distance) - rate_gain * speed - across / (distance + wall / 10)
-    excess = ((outward * kept).sum(-1)[..., None] - limit).clip(0.0, math.inf)
-    return kept - excess * outward
+    squared_speed_across = _total(velocity**2) - speed**2
+    centrifugal = squared_speed_across / (distance + wall / 10)
+    limit = pose_gain * (wall - distance) - rate_gain * speed - centrifugal
+    excess = _total(outward * confined_by_coordinate) - limit
+    excess = excess.clip(0.0, math.inf)
+    return confined_by_coordinate - excess * outward
+
+
+def _total(values: Array) -> Array:
+    """Sum over the last axis, (..., 1)."""
+    total: Array = values.sum(-1)
+    return total[..., None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,12 +147,14 @@ class Preview:
     @classmethod
     def of(cls, trajectory: Trajectory, instants: Array) -> Preview:
         """The preview of a motion at instants (...) [s]."""
-        reference = trajectory(np.asarray(instants)[..., None] + PREVIEW_TIMES)
+        instants = np.asarray(instants)[..., None]
+        reference = trajectory(instants + PREVIEW_TIMES)
         position = reference.position[..., 0, :]
         velocity = reference.velocity[..., 0, :]
         times = _MEAN_TIMES[:, None]
         moved = reference.position[..., 1::2, :] - position[..., None, :]
-        means = 2 * (moved - times * velocity[..., None, :]) / times**2
+        coasted = times * velocity[..., None, :]
+        means = 2 * (moved - coasted) / times**2
         shape = (*position.shape[:-1], -1)
         inputs = [reference.acceleration.reshape(shape), means.reshape(shape)]
         return cls(
@@ -177,9 +189,10 @@ def robot_inputs(mass: Any, strength: Any, disturbance: Any) -> list[Any]:
 
 def input_count(robot: Robot) -> int:
     """Number of inputs of the network."""
-    n = robot.coordinates
-    previewed = (len(PREVIEW_TIMES) + len(_MEAN_TIMES)) * n
-    return 5 * n + previewed + 2 + robot.cables
+    previewed = len(PREVIEW_TIMES) + len(_MEAN_TIMES)
+    # Error, rate, pose, velocity and disturbance; mass and its reciprocal.
+    per_coordinate = 5 + previewed
+    return per_coordinate * robot.coordinates + 2 + robot.cables
 
 
 class PlanningPolicy(Observing):
@@ -209,10 +222,11 @@ class PlanningPolicy(Observing):
         expected = (input_count(robot), robot.coordinates)
         if sizes != expected:
             raise ValueError(
-                f"the network has inputs and outputs {sizes}, but a planning network of robot {robot.name!r} has "
-                f"{expected}"
+                f"the network has inputs and outputs {sizes}, but a planning network of robot "
+                f"{robot.name!r} has {expected}"
             )
-        expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
+        uncertainty = find_uncertainty(UNCERTAINTY, robot)
+        expectation = Expectation.of(robot, uncertainty)
         law = FeedbackLinearization(
             expectation.robot,
             gains=by_kind(GAINS, robot),
@@ -231,14 +245,17 @@ class PlanningPolicy(Observing):
         estimate, ahead = instant.estimate, instant.ahead
         acceleration = np.empty_like(ahead["pose"])
         for task, rows in self._rows_by_motion(len(acceleration)):
-            instants = task.trajectory.duration - instant.blocks["time_to_go"][rows, 0]
-            preview = Preview.of(task.trajectory, instants + estimate.delay[rows])
+            time_to_go = instant.blocks["time_to_go"][rows, 0]
+            time = task.trajectory.duration - time_to_go
+            preview = Preview.of(task.trajectory, time + estimate.delay[rows])
             robot = robot_inputs(
-                estimate.mass[rows, None], estimate.strength[rows], ahead["disturbance"][rows]
+                mass=estimate.mass[rows, None],
+                strength=estimate.strength[rows],
+                disturbance=ahead["disturbance"][rows],
             )
-            acceleration[rows] = self._planned(
-                task, ahead["pose"][rows], ahead["velocity"][rows], preview, robot
-            )
+            pose = ahead["pose"][rows]
+            velocity = ahead["velocity"][rows]
+            acceleration[rows] = self._planned(task, pose, velocity, preview, robot)
         planned = {
             "reference_pose": ahead["pose"],
             "reference_velocity": ahead["velocity"],
@@ -251,6 +268,7 @@ class PlanningPolicy(Observing):
     ) -> Array:
         """Planned accelerations, (N, n)."""
         bounds = error_scale(self.robot, task.error_bounds)
+        wall = self.planning.wall
         error = pose - preview.position
         rate = velocity - preview.velocity
         inputs = network_inputs(
@@ -262,13 +280,11 @@ class PlanningPolicy(Observing):
             known=robot,
         )
         pose_gain, rate_gain = self.planning.gains
-        output = self._scale * self.network(np.concatenate(inputs, axis=-1))
-        moved = confined(
-            error / bounds,
-            rate / bounds,
-            (output - pose_gain * error - rate_gain * rate) / bounds,
-            self.planning.wall,
-            _by_coordinate(self.robot, 1.0, 0.0),
+        output = self.network(np.concatenate(inputs, axis=-1))
+        acceleration = self._scale * output - pose_gain * error - rate_gain * rate
+        is_position = _by_coordinate(self.robot, 1.0, 0.0)
+        deviation = confined(
+            error / bounds, rate / bounds, acceleration / bounds, wall, is_position
         )
-        planned: Array = preview.acceleration + bounds * moved
+        planned: Array = preview.acceleration + bounds * deviation
         return planned

@@ -141,7 +141,8 @@ class _Motions:
 
     def of(self, indices: Tensor) -> _Motions:
         """Some of the motions."""
-        return _Motions(**{name: values[indices] for name, values in vars(self).items()})
+        tables = {name: table[indices] for name, table in vars(self).items()}
+        return _Motions(**tables)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -193,21 +194,26 @@ class PlannerTraining:
     def __post_init__(self) -> None:
         robot = self.robot
         error_bounds = find_error_bounds(None, robot)
-        self._expected = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
+        uncertainty = find_uncertainty(UNCERTAINTY, robot)
+        self._expected = Expectation.of(robot, uncertainty)
         self._bounds = torch.tensor(error_scale(robot, error_bounds))
         self._acceleration = torch.tensor(self.planning.scale(robot))
         self._minimum = robot.minimum_tension + self.settings.tension_margin
-        exact = np.array([exact_payload(robot, motion).payload for motion in self.trajectories])
+        exact_payloads = []
+        for motion in self.trajectories:
+            exact_bound = exact_payload(robot, motion)
+            exact_payloads.append(exact_bound.payload)
         # Slow motions allow payloads that no other motion needs.
-        exact = np.minimum(exact, LARGEST * float(np.median(exact)))
-        is_trackable = exact > 0
+        largest = LARGEST * float(np.median(exact_payloads))
+        payloads = np.minimum(exact_payloads, largest)
+        is_trackable = payloads > 0
         if not is_trackable.any():
             raise ValueError(
                 "the motors cannot track any training motion without payload: choose other motions"
             )
-        motions = list(compress(self.trajectories, is_trackable))
-        self.payloads = exact[is_trackable]
+        self.payloads = payloads[is_trackable]
         """Payload of each training motion that the motors can track without payload [kg]."""
+        motions = list(compress(self.trajectories, is_trackable))
         starts = [start_pose(robot, motion, error_bounds) for motion in motions]
         self._motions = _tabulated(motions, np.array(starts))
         self._make_network()
@@ -221,12 +227,15 @@ class PlannerTraining:
 
     def _make_network(self) -> None:
         generator = torch.Generator().manual_seed(self.seed)
-        sizes = [input_count(self.robot), *self.settings.hidden, self.robot.coordinates]
+        inputs = input_count(self.robot)
+        sizes = [inputs, *self.settings.hidden, self.robot.coordinates]
         self._variables: list[Tensor] = []
-        for inputs, outputs in pairwise(sizes):
-            weight = torch.randn((outputs, inputs), dtype=torch.float64, generator=generator)
-            weight /= math.sqrt(inputs)
-            self._variables += [weight, torch.zeros(outputs, dtype=torch.float64)]
+        for width, outputs in pairwise(sizes):
+            shape = (outputs, width)
+            weight = torch.randn(shape, dtype=torch.float64, generator=generator)
+            weight /= math.sqrt(width)
+            bias = torch.zeros(outputs, dtype=torch.float64)
+            self._variables += [weight, bias]
         self._variables[-2] *= SPREAD
         for variable in self._variables:
             variable.requires_grad_(True)
@@ -237,52 +246,63 @@ class PlannerTraining:
         """Mean and scale of the inputs of the network: those of the motions, and what is expected
         of errors and robots."""
         robot, motions = self.robot, self._motions
-        zeros, ones = (torch.full((robot.coordinates,), value).double() for value in (0.0, 1.0))
-        mass = torch.tensor([robot.mass + float(np.mean(self.payloads))]).double()
-        masses = torch.tensor([float(np.mean(self.payloads))]).double()
+        zeros = torch.zeros(robot.coordinates).double()
+        halves = torch.full((robot.coordinates,), 0.5).double()
+        mean_payload = float(np.mean(self.payloads))
+        # The masses are rounded to single precision, as in the shipped networks.
+        mass = torch.tensor([robot.mass + mean_payload]).double()
+        mass_scale = torch.tensor([mean_payload]).double()
+        reciprocal_scale = torch.tensor([MASS_SCALE / robot.mass / 3]).double()
         strength = torch.ones(robot.cables).double()
-        strengths = max(self._expected.strength_spread, 0.01) * strength
-        inside = torch.arange(motions.preview.shape[1]) <= motions.steps[:, None]
+        strength_scale = max(self._expected.strength_spread, 0.01) * strength
+        steps = torch.arange(motions.preview.shape[1])
+        inside = steps <= motions.steps[:, None]
         preview = motions.preview[inside]
+        position = motions.position[inside]
+        velocity = motions.velocity[inside]
         means = network_inputs(
             error=zeros,
             rate=zeros,
             preview=preview.mean(0),
-            pose=motions.position[inside].mean(0),
+            pose=position.mean(0),
             velocity=zeros,
-            known=[mass, MASS_SCALE / mass, strength, zeros],
+            known=robot_inputs(mass, strength, zeros),
         )
         scales = network_inputs(
-            error=ones / 2,
-            rate=ones / 2,
+            error=halves,
+            rate=halves,
             preview=preview.std(0) + 1e-6,
-            pose=motions.position[inside].std(0) + 1e-3,
-            velocity=motions.velocity[inside].std(0) + 1e-2,
-            known=[
-                masses,
-                torch.tensor([MASS_SCALE / robot.mass / 3]).double(),
-                strengths,
-                ones / 2,
-            ],
+            pose=position.std(0) + 1e-3,
+            velocity=velocity.std(0) + 1e-2,
+            known=[mass_scale, reciprocal_scale, strength_scale, halves],
         )
         return torch.cat(means), torch.cat(scales)
 
     def _planned(self, inputs: Tensor) -> Tensor:
-        values = ((inputs - self._mean) / self._scale).clamp(-Network.CUT, Network.CUT)
-        layers = list(zip(self._variables[::2], self._variables[1::2], strict=True))
-        for weight, bias in layers[:-1]:
-            values = torch.tanh(torch.nn.functional.linear(values, weight, bias))
-        return self._acceleration * torch.nn.functional.linear(values, *layers[-1])
+        """Planned accelerations, (N, n)."""
+        linear = torch.nn.functional.linear
+        normalised = (inputs - self._mean) / self._scale
+        values = normalised.clamp(-Network.CUT, Network.CUT)
+        *hidden_variables, weight, bias = self._variables
+        hidden_layers = zip(hidden_variables[::2], hidden_variables[1::2], strict=True)
+        for hidden_weight, hidden_bias in hidden_layers:
+            values = torch.tanh(linear(values, hidden_weight, hidden_bias))
+        output = linear(values, weight, bias)
+        return self._acceleration * output
 
     def _motion(self, episodes: _Episodes) -> tuple[Tensor, Tensor, Tensor]:
         """Poses (N, S + 1, n), and velocities and planned accelerations (N, S, n)."""
         motions = episodes.motions
-        known = robot_inputs(episodes.mass[:, None], episodes.strength, episodes.disturbance)
+        mass = episodes.mass[:, None]
+        known = robot_inputs(mass, episodes.strength, episodes.disturbance)
         pose_gain, rate_gain = self.planning.gains
         pose = motions.start
         velocity = torch.zeros_like(pose)
-        poses, velocities, accelerations = [pose], [], []
-        for step in range(episodes.noise.shape[1]):
+        poses = [pose]
+        velocities = []
+        accelerations = []
+        steps = episodes.noise.shape[1]
+        for step in range(steps):
             error = pose - motions.position[:, step]
             rate = velocity - motions.velocity[:, step]
             inputs = network_inputs(
@@ -293,45 +313,70 @@ class PlannerTraining:
                 velocity=velocity,
                 known=known,
             )
-            tracking = motions.acceleration[:, step] - pose_gain * error - rate_gain * rate
-            acceleration = tracking + self._planned(torch.cat(inputs, dim=1))
+            reference = motions.acceleration[:, step]
+            tracking = reference - pose_gain * error - rate_gain * rate
+            planned = self._planned(torch.cat(inputs, dim=1))
+            acceleration = tracking + planned
             velocities.append(velocity)
             accelerations.append(acceleration)
             moved = acceleration + episodes.noise[:, step]
             pose = pose + STEP * velocity + STEP**2 / 2 * moved
             velocity = velocity + STEP * moved
             poses.append(pose)
-        return torch.stack(poses, 1), torch.stack(velocities, 1), torch.stack(accelerations, 1)
+        return (
+            torch.stack(poses, dim=1),
+            torch.stack(velocities, dim=1),
+            torch.stack(accelerations, dim=1),
+        )
 
     def _violations(self, episodes: _Episodes) -> _Violations:
-        robot, settings, motions = self.robot, self.settings, episodes.motions
+        settings = self.settings
         poses, velocities, accelerations = self._motion(episodes)
         count, steps, _ = accelerations.shape
-        inside = torch.arange(steps) < motions.steps[:, None]
+        inside = torch.arange(steps) < episodes.motions.steps[:, None]
         # Motors and cables are checked in the middle of each step.
-        middle = poses[:, :-1] + STEP / 2 * velocities + STEP**2 / 8 * accelerations
+        middle_poses = poses[:, :-1] + STEP / 2 * velocities + STEP**2 / 8 * accelerations
         forced = accelerations - episodes.disturbance[:, None]
+        middle_velocities = velocities + STEP / 2 * accelerations
+        masses = episodes.mass[:, None].expand(count, steps)
         required = required_actuation(
             self._expected.robot,
-            [middle[inside], (velocities + STEP / 2 * accelerations)[inside], forced[inside]],
-            episodes.mass[:, None].expand(count, steps)[inside],
+            [middle_poses[inside], middle_velocities[inside], forced[inside]],
+            masses[inside],
             minimum=self._minimum,
         )
-        strength = episodes.strength[:, None].expand(-1, steps, -1)[inside]
-        over = torch.relu(required.action.abs() / strength - (1 - settings.action_margin))
+        strengths = episodes.strength[:, None].expand(-1, steps, -1)
+        used_fraction = required.action.abs() / strengths[inside]
+        overload = torch.relu(used_fraction - (1 - settings.action_margin))
         slack = torch.relu(self._minimum - required.tensions) / TENSION_SCALE
-        errors = (poses[:, 1:] - motions.position[:, 1 : steps + 1]) / self._bounds
-        lengths = errors[..., : robot.dimensions].norm(dim=-1, keepdim=True)
-        errors = torch.cat([lengths, errors[..., robot.dimensions :].abs()], dim=-1)
-        far = torch.relu(errors - (1 - settings.error_margin)) * inside[..., None]
+        errors = self._relative_errors(poses, episodes.motions)
+        excess = torch.relu(errors - (1 - settings.error_margin))
+        excess = excess * inside[..., None]
         actuation = torch.zeros((count, steps), dtype=torch.float64)
-        actuation[inside] = (over + slack).sum(1)
-        squares = _penalty(over) + _penalty(slack) + settings.error_weight * _penalty(far)
-        return _Violations(actuation=actuation, error=far.amax(2), squares=squares / count)
+        actuation[inside] = (overload + slack).sum(1)
+        squares = _penalty(overload) + _penalty(slack)
+        squares = squares + settings.error_weight * _penalty(excess)
+        return _Violations(
+            actuation=actuation,
+            error=excess.amax(2),
+            squares=squares / count,
+        )
+
+    def _relative_errors(self, poses: Tensor, motions: _Motions) -> Tensor:
+        """Errors after each step in units of their bounds: length of the position's error, and
+        absolute value of each rotation's, (N, S, ...)."""
+        references = motions.position[:, 1 : poses.shape[1]]
+        errors = (poses[:, 1:] - references) / self._bounds
+        positions = errors[..., : self.robot.dimensions]
+        rotations = errors[..., self.robot.dimensions :]
+        lengths = positions.norm(dim=-1, keepdim=True)
+        return torch.cat([lengths, rotations.abs()], dim=-1)
 
     def _drawn(self, generator: np.random.Generator) -> tuple[Array, Array, _Episodes]:
         """Motions (N,), payloads as fractions of those of the motions (N,), and the episodes."""
-        robot, expected, count = self.robot, self._expected, self.settings.batch
+        robot = self.robot
+        expected = self._expected
+        count = self.settings.batch
         n, m = robot.coordinates, robot.cables
         indices = generator.integers(len(self.payloads), size=count)
         fractions = generator.uniform(size=count)
@@ -340,12 +385,16 @@ class PlannerTraining:
         fractions[kinds > 1 - HEAVIEST] = 1.0
         platform = expected.robot.mass + expected.mass_spread * generator.normal(size=count)
         mass = platform + fractions * self.payloads[indices]
-        strength = 1 + expected.strength_spread * generator.normal(size=(count, m)).clip(-2, 2)
+        deviations = generator.normal(size=(count, m)).clip(-2, 2)
+        strength = 1 + expected.strength_spread * deviations
         wrench = expected.wrench_spread * generator.normal(size=(count, n))
-        size = float(np.mean(np.linalg.norm(robot.platform, axis=-1))) or 1.0
-        inertia = mass[:, None] * np.where(np.arange(n) < robot.dimensions, 1.0, size**2)
+        corner_distances = np.linalg.norm(robot.platform, axis=-1)
+        radius = float(np.mean(corner_distances)) or 1.0
+        is_position = np.arange(n) < robot.dimensions
+        inertia = mass[:, None] * np.where(is_position, 1.0, radius**2)
         motions = self._motions.of(torch.tensor(indices))
-        noise = self.settings.noise * generator.normal(size=(count, int(motions.steps.max()), n))
+        steps = int(motions.steps.max())
+        noise = self.settings.noise * generator.normal(size=(count, steps, n))
         episodes = _Episodes(
             motions=motions,
             mass=torch.tensor(mass),
@@ -363,10 +412,13 @@ class PlannerTraining:
         """
         settings = self.settings
         total = settings.rounds * settings.iterations
+        start = index * settings.iterations
         self.evaluations = 0
-        for step in range(index * settings.iterations, (index + 1) * settings.iterations):
-            rate = settings.learning_rate * min(1.0, (step + 1) / WARM_UP)
-            rate *= (1 + math.cos(math.pi * step / total)) / 2
+        for step in range(start, start + settings.iterations):
+            warm_up = min(1.0, (step + 1) / WARM_UP)
+            cosine = math.cos(math.pi * step / total)
+            rate = settings.learning_rate * warm_up
+            rate *= (1 + cosine) / 2
             for group in self._adam.param_groups:
                 group["lr"] = rate
             self._improve(np.random.default_rng([self.seed, step]))
@@ -382,16 +434,22 @@ class PlannerTraining:
         torch.nn.utils.clip_grad_norm_(self._variables, LARGEST_GRADIENT)
         self._adam.step()
         with torch.no_grad():
-            largest = torch.maximum(violations.actuation, violations.error).amax(1).numpy()
-        is_heavy = fractions == 1
+            violation = torch.maximum(violations.actuation, violations.error)
+            largest = violation.amax(1).numpy()
+        is_heaviest = fractions == 1
         tolerance = self.settings.tolerance
-        self.payloads[indices[is_heavy & (largest < tolerance)]] *= GROWTH
-        self.payloads[indices[is_heavy & (largest > 2 * tolerance)]] *= SHRINKAGE
+        is_carried = is_heaviest & (largest < tolerance)
+        is_failed = is_heaviest & (largest > 2 * tolerance)
+        self.payloads[indices[is_carried]] *= GROWTH
+        self.payloads[indices[is_failed]] *= SHRINKAGE
 
     @property
     def network(self) -> Network:
         """The network."""
-        arrays = [variable.detach().numpy().copy() for variable in self._variables]
+        arrays = []
+        for variable in self._variables:
+            values = variable.detach().numpy()
+            arrays.append(values.copy())
         return Network(
             mean=self._mean.numpy(),
             scale=self._scale.numpy(),
@@ -405,7 +463,8 @@ class PlannerTraining:
         arrays = {"payloads": self.payloads}
         for index, variable in enumerate(self._variables):
             arrays[f"variable{index}"] = variable.detach().numpy()
-            for name, value in self._adam.state.get(variable, {}).items():
+            adam_state = self._adam.state.get(variable, {})
+            for name, value in adam_state.items():
                 arrays[f"{name}{index}"] = value.numpy()
         return arrays
 
@@ -418,28 +477,34 @@ class PlannerTraining:
         """
         self.payloads = np.array(arrays["payloads"])
         for index, variable in enumerate(self._variables):
+            values = torch.tensor(arrays[f"variable{index}"])
             with torch.no_grad():
-                variable.copy_(torch.tensor(arrays[f"variable{index}"]))
-            names = ("step", "exp_avg", "exp_avg_sq")
-            if f"{names[0]}{index}" in arrays:
-                state = {name: torch.tensor(arrays[f"{name}{index}"]) for name in names}
-                self._adam.state[variable] = state
+                variable.copy_(values)
+            if f"step{index}" in arrays:
+                adam_state = {}
+                for name in ("step", "exp_avg", "exp_avg_sq"):
+                    adam_state[name] = torch.tensor(arrays[f"{name}{index}"])
+                self._adam.state[variable] = adam_state
 
 
 def _penalty(violations: Tensor) -> Tensor:
-    return violations.square().sum() + LINEAR * violations.sum()
+    """Sum of squares and a small part of the sum."""
+    squares = violations.square().sum()
+    return squares + LINEAR * violations.sum()
 
 
 def _tabulated(trajectories: Sequence[Trajectory], starts: Array) -> _Motions:
     counts = [int(motion.duration / STEP + 1e-9) for motion in trajectories]
     longest = max(counts)
+    steps = np.arange(longest + 1)
     tables = []
     for motion, count in zip(trajectories, counts, strict=True):
-        instants = np.minimum(np.arange(longest + 1), count) * STEP
+        instants = np.minimum(steps, count) * STEP
         tables.append(Preview.of(motion, instants))
 
     def stacked(name: str) -> Tensor:
-        return torch.tensor(np.stack([getattr(table, name) for table in tables]))
+        arrays = [getattr(table, name) for table in tables]
+        return torch.tensor(np.stack(arrays))
 
     return _Motions(
         position=stacked("position"),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from cablebot_baselines.classical.law import Array
+from cablebot_baselines.classical.outer_loop import Blocks
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.features import SHIFT_FEATURES, check_features, feature_values
@@ -71,12 +72,13 @@ class Shift:
 
     def __post_init__(self) -> None:
         _check_period_and_fraction(self)
-        object.__setattr__(self, "degree", whole("degree", self.degree, least=2, most=5))
-        object.__setattr__(self, "preview", number("preview", self.preview, unit="s"))
-        if self.preview not in (0.0, *PREVIEWS):
-            raise ValueError(
-                f"preview must be one of 0, {', '.join(map(str, PREVIEWS))} s, not {self.preview!r}"
-            )
+        degree = whole("degree", self.degree, least=2, most=5)
+        preview = number("preview", self.preview, unit="s")
+        object.__setattr__(self, "degree", degree)
+        object.__setattr__(self, "preview", preview)
+        if preview not in (0.0, *PREVIEWS):
+            previews = ", ".join(map(str, PREVIEWS))
+            raise ValueError(f"preview must be one of 0, {previews} s, not {preview!r}")
 
     def actions(self, robot: Robot) -> int:
         """Size of an action."""
@@ -89,8 +91,9 @@ class Shift:
 
     def bounds(self, error_bounds: ErrorBounds, robot: Robot) -> Array:
         """Largest shift of each coordinate, (n,) [m, rad]."""
-        turning = np.arange(robot.coordinates) >= robot.dimensions
-        return self.fraction * np.where(turning, error_bounds.rotation, error_bounds.position)
+        is_rotation = np.arange(robot.coordinates) >= robot.dimensions
+        bounds = np.where(is_rotation, error_bounds.rotation, error_bounds.position)
+        return self.fraction * bounds
 
     def weights(self, times: Array, action_period: float) -> Array:
         """Weights of the last control points in the spline and its derivatives up to snap.
@@ -102,16 +105,23 @@ class Shift:
         Returns:
             (..., 5, degree + 1), oldest control point first.
         """
-        basis = BSpline.basis_element(np.arange(self.degree + 2.0), extrapolate=False)
-        age = np.arange(self.degree, -1.0, -1.0)
-        parameters = np.asarray(times)[..., None] / action_period + age
+        knots = np.arange(self.degree + 2.0)
+        basis = BSpline.basis_element(knots, extrapolate=False)
+        ages = np.arange(self.degree, -1.0, -1.0)
+        times = np.asarray(times)[..., None]
+        phases = times / action_period
         # A knot is evaluated on the piece before it, because the basis function ends at its last
         # knot.
-        parameters = np.minimum(parameters, np.nextafter(age + 1, 0))
-        weights = np.zeros((*parameters.shape[:-1], 5, self.degree + 1))
-        for order in range(min(4, self.degree) + 1):
-            derivative = basis.derivative(order)(parameters)
-            weights[..., order, :] = np.nan_to_num(derivative) / action_period**order
+        before_knot = np.nextafter(ages + 1, 0)
+        parameters = np.minimum(phases + ages, before_knot)
+        shape = (*phases.shape[:-1], 5, self.memory_length)
+        weights = np.zeros(shape)
+        largest_order = min(4, self.degree)
+        for order in range(largest_order + 1):
+            derivative = basis.derivative(order)
+            values = derivative(parameters)
+            values = np.nan_to_num(values)
+            weights[..., order, :] = values / action_period**order
         return weights
 
 
@@ -152,13 +162,15 @@ def _check_period_and_fraction(action_mapping: Shift | Residual) -> None:
         most=LONGEST_ACTION_PERIOD,
         unit="s",
     )
+    fraction = number("fraction", action_mapping.fraction, above=0.0, most=1.0)
     object.__setattr__(action_mapping, "action_period", period)
-    object.__setattr__(
-        action_mapping, "fraction", number("fraction", action_mapping.fraction, above=0.0, most=1.0)
-    )
+    object.__setattr__(action_mapping, "fraction", fraction)
 
 
-_KINDS: dict[str, type[Shift] | type[Residual]] = {Shift.kind: Shift, Residual.kind: Residual}
+_KINDS: dict[str, type[Shift] | type[Residual]] = {
+    Shift.kind: Shift,
+    Residual.kind: Residual,
+}
 
 
 def action_mapping_to_jsonable(action_mapping: Any) -> dict[str, Any]:
@@ -179,9 +191,10 @@ def find_action_mapping(
     """
     if isinstance(action_mapping, (Shift, Residual)):
         return action_mapping
-    data = {"kind": action_mapping} if isinstance(action_mapping, str) else action_mapping
-    known = {"kind", *Shift.__dataclass_fields__, *Residual.__dataclass_fields__}
-    data = mapping("steering", data, sorted(known))
+    if isinstance(action_mapping, str):
+        action_mapping = {"kind": action_mapping}
+    keys = {"kind", *Shift.__dataclass_fields__, *Residual.__dataclass_fields__}
+    data = mapping("steering", action_mapping, sorted(keys))
     kind = choice("kind of steering", data.pop("kind", None), _KINDS)
     return record("steering", _KINDS[kind], data)
 
@@ -226,43 +239,56 @@ class Steering:
         self.action_mapping = action_mapping
         self.features = check_features(features, robot)
         if isinstance(action_mapping, Residual):
-            for name in self.features:
-                if name in SHIFT_FEATURES:
-                    raise ValueError(
-                        f"feature {name!r} requires steering of kind shift: remove it, or use shift"
-                    )
-            if base.estimates_payload and not robot.flexible:
-                raise ValueError(
-                    "a residual would bias the payload estimate of the base law: set estimates_payload to False, or "
-                    "use steering of kind shift"
-                )
+            self._check_residual()
         self.law = base.make(robot)
         self.actions = action_mapping.actions(robot)
         """Size of an action."""
         self._start = np.zeros(robot.coordinates)
         self._prepare(ErrorBounds(), DEFAULT_PERIOD)
-        blocks = self.split(np.zeros(observation_layout(robot).size))
-        self.inputs = self.observe(blocks, self.reset_memory(blocks, None, None)).size
+        layout = observation_layout(robot)
+        blocks = self.split(np.zeros(layout.size))
+        memory = self.reset_memory(blocks, None, None)
+        self.inputs = self.observe(blocks, memory).size
         """Size of a learner's observation."""
+
+    def _check_residual(self) -> None:
+        for name in self.features:
+            if name in SHIFT_FEATURES:
+                raise ValueError(
+                    f"feature {name!r} requires steering of kind shift: remove it, or use shift"
+                )
+        if self.base.estimates_payload and not self.robot.flexible:
+            raise ValueError(
+                "a residual would bias the payload estimate of the base law: set "
+                "estimates_payload to False, or use steering of kind shift"
+            )
 
     def _prepare(self, error_bounds: ErrorBounds, period: float) -> None:
         self._period = period
-        self.periods = max(1, round(self.action_mapping.action_period / period))
+        periods = round(self.action_mapping.action_period / period)
+        self.periods = max(1, periods)
         """Number of control periods per action."""
         if isinstance(self.action_mapping, Shift):
-            self._bounds = self.action_mapping.bounds(error_bounds, self.robot)
-            action_period = self.periods * period
-            phases = np.arange(self.periods) * period
-            now = self.action_mapping.weights(phases, action_period)
-            after = self.action_mapping.weights(phases + period, action_period)
-            # Torques are constant over a period, so that the law needs the period's mean
-            # acceleration.
-            self._motion = now
-            self._mean = (after[:, 1] - now[:, 1]) / period
-            # When an action is due, the oldest control point is about to be dropped, and the newest
-            # has zero weight.
-            self._present = now[:, :2].copy()
-            self._present[0] = np.roll(now[0, :2], 1, axis=-1)
+            self._prepare_spline(self.action_mapping, error_bounds)
+
+    def _prepare_spline(self, shift: Shift, error_bounds: ErrorBounds) -> None:
+        """Weights of the control points at each phase of an action period."""
+        period = self._period
+        self._bounds = shift.bounds(error_bounds, self.robot)
+        action_period = self.periods * period
+        phases = np.arange(self.periods) * period
+        now = shift.weights(phases, action_period)
+        after = shift.weights(phases + period, action_period)
+        self._motion = now
+        # Torques are constant over a period, so that the law needs the period's mean
+        # acceleration.
+        speed_change = after[:, 1] - now[:, 1]
+        self._mean = speed_change / period
+        # When an action is due, the oldest control point is about to be dropped, and the newest
+        # has zero weight.
+        self._present = now[:, :2].copy()
+        before_drop = now[0, :2]
+        self._present[0] = np.roll(before_drop, 1, axis=-1)
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Reads the error bounds, the control frequency and the start poses of the tasks.
@@ -275,20 +301,25 @@ class Steering:
         conditions = {(task.error_bounds, task.control_frequency) for task in tasks}
         if len(conditions) != 1:
             raise ValueError(
-                "a learned policy requires the same error bounds and control frequency in all episodes"
+                "a learned policy requires the same error bounds and control frequency in all "
+                "episodes"
             )
-        ((error_bounds, frequency),) = conditions
+        error_bounds, frequency = conditions.pop()
         self._prepare(error_bounds, 1 / frequency)
-        shifts: dict[int, Array] = {}  # few motions, many tasks
+        shift_by_motion: dict[int, Array] = {}  # few motions, many tasks
+        shifts = []
         for task in tasks:
-            if id(task.trajectory) not in shifts:
-                start_shift = task.start_pose - task.trajectory(0.0).position
-                shifts[id(task.trajectory)] = start_shift
-        self._start = np.array([shifts[id(task.trajectory)] for task in tasks])
-        if not np.ptp(self._start, axis=0).any():
+            motion = task.trajectory
+            if id(motion) not in shift_by_motion:
+                reference = motion(0.0)
+                shift_by_motion[id(motion)] = task.start_pose - reference.position
+            shifts.append(shift_by_motion[id(motion)])
+        self._start = np.array(shifts)
+        ranges = np.ptp(self._start, axis=0)
+        if not ranges.any():
             self._start = self._start[0]
 
-    def split(self, observation: Any) -> dict[str, Array]:
+    def split(self, observation: Any) -> Blocks:
         """The blocks of an observation by name, each (..., size).
 
         Raises:
@@ -296,9 +327,7 @@ class Steering:
         """
         return self.law.split(observation)
 
-    def reset_memory(
-        self, blocks: dict[str, Array], memory: Memory | None, episode_start: Any
-    ) -> Memory:
+    def reset_memory(self, blocks: Blocks, memory: Memory | None, episode_start: Any) -> Memory:
         """Resets the memory of the episodes that start."""
         batch = blocks["pose"].shape[:-1]
         action_mapping = self.action_mapping
@@ -306,15 +335,23 @@ class Steering:
         if memory is not None and not np.any(starts):
             return memory
         length = action_mapping.memory_length
+        coordinates = self.robot.coordinates
         actions = np.zeros((*batch, length, self.actions))
-        anchors = np.zeros((*batch, 0, self.robot.coordinates))
+        anchors = np.zeros((*batch, 0, coordinates))
         if isinstance(action_mapping, Shift):
-            actions += np.expand_dims(self._start / self._bounds, -2)
+            start_action = self._start / self._bounds
+            actions += np.expand_dims(start_action, -2)
         if action_mapping.preview:
-            anchors = np.repeat(blocks["reference_pose"][..., None, :], length, axis=-2)
+            reference = blocks["reference_pose"]
+            anchors = np.repeat(reference[..., None, :], length, axis=-2)
         if memory is None:
             step = np.zeros(batch, np.int64)
-            return Memory(actions=actions, anchors=anchors, step=step, law=None)
+            return Memory(
+                actions=actions,
+                anchors=anchors,
+                step=step,
+                law=None,
+            )
         rows = starts[..., None, None]
         return Memory(
             actions=np.where(rows, actions, memory.actions),
@@ -327,58 +364,75 @@ class Steering:
         """Mask of the episodes that take an action at this instant, (...)."""
         return memory.step % self.periods == 0
 
-    def observe(self, blocks: dict[str, Array], memory: Memory) -> Array:
+    def observe(self, blocks: Blocks, memory: Memory) -> Array:
         """The observation of a learner before its action, (..., features)."""
-        # The oldest action of a shift no longer affects the spline.
-        actions = memory.actions[..., 0, :]
-        shift = np.zeros_like(blocks["pose"])
-        derived = {"time_since_start": (memory.step * self._period)[..., None]}
+        time = memory.step * self._period
+        derived = {"time_since_start": time[..., None]}
         if isinstance(self.action_mapping, Shift):
-            actions = memory.actions[..., 1:, :].reshape(*memory.step.shape, -1)
-            spline = self._spline(self._present[memory.step % self.periods], memory)
-            anchored = bool(self.action_mapping.preview)
-            shift = spline[..., 0, :] - anchored * blocks["reference_pose"]
-            rate = spline[..., 1, :] - anchored * blocks["reference_velocity"]
+            shift, rate = self._present_shift(blocks, memory)
+            # The oldest action no longer affects the spline.
+            actions = memory.actions[..., 1:, :]
+            derived["actions"] = actions.reshape(*memory.step.shape, -1)
             derived["shift"] = shift / self._bounds
-            derived["shift_velocity"] = rate * self.periods * self._period / self._bounds
-        derived["actions"] = actions
+            change_per_action = rate * self.periods * self._period
+            derived["shift_velocity"] = change_per_action / self._bounds
+        else:
+            shift = np.zeros_like(blocks["pose"])
+            derived["actions"] = memory.actions[..., 0, :]
         derived["error"] = blocks["reference_pose"] + shift - blocks["pose"]
         return feature_values(self.features, blocks, derived)
 
+    def _present_shift(self, blocks: Blocks, memory: Memory) -> tuple[Array, Array]:
+        """Shift of the reference and its rate, each (..., n)."""
+        phase = memory.step % self.periods
+        weights = self._present[phase]
+        spline = self._spline(weights, memory)
+        anchored = bool(self.action_mapping.preview)
+        shift = spline[..., 0, :] - anchored * blocks["reference_pose"]
+        rate = spline[..., 1, :] - anchored * blocks["reference_velocity"]
+        return shift, rate
+
     def respond(
-        self, blocks: dict[str, Array], action: Array, memory: Memory, episode_start: Any = None
+        self, blocks: Blocks, action: Array, memory: Memory, episode_start: Any = None
     ) -> tuple[Array, Memory]:
         """Returns actions (..., m) and the next memory; ``action`` (..., size) is used where one is
         :meth:`due`."""
         due = self.due(memory)
         if np.any(due):
-            memory = self._with_action(blocks, action, memory, due[..., None, None])
+            rows = due[..., None, None]
+            memory = self._with_action(blocks, action, memory, rows)
         if memory.law is None:
             episode_start = None
-        applied, law = self.law.respond(
-            self._shifted_reference(blocks, memory), memory.law, episode_start
-        )
+        shifted = self._shifted_reference(blocks, memory)
+        applied, law = self.law.respond(shifted, memory.law, episode_start)
         if isinstance(self.action_mapping, Residual):
-            applied = applied + self.action_mapping.fraction * memory.actions[..., 0, :]
-        return applied, replace(memory, step=memory.step + 1, law=law)
+            residual = memory.actions[..., 0, :]
+            applied = applied + self.action_mapping.fraction * residual
+        memory = replace(memory, step=memory.step + 1, law=law)
+        return applied, memory
 
     def _with_action(
-        self, blocks: dict[str, Array], action: Array, memory: Memory, due: NDArray[np.bool_]
+        self, blocks: Blocks, action: Array, memory: Memory, due: NDArray[np.bool_]
     ) -> Memory:
         """The memory with another action, and its anchor, in the episodes that are due."""
-        actions = _appended(memory.actions, self._clipped(action), due)
+        clipped = self._clipped(action)
+        actions = _appended(memory.actions, clipped, due)
         anchors = memory.anchors
-        if self.action_mapping.preview:
-            ahead = blocks["reference_pose"] + blocks[preview_name(self.action_mapping.preview)]
+        preview = self.action_mapping.preview
+        if preview:
+            change = blocks[preview_name(preview)]
+            ahead = blocks["reference_pose"] + change
             anchors = _appended(anchors, ahead, due)
         return replace(memory, actions=actions, anchors=anchors)
 
     def _clipped(self, action: Array) -> Array:
         """Clips an action to ±1, and the position of a shift to the unit ball."""
-        action = np.clip(np.asarray(action, float), -1.0, 1.0)
+        action = np.asarray(action, float)
+        action = np.clip(action, -1.0, 1.0)
         if isinstance(self.action_mapping, Shift):
             position = action[..., :3]
-            position /= np.maximum(np.linalg.norm(position, axis=-1, keepdims=True), 1.0)
+            length = np.linalg.norm(position, axis=-1, keepdims=True)
+            position /= np.maximum(length, 1.0)
         return action
 
     def _spline(self, weights: Array, memory: Memory) -> Array:
@@ -390,7 +444,7 @@ class Steering:
         result: Array = weights @ points
         return result
 
-    def _shifted_reference(self, blocks: dict[str, Array], memory: Memory) -> dict[str, Array]:
+    def _shifted_reference(self, blocks: Blocks, memory: Memory) -> Blocks:
         """The blocks with the shifted reference instead of the reference."""
         if not isinstance(self.action_mapping, Shift):
             return blocks
@@ -413,5 +467,7 @@ class Steering:
 
 def _appended(values: Array, newest: Array, rows: NDArray[np.bool_]) -> Array:
     """Values (..., length, size) without the oldest and with the newest, in the marked rows."""
-    moved = np.concatenate([values[..., 1:, :], newest[..., None, :]], axis=-2)
+    later = values[..., 1:, :]
+    newest = newest[..., None, :]
+    moved = np.concatenate([later, newest], axis=-2)
     return np.where(rows, moved, values)

@@ -63,12 +63,15 @@ def symmetries(robot: Robot) -> Array:
     tolerance = _TOLERANCE * np.abs(anchors).max()
     transforms = []
     for permutation in permutations(range(robot.cables)):
-        permuted = list(permutation)
+        order = list(permutation)
+        permuted = anchors[order]
         # The closest orthogonal transform.
-        left_vectors, _, right_vectors = np.linalg.svd(anchors[permuted].T @ anchors)
+        left_vectors, _, right_vectors = np.linalg.svd(permuted.T @ anchors)
         transform = left_vectors @ right_vectors
-        same_anchors = np.allclose(anchors @ transform.T, anchors[permuted], rtol=0, atol=tolerance)
-        if same_anchors and np.allclose(parameters, parameters[permuted], rtol=_TOLERANCE, atol=0):
+        moved = anchors @ transform.T
+        same_anchors = np.allclose(moved, permuted, rtol=0, atol=tolerance)
+        same_motors = np.allclose(parameters, parameters[order], rtol=_TOLERANCE, atol=0)
+        if same_anchors and same_motors:
             transforms.append(transform)
     return np.array(transforms)
 
@@ -87,25 +90,26 @@ class SymmetricLayers:
     def __init__(
         self, input_transforms: Array, output_transforms: Array, hidden: Sequence[int]
     ) -> None:
-        group = len(output_transforms)
-        quotients = np.einsum("gji,kjl->gkil", output_transforms, output_transforms)  # g⁻¹ k
-        differences = np.abs(quotients[:, :, None] - output_transforms).sum(axis=(-1, -2))
-        swaps = np.eye(group)[differences.argmin(axis=-1)]  # h maps block h⁻¹ k to block k
+        swaps = _block_permutations(output_transforms)
         self._output_transforms = torch.tensor(output_transforms)
         self._input_transforms = [torch.tensor(input_transforms)]
         for units in hidden:
-            blocks = np.array([np.kron(swap, np.eye(units)) for swap in swaps])
-            self._input_transforms.append(torch.tensor(blocks))
+            unit_blocks = np.eye(units)
+            transforms = np.array([np.kron(swap, unit_blocks) for swap in swaps])
+            self._input_transforms.append(torch.tensor(transforms))
         self.layers: Any = nn.ModuleList()
         """Weights and biases of one image."""
         sizes = (*hidden, output_transforms.shape[-1])
-        for transforms, size in zip(self._input_transforms, sizes, strict=True):
-            self.layers.append(nn.Linear(transforms.shape[-1], size, dtype=torch.float64))
+        for layer_transforms, outputs in zip(self._input_transforms, sizes, strict=True):
+            inputs = layer_transforms.shape[-1]
+            layer = nn.Linear(inputs, outputs, dtype=torch.float64)
+            self.layers.append(layer)
 
     def statistics(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation of inputs (count, inputs) and all their images, each
         (inputs,)."""
-        images = torch.cat([inputs @ transform.T for transform in self._input_transforms[0]])
+        input_transforms = self._input_transforms[0]
+        images = torch.cat([inputs @ transform.T for transform in input_transforms])
         return images.mean(0), images.std(0)
 
     def weights(self) -> list[tuple[Tensor, Tensor]]:
@@ -113,8 +117,24 @@ class SymmetricLayers:
         # Block g of the units, and the output for image g, use the inputs transformed by g⁻¹.
         derived = []
         for layer, transforms in zip(self.layers, self._input_transforms, strict=True):
-            derived.append((layer.weight @ transforms.mT, layer.bias))
-        hidden = [(blocks.flatten(0, 1), bias.repeat(len(blocks))) for blocks, bias in derived[:-1]]
-        blocks, bias = derived[-1]
-        outputs = self._output_transforms
-        return [*hidden, ((outputs @ blocks).mean(0), outputs.mean(0) @ bias)]
+            blocks = layer.weight @ transforms.mT
+            derived.append((blocks, layer.bias))
+        blocks, bias = derived.pop()
+        weights = []
+        for hidden_blocks, hidden_bias in derived:
+            weight = hidden_blocks.flatten(0, 1)
+            weights.append((weight, hidden_bias.repeat(len(hidden_blocks))))
+        output_weight = (self._output_transforms @ blocks).mean(0)
+        output_bias = self._output_transforms.mean(0) @ bias
+        weights.append((output_weight, output_bias))
+        return weights
+
+
+def _block_permutations(transforms: Array) -> Array:
+    """Permutation matrices of the symmetries on the blocks of hidden units, (G, G, G): symmetry h
+    maps block h⁻¹ k to block k."""
+    quotients = np.einsum("gji,kjl->gkil", transforms, transforms)  # g⁻¹ k
+    differences = np.abs(quotients[:, :, None] - transforms)
+    distances = differences.sum(axis=(-1, -2))
+    block_indices = distances.argmin(axis=-1)
+    return np.eye(len(transforms))[block_indices]

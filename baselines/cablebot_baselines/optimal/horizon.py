@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dpotrf, dtrtri
 from cablebot_gym.envs.observation import PREVIEWS
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.inverse import demands, inverse_dynamics
+from cablebot_gym.physics.inverse import Demands, demands, inverse_dynamics
 from cablebot_gym.physics.textbook import times_vector
 from cablebot_gym.planning import Margins
 from cablebot_gym.planning.stage_functions import TENSION, check_model, import_casadi
@@ -174,14 +174,16 @@ class HorizonProgram:
     def __init__(self, robot: Robot, tuning: Tuning) -> None:
         ca = import_casadi()
         check_model(robot)
-        self.robot, self.tuning = robot, tuning
+        self.robot = robot
+        self.tuning = tuning
         self.minimum_tension = robot.minimum_tension + tuning.margins.tension
         """Minimum cable tension of the plans [N]."""
         knots = np.linspace(0.0, HORIZON, tuning.intervals + 1)
-        self._knots = np.r_[np.zeros(_DEGREE), knots, np.full(_DEGREE, HORIZON)]
+        self._knots = np.pad(knots, _DEGREE, mode="edge")
         # Greville abscissa of the second control point [s]
         self._second_point_time = float(knots[1]) / _DEGREE
-        self.instants = np.linspace(0.0, HORIZON, tuning.intervals * tuning.instants + 1)
+        count = tuning.intervals * tuning.instants + 1
+        self.instants = np.linspace(0.0, HORIZON, count)
         """Times at which the constraints apply, (K,) [s]."""
         self._bases = self.basis(self.instants)
         self._bases_of_instants = np.moveaxis(self._bases, 0, -1)
@@ -191,41 +193,55 @@ class HorizonProgram:
         self.shift = lru_cache(maxsize=64)(self._shift)
         """Matrix from the control points of a plan to those of the plan from a later time on,
         (points, points), by extrapolation beyond the horizon; cached."""
+        self._fixed = lru_cache(maxsize=16)(self._fixed_parts)
         n = robot.coordinates
         m = robot.cables
-        count = len(self.instants)
-        self._positions = robot.dimensions
-        self._start = 2 * n
-        self._motion = (tuning.intervals + _DEGREE) * n
-        self._null = (m - n) * count
-        self._columns = self._motion + self._null
         self._action_per_tension = TENSION * robot.pulley_radius / robot.stall_torque
         # The load is linear in Ẍ.
         self._steps = np.repeat([_DIFFERENCE, _DIFFERENCE, 1.0], n)
-        self._limited = 2 * m * count
-        rows = self._limited + (1 + 2 * n) * (count - 1)
-        self._fixed = lru_cache(maxsize=16)(self._fixed_parts)
-        size = self._columns - self._start + 2
-        dense = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity.dense(rows, size)}
-        self._quadratic = _BufferedFunction(
-            ca.conic("plan", "daqp", dense, {"error_on_fail": False})
-        )
+        # Columns: the control points, of which the first two are given, and the null-space tensions.
+        motion = n * (tuning.intervals + _DEGREE)
+        self._columns = motion + count * (m - n)
+        self._start = slice(2 * n)
+        self._free = slice(2 * n, None)
+        self._motion = slice(motion)
+        self._null_space = slice(motion, None)
+        self._has_null_space = m > n
+        # Rows. Errors have no rows at the first instant, where the state is given.
+        actions = count * m
+        lengths = 2 * actions
+        errors = lengths + count - 1
+        self._actions = slice(actions)
+        self._tensions = slice(actions, lengths)
+        self._lengths = slice(lengths, errors)
+        self._errors = slice(errors, None)
+        self._rows = errors + 2 * n * (count - 1)
+        # The variables of the solver are the free columns and the excesses of actions and errors.
+        variables = self._columns - 2 * n + 2
+        dense = {
+            "h": ca.Sparsity.dense(variables, variables),
+            "a": ca.Sparsity.dense(self._rows, variables),
+        }
+        solver = ca.conic("plan", "daqp", dense, {"error_on_fail": False})
+        self._quadratic = _BufferedSolver(solver)
         self._write_excesses()
 
     def _write_excesses(self) -> None:
         """Writes what is the same in all programs into the arrays of the solver. The last two
         variables are the excesses of actions and errors."""
         inputs = self._quadratic.inputs
-        inputs["h"][:] = np.eye(len(inputs["h"]))
-        inputs["g"][-2:, 0] = self.tuning.action_excess_weight, self.tuning.error_excess_weight
-        actions = slice(self._limited // 2)
-        tensions = slice(self._limited // 2, self._limited)
-        inputs["a"][actions, -2] = -1.0
+        np.fill_diagonal(inputs["h"], 1.0)
+        gradient = inputs["g"]
+        gradient[-2] = self.tuning.action_excess_weight
+        gradient[-1] = self.tuning.error_excess_weight
+        matrix = inputs["a"]
+        matrix[self._actions, -2] = -1.0
         # Null-space tensions can always be raised. Without a null space the tension constraints are
         # soft, like those of the actions.
-        if not self._null:
-            inputs["a"][tensions, -2] = -0.2
-        inputs["a"][self._limited :, -1] = -1.0
+        if not self._has_null_space:
+            matrix[self._tensions, -2] = -0.2
+        matrix[self._lengths, -1] = -1.0
+        matrix[self._errors, -1] = -1.0
         inputs["lba"][:] = -np.inf
         # The excesses are at least 0.
         inputs["lbx"][:-2] = -np.inf
@@ -234,12 +250,15 @@ class HorizonProgram:
     def basis(self, times: Array | float) -> Array:
         """Matrices from control points to pose, velocity and acceleration at times in the horizon,
         (3, ..., points)."""
-        spline = BSpline(self._knots, np.eye(len(self._knots) - _DEGREE - 1), _DEGREE)
-        return np.stack([spline(times), spline.derivative(1)(times), spline.derivative(2)(times)])
+        points = len(self._knots) - _DEGREE - 1
+        pose = BSpline(self._knots, np.eye(points), _DEGREE)
+        velocity = pose.derivative(1)
+        acceleration = pose.derivative(2)
+        return np.stack([pose(times), velocity(times), acceleration(times)])
 
     def _shift(self, time: float) -> Array:
-        shift: Array = self._fit @ self.basis(self.instants + time)[0]
-        return shift
+        pose, _, _ = self.basis(self.instants + time)
+        return self._fit @ pose
 
     def plan(
         self,
@@ -270,8 +289,8 @@ class HorizonProgram:
 
     def _with_start(self, plan: Array, pose: Array, velocity: Array) -> Array:
         """A plan with another start."""
-        start = pose, pose + self._second_point_time * velocity
-        return np.concatenate([start, plan[2:]])
+        second_point = pose + self._second_point_time * velocity
+        return np.vstack([pose, second_point, plan[2:]])
 
     def linearised(self, plan: Array, expected: ExpectedRobot) -> Linearisation:
         """First part of an iteration: the robot, linearised about a plan.
@@ -279,11 +298,13 @@ class HorizonProgram:
         Raises:
             PlanningError: if the pose is singular.
         """
-        robot, mass = self.robot, expected.mass
+        robot = self.robot
+        mass = expected.mass
         motion = self._bases @ plan
         motion[2] -= expected.disturbance
         varied = self._varied(motion)
-        demand = demands(robot, np.full(varied.shape[1:3], mass), varied)
+        masses = np.full(varied.shape[1:3], mass)
+        demand = demands(robot, masses, varied)
         if not np.isfinite(demand.pulley_accelerations).all():
             raise PlanningError("the pose is singular")
         structure = np.swapaxes(demand.structure, -1, -2)
@@ -291,45 +312,61 @@ class HorizonProgram:
             inverse, null_space = _inverse_and_null_space(structure[0])
         except np.linalg.LinAlgError as error:
             raise PlanningError("the pose is singular") from error
-        minimum = self.minimum_tension
-        if not self._null:
-            tensions = -times_vector(inverse, demand.load[0])
-        elif robot.kind == "planar":
-            tensions = inverse_dynamics(robot, mass, *motion, minimum=minimum).tensions
-        else:
-            speeds, accelerations = demand.speeds[0], demand.pulley_accelerations[0]
-            tensions = textbook.least_action_tensions(
-                robot, demand.structure[0], demand.load[0], speeds, accelerations, minimum
-            )
+        tensions = self._tensions_of_plan(mass, motion, demand, inverse)
         imbalance = demand.load + times_vector(structure, tensions)
         torques = textbook.motor_torques(robot, 0.0, demand.speeds, demand.pulley_accelerations)
-        passive = textbook.normalised_action(robot, torques, demand.speeds)
-        steps = self._steps[:, None, None]
-        imbalance_slope = np.moveaxis((imbalance[1:] - imbalance[0]) / steps, 0, -1)
-        passive_slope = np.moveaxis((passive[1:] - passive[0]) / steps, 0, -1)
+        passive_actions = textbook.normalised_action(robot, torques, demand.speeds)
         # The force balance gives the change of the tensions as a function of the motion, up to the
-        # null space.
-        tension_slope = inverse @ imbalance_slope / -TENSION
-        per_tension = self._action_per_tension
-        action_slope = passive_slope + per_tension[:, None] * tension_slope
+        # null space. Tensions are in units of TENSION from here on.
+        tension_slope = inverse @ self._difference_quotients(imbalance) / -TENSION
+        passive_slope = self._difference_quotients(passive_actions)
+        per_tension = self._action_per_tension[:, None]
+        action_slope = passive_slope + per_tension * tension_slope
+        slope = np.concatenate([action_slope, tension_slope], axis=1)
+        null_slope = np.concatenate([per_tension * null_space, null_space], axis=1)
         tensions = tensions / TENSION
-        actions = passive[0] + per_tension * tensions
+        actions = passive_actions[0] + self._action_per_tension * tensions
         return Linearisation(
             plan=plan,
             strength=expected.strength,
             values=np.concatenate([actions, tensions], axis=1),
-            slope=self._slope(np.concatenate([action_slope, tension_slope], axis=1)),
-            null_slope=np.concatenate([per_tension[:, None] * null_space, null_space], axis=1),
+            slope=self._slope(slope),
+            null_slope=null_slope,
         )
 
     def _varied(self, motion: Array) -> Array:
         """A motion (3, K, n), and after it those with a difference of one coordinate of X, Ẋ or Ẍ,
         (3, 1 + 3n, K, n)."""
-        rows = np.arange(len(self._steps))
-        order, coordinate = np.divmod(rows, self.robot.coordinates)
-        varied = np.repeat(motion[:, None], 1 + len(rows), axis=1)
-        varied[order, 1 + rows, :, coordinate] += self._steps[:, None]
+        variations = np.arange(len(self._steps))
+        order, coordinate = np.divmod(variations, self.robot.coordinates)
+        varied = np.repeat(motion[:, None], 1 + len(variations), axis=1)
+        varied[order, 1 + variations, :, coordinate] += self._steps[:, None]
         return varied
+
+    def _difference_quotients(self, values: Array) -> Array:
+        """Derivatives with respect to (X, Ẋ, Ẍ), (K, size, 3n), of values at :meth:`_varied`, (1 +
+        3n, K, size)."""
+        differences = values[1:] - values[0]
+        quotients = differences / self._steps[:, None, None]
+        return np.moveaxis(quotients, 0, -1)
+
+    def _tensions_of_plan(
+        self, mass: float, motion: Array, demand: Demands, inverse: Array
+    ) -> Array:
+        """Tensions of an unvaried motion, (K, m) [N]."""
+        robot = self.robot
+        minimum = self.minimum_tension
+        load = demand.load[0]
+        if not self._has_null_space:
+            return -times_vector(inverse, load)
+        if robot.kind == "planar":
+            return inverse_dynamics(robot, mass, *motion, minimum=minimum).tensions
+        structure = demand.structure[0]
+        speeds = demand.speeds[0]
+        accelerations = demand.pulley_accelerations[0]
+        return textbook.least_action_tensions(
+            robot, structure, load, speeds, accelerations, minimum
+        )
 
     # The quadratic program minimises ½ z'Hz + g'z subject to A z ≤ b. The variables z are the changes
     # of the free control points, the null-space tensions, and the excesses of actions and errors
@@ -345,33 +382,40 @@ class HorizonProgram:
         fixed = self._fixed(target.error_bounds)
         poses, velocities, accelerations = self._bases @ linearisation.plan
         errors = (poses - target.reference) / fixed.bounds
-        self._write_rows(fixed.matrix, linearisation)
-        length = self._write_lengths(fixed, errors[1:])
         end_velocity = (velocities[-1] - target.last_velocity) / fixed.bounds
         jumps = np.diff(accelerations, axis=0) / fixed.bounds
-        fixed_values = np.concatenate([errors.ravel(), end_velocity, jumps.ravel()])
+        limited_errors = errors[1:]
+        matrix = fixed.matrix
+        m = self.robot.cables
+        slope = linearisation.slope
+        null_slope = linearisation.null_slope
+        # Actions have an upper limit, tensions a lower one.
+        self._write_rows(matrix[self._actions], slope[:, :m], null_slope[:, :m])
+        self._write_rows(matrix[self._tensions], -slope[:, m:], -null_slope[:, m:])
+        lengths = self._write_lengths(fixed, limited_errors)
         hessian = np.zeros((self._columns, self._columns))
+        hessian[self._motion, self._motion] = fixed.hessian
+        null_space = np.arange(self._motion.stop, self._columns)
+        hessian[null_space, null_space] += 1e-6  # makes the program strictly convex
         gradient = np.zeros(self._columns)
-        hessian[: self._motion, : self._motion] = fixed.hessian
-        gradient[: self._motion] = fixed.gradient @ fixed_values
-        null = np.arange(self._motion, self._columns)
-        hessian[null, null] += 1e-6  # makes the program strictly convex
-        self._add_actions(hessian, gradient, linearisation.values, fixed.matrix)
-        free = slice(self._start, None)
+        fixed_values = np.concatenate([errors, end_velocity[None], jumps], axis=None)
+        gradient[self._motion] = fixed.gradient @ fixed_values
+        powers, power_slope = self._action_powers(linearisation, matrix[self._actions])
+        hessian += power_slope.T @ power_slope
+        gradient += powers @ power_slope
+        free = self._free
         factor, failed = dpotrf(hessian[free, free], lower=1)
-        if failed or not np.isfinite(fixed.matrix).all():
+        if failed or not np.isfinite(matrix).all():
             raise PlanningError("the linearised equations are not finite")
         whitening = dtrtri(factor, lower=1)[0].T
-        room = (fixed.limits - errors[1:]).ravel(), (fixed.limits + errors[1:]).ravel()
-        limits = *self._room(linearisation), fixed.limits[0] - length, *room
         return Program(
             plan=linearisation.plan,
             whitening=whitening,
-            matrix=whitening.T @ fixed.matrix[:, free].T,
-            start_matrix=fixed.matrix[:, : self._start].copy(),
-            limit=np.concatenate(limits),
+            matrix=whitening.T @ matrix[:, free].T,
+            start_matrix=matrix[:, self._start].copy(),
+            limit=self._limits(linearisation, fixed, limited_errors, lengths),
             gradient=gradient[free] @ whitening,
-            start_gradient=whitening.T @ hessian[free, : self._start],
+            start_gradient=whitening.T @ hessian[free, self._start],
         )
 
     def solved(self, program: Program, pose: Array, velocity: Array) -> Array:
@@ -386,88 +430,101 @@ class HorizonProgram:
             PlanningError: if the program has no solution.
         """
         plan = self._with_start(program.plan, pose, velocity)
-        moved = (plan - program.plan)[:2].ravel()
+        start_change = (plan - program.plan)[:2].ravel()
+        gradient = program.gradient + program.start_gradient @ start_change
+        limit = program.limit - program.start_matrix @ start_change
         inputs = self._quadratic.inputs
-        inputs["g"][:-2, 0] = program.gradient + program.start_gradient @ moved
+        inputs["g"][:-2, 0] = gradient
         inputs["a"][:, :-2] = program.matrix.T
-        inputs["uba"][:, 0] = program.limit - program.start_matrix @ moved
+        inputs["uba"][:, 0] = limit
         change = program.whitening @ self._solution()
-        plan[2:] += change[: self._motion - self._start].reshape(-1, self.robot.coordinates)
+        free_points = plan[2:]
+        point_changes = change[: free_points.size]
+        free_points += point_changes.reshape(free_points.shape)
         return plan
 
-    def _write_rows(self, matrix: Array, linearisation: Linearisation) -> None:
-        """Writes the rows of actions and tensions: actions have an upper limit, tensions a lower
-        one."""
-        m = self.robot.cables
-        count = len(self.instants)
-        rows = matrix[: self._limited].reshape(2, count, m, self._columns)
-        slope = linearisation.slope.reshape(count, 2, m, self._motion)
-        rows[0, :, :, : self._motion] = slope[:, 0]
-        np.negative(slope[:, 1], out=rows[1, :, :, : self._motion])
-        if self._null:
-            null_slope = linearisation.null_slope.reshape(count, 2, m, -1)
-            by_instant = rows[..., self._motion :].reshape(2, count, m, count, -1)
-            each = np.arange(count)
-            by_instant[0, each, :, each] = null_slope[:, 0]
-            by_instant[1, each, :, each] = -null_slope[:, 1]
-
-    def _room(self, linearisation: Linearisation) -> tuple[Array, Array]:
-        """Room of actions and tensions to their limits, each (K·m,)."""
-        m = self.robot.cables
-        largest = linearisation.strength * (1 - self.tuning.margins.action)
-        actions = largest - linearisation.values[:, :m]
-        tensions = linearisation.values[:, m:] - self.minimum_tension / TENSION
-        return actions.ravel(), tensions.ravel()
+    def _write_rows(self, rows: Array, slope: Array, null_slope: Array) -> None:
+        """Writes the rows of actions or tensions, (K·m, columns)."""
+        count, m, _ = slope.shape
+        rows = rows.reshape(count, m, -1)
+        rows[:, :, self._motion] = slope
+        if self._has_null_space:
+            instants = np.arange(count)
+            null_rows = rows[:, :, self._null_space].reshape(count, m, count, -1)
+            null_rows[instants, :, instants] = null_slope
 
     def _write_lengths(self, fixed: _Fixed, errors: Array) -> Array:
         """Writes the rows of ‖e‖, linearised, and returns it at all instants but the first, (K −
         1,)."""
-        position = slice(self._positions)
-        length: Array = np.linalg.norm(errors[:, position], axis=1)
-        direction = errors[:, position] / np.maximum(length, 1e-9)[:, None]
-        slope = (direction[:, None] @ fixed.error_slope[1:, position])[:, 0]
-        fixed.matrix[self._limited : self._limited + len(length), : self._motion] = slope
-        return length
+        position = slice(self.robot.dimensions)
+        position_errors = errors[:, position]
+        lengths: Array = np.linalg.norm(position_errors, axis=1)
+        directions = position_errors / np.maximum(lengths, 1e-9)[:, None]
+        slope = directions[:, None] @ fixed.error_slope[1:, position]
+        fixed.matrix[self._lengths, self._motion] = slope[:, 0]
+        return lengths
 
-    def _add_actions(self, hessian: Array, gradient: Array, values: Array, matrix: Array) -> None:
-        """Adds the mean of aᵖ, as the square of a^(p/2), to the objective."""
+    def _action_powers(
+        self, linearisation: Linearisation, action_rows: Array
+    ) -> tuple[Array, Array]:
+        """a^(p/2), whose sum of squares is the mean of aᵖ, (K·m,), and their derivatives (K·m,
+        columns)."""
         m = self.robot.cables
         count = len(self.instants)
-        positive = np.maximum(values[:, :m], 0.05)  # the slope of a^(p/2) must not vanish
+        # The slope of a^(p/2) must not vanish.
+        actions = np.maximum(linearisation.values[:, :m], 0.05)
         half = self.tuning.action_exponent / 2
         # The last instant counts half, as in the trapezoidal rule.
         weights = np.full((count, 1), 1 / count)
         weights[-1] /= 2
-        power_slope = half * positive ** (half - 1) * np.sqrt(weights)
-        slope = power_slope.reshape(-1, 1) * matrix[: self._limited // 2]
-        hessian += slope.T @ slope
-        gradient += (np.sqrt(weights) * positive**half).ravel() @ slope
+        roots = np.sqrt(weights)
+        slope = half * actions ** (half - 1) * roots
+        powers = roots * actions**half
+        return powers.ravel(), slope.reshape(-1, 1) * action_rows
+
+    def _limits(
+        self, linearisation: Linearisation, fixed: _Fixed, errors: Array, lengths: Array
+    ) -> Array:
+        """Room of a plan to the limit of each row, (rows,)."""
+        m = self.robot.cables
+        actions = linearisation.values[:, :m]
+        tensions = linearisation.values[:, m:]
+        largest_action = linearisation.strength * (1 - self.tuning.margins.action)
+        room = (
+            largest_action - actions,
+            tensions - self.minimum_tension / TENSION,
+            fixed.limits[0] - lengths,
+            fixed.limits - errors,
+            fixed.limits + errors,
+        )
+        return np.concatenate(room, axis=None)
 
     def _fixed_parts(self, error_bounds: ErrorBounds) -> _Fixed:
         """The parts of all programs with the same error bounds."""
-        tuning, margins = self.tuning, self.tuning.margins
-        n, count = self.robot.coordinates, len(self.instants)
+        tuning = self.tuning
+        margins = tuning.margins
+        n = self.robot.coordinates
+        count = len(self.instants)
         bounds = self._by_coordinate(error_bounds.position, error_bounds.rotation)
+        margin = self._by_coordinate(margins.position, margins.rotation)
         position, velocity, acceleration = self._bases
-        per_bound = np.diag(1 / bounds)
-        error_slope = np.kron(position, per_bound)
-        end_velocity_slope = np.kron(velocity[-1:], per_bound)
-        jump_slope = np.kron(np.diff(acceleration, axis=0), per_bound)
-        slope = np.concatenate([error_slope, end_velocity_slope, jump_slope])
-        weights = np.zeros(len(slope))
-        weights[: n * count] = tuning.error_weight / count
-        weights[n * (count - 1) : n * count] += tuning.end_error_weight
-        weights[n * count : n * (count + 1)] = tuning.end_velocity_weight * _TIME_SCALE**2
-        weights[n * (count + 1) :] = tuning.smoothness_weight * _TIME_SCALE**4
-        gradient = (slope * weights[:, None]).T
-        matrix = np.zeros((len(self._quadratic.inputs["uba"]), self._columns))
-        # The initial state is given, so error constraints start at the second instant. ‖e‖ is
-        # linearised. Additional bounds on each coordinate limit the linearisation error.
-        first = self._limited + count - 1
-        matrix[first:, : self._motion] = np.concatenate([error_slope[n:], -error_slope[n:]])
+        acceleration_steps = np.diff(acceleration, axis=0)
+        bases = np.concatenate([position, velocity[-1:], acceleration_steps])
+        slope = np.kron(bases, np.diag(1 / bounds))
+        weights = np.empty(len(bases))
+        weights[:count] = tuning.error_weight / count
+        weights[count - 1] += tuning.end_error_weight
+        weights[count] = tuning.end_velocity_weight * _TIME_SCALE**2
+        weights[count + 1 :] = tuning.smoothness_weight * _TIME_SCALE**4
+        gradient = (slope * np.repeat(weights, n)[:, None]).T
+        error_slope = slope[: count * n]
+        limited_slope = error_slope[n:]
+        # ‖e‖ is linearised. Additional bounds on each coordinate limit the linearisation error.
+        matrix = np.zeros((self._rows, self._columns))
+        matrix[self._errors, self._motion] = np.concatenate([limited_slope, -limited_slope])
         return _Fixed(
             bounds=bounds,
-            limits=1 - self._by_coordinate(margins.position, margins.rotation) / bounds,
+            limits=1 - margin / bounds,
             error_slope=error_slope.reshape(count, n, -1),
             matrix=matrix,
             hessian=gradient @ slope,
@@ -476,72 +533,68 @@ class HorizonProgram:
 
     def _by_coordinate(self, position: float, rotation: float) -> Array:
         """A value for each coordinate, (n,)."""
-        is_position = np.arange(self.robot.coordinates) < self._positions
-        return np.where(is_position, position, rotation)
+        values = np.full(self.robot.coordinates, position, float)
+        values[self.robot.dimensions :] = rotation
+        return values
 
     def _slope(self, by_motion: Array) -> Array:
         """Converts derivatives with respect to (X, Ẋ, Ẍ), (K, rows, 3n), to those for the control
         points, (K, rows, points·n)."""
         count, rows, _ = by_motion.shape
         n = self.robot.coordinates
-        by_order = np.swapaxes(by_motion.reshape(count, rows, 3, n), 1, 2)
+        by_order = by_motion.reshape(count, rows, 3, n).swapaxes(1, 2)
         slope = self._bases_of_instants @ by_order.reshape(count, 3, rows * n)
-        return np.swapaxes(slope.reshape(count, -1, rows, n), 1, 2).reshape(count, rows, -1)
+        by_point = slope.reshape(count, -1, rows, n).swapaxes(1, 2)
+        return by_point.reshape(count, rows, -1)
 
     def _solution(self) -> Array:
         """Solves the program and returns the variables without the excesses."""
+        solver = self._quadratic
         for name in ("g", "uba"):
-            if not np.all(np.isfinite(self._quadratic.inputs[name])):
+            if not np.isfinite(solver.inputs[name]).all():
                 raise PlanningError("the linearised equations are not finite")
         try:
-            variables = self._quadratic()["x"][:-2, 0]
+            variables = solver()[:-2]
         except RuntimeError as error:
             raise PlanningError(str(error)) from error
-        if not (self._quadratic.succeeded and np.all(np.isfinite(variables))):
+        if not np.isfinite(variables).all():
             raise PlanningError("the solver failed")
         return variables
 
 
-class _BufferedFunction:
-    """CasADi function that reads and writes NumPy arrays in place. Matrix conversion would take
+class _BufferedSolver:
+    """CasADi solver that reads and writes NumPy arrays in place. Matrix conversion would take
     longer than the solver.
 
     Args:
-        function: CasADi function with dense arguments.
+        solver: solver of a quadratic program with dense arguments.
     """
 
-    def __init__(self, function: Any) -> None:
-        self._buffer, self._evaluate = function.buffer()
+    def __init__(self, solver: Any) -> None:
+        self._buffer, self._evaluate = solver.buffer()
         self.inputs: dict[str, Array] = {}
         """Input arrays by name, column-major. The caller writes to them."""
-        self._outputs: dict[str, Array] = {}
-        for index in range(function.n_in()):
-            flat: Any = np.zeros(function.numel_in(index))
+        for index in range(solver.n_in()):
+            flat: Any = np.zeros(solver.numel_in(index))
             if flat.size:
                 self._buffer.set_arg(index, memoryview(flat))
-                self.inputs[function.name_in(index)] = flat.reshape(
-                    function.size_in(index), order="F"
-                )
-        for index in range(function.n_out()):
-            flat = np.zeros(function.numel_out(index))
-            self._buffer.set_res(index, memoryview(flat))
-            self._outputs[function.name_out(index)] = flat.reshape(
-                function.size_out(index), order="F"
-            )
+                name = solver.name_in(index)
+                shape = solver.size_in(index)
+                self.inputs[name] = flat.reshape(shape, order="F")
+        variables: Any = np.zeros(solver.numel_out("x"))
+        self._buffer.set_res(solver.index_out("x"), memoryview(variables))
+        self._variables: Array = variables
 
-    def __call__(self) -> dict[str, Array]:
-        """Evaluates the function and returns the results by name. The next call overwrites them.
+    def __call__(self) -> Array:
+        """Solves the program and returns its variables. The next call overwrites them.
 
         Raises:
-            RuntimeError: if CasADi rejects the inputs.
+            RuntimeError: if CasADi rejects the inputs, or the solver fails.
         """
         self._evaluate()
-        return self._outputs
-
-    @property
-    def succeeded(self) -> bool:
-        """Whether the last call of a solver succeeded."""
-        return bool(self._buffer.stats()["success"])
+        if not self._buffer.stats()["success"]:
+            raise RuntimeError("the solver failed")
+        return self._variables
 
 
 def _inverse_and_null_space(forces: Array) -> tuple[Array, Array]:
@@ -552,8 +605,11 @@ def _inverse_and_null_space(forces: Array) -> tuple[Array, Array]:
     """
     _, n, m = forces.shape
     if n == m:
-        return np.linalg.inv(forces), np.zeros((len(forces), m, 0))
-    left, values, right = np.linalg.svd(forces)
+        no_null_space = np.zeros((len(forces), m, 0))
+        return np.linalg.inv(forces), no_null_space
+    left, singular_values, right = np.linalg.svd(forces)
     right = np.swapaxes(right, 1, 2)
-    inverse = right[:, :, :n] @ np.swapaxes(left / values[:, None], 1, 2)
-    return inverse, right[:, :, n:]
+    left = np.swapaxes(left / singular_values[:, None], 1, 2)
+    inverse = right[:, :, :n] @ left
+    null_space = right[:, :, n:]
+    return inverse, null_space

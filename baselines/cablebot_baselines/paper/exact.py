@@ -62,31 +62,32 @@ def exact_profile(interpretation: Interpretation, robot: Robot, payload: float) 
     """Torques of exact tracking with a rigid transmission."""
     times = _times(robot)
     motion = paper_circle(robot)(times)
-    tensions = _tensions(interpretation, robot, robot.mass + payload, motion)
-    torques = textbook.required_torques(
-        robot, tensions, motion.position, motion.velocity, motion.acceleration
-    )
-    speed = interpretation.line_speed(robot) * textbook.pulley_speed(
-        robot, motion.position, motion.velocity
-    )
-    lower, upper = textbook.torque_limits(robot, speed)
+    mass = robot.mass + payload
+    tensions = _tensions(interpretation, robot, mass, motion)
+    torques = textbook.required_torques(robot, tensions, *_state(motion))
+    lower, upper = _rigid_limits(interpretation, robot, motion)
     return Profile(times=times, torques=torques, lower=lower, upper=upper)
 
 
 def exact_limit(interpretation: Interpretation, robot: Robot) -> LargestPayload:
     """The largest payload of exact tracking with a rigid transmission."""
     if robot.planar and interpretation.alpha == "constant":
-        return _searched(interpretation, robot)
+        return _largest_of_constant_alpha(interpretation, robot)
     bound = exact_bound(interpretation, robot)
-    return LargestPayload(payload=bound.payload, motor=bound.motor, time=bound.time)
+    return LargestPayload(
+        payload=bound.payload,
+        motor=bound.motor,
+        time=bound.time,
+    )
 
 
 def exact_bound(interpretation: Interpretation, robot: Robot, **keywords: Any) -> ExactPayload:
     """:func:`~cablebot_gym.bounds.closed_form.exact_payload` on the circle of the paper."""
+    circle = paper_circle(robot)
     keywords["line_speed"] = interpretation.line_speed(robot)
     if robot.planar:
         keywords["minimum_tension"] = interpretation.minimum_tension
-    return exact_payload(robot, paper_circle(robot), **keywords)
+    return exact_payload(robot, circle, **keywords)
 
 
 def state_space_profile(interpretation: Interpretation, robot: Robot, payload: float) -> Profile:
@@ -106,37 +107,62 @@ def state_space_profile(interpretation: Interpretation, robot: Robot, payload: f
     The solution is exact for κ + K β that is linear between the instants.
     """
     times = _times(robot)
-    torques, speeds = _state_space(interpretation, robot, robot.mass + payload, times)
+    mass = robot.mass + payload
+    torques, speeds = _state_space(interpretation, robot, mass, times)
     lower, upper = textbook.torque_limits(robot, speeds)
     return Profile(times=times, torques=torques, lower=lower, upper=upper)
 
 
 def state_space_limit(interpretation: Interpretation, robot: Robot) -> LargestPayload:
     """The largest payload of :func:`state_space_profile`. The torques are affine in the payload."""
-    empty = state_space_profile(interpretation, robot, 0.0)
-    full = state_space_profile(interpretation, robot, 1.0)
-    slope = reserve(empty) - reserve(full)
+    unloaded = state_space_profile(interpretation, robot, 0.0)
+    loaded = state_space_profile(interpretation, robot, 1.0)
+    unloaded_reserve = reserve(unloaded)
+    loss = unloaded_reserve - reserve(loaded)
     with np.errstate(divide="ignore", invalid="ignore"):
-        payloads = np.where(slope > 0, reserve(empty) / slope, np.inf)
-    k, motor, _ = np.unravel_index(np.argmin(payloads), payloads.shape)
+        payloads = unloaded_reserve / loss
+    payloads = np.where(loss > 0, payloads, np.inf)
+    smallest = np.argmin(payloads)
+    payload = payloads.flat[smallest]
+    k, motor, _ = np.unravel_index(smallest, payloads.shape)
     return LargestPayload(
-        payload=float(payloads[k, motor].min()), motor=int(motor) + 1, time=_rounded(empty.times[k])
+        payload=float(payload),
+        motor=int(motor) + 1,
+        time=_rounded(unloaded.times[k]),
     )
 
 
 def reserve(profile: Profile) -> Array:
     """Distances of the torques to the upper and to the lower limit, (K, m, 2) [N·m]."""
-    return np.stack([profile.upper - profile.torques, profile.torques - profile.lower], axis=-1)
+    above = profile.upper - profile.torques
+    below = profile.torques - profile.lower
+    return np.stack([above, below], axis=-1)
 
 
 def _times(robot: Robot) -> Array:
     """Instants of the whole motion. The middle, where the acceleration of the circle jumps, appears
     from both sides."""
     duration = paper_circle(robot).duration
-    count = 2 * round(GRID * duration / 2)
-    grid = np.arange(count) * (duration / count)
-    middle = count // 2
-    return np.insert(grid, middle + 1, grid[middle] + 1e-9 * duration)
+    middle = round(GRID * duration / 2)
+    count = 2 * middle
+    spacing = duration / count
+    grid = np.arange(count) * spacing
+    after_jump = grid[middle] + 1e-9 * duration
+    return np.insert(grid, middle + 1, after_jump)
+
+
+def _state(motion: Reference) -> tuple[Array, Array, Array]:
+    """Pose, velocity and acceleration, each (K, n): the arguments of the inverse dynamics."""
+    return motion.position, motion.velocity, motion.acceleration
+
+
+def _rigid_limits(
+    interpretation: Interpretation, robot: Robot, motion: Reference
+) -> tuple[Array, Array]:
+    """Torque limits with a rigid transmission, each (K, m) [N·m]."""
+    speed = textbook.pulley_speed(robot, motion.position, motion.velocity)
+    line_speed = interpretation.line_speed(robot) * speed
+    return textbook.torque_limits(robot, line_speed)
 
 
 def _tensions(
@@ -145,9 +171,9 @@ def _tensions(
     """Tensions of exact tracking, shape (K, m) [N]; a planar robot uses the interpretation of α."""
     minimum = interpretation.minimum_tension
     if robot.planar and interpretation.alpha == "constant":
-        return _ConstantAlpha(robot, motion, minimum)(mass)
-    state = (motion.position, motion.velocity, motion.acceleration)
-    return textbook.required_tensions(robot, mass, *state, minimum=minimum)
+        tensions = _ConstantAlpha(robot, motion, minimum)
+        return tensions(mass)
+    return textbook.required_tensions(robot, mass, *_state(motion), minimum=minimum)
 
 
 class _ConstantAlpha:
@@ -156,52 +182,71 @@ class _ConstantAlpha:
 
     def __init__(self, robot: Robot, motion: Reference, minimum: float) -> None:
         structure = textbook.jacobian(robot, motion.position)
-        inverse = np.linalg.pinv(np.swapaxes(structure, -1, -2))
+        transposed = np.swapaxes(structure, -1, -2)
+        inverse = np.linalg.pinv(transposed)
         self._particular = -np.einsum("kic,kc->ki", inverse, motion.acceleration)
-        null = np.cross(structure[..., 0], structure[..., 1])
-        sign = np.sign(null.sum(axis=-1, keepdims=True))
-        self._null = null * sign / np.linalg.norm(null, axis=-1, keepdims=True)
+        x_column = structure[..., 0]
+        y_column = structure[..., 1]
+        null = np.cross(x_column, y_column)
+        length = np.linalg.norm(null, axis=-1, keepdims=True)
+        total = null.sum(axis=-1, keepdims=True)
+        self._null = null * np.sign(total) / length
         self._minimum = minimum
 
     def __call__(self, mass: float) -> Array:
         """Tensions T of a total mass, shape (K, 3) [N]."""
         tensions = mass * self._particular
-        alpha = ((self._minimum - tensions) / self._null).max()
+        needed_alpha = (self._minimum - tensions) / self._null
+        alpha = needed_alpha.max()
         return np.asarray(tensions + alpha * self._null)
 
 
-def _searched(interpretation: Interpretation, robot: Robot) -> LargestPayload:
+def _largest_of_constant_alpha(interpretation: Interpretation, robot: Robot) -> LargestPayload:
     """Bisection for a constant α. The torque reserve of the motors is concave in the mass, but not
     affine."""
     times = _times(robot)
     motion = paper_circle(robot)(times)
-    state = (motion.position, motion.velocity)
     tensions = _ConstantAlpha(robot, motion, interpretation.minimum_tension)
-    slack = np.zeros((len(times), robot.cables))
-    pulley_torques = textbook.required_torques(robot, slack, *state, motion.acceleration)
-    speed = interpretation.line_speed(robot) * textbook.pulley_speed(robot, *state)
-    lower, upper = textbook.torque_limits(robot, speed)
+    shape = (len(times), robot.cables)
+    slack = np.zeros(shape)
+    pulley_torques = textbook.required_torques(robot, slack, *_state(motion))
+    lower, upper = _rigid_limits(interpretation, robot, motion)
 
     def overload(mass: float) -> Array:
-        torques = pulley_torques + robot.pulley_radius * tensions(mass)
+        cable_torques = robot.pulley_radius * tensions(mass)
+        torques = pulley_torques + cable_torques
         return np.maximum(torques - upper, lower - torques)
 
-    masses = np.linspace(0.0, 10 * robot.mass, 201)[1:].tolist()
-    overloaded = [mass for mass in masses if overload(mass).max() > 0]
-    if not overloaded:
+    def is_feasible(mass: float) -> bool:
+        excess = overload(mass)
+        return bool(excess.max() <= 0)
+
+    largest_mass = 10 * robot.mass
+    grid = np.linspace(0.0, largest_mass, 201)
+    masses = grid[1:].tolist()
+    for high in masses:
+        if not is_feasible(high):
+            break
+    else:
         return LargestPayload(payload=np.inf, motor=None, time=None)
-    high = overloaded[0]
-    if high == masses[0]:
+    index = masses.index(high)
+    if index == 0:
         return LargestPayload(payload=-np.inf, motor=None, time=None)
-    low = masses[masses.index(high) - 1]
+    low = masses[index - 1]
     while high - low > 1e-9:
         middle = (low + high) / 2
-        if overload(middle).max() > 0:
-            high = middle
-        else:
+        if is_feasible(middle):
             low = middle
-    k, motor = np.unravel_index(np.argmax(overload(high)), (len(times), robot.cables))
-    return LargestPayload(payload=low - robot.mass, motor=int(motor) + 1, time=_rounded(times[k]))
+        else:
+            high = middle
+    excess = overload(high)
+    largest = np.argmax(excess)
+    k, motor = np.unravel_index(largest, shape)
+    return LargestPayload(
+        payload=low - robot.mass,
+        motor=int(motor) + 1,
+        time=_rounded(times[k]),
+    )
 
 
 def _state_space(
@@ -209,13 +254,16 @@ def _state_space(
 ) -> tuple[Array, Array]:
     """Torques, and speeds for the torque-speed line of the interpretation, each of shape (K, m)."""
     motion = paper_circle(robot)(times)
-    state = (motion.position, motion.velocity, motion.acceleration)
+    state = _state(motion)
     tensions = textbook.required_tensions(robot, mass, *state)
-    spring = textbook.required_torques(robot, tensions, *state)
-    rest_angle = textbook.pulley_angle(robot, motion.position) + spring / robot.stiffness  # β + κ/K
+    kappa = textbook.required_torques(robot, tensions, *state)
+    pulley_angle = textbook.pulley_angle(robot, motion.position)
+    rest_angle = pulley_angle + kappa / robot.stiffness
     divisor = eq24_divisor(interpretation, robot)
-    angle, speed = _oscillation(rest_angle, np.sqrt(robot.stiffness / divisor), times)
-    torques = spring + robot.motor_inertia * robot.stiffness / divisor * (rest_angle - angle)
+    frequency = np.sqrt(robot.stiffness / divisor)
+    angle, speed = _oscillation(rest_angle, frequency, times)
+    effective_stiffness = robot.motor_inertia * robot.stiffness / divisor
+    torques = kappa + effective_stiffness * (rest_angle - angle)
     if interpretation.line not in ("physical", "reversed"):
         speed = textbook.pulley_speed(robot, motion.position, motion.velocity)
     return torques, interpretation.line_speed(robot) * speed
@@ -231,16 +279,21 @@ def eq24_divisor(interpretation: Interpretation, robot: Robot) -> Array:
 def _oscillation(goal: Array, frequency: Array, times: Array) -> tuple[Array, Array]:
     """Solves ẍ = ω² (g − x) from x = g and ẋ = 0 with g linear between the instants; returns x and
     ẋ, each (K, m)."""
-    angle, speed = np.empty_like(goal), np.zeros_like(goal)
+    angle = np.empty_like(goal)
+    speed = np.zeros_like(goal)
     angle[0] = goal[0]
     for k, step in enumerate(np.diff(times)):
-        rate = (goal[k + 1] - goal[k]) / step
+        next_goal = goal[k + 1]
+        rate = (next_goal - goal[k]) / step
         offset = angle[k] - goal[k]
         drift = speed[k] - rate
-        cosine = np.cos(frequency * step)
-        sine = np.sin(frequency * step)
-        angle[k + 1] = goal[k + 1] + offset * cosine + drift / frequency * sine
-        speed[k + 1] = rate - offset * frequency * sine + drift * cosine
+        phase = frequency * step
+        cosine = np.cos(phase)
+        sine = np.sin(phase)
+        sine_part = drift / frequency * sine
+        angle[k + 1] = next_goal + offset * cosine + sine_part
+        sine_rate = offset * frequency * sine
+        speed[k + 1] = rate - sine_rate + drift * cosine
     return angle, speed
 
 

@@ -27,7 +27,7 @@ def judge_input(item: Input, interpretation: Interpretation) -> tuple[float | No
     values = [read(path, interpretation) for path in item.sources] or [item.value]
     if item.value is None:
         return None, str(values[0]), item.verdict
-    flat = np.concatenate([np.ravel(np.asarray(value, float)) for value in values])
+    flat = np.concatenate([np.ravel(value) for value in values]).astype(float)
     numbers = np.unique(flat.round(12))
     expected = item.value
     if item.corrected is not None:
@@ -51,15 +51,15 @@ def read(path: str, interpretation: Interpretation) -> Any:
     The path consists of a robot, a quantity of a robot or another object, and of keys, indices or
     attributes.
     """
-    source, *steps = path.split(".")
+    source, *keys = path.split(".")
     value = _source(source, interpretation)
-    for step in steps:
+    for key in keys:
         if isinstance(value, Mapping):
-            value = value[step]
-        elif step.isdigit():
-            value = value[int(step)]
+            value = value[key]
+        elif key.isdigit():
+            value = value[int(key)]
         else:
-            value = getattr(value, step)
+            value = getattr(value, key)
     return value
 
 
@@ -68,8 +68,9 @@ def _source(name: str, interpretation: Interpretation) -> Any:
         return _ROBOTS[name](interpretation)
     if name in _OBJECTS:
         return _OBJECTS[name](interpretation)
-    robot, _, quantity = name.rpartition("_")
-    return _QUANTITIES[quantity](interpretation, _ROBOTS[robot](interpretation))
+    robot_name, _, quantity = name.rpartition("_")
+    robot = _ROBOTS[robot_name](interpretation)
+    return _QUANTITIES[quantity](interpretation, robot)
 
 
 _ROBOTS: dict[str, Callable[[Interpretation], Robot]] = {
@@ -120,8 +121,9 @@ def _circle(_: Interpretation, robot: Robot) -> dict[str, Any]:
 
     start = circle(0.0).position
     times = np.linspace(0.0, circle.duration, 2001)
-    changes = np.linalg.norm(np.diff(circle(times).acceleration, axis=0), axis=1)
-    jump = times[np.argmax(changes)]
+    changes = np.diff(circle(times).acceleration, axis=0)
+    sizes = np.linalg.norm(changes, axis=1)
+    jump = times[np.argmax(sizes)]
     return {
         "start": start,
         "radius": np.linalg.norm(start[:2]),
@@ -140,21 +142,30 @@ def _size(interpretation: Interpretation, robot: Robot) -> dict[str, float]:
         divisor = 2
     sizes = {}
     for name, anchors in (("base", robot.base), ("platform", robot.platform)):
-        side = np.linalg.norm(anchors[:, None] - anchors[None], axis=-1).max()
-        sizes[name] = side / divisor
+        distances = np.linalg.norm(anchors[:, None] - anchors[None], axis=-1)
+        sizes[name] = distances.max() / divisor
     return sizes
+
+
+def _sides(_: Interpretation, robot: Robot) -> Any:
+    """Distances of neighbouring base anchors [m]."""
+    neighbours = np.roll(robot.base, 1, axis=0)
+    return np.linalg.norm(robot.base - neighbours, axis=1)
+
+
+def _speed(interpretation: Interpretation, robot: Robot) -> Any:
+    """Free speed under the torque-speed line of the interpretation, if a motor can have this line
+    [rpm]."""
+    motors = interpretation.closed_loop_robot(robot).motors
+    return np.divide(motors.free_speed, RPM)
 
 
 _QUANTITIES: dict[str, Callable[[Interpretation, Robot], Any]] = {
     "circle": _circle,
     "size": _size,
-    "sides": lambda _, robot: np.linalg.norm(robot.base - np.roll(robot.base, 1, axis=0), axis=1),
+    "sides": _sides,
     "freedom": lambda _, robot: robot.coordinates + robot.cables,
     "states": lambda _, robot: {"platform": 2 * robot.coordinates, "motors": 2 * robot.cables},
-    # Free speed under the torque-speed line of the interpretation, if a motor can have this line
-    # [rpm].
-    "speed": lambda interpretation, robot: np.divide(
-        interpretation.closed_loop_robot(robot).motors.free_speed, RPM
-    ),
+    "speed": _speed,
 }
 """Quantities of a robot."""

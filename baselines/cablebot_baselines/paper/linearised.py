@@ -33,9 +33,10 @@ _BEYOND = 1e6
 
 def unsaturated_actions(robot: Robot) -> Robot:
     """Copy of the robot whose motors never saturate; the torque-speed lines keep their slope."""
-    stall = tuple(_BEYOND * robot.stall_torque)
-    free = tuple(_BEYOND * robot.stall_torque / robot.speed_slope)
-    return robot.replace(motors=Motors(stall_torque=stall, free_speed=free))
+    stall_torque = _BEYOND * robot.stall_torque
+    free_speed = stall_torque / robot.speed_slope
+    motors = Motors(stall_torque=tuple(stall_torque), free_speed=tuple(free_speed))
+    return robot.replace(motors=motors)
 
 
 def growth_rate(law: Any, robot: Robot, *, control_frequency: float = 500.0) -> float:
@@ -52,22 +53,28 @@ def growth_rate(law: Any, robot: Robot, *, control_frequency: float = 500.0) -> 
         control_frequency: 1/h [Hz].
     """
     period = 1 / control_frequency
-    rest_state = np.concatenate([_rest(robot), np.zeros(robot.cables)])
-    size = len(rest_state)
-    step = _DIFFERENCE * np.eye(size)
-    states = np.concatenate([rest_state + step, rest_state - step])
+    plant_state = _rest(robot)
+    past_speed = np.zeros(robot.cables)
+    rest_state = np.concatenate([plant_state, past_speed])
+    steps = np.full(len(rest_state), _DIFFERENCE)
+    states = _neighbours(rest_state, steps)
     plant = _plant_at(robot, states)
-    past_speed = states[:, -robot.cables :]
-    # The observation has a time of 0, so the previous sample was at the time -period.
-    memory = np.column_stack([past_speed, np.full(2 * size, period)])
-    action, _ = law.predict(_observation(robot, plant), state=memory)
     motor_speed = plant.motor_speed.copy()
+    past_speeds = states[:, -robot.cables :]
+    # The observation has a time of 0, so the previous sample was at the time -period.
+    ages = np.full(len(states), period)
+    memory = np.column_stack([past_speeds, ages])
+    observation = _observation(robot, plant)
+    action, _ = law.predict(observation, state=memory)
     plant.set_action(action)
     _advance(plant, robot, period)
-    after = np.concatenate([_state(plant), motor_speed], axis=1)
-    above, below = np.split(after, 2)
-    loop = (above - below).T / (2 * _DIFFERENCE)
-    return float(np.log(np.abs(np.linalg.eigvals(loop)).max()) / period)
+    plant_states = _state(plant)
+    next_states = np.concatenate([plant_states, motor_speed], axis=1)
+    transition = _central_difference(next_states, steps)
+    eigenvalues = np.linalg.eigvals(transition)
+    largest_factor = np.abs(eigenvalues).max()
+    rate = np.log(largest_factor) / period
+    return float(rate)
 
 
 def controllable_states(robot: Robot) -> int:
@@ -81,57 +88,84 @@ def controllable_states(robot: Robot) -> int:
     robot = unsaturated_actions(robot)
     minimum = textbook.MINIMUM_TENSION
     torque = textbook.static_torque(robot, robot.mass, robot.home, minimum=minimum)
-    hold = torque / robot.stall_torque
-    rest_state = np.concatenate([_rest(robot), hold])
-    size = len(rest_state) - robot.cables
-    step = np.full(len(rest_state), _DIFFERENCE)
-    step[size:] /= robot.stall_torque.max()
-    states = np.concatenate([rest_state + np.diag(step), rest_state - np.diag(step)])
-    plant = _plant_at(robot, states)
-    plant.set_action(states[:, size:] + robot.speed_slope / robot.stall_torque * plant.motor_speed)
+    rest_action = torque / robot.stall_torque
+    rest_state = _rest(robot)
+    size = len(rest_state)
+    rest_values = np.concatenate([rest_state, rest_action])
+    steps = np.full(len(rest_values), _DIFFERENCE)
+    steps[size:] /= robot.stall_torque.max()
+    values = _neighbours(rest_values, steps)
+    plant = _plant_at(robot, values)
+    torque_actions = values[:, size:]
+    speed_slope = robot.speed_slope / robot.stall_torque
+    speed_actions = speed_slope * plant.motor_speed
+    plant.set_action(torque_actions + speed_actions)
     _advance(plant, robot, _SAMPLING)
-    after = _state(plant)
-    above, below = np.split(after, 2)
-    response = (above - below).T / (2 * step)
-    transition = response[:, :size]
-    columns = [response[:, size:]]
-    for _ in range(size // robot.cables - 1):
-        columns.append(transition @ columns[-1])
-    reach = np.concatenate(columns, axis=1)
-    reach /= np.linalg.norm(reach, axis=0)
-    reach /= np.abs(reach).max(axis=1, keepdims=True)
-    return int(np.linalg.matrix_rank(reach, tol=1e-6))
+    response = _central_difference(_state(plant), steps)
+    transition, reached = np.split(response, [size], axis=1)
+    powers = [reached]
+    count = size // robot.cables
+    for _ in range(1, count):
+        reached = transition @ reached
+        powers.append(reached)
+    controllability = np.concatenate(powers, axis=1)
+    column_scales = np.linalg.norm(controllability, axis=0)
+    controllability /= column_scales
+    magnitudes = np.abs(controllability)
+    row_scales = magnitudes.max(axis=1, keepdims=True)
+    controllability /= row_scales
+    rank = np.linalg.matrix_rank(controllability, tol=1e-6)
+    return int(rank)
+
+
+def _neighbours(values: Array, steps: Array) -> Array:
+    """Values with one entry each increased and then decreased by its step, (2 N, N)."""
+    changes = np.diag(steps)
+    above = values + changes
+    below = values - changes
+    return np.concatenate([above, below])
+
+
+def _central_difference(results: Array, steps: Array) -> Array:
+    """Derivatives of results, (M, N), at the :func:`_neighbours` of values, (2 N, M)."""
+    above, below = np.split(results, 2)
+    difference = above - below
+    derivatives: Array = difference.T / (2 * steps)
+    return derivatives
 
 
 def _rest(robot: Robot) -> Array:
     """State (X, Ẋ, β′, β̇′) at rest at home."""
-    angle = textbook.static_motor_angle(
-        robot, robot.mass, robot.home, minimum=textbook.MINIMUM_TENSION
-    )
-    return np.concatenate([robot.home, np.zeros(robot.coordinates), angle, np.zeros(robot.cables)])
+    minimum = textbook.MINIMUM_TENSION
+    angle = textbook.static_motor_angle(robot, robot.mass, robot.home, minimum=minimum)
+    velocity = np.zeros(robot.coordinates)
+    speed = np.zeros(robot.cables)
+    return np.concatenate([robot.home, velocity, angle, speed])
 
 
 def _plant_at(robot: Robot, states: Array) -> Plant:
     """A plant in states that begin with (X, Ẋ, β′, β̇′), shape (B, ...)."""
     n, m = robot.coordinates, robot.cables
-    pose, velocity, angle, speed, _ = np.split(states, [n, 2 * n, 2 * n + m, 2 * n + 2 * m], axis=1)
-    plant = Plant(robot, len(states), cable="bilateral")
-    everyone = np.arange(len(states))
-    plant.set_state(everyone, pose, velocity)
-    plant.set_motors(everyone, angle, speed)
+    ends = np.cumsum([n, n, m, m])
+    pose, velocity, angle, speed, _ = np.split(states, ends, axis=1)
+    count = len(states)
+    plant = Plant(robot, count, cable="bilateral")
+    indices = np.arange(count)
+    plant.set_state(indices, pose, velocity)
+    plant.set_motors(indices, angle, speed)
     return plant
 
 
 def _state(plant: Plant) -> Array:
-    return np.concatenate(
-        [plant.pose, plant.velocity, plant.motor_angle, plant.motor_speed], axis=1
-    )
+    state = (plant.pose, plant.velocity, plant.motor_angle, plant.motor_speed)
+    return np.concatenate(state, axis=1)
 
 
 def _observation(robot: Robot, plant: Plant) -> Array:
     """Observation of a plant whose reference is the home pose."""
     layout = observation_layout(robot)
-    observation = np.zeros((len(plant.pose), layout.size))
+    count = len(plant.pose)
+    observation = np.zeros((count, layout.size))
     blocks = layout.split(observation)
     blocks["pose"][:] = plant.pose
     blocks["velocity"][:] = plant.velocity
@@ -144,6 +178,10 @@ def _observation(robot: Robot, plant: Plant) -> Array:
 def _advance(plant: Plant, robot: Robot, period: float) -> None:
     """Advances the plant by one control period in steps that are short enough not to damp the
     springs."""
-    substeps = math.ceil(period * textbook.highest_frequency(robot) / _TURN)
-    wrench = np.zeros((1, 1, robot.coordinates))
-    plant.advance(wrench, np.zeros(1, np.int64), substeps=substeps, step=period / substeps)
+    frequency = textbook.highest_frequency(robot)
+    phase = period * frequency
+    substeps = math.ceil(phase / _TURN)
+    step = period / substeps
+    references = np.zeros((1, 1, robot.coordinates))
+    ends = np.zeros(1, np.int64)
+    plant.advance(references, ends, substeps=substeps, step=step)

@@ -6,6 +6,7 @@ Maps of closed loops are a suite of the benchmark, ``paper-maps``.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,11 +48,11 @@ def exact_map(*, robot: Robot, line_speed: Array) -> list[list[ExactPayload]]:
     rows = []
     for height in HEIGHTS:
         row = []
+        center = (0.0, 0.0, height, 0.1, 0.1, 0.1)
         for radius in RADII:
-            circle = PaperCircle(
-                name="circle", radius=radius, center=(0.0, 0.0, height, 0.1, 0.1, 0.1)
-            )
-            row.append(exact_payload(robot, circle, line_speed=line_speed, grid=COARSE))
+            circle = PaperCircle(name="circle", radius=radius, center=center)
+            exact = exact_payload(robot, circle, line_speed=line_speed, grid=COARSE)
+            row.append(exact)
         rows.append(row)
     return rows
 
@@ -59,7 +60,8 @@ def exact_map(*, robot: Robot, line_speed: Array) -> list[list[ExactPayload]]:
 def jobs(interpretation: Interpretation) -> Jobs:
     """Computation of the map."""
     robot = interpretation.spatial("payload")
-    return {"exact": job(exact_map, robot=robot, line_speed=interpretation.line_speed(robot))}
+    line_speed = interpretation.line_speed(robot)
+    return {"exact": job(exact_map, robot=robot, line_speed=line_speed)}
 
 
 def payloads(results: Results) -> tuple[Array, Array]:
@@ -70,24 +72,26 @@ def payloads(results: Results) -> tuple[Array, Array]:
     for index, circle in np.ndenumerate(np.array(exact, object)):
         payload[index] = circle.payload
         lowest[index] = circle.lowest
-    is_feasible = (lowest <= 0) & (payload >= 0)
-    is_weak = (lowest <= 0) & (payload > -np.inf) & (payload < 0)
+    needs_no_ballast = lowest <= 0
+    is_feasible = needs_no_ballast & (payload >= 0)
+    is_weak = needs_no_ballast & (payload > -np.inf) & (payload < 0)
     return np.where(is_feasible, payload, np.nan), is_weak
 
 
 def outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Largest payload of the map and the widest feasible circle."""
     payload, _ = payloads(results)
-    if not np.isfinite(payload).any():
+    is_feasible = np.isfinite(payload)
+    if not is_feasible.any():
         return Outcome()
     row, column = np.unravel_index(np.nanargmax(payload), payload.shape)
-    feasible_radii = np.flatnonzero(np.isfinite(payload).any(axis=0))
+    feasible_columns = np.flatnonzero(is_feasible.any(axis=0))
     return Outcome(
         numbers={
             "exact_largest_kg": float(payload[row, column]),
             "exact_largest_at_r_m": RADII[column],
             "exact_largest_at_z_m": HEIGHTS[row],
-            "exact_widest_r_m": RADII[feasible_radii[-1]],
+            "exact_widest_r_m": RADII[feasible_columns[-1]],
         }
     )
 
@@ -100,15 +104,13 @@ def draw(interpretation: Interpretation, results: Results) -> Figure:
     figure = new_figure(4.6)
     axes = figure.subplots()
     grid = (RADII, HEIGHTS)
-    axes.pcolormesh(
-        *grid, weak, cmap=ListedColormap([SHADE, SKY]), shading="nearest", rasterized=True
-    )
+    fill = partial(axes.pcolormesh, *grid, shading="nearest", rasterized=True)
+    fill(weak, cmap=ListedColormap([SHADE, SKY]))
     if np.isfinite(payload).any():
-        image = axes.pcolormesh(
-            *grid, payload, vmin=0.0, cmap="viridis", shading="nearest", rasterized=True
-        )
+        image = fill(payload, vmin=0.0, cmap="viridis")
         figure.colorbar(image, ax=axes, label="payload [kg]")
-        lowest, highest = np.nanmin(payload), np.nanmax(payload)
+        lowest = np.nanmin(payload)
+        highest = np.nanmax(payload)
         levels = [level for level in _CONTOURS if lowest < level < highest]
         if levels:
             lines = axes.contour(*grid, payload, levels=levels, colors="white", linewidths=1.0)

@@ -124,17 +124,19 @@ def added_input(outer: classical.RobustPD, loop: Rollout, robot: Robot) -> Added
 
     The last recorded instant is the end of the motion and has no action, so it is omitted.
     """
-    times = loop.arrays["time"][:-1]
+    arrays = loop.arrays
+    times = arrays["time"][:-1]
     reference = paper_circle(robot)(times)
     blocks = {
-        "pose": loop.arrays["pose"][:-1],
-        "velocity": loop.arrays["velocity"][:-1],
+        "pose": arrays["pose"][:-1],
+        "velocity": arrays["velocity"][:-1],
         "reference_pose": reference.position,
         "reference_velocity": reference.velocity,
         "reference_acceleration": reference.acceleration,
     }
     size = np.linalg.norm(outer.switching(blocks), axis=-1)
-    term = outer(blocks) - classical.PD(gains=outer.gains)(blocks)
+    ordinary = classical.PD(gains=outer.gains)
+    term = outer(blocks) - ordinary(blocks)
     return Added(times=times, term=term, outside=size >= outer.boundary_layer)
 
 
@@ -178,7 +180,8 @@ def _terms(interpretation: Interpretation, results: Results) -> dict[str, Added]
     terms = {}
     for env_id, robot in _robots(interpretation).items():
         _, robust = _LAWS[env_id]
-        terms[env_id] = added_input(robust(robot).outer, results[env_id], robot)
+        outer = robust(robot).outer
+        terms[env_id] = added_input(outer, results[env_id], robot)
     return terms
 
 
@@ -191,11 +194,13 @@ def term_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     for env_id, added in _terms(interpretation, results).items():
         prefix = _PREFIX[env_id]
         size = np.linalg.norm(added.term, axis=1)
-        change = np.linalg.norm(np.diff(added.term, axis=0), axis=1)
+        changes = np.diff(added.term, axis=0)
+        change = np.linalg.norm(changes, axis=1)
         rms = float(np.sqrt(np.mean(size**2)))
+        change_rms = float(np.sqrt(np.mean(change**2)))
         numbers[f"{prefix}peak_dv"] = float(size.max())
         numbers[f"{prefix}rms_dv"] = rms
-        numbers[f"{prefix}chatter"] = float(np.sqrt(np.mean(change**2))) / rms
+        numbers[f"{prefix}chatter"] = change_rms / rms
         numbers[f"{prefix}outside_layer"] = float(added.outside.mean())
     return Outcome(numbers=numbers)
 
@@ -207,7 +212,9 @@ def draw_term(interpretation: Interpretation, results: Results) -> Figure:
     for column, (env_id, added) in enumerate(_terms(interpretation, results).items()):
         for row, unit in enumerate(("m/s²", "rad/s²")):
             axes = grid[row, column]
-            coordinate_curves(axes, added.times, added.term[:, 3 * row : 3 * row + 3], 3 * row)
+            offset = 3 * row
+            coordinates = added.term[:, offset : offset + 3]
+            coordinate_curves(axes, added.times, coordinates, offset)
             axes.set(xlim=(0, 1), xlabel="time [s]", ylabel=f"Δv [{unit}]")
             axes.label_outer()
         grid[0, column].set_title(_robot_title(interpretation, env_id), fontsize=11)
@@ -226,7 +233,8 @@ def draw_term(interpretation: Interpretation, results: Results) -> Figure:
 def tracking_jobs(interpretation: Interpretation) -> Jobs:
     """Episodes and reductions of Fig. 9. The prefix ``eq22`` is the law of the paper with joint
     springs."""
-    jobs, robots = {}, _robots(interpretation)
+    jobs = {}
+    robots = _robots(interpretation)
     for env_id, robot in robots.items():
         plain, robust = _LAWS[env_id]
         jobs[f"{env_id} plain"] = _episode(env_id, plain, robot)
@@ -240,9 +248,8 @@ def tracking_jobs(interpretation: Interpretation) -> Jobs:
             layers=LAYERS,
             draws=DRAWS,
         )
-    jobs["eq22 plain"] = _episode(
-        FLEX, partial(classical.PaperFlexible, as_printed=True), robots[FLEX]
-    )
+    eq22 = partial(classical.PaperFlexible, as_printed=True)
+    jobs["eq22 plain"] = _episode(FLEX, eq22, robots[FLEX])
     jobs["eq22 robust"] = _episode(FLEX, robust_eq22, robots[FLEX])
     return jobs
 
@@ -254,7 +261,9 @@ def reduced(plain: Rollout, robust: Rollout, name: str) -> float | None:
     reduce: Any = np.max
     if name == "tracking_error":
         reduce = np.sum
-    return 1 - float(reduce(robust.arrays[name])) / float(reduce(plain.arrays[name]))
+    plain_error = float(reduce(plain.arrays[name]))
+    robust_error = float(reduce(robust.arrays[name]))
+    return 1 - robust_error / plain_error
 
 
 def layer_name(layer: float) -> str:
@@ -274,9 +283,8 @@ def tracking_outcome(interpretation: Interpretation, results: Results) -> Outcom
         numbers[f"{prefix}draw_plain_peak_mm"] = _peak_mm(plain)
         numbers[f"{prefix}draw_robust_peak_mm"] = _peak_mm(robust)
         difference = plain.arrays["pose"] - plain.arrays["reference_pose"]
-        numbers[f"{prefix}draw_plain_peak_xy_mm"] = 1e3 * float(
-            np.linalg.norm(difference[:, :2], axis=1).max()
-        )
+        distance = np.linalg.norm(difference[:, :2], axis=1)
+        numbers[f"{prefix}draw_plain_peak_xy_mm"] = 1e3 * float(distance.max())
         for reduction in results[f"{env_id} layers"]:
             row: list[Number] = [_robot_title(interpretation, env_id), reduction.layer]
             for name, fraction in (("sum", reduction.total), ("max", reduction.largest)):
@@ -284,10 +292,8 @@ def tracking_outcome(interpretation: Interpretation, results: Results) -> Outcom
                 numbers[key] = fraction.mean
                 numbers[f"{key}_low"] = fraction.low
                 numbers[f"{key}_high"] = fraction.high
-                row += [
-                    100 * fraction.mean,
-                    f"{100 * fraction.low:.1f} to {100 * fraction.high:.1f}",
-                ]
+                row.append(100 * fraction.mean)
+                row.append(f"{100 * fraction.low:.1f} to {100 * fraction.high:.1f}")
             rows.append((*row, *reduction.lost))
     numbers["eq22_draw_plain_peak_mm"] = _peak_mm(results["eq22 plain"])
     numbers["eq22_draw_robust_peak_mm"] = _peak_mm(results["eq22 robust"])
@@ -302,7 +308,8 @@ def tracking_outcome(interpretation: Interpretation, results: Results) -> Outcom
         "fraction of episodes ended early, robust law",
     )
     title = f"Error reduction of the robust law relative to the ordinary law over {DRAWS} draws of Table 6"
-    return Outcome(numbers=numbers, tables=(Table(title=title, header=header, rows=tuple(rows)),))
+    table = Table(title=title, header=header, rows=tuple(rows))
+    return Outcome(numbers=numbers, tables=(table,))
 
 
 def _peak_mm(loop: Rollout) -> float:
@@ -337,9 +344,11 @@ def _draw_plane(axes: Axes, loops: Mapping[str, Rollout]) -> int:
     references, deviations = {}, {}
     largest = 0.0
     for law, loop in loops.items():
-        references[law] = loop.arrays["reference_pose"][:, :2]
-        deviations[law] = loop.arrays["pose"][:, :2] - references[law]
-        largest = max(largest, float(np.abs(deviations[law]).max()))
+        reference = loop.arrays["reference_pose"][:, :2]
+        deviation = loop.arrays["pose"][:, :2] - reference
+        references[law] = reference
+        deviations[law] = deviation
+        largest = max(largest, float(np.abs(deviation).max()))
     reference = max(references.values(), key=len)
     size = float(np.ptp(reference, axis=0).max())
     magnification = 1
@@ -348,22 +357,26 @@ def _draw_plane(axes: Axes, loops: Mapping[str, Rollout]) -> int:
             magnification = factor
     axes.plot(*reference.T, color="black", linewidth=0.8, label="reference")
     for law, deviation in deviations.items():
-        name, style, colour = _CURVES[law]
         drawn = references[law] + magnification * deviation
-        axes.plot(*drawn.T, style, color=colour, linewidth=2.0, label=name)
+        _draw_curve(axes, law, *drawn.T)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.legend(**LEGEND, loc="center")
     return magnification
 
 
+def _draw_curve(axes: Axes, law: str, x: Array, y: Array) -> None:
+    name, style, colour = _CURVES[law]
+    axes.plot(x, y, style, color=colour, linewidth=2.0, label=name)
+
+
 def _draw_errors(axes: Axes, loops: Mapping[str, Rollout]) -> None:
     radius = 1e3 * ErrorBounds().position
     for law, loop in loops.items():
-        name, style, colour = _CURVES[law]
         error = 1e3 * loop.arrays["tracking_error"]
-        axes.plot(loop.arrays["time"], error, style, color=colour, linewidth=2.0, label=name)
+        _draw_curve(axes, law, loop.arrays["time"], error)
     axes.axhline(radius, color="black", linewidth=1.0, label=f"R = {radius:g} mm")
-    axes.set(xlim=(0, 1), ylim=(0, None), xlabel="time [s]", ylabel="position error ‖e‖ [mm]")
+    axes.set(xlim=(0, 1), ylim=(0, None))
+    axes.set(xlabel="time [s]", ylabel="position error ‖e‖ [mm]")
     axes.legend(**LEGEND, loc="upper left")
 
 
@@ -371,7 +384,8 @@ def _draw_layers(axes: Axes, points: tuple[Reduction, ...]) -> None:
     _draw_reduction(axes, points, "total", label="sum of the error", color=BLUE, linestyle="-")
     _draw_reduction(axes, points, "largest", label="largest error", color=GREY, linestyle="--")
     axes.axhline(PUBLISHED, color="black", linewidth=1.0, label="paper: more than 60 %")
-    axes.set(xscale="log", xlabel="boundary layer ε", ylabel="error reduction [%]", ylim=(0, 100))
+    axes.set(xscale="log", ylim=(0, 100))
+    axes.set(xlabel="boundary layer ε", ylabel="error reduction [%]")
     axes.invert_xaxis()
     axes.legend(**LEGEND, loc="lower right")
 
@@ -393,6 +407,9 @@ def _draw_reduction(
 # --- verdicts ---------------------------------------------------------------------------------------------------------
 
 _CHOICE = "joint springs, ε = 1e-3, ζ and φ of this project"
+
+_LAYER_NAMES = ("1e-2", "1e-3", "1e-4")
+"""Boundary layers of the verdicts."""
 
 
 @verdict("4.4.sum", "fig9", choice=_CHOICE)
@@ -420,8 +437,7 @@ def _judge_reduction(run: Run, name: str) -> Judgement:
 
 def _reductions_text(name: str) -> str:
     """Template of the reductions for three boundary layers."""
-    layers = ("1e-2", "1e-3", "1e-4")
-    return ", ".join(f"{{fig9.{name}_reduction_{layer}:%}}" for layer in layers)
+    return ", ".join(f"{{fig9.{name}_reduction_{layer}:%}}" for layer in _LAYER_NAMES)
 
 
 @verdict("6.robust", "fig9", choice=_CHOICE)
@@ -434,7 +450,7 @@ def tracking_is_improved(run: Run) -> Judgement:
 @verdict("3.4.stability", "fig9", unit="%", choice="sign corrected")
 def robust_term_ensures_stability(run: Run) -> Judgement:
     """The robust term reduces the summed error of the rigid robot for each boundary layer."""
-    least = min(run.number(f"fig9.sum_reduction_{layer}") for layer in ("1e-2", "1e-3", "1e-4"))
+    least = min(run.number(f"fig9.sum_reduction_{layer}") for layer in _LAYER_NAMES)
     evidence = (
         f"Rigid robot with the uncertainty of Table 6 for ε = 1e-2, 1e-3, 1e-4: {_reductions_text('sum')}.",
         "The sign is correct for e = z_d − z; the printed minus is correct for e = z − z_d. "

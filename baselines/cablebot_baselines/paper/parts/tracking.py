@@ -63,7 +63,8 @@ def spatial_jobs(interpretation: Interpretation) -> Jobs:
 
 def _rigid_loop(interpretation: Interpretation) -> Job:
     """The spatial robot of Table 4 with feedback linearization."""
-    robot = interpretation.closed_loop_robot(interpretation.spatial("control"))
+    nominal = interpretation.spatial("control")
+    robot = interpretation.closed_loop_robot(nominal)
     return job(closed_loop, env_id=SPATIAL, law=FeedbackLinearization, robot=robot)
 
 
@@ -71,16 +72,19 @@ def loop_outcome(interpretation: Interpretation, results: Results) -> Outcome:
     """Numbers of Figs. 5 and 6."""
     loop: Rollout = results["loop"]
     arrays = loop.arrays
-    numbers: dict[str, Number] = {
-        "peak_error_mm": 1e3 * float(arrays["tracking_error_peak"].max()),
-        "mean_error_mm": 1e3 * float(arrays["tracking_error"].mean()),
-    }
+    peak_error = float(arrays["tracking_error_peak"].max())
+    mean_error = float(arrays["tracking_error"].mean())
+    peak_torques = np.abs(arrays["torques"]).max(axis=0)
+    numbers: dict[str, Number] = {}
+    numbers["peak_error_mm"] = 1e3 * peak_error
+    numbers["mean_error_mm"] = 1e3 * mean_error
     if arrays["pose"].shape[1] > 2:
-        numbers["peak_rotation_mrad"] = 1e3 * float(arrays["rotation_error_peak"].max())
+        peak_rotation = float(arrays["rotation_error_peak"].max())
+        numbers["peak_rotation_mrad"] = 1e3 * peak_rotation
     numbers["least_tension_N"] = float(arrays["tensions"].min())
     numbers["slack"] = bool(arrays["slack"].any())
     numbers["carried"] = loop.verdict.carried
-    for motor, peak in enumerate(np.abs(arrays["torques"]).max(axis=0), 1):
+    for motor, peak in enumerate(peak_torques, 1):
         numbers[f"peak_torque_{motor}_Nm"] = float(peak)
     return Outcome(numbers=numbers)
 
@@ -100,33 +104,37 @@ def draw_spatial(interpretation: Interpretation, results: Results) -> Figure:
 
 def _draw_loop(interpretation: Interpretation, robot: Robot, loop: Rollout, title: str) -> Figure:
     """Draws torques, tensions and errors, each with its limits."""
-    heights = [2.1 * (robot.cables // 3) + 0.7, 4.6]
+    rows = robot.cables // 3
+    heights = [2.1 * rows + 0.7, 4.6]
     figure = new_figure(sum(heights) + 0.4)
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
     panels = motor_panels(above, robot)
     times = loop.arrays["action_time"]
     torques = loop.arrays["torques"]
-    lower, upper = textbook.torque_limits(
-        robot, interpretation.line_speed(robot) * loop.arrays["motor_speeds"]
-    )
+    speeds = interpretation.line_speed(robot) * loop.arrays["motor_speeds"]
+    lower, upper = textbook.torque_limits(robot, speeds)
     limit_panels(panels, times, lower, upper)
     for motor, axes in enumerate(panels):
         axes.plot(times, torques[:, motor], color=plotting.MOTORS[motor], linewidth=1.8)
-    panels[0].plot([], [], color=BLUE, linewidth=1.8, label="torque, in the colour of the motor")
-    panels[0].set_ylim(float(lower.min()), float(upper.max()))
-    plotting.add_headroom(panels[0], above=0.05, below=0.05)
-    add_legend(above, panels[0])
+    panel = panels[0]
+    panel.plot([], [], color=BLUE, linewidth=1.8, label="torque, in the colour of the motor")
+    panel.set_ylim(float(lower.min()), float(upper.max()))
+    plotting.add_headroom(panel, above=0.05, below=0.05)
+    add_legend(above, panel)
     titles = [title]
     if loop.reason:
-        titles.append(f"the episode ends at {loop.arrays['time'][-1]:.3f} s: {loop.reason}")
+        end = loop.arrays["time"][-1]
+        titles.append(f"the episode ends at {end:.3f} s: {loop.reason}")
+    columns = 3
+    minimum_tension = 0.0
     if robot.planar:
-        grid = below.add_gridspec(2, 2)
-        _draw_tensions(below.add_subplot(grid[:, 0]), loop, interpretation.minimum_tension)
-        _draw_position_error(below, grid, loop, slice(0, 2))
-    else:
-        grid = below.add_gridspec(2, 3)
-        _draw_tensions(below.add_subplot(grid[:, 0]), loop, 0.0)
-        _draw_position_error(below, grid, loop, slice(0, 3))
+        columns = 2
+        minimum_tension = interpretation.minimum_tension
+    grid = below.add_gridspec(2, columns)
+    tensions = below.add_subplot(grid[:, 0])
+    _draw_tensions(tensions, loop, minimum_tension)
+    _draw_position_error(below, grid, loop, slice(0, robot.dimensions))
+    if not robot.planar:
         _draw_rotation_error(below, grid, loop)
     plotting.add_loop_title(figure, interpretation, *titles)
     return figure
@@ -136,9 +144,8 @@ def motor_panels(figure: Figure | SubFigure, robot: Robot) -> list[Axes]:
     """One panel for each motor, three per row, with shared axes."""
     grid = figure.subplots(robot.cables // 3, 3, sharex=True, sharey=True, squeeze=False)
     for motor, axes in enumerate(grid.flat):
-        axes.set_title(
-            f"motor {motor + 1}", fontsize=11, color=plotting.MOTORS[motor], weight="bold"
-        )
+        colour = plotting.MOTORS[motor]
+        axes.set_title(f"motor {motor + 1}", fontsize=11, color=colour, weight="bold")
         # Otherwise the last label touches the next panel.
         axes.locator_params(axis="x", nbins=5, prune="upper")
         axes.label_outer()
@@ -166,19 +173,21 @@ def limit_panels(
     times = times[drawn]
     lower = lower[drawn]
     upper = upper[drawn]
-    for motor, axes in enumerate(panels):
-        axes.fill_between(
-            times, upper[:, motor], far, color=SHADE, linewidth=0, label="beyond the torque limits"
-        )
-        axes.fill_between(times, -far, lower[:, motor], color=SHADE, linewidth=0)
-        axes.plot(times, upper[:, motor], color=colour, linewidth=1.0, label=label)
-        axes.plot(times, lower[:, motor], color=colour, linewidth=1.0)
+    shade: dict[str, Any] = {"color": SHADE, "linewidth": 0}
+    line: dict[str, Any] = {"color": colour, "linewidth": 1.0}
+    for axes, least, most in zip(panels, lower.T, upper.T, strict=True):
+        axes.fill_between(times, most, far, **shade, label="beyond the torque limits")
+        axes.fill_between(times, -far, least, **shade)
+        axes.plot(times, most, **line, label=label)
+        axes.plot(times, least, **line)
 
 
 def _thinned(times: Array, step: float) -> Array:
     """Indices of instants about ``step`` [s] apart, including the first and the last."""
-    stride = max(1, round(step / float(np.median(np.diff(times)))))
-    return np.union1d(np.arange(0, len(times), stride), len(times) - 1)
+    period = float(np.median(np.diff(times)))
+    stride = max(1, round(step / period))
+    indices = np.arange(0, len(times), stride)
+    return np.union1d(indices, len(times) - 1)
 
 
 def _draw_tensions(axes: Axes, loop: Rollout, minimum: float) -> None:
@@ -189,8 +198,10 @@ def _draw_tensions(axes: Axes, loop: Rollout, minimum: float) -> None:
     if minimum > 0:
         name = f"T_min = {minimum:g} N"
     axes.axhline(minimum, color="black", linewidth=1.0, linestyle="--", label=name)
-    top = float(tensions.max())
-    axes.set(xlim=(0, loop.arrays["time"][-1]), ylim=(-0.04 * top, 1.38 * top))
+    end = loop.arrays["time"][-1]
+    largest = float(tensions.max())
+    axes.set_xlim(0, end)
+    axes.set_ylim(-0.04 * largest, 1.38 * largest)
     axes.set(xlabel="time [s]", ylabel="tension [N]")
     axes.set_title("tensions", fontsize=10)
     axes.legend(**plotting.LEGEND, ncols=2, loc="upper left")
@@ -220,8 +231,9 @@ def _error_panels(
     figure: SubFigure, upper: Any, lower: Any, loop: Rollout, coordinates: slice
 ) -> tuple[Axes, Axes]:
     """Panel of the errors of some coordinates, and an empty panel of their norm."""
-    times = loop.arrays["time"]
-    errors = -1e3 * (loop.arrays["pose"] - loop.arrays["reference_pose"])
+    arrays = loop.arrays
+    times = arrays["time"]
+    errors = -1e3 * (arrays["pose"] - arrays["reference_pose"])
     above = figure.add_subplot(upper)
     plotting.coordinate_curves(above, times, errors[:, coordinates], coordinates.start)
     above.tick_params(labelbottom=False)
@@ -232,7 +244,8 @@ def _error_panels(
 
 
 def _draw_norm(axes: Axes, loop: Rollout, name: str, bound: float, label: str) -> None:
-    norm = np.maximum(1e3 * loop.arrays[name], 1e-4 * bound)  # the errors start at zero
+    norm = 1e3 * loop.arrays[name]
+    norm = np.maximum(norm, 1e-4 * bound)  # the errors start at zero
     axes.semilogy(loop.arrays["time"], norm, color=BLUE, linewidth=1.5)
     axes.axhline(bound, color="black", linewidth=1.0, label=label)
     axes.set_xlabel("time [s]")
@@ -246,23 +259,22 @@ def flexible_jobs(interpretation: Interpretation) -> Jobs:
     """Episodes and torque profiles of Fig. 7."""
     robot = interpretation.flexible("control")
     rigid = interpretation.spatial("control")
+    unloaded = partial(job, interpretation=interpretation, payload=0.0)
     law = partial(PaperFlexible, as_printed=True)
+    loop_robot = interpretation.closed_loop_robot(robot)
     return {
         "rigid": _rigid_loop(interpretation),
-        "rigid_exact": job(exact_profile, interpretation=interpretation, robot=rigid, payload=0.0),
-        "state_space": job(
-            state_space_profile, interpretation=interpretation, robot=robot, payload=0.0
-        ),
-        "loop": job(
-            closed_loop, env_id=FLEX, law=law, robot=interpretation.closed_loop_robot(robot)
-        ),
+        "rigid_exact": unloaded(exact_profile, robot=rigid),
+        "state_space": unloaded(state_space_profile, robot=robot),
+        "loop": job(closed_loop, env_id=FLEX, law=law, robot=loop_robot),
     }
 
 
 def ripple(flexible: Profile, rigid: Profile, start: float) -> float:
     """RMS difference of the torques over all motors in the window that begins at ``start`` [s], in
     N·m."""
-    inside = (flexible.times > start) & (flexible.times <= start + WINDOW)
+    times = flexible.times
+    inside = (times > start) & (times <= start + WINDOW)
     difference = flexible.torques[inside] - rigid.torques[inside]
     return float(np.sqrt(np.mean(difference**2)))
 
@@ -277,17 +289,19 @@ def flexible_outcome(interpretation: Interpretation, results: Results) -> Outcom
     error = loop.arrays["tracking_error_peak"]
     times = loop.arrays["time"]
     margin = reserve(state_space)
+    rigid_torques = results["rigid"].arrays["torques"]
+    frequencies = np.sqrt(robot.stiffness / divisor)
     lost = times[error > ErrorBounds().position].tolist()
     return Outcome(
         numbers={
             "stiffness_Nm_per_rad": float(robot.stiffness[0]),
-            "rigid_peak_Nm": float(np.abs(results["rigid"].arrays["torques"]).max()),
+            "rigid_peak_Nm": float(np.abs(rigid_torques).max()),
             "flexible_peak_Nm": float(np.abs(state_space.torques).max()),
             "ripple_before_Nm": ripple(state_space, rigid, JUMP - WINDOW),
             "ripple_after_Nm": ripple(state_space, rigid, JUMP),
             "ripple_late_Nm": ripple(state_space, rigid, 1 - WINDOW),
             "flexible_margin_Nm": float(margin.min()),
-            "ripple_Hz": float(np.sqrt(robot.stiffness / divisor).max() / (2 * np.pi)),
+            "ripple_Hz": float(frequencies.max() / (2 * np.pi)),
             "closed_loop_peak_error_mm": 1e3 * float(error.max()),
             "closed_loop_carried": loop.verdict.carried,
             "closed_loop_lost_s": next(iter(lost), None),
@@ -306,36 +320,42 @@ def draw_flexible(interpretation: Interpretation, results: Results) -> Figure:
     panels = motor_panels(figure, robot)
     jump = int(np.searchsorted(space.times, JUMP))
     drawn = np.union1d(_thinned(space.times, 1e-3), [jump, jump + 1])
-    times, torques = space.times[drawn], space.torques[drawn]
-    limits = {"lower": space.lower[drawn], "upper": space.upper[drawn]}
-    limit_panels(
-        panels, times, **limits, step=_RINGING, colour=GREY, label="limits U± of the blue curve"
-    )
-    curves: tuple[tuple[Array, Array, dict[str, Any]], ...] = (
-        (times, torques, {"color": BLUE, "linewidth": 1.2, "label": "with springs, Eqs. 22–25"}),
-        (
-            loop["action_time"],
-            loop["torques"],
-            {"color": VERMILLION, "linewidth": 0.6, "label": "Eq. 22 as printed, closed loop"},
-        ),
-        (
-            rigid["action_time"],
-            rigid["torques"],
-            {"color": "black", "linewidth": 1.4, "label": "rigid (Table 4)"},
-        ),
-    )
+    times = space.times[drawn]
+    lower = space.lower[drawn]
+    upper = space.upper[drawn]
+    label = "limits U± of the blue curve"
+    limit_panels(panels, times, lower, upper, step=_RINGING, colour=GREY, label=label)
     for motor, axes in enumerate(panels):
-        for instants, values, style in curves:
-            axes.plot(instants, values[:, motor], **style)
+        axes.plot(
+            times,
+            space.torques[drawn, motor],
+            color=BLUE,
+            linewidth=1.2,
+            label="with springs, Eqs. 22–25",
+        )
+        axes.plot(
+            loop["action_time"],
+            loop["torques"][:, motor],
+            color=VERMILLION,
+            linewidth=0.6,
+            label="Eq. 22 as printed, closed loop",
+        )
+        axes.plot(
+            rigid["action_time"],
+            rigid["torques"][:, motor],
+            color="black",
+            linewidth=1.4,
+            label="rigid (Table 4)",
+        )
         axes.axvline(JUMP, color=GREY, linestyle=":", linewidth=1.2, label="jump of the reference")
     visible = np.concatenate([space.torques, rigid["torques"]])
-    panels[0].set_ylim(min(0.0, float(visible.min())), float(visible.max()))
+    lowest = min(0.0, float(visible.min()))
+    panels[0].set_ylim(lowest, float(visible.max()))
     plotting.add_headroom(panels[0], above=0.15, below=0.1)
     add_legend(figure, panels[0])
     springs = f"joint springs K = {robot.stiffness[0]:g} N·m/rad (Table 5)"
-    plotting.add_loop_title(
-        figure, interpretation, f"Spatial robot with {springs}, total mass {robot.mass:g} kg"
-    )
+    title = f"Spatial robot with {springs}, total mass {robot.mass:g} kg"
+    plotting.add_loop_title(figure, interpretation, title)
     return figure
 
 
