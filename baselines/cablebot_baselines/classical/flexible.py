@@ -427,7 +427,7 @@ def composite_tuned(robot: Robot) -> Composite:
     """Composite law with gains for the kind of the robot, which also tolerate an unknown payload.
 
     Much more spring damping does not help: β̇′ follows β̇ only as long as the spring torque is
-    constant.
+    constant. The lead is for joint springs: on elastic cables it makes the errors larger.
     """
     if robot.kind == "planar":
         return Composite(robot, gains=(800.0, 30.0), spring_damping=0.5)
@@ -437,7 +437,7 @@ def composite_tuned(robot: Robot) -> Composite:
         frequency = _slowest_frequency(textbook.joint_equivalent(robot))
         ratio = min(1.0, frequency / _slowest_frequency(FLEX_SPATIAL))
     gains = (ratio**2 * 200.0, ratio * 28.0)
-    return Composite(robot, gains=gains, spring_damping=0.4, leads_springs=True)
+    return Composite(robot, gains=gains, spring_damping=0.4, leads_springs=not robot.elastic)
 
 
 COMPOSITE = entry("composite", Composite)

@@ -69,7 +69,7 @@ class RobustObserving(Observing):
             law = Composite(
                 self.robot,
                 spring_damping=design.spring_damping,
-                leads_springs=True,
+                leads_springs=not self.robot.elastic,
                 minimum_tension=minimum,
             )
         else:

@@ -79,6 +79,7 @@ def _shipped(name: str) -> Shipped:
 PPO_CIRCLE = _shipped("ppo-circle")
 APG_CIRCLE = _shipped("apg-circle")
 APG_LOOPS = _shipped("apg-loops")
+PLANNER = _shipped("planner")
 
-SHIPPED = {entry.name: entry for entry in (PPO_CIRCLE, APG_CIRCLE, APG_LOOPS)}
+SHIPPED = {entry.name: entry for entry in (PPO_CIRCLE, APG_CIRCLE, APG_LOOPS, PLANNER)}
 """Shipped policies by name."""
