@@ -29,8 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics import nearest_point
-from cablebot_gym.physics.central_tensions import solve_central
+from cablebot_gym.physics import central_tensions, nearest_point
 from cablebot_gym.physics.tension_problems import (
     solve_feasible,
     solve_interval,
@@ -53,6 +52,10 @@ SMOOTHING = 1e-2
 
 BARRIER = 1e-2
 """Default barrier parameter μ of :func:`central`."""
+
+RELAXED = central_tensions.RELAXED
+"""Distance from a bound below which a parabola continues the barrier of :func:`central`, as a
+fraction of μ."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -306,7 +309,7 @@ def unchecked_central(
         structure, load, minimum, slope, offset
     )
     tensions = np.empty_like(low)
-    solve_central(matrices, loads, low, slopes, offsets, float(barrier), tensions)
+    central_tensions.solve_central(matrices, loads, low, slopes, offsets, float(barrier), tensions)
     return tensions.reshape(*shape, -1)
 
 

@@ -133,7 +133,7 @@ def test_errors_of_an_uncertainty_are_cells_of_their_own():
     cells = policy_cells("errors", ["fl"])
     draws = {cell.uncertainty: cell.draws for cell in cells if cell.env_id == PLANAR}
     assert draws.pop(None) == 1
-    assert set(draws.values()) == {128}
+    assert set(draws.values()) == {19}
     names = ["platform_mass", "payload", "motor_strength", "motor_lag", "coulomb_friction"]
     names += ["pulley_inertia", "base_anchors", "damping"]
     names += ["wrench", "sensors", "sensor_bias", "delay"]

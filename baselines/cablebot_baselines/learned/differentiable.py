@@ -18,8 +18,7 @@ from torch import Tensor
 from cablebot_baselines.classical.flexible import DIFFERENCE_STEP, Motion
 from cablebot_baselines.classical.law import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.central_tensions import RELAXED
-from cablebot_gym.physics.distribution import BARRIER, central
+from cablebot_gym.physics.distribution import BARRIER, RELAXED, central
 from cablebot_gym.physics.textbook import joint_equivalent
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import ORDERS
@@ -157,7 +156,7 @@ def _central_tensions(
 
 
 def _barrier_derivatives(distance: Tensor) -> tuple[Tensor, Tensor]:
-    """First and second derivative of the barrier in :mod:`cablebot_gym.physics.central_tensions`."""
+    """First and second derivative of the barrier in :func:`~cablebot_gym.physics.distribution.central`."""
     relaxed = RELAXED * BARRIER
     inverse = 1 / distance.clamp(min=relaxed)
     first = torch.where(distance > relaxed, -inverse, (distance / relaxed - 2) / relaxed)
