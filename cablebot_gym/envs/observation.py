@@ -23,6 +23,9 @@ LAST_ACTIONS = 3
 """Number of past actions in the observation. An action that arrives up to so many periods late is
 still in it."""
 
+Blocks = dict[str, Array]
+"""Blocks of an observation by name, each (..., size)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
@@ -75,7 +78,7 @@ class ObservationLayout:
         """Slice of each block by name."""
         return {block.name: block.slice for block in self.blocks}
 
-    def split(self, observation: ArrayLike) -> dict[str, Array]:
+    def split(self, observation: ArrayLike) -> Blocks:
         """The blocks by name, each (..., size of the block); views if the observation is an array
         of floats.
 

@@ -14,12 +14,10 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cablebot_gym.envs.observation import Blocks
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import number, numbers
-
-Blocks = dict[str, Array]
-"""Blocks of an observation by name."""
 
 _T = TypeVar("_T")
 

@@ -17,15 +17,13 @@ from cablebot_baselines.estimation.sensor_model import (
     SensorModel,
     orientation_deviations,
 )
+from cablebot_gym.envs.observation import Blocks
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import Measurement
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import times_vector
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
-
-Blocks = dict[str, Array]
-"""Blocks of an observation by name, each (N, size)."""
 
 TORQUE_TIME = 0.1
 """Correlation time of the error of the torque on the pulleys [s]."""

@@ -20,6 +20,7 @@ from cablebot_baselines.estimation.filtering import (
     weigh,
 )
 from cablebot_baselines.estimation.observer_state import ObserverState, RobotEstimate, merged
+from cablebot_gym.envs.observation import Blocks
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import times_vector
@@ -52,9 +53,6 @@ _AHEAD_STEPS = 4
 effect."""
 
 _EPS = 1e-12
-
-Blocks = dict[str, Array]
-"""Blocks of an observation by name, each (N, size)."""
 
 
 class RobotObserver:

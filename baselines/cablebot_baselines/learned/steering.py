@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from cablebot_baselines.classical.law import Array
-from cablebot_baselines.classical.outer_loop import Blocks
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.features import SHIFT_FEATURES, check_features, feature_values
-from cablebot_gym.envs.observation import PREVIEWS, observation_layout, preview_name
+from cablebot_gym.envs.observation import PREVIEWS, Blocks, observation_layout, preview_name
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.utils.checks import choice, mapping, number, record, whole
