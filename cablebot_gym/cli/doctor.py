@@ -27,7 +27,9 @@ from cablebot_gym.physics.inlining import FEW_ITEMS
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.textbook import (
     allocated_minimum,
+    central_tensions,
     holding_torque,
+    least_action_tensions,
     normalised_action,
     static_torque,
 )
@@ -215,7 +217,8 @@ def _use_all(env_id: str) -> str:
     home = np.array(robot.home)
     rest = np.zeros(robot.coordinates)
     enough = np.tile(home, (FEW_ITEMS + 1, 1))  # the first items are computed without compilation
-    inverse_dynamics(robot, robot.mass, enough, rest, rest)
+    for distribute in (least_action_tensions, central_tensions):
+        inverse_dynamics(robot, robot.mass, enough, rest, rest, distribute=distribute)
     forward_kinematics(robot, cable_lengths(robot.base, robot.platform, home, robot.swivel), home)
     return f"in {code_folders()[-1]}"
 

@@ -200,25 +200,6 @@ def test_falling_faster_than_gravity_is_a_violation():
     assert (tensions[falling] > 0).all()
 
 
-@pytest.mark.slow
-def test_model_of_rigid_cables_continues_the_search():
-    """With stretch, a kink of redundant tensions is a jump of the action, at which the search
-    stops."""
-    carried = []
-    for stretch in (True, False):
-        training = made(
-            "CableBot-FlexPoint-v0",
-            Shift(action_period=0.05, fraction=0.95, degree=4),
-            rounds=(30.0,),
-            spread=0.01,
-            iterations=30,
-            stretch=stretch,
-        )
-        training.round(0)
-        carried.append(training.payloads.mean())
-    assert carried[1] > carried[0] + 5.0
-
-
 SMALL = {
     "base": {"law": "fl", "gains": [2500, 100], "minimum_tension": 2.0},
     "steering": {"kind": "shift", "action_period": 0.02, "fraction": 0.98, "degree": 3},

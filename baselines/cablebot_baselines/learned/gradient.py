@@ -81,9 +81,6 @@ class GradientSettings:
     :func:`~cablebot_baselines.learned.differentiable.required_actuation`; empty for none. With
     joint springs, a kink of an unsmoothed tension is a jump of the action, which stops the line
     search."""
-    stretch: bool = True
-    """Whether the model of a robot with elastic cables stretches. Without, the kinks of redundant
-    tensions are no jumps of the action; suitable for stiff cables."""
     iterations: int = 250
     """Approximate number of evaluations of the objective in each round. A search that stops at a
     kink is restarted."""
@@ -295,7 +292,7 @@ class GradientTraining:
         payloads = self._payloads[:, None, None].expand(inside.shape)[inside]
         light = torch.full_like(payloads, robot.mass)
         required = required_actuation(
-            robot if settings.stretch else robot.with_rigid_cables(),
+            robot,
             [derivative.repeat(2, 1) for derivative in motion.unbind(1)],
             torch.cat([light, robot.mass + payloads]),
             minimum=self.minimum_tension,
