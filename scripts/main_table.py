@@ -14,14 +14,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, DrawnCell, SurveyCell, TimingCell
 from cablebot_gym.benchmark.engine import local, run_cells
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.records import Record
-from cablebot_gym.benchmark.scores import Leaderboard, leaderboards
+from cablebot_gym.benchmark.scores import Leaderboard, best_known_payloads, leaderboards
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.benchmark.tables import entry_text, policy_text, timing_text
+from cablebot_gym.benchmark.yardstick import yardsticks
+from cablebot_gym.bounds.closed_form import exact_payload
+from cablebot_gym.envs import env_robot
 from cablebot_gym.policies import policy_entries
+from cablebot_gym.robots import find_robot
+from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.utils.console import notes_console, progress
 from cablebot_gym.utils.files import atomic_write_text
 
@@ -77,6 +84,22 @@ def present(board: Results, results: Results) -> list[Leaderboard]:
     return leaderboards([*results.records, *references])
 
 
+def exact_tracking(board: Results, env_id: str) -> float:
+    """The payload with which motors of a known robot track the motions of the main table exactly, as
+    a mean fraction of what a planner could hope for."""
+    robot = find_robot(env_robot(env_id))
+    best_known = best_known_payloads(board.records)
+    survey = surveys(board)[env_id]
+    yardstick = yardsticks(board.records)[env_id, str(survey.uncertainty)]
+    fractions = []
+    for part in survey.parts:
+        hoped = best_known[part.motion_key].payload
+        if hoped:
+            motion = find_trajectory(dict(part.trajectory), robot.kind)
+            fractions.append(exact_payload(robot, motion).payload / hoped)
+    return float(np.mean(fractions)) / yardstick.quantile
+
+
 def table(board: Results, results: Results) -> str:
     """One table for each environment: present policies, and the entry of the board before."""
     before = {table.env_id: table for table in leaderboards(board.records) if table.is_main}
@@ -102,6 +125,8 @@ def table(board: Results, results: Results) -> str:
                     timing_text(now.timings.get(name)),
                 ]
             )
+        tracked = exact_tracking(board, now.env_id)
+        rows.append(["exact tracking, robot known", "–", f"{tracked:.1%}", "–", "–"])
         head, *body = rows
         text += f"\n### {now.env_id}\n\n"
         for row in (head, ["---"] * 2 + ["---:"] * 3, *body):
