@@ -41,14 +41,14 @@ goes slack where the reference's acceleration jumps."""
 UNCERTAINTY = "hardware"
 """Uncertainty that ``observing`` expects."""
 
-_REFERENCE = (
-    "reference_pose",
-    "reference_velocity",
-    "reference_acceleration",
-    "reference_jerk",
-    "reference_snap",
-)
-"""Blocks of the reference and its derivatives, if the observation has them."""
+_REFERENCE = {
+    "reference_pose": "position",
+    "reference_velocity": "velocity",
+    "reference_acceleration": "acceleration",
+    "reference_jerk": "jerk",
+    "reference_snap": "snap",
+}
+"""Fields of a motion by blocks of the reference, which an observation may have."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,6 +62,8 @@ class Instant:
     ahead: dict[str, Array]
     """State at the instant at which the action takes effect, see
     :meth:`~cablebot_baselines.estimation.observer.RobotObserver.at_effect`."""
+    time_to_go: Array
+    """Rest of the motion at that instant, (N,) [s]."""
     starts: NDArray[np.bool_]
     """Whether an episode starts, (N,)."""
 
@@ -179,16 +181,32 @@ class Observing(ClassicalLaw):
         observed = self.observer.update(rows, observed, starts)
         estimate = self.observer.estimate(observed)
         ahead = self.observer.at_effect(rows, observed)
-        instant = Instant(blocks=rows, estimate=estimate, ahead=ahead, starts=starts)
+        time_to_go = np.maximum(rows["time_to_go"][:, 0] - estimate.delay, 0.0)
+        instant = Instant(
+            blocks=rows, estimate=estimate, ahead=ahead, time_to_go=time_to_go, starts=starts
+        )
         reference, memory = self.reference(instant, memory)
-        requested, action = self._act(rows | ahead | reference, estimate)
+        later = ahead | {"time_to_go": time_to_go[:, None]} | reference
+        requested, action = self._act(rows | later, estimate)
         after = ObservingState(observer=observed, requested=requested, memory=memory)
         return action.reshape(*shape, self.robot.cables), after
 
     def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], Any]:
         """Blocks of the reference at the instant at which the action takes effect, and the memory
-        for the next step; ``memory`` is that of the last step, None before the first."""
-        return _later_reference(instant.blocks, instant.estimate.delay), None
+        for the next step; ``memory`` is that of the last step, None before the first.
+
+        They are those of the task's motion: a Taylor series from the observed reference does not
+        know where its acceleration jumps, and a light platform then loses the tension of a cable.
+        """
+        if not self._tasks:
+            return _extrapolated(instant.blocks, instant.estimate.delay), None
+        names = [name for name in _REFERENCE if name in instant.blocks]
+        later = {name: np.empty_like(instant.blocks[name]) for name in names}
+        for task, rows in self._rows_by_motion(len(instant.time_to_go)):
+            motion = task.trajectory(task.trajectory.duration - instant.time_to_go[rows])
+            for name in names:
+                later[name][rows] = getattr(motion, _REFERENCE[name])
+        return later, None
 
     def _rows_by_motion(self, count: int) -> list[tuple[Task, NDArray[np.intp]]]:
         """Each motion's first task and its rows of a batch of ``count`` episodes."""
@@ -243,9 +261,8 @@ class Observing(ClassicalLaw):
         return allocate(requested, slope / stall[..., None])
 
 
-def _later_reference(blocks: dict[str, Array], delay: Array) -> dict[str, Array]:
-    """Reference and time to go after a delay (N,) [s], by the Taylor series of the observed
-    derivatives."""
+def _extrapolated(blocks: dict[str, Array], delay: Array) -> dict[str, Array]:
+    """Reference after a delay (N,) [s], by the Taylor series of the observed derivatives."""
     step = delay[:, None]
     names = [name for name in _REFERENCE if name in blocks]
     later = {}
@@ -256,7 +273,6 @@ def _later_reference(blocks: dict[str, Array], delay: Array) -> dict[str, Array]
             factor = factor * step / order
             value = value + factor * blocks[higher]
         later[name] = value
-    later["time_to_go"] = np.maximum(blocks["time_to_go"] - step, 0.0)
     return later
 
 

@@ -239,15 +239,13 @@ class PlanningPolicy(Observing):
 
     def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], Any]:
         """The expected state and the planned acceleration in place of the reference."""
-        reference, memory = super().reference(instant, memory)
         if not self._tasks:
-            return reference, memory
+            return super().reference(instant, memory)
         estimate, ahead = instant.estimate, instant.ahead
         acceleration = np.empty_like(ahead["pose"])
         for task, rows in self._rows_by_motion(len(acceleration)):
-            time_to_go = instant.blocks["time_to_go"][rows, 0]
-            time = task.trajectory.duration - time_to_go
-            preview = Preview.of(task.trajectory, time + estimate.delay[rows])
+            time = task.trajectory.duration - instant.time_to_go[rows]
+            preview = Preview.of(task.trajectory, time)
             robot = robot_inputs(
                 mass=estimate.mass[rows, None],
                 strength=estimate.strength[rows],
@@ -261,7 +259,7 @@ class PlanningPolicy(Observing):
             "reference_velocity": ahead["velocity"],
             "reference_acceleration": acceleration,
         }
-        return reference | planned, memory
+        return planned, memory
 
     def _planned(
         self, task: Task, pose: Array, velocity: Array, preview: Preview, robot: list[Array]

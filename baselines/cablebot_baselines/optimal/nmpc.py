@@ -70,6 +70,9 @@ track the reference exactly."""
 _FIRST_ITERATIONS = 3
 """Number of quadratic programs for a plan without a previous plan as initial guess."""
 
+_PLANNED = ("reference_pose", "reference_velocity", "reference_acceleration")
+"""Blocks in which a plan replaces the reference."""
+
 _MAX_ERROR_RATIO = 2.0
 """Tracking error beyond which the controller does not plan, as a multiple of the error bounds."""
 
@@ -150,22 +153,23 @@ class NonlinearMPC(Observing):
     def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], PlannerState]:
         """The plans at the instant at which the action takes effect in place of the reference, and
         the plans for the next step."""
-        reference, _ = super().reference(instant, memory)
         planner = self._advanced(memory, instant.starts)
         phase = planner.steps % STEPS_PER_PLAN
         if np.any(phase == 0):
             planner = self._replanned(instant, planner, np.flatnonzero(phase == 0))
         if np.any(phase >= _LINEARISING):
             planner = self._prepared(instant, planner, phase)
-        names = ("reference_pose", "reference_velocity", "reference_acceleration")
-        planned = {name: reference[name].copy() for name in names}
+        if any(plan is None for plan in planner.plans):
+            planned, _ = super().reference(instant, memory)
+        else:
+            planned = {name: np.empty_like(instant.ahead["pose"]) for name in _PLANNED}
         for index, plan in enumerate(planner.plans):
             if plan is None:
                 continue
             motion = self.program.basis_at(round(float(planner.plan_age[index]), 9)) @ plan
-            for name, value in zip(names, motion, strict=True):
+            for name, value in zip(_PLANNED, motion, strict=True):
                 planned[name][index] = value
-        return reference | planned, planner
+        return planned, planner
 
     def _advanced(self, before: PlannerState | None, starts: NDArray[np.bool_]) -> PlannerState:
         """The last plans after one control period; none for environments that start an episode."""
@@ -260,8 +264,8 @@ class NonlinearMPC(Observing):
         """What a plan has to do that starts a time after the instant at which the action takes
         effect."""
         task = self._task(index)
-        now = task.trajectory.duration - instant.blocks["time_to_go"][index, 0]
-        start = float(now + instant.estimate.delay[index] + time)
+        now = task.trajectory.duration - instant.time_to_go[index]
+        start = float(now + time)
         motion = task.trajectory(start + self.program.instants)
         return Target(
             reference=motion.position,

@@ -6,11 +6,12 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_lsq_spline
 
-from cablebot_baselines.classical.observing import Observing
+from cablebot_baselines.classical.observing import Instant, Observing
 from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.optimal.plan_law import PlanLaw, TrackingGains
@@ -138,9 +139,17 @@ def tracking_law(plan: PlannedMotion, expectation: Expectation, task: Task) -> O
     gains = by_kind(GAINS, robot)
     if robot.flexible:
         gains = GAINS["flexible"]
-    law = Observing(PlanLaw(robot, plan, period, gains), expectation, largest_payload=plan.payload)
+    law = _Tracking(PlanLaw(robot, plan, period, gains), expectation, largest_payload=plan.payload)
     law.reset([task])
     return law
+
+
+class _Tracking(Observing):
+    """A law that tracks its own plan, which the reference of the task does not concern."""
+
+    def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], Any]:
+        """No blocks: the law reads the time to go."""
+        return {}, None
 
 
 class PlanSearch:
