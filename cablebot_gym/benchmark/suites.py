@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from importlib.resources import files
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -197,6 +197,28 @@ def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tup
     for env_id in env_ids:
         by_environment[env_id] = tuple(name for name in supported if env_id in supported[name])
     return by_environment
+
+
+def check_evaluated(suite: Suite, policies: Mapping[str, tuple[str, ...]]) -> None:
+    """Checks that a suite evaluates one of the policies at all.
+
+    Args:
+        suite: the suite.
+        policies: names of the policies by environment, from :func:`find_policies`.
+
+    Raises:
+        ValueError: if not. The message lists those that it evaluates.
+    """
+    asked = list(dict.fromkeys(chain.from_iterable(policies.values())))
+    evaluated: dict[str, None] = {}
+    for block in suite.blocks:
+        if _included(block, asked):
+            return
+        evaluated |= dict.fromkeys(_included(block, list(public_entries())))
+    raise ValueError(
+        f"suite {suite.name!r} does not evaluate {', '.join(asked)}: choose from "
+        f"{', '.join(evaluated)}, or another suite"
+    )
 
 
 def suite_cells(

@@ -263,10 +263,16 @@ def _policies(
     """Names of the policies by environment, those that are entries of others, and the reasons of
     invalid entries."""
     from cablebot_gym.benchmark.entries import find_entries
-    from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite
+    from cablebot_gym.benchmark.suites import (
+        check_evaluated,
+        find_env_ids,
+        find_policies,
+        find_suite,
+    )
     from cablebot_gym.isolation.installed import public_entries
 
-    env_ids = find_env_ids(find_suite(selection.suite), split_names(selection.ids))
+    suite = find_suite(selection.suite)
+    env_ids = find_env_ids(suite, split_names(selection.ids))
     names = split_names(selection.policies)
     submitted: list[str] = []
     invalid: dict[str, str] = {}
@@ -279,7 +285,9 @@ def _policies(
             if set(entry.env_ids) & set(env_ids):
                 submitted.append(name)
         names = [*(names or public_entries()), *submitted]
-    return find_policies(names, env_ids), submitted, invalid
+    policies = find_policies(names, env_ids)
+    check_evaluated(suite, policies)
+    return policies, submitted, invalid
 
 
 def _typed(selection: CellOptions, output: OutputOptions, board: Board | None) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.benchmark.suites import (
     QUICK_ENV_IDS,
     SUITES,
+    check_evaluated,
     find_env_ids,
     find_policies,
     find_suite,
@@ -138,6 +139,16 @@ def test_errors_of_an_uncertainty_are_cells_of_their_own():
     names += ["pulley_inertia", "base_anchors", "damping"]
     names += ["wrench", "sensors", "sensor_bias", "delay"]
     assert list(draws) == [*(f"hardware:{name}" for name in names), "hardware"]
+
+
+@pytest.mark.parametrize(("suite", "policy"), [("smoke", "nmpc"), ("library", "planner")])
+def test_suite_that_evaluates_none_of_the_policies_names_those_that_it_does(suite, policy):
+    with pytest.raises(ValueError, match=f"{suite!r} does not evaluate {policy}: .* fl, "):
+        check_evaluated(find_suite(suite), {PLANAR: (policy,)})
+
+
+def test_errors_are_evaluated_for_slow_policies_too():
+    assert {cell.policy for cell in policy_cells("errors", ["nmpc"])} == {"nmpc"}
 
 
 def test_real_time_repeats_every_episode():
