@@ -67,6 +67,11 @@ class Instant:
     starts: NDArray[np.bool_]
     """Whether an episode starts, (N,)."""
 
+    def time(self, task: Task, rows: Any) -> Array:
+        """Time of a task's motion at that instant in some episodes [s]."""
+        time: Array = task.trajectory.duration - self.time_to_go[rows]
+        return time
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObservingState:
@@ -203,7 +208,7 @@ class Observing(ClassicalLaw):
         names = [name for name in _REFERENCE if name in instant.blocks]
         later = {name: np.empty_like(instant.blocks[name]) for name in names}
         for task, rows in self._rows_by_motion(len(instant.time_to_go)):
-            motion = task.trajectory(task.trajectory.duration - instant.time_to_go[rows])
+            motion = task.trajectory(instant.time(task, rows))
             for name in names:
                 later[name][rows] = getattr(motion, _REFERENCE[name])
         return later, None

@@ -244,8 +244,7 @@ class PlanningPolicy(Observing):
         estimate, ahead = instant.estimate, instant.ahead
         acceleration = np.empty_like(ahead["pose"])
         for task, rows in self._rows_by_motion(len(acceleration)):
-            time = task.trajectory.duration - instant.time_to_go[rows]
-            preview = Preview.of(task.trajectory, time)
+            preview = Preview.of(task.trajectory, instant.time(task, rows))
             robot = robot_inputs(
                 mass=estimate.mass[rows, None],
                 strength=estimate.strength[rows],

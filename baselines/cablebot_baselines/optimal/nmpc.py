@@ -264,8 +264,7 @@ class NonlinearMPC(Observing):
         """What a plan has to do that starts a time after the instant at which the action takes
         effect."""
         task = self._task(index)
-        now = task.trajectory.duration - instant.time_to_go[index]
-        start = float(now + time)
+        start = float(instant.time(task, index) + time)
         motion = task.trajectory(start + self.program.instants)
         return Target(
             reference=motion.position,
