@@ -22,8 +22,9 @@ from cablebot_gym.uncertainty import Uncertainty
 ERROR_RESERVE = 0.02
 """Reserve of a rehearsal to the error bounds, as a fraction of them."""
 
-TENSION_RESERVE = 0.5
-"""Reserve of a rehearsal to the minimum tension [N]."""
+TENSION_RESERVE = 1.5
+"""Reserve of a rehearsal to the minimum tension [N]: more than the standard deviation over robots of
+their least tension."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
