@@ -72,7 +72,8 @@ class PayloadLimit:
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:
-    """A natural oscillation at the home pose, without the stiffness that cable tensions add."""
+    """A natural oscillation at the home pose with a payload, with the stiffness that springs, cable
+    tensions and weight give it; sag softens elastic cables."""
 
     frequency: float
     """Natural frequency [Hz]."""
@@ -105,7 +106,7 @@ class RobotCheck:
     robot: Robot
     """The robot."""
     payload: float
-    """Payload of workspace and home pose [kg]."""
+    """Payload of workspace, home pose and modes [kg]."""
     home: PayloadLimit
     """Payloads that cables and motors hold at rest at the home pose."""
     workspace: float
@@ -202,7 +203,7 @@ def check_model(robot: Robot, *, payload: float | None = None) -> RobotCheck:
         payload=payload,
         home=payload_limit(robot, np.zeros(1), resting(robot.home[None]), payload),
         workspace=float(np.mean(holds(robot, _grid(robot), payload))),
-        modes=tuple(modes(robot)),
+        modes=tuple(modes(robot, payload)),
         substeps=substeps,
         questions=tuple(doubtful_values(robot)),
     )
@@ -319,29 +320,56 @@ def _grid(robot: Robot) -> Array:
 # --- modes --------------------------------------------------------------------------------------------------------
 
 
-def modes(robot: Robot) -> list[Mode]:
+def modes(robot: Robot, payload: float = 0.0) -> list[Mode]:
     """Softest and stiffest mode with locked motors, then with free motors; empty for a rigid robot.
 
-    With free motors the platform can also move without any stiffness; these motions are left out.
+    Free motors keep their torques. The platform can then also move without winding a spring; these
+    motions are left out.
+
+    Args:
+        robot: the robot.
+        payload: payload [kg].
     """
     if not robot.flexible:
         return []
-    model = textbook.linear_model(robot)
+    mass = robot.mass + payload
+    still = np.zeros(robot.coordinates)
+    tensions = textbook.required_tensions(
+        robot,
+        mass,
+        robot.home,
+        still,
+        still,
+        minimum=textbook.allocated_minimum(robot),
+        strict=False,
+    )
+    model = textbook.linear_model(_softened(robot, tensions), mass=mass, tensions=tensions)
     n, size = robot.coordinates, len(model.inertia)
     moving = size - robot.cables  # the motors are the last coordinates
     found = []
-    for locked, count in ((True, moving), (False, size)):
+    for locked, count, first in ((True, moving, 0), (False, size, n)):
         squares, shapes = eigh(model.stiffness[:count, :count], model.inertia[:count, :count])
-        real = np.flatnonzero(squares > 1e-9 * squares.max())
-        for index in (real[0], real[-1]):
+        for index in (first, count - 1):
             shape = shapes[:, index]
             energy = shape * (model.inertia[:count, :count] @ shape)
             symbols = [*COORDINATE_NAMES[robot.kind], "motors"]
             parts = [*energy[:n], energy[n:].sum()]
             direction = symbols[int(np.argmax(parts))]
-            frequency = math.sqrt(squares[index]) / (2 * math.pi)
+            frequency = math.sqrt(max(squares[index], 0.0)) / (2 * math.pi)
             found.append(Mode(frequency=frequency, direction=direction, locked=locked))
     return found
+
+
+def _softened(robot: Robot, tensions: Array) -> Robot:
+    """The robot with the stiffness that sagging cables have at home under tensions (m,): the part
+    between pulley and base anchor does not sag."""
+    if not (robot.elastic and np.any(robot.cable_density)):
+        return robot
+    loose = sag(robot, robot.home, tensions)
+    straight = loose.length + robot.extra_length
+    softer = straight / (loose.length / loose.stiffness_factor + robot.extra_length)
+    transmission = robot.transmission.replace(axial_stiffness=softer * robot.axial_stiffness)
+    return robot.replace(transmission=transmission)
 
 
 # --- sag ----------------------------------------------------------------------------------------------------------

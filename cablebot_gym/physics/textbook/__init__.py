@@ -10,7 +10,7 @@ it. All functions have these arguments:
     velocity, acceleration: Ẋ and Ẍ, shape (..., n).
 
 ``platform`` has the equations of the platform and its cables, ``drives`` those of motors and
-springs.
+springs, ``small_motion`` linear models.
 """
 
 from cablebot_gym.physics.textbook.drives import (
@@ -18,22 +18,18 @@ from cablebot_gym.physics.textbook.drives import (
     MINIMUM_TENSION,
     TENSION_RESERVE,
     InverseDynamics,
-    LinearModel,
     MotionEquations,
     allocated_minimum,
     cable_equivalent,
     cable_springs,
     central_tensions,
     coulomb_torque,
-    fastest_decay_rate,
     forward_dynamics,
-    highest_frequency,
     holding_torque,
     inverse_dynamics,
     joint_equivalent,
     joint_stiffness,
     least_action_tensions,
-    linear_model,
     motion_equations,
     motor_friction,
     motor_torques,
@@ -60,6 +56,14 @@ from cablebot_gym.physics.textbook.platform import (
     smooth_tension_distribution,
     tension_distribution,
     times_vector,
+)
+from cablebot_gym.physics.textbook.small_motion import (
+    LinearModel,
+    fastest_decay_rate,
+    highest_frequency,
+    linear_model,
+    tension_stiffness,
+    weight_stiffness,
 )
 
 __all__ = [
@@ -105,6 +109,8 @@ __all__ = [
     "static_torque",
     "stretched_torque",
     "tension_distribution",
+    "tension_stiffness",
     "times_vector",
     "torque_limits",
+    "weight_stiffness",
 ]

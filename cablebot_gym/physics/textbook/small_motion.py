@@ -1,0 +1,156 @@
+"""Small motions about a pose at rest: masses, damping, and the stiffness of springs, cable tensions
+and weight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cablebot_gym import kinematics
+from cablebot_gym.kinematics import Array, as_numbers
+from cablebot_gym.physics.textbook.drives import FRICTION_SPEED
+from cablebot_gym.physics.textbook.platform import (
+    cable_lengths,
+    jacobian,
+    jacobian_rate,
+    mass_matrix,
+)
+from cablebot_gym.uncertainty import RobotArrays
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearModel:
+    """Matrices of ``M ẍ + C ẋ + K x = 0`` about a pose with taut cables.
+
+    x = (X, β, β′), without β if the cables do not stretch and without β′ if there are no joint
+    springs.
+    """
+
+    inertia: Array
+    """M, shape (..., k, k)."""
+    damping: Array
+    """C, shape (..., k, k): friction of motors and pulleys, slope of the torque-speed lines,
+    damping of the cables."""
+    stiffness: Array
+    """K, shape (..., k, k)."""
+
+
+def linear_model(
+    robot: RobotArrays,
+    *,
+    mass: ArrayLike | None = None,
+    pose: ArrayLike | None = None,
+    tensions: ArrayLike | None = None,
+) -> LinearModel:
+    """Linear model of a robot about a pose.
+
+    Args:
+        robot: the robot, or N robots.
+        mass: mass of the platform and its payload [kg], shape (...); None for the platform alone.
+        pose: X, shape (..., n); None for the home pose.
+        tensions: T that hold the mass at rest [N], shape (..., m): K is then the second derivative
+            of the potential of springs and weight. None leaves out what tensions and weight add.
+    """
+    mass = robot.mass if mass is None else mass
+    pose = robot.home if pose is None else as_numbers(pose)
+    structure = jacobian(robot, pose)
+    m = robot.cables
+    n = robot.coordinates
+    batch = structure.shape[:-2]
+    identity = np.eye(m)
+    size = n + m * (robot.elastic + robot.jointed)
+    inertia = np.zeros((*batch, size, size))
+    damping = np.zeros_like(inertia)
+    stiffness = np.zeros_like(inertia)
+    inertia[..., :n, :n] = mass_matrix(robot, mass, np.broadcast_to(pose, (*batch, n)))
+
+    def add(matrix: Array, weight: Array, *blocks: tuple[int, Array]) -> None:
+        """Adds BᵀWB for B with blocks of columns, each with its first column."""
+        rows = np.zeros((*batch, m, size))
+        for start, block in blocks:
+            rows[..., start : start + block.shape[-1]] = block
+        weights = np.broadcast_to(weight, (*batch, m))[..., None]
+        matrix += np.swapaxes(rows, -1, -2) @ (weights * rows)
+
+    radius = robot.pulley_radius[..., None]
+    pulley = (0, -structure / radius)
+    if robot.elastic:
+        pulley = (n, identity)
+    motor = pulley
+    if robot.jointed:
+        motor = (size - m, identity)
+    add(inertia, robot.pulley_inertia, pulley)
+    add(damping, robot.damping, pulley)
+    add(damping, robot.speed_slope + robot.coulomb_friction / FRICTION_SPEED, motor)
+    if robot.elastic:
+        stretch = np.ones(m)  # length over free length
+        if tensions is not None:
+            stretch = 1 + as_numbers(tensions) / robot.axial_stiffness
+        free_length = (cable_lengths(robot, pose) + robot.extra_length) / stretch
+        wound = radius * stretch[..., None] * identity
+        add(stiffness, robot.axial_stiffness / free_length, (0, structure), (n, wound))
+        rates = (0, structure), (n, radius * identity)
+        add(damping, robot.axial_damping / free_length, *rates)
+    if robot.jointed:
+        twist = motor, (pulley[0], -pulley[1])
+        add(inertia, robot.motor_inertia, motor)
+        add(damping, robot.motor_damping, motor)
+        add(stiffness, robot.stiffness, *twist)
+    if tensions is not None:
+        stiffness[..., :n, :n] += tension_stiffness(robot, pose, tensions)
+        stiffness[..., :n, :n] += weight_stiffness(robot, mass, pose)
+    return LinearModel(inertia=inertia, damping=damping, stiffness=stiffness)
+
+
+def tension_stiffness(robot: RobotArrays, pose: ArrayLike, tensions: ArrayLike) -> Array:
+    """Σ T_i ∂²q_i/∂X² [N/m, N, N·m], shape (..., n, n): what tensions T (..., m) add to the
+    stiffness because the cables turn."""
+    pose = as_numbers(pose)
+    columns = []
+    for along in np.eye(robot.coordinates):
+        rate = jacobian_rate(robot, pose, np.broadcast_to(along, pose.shape))
+        columns.append(np.sum(as_numbers(tensions)[..., None] * rate, axis=-2))
+    return np.stack(columns, axis=-1)
+
+
+def weight_stiffness(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Array:
+    """Second derivative of the potential of the weight, −m g ∂²(R c)/∂X² along gravity, shape (...,
+    n, n): zero with the centre of mass c in the frame's origin."""
+    pose = as_numbers(pose)
+    d, n = robot.dimensions, robot.coordinates
+    second = np.zeros((*pose.shape, n))
+    if n == d or not np.any(robot.mass_center):
+        return second
+    weight = as_numbers(mass)[..., None] * robot.gravity_vector
+    if robot.planar:
+        arm = kinematics.turned(pose, robot.mass_center[None])[..., 0, :]
+        second[..., 2, 2] = np.sum(weight * arm, axis=-1)
+        return second
+    c_x, c_y, c_z = robot.mass_center
+    psi, theta = pose[..., 3], pose[..., 4]
+    level = np.sin(psi) * c_y + np.cos(psi) * c_z
+    turned = np.cos(psi) * c_y - np.sin(psi) * c_z
+    # The third row of R gives (R c)_z = −sin θ c_x + cos θ (sin ψ c_y + cos ψ c_z).
+    second[..., 3, 3] = np.cos(theta) * level
+    second[..., 3, 4] = second[..., 4, 3] = np.sin(theta) * turned
+    second[..., 4, 4] = np.cos(theta) * level - np.sin(theta) * c_x
+    return weight[..., 2, None, None] * second
+
+
+def highest_frequency(robot: RobotArrays) -> float:
+    """Highest natural frequency of a flexible robot about its home pose with taut cables
+    [rad/s]."""
+    model = linear_model(robot)
+    squares = np.linalg.eigvals(np.linalg.solve(model.inertia, model.stiffness)).real
+    return float(np.sqrt(squares.max()))
+
+
+def fastest_decay_rate(robot: RobotArrays) -> float:
+    """Largest decay rate by friction, along the torque-speed line and of the cables, at home [1/s].
+
+    The slope of the Coulomb friction is largest at standstill, τ_c/ω₀.
+    """
+    model = linear_model(robot)
+    return float(np.linalg.eigvals(np.linalg.solve(model.inertia, model.damping)).real.max())
