@@ -137,10 +137,11 @@ def cable_lengths(
         base: base anchors, as in :func:`cable_vectors`.
         platform: platform anchors, as in :func:`cable_vectors`.
         pose: X, shape (..., n).
-        swivel: signed radii ± ρ of the swivel pulleys in space, shape (m,) [m]; None if there are
-            none. The cable runs along the vertical axis through A_i to the pulley, from below if
-            the sign is positive and from above if it is negative. The pulley turns about the axis
-            towards the platform anchor.
+        swivel: swivel pulleys in space [m]; None if there are none. Either the signed radii ± ρ,
+            shape (m,): the cable runs along the vertical axis through A_i to the pulley, from below
+            if the sign is positive and from above if it is negative. Or vectors ρ e, shape (m, 3):
+            it comes from the direction e along this axis. The pulley turns about the axis towards
+            the platform anchor.
     """
     vectors = cable_vectors(base, platform, pose)
     if swivel is not None:
@@ -184,7 +185,7 @@ def jacobian_and_rate(
         platform: platform anchors, as in :func:`cable_vectors`.
         pose: X, shape (..., n).
         velocity: Ẋ, shape (..., n).
-        swivel: signed radii of the swivel pulleys, as in :func:`cable_lengths`.
+        swivel: swivel pulleys, as in :func:`cable_lengths`.
     """
     base, pose, velocity, platform = (
         as_numbers(array) for array in (base, pose, velocity, platform)
@@ -231,21 +232,28 @@ def _turning_in_plane(
 
 
 class _Swivelled:
-    """Cables on swivel pulleys, from the vectors between anchors (..., m, 3) and the signed radii
-    (m,).
+    """Cables on swivel pulleys, from the vectors between anchors (..., m, 3) and the swivel pulleys
+    of :func:`cable_lengths`.
 
     In the plane of the pulley let c be the distance of the platform anchor from the swivel axis, h
-    its height in the direction from which the cable comes, and (ρ, 0) the centre of the pulley.
+    its height in the direction e from which the cable comes, and (ρ, 0) the centre of the pulley.
     With L² = (c − ρ)² + h² the free length is f = √(L² − ρ²), its direction u = (f (c − ρ) − ρ h, ρ
     (c − ρ) + f h)/L², and the length on the pulley is ρ (π + atan2(h, c − ρ) − atan2(f, ρ)).
     """
 
     def __init__(self, vectors: Array, swivel: Array) -> None:
-        self.vectors = vectors
-        self.side = np.where(swivel < 0, -1.0, 1.0)
-        self.radius = radius = np.abs(swivel)
-        self.reach = np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2)
-        self.height = self.side * vectors[..., 2]
+        if swivel.ndim == 1:
+            swivel = swivel[:, None] * np.array([0.0, 0.0, 1.0])
+        radius = np.sqrt(np.sum(swivel**2, axis=-1))
+        upright = np.array([0.0, 0.0, 1.0])  # any direction serves a pulley without a radius
+        self.axis = np.where(
+            radius[:, None] > 0, swivel / np.where(radius > 0, radius, 1.0)[:, None], upright
+        )
+        self.radius = radius
+        self.height = np.sum(vectors * self.axis, axis=-1)
+        level = vectors - self.height[..., None] * self.axis
+        self.reach = np.sqrt(np.sum(level**2, axis=-1))
+        self.level = level / self.reach[..., None]
         self.across = self.reach - radius
         self.square = self.across**2 + self.height**2
         self.free = np.sqrt(self.square - radius**2)
@@ -264,21 +272,20 @@ class _Swivelled:
         radius = self.radius
         out = (self.free * self.across - radius * self.height) / self.square
         down = (radius * self.across + self.free * self.height) / self.square
-        level = self.vectors[..., :2] / self.reach[..., None]
-        outward = np.sum(level * point_velocity[..., :2], axis=-1)
-        sideways = level[..., 0] * point_velocity[..., 1] - level[..., 1] * point_velocity[..., 0]
+        beside = np.cross(self.axis, self.level)
+        along, outward, sideways = (
+            np.sum(direction * point_velocity, axis=-1)
+            for direction in (self.axis, self.level, beside)
+        )
         # The free cable turns about the point where it leaves the pulley, and with the pulley about
         # the axis.
-        bent = (out * self.side * point_velocity[..., 2] - down * outward) / self.free
+        bent = (out * along - down * outward) / self.free
         swung = out * sideways / self.reach
-        unit = np.stack([out * level[..., 0], out * level[..., 1], self.side * down], axis=-1)
-        rate = np.stack(
-            [
-                -down * bent * level[..., 0] - swung * level[..., 1],
-                -down * bent * level[..., 1] + swung * level[..., 0],
-                self.side * out * bent,
-            ],
-            axis=-1,
+        unit = out[..., None] * self.level + down[..., None] * self.axis
+        rate = (
+            (out * bent)[..., None] * self.axis
+            - (down * bent)[..., None] * self.level
+            + swung[..., None] * beside
         )
         return unit, rate
 

@@ -135,11 +135,6 @@ ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
     ("robot", "changes", "message"),
     [
         (PLANAR, {"base_anchors": ()}, "base_anchors must be one"),
-        (
-            SPATIAL,
-            {"base_anchors": SIX[:5], "platform_anchors": PLATFORM[:5]},
-            r"at least 6 cables.* Add cables$",
-        ),
         (SPATIAL, {"inertia": (0.3, 0.1, 0.1)}, "no principal moment may exceed the sum"),
         (PLANAR, {"workspace": ((-1.0, 1.0), (1.0, -1.0))}, "workspace must have low < high"),
         (

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cablebot_gym.kinematics import cable_lengths
-from cablebot_gym.physics import textbook
+from cablebot_gym.physics.hanging import home_at_rest
 from cablebot_gym.robots import (
     GRAVITY,
     RPM,
@@ -48,7 +48,9 @@ def doubtful_values(robot: Robot) -> Iterator[str]:
     low, high = robot.pose_bounds
     box = robot.base.min(axis=0), robot.base.max(axis=0)
     sides = robot.dimensions - (not robot.weightless)
-    if np.any(low[:sides] < box[0][:sides] - 1e-9) or np.any(high[:sides] > box[1][:sides] + 1e-9):
+    is_wider = np.any(low[:sides] < box[0][:sides] - 1e-9)
+    is_wider |= np.any(high[:sides] > box[1][:sides] + 1e-9)
+    if is_wider and not robot.hanging:
         yield "workspace is wider than the base anchors: give (low, high) within them"
     vertical = robot.dimensions - 1
     on_floor = box[0][vertical] >= 0 and robot.home[vertical] > 0
@@ -181,7 +183,8 @@ def _platform(robot: Robot) -> Iterator[_Quantity]:
 def _springs(robot: Robot) -> Iterator[_Quantity]:
     if not robot.flexible:
         return
-    torque = textbook.static_torque(robot, robot.mass, robot.home, minimum=robot.minimum_tension)
+    tensions = home_at_rest(robot, robot.mass, robot.minimum_tension).tensions
+    torque = robot.pulley_radius * tensions
     if robot.jointed:
         wound = float(np.max(np.abs(torque) / robot.stiffness))
         yield _Quantity(
@@ -196,7 +199,7 @@ def _springs(robot: Robot) -> Iterator[_Quantity]:
     length = (
         cable_lengths(robot.base, robot.platform, robot.home, robot.swivel) + robot.extra_length
     )
-    tension = np.maximum(torque / robot.pulley_radius, robot.minimum_tension)
+    tension = np.maximum(tensions, robot.minimum_tension)
     unit = "is transmission.axial_stiffness EA in N? Multiply a stiffness in N/m by the length"
     strain = float(np.max(tension / robot.axial_stiffness))
     stretch = 1e3 * float(np.max(length * tension / robot.axial_stiffness))

@@ -13,13 +13,13 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.linalg import eigh
 
 from cablebot_gym.bounds.doubts import doubtful_values
-from cablebot_gym.envs.settings import default_trajectory, fewest_substeps
+from cablebot_gym.envs.settings import check_simulated, default_trajectory, fewest_substeps
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, SINGULAR, least_norm
+from cablebot_gym.physics.hanging import RestPose, home_at_rest
 from cablebot_gym.physics.sag import sag, settle
 from cablebot_gym.physics.statics import (
     feasibility,
@@ -108,12 +108,13 @@ class RobotCheck:
     payload: float
     """Payload of workspace, home pose and modes [kg]."""
     home: PayloadLimit
-    """Payloads that cables and motors hold at rest at the home pose."""
-    workspace: float
+    """Payloads that cables and motors hold at rest at the home pose; a platform on fewer cables
+    than coordinates hangs near it."""
+    workspace: float | None
     """Fraction of the workspace, at the home orientation, where cables and motors hold the payload
-    at rest."""
+    at rest; None for a platform that hangs."""
     modes: tuple[Mode, ...]
-    """Softest and stiffest mode with locked and with free motors; empty for a rigid robot."""
+    """Softest and stiffest mode with locked and with free motors, see :func:`modes`."""
     substeps: int | None
     """Suggested number of physics steps per control period; None if the springs need too many."""
     questions: tuple[str, ...]
@@ -198,11 +199,16 @@ def check_model(robot: Robot, *, payload: float | None = None) -> RobotCheck:
         substeps = fewest_substeps(robot)
     except ValueError:  # of springs that are much too stiff: a question about their unit follows
         substeps = None
+    if robot.hanging:
+        home, workspace = _hanging_limit(robot, payload), None
+    else:
+        home = payload_limit(robot, np.zeros(1), resting(robot.home[None]), payload)
+        workspace = float(np.mean(holds(robot, _grid(robot), payload)))
     return RobotCheck(
         robot=robot,
         payload=payload,
-        home=payload_limit(robot, np.zeros(1), resting(robot.home[None]), payload),
-        workspace=float(np.mean(holds(robot, _grid(robot), payload))),
+        home=home,
+        workspace=workspace,
         modes=tuple(modes(robot, payload)),
         substeps=substeps,
         questions=tuple(doubtful_values(robot)),
@@ -222,8 +228,10 @@ def check_motion(
             robot's default.
 
     Raises:
-        ValueError: if the payload or the motion is invalid, or the motion leaves the workspace.
+        ValueError: if the payload or the motion is invalid, the motion leaves the workspace, or the
+            simulation does not know the kind of the robot.
     """
+    check_simulated(robot)
     motion = find_trajectory(
         default_trajectory(robot) if trajectory is None else trajectory, robot.kind
     )
@@ -293,6 +301,27 @@ def payload_limit(robot: Robot, times: Array, reference: Reference, payload: flo
     )
 
 
+def _hanging_limit(robot: Robot, payload: float) -> PayloadLimit:
+    """Payloads that a platform on fewer cables than coordinates hangs with: all tensions are in
+    proportion to its mass."""
+    rest = home_at_rest(robot, robot.mass, robot.minimum_tension)
+    lightest = robot.mass * robot.minimum_tension / rest.tensions
+    heaviest = robot.mass * robot.stall_torque / robot.pulley_radius / rest.tensions
+    too_light = robot.mass + payload < lightest.max()
+    coefficients = np.zeros(robot.cables)
+    if too_light:
+        coefficients[np.argmax(lightest)] = -1.0
+    else:
+        coefficients[np.argmin(heaviest)] = 1.0
+    return PayloadLimit(
+        least=max(0.0, float(lightest.max()) - robot.mass),
+        largest=float(heaviest.min()) - robot.mass,
+        time=0.0,
+        pose=tuple(rest.pose.tolist()),
+        reason=limiting_cables(robot, coefficients),
+    )
+
+
 def limiting_cables(robot: Robot, coefficients: Array) -> str:
     """Cables with an active limit as text, from the coefficients of
     :mod:`cablebot_gym.physics.distribution`."""
@@ -321,7 +350,8 @@ def _grid(robot: Robot) -> Array:
 
 
 def modes(robot: Robot, payload: float = 0.0) -> list[Mode]:
-    """Softest and stiffest mode with locked motors, then with free motors; empty for a rigid robot.
+    """Softest and stiffest mode with locked motors, then with free motors; empty for a rigid robot
+    whose cables hold all coordinates.
 
     Free motors keep their torques. The platform can then also move without winding a spring; these
     motions are left out.
@@ -329,43 +359,44 @@ def modes(robot: Robot, payload: float = 0.0) -> list[Mode]:
     Args:
         robot: the robot.
         payload: payload [kg].
+
+    Raises:
+        ValueError: if a platform on fewer cables than coordinates does not hang at home.
     """
-    if not robot.flexible:
+    if not (robot.flexible or robot.hanging):
         return []
     mass = robot.mass + payload
-    still = np.zeros(robot.coordinates)
-    tensions = textbook.required_tensions(
-        robot,
-        mass,
-        robot.home,
-        still,
-        still,
-        minimum=textbook.allocated_minimum(robot),
-        strict=False,
-    )
-    model = textbook.linear_model(_softened(robot, tensions), mass=mass, tensions=tensions)
-    n, size = robot.coordinates, len(model.inertia)
-    moving = size - robot.cables  # the motors are the last coordinates
-    found = []
-    for locked, count, first in ((True, moving, 0), (False, size, n)):
-        squares, shapes = eigh(model.stiffness[:count, :count], model.inertia[:count, :count])
-        for index in (first, count - 1):
-            shape = shapes[:, index]
-            energy = shape * (model.inertia[:count, :count] @ shape)
-            symbols = [*COORDINATE_NAMES[robot.kind], "motors"]
-            parts = [*energy[:n], energy[n:].sum()]
-            direction = symbols[int(np.argmax(parts))]
-            frequency = math.sqrt(max(squares[index], 0.0)) / (2 * math.pi)
-            found.append(Mode(frequency=frequency, direction=direction, locked=locked))
+    rest = home_at_rest(robot, mass, textbook.allocated_minimum(robot))
+    softened = _softened(robot, rest)
+    inertia = textbook.linear_model(softened, mass=mass, pose=rest.pose).inertia
+    frequencies, shapes = textbook.locked_modes(softened, mass, rest.pose, rest.tensions)
+    found = [_mode(robot, inertia, frequencies, shapes, index, locked=True) for index in (0, -1)]
+    if robot.flexible:
+        frequencies, shapes = textbook.free_modes(softened, mass, rest.pose, rest.tensions)
+        found += [
+            _mode(robot, inertia, frequencies, shapes, index, locked=False) for index in (0, -1)
+        ]
     return found
 
 
-def _softened(robot: Robot, tensions: Array) -> Robot:
-    """The robot with the stiffness that sagging cables have at home under tensions (m,): the part
-    between pulley and base anchor does not sag."""
+def _mode(
+    robot: Robot, inertia: Array, frequencies: Array, shapes: Array, index: int, *, locked: bool
+) -> Mode:
+    shape = shapes[:, index]
+    moving = len(shape)
+    energy = shape * (inertia[:moving, :moving] @ shape)
+    n = robot.coordinates
+    symbols = [*COORDINATE_NAMES[robot.kind], "motors"]
+    direction = symbols[int(np.argmax([*energy[:n], energy[n:].sum()]))]
+    return Mode(frequency=float(frequencies[index]), direction=direction, locked=locked)
+
+
+def _softened(robot: Robot, rest: RestPose) -> Robot:
+    """The robot with the stiffness that sagging cables have at rest: the part between pulley and
+    base anchor does not sag."""
     if not (robot.elastic and np.any(robot.cable_density)):
         return robot
-    loose = sag(robot, robot.home, tensions)
+    loose = sag(robot, rest.pose, rest.tensions)
     straight = loose.length + robot.extra_length
     softer = straight / (loose.length / loose.stiffness_factor + robot.extra_length)
     transmission = robot.transmission.replace(axial_stiffness=softer * robot.axial_stiffness)

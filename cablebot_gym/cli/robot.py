@@ -160,9 +160,12 @@ def report(check: RobotCheck) -> list[str]:
             f"home       holds {_interval(home, robot)} at rest:",
             f"           {home.reason}",
         ]
-    lines.append(
-        f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation"
-    )
+    if check.workspace is None:
+        lines.append(f"rest       hangs on its cables at the pose ({_numbers(home.pose)})")
+    else:
+        lines.append(
+            f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation"
+        )
     for locked, text in ((True, "motors locked"), (False, "motors free")):
         frequencies = [
             f"{mode.frequency:.3g} Hz ({mode.direction})"
@@ -173,7 +176,9 @@ def report(check: RobotCheck) -> list[str]:
             lines.append(f"modes      {text}: softest {frequencies[0]}, stiffest {frequencies[1]}")
     if not check.modes:
         lines.append("modes      none: the transmission is rigid and the cables do not stretch")
-    if check.substeps is None:
+    if robot.hanging:
+        lines.append("step       none: the simulation does not know fewer cables than coordinates")
+    elif check.substeps is None:
         lines.append("step       the springs are too stiff for the default physics step")
     else:
         step = f"{1e3 / FREQUENCY / check.substeps:.3g} ms"
@@ -189,7 +194,7 @@ def motion_report(check: RobotCheck, motion: MotionCheck, evaluation: str) -> li
     """Lines of the check of the motion in words. ``evaluation`` is the command that evaluates a
     controller on it."""
     robot, limit = check.robot, motion.limit
-    place = f"at t = {limit.time:.2f} s, pose ({', '.join(f'{round(value, 6) + 0.0:.4g}' for value in limit.pose)})"
+    place = f"at t = {limit.time:.2f} s, pose ({_numbers(limit.pose)})"
     name = f"motion     {motion.trajectory.name}, {motion.trajectory.duration:g} s"
     if limit.largest < limit.least:
         lines = [f"{name}: exact tracking carries no payload"]
@@ -216,6 +221,10 @@ def motion_report(check: RobotCheck, motion: MotionCheck, evaluation: str) -> li
         *_sag_lines(check, motion),
         *(f"question   {question}" for question in motion.questions),
     ]
+
+
+def _numbers(pose: tuple[float, ...]) -> str:
+    return ", ".join(f"{round(value, 6) + 0.0:.4g}" for value in pose)
 
 
 def _why_impossible(motion: MotionCheck) -> str:

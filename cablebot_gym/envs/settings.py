@@ -21,7 +21,7 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import Measurement, find_measurement
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import fastest_decay_rate, highest_frequency
-from cablebot_gym.robots import Cable, Robot, find_robot, has_paper_geometry
+from cablebot_gym.robots import KIND_TEXTS, Cable, Robot, find_robot, has_paper_geometry
 from cablebot_gym.task import ErrorBounds, at_rest, check_workspace, find_error_bounds, start_pose
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
@@ -421,6 +421,7 @@ def make_settings(*, robot: str | dict[str, Any] | Robot, count: int, **keywords
         if name not in KEYWORDS:
             raise unexpected_keyword_error(name, KEYWORDS)
     robot = find_robot(robot)
+    check_simulated(robot)
     values = _DEFAULTS | keywords
     if keywords.get("payload") is None:
         values["payload"] = Settings.payload
@@ -439,6 +440,26 @@ def make_settings(*, robot: str | dict[str, Any] | Robot, count: int, **keywords
         checked["substeps"] = fewest_substeps(robot, uncertainties, frequency)
     check_stability(robot, uncertainties, frequency, checked["substeps"])
     return Settings(**checked)
+
+
+def check_simulated(robot: Robot) -> None:
+    """Checks that the simulation knows the kind of a robot.
+
+    Raises:
+        ValueError: if the platform hangs on fewer cables than coordinates, or a swivel axis is not
+            vertical.
+    """
+    if robot.hanging:
+        raise ValueError(
+            f"{robot.name}: {KIND_TEXTS[robot.kind]} needs at least {robot.coordinates} cables, not {robot.cables}. "
+            "With fewer it swings, and no motors can move it along a reference: add cables. `cablebot robot check` "
+            "computes its statics and modes"
+        )
+    if robot.swivel_axes:
+        raise ValueError(
+            "swivel_axes: the simulation knows vertical axes only. Remove swivel_axes, or use "
+            "`cablebot robot check`"
+        )
 
 
 def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -> dict[str, Any]:

@@ -71,7 +71,8 @@ def _draw_view(axes: Axes, check: RobotCheck, motion: MotionCheck | None, view: 
     workspace = robot.pose_bounds[:, view]
 
     visible = np.concatenate([base, path, workspace])
-    _draw_held_positions(axes, check, view, visible.min(axis=0), visible.max(axis=0))
+    if check.workspace is not None:
+        _draw_held_positions(axes, check, view, visible.min(axis=0), visible.max(axis=0))
     box_x = workspace[[0, 1, 1, 0, 0], 0]
     box_y = workspace[[0, 0, 1, 1, 0], 1]
     axes.plot(box_x, box_y, "--", color=GREY, linewidth=1.0, label="workspace")

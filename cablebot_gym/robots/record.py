@@ -55,7 +55,7 @@ class Robot:
     * 3 columns and platform anchors: ``spatial``, a suspended platform, n = 6.
 
     Gravity acts on all of them except in a horizontal plane. With gravity m ≥ n cables can hold the
-    platform, without it m > n.
+    platform, without it m > n. With gravity and m < n it hangs and swings, see :attr:`hanging`.
 
     Raises:
         ValueError: if a value is not physical, two cables coincide, or no positive tensions hold
@@ -88,10 +88,13 @@ class Robot:
     swivel_radius: PerMotor = 0.0
     """Radius ρ of the swivel pulleys of a robot in space [m], one value or one per cable; ≥ 0.
 
-    Each cable runs along the vertical swivel axis through its base anchor to the pulley, which
-    turns about that axis towards the platform anchor. With 0 the cables end in points. A planar
-    robot only accepts 0.
+    Each cable runs along the swivel axis through its base anchor to the pulley, which turns about
+    that axis towards the platform anchor. With 0 the cables end in points. A planar robot only
+    accepts 0.
     """
+    swivel_axes: tuple[tuple[float, ...], ...] = ()
+    """Direction in which each cable runs along its swivel axis to the pulley, one (x, y, z) per
+    cable; empty for vertical axes. Statics and modes know all axes, the simulation vertical ones."""
     cable_density: PerMotor = 0.0
     """Mass of a cable per length [kg/m], one value or one per cable; ≥ 0. Only the check of the sag
     uses it."""
@@ -165,6 +168,12 @@ class Robot:
     def weightless(self) -> bool:
         """Whether no gravity acts along the coordinates, as in a horizontal plane."""
         return (self.planar and self.plane == "horizontal") or self.gravity == 0
+
+    @property
+    def hanging(self) -> bool:
+        """Whether the cables are fewer than the coordinates: the platform swings. Statics and modes
+        know such a robot, the simulation does not."""
+        return self.cables < self.coordinates
 
     @cached_property
     def gravity_vector(self) -> Array:
@@ -260,14 +269,18 @@ class Robot:
 
     @cached_property
     def swivel(self) -> Array | None:
-        """Signed radii ± ρ of the swivel pulleys, shape (m,) [m], see
-        :func:`~cablebot_gym.kinematics.cable_lengths`; None if all are zero.
+        """Swivel pulleys [m], see :func:`~cablebot_gym.kinematics.cable_lengths`: signed radii ± ρ
+        of vertical axes, shape (m,), or vectors, shape (m, 3); None if all radii are zero.
 
-        A cable reaches a pulley that is above its platform anchor at the home pose from below, else
-        from above.
+        Along a vertical axis, a cable reaches a pulley that is above its platform anchor at the
+        home pose from below, else from above.
         """
         if not np.any(self.swivel_radius):
             return None
+        if self.swivel_axes:
+            axes = np.asarray(self.swivel_axes)
+            directions = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+            return _frozen(-self.per_motor(self.swivel_radius)[:, None] * directions)
         below = cable_vectors(self.base, self.platform, self.home)[:, 2] >= 0
         return _frozen(np.where(below, 1.0, -1.0) * self.swivel_radius)
 
@@ -333,7 +346,7 @@ class Robot:
         return record("robot", cls, data)
 
 
-_OPTIONAL = ("center_of_mass", "plane", "swivel_radius", "cable_density")
+_OPTIONAL = ("center_of_mass", "plane", "swivel_radius", "swivel_axes", "cable_density")
 _OPTIONAL_OF_TRANSMISSION = ("axial_stiffness", "axial_damping", "extra_length")
 """Fields that :meth:`Robot.to_dict` leaves out where they have no effect."""
 
@@ -380,13 +393,10 @@ def _check_fields(robot: Robot) -> None:
         raise ValueError(
             f"sources must be a table of texts by the name of the field, not {robot.sources!r}"
         )
-    coordinates = robot.coordinates
-    fewest = coordinates + robot.weightless
-    if robot.cables < fewest:
-        without = " without gravity" if robot.weightless else ""
+    if robot.weightless and robot.cables <= robot.coordinates:
         raise ValueError(
-            f"base_anchors: {KIND_TEXTS[robot.kind]}{without} needs at least {fewest} cables, not {robot.cables}. With "
-            f"fewer, the {coordinates} coordinates of the pose are not all held, and the platform swings. Add cables"
+            f"base_anchors: {KIND_TEXTS[robot.kind]} without gravity needs at least {robot.coordinates + 1} cables, "
+            f"not {robot.cables}: add cables"
         )
 
 
@@ -409,6 +419,9 @@ def _check_shapes(robot: Robot) -> None:
     else:
         check("inertia", (3,), (3, 3), form="(I_xx, I_yy, I_zz), or three rows of the tensor")
     check("home_pose", (n,), form=f"{n} coordinates")
+    check("swivel_axes", (0,), (m, 3), form="one (x, y, z) per cable, or empty for vertical axes")
+    if robot.swivel_axes and not np.linalg.norm(robot.swivel_axes, axis=1).all():
+        raise ValueError("swivel_axes: a direction must not be (0, 0, 0)")
     check("workspace", (0,), (n, 2), form=f"{n} pairs (low, high), or empty")
     if robot.point_mass:
         check("center_of_mass", (0,), form="empty for a point mass")
@@ -482,13 +495,13 @@ def _check_home(robot: Robot) -> None:
     jacobian = structure_jacobian(robot.base, robot.platform, robot.home, robot.swivel)
     # The rows of S begin with unit vectors, so the tolerance needs no scale.
     rank = np.linalg.matrix_rank(jacobian, tol=1e-9)
-    if rank < robot.coordinates:
+    if rank < min(robot.cables, robot.coordinates):
         free = checks.free_coordinate(robot.kind, jacobian)
         raise ValueError(
             f"{robot.name}: at home_pose {robot.home_pose} the cables act in {rank} of {robot.coordinates} directions, "
             f"and {free} is free; move the pose or the anchors"
         )
-    if not _in_equilibrium(robot, jacobian):
+    if not robot.hanging and not _in_equilibrium(robot, jacobian):
         problem = "no positive tensions hold"
         if robot.kind == "planar" and robot.weightless:
             problem = "the cables do not surround"

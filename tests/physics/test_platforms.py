@@ -5,6 +5,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from oracles.plants import differentiated, each_of, random_motion
 from oracles.platforms import CRANE, PLATFORMS, SWIVELLED
+from scipy.spatial.transform import Rotation
 
 from cablebot_gym import kinematics
 from cablebot_gym.physics import textbook
@@ -43,6 +44,35 @@ def test_cable_wraps_its_swivel_pulley_on_the_right_side():
         assert_allclose(length, [np.pi * 0.1 + 2.0], rtol=1e-14)
     assert np.sign(SWIVELLED.swivel).tolist() == [1] * 8
     assert np.sign(LOWER_WINCHES.swivel).tolist() == [1, 0, 1, 1, -1, -1, -1, -1]
+
+
+def test_swivel_axes_turn_with_the_world():
+    """Anchors, pose and vertical axes turned together keep the lengths and their rates; S is the
+    gradient of the lengths."""
+    turn = Rotation.from_euler("ZYX", [0.4, -0.7, 1.1]).as_matrix()
+    pose = SWIVELLED.home + np.linspace(0.1, 0.3, 6)
+    velocity = np.linspace(-1.0, 1.0, 6)
+    euler = Rotation.from_matrix(turn @ kinematics.rotation_matrix(pose[3:])).as_euler("ZYX")[::-1]
+    turned_pose = np.concatenate([turn @ pose[:3], euler])
+    axes = np.zeros((8, 3))
+    axes[:, 2] = SWIVELLED.swivel
+    turned = (SWIVELLED.base @ turn.T, SWIVELLED.platform, turned_pose, axes @ turn.T)
+    upright = (SWIVELLED.base, SWIVELLED.platform, pose, SWIVELLED.swivel)
+    lengths = kinematics.cable_lengths(*upright)
+    assert_allclose(kinematics.cable_lengths(*turned), lengths, rtol=1e-14)
+
+    def at(moved):
+        return kinematics.cable_lengths(*turned[:2], moved, turned[3])
+
+    structure = kinematics.structure_jacobian(*turned)
+    assert_allclose(structure, gradient(at, turned_pose), atol=1e-9)
+    rate = kinematics.structure_jacobian_rate(*turned[:3], velocity, turned[3])
+
+    def along(time):
+        moved = turned_pose + time * velocity
+        return kinematics.structure_jacobian(*turned[:2], moved, turned[3])
+
+    assert_allclose(rate, differentiated(along, 1e-3), atol=1e-8)
 
 
 def lagrangian(robot, mass, pose, velocity):

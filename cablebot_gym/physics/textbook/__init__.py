@@ -60,8 +60,10 @@ from cablebot_gym.physics.textbook.platform import (
 from cablebot_gym.physics.textbook.small_motion import (
     LinearModel,
     fastest_decay_rate,
+    free_modes,
     highest_frequency,
     linear_model,
+    locked_modes,
     tension_stiffness,
     weight_stiffness,
 )
@@ -82,6 +84,7 @@ __all__ = [
     "coulomb_torque",
     "fastest_decay_rate",
     "forward_dynamics",
+    "free_modes",
     "highest_frequency",
     "holding_torque",
     "inverse_dynamics",
@@ -92,6 +95,7 @@ __all__ = [
     "least_action_tensions",
     "linear_model",
     "load",
+    "locked_modes",
     "mass_matrix",
     "motion_equations",
     "motor_friction",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import eigh, null_space
 
 from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array, as_numbers
@@ -17,6 +18,7 @@ from cablebot_gym.physics.textbook.platform import (
     jacobian_rate,
     mass_matrix,
 )
+from cablebot_gym.robots import Robot
 from cablebot_gym.uncertainty import RobotArrays
 
 
@@ -137,6 +139,53 @@ def weight_stiffness(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Ar
     second[..., 3, 4] = second[..., 4, 3] = np.sin(theta) * turned
     second[..., 4, 4] = np.cos(theta) * level - np.sin(theta) * c_x
     return weight[..., 2, None, None] * second
+
+
+def locked_modes(
+    robot: Robot, mass: ArrayLike, pose: ArrayLike, tensions: ArrayLike
+) -> tuple[Array, Array]:
+    """Modes with locked motors about a pose at rest, from the softest to the stiffest.
+
+    Cables that do not stretch keep their lengths: the platform moves only where it hangs on fewer
+    cables than coordinates.
+
+    Args:
+        robot: the robot.
+        mass: mass of the platform and its payload [kg].
+        pose: X, shape (n,).
+        tensions: T that hold the mass at rest, shape (m,) [N].
+
+    Returns:
+        Frequencies (k,) [Hz], 0 for a motion that nothing brings back, and shapes (n, k), or (n +
+        m, k) with both joint springs and elastic cables.
+    """
+    model = linear_model(robot, mass=mass, pose=pose, tensions=tensions)
+    moving = len(model.inertia)
+    if robot.flexible:
+        moving -= robot.cables  # the motors are the last coordinates
+        free = np.eye(moving)
+    else:
+        free = null_space(jacobian(robot, pose))
+    if free.shape[1] == 0:
+        return np.empty(0), free
+    stiffness = free.T @ model.stiffness[:moving, :moving] @ free
+    inertia = free.T @ model.inertia[:moving, :moving] @ free
+    squares, shapes = eigh(stiffness, inertia)
+    return np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi), free @ shapes
+
+
+def free_modes(
+    robot: Robot, mass: ArrayLike, pose: ArrayLike, tensions: ArrayLike
+) -> tuple[Array, Array]:
+    """Modes of a flexible robot whose motors keep their torques, without those in which no spring
+    is wound.
+
+    The arguments and results are as in :func:`locked_modes`; the shapes have the rows X, β, β′.
+    """
+    model = linear_model(robot, mass=mass, pose=pose, tensions=tensions)
+    squares, shapes = eigh(model.stiffness, model.inertia)
+    winding = slice(robot.coordinates, None)
+    return np.sqrt(np.maximum(squares[winding], 0.0)) / (2 * np.pi), shapes[:, winding]
 
 
 def highest_frequency(robot: RobotArrays) -> float:

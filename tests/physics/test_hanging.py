@@ -1,0 +1,82 @@
+"""Platforms on fewer cables than coordinates: pose at rest and modes."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from oracles.platforms import DRIVE
+from scipy.linalg import eigh
+
+from cablebot_gym.envs.settings import make_settings
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.hanging import hanging_pose
+from cablebot_gym.robots import Robot
+
+LENGTH = 1.3
+ARM = 0.4
+DROP = 0.25
+MASS = 6.0
+INERTIA = (0.2, 0.3, 0.25)
+
+BIFILAR = Robot(
+    name="bifilar",
+    base_anchors=[(-ARM, 0.0, 0.0), (ARM, 0.0, 0.0)],
+    platform_anchors=[(-ARM, 0.0, -DROP), (ARM, 0.0, -DROP)],
+    mass=MASS,
+    inertia=INERTIA,
+    home_pose=(0.02, 0.03, LENGTH + DROP - 0.01, 0.02, -0.01, 0.03),
+    workspace=((-1, 1), (-1, 1), (0.5, 3), (-1, 1), (-1, 1), (-1, 1)),
+    **DRIVE,
+)
+"""A platform on two parallel cables, its centre of mass DROP below their ends."""
+
+REST = np.array([0.0, 0.0, LENGTH + DROP, 0.0, 0.0, 0.0])
+
+
+def hung(payload=0.0):
+    return hanging_pose(BIFILAR, MASS + payload, [LENGTH, LENGTH], BIFILAR.home)
+
+
+def test_platform_hangs_below_its_anchors():
+    hanging = hung(payload=2.0)
+    assert_allclose(hanging.pose, REST, atol=1e-9)
+    assert_allclose(hanging.tensions, (MASS + 2.0) * BIFILAR.gravity / 2, rtol=1e-9)
+
+
+def test_modes_are_those_of_a_bifilar_pendulum():
+    """It sways along x, turns about z, and is a double pendulum along y. The payload is in the
+    centre of mass, so it is not in the moments of inertia."""
+    mass = MASS + 2.0
+    weight = mass * BIFILAR.gravity
+    sway = BIFILAR.gravity / LENGTH
+    turn = weight * ARM**2 / (INERTIA[2] * LENGTH)
+    inertia = np.array(
+        [
+            [mass * LENGTH**2, mass * LENGTH * DROP],
+            [mass * LENGTH * DROP, INERTIA[0] + mass * DROP**2],
+        ]
+    )
+    double = eigh(np.diag([weight * LENGTH, weight * DROP]), inertia, eigvals_only=True)
+    hanging = hung(payload=2.0)
+    frequencies, _ = textbook.locked_modes(BIFILAR, mass, hanging.pose, hanging.tensions)
+    assert_allclose(2 * np.pi * frequencies, np.sqrt(sorted([sway, turn, *double])), rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "message"),
+    [([0.2, 2.5], "slack|no pose at rest"), ([0.1, 0.1 + 3 * ARM], "slack|no pose at rest")],
+)
+def test_lengths_without_a_pose_on_taut_cables_are_refused(lengths, message):
+    with pytest.raises(ValueError, match=message):
+        hanging_pose(BIFILAR, MASS, lengths, BIFILAR.home)
+
+
+def test_pose_upside_down_is_refused():
+    """Both cables push the platform up from its anchors' level, where the weight balances them."""
+    above = REST * [1, 1, -1, 1, 1, 1]
+    with pytest.raises(ValueError, match="slack"):
+        hanging_pose(BIFILAR, MASS, [LENGTH - 2 * DROP] * 2, above)
+
+
+def test_simulation_refuses_what_it_does_not_know():
+    with pytest.raises(ValueError, match="needs at least 6 cables, not 2"):
+        make_settings(robot=BIFILAR, count=1)
