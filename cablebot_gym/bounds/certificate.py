@@ -272,6 +272,8 @@ def _checked(
         raise ValueError(
             f"a certificate is only available for planar rigid robots, not for {robot.name!r}"
         )
+    if np.any(robot.load_friction):
+        raise ValueError("no certificate is known with load_friction: set it to 0")
     return find_trajectory(trajectory, robot.kind), find_error_bounds(error_bounds, robot)
 
 

@@ -127,6 +127,9 @@ def _motor_losses(robot: Robot) -> Iterator[_Quantity]:
         0.5,
         f"transmission.coulomb_friction is {friction:.3g} times the stall torque: are both in N·m at the pulley?",
     )
+    share = float(robot.load_friction.max())
+    text = f"transmission.load_friction is {share:.3g} of the load: is it a fraction?"
+    yield _Quantity(share, 0.0, 0.3, text)
     lag = float(robot.motor_lag.max())
     yield _Quantity(lag, 0.0, 0.2, f"motors.lag is {lag:.3g} s: is it in s? 1 ms is 0.001")
     least = robot.minimum_tension / force

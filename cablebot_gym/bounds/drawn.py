@@ -247,9 +247,9 @@ class _DrawnCase(_Case):
         return None
 
     def _without_friction(self, intervals: int, start: PlannedMotion) -> PlannedMotion:
-        """The motion of the drawn robot without Coulomb friction, which is smooth and therefore
+        """The motion of the drawn robot without Coulomb and load friction, which is smooth and therefore
         takes a third of the iterations; the start if there is none."""
-        transmission = self.robot.transmission.replace(coulomb_friction=0.0)
+        transmission = self.robot.transmission.replace(coulomb_friction=0.0, load_friction=0.0)
         case = replace(self, robot=self.robot.replace(transmission=transmission))
         try:
             return case._program(intervals).solve(start)

@@ -434,6 +434,10 @@ def make_settings(*, robot: str | dict[str, Any] | Robot, count: int, **keywords
     scope = Scope(robot, count)
     checked = {name: KEYWORDS[name].check(name, value, scope) for name, value in values.items()}
     check_workspace(robot, checked["trajectory"], checked["error_bounds"])
+    if checked["cable"] == "bilateral" and np.any(robot.load_friction):
+        raise ValueError(
+            "cable='bilateral': load_friction is for cables that only pull. Omit cable, or set load_friction to 0"
+        )
     uncertainties = checked["uncertainty"]
     frequency = checked["control_frequency"]
     if checked["substeps"] is None:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.physics import kernel
 from cablebot_gym.physics.compiling import load_numba
-from cablebot_gym.physics.textbook import FRICTION_SPEED
 from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.uncertainty import RobotArrays
 
@@ -33,6 +32,7 @@ def form_of(robot: RobotArrays) -> kernel.Form:
         swivel=robot.swivel is not None,
         lopsided=robot.kind == "planar-platform"
         or bool(np.any(robot.mass_center) or np.any(products)),
+        load_friction=bool(np.any(robot.load_friction)),
     )
 
 
@@ -66,11 +66,12 @@ def pack_parameters(robot: RobotArrays) -> Array:
     cables[..., kernel.STALL] = robot.stall_torque
     cables[..., kernel.SLOPE] = robot.speed_slope
     cables[..., kernel.LAG] = robot.motor_lag
-    rows[..., kernel.FRICTION_SPEED] = FRICTION_SPEED
+    rows[..., kernel.FRICTION_SPEED] = robot.transmission.friction_speed
     cables[..., kernel.COULOMB_FRICTION] = robot.coulomb_friction
-    if form.elastic or form.swivel:
+    if form.stretches:
         stretch = np.zeros((*batch, robot.cables, kernel.STRETCH_PARAMETERS))
         stretch[..., kernel.RADIUS] = robot.pulley_radius
+        stretch[..., kernel.LOAD_FRICTION] = robot.load_friction
         if robot.swivel is not None:
             stretch[..., kernel.SWIVEL] = robot.swivel
         if robot.elastic:

@@ -76,7 +76,9 @@ def tension_bounds(
             robot, pose, velocity, acceleration
         )
     limits = textbook.torque_limits(robot, numbers("line_speed", line_speed) * speed)
-    lower, upper = ((limit - rest) / robot.pulley_radius for limit in limits)
+    # Motor and pulley turn together, so load friction is that of a rigid transmission.
+    per_tension = robot.pulley_radius * (1 + textbook.load_friction(robot, speed))
+    lower, upper = ((limit - rest) / per_tension for limit in limits)
     lower = np.maximum(lower, number("minimum", minimum))
     return np.where(known, lower, np.nan), np.where(known, upper, np.nan)
 

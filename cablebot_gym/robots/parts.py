@@ -100,6 +100,17 @@ class Transmission:
     A rigid transmission has one shaft with motor and pulley. The torque is smooth at standstill,
     see :func:`~cablebot_gym.physics.textbook.drives.coulomb_torque`. The paper has no Coulomb friction.
     """
+    load_friction: PerMotor = 0.0
+    """Friction per load μ at the motors, one value or one per motor; ≥ 0 and below 1: bearings, and
+    pulleys that guide the cables.
+
+    Beside τ_c, it takes μ times the load from the motor: r T of a rigid transmission, else the
+    torque of the spring. The paper has none.
+    """
+    friction_speed: float = 0.5
+    """Motor speed ω₀ below which both frictions are smoothed [rad/s]; > 0. They have 99 % of their
+    size above 7 ω₀: choose a value that is small against the speeds of the motions. Smaller values
+    need shorter physics steps."""
     stiffness: PerMotor | None = None
     """Stiffness K of the joint springs [N·m/rad], one value or one per motor; > 0. None for a rigid
     transmission."""
@@ -123,6 +134,11 @@ class Transmission:
         _set_per_motor(
             self, positive=("pulley_radius", "stiffness", "motor_inertia", "axial_stiffness")
         )
+        number("friction_speed", self.friction_speed, above=0, unit="rad/s")
+        if np.max(self.load_friction) >= 1:
+            raise ValueError(
+                "load_friction must be below 1: it is the fraction of the load that friction takes"
+            )
         if (self.stiffness is None) != (self.motor_inertia is None):
             raise ValueError(
                 "a flexible transmission needs stiffness and motor_inertia; a rigid one has neither"

@@ -251,6 +251,8 @@ class Robot:
     """Motor damping c′ of a flexible robot, shape (m,) [N·m·s/rad]."""
     coulomb_friction = _per_motor("transmission", "coulomb_friction")
     """Coulomb friction τ_c, shape (m,) [N·m]."""
+    load_friction = _per_motor("transmission", "load_friction")
+    """Friction per load μ, shape (m,)."""
     axial_stiffness = _per_motor("transmission", "axial_stiffness")
     """Axial stiffness EA of elastic cables, shape (m,) [N]."""
     axial_damping = _per_motor("transmission", "axial_damping")
@@ -330,8 +332,8 @@ class Robot:
         unused options."""
         data = dataclasses.asdict(self)
         del data["sources"]
-        _drop_unused(data, _OPTIONAL)
-        _drop_unused(data["transmission"], _OPTIONAL_OF_TRANSMISSION)
+        _drop_unused(data, Robot, _OPTIONAL)
+        _drop_unused(data["transmission"], Transmission, _OPTIONAL_OF_TRANSMISSION)
         if self.defaults == Defaults():
             del data["defaults"]
         return data
@@ -347,7 +349,13 @@ class Robot:
 
 
 _OPTIONAL = ("center_of_mass", "plane", "swivel_radius", "swivel_axes", "cable_density")
-_OPTIONAL_OF_TRANSMISSION = ("axial_stiffness", "axial_damping", "extra_length")
+_OPTIONAL_OF_TRANSMISSION = (
+    "load_friction",
+    "friction_speed",
+    "axial_stiffness",
+    "axial_damping",
+    "extra_length",
+)
 """Fields that :meth:`Robot.to_dict` leaves out where they have no effect."""
 
 
@@ -363,9 +371,10 @@ _KINDS: dict[tuple[bool, bool], Kind] = {
 """Kinds by whether the robot moves in a plane and whether it is a point mass."""
 
 
-def _drop_unused(data: dict[str, Any], names: tuple[str, ...]) -> None:
+def _drop_unused(data: dict[str, Any], record: type, names: tuple[str, ...]) -> None:
+    """Removes fields with the default value of their record."""
     for name in names:
-        if data[name] in ((), 0.0, None, "horizontal"):
+        if data[name] == getattr(record, name):
             del data[name]
 
 

@@ -183,6 +183,7 @@ def random_case(kind, rng):
     drums = robot.transmission.replace(
         pulley_inertia=rng.uniform(0, 2e-3, len(base)),
         damping=rng.uniform(0, 0.02),
+        load_friction=np.linspace(0.0, 0.1, len(base)),
     )
     robot = robot.replace(
         base_anchors=base,

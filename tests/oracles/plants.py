@@ -69,8 +69,11 @@ circles."""
 
 def _rough(robot):
     friction = np.linspace(0.25, 0.0, robot.cables)
+    per_load = np.linspace(0.0, 0.15, robot.cables)
     lag = np.linspace(0.0, 0.02, robot.cables)
-    return with_transmission(robot, coulomb_friction=tuple(friction.tolist())).replace(
+    return with_transmission(
+        robot, coulomb_friction=tuple(friction.tolist()), load_friction=tuple(per_load.tolist())
+    ).replace(
         name=f"rough-{robot.name}",
         motors=robot.motors.replace(lag=tuple(lag.tolist())),
     )
@@ -81,8 +84,8 @@ def with_transmission(robot, **changes):
 
 
 ROUGH = tuple(_rough(robot) for robot in (QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL))
-"""With Coulomb friction and a lag, different in every motor; the first has no lag and the last no
-friction."""
+"""With Coulomb friction, load friction and a lag, different in every motor; the first has no lag and
+no load friction, and the last no Coulomb friction."""
 
 
 def slowly(*robots):
@@ -298,18 +301,27 @@ def textbook_rates(robot, state, torques, cable="bilateral", mass=None):
     motors = 0.0 * state.speed
     if robot.flexible:
         motors = (
-            torques - at_pulley - textbook.motor_friction(robot, state.speed)
+            torques - at_pulley - textbook.motor_friction(robot, state.speed, at_pulley)
         ) / robot.motor_inertia
     return State(state.velocity, platform, state.speed, motors), tension
+
+
+def friction_torques(robot, state, torques, tension, cable):
+    """(τ_c + μ load) ω/√(ω² + ω₀²); the load is r T of a rigid robot, else the spring's torque."""
+    speed = drive_speed(robot, state)
+    load = robot.pulley_radius * tension
+    if robot.flexible:
+        load = np.abs(spring_torques(robot, state, cable))
+    return (robot.coulomb_friction + robot.load_friction * load) * speed / np.hypot(speed, 0.5)
 
 
 def take_up_torques(robot, state, torques, acceleration, tension, cable):
     """u = r T − κ + J β̈ + c β̇ + friction, the torque with which a slack cable is wound up."""
     winding = textbook.pulley_acceleration(robot, state.pose, state.velocity, acceleration)
     speed = textbook.pulley_speed(robot, state.pose, state.velocity)
-    damping = robot.damping * speed + (
-        0.0 if robot.flexible else textbook.coulomb_torque(robot, speed)
-    )
+    damping = robot.damping * speed
+    if not robot.flexible:
+        damping = damping + friction_torques(robot, state, torques, tension, cable)
     at_pulley = pulley_torques(robot, state, torques, cable)
     return robot.pulley_radius * tension - at_pulley + robot.pulley_inertia * winding + damping
 

@@ -36,11 +36,14 @@ ELASTIC = (
         extra_length=0.5,
     ),
     with_transmission(TURNING, axial_stiffness=(2e4, 3e4, 1e4, 2e4, 5e4), **JOINTS),
-    with_transmission(SWIVELLED_CAMERA, axial_stiffness=2e4, coulomb_friction=0.3),
+    with_transmission(
+        SWIVELLED_CAMERA, axial_stiffness=2e4, coulomb_friction=0.3, load_friction=0.1
+    ),
     with_transmission(
         SWIVELLED_CRANE,
         axial_stiffness=1e5,
         axial_damping=20.0,
+        load_friction=0.05,
         **JOINTS,
     ),
 )
@@ -56,10 +59,13 @@ def rates(robot, state, torques, cable):
     forces += textbook.bias(robot, robot.mass, state.pose, state.velocity)
     mass = textbook.mass_matrix(robot, robot.mass, state.pose)
     platform = -np.linalg.solve(mass, forces[..., None])[..., 0]
-    driving = torques - textbook.coulomb_torque(robot, state.speed)
+    load = pulling
+    if robot.jointed:
+        load = twist = robot.stiffness * (state.angle - state.pulley)
+    friction = robot.coulomb_friction + robot.load_friction * np.abs(load)
+    driving = torques - friction * state.speed / np.hypot(state.speed, 0.5)
     motor = None
     if robot.jointed:
-        twist = robot.stiffness * (state.angle - state.pulley)
         motor = (driving - twist - robot.motor_damping * state.speed) / robot.motor_inertia
         driving = twist
     pulley = (driving - robot.damping * state.pulley_speed - pulling) / robot.pulley_inertia
@@ -153,7 +159,7 @@ def energy(robot, state):
 @each_elastic
 def test_energy_is_kept_while_slack_comes_and_goes(robot):
     """Less the work of constant torques on the motors."""
-    undamped = {"damping": 0.0, "axial_damping": 0.0, "coulomb_friction": 0.0}
+    undamped = {"damping": 0.0, "axial_damping": 0.0, "coulomb_friction": 0.0, "load_friction": 0.0}
     if robot.jointed:
         undamped["motor_damping"] = 0.0
     robot = with_transmission(free_motors(robot), **undamped)

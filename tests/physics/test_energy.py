@@ -22,6 +22,7 @@ from oracles.plants import (
     evaluated,
     every_kind,
     free_motors,
+    friction_torques,
     loaded_plant,
     no_reference,
     off_centre,
@@ -86,7 +87,7 @@ def test_order_is_four_while_elastic_cables_are_taut():
 @both_cables
 @every_kind
 def test_power_is_balanced_also_with_slack_cables(robot, cable):
-    """d/dt E = Σ τ β̇′ + Σ u β̇ − Σ c β̇² − Σ c′ β̇′² − Σ τ_c |β̇′|, u from complementarity; rigid:
+    """d/dt E = Σ τ β̇′ + Σ u β̇ − Σ c β̇² − Σ c′ β̇′² − Σ (τ_c + μ load) |β̇′|, u from complementarity; rigid:
     β′ = β, c′ = 0.
 
     At low speeds |β̇′| is smooth.
@@ -107,7 +108,8 @@ def test_power_is_balanced_also_with_slack_cables(robot, cable):
     supplied = np.where(tension == 0, take_up, 0.0) * pulley
     # Without it the balance is off by watts.
     assert (np.mean(np.abs(supplied.sum(axis=1))) > 1) == (cable == "unilateral")
-    spent = robot.damping * pulley**2 + textbook.coulomb_torque(robot, motor) * motor
+    spent = robot.damping * pulley**2
+    spent += friction_torques(robot, state, torques, tension, cable) * motor
     if robot.flexible:
         spent += robot.motor_damping * motor**2
     power = np.sum(torques * motor + supplied - spent, axis=1)

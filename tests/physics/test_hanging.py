@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles.platforms import DRIVE
+from oracles.plants import with_transmission
+from oracles.platforms import CAMERA, DRIVE, SWIVELLED
 from scipy.linalg import eigh
 
 from cablebot_gym.envs.settings import make_settings
@@ -77,6 +78,14 @@ def test_pose_upside_down_is_refused():
         hanging_pose(BIFILAR, MASS, [LENGTH - 2 * DROP] * 2, above)
 
 
-def test_simulation_refuses_what_it_does_not_know():
-    with pytest.raises(ValueError, match="needs at least 6 cables, not 2"):
-        make_settings(robot=BIFILAR, count=1)
+@pytest.mark.parametrize(
+    ("robot", "keywords", "message"),
+    [
+        (BIFILAR, {}, "needs at least 6 cables, not 2"),
+        (SWIVELLED.replace(swivel_axes=[(0, 0.1, -1)] * 8), {}, "vertical axes only"),
+        (with_transmission(CAMERA, load_friction=0.1), {"cable": "bilateral"}, "only pull"),
+    ],
+)
+def test_simulation_refuses_what_it_does_not_know(robot, keywords, message):
+    with pytest.raises(ValueError, match=message):
+        make_settings(robot=robot, count=1, **keywords)

@@ -12,11 +12,11 @@ from oracles.plants import (
     UNEQUAL,
     State,
     advance,
-    drive_speed,
     each_of,
     evaluated,
     every_kind,
     free_motors,
+    friction_torques,
     holding_state,
     loaded_plant,
     off_centre,
@@ -61,17 +61,16 @@ def load_state(peer, state, lane):
 def test_accelerations_are_those_of_mujoco(robot):
     """Reached: 5e-15; flexible 2e-12: winches far off cost MuJoCo's springs digits.
 
-    MuJoCo's motors get the torque that the Coulomb friction leaves.
+    MuJoCo's motors get the torque that the friction leaves.
     """
     state, action = random_states(robot, STATES, seed=20, reach=0.6 if robot.flexible else 1.0)
     torques = np.clip(action, -0.9, 0.9) * robot.stall_torque
-    speed = drive_speed(robot, state)
-    after_friction = torques - robot.coulomb_friction * speed / np.hypot(speed, 0.5)
+    mass = robot.mass + PAYLOAD
+    rates, tension = textbook_rates(robot, state, torques, mass=mass)
+    after_friction = torques - friction_torques(robot, state, torques, tension, "bilateral")
     peer = MujocoRobot(robot, payload=PAYLOAD)
     platform, motors = accelerations_of_mujoco(peer, state, after_friction)
     tolerance = 1e-11 if robot.flexible else 1e-13
-    mass = robot.mass + PAYLOAD
-    rates, _ = textbook_rates(robot, state, torques, mass=mass)
     compiled, _ = evaluated(loaded_plant(robot, state, mass=mass), torques)
     assert worst_relative_error(rates.velocity, platform) <= tolerance
     assert worst_relative_error(compiled, platform) <= tolerance

@@ -43,8 +43,8 @@ LINE = find_trajectory("line-planar", 2)
 
 
 def rubbing(robot):
-    """A robot whose motors have Coulomb friction."""
-    return with_transmission(robot, coulomb_friction=0.1)
+    """A robot whose motors have friction, constant and by load."""
+    return with_transmission(robot, coulomb_friction=0.1, load_friction=0.05)
 
 
 def check_actions(robot, actions, torque, speed, acceleration, tolerance):
@@ -109,7 +109,7 @@ def test_flexible_stage_agrees_with_inverse_dynamics(robot):
     speed = np.linspace(-20, 30, robot.cables)
     acceleration = np.linspace(400, -300, robot.cables)
     torque = springs + robot.motor_inertia * acceleration + robot.motor_damping * speed
-    torque += 0.1 * speed / np.hypot(speed, textbook.FRICTION_SPEED)
+    torque += (0.1 + 0.05 * np.abs(springs)) * speed / np.hypot(speed, 0.5)
     check_flexible_stage(
         robot,
         state,

@@ -187,7 +187,8 @@ class Adaptive(ClassicalLaw):
         torque_impulse = period * self._mean_torque(before, now)
         # r ∫ T dt of each cable
         angular_impulse = torque_impulse - robot.pulley_inertia * speed_change
-        tension_impulse = angular_impulse / robot.pulley_radius
+        mean_speed = (before.pulley_speed + now.pulley_speed) / 2
+        tension_impulse = angular_impulse / textbook.loaded_radius(robot, mean_speed)
         middle = (before.pose + now.pose) / 2
         if robot.swivel is None:
             # The rows of S for the position are the unit vectors of the cables.

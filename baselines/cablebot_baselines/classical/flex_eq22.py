@@ -57,7 +57,7 @@ class PaperFlexible(FlexibleLaw):
         choice("motor_acceleration", motor_acceleration, get_args(MotorAcceleration))
         if as_printed:
             frictionless = robot.transmission.replace(
-                damping=0.0, motor_damping=0.0, coulomb_friction=0.0
+                damping=0.0, motor_damping=0.0, coulomb_friction=0.0, load_friction=0.0
             )
             robot = robot.replace(transmission=frictionless)
         super().__init__(robot, minimum_tension=minimum_tension)

@@ -99,7 +99,7 @@ class FlexibleLaw(ClassicalLaw):
         """
         required = self._inverse_dynamics(mass, blocks["pose"], blocks["velocity"], acceleration)
         spring = textbook.holding_torque(self.robot, required.torques)
-        torques = spring + textbook.motor_friction(self.model, required.speeds)
+        torques = spring + textbook.motor_friction(self.model, required.speeds, spring)
         return torques, required.pulley_accelerations, required.speeds
 
     def _spring_torques(
@@ -330,7 +330,7 @@ class MotorPD(FlexibleLaw):
         pulley_acceleration = self._pulley_acceleration(pose, velocity, acceleration)
         motor_acceleration = pulley_acceleration + spring_second / stiffness
         inertial = robot.motor_inertia * motor_acceleration
-        feedforward = spring + inertial + textbook.motor_friction(robot, speed)
+        feedforward = spring + inertial + textbook.motor_friction(robot, speed, spring)
         angle_error = angle - blocks["motor_angle"]
         speed_error = speed - blocks["motor_speed"]
         correction = self._stiffness * angle_error + self._damping * speed_error
@@ -405,7 +405,7 @@ class FourthOrder(FlexibleLaw):
         pulley_acceleration = self._pulley_acceleration(pose, velocity, acceleration)
         motor_acceleration = pulley_acceleration + spring_second / stiffness
         inertial = robot.motor_inertia * motor_acceleration
-        return spring + inertial + textbook.motor_friction(robot, blocks["motor_speed"])
+        return spring + inertial + textbook.motor_friction(robot, blocks["motor_speed"], spring)
 
 
 def _solve(matrix: Array, vector: Array) -> Array:

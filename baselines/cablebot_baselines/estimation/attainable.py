@@ -66,7 +66,7 @@ def _exact_readings(robot: Robot, task: Task, reference: Reference) -> dict[str,
         angle = angle + torque / textbook.joint_stiffness(robot, pose)
         speed = np.gradient(angle, period, axis=0)
         rotor_torque = robot.motor_inertia * np.gradient(speed, period, axis=0)
-        torque = torque + rotor_torque + textbook.motor_friction(robot, speed)
+        torque = torque + rotor_torque + textbook.motor_friction(robot, speed, torque)
     action = textbook.normalised_action(robot, torque, speed)
     blocks = {
         "motor_angle": angle,

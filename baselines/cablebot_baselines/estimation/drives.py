@@ -62,8 +62,10 @@ def pulley_torque(
         (columns.lag, -(motor - state.motor_torque) / period),
     ]
     if robot.flexible:
-        friction = textbook.motor_friction(robot, (speed + state.speed) / 2)
+        mean_speed = (speed + state.speed) / 2
+        friction = textbook.motor_friction(robot, mean_speed, 0.0)
         torque = torque - robot.motor_inertia * acceleration - friction
+        torque = torque / (1 + textbook.load_friction(robot, mean_speed))
         # The noise of a speed enters the balances of two periods, with opposite signs. The drive
         # computes its torque from the speed at the start of the period.
         inertia, damping = robot.motor_inertia / period, robot.motor_damping / 2

@@ -324,6 +324,7 @@ class RobotObserver:
         speed = dynamics.pulley_speed
         drives = self._last_drives(blocks, state, speed)
         torque = drives.torque - textbook.coulomb_torque(robot, speed)
+        torque = torque / (1 + textbook.load_friction(robot, speed))
         gradient = np.zeros((*speed.shape, self._size))
         speed_slope = strength * robot.speed_slope + robot.damping
         rate_slope = speed_slope / robot.pulley_radius
@@ -367,7 +368,7 @@ class RobotObserver:
         speed = blocks["motor_speed"]
         mean_speed = (speed + state.motor_speed) / 2
         drives = self._last_drives(blocks, state, mean_speed)
-        friction = textbook.motor_friction(robot, mean_speed)
+        friction = textbook.motor_friction(robot, mean_speed, spring)
         speed_change = speed - state.motor_speed
         rotor_torque = robot.motor_inertia * speed_change / self.period
         excess = rotor_torque - (drives.torque - spring - friction)
@@ -457,6 +458,7 @@ class RobotObserver:
         rates = np.zeros_like(weights)
         drives = self._drives(blocks, weights, rates, state.steps, state, speed)
         torque = drives.torque - textbook.coulomb_torque(self.robot, speed)
+        torque = torque / (1 + textbook.load_friction(self.robot, speed))
         acceleration = dynamics.acceleration(torque, now.wrench)
         displacement = delay * now.velocity
         return {
@@ -481,7 +483,7 @@ class RobotObserver:
         for _ in range(_AHEAD_STEPS):
             drives = self._drives(blocks, weights, rates, state.steps, state, speed)
             spring = stiffness * twist
-            net_torque = drives.torque - spring - textbook.motor_friction(robot, speed)
+            net_torque = drives.torque - spring - textbook.motor_friction(robot, speed, spring)
             speed = speed + step * net_torque / robot.motor_inertia
             velocity = velocity + step * dynamics.acceleration(spring, now.wrench)
             pose = pose + step * velocity

@@ -73,7 +73,7 @@ def required_actuation(
         speed = speed + torque_rate / stiffness
         torque_second = (after - 2 * torque + before) / step**2
         motor_acceleration = _tensor(pulley_acceleration) + torque_second / stiffness
-        friction = textbook.motor_friction(robot, _objects(speed))
+        friction = textbook.motor_friction(robot, _objects(speed), _objects(torque))
         torque = torque + inertia * motor_acceleration + _tensor(friction)
     action = _tensor(textbook.normalised_action(robot, _objects(torque), _objects(speed)))
     return RequiredActuation(tensions=tensions, action=action)
@@ -98,7 +98,10 @@ def _tensions_and_torques(
         torques = textbook.required_torques(robot, slack, pose, velocity, acceleration)
         speed = textbook.pulley_speed(robot, pose, velocity)
         offset = _tensor(textbook.normalised_action(robot, torques, speed))
-        tensions = _central_tensions(robot, structure, load, offset, minimum)
+        # an object array, also where the radius is a number
+        radius = textbook.loaded_radius(robot, speed) + 0 * speed
+        slope = _tensor(radius / robot.stall_torque)
+        tensions = _central_tensions(structure, load, slope, offset, minimum)
     if softness:
         sharp = _objects(tensions)
         smooth = textbook.smooth_tension_distribution(jacobian, sharp, minimum, softness)
@@ -127,16 +130,15 @@ def _tension_distribution(structure: Tensor, load: Tensor, minimum: float) -> Te
 
 
 def _central_tensions(
-    robot: Robot, structure: Tensor, load: Tensor, offset: Tensor, minimum: float
+    structure: Tensor, load: Tensor, slope: Tensor, offset: Tensor, minimum: float
 ) -> Tensor:
     """The tensions of :func:`~cablebot_gym.physics.distribution.central`.
 
     That function gives the values. One step of Newton's method from them changes them by rounding
     only, and has their derivatives.
     """
-    slope = torch.tensor(robot.pulley_radius / robot.stall_torque)
     least = torch.full_like(offset, minimum)
-    arguments = structure, load, least, slope.expand_as(offset), offset
+    arguments = structure, load, least, slope, offset
     arrays = [argument.detach().numpy() for argument in arguments]
     tensions = torch.tensor(central(*arrays))
     actions = slope * tensions + offset
@@ -152,7 +154,7 @@ def _central_tensions(
     missing = load + (structure.mT @ tensions[..., None])[..., 0]
     residual = torch.cat([-gradient, missing], dim=1)
     step = torch.linalg.solve(system, residual)
-    return tensions + step[:, : robot.cables]
+    return tensions + step[:, : tensions.shape[1]]
 
 
 def _barrier_derivatives(distance: Tensor) -> tuple[Tensor, Tensor]:

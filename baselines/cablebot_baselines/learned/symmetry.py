@@ -54,6 +54,7 @@ def symmetries(robot: Robot) -> Array:
         "speed_slope",
         "motor_lag",
         "coulomb_friction",
+        "load_friction",
     )
     motors = [getattr(robot, name) for name in names]
     if robot.flexible:

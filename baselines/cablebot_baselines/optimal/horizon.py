@@ -196,7 +196,6 @@ class HorizonProgram:
         self._fixed = lru_cache(maxsize=16)(self._fixed_parts)
         n = robot.coordinates
         m = robot.cables
-        self._action_per_tension = TENSION * robot.pulley_radius / robot.stall_torque
         # The load is linear in Ẍ.
         self._steps = np.repeat([_DIFFERENCE, _DIFFERENCE, 1.0], n)
         # Columns: the control points, of which the first two are given, and the null-space tensions.
@@ -320,12 +319,14 @@ class HorizonProgram:
         # null space. Tensions are in units of TENSION from here on.
         tension_slope = inverse @ self._difference_quotients(imbalance) / -TENSION
         passive_slope = self._difference_quotients(passive_actions)
-        per_tension = self._action_per_tension[:, None]
+        radius = textbook.loaded_radius(robot, demand.speeds[0])
+        action_per_tension = TENSION * radius / robot.stall_torque
+        per_tension = action_per_tension[..., None]
         action_slope = passive_slope + per_tension * tension_slope
         slope = np.concatenate([action_slope, tension_slope], axis=1)
         null_slope = np.concatenate([per_tension * null_space, null_space], axis=1)
         tensions = tensions / TENSION
-        actions = passive_actions[0] + self._action_per_tension * tensions
+        actions = passive_actions[0] + action_per_tension * tensions
         return Linearisation(
             plan=plan,
             strength=expected.strength,

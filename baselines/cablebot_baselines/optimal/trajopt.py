@@ -51,8 +51,8 @@ EXACT_GAINS = {
 def exact_margins(robot: Robot, error_bounds: ErrorBounds) -> Margins:
     """Margins of the plan for an exactly known robot.
 
-    When a motor reverses, its Coulomb friction changes sign within a control period. Without
-    springs this changes the tension of its cable, so the margin includes it. With springs and
+    When a motor reverses, its friction changes sign within a control period. Without springs this
+    changes the tension of its cable, so the margin includes Coulomb friction. With springs and
     redundant cables the margin is at most that at the start of an episode.
     """
     margins = EXACT_MARGINS[robot.joints]

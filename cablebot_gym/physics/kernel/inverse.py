@@ -17,7 +17,7 @@ from cablebot_gym.physics.kernel.arithmetic import (
     subtract,
     symmetric_times,
 )
-from cablebot_gym.physics.kernel.motors import coulomb_friction
+from cablebot_gym.physics.kernel.motors import coulomb_friction, load_friction
 from cablebot_gym.physics.kernel.plane import plane_acceleration, three_masses
 from cablebot_gym.physics.kernel.rows import (
     BIAS,
@@ -206,7 +206,7 @@ def _try_pair(w, at, lanes, i, j):
 
 @inline
 def _required_motor(form, p, w, at, lanes, i):
-    """τ = r T + J β̈ + c β̇ (Eq. 1), plus Coulomb friction if rigid, and β̇ and β̈ of cable i."""
+    """τ = r T + J β̈ + c β̇ (Eq. 1), plus friction if rigid, and β̇ and β̈ of cable i."""
     par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
     row = FIRST_CABLE + CABLE_ROWS * i
     per_radius = p[(par + PER_RADIUS) * lanes + at]
@@ -214,11 +214,14 @@ def _required_motor(form, p, w, at, lanes, i):
     acceleration = length_acceleration(form, w, at, lanes, i) + w[(row + BIAS) * lanes + at]
     inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at] * acceleration
     damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * rate
-    pull = w[(row + RESULTS + TENSIONS) * lanes + at] - inertia - damping
+    tension = w[(row + RESULTS + TENSIONS) * lanes + at]
     speed = -rate * per_radius
     friction = 0.0
     if not form.flexible:
         friction = coulomb_friction(p, at, lanes, i, speed)
+        if form.load_friction:
+            tension = tension * (1.0 + load_friction(form, p, at, lanes, i, speed))
+    pull = tension - inertia - damping
     w[(row + RESULTS + TORQUES) * lanes + at] = pull / per_radius + friction
     w[(row + RESULTS + SPEEDS) * lanes + at] = speed
     w[(row + RESULTS + PULLEY_ACCELERATIONS) * lanes + at] = -acceleration * per_radius

@@ -24,12 +24,14 @@ from cablebot_gym.physics.kernel.rows import (
     FRICTION_SPEED,
     FULL_LENGTH,
     GAP,
+    GRIP,
     HOME_LENGTH,
     KNOWN,
     LAG,
     LAGGED,
     LENGTH,
     LENGTH_RATE,
+    LOAD_FRICTION,
     MOTOR_DAMPING,
     MOTOR_RATE,
     MOTOR_STAGE,
@@ -70,15 +72,18 @@ def twist_springs(form, unilateral, p, w, lanes):
                 twist = max(twist, 0.0)
             spring = p[(par + STIFFNESS) * lanes + at] * twist
             w[(row + DRIVE) * lanes + at] = spring
-            _turn_motor(spring, p, w, at, lanes, i)
+            _turn_motor(form, spring, p, w, at, lanes, i)
 
 
 @inline
-def _turn_motor(spring, p, w, at, lanes, i):
+def _turn_motor(form, spring, p, w, at, lanes, i):
     """Acceleration of motor i behind a joint spring with a torque (Eq. 4)."""
     par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
     row = FIRST_CABLE + CABLE_ROWS * i
-    friction = p[(par + MOTOR_DAMPING) * lanes + at] * w[(row + MOTOR_STAGE + 1) * lanes + at]
+    speed = w[(row + MOTOR_STAGE + 1) * lanes + at]
+    friction = p[(par + MOTOR_DAMPING) * lanes + at] * speed
+    if form.load_friction:
+        friction += load_friction(form, p, at, lanes, i, speed) * abs(spring)
     net_torque = w[(row + MOTOR_TORQUE) * lanes + at] - spring - friction
     w[(row + MOTOR_RATE) * lanes + at] = net_torque * p[(par + PER_MOTOR_INERTIA) * lanes + at]
 
@@ -136,9 +141,12 @@ def stretch_cables(form, unilateral, p, w, lanes):
                 spring = p[(par + STIFFNESS) * lanes + at] * twist
                 rate_row = pulley_row(form, i) + PULLEY_RATE
                 w[rate_row * lanes + at] = (spring - pulling) * per_inertia
-                _turn_motor(spring, p, w, at, lanes, i)
+                _turn_motor(form, spring, p, w, at, lanes, i)
             else:
                 net_torque = w[(row + MOTOR_TORQUE) * lanes + at] - pulling
+                if form.load_friction:
+                    share = load_friction(form, p, at, lanes, i, speed)
+                    net_torque -= share * abs(radius * (tension + wound))
                 w[(row + MOTOR_RATE) * lanes + at] = net_torque * per_inertia
 
 
@@ -205,6 +213,15 @@ def coulomb_friction(p, at, lanes, i, speed):
 
 
 @inline
+def load_friction(form, p, at, lanes, i, speed):
+    """Load friction of motor i over its load, μ ω/√(ω² + ω₀²)."""
+    more = stretch_row(form.cables, form.lopsided) + STRETCH_PARAMETERS * i
+    smooth = p[FRICTION_SPEED * lanes + at]
+    share = p[(more + LOAD_FRICTION) * lanes + at]
+    return share * speed / math.sqrt(speed * speed + smooth * smooth)
+
+
+@inline
 def subtract_friction(form, p, w, lanes):
     """Subtracts the Coulomb friction from the motor torques."""
     for i in range(form.cables):
@@ -212,3 +229,13 @@ def subtract_friction(form, p, w, lanes):
         for at in range(lanes):
             speed = _motor_speed(form, p, w, at, lanes, i)
             w[row * lanes + at] -= coulomb_friction(p, at, lanes, i, speed)
+
+
+@inline
+def grip_cables(form, p, w, lanes):
+    """Stores r T over the torque that the tension takes from the motor, 1/(1 + μ ω/√(ω² + ω₀²))."""
+    for i in range(form.cables):
+        for at in range(lanes):
+            speed = _motor_speed(form, p, w, at, lanes, i)
+            share = load_friction(form, p, at, lanes, i, speed)
+            w[(FIRST_CABLE + CABLE_ROWS * i + GRIP) * lanes + at] = 1.0 / (1.0 + share)

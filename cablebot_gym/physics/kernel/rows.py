@@ -17,8 +17,8 @@ LANES = 32
 # Rows of the parameters: platform, CABLE_PARAMETERS rows for each cable, and of lopsided robots,
 # from body_parameter(m) on, I_xy, I_xz, I_yz and the centre of mass. Other robots do without these
 # rows: they would be 4 % slower, since rows whose distance is a multiple of 4 KiB share a set of
-# the first-level cache. From stretch_parameter(m, lopsided) on, robots with elastic cables or
-# swivel pulleys have STRETCH_PARAMETERS further rows for each cable.
+# the first-level cache. From stretch_parameter(m, lopsided) on, robots with elastic cables, swivel
+# pulleys or load friction have STRETCH_PARAMETERS further rows for each cable.
 MASS = 0
 INERTIA = 1
 GRAVITY = 4
@@ -48,7 +48,8 @@ AXIAL_DAMPING = 3
 FULL_LENGTH = 4
 EXTRA_LENGTH = 5
 SWIVEL = 6
-STRETCH_PARAMETERS = 7
+LOAD_FRICTION = 7
+STRETCH_PARAMETERS = 8
 
 # Rows of the record, which persists between calls: state, action, and peaks and flags of the last
 # control period. With joint springs and elastic cables, PULLEY_RECORDS rows for each pulley follow,
@@ -91,6 +92,7 @@ REQUEST = 8
 DRIVE = 9
 TAUT = 10
 FREE_TENSION = 11
+GRIP = 13  # rigid robots with load friction: r T over the torque that it takes from the motor
 # Flexible robots: MOTOR_START, MOTOR_SUM and MOTOR_STAGE have two rows each, angle β′ and speed
 # β̇′.
 LENGTH = 12
@@ -137,6 +139,18 @@ class Form(NamedTuple):
     lopsided: bool
     """Whether a platform in space has products of inertia or a centre of mass that is not the
     origin of its frame. True for every platform in a plane."""
+    load_friction: bool
+    """Whether the friction of some motor grows with its load."""
+
+    @property
+    def grips(self) -> bool:
+        """Whether load friction takes a part of the torque that the cables feel: without springs."""
+        return self.load_friction and not self.flexible
+
+    @property
+    def stretches(self) -> bool:
+        """Whether the cables have the rows from :func:`stretch_parameter` on."""
+        return self.elastic or self.swivel or self.load_friction
 
     @property
     def flexible(self) -> bool:
@@ -170,7 +184,8 @@ def body_parameter(cables: int) -> int:
 
 
 def stretch_parameter(cables: int, lopsided: bool) -> int:
-    """Row of the first parameter that only robots with elastic cables or swivel pulleys have."""
+    """Row of the first parameter that only robots with elastic cables, swivel pulleys or load
+    friction have."""
     return FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * cables + BODY_PARAMETERS * lopsided
 
 
@@ -181,7 +196,7 @@ def pulley_record(cables: int) -> int:
 
 def parameter_rows(form: Form) -> int:
     """Number of parameter rows of a tile."""
-    stretch = STRETCH_PARAMETERS * form.cables * (form.elastic or form.swivel)
+    stretch = STRETCH_PARAMETERS * form.cables * form.stretches
     return stretch_parameter(form.cables, form.lopsided) + stretch
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cablebot_gym.physics.inlining import inline
-from cablebot_gym.physics.kernel.motors import stretch_cables, twist_springs
+from cablebot_gym.physics.kernel.motors import grip_cables, stretch_cables, twist_springs
 from cablebot_gym.physics.kernel.plane import (
     planar_cable,
     plane_acceleration,
@@ -63,6 +63,8 @@ def stage_dynamics(form, unilateral, p, w, lanes):
     else:
         if form.jointed:
             twist_springs(form, unilateral, p, w, lanes)
+        elif form.grips:
+            grip_cables(form, p, w, lanes)
         taut_sets(form, unilateral, p, w, lanes)
     stage_accelerations(form, p, w, lanes)
 

@@ -28,6 +28,7 @@ from cablebot_gym.physics.kernel.rows import (
     FORCE,
     FREE_TENSION,
     GRAVITY,
+    GRIP,
     INERTIA_PER_RADIUS2,
     KNOWN,
     LENGTH_RATE,
@@ -43,10 +44,19 @@ from cablebot_gym.physics.kernel.space import inertia_tensor
 
 
 @inline
-def cable_weights(p, w, at, lanes, i):
+def _rotor_mass(form, p, w, at, lanes, i):
+    """Tension per cable acceleration: J/r², less what load friction takes."""
+    mass = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
+    if form.grips:
+        mass = mass * w[(FIRST_CABLE + CABLE_ROWS * i + GRIP) * lanes + at]
+    return mass
+
+
+@inline
+def cable_weights(form, p, w, at, lanes, i):
     """(J/r²) and the tension without the unknown part of q̈; both are zero for a slack cable."""
     taut = w[(FIRST_CABLE + CABLE_ROWS * i + TAUT) * lanes + at]
-    mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
+    mu = _rotor_mass(form, p, w, at, lanes, i)
     return taut * mu, taut * w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at]
 
 
@@ -59,14 +69,17 @@ def _known_tensions(form, p, w, at, lanes):
         drive = w[(row + DRIVE) * lanes + at] * p[(par + PER_RADIUS) * lanes + at]
         damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * w[(row + LENGTH_RATE) * lanes + at]
         inertia = p[(par + INERTIA_PER_RADIUS2) * lanes + at]
-        w[(row + KNOWN) * lanes + at] = fma(inertia, w[(row + BIAS) * lanes + at], drive + damping)
+        known = fma(inertia, w[(row + BIAS) * lanes + at], drive + damping)
+        if form.grips:
+            known = known * w[(row + GRIP) * lanes + at]
+        w[(row + KNOWN) * lanes + at] = known
 
 
 @inline
-def _add_cable(a, b, c, f, g, p, w, at, lanes, i):
+def _add_cable(form, a, b, c, f, g, p, w, at, lanes, i):
     """Adds cable i to the left side ((a, b), (bᵀ, c)) and subtracts its known tension from the
     right side (f, g)."""
-    mu, known = cable_weights(p, w, at, lanes, i)
+    mu, known = cable_weights(form, p, w, at, lanes, i)
     a, b, c = add_row(a, b, c, mu, w, at, lanes, i)
     f, g = add_pull(f, g, known, w, at, lanes, i)
     return a, b, c, f, g
@@ -107,18 +120,18 @@ def _spatial_solve(form, p, w, at, lanes):
     c = inertia_tensor(form, p, at, lanes)
     f = load_vector(w, LOAD, at, lanes)
     g = load_vector(w, LOAD + 3, at, lanes)
-    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 0)
-    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 1)
-    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 2)
-    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 3)
-    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 4)
-    a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 5)
+    a, b, c, f, g = _add_cable(form, a, b, c, f, g, p, w, at, lanes, 0)
+    a, b, c, f, g = _add_cable(form, a, b, c, f, g, p, w, at, lanes, 1)
+    a, b, c, f, g = _add_cable(form, a, b, c, f, g, p, w, at, lanes, 2)
+    a, b, c, f, g = _add_cable(form, a, b, c, f, g, p, w, at, lanes, 3)
+    a, b, c, f, g = _add_cable(form, a, b, c, f, g, p, w, at, lanes, 4)
+    a, b, c, f, g = _add_cable(form, a, b, c, f, g, p, w, at, lanes, 5)
     if form.cables > 6:
-        a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 6)
+        a, b, c, f, g = _add_cable(form, a, b, c, f, g, p, w, at, lanes, 6)
     if form.cables > 7:
-        a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, 7)
+        a, b, c, f, g = _add_cable(form, a, b, c, f, g, p, w, at, lanes, 7)
     for i in range(8, form.cables):
-        a, b, c, f, g = _add_cable(a, b, c, f, g, p, w, at, lanes, i)
+        a, b, c, f, g = _add_cable(form, a, b, c, f, g, p, w, at, lanes, i)
     push, turn = solve_factored(factor_symmetric(a, b, c), f, g)
     store_vector(w, UNKNOWNS, at, lanes, push)
     store_vector(w, UNKNOWNS + 3, at, lanes, turn)
@@ -133,7 +146,7 @@ def _planar_solve(form, p, w, at, lanes):
     fy = fma(mass, p[GRAVITY * lanes + at], p[(FORCE + 1) * lanes + at])
     for i in range(form.cables):
         row = FIRST_CABLE + CABLE_ROWS * i
-        mu, known = cable_weights(p, w, at, lanes, i)
+        mu, known = cable_weights(form, p, w, at, lanes, i)
         ux = w[(row + ROW) * lanes + at]
         uy = w[(row + ROW + 1) * lanes + at]
         xx = xx + mu * ux * ux
@@ -153,7 +166,7 @@ def _three_solve(form, p, w, at, lanes):
     xy, xz, yz = 0.0, 0.0, 0.0
     fx, fy, fz = load_vector(w, LOAD, at, lanes)
     for i in range(form.cables):
-        mu, known = cable_weights(p, w, at, lanes, i)
+        mu, known = cable_weights(form, p, w, at, lanes, i)
         ux, uy, uz = load_vector(w, FIRST_CABLE + CABLE_ROWS * i + ROW, at, lanes)
         hx, hy, hz = mu * ux, mu * uy, mu * uz
         xx = fma(hx, ux, xx)
@@ -186,7 +199,7 @@ def length_acceleration(form, w, at, lanes, i):
 def _free_tension(form, p, w, at, lanes, i):
     """t_i: the tension if positive; otherwise the cable is slack and −r t_i is the take-up torque
     u."""
-    mu = p[(FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i + INERTIA_PER_RADIUS2) * lanes + at]
+    mu = _rotor_mass(form, p, w, at, lanes, i)
     known = w[(FIRST_CABLE + CABLE_ROWS * i + KNOWN) * lanes + at]
     tension = known + mu * length_acceleration(form, w, at, lanes, i)
     w[(FIRST_CABLE + CABLE_ROWS * i + FREE_TENSION) * lanes + at] = tension

@@ -14,7 +14,6 @@ springs, ``small_motion`` linear models.
 """
 
 from cablebot_gym.physics.textbook.drives import (
-    FRICTION_SPEED,
     MINIMUM_TENSION,
     TENSION_RESERVE,
     InverseDynamics,
@@ -30,6 +29,8 @@ from cablebot_gym.physics.textbook.drives import (
     joint_equivalent,
     joint_stiffness,
     least_action_tensions,
+    load_friction,
+    loaded_radius,
     motion_equations,
     motor_friction,
     motor_torques,
@@ -69,7 +70,6 @@ from cablebot_gym.physics.textbook.small_motion import (
 )
 
 __all__ = [
-    "FRICTION_SPEED",
     "MINIMUM_TENSION",
     "TENSION_RESERVE",
     "InverseDynamics",
@@ -95,6 +95,8 @@ __all__ = [
     "least_action_tensions",
     "linear_model",
     "load",
+    "load_friction",
+    "loaded_radius",
     "locked_modes",
     "mass_matrix",
     "motion_equations",

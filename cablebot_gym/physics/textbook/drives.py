@@ -40,10 +40,6 @@ TENSION_RESERVE = 1.2
 """Least tension that laws allocate, as a multiple of the robot's own ``minimum_tension``, if that
 is more."""
 
-FRICTION_SPEED = 0.5
-"""Motor speed ω₀ below which Coulomb friction is smoothed [rad/s]. The friction has 99 % of τ_c
-above 3.5 rad/s, which is 0.18 m/s of cable on the paper's pulleys."""
-
 
 def allocated_minimum(
     robot: Robot, usual: float = MINIMUM_TENSION, reserve: float = TENSION_RESERVE
@@ -247,7 +243,7 @@ def spring_drive(
     if robot.jointed:
         spring_torque = robot.stiffness * (as_numbers(angle) - pulley_angle(robot, pose))
         torque = spring_torque + robot.motor_inertia * as_numbers(acceleration)
-        torque = torque + motor_friction(robot, speed)
+        torque = torque + motor_friction(robot, speed, spring_torque)
         return torque, spring_torque / robot.pulley_radius
     _, cable_torque = cable_springs(robot, pose, velocity, angle, speed, cable="bilateral")
     torque = cable_torque + robot.pulley_inertia * as_numbers(acceleration)
@@ -256,7 +252,10 @@ def spring_drive(
     tensions, _ = cable_springs(
         robot, pose, at_rest, angle, 0 * as_numbers(speed), cable="bilateral"
     )
-    return torque + coulomb_torque(robot, speed), tensions
+    torque = torque + coulomb_torque(robot, speed)
+    if np.any(robot.load_friction):
+        torque = torque + load_friction(robot, speed) * np.abs(cable_torque)
+    return torque, tensions
 
 
 def required_tensions(
@@ -349,9 +348,9 @@ def _actions_of_tensions(
     robot: RobotArrays, speed: Array, acceleration: Array
 ) -> tuple[Array, Array]:
     """Action per tension [1/N] and action at zero tension."""
-    radius = np.broadcast_to(robot.pulley_radius, robot.stall_torque.shape)
     offset = normalised_action(robot, motor_torques(robot, 0.0, speed, acceleration), speed)
-    return radius / robot.stall_torque, offset
+    slope = loaded_radius(robot, speed) / robot.stall_torque
+    return slope, offset
 
 
 def required_torques(
@@ -364,7 +363,7 @@ def required_torques(
     """Motor torques ``τ = r T + J β̈ + c β̇`` (Eq. 1) of a rigid transmission for tensions T, shape
     (..., m) [N·m].
 
-    They include :func:`coulomb_torque`. Of a flexible robot they are the torques of the springs,
+    They include :func:`coulomb_torque` and load friction. Of a flexible robot they are the torques of the springs,
     without it.
     """
     structure, rate = kinematics.jacobian_and_rate(
@@ -379,7 +378,7 @@ def motor_torques(
 ) -> Array:
     """Torques of :func:`required_torques` for pulley speeds and pulley accelerations, each (...,
     m)."""
-    torque: Array = robot.pulley_radius * as_numbers(tensions)
+    torque: Array = loaded_radius(robot, speed) * as_numbers(tensions)
     torque = torque + robot.pulley_inertia * as_numbers(acceleration)
     torque = torque + robot.damping * as_numbers(speed)
     if not robot.flexible:
@@ -391,17 +390,44 @@ def coulomb_torque(robot: RobotArrays, speed: ArrayLike) -> Array:
     """Torque τ_c ω/√(ω² + ω₀²) that Coulomb friction takes from the motors at speeds ω (..., m)
     [N·m].
 
-    ω₀ is :data:`FRICTION_SPEED`: the friction is smooth, and there is no stiction.
+    ω₀ is the ``friction_speed`` of the transmission: the friction is smooth, and there is no
+    stiction.
     """
     speed = as_numbers(speed)
-    torque: Array = robot.coulomb_friction * speed / np.sqrt(speed**2 + FRICTION_SPEED**2)
+    smooth = robot.transmission.friction_speed
+    torque: Array = robot.coulomb_friction * speed / np.sqrt(speed**2 + smooth**2)
     return torque
 
 
-def motor_friction(robot: RobotArrays, speed: ArrayLike) -> Array:
-    """Friction c′ β̇′ of Eq. 4 and :func:`coulomb_torque` of a flexible robot at motor speeds (...,
-    m) [N·m]."""
+def load_friction(robot: RobotArrays, speed: ArrayLike) -> Array:
+    """Load friction over the load, μ ω/√(ω² + ω₀²), at motor speeds ω (..., m)."""
+    speed = as_numbers(speed)
+    smooth = robot.transmission.friction_speed
+    share: Array = robot.load_friction * speed / np.sqrt(speed**2 + smooth**2)
+    return share
+
+
+def loaded_radius(robot: RobotArrays, speed: ArrayLike) -> Array:
+    """Motor torque per tension at pulley speeds (..., m) [m]: r, and of a rigid transmission r (1 +
+    μ ω/√(ω² + ω₀²))."""
+    if robot.flexible or not np.any(robot.load_friction):
+        return robot.pulley_radius
+    radius: Array = robot.pulley_radius * (1 + load_friction(robot, speed))
+    return radius
+
+
+def motor_friction(robot: RobotArrays, speed: ArrayLike, load: ArrayLike) -> Array:
+    """Friction of the motors of a flexible robot, (..., m) [N·m]: c′ β̇′ of Eq. 4,
+    :func:`coulomb_torque` and load friction.
+
+    Args:
+        robot: flexible robot.
+        speed: motor speeds β̇′, shape (..., m) [rad/s].
+        load: torques of the springs, shape (..., m) [N·m].
+    """
     friction: Array = robot.motor_damping * as_numbers(speed) + coulomb_torque(robot, speed)
+    if np.any(robot.load_friction):
+        friction = friction + load_friction(robot, speed) * np.abs(as_numbers(load))
     return friction
 
 
@@ -521,7 +547,7 @@ def forward_dynamics(
 ) -> tuple[Array, Array]:
     """Accelerations Ẍ (..., n) and tensions T (..., m) for motor torques and a rigid transmission.
 
-    Coulomb friction takes its torque from the motors; of a flexible robot, pass the torques of the
+    Friction takes its torque from the motors; of a flexible robot, pass the torques of the
     springs. Bilateral cables may push: ``(D + Sᵀ(J/r²)S) Ẍ = −h − Sᵀ(τ/r + (J/r²) Ṡ Ẋ + (c/r²) S
     Ẋ)``. Unilateral cables obey ``0 ≤ T ⟂ u ≥ 0`` with the take-up torque u. The function tries all
     sets of taut cables until all tensions of the taut cables and all take-up torques of the slack
@@ -531,12 +557,13 @@ def forward_dynamics(
     equations = motion_equations(robot, mass, pose, velocity)
     if not robot.flexible:
         torques = torques - coulomb_torque(robot, equations.pulley_speed)
-    structure, rotors = equations.structure, equations.rotor_masses
-    driving_force = torques / robot.pulley_radius + equations.cable_drag
+    grip = robot.pulley_radius / loaded_radius(robot, equations.pulley_speed)
+    structure, rotors = equations.structure, grip * equations.rotor_masses
+    driving_force = grip * (torques / robot.pulley_radius + equations.cable_drag)
 
     def solve(taut: Array) -> tuple[Array, Array]:
         weighted = np.swapaxes(structure, -1, -2) * taut
-        left = equations.mass_matrix + weighted @ (rotors[:, None] * structure)
+        left = equations.mass_matrix + weighted @ (rotors[..., None] * structure)
         right = -(equations.bias + times_vector(weighted, driving_force))
         acceleration = np.linalg.solve(left, right[..., None])[..., 0]
         return acceleration, driving_force + rotors * times_vector(structure, acceleration)

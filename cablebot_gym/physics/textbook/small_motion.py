@@ -11,7 +11,6 @@ from scipy.linalg import eigh, null_space
 
 from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array, as_numbers
-from cablebot_gym.physics.textbook.drives import FRICTION_SPEED
 from cablebot_gym.physics.textbook.platform import (
     cable_lengths,
     jacobian,
@@ -34,7 +33,7 @@ class LinearModel:
     """M, shape (..., k, k)."""
     damping: Array
     """C, shape (..., k, k): friction of motors and pulleys, slope of the torque-speed lines,
-    damping of the cables."""
+    damping of the cables. Load friction is that of the stall torque."""
     stiffness: Array
     """K, shape (..., k, k)."""
 
@@ -85,7 +84,8 @@ def linear_model(
         motor = (size - m, identity)
     add(inertia, robot.pulley_inertia, pulley)
     add(damping, robot.damping, pulley)
-    add(damping, robot.speed_slope + robot.coulomb_friction / FRICTION_SPEED, motor)
+    largest_friction = robot.coulomb_friction + robot.load_friction * robot.stall_torque
+    add(damping, robot.speed_slope + largest_friction / robot.transmission.friction_speed, motor)
     if robot.elastic:
         stretch = np.ones(m)  # length over free length
         if tensions is not None:
