@@ -21,7 +21,7 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.textbook import motor_torques
 from cablebot_gym.reality.comparison import Comparison, Validation
 from cablebot_gym.robots import Robot, find_robot
-from cablebot_gym.utils.palette import BLUE, VERMILLION
+from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -241,10 +241,11 @@ def draw(robot: Robot, lifts: Sequence[Lift]) -> Figure:
         model = []
         for speed in grid:
             model.append(100 * model_friction(robot, weight, winch, 2 * math.pi * float(speed)))
-        currents.plot([], [], "o", color=colour, label=f"{weight} kg, friction")
-        currents.plot([], [], color=colour, label=f"{weight} kg, friction of the model")
         ratios.plot(grid, model, color=colour)
     currents.set(xlabel="speed [rev/s]", ylabel="motor current [A]", ylim=(0, None))
+    ratios.plot([], [], "o", color=GREY, label="robot")
+    ratios.plot([], [], color=GREY, label="model")
+    ratios.legend(frameon=False)
     ratios.set(xlabel="speed [rev/s]", ylabel="friction over gravity [%]", ylim=(0, None))
     add_legend(figure, currents)
     return figure
