@@ -1,6 +1,7 @@
 """Compares the model with public logs of real robots, for the page docs/reality.md.
 
-Writes the results of ``cablebot validate`` to docs/reality/results.json, and a figure of each study.
+Writes the results of ``cablebot validate`` to docs/reality/results.json, and a figure of each
+study.
 
 python scripts/real_robots.py [--logs FOLDER]
 """

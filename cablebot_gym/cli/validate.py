@@ -20,8 +20,8 @@ def validate(
     ],
     logs: Annotated[
         Path | None,
-        "Folder with the files of the logs, such as a copy of their repository. The default downloads "
-        "them into the cache.",
+        "Folder with the files of the logs, such as a copy of their repository. The default "
+        "downloads them into the cache.",
     ] = None,
     out: Annotated[Path | None, "Figure to write (.svg, .png, .pdf)."] = None,
     as_json: Json = False,

@@ -83,11 +83,11 @@ def table(comparisons: Iterable[Comparison]) -> list[list[str]]:
         row = [item.quantity, "–", f"{factor * item.robot:.4g} {unit}", "–", "–", "–"]
         if item.model is not None and item.deviation is not None:
             row[1] = f"{factor * item.model:.4g} {unit}"
-            row[3] = f"{item.deviation:+.1%}"
+            row[3] = f"{100 * item.deviation:+.1f} %"
         if item.goal is not None:
             row[4] = f"{factor * item.goal:g} {unit}"
             if item.model is not None:
-                row[4] = f"{item.goal:.0%}"
+                row[4] = f"{100 * item.goal:g} %"
             row[5] = "yes" if item.held else "no"
         rows.append(row)
     return rows

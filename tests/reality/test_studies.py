@@ -13,7 +13,7 @@ from cablebot_gym.reality import gch_klaus, innopolis, ttk4900
 from cablebot_gym.reality.comparison import Comparison, table
 from cablebot_gym.robots import find_robot
 
-# --- ttk4900 --------------------------------------------------------------------------------------------------
+# --- ttk4900 --------------------------------------------------------------------------------------
 
 MASS_CURRENT, FRICTION, PEAK = 4.0, 0.15, 3.0
 """Current of gravity [A], friction over gravity, and current of the accelerations [A]."""
@@ -69,7 +69,7 @@ def test_friction_of_the_model_is_that_of_its_winches():
     assert ttk4900.model_friction(robot, weight, 0, speed) == pytest.approx(expected, rel=1e-3)
 
 
-# --- gch-klaus ------------------------------------------------------------------------------------------------
+# --- gch-klaus ------------------------------------------------------------------------------------
 
 SHIFT, FRAME, CORNERS = 1.234, (0.05, -1.2, 0.3), [[-1, -1], [-1, 1], [1, 1], [1, -1]]
 """Clock shift [s], pose of the frame in the capture, and corners of the markers' rectangle."""
@@ -162,7 +162,7 @@ def test_other_size_of_the_frame_is_found():
     assert results["drum radius, fitted"].robot == pytest.approx(0.0127 / 1.06, rel=1e-3)
 
 
-# --- innopolis ------------------------------------------------------------------------------------------------
+# --- innopolis ------------------------------------------------------------------------------------
 
 
 def test_linear_sag_is_recovered_without_copied_rows():
@@ -179,7 +179,7 @@ def test_bent_sag_is_not_linear():
     assert innopolis.fit_line(heights).nonlinearity > innopolis.GOAL
 
 
-# --- comparison -----------------------------------------------------------------------------------------------
+# --- comparison -----------------------------------------------------------------------------------
 
 
 def test_goal_bounds_the_deviation_or_the_value_itself():
