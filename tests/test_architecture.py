@@ -41,6 +41,7 @@ ORDER = (
         "video",
         "benchmark",
         "report",
+        "reality",
         "cli",
     ),
 )

@@ -1,0 +1,192 @@
+"""Studies of synthetic logs, whose results are known."""
+
+import csv
+import io
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from reality.conftest import csv_text, sagging
+
+from cablebot_gym.physics.textbook import cable_lengths
+from cablebot_gym.reality import gch_klaus, innopolis, ttk4900
+from cablebot_gym.reality.comparison import Comparison, table
+from cablebot_gym.robots import find_robot
+
+# --- ttk4900 --------------------------------------------------------------------------------------
+
+MASS_CURRENT, FRICTION, PEAK = 4.0, 0.15, 3.0
+"""Current of gravity [A], friction over gravity, and current of the accelerations [A]."""
+
+
+def lift(rng, speed, *, lifting, winch=1, attempts=((1.0, 3.0),)):
+    """A log with one or more runs of a factor of the load and a duration [s], between rests."""
+    velocity, current = [np.zeros(30)], [np.full(30, -MASS_CURRENT)]
+    direction = 1 if lifting else -1
+    for load, duration in attempts:
+        ramp = np.linspace(0, 1, 8)
+        profile = np.concatenate([ramp, np.ones(int(duration / 0.03)), ramp[::-1]])
+        force = np.full(len(profile), load * MASS_CURRENT * (1 + direction * FRICTION))
+        force[:10] += PEAK
+        force[-10:] -= PEAK
+        velocity += [direction * speed * profile, np.zeros(30)]
+        current += [-force, np.full(30, -MASS_CURRENT)]
+    velocity = np.concatenate(velocity)
+    rows = np.full((len(velocity), 13), np.nan)
+    rows[:, 0] = 0.03 * np.arange(len(velocity))
+    rows[:, 5 + winch] = velocity + 0.04 * speed * rng.standard_normal(len(velocity))
+    rows[:, 9 + winch] = np.concatenate(current)
+    rows[::50, 9 + winch] = np.nan
+    return csv_text(rows, "time" + 12 * ",column")
+
+
+@pytest.mark.parametrize("speed", [0.5, 4.0])
+def test_friction_of_a_synthetic_lift_is_recovered(speed):
+    """Neither accelerations nor an earlier attempt with another load count."""
+    rng = np.random.default_rng(0)
+    currents = []
+    for lifting in (True, False):
+        log = lift(rng, speed, lifting=lifting, attempts=((0.6, 3.0), (1.0, 2.0)))
+        currents.append(ttk4900.steady_current(log, 1, speed, lifting=lifting))
+    up, down = currents
+    measured = ttk4900.Lift(weight=1, winch=1, speed=speed, up=up, down=down)
+    assert measured.friction == pytest.approx(FRICTION, abs=1e-6)
+    assert measured.mean == pytest.approx(MASS_CURRENT)
+
+
+def test_log_without_a_steady_run_is_refused():
+    log = lift(np.random.default_rng(0), 2.0, lifting=True)
+    with pytest.raises(ValueError, match=r"no steady run at 2\.5 rev/s"):
+        ttk4900.steady_current(log, 1, 2.5, lifting=True)
+
+
+def test_friction_of_the_model_is_that_of_its_winches():
+    robot = find_robot("ttk4900")
+    speed, weight = 25.0, 5.0
+    torque = robot.coulomb_friction[0] + robot.damping[0] * speed
+    torque += ttk4900.load_friction_until_the_robot_has_it(robot)[0] * weight * 9.81 * 0.02
+    expected = torque / (weight * 9.81 * 0.02)
+    assert ttk4900.model_friction(robot, weight, 0, speed) == pytest.approx(expected, rel=1e-3)
+
+
+# --- gch-klaus ------------------------------------------------------------------------------------
+
+SHIFT, FRAME, CORNERS = 1.234, (0.05, -1.2, 0.3), [[-1, -1], [-1, 1], [1, 1], [1, -1]]
+"""Clock shift [s], pose of the frame in the capture, and corners of the markers' rectangle."""
+
+
+def drawn(time):
+    """Poses in the frame at times [s]."""
+    time = np.maximum(time, 0.0)
+    columns = [
+        0.7 * np.sin(0.9 * time),
+        0.5 * np.sin(0.7 * time + 1),
+        0.1 * np.sin(0.4 * time),
+    ]
+    return np.stack(columns, axis=1)
+
+
+def capture_text(time, pose):
+    """An OptiTrack export with z to the right and y up. Some samples exchange names of markers."""
+    cosine, sine = np.cos(FRAME[2]), np.sin(FRAME[2])
+    x, y = pose[:, 0], pose[:, 1]
+    x, y = FRAME[0] + cosine * x - sine * y, FRAME[1] + sine * x + cosine * y
+    angle = pose[:, 2] + FRAME[2]
+    columns = [time]
+    for u, v in np.array(CORNERS) * [0.0656, 0.06]:
+        right = x + np.cos(angle) * u - np.sin(angle) * v
+        down = y + np.sin(angle) * u + np.cos(angle) * v
+        columns += [np.zeros(len(time)), -down, right]
+    rows = np.column_stack([np.arange(len(time)), *columns])
+    rows[5::40, 2:] = np.roll(rows[5::40, 2:], 6, axis=1)
+    names = ["", ""]
+    for marker in range(1, 5):
+        names += 3 * [f"Rigid Body 2_{marker}"]
+    head = io.StringIO()
+    csv.writer(head).writerows([["Format"], [], ["", ""], names, [], [], []])
+    return head.getvalue().encode() + csv_text(rows)
+
+
+def log_text(position, lengths):
+    lines = ["START"]
+    for (x, y), row in zip(position, lengths, strict=True):
+        cables = "\t|\t".join(f"0 8 {-length:.6f} 0.0" for length in row)
+        lines.append(f"2: {x:.6f} {y:.6f} - 0.0 0.0\t|\t{cables}\t|\t0")
+    return "\n".join(lines).encode()
+
+
+def klaus(size=(1.0, 1.0), scale=(1.06, 1.05, 1.07, 1.06)):
+    """Results by quantity of a robot whose frame has a relative size, and its cables scales."""
+    robot = find_robot("gch-klaus")
+    time = 0.01 * np.arange(1600)
+    pose = drawn(time)
+    base = [tuple(row) for row in robot.base * size]
+    lengths = cable_lengths(robot.replace(base_anchors=base), pose)
+    logged = scale * lengths + [0.1, -0.2, 0.3, 0.0]
+    capture = np.arange(0, 20, 1 / 120)
+    logs = {
+        f"{gch_klaus.LOG}.txt": log_text(pose[:, :2] * [1, -1] + [1.4, 1.1], logged),
+        f"{gch_klaus.LOG}.csv": capture_text(capture, drawn(capture - SHIFT)),
+    }
+    comparisons = gch_klaus.validate(logs).comparisons
+    return {item.quantity: item for item in comparisons}
+
+
+def test_lengths_calibrated_on_one_half_hold_on_the_other():
+    """Clock, pose of the frame, and offset and scale of each cable are found."""
+    results = klaus()
+    assert results["RMS of cable lengths, offset per cable"].robot > 0.01
+    calibrated = results["RMS of cable lengths, offset and scale per cable"]
+    assert calibrated.robot < 2e-4
+    assert calibrated.held
+
+
+def test_samples_are_judged_by_the_fit_without_them():
+    """One that saw them would hide an overfit."""
+    halves = []
+    for value in (1.0, 2.0):
+        error = np.full((250, 4), value)
+        halves.append(gch_klaus.Calibration(size=np.ones(2), scale=np.ones(4), error=error))
+    judged = gch_klaus.errors_of_unseen_half(halves)
+    even = np.arange(250) // 100 % 2 == 0
+    assert (judged[even] == 2.0).all()
+    assert (judged[~even] == 1.0).all()
+
+
+def test_other_size_of_the_frame_is_found():
+    results = klaus(size=(0.96, 0.93), scale=4 * [1.06])
+    assert not results["RMS of cable lengths, offset and scale per cable"].held
+    assert results["RMS of cable lengths, the same and size of the frame"].robot < 2e-4
+    fitted = [results[f"{side} of the frame, fitted"].robot for side in ("width", "height")]
+    assert_allclose(fitted, [0.96 * 3.05, 0.93 * 2.44], rtol=2e-3)
+    assert results["drum radius, fitted"].robot == pytest.approx(0.0127 / 1.06, rel=1e-3)
+
+
+# --- innopolis ------------------------------------------------------------------------------------
+
+
+def test_linear_sag_is_recovered_without_copied_rows():
+    validation = innopolis.validate(sagging(copied=[3, 7, 20]))
+    results = {item.quantity: item.robot for item in validation.comparisons}
+    assert results["sag per load, mean"] == pytest.approx(1.5e-3)
+    assert results["deviation from a line, RMS over the largest sag"] == pytest.approx(0, abs=1e-9)
+    assert results["sag per load with the repeated rows, mean"] < 1.45e-3
+    assert validation.notes[0].startswith("3 of the 50 points")
+
+
+def test_bent_sag_is_not_linear():
+    heights = np.array([[1.0, 1.1], [0.95, 1.05], [0.95, 1.05]])
+    assert innopolis.fit_line(heights).nonlinearity > innopolis.GOAL
+
+
+# --- comparison -----------------------------------------------------------------------------------
+
+
+def test_goal_bounds_the_deviation_or_the_value_itself():
+    """Without a value of the model the robot's value is a deviation."""
+    near = Comparison(quantity="a", unit="1", model=0.22, robot=0.2, goal=0.11)
+    far = Comparison(quantity="b", unit="1", model=0.22, robot=0.2, goal=0.09)
+    error = Comparison(quantity="c", unit="m", robot=0.006, goal=0.005)
+    shown = Comparison(quantity="d", unit="m", model=1.0, robot=1.0)
+    assert [item.held for item in (near, far, error, shown)] == [True, False, False, None]
+    assert table([error])[1] == ["c", "–", "6 mm", "–", "5 mm", "no"]
