@@ -16,7 +16,7 @@ from cablebot_gym.utils.console import print_table, say
 
 def validate(
     name: Annotated[
-        str, typer.Argument(metavar="NAME", help="Study: ttk4900, gch-klaus or innopolis.")
+        str, typer.Argument(metavar="NAME", help="Study: ttk4900, gch-klaus, irma or innopolis.")
     ],
     logs: Annotated[
         Path | None,
@@ -29,8 +29,8 @@ def validate(
     """Compare the model with public logs of a real robot.
 
     ttk4900: friction of the winches, from motor currents. gch-klaus: cable lengths, against motion
-    capture. innopolis: sag under three loads. The files are checked by their SHA-256. They are not
-    part of this project.
+    capture. irma: natural frequencies of a platform on two, three and four cables. innopolis: sag
+    under three loads. The files are checked by their SHA-256. They are not part of this project.
 
     Examples:
 

@@ -6,12 +6,13 @@ A study is a function that compares a robot with its logs. A new one needs a mod
 
 from collections.abc import Callable, Mapping
 
-from cablebot_gym.reality import gch_klaus, innopolis, ttk4900
+from cablebot_gym.reality import gch_klaus, innopolis, irma, ttk4900
 from cablebot_gym.reality.comparison import Validation
 
 STUDIES: dict[str, Callable[[Mapping[str, bytes]], Validation]] = {
     "ttk4900": ttk4900.validate,
     "gch-klaus": gch_klaus.validate,
+    "irma": irma.validate,
     "innopolis": innopolis.validate,
 }
 """Studies by name. Each takes the contents of its files by their paths in the repository."""

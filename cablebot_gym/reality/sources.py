@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from http.client import HTTPException
 from importlib.resources import files
@@ -35,10 +35,14 @@ class Source:
     """License of the repository."""
     files: dict[str, str]
     """SHA-256 of each file by its path in the repository."""
+    other_commits: dict[str, str] = field(default_factory=dict)
+    """Full hash of the commit of files that :attr:`commit` does not have, or not in this
+    version."""
 
     def url(self, path: str) -> str:
         """Address of a file."""
-        return f"https://raw.githubusercontent.com/{self.repository}/{self.commit}/{quote(path)}"
+        commit = self.other_commits.get(path, self.commit)
+        return f"https://raw.githubusercontent.com/{self.repository}/{commit}/{quote(path)}"
 
 
 def _sources() -> dict[str, Source]:

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import median_filter
 
-from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.textbook import motor_torques
 from cablebot_gym.reality.comparison import Comparison, Validation
 from cablebot_gym.robots import Robot, find_robot
@@ -190,12 +189,6 @@ def _hook(lifts: Sequence[Lift]) -> float:
     return 4 * light / (heavy - light) - 1
 
 
-def load_friction_until_the_robot_has_it(robot: Robot) -> Array:
-    """Friction as a fraction of the torque of the cables, shape (m,); zero as long as robots have
-    no such value."""
-    return np.asarray(getattr(robot, "load_friction", np.zeros(robot.cables)))
-
-
 def _fit(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
     """Constant friction, its part that grows with the load, and viscous friction, by least squares
     over all lifts."""
@@ -206,12 +199,7 @@ def _fit(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
     constant, fraction, viscous = np.linalg.lstsq(matrix, friction, rcond=None)[0]
     fitted = (
         ("constant friction, fitted", "N·m", robot.coulomb_friction, constant),
-        (
-            "friction per cable torque, fitted",
-            "1",
-            load_friction_until_the_robot_has_it(robot),
-            fraction,
-        ),
+        ("friction per cable torque, fitted", "1", robot.load_friction, fraction),
         ("viscous friction, fitted", "N·m·s/rad", robot.damping, viscous),
     )
     comparisons = []

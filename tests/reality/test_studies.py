@@ -2,14 +2,17 @@
 
 import csv
 import io
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from reality.conftest import csv_text, sagging
+from scipy.spatial.transform import Rotation
 
-from cablebot_gym.physics.textbook import cable_lengths
-from cablebot_gym.reality import gch_klaus, innopolis, ttk4900
+from cablebot_gym.physics.hanging import home_at_rest
+from cablebot_gym.physics.textbook import cable_lengths, locked_modes
+from cablebot_gym.reality import gch_klaus, innopolis, irma, ttk4900
 from cablebot_gym.reality.comparison import Comparison, table
 from cablebot_gym.robots import find_robot
 
@@ -64,7 +67,7 @@ def test_friction_of_the_model_is_that_of_its_winches():
     robot = find_robot("ttk4900")
     speed, weight = 25.0, 5.0
     torque = robot.coulomb_friction[0] + robot.damping[0] * speed
-    torque += ttk4900.load_friction_until_the_robot_has_it(robot)[0] * weight * 9.81 * 0.02
+    torque += robot.load_friction[0] * weight * 9.81 * 0.02
     expected = torque / (weight * 9.81 * 0.02)
     assert ttk4900.model_friction(robot, weight, 0, speed) == pytest.approx(expected, rel=1e-3)
 
@@ -160,6 +163,53 @@ def test_other_size_of_the_frame_is_found():
     fitted = [results[f"{side} of the frame, fitted"].robot for side in ("width", "height")]
     assert_allclose(fitted, [0.96 * 3.05, 0.93 * 2.44], rtol=2e-3)
     assert results["drum radius, fitted"].robot == pytest.approx(0.0127 / 1.06, rel=1e-3)
+
+
+# --- irma -----------------------------------------------------------------------------------------
+
+
+def bifilar(turn):
+    """Configuration of two horizontal pulleys and a platform below, and a pose, in a turned world
+    with z up."""
+    actuators = []
+    for x in (-0.5, 0.6):
+        pulley = {
+            "radius": 0.02,
+            "pos_OD_glob": turn @ [x, 0.1, 0.5],
+            "vers_k": turn @ [np.sign(x), 0.0, 0.0],
+        }
+        winch = {"pos_PA_loc": [0.3 * x, 0.02, 0.2]}
+        actuators.append({"active": True, "pulley": pulley, "winch": winch})
+    actuators.insert(1, {"active": False})
+    platform = {
+        "mass": 2.0,
+        "inertia_mat_G_loc": np.diag([0.02, 0.03, 0.04]),
+        "pos_PG_loc": [0.01, 0.0, 0.05],
+        "gravity_axis": turn @ [0.0, 0.0, 1.0],
+    }
+    attitude = turn @ Rotation.from_euler("XYZ", [0.05, -0.02, 0.1]).as_matrix()
+    pose = np.append(turn @ [0.02, 0.0, -0.9], Rotation.from_matrix(attitude).as_euler("XYZ"))
+    return {"actuator": actuators, "platform": platform}, pose
+
+
+def test_frequencies_do_not_depend_on_the_frame():
+    """Frames of motion capture are not level: gravity is along an axis of the configuration."""
+    frequencies = []
+    for angles in ([0.0, 0.0, 0.0], [0.3, -0.2, 0.4]):
+        robot = irma.hanging_robot(*bifilar(Rotation.from_euler("XYZ", angles).as_matrix()))
+        rest = home_at_rest(robot, robot.mass, 0.0)
+        frequencies.append(locked_modes(robot, robot.mass, rest.pose, rest.tensions)[0])
+    assert_allclose(frequencies[0], frequencies[1], rtol=1e-9)
+    assert_allclose(frequencies[0][0], np.sqrt(9.81 / 1.3) / 2 / np.pi, rtol=0.15)
+
+
+def test_numbers_of_a_workbook_are_read():
+    space = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    rows = '<row><c r="A1"><v>1.5</v></c><c r="B1"><v>-2e-3</v></c></row><row/>'
+    workbook = io.BytesIO()
+    with ZipFile(workbook, "w") as file:
+        file.writestr("xl/worksheets/sheet1.xml", f'<worksheet xmlns="{space}">{rows}</worksheet>')
+    assert irma.read_table(workbook.getvalue()) == [[1.5, -2e-3], []]
 
 
 # --- innopolis ------------------------------------------------------------------------------------
