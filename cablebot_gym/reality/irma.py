@@ -123,19 +123,21 @@ def hanging_robot(geometry: Mapping[str, Any], pose: Array) -> Robot:
         radii.append(pulley["radius"])
         ends.append(_TURNED @ np.ravel(actuator["winch"]["pos_PA_loc"]))
     reach = 10.0  # beyond every pose
-    return Robot(
-        name="irma",
-        base_anchors=tuple(base),
-        platform_anchors=tuple(ends),
-        mass=platform["mass"],
-        inertia=_TURNED @ np.array(platform["inertia_mat_G_loc"]) @ _TURNED,
-        center_of_mass=_TURNED @ np.ravel(platform["pos_PG_loc"]),
-        swivel_radius=tuple(radii),
-        swivel_axes=tuple(axes),
-        home_pose=(*(to_frame @ pose[:3]), *angles),
-        workspace=((-reach, reach),) * 3 + ((-1.5, 1.5),) * 3,
-        motors=_MOTORS,
-        transmission=_TRANSMISSION,
+    return Robot.from_dict(
+        {
+            "name": "irma",
+            "base_anchors": base,
+            "platform_anchors": ends,
+            "mass": platform["mass"],
+            "inertia": _TURNED @ np.array(platform["inertia_mat_G_loc"]) @ _TURNED,
+            "center_of_mass": _TURNED @ np.ravel(platform["pos_PG_loc"]),
+            "swivel_radius": radii,
+            "swivel_axes": axes,
+            "home_pose": np.concatenate([to_frame @ pose[:3], angles]),
+            "workspace": [(-reach, reach)] * 3 + [(-1.5, 1.5)] * 3,
+            "motors": _MOTORS,
+            "transmission": _TRANSMISSION,
+        }
     )
 
 
@@ -152,7 +154,8 @@ def read_table(workbook: bytes) -> list[list[float]]:
 
 def _cells(file: bytes, name: str) -> list[Array]:
     """Vectors in the cells of a MATLAB array, empty where there was no experiment."""
-    return [np.ravel(cell.item()) for cell in loadmat(io.BytesIO(file))[name][0]]
+    array = loadmat(io.BytesIO(file))[name]  # type: ignore[arg-type]
+    return [np.ravel(cell.item()) for cell in array[0]]
 
 
 def _comparisons(swings: Sequence[Swing]) -> list[Comparison]:
