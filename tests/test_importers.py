@@ -17,6 +17,7 @@ BASE = [
 BODY = [(0.2 * x, 0.3 * y, 0.25 - z / 4) for (x, y, z) in BASE]
 CENTER = (0.02, -0.01, 0.03)
 Z_DOWN = np.diag([1.0, -1.0, -1.0])
+NAMES = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 
 
 def bodies(
@@ -24,15 +25,14 @@ def bodies(
     start="0.1 0 1 0.05 -0.06 0.04",
     ref="com",
     count=1,
+    inertia=(1, 2, 2.5, 0.1, 0.2, 0),
 ):
-    names = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
-    inertia = "".join(
-        f"<{name}>{value}</{name}>"
-        for name, value in zip(names, (1, 2, 2.5, 0.1, 0.2, 0), strict=True)
+    entries = "".join(
+        f"<{name}>{value}</{name}>" for name, value in zip(NAMES, inertia, strict=True)
     )
     link = f"""<link_rigid num="1" name="x"><joint type="{joint}" q_initial="{start}"/>
       <physical><mass>5</mass><com_location>{" ".join(map(str, CENTER))}</com_location>
-      <inertia ref="{ref}">{inertia}</inertia></physical><parent><num>0</num><location>0 0 0.1</location></parent>
+      <inertia ref="{ref}">{entries}</inertia></physical><parent><num>0</num><location>0 0 0.1</location></parent>
       </link_rigid>"""
     return f'<!DOCTYPE bodies_system SYSTEM "x.dtd"><bodies_system><links>{link * count}</links></bodies_system>'
 
@@ -48,14 +48,15 @@ def cables(base=BASE, body=BODY, reference="com", tag="cable_ideal", fixed="atta
     return f'<cables default_cable_set="one"><cable_set id="one">{items}</cable_set><cable_set id="two"/></cables>'
 
 
-def wirex(pattern="3R3T"):
+def wirex(pattern="3R3T", inertia=(14,), center=(0, 1, 0.2)):
+    entries = " ".join(f'{name}="{value}"' for name, value in zip(NAMES, inertia, strict=False))
     point = 'x="{}" y="{}" z="{}"'
     chains = "".join(
         f"<chain><base {point.format(*a)} radius='0.1'/><platform {point.format(*b)}/></chain>"
         for a, b in zip(BASE, BODY, strict=True)
     )
     return f"""<models><robot motionpattern="{pattern}"><geometry>{chains}</geometry>
-      <platform mass="5"><inertiatensor Ixx="14"/><centerofgravity x="0" y="1" z="0.2"/></platform></robot>
+      <platform mass="5"><inertiatensor {entries}/><centerofgravity {point.format(*center)}/></platform></robot>
       <cable elasticity="1e9" radius="0.001" weight="0.02"/><winch><cable f_max="720" max_velocity="1.5"/>
       <motor inertia="0.001" gear_ratio="3"/><drum r_drum="0.05"/></winch></models>"""
 
@@ -117,6 +118,35 @@ def test_values_of_a_caspr_file_reach_the_robot(write, tmp_path):
     (tmp_path / "toy.toml").write_text(imported.to_toml(), encoding="utf-8")
     again = load_robot(tmp_path / "toy.toml")
     assert (again, again.sources) == (robot, robot.sources)
+
+
+def inertia_matrix(points):
+    """Inertia tensor of points of 1 kg about the origin, ∑ m (r² 1 − r rᵀ)."""
+    matrix = np.zeros((3, 3))
+    for point in points:
+        matrix += point @ point * np.eye(3) - np.outer(point, point)
+    return matrix
+
+
+@pytest.mark.parametrize(
+    ("program", "reference"), [("caspr", "com"), ("caspr", "joint"), ("wirex", "com")]
+)
+def test_off_diagonal_inertia_of_a_file_has_the_sign_of_the_tensor(write, program, reference):
+    """Both programs read I_xy = −∫xy dm, not products of inertia."""
+    points = np.array([(0.4, 0.3, -0.1), (-0.2, 0.1, 0.4), (0.1, -0.5, 0.2), (-0.1, 0.2, -0.3)])
+    points = np.vstack([points, -points.sum(axis=0)])  # the centre of mass is the origin
+    about = points
+    if reference == "joint":
+        about = points + CENTER
+    tensor = inertia_matrix(about)
+    entries = (*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2])
+    if program == "caspr":
+        path = write(bodies=bodies(ref=reference, inertia=entries), cables=cables())
+    else:
+        path = write(wcrfx=wirex(inertia=entries, center=CENTER))
+    expected = inertia_matrix(points @ Z_DOWN)
+    assert np.abs(expected[np.triu_indices(3, 1)]).min() > 0.02
+    assert_allclose(import_robot(path).robot.inertia_tensor, expected, atol=1e-9)
 
 
 def test_inertia_about_the_joint_is_moved_to_the_centre_of_mass(write):

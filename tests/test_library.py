@@ -1,9 +1,12 @@
 """The library of real robots: complete files, cited values, and motions that the robots can
 follow."""
 
+import re
 import tomllib
 
+import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.robots import (
@@ -29,6 +32,59 @@ def test_every_value_of_a_file_has_a_source(name):
     data = tomllib.loads(library()[name].read_text(encoding="utf-8"))
     assert (data["name"], set(data["sources"])) == (name, cited_fields(data))
     assert all(text.strip() == text and len(text) > 6 for text in data["sources"].values())
+
+
+def is_mirrored(anchors):
+    """Whether the reflection of x or of y maps a set of anchors onto itself exactly."""
+    points = {tuple(point) for point in anchors}
+    reflections = ({(-x, *rest) for x, *rest in points}, {(x, -y, *z) for x, y, *z in points})
+    return points in reflections
+
+
+@every_robot
+@pytest.mark.parametrize("field", ["base_anchors", "platform_anchors"])
+def test_source_of_anchors_without_deviations_calls_them_nominal(name, field):
+    """Surveyed anchors are never exact mirror images of each other."""
+    robot = find_robot(name)
+    anchors = getattr(robot, field)
+    if anchors and is_mirrored(anchors):
+        assert re.search("^assumed|nominal", robot.sources[field])
+
+
+def test_library_has_surveyed_and_nominal_anchors():
+    mirrored = {name for name in library() if is_mirrored(find_robot(name).base_anchors)}
+    assert mirrored == {"fast", "gch-klaus", "stadium-camera", "ttk4900"}
+
+
+@every_robot
+def test_source_of_an_inertia_names_its_convention(name):
+    """Products ∫xy dm and entries of a tensor differ in their sign."""
+    robot = find_robot(name)
+    if not robot.point_mass:
+        assert re.search("products|the moment of", robot.sources["inertia"])
+
+
+def test_inertia_of_cogiro_fits_both_points_of_its_source():
+    """The source has the inertia about the centre of mass and about the origin of the platform
+    frame. Products of inertia read as entries of the tensor do not fit the second one."""
+    moments = (42.955, 42.427, 25.557)
+    xy, xz, yz = -0.414, 2.205, -1.849  # products, z up, about the origin of the platform frame
+    published = [
+        [moments[0], -xy, -xz],
+        [-xy, moments[1], -yz],
+        [-xz, -yz, moments[2]],
+    ]
+    for name in ("cogiro", ELASTIC + "cogiro"):
+        robot = find_robot(name)
+        center = np.array(robot.center_of_mass)
+        shift = robot.mass * (center @ center * np.eye(3) - np.outer(center, center))
+        z_up = np.diag([1.0, -1.0, -1.0])
+        # The centre of mass is rounded to 1 mm.
+        assert_allclose(
+            z_up @ (robot.inertia_tensor + shift) @ z_up,
+            published,
+            atol=0.015,
+        )
 
 
 @every_robot

@@ -33,7 +33,9 @@ ASSUMED_LARGEST_TENSION_OVER_PLATFORM_WEIGHT = 4.0
 """Assumed largest tension, as a multiple of the platform's weight."""
 
 TENSOR = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
-"""Names of the entries of an inertia tensor in both formats, in the order of :func:`symmetric`."""
+"""Names of the entries of an inertia tensor in both formats, in the order of :func:`symmetric`.
+
+Both programs use them as entries, I_xy = −∫xy dm, and not as products of inertia."""
 
 FRAME_CHANGE = "turned by 180° about x, so that z points down"
 """Change of the frame of a robot in space, as the sources of its values describe it."""

@@ -117,7 +117,9 @@ def _add_inertia(values: FileValues, body: Element, label: str, anchors: Array) 
     if tensor is not None and all(tensor.get(name) for name in TENSOR[:3]):
         signs = np.outer(_UP_TO_DOWN, _UP_TO_DOWN)
         values.inertia = signs * symmetric(*(_number(tensor, name, 0.0) for name in TENSOR))
-        values.sources["inertia"] = f"{label}; {FRAME_CHANGE}"
+        values.sources["inertia"] = (
+            f"{label}; the entries are those of the tensor, as WireX uses them; {FRAME_CHANGE}"
+        )
         return
     sides = np.maximum(np.ptp(anchors, axis=0), np.ptp(anchors) / 10) ** 2
     moments = values.mass * (sides.sum() - sides) / 12

@@ -45,15 +45,22 @@ def _check_finite(**arguments: ArrayLike) -> None:
         all_finite(name, values)
 
 
+def _sinh_excess(x: Array) -> Array:
+    """sinh x − x for x ≥ 0, without cancellation."""
+    square = x**2
+    series = x * square / 6 * (1 + square / 20 * (1 + square / 42))
+    return np.where(x < 0.05, series, np.sinh(x) - x)
+
+
 def catenary(
     across: ArrayLike, rise: ArrayLike, tension: ArrayLike, weight: ArrayLike
 ) -> tuple[Array, Array]:
-    """Sag below the middle of the chord, perpendicular to it, and extra length [m] of a catenary
-    that does not stretch.
+    """Largest distance between cable and chord, and extra length [m] of a catenary that does not
+    stretch.
 
     Args:
-        across: horizontal distance of the ends, shape (...) [m]; ≥ 0.
-        rise: vertical distance of the ends, shape (...) [m].
+        across: horizontal distance d of the ends, shape (...) [m]; ≥ 0.
+        rise: vertical distance h of the ends, shape (...) [m].
         tension: T, shape (...) [N]; > 0.
         weight: w, shape (...) [N/m]; ≥ 0.
 
@@ -64,33 +71,28 @@ def catenary(
     across, rise, tension, weight = np.broadcast_arrays(
         *(np.asarray(a, float) for a in (across, rise, tension, weight))
     )
-    chord = np.hypot(across, rise)
+    height = np.abs(rise)
+    chord = np.hypot(across, height)
     # With a = H/w, μ = d/(2a): the length is √(h² + (d sinh μ/μ)²), and the slope in the middle is
     # sinh ξ.
     ratio = weight * chord / (2 * tension)  # μ, because H = T d/chord
-    with np.errstate(over="ignore", invalid="ignore"):  # not a cable any more: infinite
-        stretched = across * np.where(
-            ratio > 0, np.sinh(ratio) / np.where(ratio > 0, ratio, 1.0), 1.0
-        )
-        # √(h² + s²) − √(h² + d²) without cancellation; s − d comes from the series where μ is
-        # small.
-        more = across * np.where(
-            ratio < 0.01,
-            ratio**2 / 6 * (1 + ratio**2 / 20),
-            stretched / np.maximum(across, 1e-300) - 1,
-        )
-        extra = more * (stretched + across) / (np.hypot(rise, stretched) + chord)
-        steep = rise / np.maximum(stretched, 1e-300)  # sinh ξ = h/(2 a sinh μ)
-        twice = 2 * np.sinh(ratio / 2) ** 2  # cosh μ − 1
-        down = (
-            tension
-            * across
-            / chord
-            / np.where(weight > 0, weight, 1.0)
-            * np.sqrt(1 + steep**2)
-            * twice
-        )
-    return np.where(weight > 0, down * across / chord, 0.0), extra
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite where sinh μ overflows
+        longer = _sinh_excess(ratio) / np.where(ratio > 0, ratio, 1.0)  # sinh μ/μ − 1
+        stretched = across * (1 + longer)
+        length = np.hypot(height, stretched)
+        # length − chord without cancellation
+        extra = across * longer * ((stretched + across) / (length + chord))
+        # The cable is furthest from the chord where its slope is that of the chord, h/d = sinh ξ′.
+        # This point is a (ξ′ − ξ) from the middle, nearer to the upper end, and
+        # sinh(ξ′ − ξ) = h (length − chord)/(d² sinh μ/μ).
+        shift = np.arcsinh(height * (longer / (1 + longer)) * ((2 + longer) / (length + chord)))
+        to_upper_end = ratio - shift  # in units of a
+        # Gap between chord and cable, from the upper end, with a cosh ξ′ = T/w
+        gap = 2 * np.sinh(to_upper_end / 2) ** 2
+        gap = gap + height / chord * _sinh_excess(to_upper_end)
+        sag = tension / np.where(weight > 0, weight, 1.0) * gap * across / chord
+    is_cable = np.isfinite(stretched)
+    return np.where(is_cable, sag, np.inf), np.where(is_cable, extra, np.inf)
 
 
 def parabola(

@@ -79,7 +79,8 @@ class Robot:
     mass."""
     inertia: tuple[Any, ...] = ()
     """Inertia about the centre of mass along the platform axes [kg·m²]: in space the moments (I_xx,
-    I_yy, I_zz) or the tensor with three rows, in a plane (I_zz,); empty for a point mass."""
+    I_yy, I_zz) or the tensor with three rows, in a plane (I_zz,); empty for a point mass. Entries
+    off the diagonal are I_xy = −∫xy dm: products of inertia change their sign."""
     center_of_mass: tuple[float, ...] = ()
     """Centre of mass in the platform frame [m], shape (2,) or (3,); empty for the origin, as for a
     point mass. The payload is there, too. The pose is that of the origin."""

@@ -22,41 +22,77 @@ CASES = [
 """Horizontal and vertical distance [m], chord tension [N] and weight per length [N/m]; sags of 1 to
 80 %."""
 
+TAUT = [(9.0, 3.0, 6e4, 1.5), (0.5, 12.0, 2e4, 5.0)]
+"""Sags of less than 0.01 %, flat and steep."""
 
-@pytest.mark.parametrize(("across", "rise", "tension", "weight"), CASES)
-def test_catenary_is_the_integrated_equilibrium(across, rise, tension, weight):
-    """The force of an element changes by its weight alone, and it points along the cable."""
+SLACK = [(3.0, 12.0, 3.0, 2.0), (2.0, -20.0, 6.0, 3.0)]
+"""Cables of several times the length of their chords, which are furthest from them near the upper
+end."""
+
+
+def integrated(across, rise, tension, weight):
+    """Positions between the ends [m], vertical distance from the chord there, and length of the
+    cable minus that of the chord [m]. The force of an element changes by its weight alone, and it
+    points along the cable."""
     horizontal = tension * across / np.hypot(across, rise)
     half = weight * across / (2 * horizontal)
     start = horizontal * np.sinh(
         np.arcsinh(rise * weight / (2 * horizontal * np.sinh(half))) - half
     )
+    chord_slope = rise / across
 
     def element(_, state):
-        slope = state[2] / horizontal
-        return [1.0, slope, weight * np.hypot(1, slope), np.hypot(1, slope)]
+        slope = state[1] / horizontal
+        stretch = np.hypot(1, slope)
+        return [chord_slope - slope, weight * stretch, stretch - np.hypot(1, chord_slope)]
 
     end = solve_ivp(
         element,
         (0, across),
-        [0, 0, start, 0],
-        rtol=1e-11,
-        atol=1e-12,
+        [0, start, 0],
+        rtol=1e-12,
+        atol=1e-14,
+        method="DOP853",
         dense_output=True,
     )
-    chord = np.hypot(across, rise)
-    depth, extra = catenary(across, rise, tension, weight)
     # the closed form of the first slope is that of this chord
-    assert end.y[1, -1] == pytest.approx(rise, abs=1e-7)
-    assert end.y[3, -1] - chord == pytest.approx(float(extra), rel=1e-6)
-    assert (rise / 2 - end.sol(across / 2)[1]) * across / chord == pytest.approx(
-        float(depth), rel=1e-6
-    )
+    assert end.y[0, -1] == pytest.approx(0, abs=1e-7)
+    positions = np.linspace(0, across, 20001)
+    return positions, end.sol(positions)[0], end.y[2, -1]
+
+
+@pytest.mark.parametrize(
+    ("across", "rise", "tension", "weight"),
+    [*CASES, *TAUT, *SLACK],
+)
+def test_catenary_is_the_integrated_equilibrium(across, rise, tension, weight):
+    _, below, more = integrated(across, rise, tension, weight)
+    depth, extra = catenary(across, rise, tension, weight)
+    assert more == pytest.approx(float(extra), rel=1e-6)
+    distance = below * across / np.hypot(across, rise)
+    assert distance.max() == pytest.approx(float(depth), rel=1e-6)
+
+
+@pytest.mark.parametrize(("across", "rise", "tension", "weight"), SLACK)
+def test_slack_cable_is_furthest_from_the_chord_near_its_upper_end(across, rise, tension, weight):
+    """Its distance below the middle of the chord is smaller."""
+    positions, below, _ = integrated(across, rise, tension, weight)
+    furthest = positions[below.argmax()] / across
+    to_upper_end = furthest if rise < 0 else 1 - furthest
+    assert to_upper_end < 0.45
+    middle = below[len(below) // 2] * across / np.hypot(across, rise)
+    assert catenary(across, rise, tension, weight)[0] > 1.05 * middle
+
+
+def test_cable_that_no_force_holds_has_an_infinite_sag():
+    """And a vertical cable has none."""
+    assert_allclose(catenary(1.0, 1.0, 1e-3, 10.0), [np.inf, np.inf])
+    assert_allclose(catenary(0.0, 3.0, 10.0, 1.0), [0, 0])
 
 
 @pytest.mark.parametrize(("across", "rise", "tension", "weight"), CASES)
 def test_catenary_tends_to_the_parabola(across, rise, tension, weight):
-    for factor, relative in ((1e2, 1e-3), (1e5, 1e-9)):
+    for factor, relative in ((1e2, 1e-3), (1e5, 1e-9), (1e9, 1e-14)):
         stretched = across, rise, factor * tension, weight
         assert_allclose(catenary(*stretched), parabola(*stretched), rtol=relative)
 
