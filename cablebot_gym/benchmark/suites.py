@@ -52,6 +52,9 @@ class Block:
 
     policies: Sequence[str] = ()
     """The only policies of the block; all policies if empty."""
+    env_ids: Sequence[str] = ()
+    """The only environments of the block, where it evaluates its policies whether their entries name
+    them or not; those of the suite and of the entries if empty."""
     slow: bool = False
     """Whether to include policies whose entry is marked as slow."""
     motion: str = "circle"
@@ -240,6 +243,7 @@ def suite_cells(
         real_time: whether late actions are replaced by the last one.
     """
     cells: list[Cell] = []
+    asked = list(dict.fromkeys(chain.from_iterable(policies.values())))
     for env_id, names in policies.items():
         # Rigid robots have no joint stiffness; flexible ones have no varied pulley friction.
         absent_parameter = "damping" if env_id in FLEXIBLE_ENV_IDS else "stiffness"
@@ -250,7 +254,10 @@ def suite_cells(
             for block in blocks:
                 cells += _drawn_cells(block, env_id, board, seed)
         for block in blocks:
-            cells += _policy_cells(block, env_id, names, board, seed, real_time)
+            if not block.env_ids:
+                cells += _policy_cells(block, env_id, names, board, seed, real_time)
+            elif env_id in block.env_ids:
+                cells += _policy_cells(block, env_id, asked, board, seed, real_time)
         if suite.timing:
             (circle,) = _tasks(env_id, Block(motion="circle"), board)
             cells += [TimingCell(env_id=env_id, policy=name, **circle) for name in names]
