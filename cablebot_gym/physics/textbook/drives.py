@@ -175,6 +175,10 @@ def cable_springs(
     l = q(X₀) + extra_length − r β. The torque is ``r (T + ½ EA ε²)``. Unilateral cables are slack
     for ε ≤ 0, and do not push.
 
+    The cable slides on its drum without friction and is unstretched there, so l follows from β. A
+    cable that sticks to its drum keeps its strain there: at rest its torque is r T, lower by half
+    the strain, and ``l̇ = −r β̇/(1 + ε)`` makes l a further state. Both conserve energy.
+
     Args:
         robot: robot with elastic cables.
         pose: X, shape (..., n).
