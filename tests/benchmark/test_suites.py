@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from itertools import chain
 
 import pytest
 
@@ -69,7 +70,8 @@ def test_cells_of_a_suite_are_valid(name):
         if isinstance(cell, BestKnownCell):
             with_best_known.add(cell.motion_key)
         elif isinstance(cell, PolicyCell):
-            assert cell.env_id in policy_entries()[cell.policy].env_ids
+            named = chain.from_iterable(block.env_ids for block in find_suite(name).blocks)
+            assert cell.env_id in {*policy_entries()[cell.policy].env_ids, *named}
             draws.add((cell.env_id, cell.uncertainty, cell.draws))
             if cell.criterion == "task" and cell.uncertainty is None:
                 with_score |= {part.motion_key for part in parts(cell)}
