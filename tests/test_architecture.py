@@ -21,6 +21,7 @@ ORDER = (
         "kinematics",
         "robots",
         "importers",
+        "exporters",
         "measurement",
         "waypoints",
         "trajectories",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cablebot_gym.cli.exporting import export_file
 from cablebot_gym.cli.importing import import_file
 from cablebot_gym.cli.options import (
     EpisodeOptions,
@@ -30,29 +31,32 @@ if TYPE_CHECKING:
 
 
 def robot(
-    task: Annotated[str, typer.Argument(metavar="TASK", help="The task: check or import.")],
+    task: Annotated[str, typer.Argument(metavar="TASK", help="The task: check, import or export.")],
     name: Annotated[
         str,
         typer.Argument(
             metavar="ROBOT",
-            help="To check: TOML or JSON file, or name of a robot; `cablebot list` shows the names. To import: "
-            "NAME_bodies.xml or NAME_cables.xml of CASPR, or a .wcrfx file of WireX.",
+            help="To check or export: TOML or JSON file, or name of a robot; `cablebot list` shows the names. To "
+            "import: NAME_bodies.xml or NAME_cables.xml of CASPR, or a .wcrfx file of WireX.",
         ),
     ],
     payload: Payload = None,
     trajectory: TrajectoryData = None,
     out: Annotated[
         Path | None,
-        "File to write: the drawing of a check (.svg, .png, .pdf), or the imported robot (.toml).",
+        "File to write: the drawing of a check (.svg, .png, .pdf), the imported robot (.toml), or the exported one "
+        "(.xml).",
     ] = None,
     cable_set: Annotated[str | None, "Cable set of a CASPR file. The default is its own."] = None,
     as_json: Json = False,
 ) -> None:
-    """Check a robot and its motion, or import a robot from a file of CASPR or WireX.
+    """Check a robot and its motion, import a robot from a file of CASPR or WireX, or export it as MJCF.
 
     The check prints payloads, workspace, modes, physics step, sag, and doubtful values. Nothing is
     simulated. The exit status is 1 if the robot or the motion is refused, or if no controller can
     be expected to carry the payload.
+
+    The exported file is for MuJoCo. Notes say what it describes in another way.
 
     Examples:
 
@@ -61,15 +65,22 @@ def robot(
     cablebot robot check cogiro --payload 300
 
     cablebot robot import SEGESTA_bodies.xml --out segesta.toml
+
+    cablebot robot export cogiro --payload 300 --out cogiro.xml
     """
-    if choice("task", task, ["check", "import"]) == "import":
-        if payload is not None or trajectory is not None or as_json:
+    task = choice("task", task, ["check", "import", "export"])
+    if task != "check" and (trajectory is not None or as_json):
+        raise ValueError("--trajectory and --json are for `cablebot robot check`: remove them")
+    if task == "import":
+        if payload is not None:
             raise ValueError(
-                "--payload, --trajectory and --json are for `cablebot robot check`: remove them"
+                "--payload is for `cablebot robot check` and `cablebot robot export`: remove it"
             )
         return import_file(Path(name), out, cable_set)
     if cable_set is not None:
         raise ValueError("--cable-set is for `cablebot robot import`: remove it")
+    if task == "export":
+        return export_file(name, payload, out)
     if out is not None and out.suffix not in (".svg", ".png", ".pdf"):
         raise ValueError(f"--out must end in .svg, .png or .pdf, not {out.name!r}")
     _check(name, payload, trajectory, out, as_json)

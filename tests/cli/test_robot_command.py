@@ -1,6 +1,7 @@
-"""``cablebot robot check``."""
+"""``cablebot robot check`` and ``cablebot robot export``."""
 
 import json
+from xml.etree import ElementTree
 
 import pytest
 
@@ -131,3 +132,38 @@ def test_unknown_robot_and_task_are_invalid_input(cablebot):
     assert "did you mean 'cogiro'" in cablebot("robot check cogyro").message(2)
     assert "choose one of check" in cablebot("robot chek cogiro").message(2)
     assert "must end in .svg" in cablebot("robot check cogiro --out my.txt").message(2)
+
+
+def test_export_writes_mjcf_and_notes(cablebot, tmp_path):
+    path = tmp_path / "robot.xml"
+    ended = cablebot("robot export ttk4900 --payload 1 --out", path)
+    assert ended.status == 0
+    assert "friction per load, up to 5.1%" in ended.err
+    mujoco = ElementTree.fromstring(path.read_text())
+    assert mujoco.find(".//body[@name='platform']/inertial").get("mass") == "1.07"
+    assert mujoco.find("keyframe/key").get("name") == "home"
+    assert "may have been edited" in cablebot("robot export planar --out", path).message(2)
+    heavy = cablebot("robot export spatial --payload 50 --out", tmp_path / "heavy.xml")
+    assert "motors cannot hold the payload" in heavy.err
+
+
+def test_hanging_robot_is_exported_without_keyframe(cablebot, edited, tmp_path):
+    two_cables = edited("stadium-camera", "  [60.0, 40.0, -30.0],\n  [-60.0, 40.0, -30.0],\n", "")
+    path = tmp_path / "robot.xml"
+    assert cablebot("robot export", two_cables, "--out", path).status == 0
+    assert ElementTree.fromstring(path.read_text()).find("keyframe") is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "remedy"),
+    [
+        ("cogiro", "--out cogiro.xml"),
+        ("cogiro --out my.toml", "--out cogiro.xml"),
+        ("cogiro --out my.xml --payload -1", "at least 0 kg"),
+        ("cogiro --out my.xml --json", "--json are for `cablebot robot check`"),
+        ("cogiro --out my.xml --cable-set a", "--cable-set is for `cablebot robot import`"),
+        ("cogyro --out my.xml", "did you mean 'cogiro'"),
+    ],
+)
+def test_invalid_export_says_what_to_type(cablebot, arguments, remedy):
+    assert remedy in cablebot(f"robot export {arguments}").message(2)

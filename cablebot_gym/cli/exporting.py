@@ -1,0 +1,52 @@
+"""``cablebot robot export``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from shlex import quote
+
+from cablebot_gym.utils.console import say
+
+
+def export_file(name: str, payload: float | None, out: Path | None) -> None:
+    """Writes a robot as MJCF and prints what differs from its simulation. In the keyframe ``home``
+    it is at rest with its payload.
+
+    Raises:
+        ValueError: if there is no such robot or MJCF cannot hold it, or ``out`` is missing, exists
+            or has another suffix.
+    """
+    from cablebot_gym.envs.settings import FREQUENCY, fewest_substeps
+    from cablebot_gym.exporters import export_mjcf
+    from cablebot_gym.physics import textbook
+    from cablebot_gym.robots import find_robot
+    from cablebot_gym.utils.checks import number
+    from cablebot_gym.utils.files import atomic_write_text, check_writable_file
+
+    if out is None or out.suffix.lower() != ".xml":
+        raise ValueError(f"give a file for MuJoCo that ends in .xml: --out {Path(name).stem}.xml")
+    if out.exists():
+        raise ValueError(
+            f"{str(out)!r} exists and may have been edited: delete it, or choose another --out"
+        )
+    check_writable_file(out)
+    robot = find_robot(name)
+    if payload is None:
+        payload = robot.defaults.payload(0.0)
+    number("payload", payload, least=0, unit="kg")
+    torques = None
+    if not robot.hanging:  # it may swing at home
+        mass = robot.mass + payload
+        minimum = textbook.allocated_minimum(robot)
+        torques = textbook.static_torque(robot, mass, robot.home, minimum=minimum)
+    exported = export_mjcf(
+        robot,
+        payload=payload,
+        timestep=1 / FREQUENCY / fewest_substeps(robot),
+        holding_torques=torques,
+    )
+    atomic_write_text(out, exported.text)
+    for note in exported.notes:
+        say(f"note       {note}")
+    viewer = f"python -m mujoco.viewer --mjcf={quote(str(out))}"
+    say(f"wrote {out}. Look at it with MuJoCo's viewer: {viewer}")

@@ -1,0 +1,198 @@
+"""Exported robots in MuJoCo against the plant."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from oracles.mujoco_model import MujocoRobot
+from oracles.plants import (
+    FLEX_QUAD,
+    State,
+    evaluated,
+    free_motors,
+    loaded_plant,
+    no_reference,
+    slowly,
+    textbook_rates,
+    with_transmission,
+    worst_relative_error,
+)
+from oracles.platforms import CAMERA, SWIVELLED
+
+from cablebot_gym.exporters import export_mjcf
+from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.robots import find_robot, robot_names
+
+pytest.importorskip("mujoco", reason="needs the extra cablebot-gym[mujoco]")
+
+STEP = 2.5e-4
+ELASTIC = [name for name in robot_names() if find_robot(name).elastic]
+EXACT = [name for name in robot_names() if name not in ELASTIC]
+
+
+def daily(names, *fast):
+    """A mark that runs a test for robots, all but some of them slowly."""
+    slow = slowly(*(name for name in names if name not in fast))
+    return pytest.mark.parametrize("name", [*fast, *slow])
+
+
+exact_robots = daily(EXACT, "planar", "flex-planar", "cogiro")
+
+
+def at_rest(robot):
+    """The exported robot with a payload, its mass [kg], and torques r T at rest at home."""
+    payload = robot.defaults.payload(0.0) + 0.1 * robot.mass
+    mass = robot.mass + payload
+    minimum = textbook.allocated_minimum(robot)
+    torques = textbook.static_torque(robot, mass, robot.home, minimum=minimum)
+    exported = export_mjcf(robot, payload=payload, timestep=STEP, holding_torques=torques)
+    return exported, mass, torques
+
+
+def taut_states(robot, mass, count=50):
+    """Random states with taut cables, and actions within ± 1."""
+    rng = np.random.default_rng(3)
+    span = robot.pose_bounds - robot.home
+    pose = robot.home + 0.3 * rng.uniform(*span, (4 * count, robot.coordinates))
+    velocity = rng.uniform(-0.2, 0.2, pose.shape)
+    acceleration = rng.uniform(-0.5, 0.5, pose.shape)
+    minimum = textbook.allocated_minimum(robot)
+    motion = textbook.inverse_dynamics(
+        robot, mass, pose, velocity, acceleration, minimum=minimum, strict=False
+    )
+    angle = np.zeros_like(motion.speeds)
+    speed = motion.speeds
+    actions = textbook.normalised_action(robot, motion.torques, speed)
+    if robot.jointed:
+        angle = textbook.pulley_angle(robot, pose) + motion.torques / robot.stiffness
+        speed = rng.uniform(-30, 30, angle.shape)
+        actions = rng.uniform(-1, 1, angle.shape)
+    usable = (motion.tensions > 0).all(axis=1) & (np.abs(actions) <= 1).all(axis=1)
+    chosen = np.flatnonzero(usable)[:count]
+    assert len(chosen) >= count / 2
+    return State(pose, velocity, angle, speed)[chosen], actions[chosen]
+
+
+@exact_robots
+def test_accelerations_are_those_of_the_plant(name):
+    """Reached: 5e-13, and 3e-12 with joint springs."""
+    exported, mass, _ = at_rest(find_robot(name))
+    robot = exported.robot
+    state, actions = taut_states(robot, mass)
+    torques = robot.stall_torque * actions - robot.speed_slope * state.speed
+    expected, tension = evaluated(loaded_plant(robot, state, "unilateral", mass), torques)
+    assert tension.min() > 0
+    rates, _ = textbook_rates(robot, state, torques, "unilateral", mass)
+    peer = MujocoRobot(robot, exported=exported.text)
+    platform = []
+    motors = []
+    for lane, action in enumerate(actions):
+        peer.set_state(state.pose[lane], state.velocity[lane])
+        if robot.flexible:
+            peer.set_motors(state.angle[lane], state.speed[lane])
+            motors.append(peer.motor_accelerations(action))
+        platform.append(peer.accelerations(action))
+    assert worst_relative_error(np.array(platform), expected) <= 1e-9
+    if robot.flexible:
+        assert worst_relative_error(np.array(motors), rates.speed) <= 1e-9
+
+
+def damped(robot):
+    """The robot with its torque-speed lines as damping, which follows the speed at once: the motors
+    of the plant keep the speed of the start of a control period."""
+    field = "motor_damping" if robot.jointed else "damping"
+    damping = getattr(robot, field) + robot.speed_slope
+    return free_motors(with_transmission(robot, **{field: damping}))
+
+
+def after_one_second(name):
+    """How far a robot moves from rest at home under a smooth excitation, and how far from MuJoCo it
+    ends [m, rad]."""
+    exported, mass, torques = at_rest(find_robot(name))
+    robot = exported.robot
+    peer = MujocoRobot(robot, exported=exported.text)
+    peer.set_keyframe(0)
+    angle, _ = textbook.rest_angles(robot, torques / robot.pulley_radius, robot.home)
+    pose = robot.home[None]
+    resting = State(pose, 0 * pose, angle[None], 0 * angle[None])
+    plant = loaded_plant(damped(robot), resting, "unilateral", mass)
+    masses = np.diagonal(textbook.linear_model(robot, mass=mass).inertia)[: robot.coordinates]
+    push = -np.linalg.lstsq(textbook.jacobian(robot, robot.home).T, 0.7 * masses)[0]
+    excitation = robot.pulley_radius * push / robot.stall_torque
+    holding = textbook.holding_torque(robot, torques) / robot.stall_torque
+    for index in range(round(1 / STEP)):
+        change = excitation * np.sin(2 * np.pi * index * STEP)
+        plant.set_action(holding + change)
+        plant.advance(*no_reference(robot), substeps=1, step=STEP)
+        peer.step(torques / robot.stall_torque + change)
+        assert plant.per_cable(kernel.TENSION).min() > 0
+    end = plant.pose[0]
+    return np.abs(end - robot.home).max(), np.abs(end - peer.state()[0]).max()
+
+
+@exact_robots
+def test_motion_is_that_of_the_plant(name):
+    """Reached: 7e-16."""
+    moved, error = after_one_second(name)
+    assert moved > 1e-3
+    assert error <= 1e-9
+
+
+@daily(ELASTIC, "flex-stadium-camera")
+def test_motion_with_elastic_cables_near_home_is_nearly_that_of_the_plant(name):
+    """Stiffness and torque of the winches are not exact. Reached: 0.9 % of the motion."""
+    moved, error = after_one_second(name)
+    assert error < 0.02 * moved
+
+
+@pytest.mark.parametrize("robot", [FLEX_QUAD, find_robot("flex-stadium-camera")])
+def test_springs_only_pull(robot):
+    """With all springs unwound the platform falls."""
+    robot = with_transmission(robot, pulley_inertia=1e-12)
+    exported = export_mjcf(robot)
+    peer = MujocoRobot(exported.robot, exported=exported.text)
+    peer.set_motors(-np.ones(robot.cables), np.zeros(robot.cables))
+    assert_allclose(peer.accelerations(np.zeros(robot.cables)), robot.gravity_vector, atol=1e-5)
+
+
+TILTED = np.add(np.linspace(-0.3, 0.3, 24).reshape(8, 3), [0.1, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("axes", [(), TILTED], ids=["vertical", "tilted"])
+def test_cables_leave_their_swivel_pulleys_at_home(axes):
+    robot = SWIVELLED.replace(swivel_axes=axes)
+    robot = with_transmission(robot, axial_stiffness=2e4, extra_length=0.3)
+    simplified = export_mjcf(robot).robot
+    expected = textbook.jacobian(robot, robot.home)
+    assert_allclose(textbook.jacobian(simplified, simplified.home), expected, rtol=0, atol=1e-12)
+    length = textbook.cable_lengths(robot, robot.home) + robot.extra_length
+    assert_allclose(
+        textbook.cable_lengths(simplified, simplified.home) + simplified.extra_length, length
+    )
+
+
+def test_action_has_the_lag_of_its_motor():
+    lag = (0.0, 0.02, 0.05, 0.0)
+    robot = CAMERA.replace(motors=CAMERA.motors.replace(lag=lag))
+    exported = export_mjcf(robot, holding_torques=np.full(4, 15.0))
+    peer = MujocoRobot(robot, exported=exported.text)
+    peer.set_keyframe(0)
+    assert_allclose(peer.data.act, 0.25)
+    peer.step(np.full(4, 0.75), 20)
+    assert_allclose(peer.data.act, 0.75 - 0.5 * np.exp(-20e-3 / np.array(lag[1:3])), rtol=1e-6)
+    assert any("lag" in note for note in exported.notes)
+
+
+def test_two_springs_in_series_are_refused():
+    robot = with_transmission(FLEX_QUAD, axial_stiffness=2e4, pulley_inertia=1e-3)
+    with pytest.raises(ValueError, match="remove stiffness and motor_inertia, or axial_stiffness"):
+        export_mjcf(robot)
+
+
+def test_file_names_what_it_describes_in_another_way():
+    exported = export_mjcf(find_robot("flex-ipanema-3").replace(name="a -- b"))
+    comment = exported.text.partition("-->")[0].replace("\n  ", " ")
+    assert "a - b: a platform in space, 8 cables" in comment
+    for word in ("z points down", "damping acts on slack", "0.63 to 2.42 times", "31 mm", "15 N"):
+        assert word in comment
+    for note in exported.notes:
+        assert note in comment
