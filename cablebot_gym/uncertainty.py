@@ -125,6 +125,9 @@ class _Parameter:
     """Whether only robots whose platform turns have the parameter."""
     elastic: bool = False
     """Whether only robots with elastic cables have the parameter."""
+    per_load: bool = False
+    """Whether only robots with load friction have the parameter: the compiled plant of the others
+    does not know it."""
     position: bool = False
     """Whether the parameter is a position, which may have either sign."""
     lowers_frequency: bool = False
@@ -133,6 +136,7 @@ class _Parameter:
     def belongs_to(self, robot: Robot) -> bool:
         """Whether a robot has the parameter."""
         lacking = (self.jointed and not robot.jointed) or (self.elastic and not robot.elastic)
+        lacking = lacking or (self.per_load and not np.any(robot.load_friction))
         return not lacking and not (self.turns and robot.point_mass)
 
 
@@ -155,6 +159,7 @@ PARAMETERS: Mapping[str, _Parameter] = {
     "motor_lag": _Parameter("motor_lag", "s"),
     "coulomb_friction": _Parameter("coulomb_friction", "N·m"),
     "axial_stiffness": _Parameter("axial_stiffness", "N", positive=True, elastic=True),
+    "load_friction": _Parameter("load_friction", "1", per_load=True),
 }
 """The parameters that may be uncertain. A new one comes last: a parameter takes its random numbers
 after those before it, so the draws of the others stay. ``motor_strength`` scales the stall torque; the free speed
@@ -385,6 +390,9 @@ class Uncertainty:
                 above = 0.0 if parameter.positive or divides else -math.inf
                 label = f"smallest {name} of {robot.name!r}"
                 number(label, float(smallest), above=above, least=0.0, unit=parameter.unit)
+                if parameter.per_load:
+                    largest = np.max(distribution.applied(nominal, np.asarray(distribution.high)))
+                    number(f"largest {name}", float(largest), above=0.0, below=1.0)
         if "platform_inertia" in self.parameters and not robot.planar:
             _check_inertia(robot.moments, self.parameters["platform_inertia"])
         if self.wrench is not None:
@@ -523,7 +531,7 @@ def _columns(robot: Robot) -> dict[str, tuple[int, tuple[int, ...]]]:
     columns = {}
     start = 0
     for name, parameter in PARAMETERS.items():
-        if parameter.elastic and not robot.elastic:
+        if (parameter.elastic or parameter.per_load) and not parameter.belongs_to(robot):
             continue
         shape: tuple[int, ...] = ()
         if name == "platform_inertia" and robot.point_mass:

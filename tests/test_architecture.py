@@ -28,6 +28,7 @@ ORDER = (
         "uncertainty",
         "task",
         "physics",
+        "identification",
         "planning",
     ),
     *(
@@ -115,15 +116,19 @@ def test_package_imports_only_those_before_it(package):
             assert path.split(".")[0] in allowed, f"{module} imports {imported}"
 
 
-def test_only_benchmark_report_and_commands_know_isolation():
-    """The evaluator takes a loaded policy, in whatever process it runs."""
+@pytest.mark.parametrize(
+    ("package", "rooms"),
+    [("isolation", {"benchmark", "report", "cli"}), ("identification", {"reality", "cli"})],
+)
+def test_only_these_rooms_know_a_package(package, rooms):
+    """The evaluator takes a loaded policy, in whatever process it runs; a robot is data, whoever
+    identified it."""
     importers = {
         name
         for name in FILES
-        if any(imported.startswith("cablebot_gym.isolation") for imported, _ in imports(name))
+        if any(imported.startswith(f"cablebot_gym.{package}") for imported, _ in imports(name))
     }
-    rooms = {name.split(".")[1] for name in importers}
-    assert rooms == {"isolation", "benchmark", "report", "cli"}
+    assert {name.split(".")[1] for name in importers} == {package, *rooms}
 
 
 def test_every_package_is_in_the_order():

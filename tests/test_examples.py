@@ -9,6 +9,9 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from cablebot_gym.identification import identify, read_log
+from cablebot_gym.robots import find_robot
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -44,6 +47,16 @@ def your_robot(printed, folder):
     carried = numbers(AFTER_COLON, printed)
     assert carried == sorted(carried)
     assert carried[0] < 0.5 * carried[-1]
+
+
+def identify_winch(printed, folder):
+    """The logs of the page give the values of the script."""
+    robot = find_robot(EXAMPLES / "square.toml")
+    logs = [read_log(folder / "lifts" / name, robot) for name in ("2kg.csv", "6kg.csv")]
+    truth = (8e-4, 0.01, 0.05, 0.04)
+    for item, value in zip(identify(robot, logs).estimates, truth, strict=True):
+        assert item.is_determined
+        assert abs(item.value - value) < 2 * item.half_width
 
 
 def your_trajectory(printed, folder):
@@ -107,7 +120,7 @@ def minari_dataset(printed, folder):
         assert (dataset / name).is_file()
 
 
-FAST = (first_steps,)
+FAST = (first_steps, identify_winch)
 SLOW = (
     ten_lines,
     your_controller,

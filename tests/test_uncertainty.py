@@ -29,7 +29,7 @@ from cablebot_gym.uncertainty import (
 
 rigid_and_flexible = each_of(PLANAR, FLEX_SPATIAL)
 paper_robots = each_of(PLANAR, SPATIAL, FLEX_PLANAR, FLEX_SPATIAL)
-ELASTIC = with_transmission(FLEX_SPATIAL, axial_stiffness=5e4)
+ELASTIC = with_transmission(FLEX_SPATIAL, axial_stiffness=5e4, load_friction=0.05)
 """It has all parameters."""
 
 
@@ -155,6 +155,15 @@ def test_each_value_has_a_number_of_its_own(robot):
     assert np.all((shifts.max(axis=0) > 0.95) & (shifts.max(axis=0) <= 1 + 1e-12))
 
 
+@rigid_and_flexible
+def test_load_friction_takes_no_numbers_from_robots_without_it(robot):
+    """Their draws stay those of versions that do not know the parameter."""
+    loaded = with_transmission(robot, load_friction=0.05)
+    assert draw_size(loaded) == draw_size(robot) + robot.cables
+    with pytest.raises(ValueError, match="has no parameter load_friction"):
+        Uncertainty(parameters={"load_friction": tenth_of("load_friction")}).check(robot)
+
+
 def test_payload_is_drawn_around_the_nominal_one():
     absolute = ParameterDistribution(low=-1.0, high=1.0, relative=False)
     payload = drawn(SPATIAL, {"payload": absolute}, payload=0.5).payload
@@ -174,7 +183,7 @@ def test_fastest_robot_bounds_every_drawn_one():
     draws = drawn(ELASTIC, parameters)
     smallest = ("mass", "moments", "pulley_inertia", "motor_inertia")
     shafts = ("stiffness", "stall_torque", "motor_damping", "damping")
-    for attribute in (*smallest, *shafts, "coulomb_friction", "speed_slope"):
+    for attribute in (*smallest, *shafts, "coulomb_friction", "load_friction", "speed_slope"):
         margin = getattr(draws, attribute) - getattr(fastest, attribute)
         assert np.all(margin >= 0 if attribute in smallest else margin <= 0), attribute
     assert ELASTIC.to_dict() == before
@@ -226,6 +235,12 @@ IMPOSSIBLE_PARAMETERS = [
         "platform_inertia: one moment can exceed",
     ),
     (SPATIAL, "stiffness", tenth(), "'spatial' has no parameter stiffness"),
+    (
+        with_transmission(SPATIAL, load_friction=0.05),
+        "load_friction",
+        tenth(0.0, 30.0),
+        "largest load_friction must be a finite number greater than 0 and less than 1",
+    ),
     (
         PLANAR,
         "platform_mass",

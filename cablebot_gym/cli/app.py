@@ -48,6 +48,7 @@ COMMANDS = {
     "Inspect the installation": {
         "list": "cablebot_gym.cli.listing:list_",
         "robot": "cablebot_gym.cli.robot:robot",
+        "identify": "cablebot_gym.cli.identify:identify",
         "validate": "cablebot_gym.cli.validate:validate",
         "doctor": "cablebot_gym.cli.doctor:doctor",
     },

@@ -294,6 +294,7 @@ def _policy_rows() -> list[list[str]]:
 _PARAMETER_OWNERS = {
     "with joint springs": "jointed",
     "with elastic cables": "elastic",
+    "with load friction": "per_load",
     "with turning platforms": "turns",
 }
 

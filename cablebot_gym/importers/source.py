@@ -3,7 +3,6 @@ for missing ones."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import GRAVITY, Motors, Plane, Robot, Transmission
+from cablebot_gym.robots.writing import to_toml
 from cablebot_gym.utils.files import read_text
 
 ASSUMED_BASE_WIDTH_OVER_DRUM_RADIUS = 100.0
@@ -97,48 +97,12 @@ class ImportedRobot:
 
     def to_toml(self) -> str:
         """The robot as a TOML file for :func:`~cablebot_gym.robots.names.load_robot`."""
-        data = self.robot.to_dict()
-        motors = data.pop("motors")
-        transmission = data.pop("transmission")
-        lines = ["# SI units and radians; z points down. Check it with `cablebot robot check`."]
-        # A 0 in the table of the robot has an effect, for example as minimum_tension. In the tables
-        # of motors and transmission it is a default and means no effect, for example no friction.
-        unused = (None, ())
-        unused_parts = (*unused, 0.0)
-        lines += _toml_lines(data, unused)
-        lines += ["", "[motors]", *_toml_lines(motors, unused_parts)]
-        lines += ["", "[transmission]", *_toml_lines(transmission, unused_parts)]
-        lines += ["", "[sources]"]
-        for name, text in self.sources.items():
-            lines.append(f"{json.dumps(name)} = {_toml_value(text)}")
-        return "\n".join(lines) + "\n"
+        return to_toml(self.robot)
 
     @property
     def sources(self) -> Mapping[str, str]:
         """Source of each value, by the field of the robot."""
         return self.robot.sources
-
-
-def _toml_lines(values: Mapping[str, Any], unused: tuple[Any, ...]) -> Iterator[str]:
-    """Lines with name and value, except for the values in ``unused``. A table of numbers gets one
-    line per row."""
-    for name, value in values.items():
-        if value in unused:
-            continue
-        if isinstance(value, tuple) and isinstance(value[0], tuple):
-            rows = "".join(f"  {_toml_value(row)},\n" for row in value)
-            yield f"{name} = [\n{rows}]"
-        else:
-            yield f"{name} = {_toml_value(value)}"
-
-
-def _toml_value(value: Any) -> str:
-    """A number, text, or tuple of them in TOML."""
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_toml_value, value))}]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    return repr(float(value) + 0.0)  # + 0.0 turns −0.0 into 0.0
 
 
 def read_xml(path: Path) -> ElementTree.Element:

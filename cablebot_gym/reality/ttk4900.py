@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import median_filter
 
+from cablebot_gym.identification.regression import Estimate, fit
+from cablebot_gym.identification.samples import Samples, drive_factors, parameter_names
 from cablebot_gym.physics.textbook import motor_torques
 from cablebot_gym.reality.comparison import Comparison, Validation
 from cablebot_gym.robots import Robot, find_robot
@@ -48,6 +50,16 @@ TRIMMED = 0.25
 
 GOAL = 0.1
 """Largest relative deviation of the model."""
+
+FITTED = {
+    "coulomb_friction": ("constant friction, fitted", "N·m"),
+    "load_friction": ("friction per cable torque, fitted", "1"),
+    "damping": ("viscous friction, fitted", "N·m·s/rad"),
+}
+"""Quantity and unit of the fitted fields of the transmission."""
+
+PREDICTION_GOAL = 0.05
+"""Largest relative deviation of a winch from the fit to the others."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +101,12 @@ def validate(logs: Mapping[str, bytes]) -> Validation:
                 lift = Lift(weight=weight, winch=winch, speed=2 * math.pi * speed, up=up, down=down)
                 lifts.append(lift)
     return Validation(
-        comparisons=(*_ratios(robot, lifts), *_torque_constants(robot, lifts), *_fit(robot, lifts)),
+        comparisons=(
+            *_ratios(robot, lifts),
+            *_torque_constants(robot, lifts),
+            *_fit(robot, lifts),
+            *_predictions(robot, lifts),
+        ),
         notes=(
             "The mean currents of the two weights are not proportional to them. A hook of about "
             f"{_hook(lifts):.2f} kg that both tests share would explain it.",
@@ -189,23 +206,67 @@ def _hook(lifts: Sequence[Lift]) -> float:
     return 4 * light / (heavy - light) - 1
 
 
+def _samples(robot: Robot, lifts: Sequence[Lift]) -> Samples:
+    """Torques of all lifts as of one winch: the currents over their mean, times the torque of
+    gravity, so that the torque constant cancels."""
+    shape = (len(lifts), 2)
+    gravity = np.repeat([_gravity_torque(robot, lift) for lift in lifts], 2)
+    ratios = [(lift.up / lift.mean, lift.down / lift.mean) for lift in lifts]
+    speed = np.outer([lift.speed for lift in lifts], [1.0, -1.0]).ravel()
+    regressors = np.zeros((speed.size, robot.cables, 4))
+    regressors[:, 0] = drive_factors(robot, speed, np.zeros(speed.size), gravity)
+    return Samples(
+        response=gravity * np.ravel(ratios),
+        known=gravity,
+        regressors=regressors,
+        motor=np.zeros(speed.size, np.int64),
+        block=np.indices(shape)[0].ravel(),
+        is_current=False,
+    )
+
+
+def fitted_friction(robot: Robot, lifts: Sequence[Lift]) -> dict[str, Estimate]:
+    """Estimates of the frictions that all winches share, by name."""
+    names = parameter_names(robot)
+    values = {name: getattr(robot, name) for name in names}
+    estimates = fit(_samples(robot, lifts), names, values).estimates
+    return {item.name: item for item in estimates}
+
+
 def _fit(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
     """Constant friction, its part that grows with the load, and viscous friction, by least squares
     over all lifts."""
-    gravity = np.array([_gravity_torque(robot, lift) for lift in lifts])
-    friction = gravity * np.array([lift.friction for lift in lifts])
-    speed = np.array([lift.speed for lift in lifts])
-    matrix = np.stack([np.ones_like(speed), gravity, speed], axis=1)
-    constant, fraction, viscous = np.linalg.lstsq(matrix, friction, rcond=None)[0]
-    fitted = (
-        ("constant friction, fitted", "N·m", robot.coulomb_friction, constant),
-        ("friction per cable torque, fitted", "1", robot.load_friction, fraction),
-        ("viscous friction, fitted", "N·m·s/rad", robot.damping, viscous),
-    )
+    estimates = fitted_friction(robot, lifts)
     comparisons = []
-    for quantity, unit, model, value in fitted:
+    for name, (quantity, unit) in FITTED.items():
         comparison = Comparison(
-            quantity=quantity, unit=unit, model=float(model.mean()), robot=float(value)
+            quantity=quantity,
+            unit=unit,
+            model=float(getattr(robot, name).mean()),
+            robot=estimates[name].value,
+        )
+        comparisons.append(comparison)
+    return comparisons
+
+
+def _predictions(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
+    """Friction of each winch with the large weight, from a fit to the others and to the small
+    weight."""
+    comparisons = []
+    heavy = max(WINCHES)
+    for winch in WINCHES[heavy]:
+        unseen = [lift for lift in lifts if (lift.weight, lift.winch) == (heavy, winch)]
+        estimates = fitted_friction(robot, [lift for lift in lifts if lift not in unseen])
+        # Not the values of the robot, which have been fitted to all winches.
+        fields = {name: estimates[name].value for name in FITTED}
+        predicted = robot.replace(transmission=robot.transmission.replace(**fields))
+        model = [model_friction(predicted, heavy, winch, lift.speed) for lift in unseen]
+        comparison = Comparison(
+            quantity=f"friction over gravity, {heavy} kg, winch {winch} from the others",
+            unit="1",
+            model=float(np.mean(model)),
+            robot=float(np.mean([lift.friction for lift in unseen])),
+            goal=PREDICTION_GOAL,
         )
         comparisons.append(comparison)
     return comparisons

@@ -22,6 +22,7 @@ from oracles.episodes import (
     two_ids,
     wrenches,
 )
+from oracles.plants import with_transmission
 from scipy import stats
 
 from cablebot_gym.physics import textbook
@@ -65,10 +66,14 @@ def test_one_row_makes_an_attribute_of_the_robot_uncertain(monkeypatch):
 
 
 def richest_env(name):
-    """The environment with most kinds of parameters among those with this one."""
+    """The environment with most kinds of parameters among those with this one, and its robot, which
+    has load friction if the parameter needs it."""
     for env_id in (FLEX_SPATIAL, SPATIAL, *ROBOTS):
-        if PARAMETERS[name].belongs_to(ROBOTS[env_id]):
-            return env_id
+        robot = ROBOTS[env_id]
+        if PARAMETERS[name].per_load:
+            robot = with_transmission(robot, load_friction=0.05)
+        if PARAMETERS[name].belongs_to(robot):
+            return env_id, robot
     raise LookupError(name)
 
 
@@ -85,7 +90,8 @@ def robot_with(robot, truth):
     """The robot whose nominal values are the true ones, with the nominal free speed."""
 
     springs = ("stiffness", "motor_inertia", "motor_damping", "axial_stiffness")
-    names = {"pulley_inertia", "damping", "coulomb_friction", *springs} & truth.keys()
+    frictions = ("damping", "coulomb_friction", "load_friction")
+    names = {"pulley_inertia", *frictions, *springs} & truth.keys()
     return robot.replace(
         mass=float(truth["platform_mass"]),
         base_anchors=truth["base_anchors"],
@@ -101,9 +107,9 @@ def robot_with(robot, truth):
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_every_parameter_reaches_the_plant_and_the_truth(name):
     """The uncertain environment is the one of a robot that nominally has the drawn values."""
-    env_id = richest_env(name)
-    substeps = 32 if ROBOTS[env_id].elastic else 8
-    keywords = {"payload": 1.5, "payload_known": False, "substeps": substeps}
+    env_id, robot = richest_env(name)
+    substeps = 32 if robot.elastic else 8
+    keywords = {"payload": 1.5, "payload_known": False, "substeps": substeps, "robot": robot}
     uncertainty = Uncertainty(parameters={name: spread_of(name)})
     uncertain = make(env_id, uncertainty=uncertainty, **keywords)
     nominal = make(env_id, **keywords)
@@ -113,8 +119,7 @@ def test_every_parameter_reaches_the_plant_and_the_truth(name):
     assert [key for key in truth if not np.array_equal(truth[key], nominal.truth[key])] == [name]
     known = make(
         env_id,
-        **keywords | {"payload": float(truth["payload"])},
-        robot=robot_with(ROBOTS[env_id], truth),
+        **keywords | {"payload": float(truth["payload"]), "robot": robot_with(robot, truth)},
         trajectory=nominal.settings.trajectory,
     )
     expected = rollout(known, actions, seed=3)

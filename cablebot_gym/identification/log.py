@@ -1,0 +1,220 @@
+"""Logs of winches as CSV files, and their smooth signals."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from cablebot_gym.kinematics import Array
+from cablebot_gym.robots import COORDINATE_NAMES, Robot
+from cablebot_gym.utils.files import read_text
+
+COLUMNS = {
+    "time": ("s", "time, which increases"),
+    "angle_i": ("rad", "angle of motor i; it grows while the cable winds up"),
+    "speed_i": ("rad/s", "speed of motor i; without it, the derivative of the angle"),
+    "torque_i": ("N·m", "torque of motor i; positive pulls the cable"),
+    "current_i": ("A", "current of motor i in place of its torque"),
+    "load_i": ("kg", "mass that hangs on cable i, hook included"),
+    "tension_i": ("N", "measured tension of cable i"),
+    "x, y, …": ("m, rad", "measured pose of the platform: x, y, z, psi, theta, phi by the robot"),
+    "payload": ("kg", "payload of the platform; without it, that of `--payload`"),
+}
+"""Unit and meaning of the columns of a log. i counts the motors from 1."""
+
+SMOOTHING = 0.01
+"""Standard deviation of the Gaussian filter of all signals and their derivatives [s], at least a
+sampling period.
+
+All signals have the same filter, which keeps a linear equation exact. The filters of Savitzky and
+Golay are different ones for a signal and its derivatives: they lose more of an acceleration than of
+a torque.
+"""
+
+CUT = 4
+"""Half width of the filter over its standard deviation."""
+
+GAP = 5.0
+"""A pause of more than so many median sampling periods divides a log."""
+
+_LETTERS = {"ψ": "psi", "θ": "theta", "φ": "phi"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Log:
+    """Columns of a log."""
+
+    name: str
+    """Name of the file, for messages."""
+    columns: Mapping[str, Array]
+    """Values by the name of the column, each (K,). Empty cells are NaN."""
+
+    def motors(self) -> list[int]:
+        """Indices of the motors with torque or current.
+
+        Raises:
+            ValueError: if there is none, or a motor has both.
+        """
+        motors = set()
+        for column in self.columns:
+            quantity, _, number = column.partition("_")
+            if quantity in ("torque", "current"):
+                motors.add(int(number) - 1)
+        if not motors:
+            raise ValueError(f"{self.name}: no motor has a column torque_1 [N·m] or current_1 [A]")
+        for motor in motors:
+            if {f"torque_{motor + 1}", f"current_{motor + 1}"} <= self.columns.keys():
+                raise ValueError(
+                    f"{self.name}: motor {motor + 1} has torque and current; remove one of them"
+                )
+        return sorted(motors)
+
+    def require(self, *columns: str, purpose: str) -> None:
+        """Checks that there are columns.
+
+        Raises:
+            ValueError: if one is missing; the message names all missing ones.
+        """
+        missing = [column for column in columns if column not in self.columns]
+        if missing:
+            raise ValueError(
+                f"{self.name}: {purpose} needs the columns {', '.join(missing)}; add them to the "
+                f"first line. It has {', '.join(self.columns)}"
+            )
+
+    def segments(self, columns: Sequence[str]) -> Iterator[Segment]:
+        """Stretches without gaps at a constant sampling period, from the rows where all of the
+        columns have values.
+
+        Raises:
+            ValueError: if the time does not increase, or no stretch has twice the window.
+        """
+        columns = ["time", *columns]
+        table = np.stack([self.columns[column] for column in columns], axis=1)
+        table = table[np.isfinite(table).all(axis=1)]
+        steps = np.diff(table[:, 0])
+        if not len(steps) or np.min(steps) <= 0:
+            raise ValueError(
+                f"{self.name}: time must increase, in s, and {columns[-1]} have values"
+            )
+        period = float(np.median(steps))
+        edges = [0, *(np.flatnonzero(steps > GAP * period) + 1), len(table)]
+        least = 2 * window_samples(period)
+        are_all_short = True
+        for start, stop in pairwise(edges):
+            rows = table[start:stop]
+            grid = np.arange(rows[0, 0], rows[-1, 0] + period / 2, period)
+            if len(grid) < least:
+                continue
+            are_all_short = False
+            values = {}
+            for index, column in enumerate(columns):
+                values[column] = np.interp(grid, rows[:, 0], rows[:, index])
+            yield Segment(period=period, columns=values)
+        if are_all_short:
+            raise ValueError(
+                f"{self.name}: no stretch without gaps has {least} samples, the least for a derivative"
+            )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Segment:
+    """A stretch of a log at a constant sampling period."""
+
+    period: float
+    """Sampling period [s]."""
+    columns: Mapping[str, Array]
+    """Values by the name of the column, each (K,)."""
+
+    def smooth(self, column: str, derivative: int = 0) -> Array:
+        """A smoothed column or its derivative, without both ends, which have no full window."""
+        width = max(1.0, SMOOTHING / self.period)
+        signal: Array = gaussian_filter1d(self.columns[column], width, truncate=CUT)
+        for _ in range(derivative):
+            signal = np.gradient(signal, self.period)
+        margin = window_samples(self.period) // 2
+        return signal[margin:-margin]
+
+    def motion(self, motor: int) -> tuple[Array, Array]:
+        """Speed [rad/s] and acceleration [rad/s²] of a motor."""
+        column = f"speed_{motor + 1}"
+        if column in self.columns:
+            return self.smooth(column), self.smooth(column, 1)
+        column = f"angle_{motor + 1}"
+        return self.smooth(column, 1), self.smooth(column, 2)
+
+
+def window_samples(period: float) -> int:
+    """Odd number of samples of the window of the filter."""
+    return 2 * round(CUT * max(1.0, SMOOTHING / period)) + 1
+
+
+def pose_columns(robot: Robot) -> list[str]:
+    """Names of the columns of the pose."""
+    return [_LETTERS.get(symbol, symbol) for symbol in COORDINATE_NAMES[robot.kind]]
+
+
+def valid_columns(robot: Robot) -> list[str]:
+    """Names of all columns that a log of a robot may have."""
+    valid = []
+    for column in COLUMNS:
+        if column.endswith("_i"):
+            valid += [f"{column[:-1]}{motor + 1}" for motor in range(robot.cables)]
+        elif column == "x, y, …":
+            valid += pose_columns(robot)
+        else:
+            valid.append(column)
+    return valid
+
+
+def read_log(path: Path, robot: Robot) -> Log:
+    """A log from a CSV file whose first line names the columns in any order.
+
+    Raises:
+        ValueError: if the file cannot be read, a column is unknown or missing, or a cell is no
+            number. The message names the file.
+    """
+    try:
+        rows = [row for row in csv.reader(read_text(path).splitlines()) if any(row)]
+    except (OSError, csv.Error) as error:
+        raise ValueError(f"cannot read log {str(path)!r}: {error}") from None
+    if not rows:
+        raise ValueError(f"{path.name}: the file is empty; its first line names the columns")
+    header = [name.strip() for name in rows[0]]
+    valid = valid_columns(robot)
+    unknown = [name for name in header if name not in valid]
+    if unknown:
+        raise ValueError(
+            f"{path.name}: unknown column {unknown[0]!r}; columns of {robot.name!r} are "
+            f"{', '.join(valid)}. Rename or remove it"
+        )
+    if len(set(header)) < len(header):
+        raise ValueError(f"{path.name}: a column appears twice; remove one")
+    log = Log(name=path.name, columns=dict(zip(header, _numbers(path, rows).T, strict=True)))
+    log.require("time", purpose="a log")
+    return log
+
+
+def _numbers(path: Path, rows: list[list[str]]) -> NDArray[np.float64]:
+    """Table of the cells below the header."""
+    table = np.full((len(rows) - 1, len(rows[0])), np.nan)
+    for index, row in enumerate(rows[1:]):
+        if len(row) != len(rows[0]):
+            raise ValueError(
+                f"{path.name}: row {index + 1} has {len(row)} cells, the first line {len(rows[0])}"
+            )
+        for column, cell in enumerate(row):
+            try:
+                table[index, column] = float(cell or "nan")
+            except ValueError:
+                raise ValueError(
+                    f"{path.name}: {cell!r} in row {index + 1} is no number; use decimal points"
+                ) from None
+    return table

@@ -1,0 +1,48 @@
+"""``cablebot identify``."""
+
+import json
+
+import pytest
+from identification.lifts import ROBOT, lift, write
+
+from cablebot_gym.robots import load_robot
+from cablebot_gym.uncertainty import find_uncertainty
+
+
+@pytest.fixture
+def logs(tmp_path):
+    """Files of motor 1 with two loads."""
+    return [write(lift(0, load), tmp_path) for load in (1.0, 5.0)]
+
+
+def test_files_are_a_robot_and_an_uncertainty_of_it(cablebot, logs, tmp_path):
+    out = tmp_path / "out"
+    ended = cablebot("identify", *logs, "--robot", "ttk4900", "--out", out)
+    assert ended.status == 0
+    for text in ("coulomb_friction", "95 % interval", "N·m·s/rad", "residual   motor 1: "):
+        assert text in ended.out
+    robot = load_robot(out / "robot.toml")
+    assert robot.coulomb_friction[0] != ROBOT.coulomb_friction[0]
+    data = json.loads((out / "uncertainty.json").read_text())
+    uncertainty = find_uncertainty(data, robot)
+    assert {"coulomb_friction", "load_friction"} <= uncertainty.parameters.keys()
+    again = cablebot("identify", *logs, "--robot", "ttk4900", "--out", out)
+    assert again.status == 2
+    assert "choose another --out" in again.err
+
+
+def test_json_says_why_a_parameter_is_not_determined(cablebot, logs, tmp_path):
+    data = cablebot(
+        "identify", logs[1], "--robot", "ttk4900", "--json", "--out", tmp_path / "out"
+    ).data
+    reasons = {item["name"]: item["reason"] for item in data["estimates"]}
+    assert reasons["load_friction"] == "the logs have one load; add a log with another load"
+    assert not reasons["coulomb_friction"]
+    assert json.loads((tmp_path / "out" / "identification.json").read_text()) == data
+
+
+def test_log_without_loads_names_the_column(cablebot, tmp_path):
+    path = write(lift(0, 5.0), tmp_path, without=("load_1",))
+    ended = cablebot("identify", path, "--robot", "ttk4900", "--out", tmp_path / "out")
+    assert ended.status == 2
+    assert "add load_1 [kg]" in ended.err
