@@ -142,7 +142,9 @@ def test_elastic_stage_agrees_with_inverse_dynamics(name):
     acceleration = np.arange(robot.cables) - 2.0
     torque = textbook.holding_torque(robot, robot.pulley_radius * tensions)
     torque += robot.pulley_inertia * acceleration + robot.damping * speed
-    torque += textbook.coulomb_torque(robot, speed)
+    pulled = textbook.holding_torque(robot, robot.pulley_radius * tensions)
+    friction = robot.coulomb_friction + robot.load_friction * pulled
+    torque += friction * speed / np.hypot(speed, robot.transmission.friction_speed)
     motors = angle[0], speed, acceleration
     check_flexible_stage(robot, state, mass, motors, torque, tensions, tensions, (1e-9, 1e-7))
 
