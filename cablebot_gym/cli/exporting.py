@@ -21,15 +21,11 @@ def export_file(name: str, payload: float | None, out: Path | None) -> None:
     from cablebot_gym.physics import textbook
     from cablebot_gym.robots import find_robot
     from cablebot_gym.utils.checks import number
-    from cablebot_gym.utils.files import atomic_write_text, check_writable_file
+    from cablebot_gym.utils.files import atomic_write_text, check_new_file
 
     if out is None or out.suffix.lower() != ".xml":
         raise ValueError(f"give a file for MuJoCo that ends in .xml: --out {Path(name).stem}.xml")
-    if out.exists():
-        raise ValueError(
-            f"{str(out)!r} exists and may have been edited: delete it, or choose another --out"
-        )
-    check_writable_file(out)
+    check_new_file(out)
     robot = find_robot(name)
     if payload is None:
         payload = robot.defaults.payload(0.0)

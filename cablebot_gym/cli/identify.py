@@ -30,7 +30,7 @@ def identify(
     payload: Annotated[float, "Payload of logs with a pose and without a column payload [kg]."] = 0,
     as_json: Json = False,
 ) -> None:
-    """Identify friction and inertia of winches from logs, with 95 % intervals.
+    """Identify friction and inertia of winches from logs, with confidence intervals.
 
     The columns time, speed_1 and torque_1 or current_1 are of winch 1, and so on. Either masses hang
     on the cables, with the column load_1, or the pose of the platform is measured, with the columns
@@ -74,9 +74,11 @@ def _json(data: object) -> str:
 
 def _rows(result: Identification) -> list[list[str]]:
     """Header and rows of the estimates."""
+    from cablebot_gym.identification.regression import CONFIDENCE
     from cablebot_gym.identification.result import unit_of
 
-    rows = [["parameter", "motors", "value", "95 % interval", "unit", "determined"]]
+    confidence = f"{100 * CONFIDENCE:g} % interval"
+    rows = [["parameter", "motors", "value", confidence, "unit", "determined"]]
     for item in result.estimates:
         value, interval = "–", "–"
         if item.value == item.value:  # not NaN

@@ -17,17 +17,13 @@ def import_file(path: Path, out: Path | None, cable_set: str | None) -> None:
     """
     from cablebot_gym.importers import import_robot
     from cablebot_gym.robots import KIND_TEXTS
-    from cablebot_gym.utils.files import atomic_write_text, check_writable_file
+    from cablebot_gym.utils.files import atomic_write_text, check_new_file
 
     if out is None or out.suffix.lower() != ".toml":
         raise ValueError(
             f"give a file for the robot that ends in .toml: --out {path.stem.lower()}.toml"
         )
-    if out.exists():
-        raise ValueError(
-            f"{str(out)!r} exists and may have been edited: delete it, or choose another --out"
-        )
-    check_writable_file(out)
+    check_new_file(out)
     imported = import_robot(path, cable_set=cable_set)
     robot = imported.robot
     print(f"robot      {robot.name}: {KIND_TEXTS[robot.kind]}, {counted(robot.cables, 'cable')}")

@@ -300,8 +300,7 @@ def _add_platform(world: Element, robot: Robot, mass: float) -> None:
     center = _padded(robot.mass_center)
     if robot.kind == "spatial":
         body.set("pos", _text(robot.home[:3]))
-        rotation = Rotation.from_euler("ZYX", robot.home[:2:-1])
-        body.set("quat", _text(rotation.as_quat(scalar_first=True)))
+        body.set("quat", _text(_home_quaternion(robot)))
         _add(body, "freejoint", name="platform")
         _add(body, "inertial", pos=center, mass=mass, **_spatial_inertia(robot))
     else:
@@ -313,6 +312,13 @@ def _add_platform(world: Element, robot: Robot, mass: float) -> None:
             _add(body, "joint", name="phi", type="hinge", axis=[0, 0, 1])
         _add(body, "inertial", pos=center, mass=mass, diaginertia=[moment] * 3)
     _add_sites(body, "platform", robot.platform)
+
+
+def _home_quaternion(robot: Robot) -> Array:
+    """Rotation of the home pose, (w, x, y, z)."""
+    rotation = Rotation.from_euler("ZYX", robot.home[:2:-1])
+    quaternion: Array = rotation.as_quat(scalar_first=True)
+    return quaternion
 
 
 def _spatial_inertia(robot: Robot) -> dict[str, Any]:
@@ -382,8 +388,7 @@ def _add_home(root: Element, robot: Robot, torques: Array) -> None:
     """Keyframe at rest at home: winches wound by the springs, and actions that hold the load."""
     positions = robot.home
     if robot.kind == "spatial":
-        rotation = Rotation.from_euler("ZYX", robot.home[:2:-1])
-        positions = np.append(robot.home[:3], rotation.as_quat(scalar_first=True))
+        positions = np.append(robot.home[:3], _home_quaternion(robot))
     if robot.flexible:
         wound = torques / robot.pulley_radius / _springs(robot).stiffness
         positions = np.append(positions, wound)

@@ -212,9 +212,7 @@ def _drive_columns(log: Log, motor: int) -> list[str]:
 
 def drive_factors(robot: Robot, speed: Array, acceleration: Array, load: Array) -> Array:
     """Factors of the parameters, (..., 4)."""
-    unit = robot.replace(transmission=robot.transmission.replace(coulomb_friction=1.0))
-    # The speeds of one motor; all motors have the same smoothing.
-    direction = textbook.coulomb_torque(unit, speed[..., None])[..., 0]
+    direction = speed / textbook.smooth_magnitude(robot, speed)
     return np.stack([acceleration, speed, direction, direction * np.abs(load)], axis=-1)
 
 

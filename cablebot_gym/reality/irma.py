@@ -154,6 +154,7 @@ def read_table(workbook: bytes) -> list[list[float]]:
 
 def _cells(file: bytes, name: str) -> list[Array]:
     """Vectors in the cells of a MATLAB array, empty where there was no experiment."""
+    # SciPy reads open files, too, which its types leave out.
     array = loadmat(io.BytesIO(file))[name]  # type: ignore[arg-type]
     return [np.ravel(cell.item()) for cell in array[0]]
 

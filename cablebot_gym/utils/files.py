@@ -109,6 +109,20 @@ def is_writable_dir(folder: Path) -> bool:
     return True
 
 
+def check_new_file(path: Path) -> None:
+    """Checks that a file that a user may edit later is not there yet, and can be written.
+
+    Raises:
+        ValueError: if it is there.
+        OSError: if it cannot be written.
+    """
+    if path.exists():
+        raise ValueError(
+            f"{str(path)!r} exists and may have been edited: delete it, or choose another --out"
+        )
+    check_writable_file(path)
+
+
 def check_writable_file(path: Path) -> None:
     """Checks that a file can be written. Nothing is left behind.
 

@@ -31,7 +31,7 @@ def test_files_are_a_robot_and_an_uncertainty_of_it(cablebot, logs, tmp_path):
     assert "choose another --out" in again.err
 
 
-def test_json_says_why_a_parameter_is_not_determined(cablebot, logs, tmp_path):
+def test_json_has_the_reason_of_an_open_parameter(cablebot, logs, tmp_path):
     data = cablebot(
         "identify", logs[1], "--robot", "ttk4900", "--json", "--out", tmp_path / "out"
     ).data
@@ -41,7 +41,7 @@ def test_json_says_why_a_parameter_is_not_determined(cablebot, logs, tmp_path):
     assert json.loads((tmp_path / "out" / "identification.json").read_text()) == data
 
 
-def test_log_without_loads_names_the_column(cablebot, tmp_path):
+def test_missing_column_of_a_log_is_named(cablebot, tmp_path):
     path = write(lift(0, 5.0), tmp_path, without=("load_1",))
     ended = cablebot("identify", path, "--robot", "ttk4900", "--out", tmp_path / "out")
     assert ended.status == 2

@@ -83,7 +83,7 @@ def test_refused_motion_follows_the_lines_that_need_none(cablebot, edited):
     assert "leaves the workspace" in data["refused"]
 
 
-def test_platform_on_too_few_cables_has_modes_and_no_motion(cablebot, edited):
+def test_platform_that_hangs_has_modes_and_its_motion_is_refused(cablebot, edited):
     two_cables = edited("stadium-camera", "  [60.0, 40.0, -30.0],\n  [-60.0, 40.0, -30.0],\n", "")
     ended = cablebot("robot check", two_cables)
     assert ended.status == 1
@@ -147,7 +147,7 @@ def test_export_writes_mjcf_and_notes(cablebot, tmp_path):
     assert "motors cannot hold the payload" in heavy.err
 
 
-def test_hanging_robot_is_exported_without_keyframe(cablebot, edited, tmp_path):
+def test_keyframe_is_only_of_robots_held_at_home(cablebot, edited, tmp_path):
     two_cables = edited("stadium-camera", "  [60.0, 40.0, -30.0],\n  [-60.0, 40.0, -30.0],\n", "")
     path = tmp_path / "robot.xml"
     assert cablebot("robot export", two_cables, "--out", path).status == 0

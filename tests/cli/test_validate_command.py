@@ -1,17 +1,17 @@
 """``cablebot validate``."""
 
 import pytest
-from reality.conftest import folder, sagging, source_of  # noqa: F401
+from reality.synthetic import sagging, source_of, written
 
 from cablebot_gym.reality.sources import SOURCES
 
 
 @pytest.fixture
-def logs(folder, monkeypatch):  # noqa: F811
+def logs(tmp_path, monkeypatch):
     """Folder with synthetic logs, which the study expects."""
     files = sagging(copied=[3, 7])
     monkeypatch.setitem(SOURCES, "innopolis", source_of(files))
-    return folder(files)
+    return written(files, tmp_path / "logs")
 
 
 def test_table_and_figure_of_a_study(cablebot, logs, tmp_path):

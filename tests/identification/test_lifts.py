@@ -54,7 +54,7 @@ def test_intervals_cover_the_truth_as_often_as_they_say(quantity):
     ],
     ids=["one load", "one speed", "constant speeds"],
 )
-def test_parameter_that_the_logs_do_not_determine_is_refused(quantity, lifts, name, reason):
+def test_undetermined_parameter_is_refused_with_its_remedy(quantity, lifts, name, reason):
     """The robot keeps its value, and the message names the remedy."""
     logs = []
     for seed, (load, speeds, are_constant) in enumerate(lifts):
@@ -69,7 +69,7 @@ def test_parameter_that_the_logs_do_not_determine_is_refused(quantity, lifts, na
         assert estimates["torque_constant"].is_determined
 
 
-def test_motors_share_a_parameter_that_one_of_them_does_not_determine():
+def test_motors_share_a_parameter_that_needs_all_of_them():
     """Motor 2 has one load only."""
     logs = [lift(0, 1.0), lift(1, 5.0), lift(2, 5.0, motors=(2,))]
     motors = {}
@@ -79,7 +79,7 @@ def test_motors_share_a_parameter_that_one_of_them_does_not_determine():
     assert motors["coulomb_friction"] == motors["pulley_inertia"] == [(0,), (1,)]
 
 
-def test_uncertainty_allows_motors_without_load_friction():
+def test_uncertainty_allows_zero_load_friction_of_some_motors():
     """Only motor 1 has a log; the other motors keep the zero of their robot."""
     robot = with_transmission(ROBOT, load_friction=0.0)
     result = identify(robot, [lift(0, load) for load in (1.0, 5.0)])

@@ -48,7 +48,7 @@ def test_wrong_columns_raise(tmp_path, without, rename, message):
         ("time,speed_1\n0,1\n1,1;5\n", "'1;5' in row 2 is no number"),
     ],
 )
-def test_file_that_is_no_table_raises(tmp_path, text, message):
+def test_malformed_file_raises(tmp_path, text, message):
     path = tmp_path / "a.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=f"a.csv: {message}"):

@@ -4,7 +4,7 @@ import io
 from urllib.error import URLError
 
 import pytest
-from reality.conftest import source_of
+from reality.synthetic import source_of, written
 
 from cablebot_gym.reality import STUDIES
 from cablebot_gym.reality.sources import SOURCES, read_logs
@@ -31,14 +31,14 @@ def test_every_study_has_a_source_with_full_hashes():
         ("Up.csv", "b/Up.csv"),
     ],
 )
-def test_files_are_found_by_content_in_any_layout(folder, names):
+def test_files_are_found_by_content_in_any_layout(tmp_path, names):
     """Files of two folders have the same name: the first one must not serve for both."""
-    logs = folder(dict(zip(names, FILES.values(), strict=True)))
+    logs = written(dict(zip(names, FILES.values(), strict=True)), tmp_path / "logs")
     assert read_logs(source_of(FILES), logs, no_network) == FILES
 
 
-def test_other_version_of_a_file_is_refused_with_its_address(folder):
-    logs = folder({**FILES, "tests/5kg/Up.csv": b"heavier"})
+def test_other_version_of_a_file_is_refused_with_its_address(tmp_path):
+    logs = written({**FILES, "tests/5kg/Up.csv": b"heavier"}, tmp_path / "logs")
     with pytest.raises(ValueError, match=r"no file Up\.csv in .* has the SHA-256") as raised:
         read_logs(source_of(FILES), logs, no_network)
     address = f"https://raw.githubusercontent.com/owner/name/{'c' * 40}/tests/5kg/Up.csv"

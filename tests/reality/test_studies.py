@@ -7,7 +7,7 @@ from zipfile import ZipFile
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from reality.conftest import csv_text, sagging
+from reality.synthetic import csv_text, sagging
 from scipy.spatial.transform import Rotation
 
 from cablebot_gym.physics.hanging import home_at_rest

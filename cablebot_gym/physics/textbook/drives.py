@@ -390,24 +390,29 @@ def motor_torques(
     return torque
 
 
+def smooth_magnitude(robot: RobotArrays, speed: ArrayLike) -> Array:
+    """√(ω² + ω₀²) of motor speeds ω, with the ``friction_speed`` ω₀ of the transmission, of the
+    shape of the speeds [rad/s].
+
+    Over it, a speed is the part of its largest friction that a motor has.
+    """
+    magnitude: Array = np.sqrt(as_numbers(speed) ** 2 + robot.transmission.friction_speed**2)
+    return magnitude
+
+
 def coulomb_torque(robot: RobotArrays, speed: ArrayLike) -> Array:
     """Torque τ_c ω/√(ω² + ω₀²) that Coulomb friction takes from the motors at speeds ω (..., m)
     [N·m].
 
-    ω₀ is the ``friction_speed`` of the transmission: the friction is smooth, and there is no
-    stiction.
+    See :func:`smooth_magnitude`: the friction is smooth, and there is no stiction.
     """
-    speed = as_numbers(speed)
-    smooth = robot.transmission.friction_speed
-    torque: Array = robot.coulomb_friction * speed / np.sqrt(speed**2 + smooth**2)
+    torque: Array = robot.coulomb_friction * as_numbers(speed) / smooth_magnitude(robot, speed)
     return torque
 
 
 def load_friction(robot: RobotArrays, speed: ArrayLike) -> Array:
     """Load friction over the load, μ ω/√(ω² + ω₀²), at motor speeds ω (..., m)."""
-    speed = as_numbers(speed)
-    smooth = robot.transmission.friction_speed
-    share: Array = robot.load_friction * speed / np.sqrt(speed**2 + smooth**2)
+    share: Array = robot.load_friction * as_numbers(speed) / smooth_magnitude(robot, speed)
     return share
 
 

@@ -4,7 +4,6 @@ import hashlib
 import io
 
 import numpy as np
-import pytest
 
 from cablebot_gym.reality.sources import Source
 
@@ -21,18 +20,13 @@ def source_of(files):
     return Source(repository="owner/name", commit="c" * 40, license="MIT", files=hashes)
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Writes files into a folder and returns it."""
-
-    def write(files):
-        for path, content in files.items():
-            target = tmp_path / "logs" / path
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(content)
-        return tmp_path / "logs"
-
-    return write
+def written(files, folder):
+    """Writes files by path into a folder, and returns it."""
+    for path, content in files.items():
+        target = folder / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(content)
+    return folder
 
 
 LOADS = (5, 17, 33)
