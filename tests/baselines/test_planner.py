@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cablebot_baselines.classical.observing import GAINS, Observing
-from cablebot_baselines.classical.outer_loop import by_kind
+from cablebot_baselines.classical.observing import Observing, observed_gains
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.gradient_run import train_gradient
 from cablebot_baselines.learned.network import zero_network
@@ -51,7 +50,7 @@ def largest_errors(policy, trajectory, payloads, uncertainty=None):
 
 def test_zero_network_tracks_the_reference_as_closely_as_observing():
     network = zero_network(input_count(PLANAR), PLANAR.coordinates)
-    planning = Planning(gains=by_kind(GAINS, PLANAR))
+    planning = Planning(gains=observed_gains(PLANAR))
     policy = PlanningPolicy(PLANAR, network, planning)
     observing = Observing(policy.law, policy.expectation, payload_prior=planning.payload_prior)
     (motion,) = loops(1)

@@ -14,7 +14,6 @@ from cablebot_baselines.classical.allocation import allocate
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flexible import composite_tuned
 from cablebot_baselines.classical.law import Array, ClassicalLaw
-from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.estimation.expectation import Expectation
@@ -29,10 +28,6 @@ from cablebot_gym.uncertainty import find_uncertainty
 
 PERIOD = 2e-3
 """Control period of the observer before :meth:`Observing.reset` [s]."""
-
-GAINS = {"planar": (900.0, 60.0), "spatial": (400.0, 40.0)}
-"""(K_P, K_D) of ``observing`` for rigid robots [1/s², 1/s]. Higher ones amplify the noise of the
-sensors."""
 
 MINIMUM_TENSION = 7.0
 """Least tension that ``observing`` allocates with more cables than coordinates [N]. Less, and a cable
@@ -49,6 +44,17 @@ _REFERENCE = {
     "reference_snap": "snap",
 }
 """Fields of a motion by blocks of the reference, which an observation may have."""
+
+
+def observed_gains(robot: Robot) -> tuple[float, float]:
+    """(K_P, K_D) of a law behind the observer for a rigid robot [1/s², 1/s].
+
+    Higher ones amplify the noise of the sensors; with lower ones a platform in a plane turns too
+    far where the motors have less friction.
+    """
+    if robot.planar:
+        return 900.0, 60.0
+    return 400.0, 40.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -292,7 +298,7 @@ def make_observing(robot: Robot) -> Observing:
     else:
         law = FeedbackLinearization(
             expectation.robot,
-            gains=by_kind(GAINS, robot),
+            gains=observed_gains(robot),
             minimum_tension=allocated_minimum(robot, MINIMUM_TENSION),
         )
     return Observing(law, expectation)

@@ -12,8 +12,7 @@ import numpy as np
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.law import Array, flexible_advice
-from cablebot_baselines.classical.observing import GAINS, UNCERTAINTY, Instant, Observing
-from cablebot_baselines.classical.outer_loop import by_kind
+from cablebot_baselines.classical.observing import UNCERTAINTY, Instant, Observing, observed_gains
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.learned.network import Network
 from cablebot_gym.physics.textbook import allocated_minimum
@@ -229,7 +228,7 @@ class PlanningPolicy(Observing):
         expectation = Expectation.of(robot, uncertainty)
         law = FeedbackLinearization(
             expectation.robot,
-            gains=by_kind(GAINS, robot),
+            gains=observed_gains(robot),
             minimum_tension=allocated_minimum(robot, planning.tension),
         )
         super().__init__(law, expectation, payload_prior=planning.payload_prior)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.law import Array, flexible_advice
-from cablebot_baselines.classical.observing import GAINS, UNCERTAINTY, Instant, Observing
+from cablebot_baselines.classical.observing import UNCERTAINTY, Instant, Observing, observed_gains
 from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
 from cablebot_baselines.estimation.expectation import Expectation
@@ -133,7 +133,7 @@ class NonlinearMPC(Observing):
         self.program = HorizonProgram(robot, tuning)
         law = FeedbackLinearization(
             expectation.robot,
-            gains=gains or by_kind(GAINS, robot),
+            gains=gains or observed_gains(robot),
             minimum_tension=self.program.minimum_tension,
         )
         super().__init__(law, expectation, payload_prior=PAYLOAD_OF_PLANS)
