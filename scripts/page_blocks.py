@@ -140,9 +140,11 @@ def library_pages() -> str:
         text += f"![{name}: plan, elevations and workspace](figures/robot-{name}.png)\n\n"
         command = f"cablebot robot check {check.robot.name} --payload {check.payload:g}"
         lines = [f"$ {command}", *report(check), *motion_report(check, motion, "")]
-        text += "```text\n" + "\n".join(lines) + "\n```\n\n| value | source |\n| --- | --- |\n"
+        text += "```text\n" + "\n".join(lines) + "\n```\n\n"
+        text += "| value | range | source |\n| --- | --- | --- |\n"
         for field, source in check.robot.sources.items():
-            text += f"| `{field}` | {re.sub('^assumed', '**assumed**', source)} |\n"
+            ends = " to ".join(f"{value:g}" for value in check.robot.ranges.get(field, ()))
+            text += f"| `{field}` | {ends} | {re.sub('^assumed', '**assumed**', source)} |\n"
         text += "\n"
     return "\n" + text
 

@@ -3,12 +3,14 @@ follow."""
 
 import re
 import tomllib
+from operator import attrgetter
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from cablebot_gym.bounds.robot_check import check_motion
+from cablebot_gym.physics import textbook
 from cablebot_gym.robots import (
     ELASTIC,
     find_robot,
@@ -16,6 +18,8 @@ from cablebot_gym.robots import (
     load_robot,
     robot_names,
 )
+from cablebot_gym.robots.ranges import with_values
+from cablebot_gym.robots.writing import to_toml
 
 every_robot = pytest.mark.parametrize("name", library())
 
@@ -23,7 +27,8 @@ every_robot = pytest.mark.parametrize("name", library())
 def cited_fields(data, table=""):
     """Names of the fields of a file that need a source."""
     tables = {"motors", "transmission", "defaults"}
-    names = {f"{table}{name}" for name in data if name not in {*tables, "name", "sources"}}
+    without = {"name", "sources", "ranges"}
+    names = {f"{table}{name}" for name in data if name not in {*tables, *without}}
     return names.union(*(cited_fields(data[name], f"{name}.") for name in tables if name in data))
 
 
@@ -54,6 +59,41 @@ def test_source_of_anchors_without_deviations_calls_them_nominal(name, field):
 def test_library_has_surveyed_and_nominal_anchors():
     mirrored = {name for name in library() if is_mirrored(find_robot(name).base_anchors)}
     assert mirrored == {"fast", "gch-klaus", "stadium-camera", "ttk4900"}
+
+
+@every_robot
+def test_ranges_contain_the_values_of_the_file(name):
+    """They are for values that are assumed, or on which sources disagree."""
+    robot = find_robot(ELASTIC + name)
+    assert robot.ranges
+    for field, (low, high) in robot.ranges.items():
+        assert low <= attrgetter(field)(robot) <= high
+        assert re.search("^assumed| has ", robot.sources[field])
+
+
+@every_robot
+def test_payload_range_holds_for_all_values_within_the_ranges(name):
+    """The ends are those of corners, which is exact only where the payload is monotonic."""
+    robot = find_robot(name)
+    motion = check_motion(robot)
+    lowest, highest = motion.payload_range
+    assert lowest < motion.limit.largest < highest
+    ends = np.array(list(robot.ranges.values()))
+    for values in np.random.default_rng(1).uniform(*ends.T, size=(10, len(ends))).tolist():
+        other = with_values(robot, dict(zip(robot.ranges, values, strict=True)))
+        assert lowest <= check_motion(other).limit.largest <= highest
+
+
+@every_robot
+def test_friction_is_smoothed_far_below_the_speeds_of_the_default_motion(name):
+    """At 0.5 rad/s, FAST had hardly any friction."""
+    robot = find_robot(name)
+    motion = check_motion(robot).trajectory
+    reference = motion(np.linspace(0, motion.duration, 201))
+    structure = textbook.jacobian(robot, reference.position)
+    cable_speed = np.einsum("kij,kj->ki", structure, reference.velocity)
+    largest = np.max(np.abs(cable_speed / robot.pulley_radius))
+    assert robot.transmission.friction_speed <= 0.03 * largest
 
 
 @every_robot
@@ -88,15 +128,16 @@ def test_inertia_of_cogiro_fits_both_points_of_its_source():
 
 
 @every_robot
-def test_names_are_the_robot_with_rigid_and_with_elastic_cables(
-    name,
-):
+def test_names_are_the_robot_with_rigid_and_with_elastic_cables(name, tmp_path):
     rigid = find_robot(name)
     elastic = find_robot(ELASTIC + name)
     file = load_robot(library()[name])
     assert (rigid.name, rigid.flexible) == (name, False)
     assert (elastic.name, elastic.elastic) == (ELASTIC + name, True)
     assert elastic.replace(name=name) == file
+    (tmp_path / "copy.toml").write_text(to_toml(file), encoding="utf-8")
+    copy = load_robot(tmp_path / "copy.toml")
+    assert (copy, copy.sources, copy.ranges) == (file, file.sources, file.ranges)
     assert rigid == file.with_rigid_cables()
     assert {name, ELASTIC + name} <= set(robot_names())
 

@@ -94,6 +94,7 @@ def test_data_have_the_keys_of_used_options_only():
         "plane",
         "swivel_radius",
         "sources",
+        "ranges",
         "defaults",
     }
     assert not keys & {*SPATIAL.to_dict(), *SPATIAL.to_dict()["transmission"]}
@@ -197,6 +198,11 @@ ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
             {"platform_anchors": UPRIGHT},
             "the cables act in 5 of 6 directions, and ψ is free; move the pose",
         ),
+        (SPATIAL, {"ranges": [("mass", (1.0, 2.0))]}, r"must be a table of \[low, high\]"),
+        (SPATIAL, {"ranges": {"motors": (1.0, 2.0)}}, "'motors' is not a field with one number"),
+        (SPATIAL, {"ranges": {"drums.radius": (1.0, 2.0)}}, "is not a field with one number"),
+        (SPATIAL, {"ranges": {"mass": (2.0,)}}, r"ranges: mass must be \[low, high\]"),
+        (SPATIAL, {"ranges": {"mass": (2.0, 1.0)}}, "mass: 2 is above 1; write"),
     ],
 )
 def test_impossible_robot_raises(robot, changes, message):

@@ -13,10 +13,10 @@ from cablebot_gym.benchmark.cells import Cell, PolicyCell, TimingCell, canonical
 from cablebot_gym.benchmark.maps import varied_texts
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.yardstick import PROBABILITY, yardsticks
-from cablebot_gym.bounds.robot_check import check_motion
+from cablebot_gym.bounds.robot_check import check_motion, two_digits
 from cablebot_gym.evaluation.constraints import KINDS, Violation
 from cablebot_gym.isolation.installed import public_entry
-from cablebot_gym.robots import KIND_TEXTS, Kind
+from cablebot_gym.robots import KIND_TEXTS, Kind, find_robot
 from cablebot_gym.task import payload_model_text
 from cablebot_gym.trajectories import find_trajectory
 
@@ -297,28 +297,38 @@ def _title(cell: Cell, motion: str) -> str:
 
 def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:
     """Head and rows of the tables of robots with their own motions: rigid robots, then those with
-    elastic cables."""
+    elastic cables. Payloads have two digits, because values of the robots are assumed; those of
+    policies are fractions of exact tracking."""
     groups: dict[tuple[bool, str], list[scores.Score]] = {}
     for score in scores.scores(records):
         if score.cell.robot_name is not None:
             groups.setdefault((score.cell.robot.flexible, score.cell.robot_name), []).append(score)
     tables: dict[bool, list[list[str]]] = {}
     for (flexible, name), group in groups.items():
-        robot = group[0].cell.robot
-        head = ["robot", "platform", "cables"]
-        row = [f"`{name}`", KIND_TEXTS[robot.kind], str(robot.cables)]
-        if not flexible:
-            head.append("exact tracking [kg]")
-            row.append(_digits(check_motion(robot).limit.largest))
+        robot = find_robot(name)  # a stored robot has no ranges
+        motion = check_motion(robot)
+        exact = motion.limit.largest
+        head = ["robot", "platform", "cables", "exact tracking [kg]"]
+        row = [f"`{name}`", KIND_TEXTS[robot.kind], str(robot.cables), two_digits(exact)]
+        if motion.payload_range is not None and not flexible:
+            head.append("over its ranges [kg]")
+            row.append(two_digits(*motion.payload_range))
         for score in group:
-            head.append(f"{score.cell.policy} [kg]")
-            row.append(_payload(score))
+            head.append(score.cell.policy)
+            row.append(_share(score, exact))
         head.append("limiting violation of the best")
         best = max(group, key=lambda score: score.payload or 0.0)
         violation = best.result.get("violation")
         row.append("–" if violation is None else str(Violation(**violation)))
         tables.setdefault(flexible, [head]).append(row)
     return [rows for _, rows in sorted(tables.items())]
+
+
+def _share(score: scores.Score, payload: float) -> str:
+    """Payload of a score as a fraction of another one."""
+    if score.payload is None:
+        return _payload(score)
+    return f"{score.payload / payload:.0%}"
 
 
 def best_known_text(best: scores.BestKnown) -> str:

@@ -32,6 +32,7 @@ from cablebot_gym.physics.statics import (
 )
 from cablebot_gym.rendering.projection import attached_points
 from cablebot_gym.robots import COORDINATE_NAMES, Robot
+from cablebot_gym.robots.ranges import with_values
 from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
@@ -44,6 +45,11 @@ GRID = {2: 41, 3: 17}
 
 CLOSE = 0.01
 """Distance of two cables below which they may touch [m]."""
+
+
+def _finite_or_none(value: float) -> float | None:
+    """A number for JSON, which has no infinite ones."""
+    return value if math.isfinite(value) else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,10 +70,8 @@ class PayloadLimit:
 
     def to_dict(self) -> dict[str, Any]:
         """The limit as JSON-able data; None for an infinite number."""
-        return {
-            name: None if value in (math.inf, -math.inf) else value
-            for name, value in vars(self).items()
-        }
+        least, largest = map(_finite_or_none, (self.least, self.largest))
+        return vars(self) | {"least": least, "largest": largest}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,6 +150,9 @@ class MotionCheck:
     """Payload [kg]."""
     limit: PayloadLimit
     """Payloads with which cables and motors follow the motion exactly."""
+    payload_range: tuple[float, float] | None
+    """Largest payload over the robot's ranges, see :func:`payload_range` [kg]; None without
+    ranges."""
     ceiling: float
     """Payload that no controller can be expected to carry, see
     :func:`~cablebot_gym.physics.statics.payload_ceiling` [kg]."""
@@ -176,7 +183,8 @@ class MotionCheck:
             "held": self.held,
             "possible": self.possible,
             "limit": self.limit.to_dict(),
-            "ceiling": self.ceiling if math.isfinite(self.ceiling) else None,
+            "payload_range": self.payload_range and list(map(_finite_or_none, self.payload_range)),
+            "ceiling": _finite_or_none(self.ceiling),
             "cables": [vars(cable) for cable in self.cables],
             "settled": self.settled,
             "settled_tension": self.settled_tension,
@@ -248,6 +256,7 @@ def check_motion(
         error_bounds=bounds,
         payload=payload,
         limit=payload_limit(robot, times, reference, payload),
+        payload_range=payload_range(robot, times, reference),
         ceiling=payload_ceiling(robot, motion, bounds),
         cables=cables,
         settled=settled,
@@ -299,6 +308,43 @@ def payload_limit(robot: Robot, times: Array, reference: Reference, payload: flo
         pose=tuple(reference.position[index].tolist()),
         reason="the cables are singular" if singular else limiting_cables(robot, coefficients),
     )
+
+
+def payload_range(robot: Robot, times: Array, reference: Reference) -> tuple[float, float] | None:
+    """Least and largest of the payloads with which cables and motors can follow a reference [kg],
+    over the robot's ``ranges``; minus infinite if there is none. None for a robot without ranges.
+
+    Each value is taken at the end of its range that lowers (raises) the payload when the others
+    are as in the robot, all of them at once. This is exact if the payload rises or falls with a
+    value wherever the others are in their ranges.
+    """
+    if not robot.ranges:
+        return None
+
+    def largest(values: dict[str, float]) -> float:
+        return payload_limit(with_values(robot, values), times, reference, 0.0).largest
+
+    payloads = [largest({})]
+    worst: dict[str, float] = {}
+    best: dict[str, float] = {}
+    for name, ends in robot.ranges.items():
+        at_ends = [largest({name: value}) for value in ends]
+        worst[name] = ends[int(np.argmin(at_ends))]
+        best[name] = ends[int(np.argmax(at_ends))]
+        payloads += at_ends
+    payloads += [largest(worst), largest(best)]
+    return min(payloads), max(payloads)
+
+
+def two_digits(*payloads: float) -> str:
+    """Payloads of a robot that is not known exactly in words, with two digits [kg]."""
+    texts = []
+    for payload in payloads:
+        text = "none"
+        if payload >= 0:
+            text = f"{float(f'{payload:.2g}'):g}"
+        texts.append(text)
+    return " to ".join(dict.fromkeys(texts))
 
 
 def _hanging_limit(robot: Robot, payload: float) -> PayloadLimit:

@@ -97,6 +97,7 @@ def _robot_entry(name: str) -> dict[str, Any]:
         "documented": len(robot.sources) - len(assumed),
         "assumed": assumed,
         "sources": dict(robot.sources),
+        "ranges": dict(robot.ranges),
     }
 
 

@@ -204,6 +204,8 @@ def report(check: RobotCheck) -> list[str]:
 def motion_report(check: RobotCheck, motion: MotionCheck, evaluation: str) -> list[str]:
     """Lines of the check of the motion in words. ``evaluation`` is the command that evaluates a
     controller on it."""
+    from cablebot_gym.bounds.robot_check import two_digits
+
     robot, limit = check.robot, motion.limit
     place = f"at t = {limit.time:.2f} s, pose ({_numbers(limit.pose)})"
     name = f"motion     {motion.trajectory.name}, {motion.trajectory.duration:g} s"
@@ -212,6 +214,10 @@ def motion_report(check: RobotCheck, motion: MotionCheck, evaluation: str) -> li
     else:
         lines = [f"{name}: exact tracking carries {_interval(limit, robot)}"]
     lines += [f"           limit {place}:", f"           {limit.reason}"]
+    if motion.payload_range is not None:
+        payloads = two_digits(*motion.payload_range)
+        values = counted(len(robot.ranges), "value")
+        lines.append(f"           {payloads} kg over the ranges of {values}")
     if motion.payload > 0 and motion.held:
         lines.append(f"           {motion.payload:g} kg is carried exactly")
     elif motion.payload > 0 and motion.possible:

@@ -25,6 +25,7 @@ from cablebot_gym.robots.parts import (
     Transmission,
     as_tuples,
 )
+from cablebot_gym.robots.ranges import check_ranges
 from cablebot_gym.utils.checks import choice, number, numbers, record
 
 
@@ -118,6 +119,12 @@ class Robot:
     sources: Mapping[str, str] = dataclasses.field(default_factory=dict, compare=False, repr=False)
     """Source of the values by name of the field, such as ``base_anchors`` or
     ``motors.stall_torque``. The source of an assumed value starts with ``assumed``."""
+    ranges: Mapping[str, tuple[float, float]] = dataclasses.field(
+        default_factory=dict, compare=False, repr=False
+    )
+    """(low, high) between which a value that is not known exactly is expected, by name of the
+    field. The checks of a robot compute the payload over them, see
+    :func:`~cablebot_gym.bounds.robot_check.payload_range`."""
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -329,10 +336,11 @@ class Robot:
         return self.replace(transmission=rigid)
 
     def to_dict(self) -> dict[str, Any]:
-        """The robot as JSON-able data, which :meth:`from_dict` reads, without sources and without
+        """The robot as JSON-able data, which :meth:`from_dict` reads, without sources, ranges and
         unused options."""
         data = dataclasses.asdict(self)
         del data["sources"]
+        del data["ranges"]
         _drop_unused(data, Robot, _OPTIONAL)
         _drop_unused(data["transmission"], Transmission, _OPTIONAL_OF_TRANSMISSION)
         if self.defaults == Defaults():
@@ -403,6 +411,7 @@ def _check_fields(robot: Robot) -> None:
         raise ValueError(
             f"sources must be a table of texts by the name of the field, not {robot.sources!r}"
         )
+    check_ranges(robot)
     if robot.weightless and robot.cables <= robot.coordinates:
         raise ValueError(
             f"base_anchors: {KIND_TEXTS[robot.kind]} without gravity needs at least {robot.coordinates + 1} cables, "

@@ -26,8 +26,9 @@ def to_toml(robot: Robot) -> str:
     if defaults:
         lines += ["", "[defaults]", *_lines(defaults, unused)]
     lines += ["", "[sources]"]
-    for name, text in robot.sources.items():
-        lines.append(f"{json.dumps(name)} = {_text(text)}")
+    lines += _named(robot.sources)
+    if robot.ranges:
+        lines += ["", "[ranges]", *_named(robot.ranges)]
     return "\n".join(lines) + "\n"
 
 
@@ -42,6 +43,12 @@ def _lines(values: Mapping[str, Any], unused: tuple[Any, ...]) -> Iterator[str]:
             yield f"{name} = [\n{rows}]"
         else:
             yield f"{name} = {_text(value)}"
+
+
+def _named(values: Mapping[str, Any]) -> Iterator[str]:
+    """Lines with the name of a field and a value."""
+    for name, value in values.items():
+        yield f"{json.dumps(name)} = {_text(value)}"
 
 
 def _text(value: Any) -> str:
