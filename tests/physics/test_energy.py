@@ -69,6 +69,25 @@ def test_integrator_has_order_four_while_motors_are_saturated(robot):
     assert_order_four(end, 8 if robot.flexible else 2, 2048)
 
 
+@each_of(QUAD, FLEX_QUAD)
+def test_order_is_four_where_friction_reverses(robot):
+    """Friction is smooth there: one that sticks would give order one at each reversal."""
+    robot = with_transmission(robot, coulomb_friction=0.05, friction_speed=2.0)
+    pose, velocity = (value[None] for value in off_centre(robot))
+    angle = textbook.pulley_angle(robot, pose)
+    state = State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity))
+
+    def end(substeps):
+        plant = loaded_plant(robot, state)
+        # against the motion
+        plant.set_action(-0.05 * np.sign(drive_speed(robot, state)))
+        plant.advance(*no_reference(robot), substeps=substeps, step=0.02 / substeps)
+        assert np.any(drive_speed(robot, state_of(plant)) * drive_speed(robot, state) < 0)
+        return state_of(plant).columns()
+
+    assert_order_four(end, 32, 4096)
+
+
 def test_order_is_four_while_elastic_cables_are_taut():
     robot = with_transmission(free_motors(HANGING), axial_stiffness=2e4, damping=0.0)
     state = states(robot, 2, spread=0.1)
