@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import combinations
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots.parts import COORDINATE_NAMES, Kind
+from cablebot_gym.utils.checks import numbers
 
 LARGEST_SIZE = 3000.0
 """Largest ratio of the width of the base to a pulley radius. It is 20 for the paper's robots and
@@ -50,6 +52,28 @@ def check_reach(reach: float, gyration: float) -> None:
             f"platform_anchors reach {reach:g} m from the centre of mass, and the radius of gyration is "
             f"{gyration:.3g} m; {_METRES}"
         )
+
+
+def check_ranges(ranges: Any, fields: Mapping[str, Any]) -> None:
+    """Checks the ranges of values that are not known exactly.
+
+    Args:
+        ranges: the table of a robot.
+        fields: values by the names that it may have.
+    """
+    if not isinstance(ranges, Mapping):
+        raise ValueError(
+            f"ranges must be a table of [low, high] by the name of the field, not {ranges!r}"
+        )
+    for name, ends in ranges.items():
+        if not isinstance(fields.get(name), int | float | tuple):
+            raise ValueError(
+                f"ranges: {name!r} is not a field with one number; such fields are 'mass' and "
+                "'motors.stall_torque'"
+            )
+        low, high = numbers(f"ranges: {name}", ends, shapes=[(2,)], form="[low, high]")
+        if low > high:
+            raise ValueError(f"ranges: {name}: {low:g} is above {high:g}; write [low, high]")
 
 
 def check_inertia(inertia: tuple[Any, ...], tensor: Array) -> None:
