@@ -36,6 +36,7 @@ ORDER = (
         "envs",
         "datasets",
         "policies",
+        "hardware",
         "isolation",
         "evaluation",
         "bounds",
@@ -118,7 +119,10 @@ def test_package_imports_only_those_before_it(package):
 
 @pytest.mark.parametrize(
     ("package", "rooms"),
-    [("isolation", {"benchmark", "report", "cli"}), ("identification", {"reality", "cli"})],
+    [
+        ("isolation", {"benchmark", "report", "cli"}),
+        ("identification", {"hardware", "reality", "cli"}),
+    ],
 )
 def test_only_these_rooms_know_a_package(package, rooms):
     """The evaluator takes a loaded policy, in whatever process it runs; a robot is data, whoever

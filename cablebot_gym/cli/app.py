@@ -39,6 +39,9 @@ COMMANDS = {
         "video": "cablebot_gym.cli.video:video",
         "picture": "cablebot_gym.cli.picture:picture",
     },
+    "Drive real winches": {
+        "drive": "cablebot_gym.cli.drive:drive",
+    },
     "Run benchmarks": {
         "benchmark": "cablebot_gym.cli.benchmark:benchmark",
         "report": "cablebot_gym.cli.report:report",
@@ -90,8 +93,8 @@ app = typer.Typer(
         "  0    success, whatever the payload is\n"
         "  1    failure: a policy raised an error, a file could not be written,\n"
         "       a benchmark cell failed, a best known payload was not verified,\n"
-        "       an entry was refused, doctor found a fault, or a robot\n"
-        "       was refused or does not carry its payload\n"
+        "       an entry was refused, doctor found a fault, a robot\n"
+        "       was refused or does not carry its payload, or a drive stopped\n"
         "  2    invalid input, or a folder that is not writable\n"
         "  130  interrupted"
     ),

@@ -414,6 +414,21 @@ class Simulation:
         self._measure(self._all_indices, fresh=False)
         call_all(self._outcome_calls)
 
+    def observe(self, readings: ArrayLike, sent: ArrayLike | None = None) -> None:
+        """Makes the next observation from the sensors of real robots in place of the plant's. Reward
+        and info have no meaning then.
+
+        Args:
+            readings: readings of the winches in the order of the observation, (N, components).
+            sent: actions of the last control period, shaped as for :meth:`step`; None at the start,
+                after :meth:`reset`.
+        """
+        if sent is not None:
+            self._sent[...] = _check_actions(sent, self._action_shape)
+            self._plant.step_index += 1
+        self._sensors.readings[...] = readings
+        outcome.outcome(sent is None, self._all_indices, *self._outcome_arguments)
+
     def _measure(self, env_indices: NDArray[np.int64], *, fresh: bool) -> None:
         """Draws the noise and reads the sensors of the next observation."""
         if not self._disturbances.quiet:

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from importlib.metadata import entry_points, version
+from importlib.metadata import version
 from multiprocessing import parent_process
 from typing import Any, NamedTuple, Protocol
 
@@ -22,9 +22,8 @@ from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Judge, Verdict, Violation
 from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes
 from cablebot_gym.kinematics import Array
-from cablebot_gym.measurement import POSE
 from cablebot_gym.policies import LoadedPolicy, PolicyError, Wrapper, load
-from cablebot_gym.policies.spec import ESTIMATOR_ENTRY_POINT_GROUP
+from cablebot_gym.policies.spec import check_measurement
 from cablebot_gym.task import Task, to_jsonable
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.workers import cores
@@ -256,18 +255,8 @@ class Batch:
     def _check_policy(self) -> None:
         """Checks that the policy reads what is measured, and that the criterion applies to it."""
         declared = self.policy.declarations
-        kind = self.settings.measurement.kind
         name = self.policy.name
-        if declared.measurement != kind:
-            remedy = "declare measurement = 'winches'"
-            estimators = sorted(entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP).names)
-            if kind == POSE.kind:
-                remedy = "use measurement='winches'"
-            elif estimators:
-                remedy = f"name an estimator, such as {estimators[0]}+{name}, or {remedy}"
-            raise ValueError(
-                f"policy {name!r} reads measurement {declared.measurement!r}, not {kind!r}: {remedy}"
-            )
+        check_measurement(self.policy, self.settings.measurement)
         if self.conditions.criterion == "paper" and not declared.unsaturated_actions:
             raise ValueError(
                 f"the paper criterion does not apply to policy {name!r}, because it does not "

@@ -44,7 +44,7 @@ def _prepared(robot: Robot) -> tuple[kernel.Form, Array, float]:
     """Form and parameters for ``kernel.Compiled.locate``, and the tolerance. Springs need no code
     of their own."""
     load_numba()
-    form = form_of(robot)._replace(jointed=False, elastic=False)
+    form = form_of(robot)._replace(jointed=False, elastic=False, load_friction=False)
     rows = pack_parameters(robot)
     m = robot.cables
     rows[kernel.MASS], rows[kernel.GRAVITY] = _DAMPING * m, 0.0

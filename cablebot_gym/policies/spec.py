@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from cablebot_gym.envs import ENV_ROBOTS
+from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.policies.adapters import as_policy
 from cablebot_gym.policies.entry import CARD
 from cablebot_gym.policies.protocol import (
@@ -176,6 +177,27 @@ def _first_entry(points: Iterable[EntryPoint]) -> PolicyEntry | None:
             return entry
         _LOGGER.warning("policy %r is skipped: its entry has the name %r", point.name, entry.name)
     return None
+
+
+def check_measurement(policy: LoadedPolicy, measurement: Measurement) -> None:
+    """Checks that a policy reads what is measured.
+
+    Raises:
+        ValueError: if it reads another kind of measurement. The message names the remedy.
+    """
+    declared = policy.declarations.measurement
+    kind = measurement.kind
+    if declared == kind:
+        return
+    remedy = "declare measurement = 'winches'"
+    estimators = sorted(entry_points(group=ESTIMATOR_ENTRY_POINT_GROUP).names)
+    if kind == POSE.kind:
+        remedy = "use measurement='winches'"
+    elif estimators:
+        remedy = f"name an estimator, such as {estimators[0]}+{policy.name}, or {remedy}"
+    raise ValueError(
+        f"policy {policy.name!r} reads measurement {declared!r}, not {kind!r}: {remedy}"
+    )
 
 
 def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = ()) -> Policy:

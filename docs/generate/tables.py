@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import tomllib
 from collections import defaultdict
+from dataclasses import fields
 from pathlib import Path
+from typing import get_type_hints
 
 from typer.testing import CliRunner
 
@@ -13,6 +15,7 @@ from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import best_known_payloads
 from cablebot_gym.cli.app import add_commands, app, command_points
 from cablebot_gym.cli.listing import tables
+from cablebot_gym.hardware.limits import DriveLimits
 from generate.pages import RESULTS, Pages, table
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
@@ -25,6 +28,7 @@ def write(pages: Pages) -> None:
         pages.write(f"{name}.inc", table(rows))
     pages.write("requirements.inc", requirements())
     pages.write("commands.inc", commands())
+    pages.write("drive-limits.inc", drive_limits())
     pages.write("replays.inc", replays())
     pages.write("clients.inc", clients())
 
@@ -36,6 +40,19 @@ def requirements() -> str:
     extras = {"the package itself": project["dependencies"], **project["optional-dependencies"]}
     for extra, requirements in extras.items():
         rows.append([extra, ", ".join(f"`{requirement}`" for requirement in requirements)])
+    return table(rows)
+
+
+def drive_limits() -> str:
+    """Limits of `cablebot drive`."""
+    rows = [["option", "default", "meaning"]]
+    hints = get_type_hints(DriveLimits, include_extras=True)
+    for field in fields(DriveLimits):
+        default = "–"
+        if field.default is not None:
+            default = f"{field.default:g}"
+        option = field.name.replace("_", "-")
+        rows.append([f"`--{option}`", default, hints[field.name].__metadata__[0]])
     return table(rows)
 
 

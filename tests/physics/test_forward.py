@@ -56,6 +56,14 @@ def case(robot, count):
     return poses, textbook.cable_lengths(robot, poses), poses + 0.02 * error
 
 
+def test_load_friction_does_not_change_the_pose():
+    """The iteration borrows the equations of motion, which have it."""
+    robot = find_robot("ttk4900")
+    poses, lengths, guess = case(robot, 10)
+    assert robot.load_friction.all()
+    assert np.abs(forward_kinematics(robot, lengths, guess).pose - poses).max() < 1e-10
+
+
 @pytest.mark.parametrize("name", ["turning", "cogiro"])
 def test_batch_equals_its_items(name):
     """A batch is solved in tiles; a lane of a tile must not see the other ones, or wait for
