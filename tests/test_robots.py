@@ -31,6 +31,7 @@ from cablebot_gym.robots import (
     Transmission,
     find_robot,
 )
+from cablebot_gym.robots.writing import to_toml
 from cablebot_gym.task import ErrorBounds, find_error_bounds
 
 NAN = math.nan
@@ -92,12 +93,22 @@ def test_data_have_the_keys_of_used_options_only():
         "extra_length",
         "center_of_mass",
         "plane",
+        "maximum_tension",
         "swivel_radius",
         "sources",
         "ranges",
         "defaults",
     }
     assert not keys & {*SPATIAL.to_dict(), *SPATIAL.to_dict()["transmission"]}
+
+
+def test_maximum_tension_survives_a_robot_file(tmp_path):
+    robot = SPATIAL.replace(maximum_tension=120.0)
+    file = tmp_path / "strong.toml"
+    file.write_text(to_toml(robot))
+    assert find_robot(str(file)).maximum_tension == 120.0
+    file.write_text(to_toml(SPATIAL))
+    assert find_robot(str(file)).maximum_tension == math.inf
 
 
 def test_workspace_is_the_box_of_the_anchors_or_the_given_one():
@@ -193,6 +204,12 @@ ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
             {"minimum_tension": -1.0},
             "minimum_tension must be a finite number at least 0",
         ),
+        (
+            SPATIAL,
+            {"minimum_tension": 5.0, "maximum_tension": 5.0},
+            "maximum_tension of 5 N must exceed minimum_tension, 5 N; remove it",
+        ),
+        (SPATIAL, {"maximum_tension": math.nan}, "maximum_tension must be a finite number"),
         (
             SPATIAL,
             {"platform_anchors": UPRIGHT},

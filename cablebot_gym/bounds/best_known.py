@@ -451,15 +451,19 @@ class _Case:
         free_speed = tuple(_STRONGER * self.robot.per_motor(motors.free_speed))
         stall_torque = tuple(_STRONGER * self.robot.stall_torque)
         stronger = self.robot.replace(
-            motors=motors.replace(stall_torque=stall_torque, free_speed=free_speed)
+            motors=motors.replace(stall_torque=stall_torque, free_speed=free_speed),
+            maximum_tension=math.inf,
         )
+        strength = "the motors' torque-speed lines"
+        if self.robot.maximum_tension != math.inf:
+            strength += " or the maximum tension"
         wider = ErrorBounds(
             position=max(_WIDER, bounds.position), rotation=max(_WIDER, bounds.rotation)
         )
         for cause, robot, tube in (
-            ("the motors' torque-speed lines", stronger, bounds),
+            (strength, stronger, bounds),
             ("the error bounds", self.robot, wider),
-            ("the error bounds together with the motors' torque-speed lines", stronger, wider),
+            (f"the error bounds together with {strength}", stronger, wider),
         ):
             with suppress(Infeasible):
                 if (

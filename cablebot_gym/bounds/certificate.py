@@ -1,5 +1,5 @@
 """Certificate of an upper payload bound for planar robots: a proof that no motion and no inputs
-carry more.
+carry more. A maximum tension excludes further motions, so the proof holds for robots with one, too.
 
 **Statement.** A rigid planar robot starts at the pose and velocity of the reference. Consider all
 motions that stay within R of the reference ``p_d`` at every time, with all tensions T ≥ T₀, the

@@ -48,8 +48,10 @@ _LIMITS: tuple[tuple[Kind, Line], ...] = (
     ("torque", "upper"),
     ("torque", "lower"),
     ("tension", "lower"),
+    ("tension", "upper"),
 )
-"""Kind and line of the limits along the last axis of :func:`_margins`."""
+"""Kind and line of the limits along the last axis of :func:`_margins`, where a robot without a
+maximum tension does not have the last one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +83,7 @@ class ExactPayload:
     kind: Kind | None
     """Kind of the limit: torque of the motor or tension of the cable; None without a limit."""
     line: Line | None
-    """Side of the limit: U⁺ or U⁻ of the torque, always "lower" for the tension; None without a
+    """Side of the limit: U⁺ or U⁻ of the torque, minimum or maximum of the tension; None without a
     limit."""
 
     @property
@@ -102,12 +104,12 @@ def exact_payload(
     """Computes the largest payload with which ``robot`` tracks ``trajectory`` exactly within its
     limits.
 
-    The limits are ``U⁻ ≤ τ ≤ U⁺`` with ``U± = ±τ_s − (τ_s/ω_n) β̇`` and ``T ≥ minimum_tension``.
-    They apply at all times from 0 up to, but excluding, ``duration``. A fine grid approximates these
-    times. It has both sides of each instant, because both accelerations count where the
-    acceleration of the paper's circles jumps. With ``frequency`` the limits apply only at the
-    control instants of a simulated episode: of a jump they contain one side, and the other at most
-    one period away.
+    The limits are ``U⁻ ≤ τ ≤ U⁺`` with ``U± = ±τ_s − (τ_s/ω_n) β̇``, ``T ≥ minimum_tension`` and
+    ``T ≤ robot.maximum_tension``. They apply at all times from 0 up to, but excluding,
+    ``duration``. A fine grid approximates these times. It has both sides of each instant, because
+    both accelerations count where the acceleration of the paper's circles jumps. With ``frequency``
+    the limits apply only at the control instants of a simulated episode: of a jump they contain one
+    side, and the other at most one period away.
 
     The tensions determine how many intervals of payloads are feasible:
 
@@ -314,7 +316,10 @@ def _margins(
     if not np.all(np.isfinite(required.torques)):
         raise _singular_error(robot)
     lower, upper = textbook.torque_limits(robot, line_speed * required.speeds)
-    return np.stack([upper - required.torques, required.torques - lower, tension_margin], axis=-1)
+    margins = [upper - required.torques, required.torques - lower, tension_margin]
+    if robot.maximum_tension != math.inf:  # an infinite margin has no slope
+        margins.append(robot.maximum_tension - required.tensions)
+    return np.stack(margins, axis=-1)
 
 
 def _singular_error(robot: Robot) -> ValueError:
@@ -391,11 +396,14 @@ def _payload_of_best_tensions(
         low, high = math.inf, -math.inf
     coefficients = intervals.coefficients[instant]
     motor = int(np.argmax(np.abs(coefficients)))
-    # A positive coefficient means the upper bound of the tension, thus U⁺. A negative one means the
-    # lower bound, which is U⁻ where it exceeds the minimum tension.
+    # A positive coefficient means the upper bound of the tension, which is U⁺ where it is below the
+    # maximum tension. A negative one means the lower bound, which is U⁻ where it exceeds the minimum
+    # tension.
     kind_and_line: tuple[Kind, Line] = ("tension", "lower")
     if coefficients[motor] > 0:
-        kind_and_line = ("torque", "upper")
+        kind_and_line = ("tension", "upper")
+        if upper[instant, motor] < robot.maximum_tension:
+            kind_and_line = ("torque", "upper")
     elif lower[instant, motor] > minimum_tension:
         kind_and_line = ("torque", "lower")
     limit = _ActiveLimit(instant, motor, _LIMITS.index(kind_and_line))

@@ -139,6 +139,14 @@ def _motor_losses(robot: Robot) -> Iterator[_Quantity]:
         0.5,
         f"minimum_tension is {least:.3g} times the largest tension of {force:.3g} N: is it in N?",
     )
+    if robot.maximum_tension != math.inf:
+        largest = robot.maximum_tension / force
+        yield _Quantity(
+            largest,
+            0.02,
+            50.0,
+            f"maximum_tension is {largest:.3g} times the {force:.3g} N of the strongest motor: is it in N?",
+        )
 
 
 def _lengths(robot: Robot) -> Iterator[_Quantity]:

@@ -297,16 +297,19 @@ def payload_limit(robot: Robot, times: Array, reference: Reference, payload: flo
         if least < _ROUNDING * robot.mass:
             least = 0.0
         index = int(np.argmax(payloads.least) if payload < least else np.argmin(payloads.largest))
+    _, upper = tension_bounds(robot, reference, robot.minimum_tension)
     coefficients = payloads.coefficients[index]
     if payload < least:  # what excludes this payload, not a larger one
         coefficients = feasibility(robot, reference, payload).coefficients[index]
-    singular = payloads.status[index] == SINGULAR
+    reason = "the cables are singular"
+    if payloads.status[index] != SINGULAR:
+        reason = limiting_cables(robot, coefficients, upper[index])
     return PayloadLimit(
         least=least,
         largest=largest,
         time=float(times[index]),
         pose=tuple(reference.position[index].tolist()),
-        reason="the cables are singular" if singular else limiting_cables(robot, coefficients),
+        reason=reason,
     )
 
 
@@ -352,7 +355,8 @@ def _hanging_limit(robot: Robot, payload: float) -> PayloadLimit:
     proportion to its mass."""
     rest = home_at_rest(robot, robot.mass, robot.minimum_tension)
     lightest = robot.mass * robot.minimum_tension / rest.tensions
-    heaviest = robot.mass * robot.stall_torque / robot.pulley_radius / rest.tensions
+    upper = np.minimum(robot.stall_torque / robot.pulley_radius, robot.maximum_tension)
+    heaviest = robot.mass * upper / rest.tensions
     too_light = robot.mass + payload < lightest.max()
     coefficients = np.zeros(robot.cables)
     if too_light:
@@ -364,19 +368,22 @@ def _hanging_limit(robot: Robot, payload: float) -> PayloadLimit:
         largest=float(heaviest.min()) - robot.mass,
         time=0.0,
         pose=tuple(rest.pose.tolist()),
-        reason=limiting_cables(robot, coefficients),
+        reason=limiting_cables(robot, coefficients, upper),
     )
 
 
-def limiting_cables(robot: Robot, coefficients: Array) -> str:
+def limiting_cables(robot: Robot, coefficients: Array, upper: Array) -> str:
     """Cables with an active limit as text, from the coefficients of
-    :mod:`cablebot_gym.physics.distribution`."""
+    :mod:`cablebot_gym.physics.distribution` and the upper bounds of the tensions, each (m,)."""
+    is_upper = coefficients > 1e-6
+    at_maximum = upper >= robot.maximum_tension
     parts = []
-    for sign, text in (
-        (1, "at the torque limit"),
-        (-1, f"at the minimum tension of {robot.minimum_tension:g} N"),
+    for limits, text in (
+        (is_upper & ~at_maximum, "at the torque limit"),
+        (is_upper & at_maximum, f"at the maximum tension of {robot.maximum_tension:g} N"),
+        (coefficients < -1e-6, f"at the minimum tension of {robot.minimum_tension:g} N"),
     ):
-        numbers = [str(index + 1) for index in np.flatnonzero(sign * coefficients > 1e-6)]
+        numbers = [str(index + 1) for index in np.flatnonzero(limits)]
         if numbers:
             parts.append(f"cable{'s' if len(numbers) > 1 else ''} {', '.join(numbers)} {text}")
     return " and ".join(parts) or "no limit was reached"
@@ -481,6 +488,7 @@ def _sag(
         textbook.jacobian(robot, robot.home),
         textbook.bias(robot, mass, robot.home, rest),
         robot.minimum_tension,
+        robot.maximum_tension,
     )
     if home.status != HELD:
         return cables, None, None

@@ -99,8 +99,9 @@ class Tightening:
     def _excess(self, replay: Rollout, action_excess: Array) -> dict[str, Array]:
         """Excess over each limit at every step; not positive where the limit is kept."""
         arrays = replay.arrays
-        least_tension = arrays["least_tensions"].min(axis=1)
-        excess = {"tension": self.robot.minimum_tension - least_tension}
+        missing_tension = self.robot.minimum_tension - arrays["least_tensions"].min(axis=1)
+        overload = arrays["largest_tensions"].max(axis=1) - self.robot.maximum_tension
+        excess = {"tension": np.maximum(missing_tension, overload)}
         # Errors after saturated actions follow from them, so they do not change the error margins.
         if np.any(action_excess > _SMALL_EXCESS):
             return excess | {"action": action_excess}

@@ -31,7 +31,8 @@ _COLUMNS = (
     ("rms_torque", "torque, rms [N·m]", 1.0),
     ("peak_torque", "peak [N·m]", 1.0),
     ("torque_margin", "torque margin [%]", 100.0),
-    ("least_tension", "minimum tension [N]", 1.0),
+    ("least_tension", "least tension [N]", 1.0),
+    ("largest_tension", "largest tension [N]", 1.0),
 )
 """Quantity, heading and factor of the unit of each column."""
 

@@ -309,4 +309,6 @@ def _margins_text(result: DLCCResult) -> str:
     parts += [f"position {position:.1%}"]
     if "rotation" in result.details.margins:
         parts.append(f"rotation {result.details.margins['rotation']:.1%}")
+    if "overload" in result.details.margins:
+        parts.append(f"maximum tension {result.details.margins['overload']:.1%}")
     return ", ".join([*parts, f"tension ≥ {result.details.margins['tension']:.1f} N"])

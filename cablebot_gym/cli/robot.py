@@ -164,6 +164,8 @@ def report(check: RobotCheck) -> list[str]:
     lines.append(
         f"motors     {force:.4g} N at standstill and {speed:.3g} m/s without load, at the weakest cable"
     )
+    if robot.maximum_tension != math.inf:
+        lines.append(f"cables     at most {robot.maximum_tension:g} N in each")
     if home.largest < home.least:
         lines += ["home       no payload can be held at rest:", f"           {home.reason}"]
     else:
@@ -248,7 +250,7 @@ def _why_impossible(motion: MotionCheck) -> str:
     if motion.payload < motion.limit.least:
         return "see the limit"
     if math.isfinite(motion.ceiling):
-        return f"at the start pose the motors hold {motion.ceiling:.4g} kg"
+        return f"at the start pose the motors and cables hold {motion.ceiling:.4g} kg"
     return "the motors cannot hold the platform at the start pose"
 
 

@@ -26,9 +26,9 @@ def minimum_tension(robot: Robot, cable: Cable) -> float:
     return -math.inf
 
 
-def within_bound(error: Any, bound: Any) -> Any:
-    """Whether a tracking error is within its bound."""
-    return error <= bound
+def within_bound(value: Any, bound: Any) -> Any:
+    """Whether a tracking error or a tension is at most its upper bound."""
+    return value <= bound
 
 
 def is_taut(tension: Any, minimum: Any) -> Any:

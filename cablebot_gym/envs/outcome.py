@@ -44,6 +44,7 @@ INFO_CABLES = (
     "commanded_action",
     "torque_margin",
     "least_tensions",
+    "largest_tensions",
     "slack",
 )
 """Names of the quantities of info with one value per cable."""
@@ -61,8 +62,8 @@ _FIRST_TERM, _VIOLATED, _COST = (
 _INSIDE_TERM, _POSITION_TERM, _ROTATION_TERM, _SATURATION_TERM, _VIOLATION_TERM = range(
     len(REWARD_TERMS)
 )
-_TENSION, _TORQUE, _SPEED, _COMMANDED, _MARGIN, _LEAST_TENSION, _SLACK_CABLE = range(
-    len(INFO_CABLES)
+_TENSION, _TORQUE, _SPEED, _COMMANDED, _MARGIN, _LEAST_TENSION, _LARGEST_TENSION, _SLACK_CABLE = (
+    range(len(INFO_CABLES))
 )
 _BOOLEAN_THRESHOLD = 0.5  # columns of booleans hold 0 and 1
 
@@ -103,6 +104,8 @@ class Constants(NamedTuple):
     minimum_tension: float
     """Least valid tension at a physics step [N]; −∞ for bilateral cables, which have no minimum
     tension."""
+    maximum_tension: float
+    """Largest valid tension at a physics step [N]; ∞ without a maximum."""
     termination_radius: float
     terminate_on_violation: bool
 
@@ -153,7 +156,7 @@ class Outputs(NamedTuple):
     info: Array
     """Scalars of info, (N, columns)."""
     cables: Array
-    """Quantities of info with one value per cable, (quantities, N, m)."""
+    """Quantities of info with one value per cable, (quantities, more than N, m)."""
 
 
 @inline
@@ -183,6 +186,8 @@ class _Cables(NamedTuple):
     """Whether a cable was slack in the control period."""
     taut: bool
     """Whether all cables have the minimum tension."""
+    within_maximum: bool
+    """Whether no cable exceeds the maximum tension."""
     held: bool
     """Whether all motors have the torque of the start."""
     motors: int
@@ -252,7 +257,8 @@ def _update(fresh, env_index, batch, now, out):
         if cables.slack:
             slack_for = now.slack_for[env_index] + batch.period
         reason = _termination_reason(batch, finite, inside, info[_POSITION], slack_for)
-        violates = reason > 0 or cables.slack or not cables.taut
+        tensions_kept = cables.taut and cables.within_maximum
+        violates = reason > 0 or cables.slack or not tensions_kept
     position_kept = _within_bound(info[_POSITION_PEAK], settings[POSITION_BOUND])
     rotation_kept = _within_bound(info[_ROTATION_PEAK], settings[ROTATION_BOUND])
     violates = violates or not (position_kept and rotation_kept)
@@ -395,11 +401,12 @@ def _state_info(lane, batch, finite, reference, info):
 @inline
 def _step_info(fresh, lane, batch, stall, cables):
     """Fills the quantities of the cables and returns :class:`_Cables`."""
-    any_slack, taut, held, excess = False, True, True, 0.0
+    any_slack, taut, within_maximum, held, excess = False, True, True, True, 0.0
     for i in range(stall.shape[0]):
         action = _cable_row(lane, i, kernel.DEMAND)
         torque = _cable_row(lane, i, kernel.TORQUE)
         least_tension = _cable_row(lane, i, kernel.LEAST_TENSION)
+        largest_tension = _cable_row(lane, i, kernel.LARGEST_TENSION)
         slack = _cable_row(lane, i, kernel.SLACK) > 0.0
         margin = stall[i] - abs(torque) if fresh else stall[i] * (1.0 - abs(action))
         cables[_TENSION, i] = _finite(_cable_row(lane, i, kernel.TENSION))
@@ -408,12 +415,14 @@ def _step_info(fresh, lane, batch, stall, cables):
         cables[_COMMANDED, i] = action
         cables[_MARGIN, i] = margin
         cables[_LEAST_TENSION, i] = _finite(least_tension)
+        cables[_LARGEST_TENSION, i] = _finite(largest_tension)
         cables[_SLACK_CABLE, i] = slack
         any_slack |= slack
         taut &= _is_taut(least_tension, batch.minimum_tension)
+        within_maximum &= _within_bound(largest_tension, batch.maximum_tension)
         held &= _is_held(margin)
         excess += min(max(0.0, abs(action) - 1.0), 1.0)
-    return _Cables(any_slack, taut, held, stall.shape[0], excess)
+    return _Cables(any_slack, taut, within_maximum, held, stall.shape[0], excess)
 
 
 @inline

@@ -85,7 +85,9 @@ class Simulation:
         self.reason = np.zeros(count, np.int64)
         self.complete = np.zeros(count, np.bool_)
         self.info = np.zeros((count, len(outcome.INFO_SCALARS)))
-        self.cables = np.zeros((len(outcome.INFO_CABLES), count, robot.cables))
+        # One environment more, whose values nobody reads. Otherwise, with 512 environments, all
+        # quantities of a cable would share a set of the first-level cache.
+        self.cables = np.zeros((len(outcome.INFO_CABLES), count + 1, robot.cables))
         self._constants = self._make_constants()
         self._bind()
 
@@ -108,6 +110,7 @@ class Simulation:
             weights=settings.reward_weights,
             period=settings.period,
             minimum_tension=limits.minimum_tension(robot, settings.cable),
+            maximum_tension=robot.maximum_tension,
             termination_radius=settings.error_bounds.termination_radius,
             terminate_on_violation=settings.terminate_on_violation,
         )

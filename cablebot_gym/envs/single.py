@@ -136,6 +136,8 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
       step;
     * each cable has at least the tension `minimum_tension` of the robot (1 N) at every physics
       step, or is not pushed, if cables are bilateral;
+    * each cable has at most the tension `maximum_tension` of the robot, if it has one, at every
+      physics step;
     * the motors can hold the robot at the start, if the motion starts at rest;
     * the episode does not terminate.
 
@@ -221,9 +223,9 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
       violates a limit, which counts in the first step too: an episode keeps all limits if and only
       if the sum of the costs of its steps is 0.
     * Over the last control period: `tracking_error_peak` and `rotation_error_peak` (largest values
-      at any physics step), `least_tensions` (m least tensions at the start of any physics step)
-      [N], and `slack` (m booleans: whether the cable was slack at any physics step or, if cables
-      are bilateral, pushed).
+      at any physics step), `least_tensions` and `largest_tensions` (m least and m largest tensions
+      at the start of any physics step) [N], and `slack` (m booleans: whether the cable was slack at
+      any physics step or, if cables are bilateral, pushed).
     * At the start of the last control period, which is at `action_time` [s]: `commanded_action`,
       `torques` (applied torques) [N·m], `tensions` [N], `motor_speeds` [rad/s], `torque_margin`
       (distance of the requested torque from the torque limit, τ_s (1 − abs(a))) [N·m]. Each has m

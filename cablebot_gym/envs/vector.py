@@ -364,5 +364,5 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         return self._simulation.observation.astype(self.settings.observation_dtype)
 
     def _info(self) -> dict[str, Any]:
-        info = info_dict(self._simulation.info, self._simulation.cables)
+        info = info_dict(self._simulation.info, self._simulation.cables[:, : self.num_envs])
         return info | {"termination_reason": self._simulation.reason.copy()}

@@ -31,7 +31,7 @@ RESAMPLES = 2000
 
 _RECORDED = (
     *("tracking_error", "rotation_error", "tracking_error_peak", "rotation_error_peak"),
-    *("torques", "commanded_action", "least_tensions", "time"),
+    *("torques", "commanded_action", "least_tensions", "largest_tensions", "time"),
 )
 """Recorded arrays of every draw."""
 
@@ -82,6 +82,8 @@ class PolicyMetrics:
     more torque."""
     least_tension: Array
     """Least tension of any cable at a physics step [N]."""
+    largest_tension: Array
+    """Largest tension of any cable at a physics step [N]."""
     carried: NDArray[np.bool_]
     """Whether the payload was carried under the task criterion."""
     ended: NDArray[np.bool_]
@@ -433,6 +435,7 @@ def _metrics(
         peak_torque=largest("torques"),
         torque_margin=1 - largest("commanded_action"),
         least_tension=np.array([rollout.arrays["least_tensions"].min() for rollout in rollouts]),
+        largest_tension=largest("largest_tensions"),
         carried=np.array([rollout.verdict.carried for rollout in rollouts]),
         ended=ended,
         error=error,

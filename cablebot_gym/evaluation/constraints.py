@@ -26,7 +26,7 @@ from cablebot_gym.utils.checks import choice
 Criterion = Literal["task", "paper"]
 CRITERIA: tuple[Criterion, ...] = get_args(Criterion)
 
-ViolationKind = Literal["torque", "slack", "position", "rotation", "terminated"]
+ViolationKind = Literal["torque", "slack", "overload", "position", "rotation", "terminated"]
 KINDS: tuple[ViolationKind, ...] = get_args(ViolationKind)
 """Kinds of violations in the order in which the judge checks them."""
 
@@ -52,16 +52,17 @@ class Violation:
     kind: ViolationKind
     """Kind of limit. ``torque``: |a| > 1, or the motor cannot hold the robot at rest at the start.
     ``position``, ``rotation``: a tracking error exceeds its bound. ``slack``: a tension falls below
-    its bound (unilateral cables, task criterion), or a cable is slack. ``terminated``: the
-    environment terminated the episode."""
+    its bound (unilateral cables, task criterion), or a cable is slack. ``overload``: a tension
+    exceeds the maximum of the robot (task criterion). ``terminated``: the environment terminated
+    the episode."""
     index: int | None
     """Number of the motor or cable from 1, as in the paper; None for the other kinds."""
     time: float | None
     """Time of the violation [s]: 0 at the start, the control instant for torque, else the end of the
     control period. The judge always sets it."""
     excess: float | None
-    """Excess: torque beyond U± [N·m], error beyond its bound [m or rad], or missing tension [N];
-    None for a slack cable and for ``terminated``."""
+    """Excess: torque beyond U± [N·m], error beyond its bound [m or rad], or missing or excessive
+    tension [N]; None for a slack cable and for ``terminated``."""
     reason: str = ""
     """Name of the environment's ``termination_reason`` if ``kind`` is ``terminated``; ``start`` if
     a motor cannot hold the robot at the start; else empty."""
@@ -86,6 +87,8 @@ class Violation:
             if self.bound is None:
                 return f"cable {self.index} is slack"
             return f"cable {self.index} falls below its tension bound of {self.bound:g} N"
+        if self.kind == "overload":
+            return f"cable {self.index} exceeds its largest tension of {self.bound:g} N"
         if self.kind == "terminated":
             return f"terminated ({self.reason.replace('_', ' ')})"
         if self.bound is None:
@@ -116,6 +119,8 @@ class Verdict:
     """Largest rotation error at any physics step [rad]."""
     least_tension: float
     """Least tension of any cable at a physics step [N]; 0 before the first step."""
+    largest_tension: float
+    """Largest tension of any cable at a physics step [N]; 0 before the first step."""
 
 
 class Sealed(type):
@@ -130,13 +135,14 @@ class Judge(metaclass=Sealed):
     """Checks N episodes step by step. It stores the first violations and the extremes, but no time
     series.
 
-    The checks of a step are, in this order: torque (paper criterion), tension, position error,
-    rotation error (task criterion), termination. The checks of an episode stop at its first violation and at the end of
-    the motion.
+    The checks of a step are, in this order: torque (paper criterion), least tension, largest tension
+    (task criterion), position error, rotation error (task criterion), termination. The checks of an
+    episode stop at its first violation and at the end of the motion.
 
     Args:
-        criterion: ``task``: position, rotation, tension ≥ T_min of unilateral cables, termination,
-            and motors that can hold the robot at the start of a motion that starts at rest;
+        criterion: ``task``: position, rotation, tension ≥ T_min of unilateral cables, tension ≤
+            T_max, termination, and motors that can hold the robot at the start of a motion that
+            starts at rest;
             ``paper``: |a| ≤ 1, position, slack and termination.
         cables: number of cables m.
         count: number of episodes N.
@@ -150,6 +156,7 @@ class Judge(metaclass=Sealed):
         self._position_bound = np.zeros(count)
         self._rotation_bound = np.zeros(count)
         self._tension_bound = np.zeros(count)
+        self._largest_bound = np.zeros(count)
         self._steps_done = np.zeros(count, np.int64)
         self.motion_steps = np.zeros(count, np.int64)
         """Number of control steps of the motion, (N,)."""
@@ -159,6 +166,7 @@ class Judge(metaclass=Sealed):
         self._rotation_peak = np.zeros(count)
         self._peak_action = np.zeros((count, cables))
         self._least_tension = np.zeros(count)
+        self._largest_tension = np.zeros(count)
         self._near_since = {kind: np.full(count, np.inf) for kind in KINDS}
 
     @property
@@ -186,9 +194,11 @@ class Judge(metaclass=Sealed):
         self._position_bound[mask] = task.error_bounds.position
         self._rotation_bound[mask] = np.inf
         self._tension_bound[mask] = -np.inf
+        self._largest_bound[mask] = np.inf
         if self.criterion == "task":
             self._rotation_bound[mask] = task.error_bounds.rotation
             self._tension_bound[mask] = minimum_tension(task.robot, task.cable)
+            self._largest_bound[mask] = task.robot.maximum_tension
         self._steps_done[mask] = 0
         self.motion_steps[mask] = task.steps
         self.payload[mask] = info["payload"][mask]
@@ -196,6 +206,7 @@ class Judge(metaclass=Sealed):
         self._rotation_peak[mask] = 0.0
         self._peak_action[mask] = 0.0
         self._least_tension[mask] = np.inf
+        self._largest_tension[mask] = 0.0
         for since in self._near_since.values():
             since[mask] = np.inf
         self.failed[mask] = False
@@ -246,30 +257,40 @@ class Judge(metaclass=Sealed):
         if slack.any():
             cable = info["slack"].argmax(axis=1)
             self._fail("slack", slack, time, index=cable + 1, bound=bound)
+        self._check_largest_tension(info, running)
         self._check_errors(info, running)
         ended = running & terminated
         if ended.any():
             self._fail("terminated", ended, time, reason=_REASONS[info["termination_reason"]])
 
+    def _check_largest_tension(self, info: Mapping[str, Array], running: NDArray[np.bool_]) -> None:
+        tensions, bound = info["largest_tensions"], self._largest_bound
+        largest = tensions.max(axis=1)
+        np.maximum(self._largest_tension, largest, out=self._largest_tension, where=running)
+        cable = tensions.argmax(axis=1) + 1
+        self._check_upper("overload", largest, bound, info["time"], running, index=cable)
+
     def _check_errors(self, info: Mapping[str, Array], running: NDArray[np.bool_]) -> None:
         position, rotation = info["tracking_error_peak"], info["rotation_error_peak"]
         np.maximum(self._position_peak, position, out=self._position_peak, where=running)
         np.maximum(self._rotation_peak, rotation, out=self._rotation_peak, where=running)
-        self._check_error("position", position, self._position_bound, info["time"], running)
-        self._check_error("rotation", rotation, self._rotation_bound, info["time"], running)
+        self._check_upper("position", position, self._position_bound, info["time"], running)
+        self._check_upper("rotation", rotation, self._rotation_bound, info["time"], running)
 
-    def _check_error(
+    def _check_upper(
         self,
         kind: ViolationKind,
-        error: Array,
+        value: Array,
         bound: Array,
         time: Array,
         running: NDArray[np.bool_],
+        **columns: ArrayLike,
     ) -> None:
-        self._approach(kind, error >= NEAR * bound, time, running)
-        beyond = running & ~within_bound(error, bound)
+        """Checks an upper bound. ``columns`` are further fields of the violation."""
+        self._approach(kind, value >= NEAR * bound, time, running)
+        beyond = running & ~within_bound(value, bound)
         if beyond.any():
-            self._fail(kind, beyond, time, excess=error - bound, bound=bound)
+            self._fail(kind, beyond, time, excess=value - bound, bound=bound, **columns)
 
     def _approach(
         self,
@@ -321,6 +342,7 @@ class Judge(metaclass=Sealed):
             position_peak=float(self._position_peak[env_index]),
             rotation_peak=float(self._rotation_peak[env_index]),
             least_tension=tension if np.isfinite(tension) else 0.0,
+            largest_tension=float(self._largest_tension[env_index]),
         )
 
 

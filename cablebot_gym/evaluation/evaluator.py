@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -168,6 +169,9 @@ def _details(
     }
     if conditions.criterion == "task" and not conditions.robot.point_mass:
         bounds["rotation"] = conditions.error_bounds.rotation
+    maximum_tension = math.inf
+    if conditions.criterion == "task":
+        maximum_tension = conditions.robot.maximum_tension
     failures: dict[str, int] = {}
     violation_seed = None
     if above is not None:
@@ -180,7 +184,7 @@ def _details(
         feasible=outcome.feasible,
         success=outcome.success,
         discretisation=outcome.discretisation,
-        margins={} if below is None else _margins(below, bounds),
+        margins={} if below is None else _margins(below, bounds, maximum_tension),
         error_bounds=bounds,
         probability=probability if is_drawn else None,
         confidence=confidence if is_drawn else None,
@@ -195,9 +199,11 @@ def _details(
     )
 
 
-def _margins(trial: Trial, bounds: dict[str, float | None]) -> dict[str, float]:
-    """Least margins over the draws that carry the payload, as fractions of the limits; tension in
-    N."""
+def _margins(
+    trial: Trial, bounds: dict[str, float | None], maximum_tension: float
+) -> dict[str, float]:
+    """Least margins over the draws that carry the payload, as fractions of the limits, also of the
+    maximum tension (``overload``) if there is one; the least tension in N."""
     carried = [verdict for verdict in trial.verdicts if verdict.carried]
     margins = {
         "torque": 1 - max(max(verdict.peak_action) for verdict in carried),
@@ -207,4 +213,7 @@ def _margins(trial: Trial, bounds: dict[str, float | None]) -> dict[str, float]:
         bound = bounds[name]
         if bound is not None:
             margins[name] = 1 - max(getattr(verdict, f"{name}_peak") for verdict in carried) / bound
+    if maximum_tension != math.inf:
+        largest = max(verdict.largest_tension for verdict in carried)
+        margins["overload"] = 1 - largest / maximum_tension
     return margins

@@ -54,6 +54,8 @@ def closest_to(kind: str, verdicts: Sequence[Verdict]) -> int:
     """
     if kind == "slack":
         return int(np.argmin([verdict.least_tension for verdict in verdicts]))
+    if kind == "overload":
+        return int(np.argmax([verdict.largest_tension for verdict in verdicts]))
     if kind == "torque":
         return int(np.argmax([max(verdict.peak_action) for verdict in verdicts]))
     if kind == "rotation":

@@ -30,8 +30,9 @@ class Details:
     """Deviation of the payload with ten times as many physics steps from ``payload`` [kg], 0 if it
     is in the same gap; None if it is not checked: with several draws, and by bisection."""
     margins: dict[str, float]
-    """Margins at the payload: fractions of the torque, position and rotation limits, and the least
-    tension [N]. With several draws, the least margins over the draws that carry it."""
+    """Margins at the payload: fractions of the torque, position and rotation limits and of a maximum
+    tension (``overload``), and the least tension [N]. With several draws, the least margins over the
+    draws that carry it."""
     error_bounds: dict[str, float | None]
     """Bounds of the position error [m] and the rotation error [rad]; None where the criterion or
     the robot has none."""

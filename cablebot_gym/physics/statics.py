@@ -43,8 +43,8 @@ def resting(poses: Array) -> Reference:
 def tension_bounds(
     robot: Robot, reference: Reference, minimum: float, *, line_speed: ArrayLike = 1.0
 ) -> tuple[Array, Array]:
-    """Least and largest tensions on a reference, each (K, m) [N]: the minimum tension and the
-    torque-speed lines.
+    """Least and largest tensions on a reference, each (K, m) [N]: the minimum tension, the robot's
+    maximum tension and the torque-speed lines.
 
     Speeds and pulley accelerations, and so the bounds, do not depend on the mass.
 
@@ -80,6 +80,7 @@ def tension_bounds(
     per_tension = robot.pulley_radius * (1 + textbook.load_friction(robot, speed))
     lower, upper = ((limit - rest) / per_tension for limit in limits)
     lower = np.maximum(lower, number("minimum", minimum))
+    upper = np.minimum(upper, robot.maximum_tension)
     return np.where(known, lower, np.nan), np.where(known, upper, np.nan)
 
 
@@ -125,9 +126,10 @@ def holds(robot: Robot, poses: Array, payload: float) -> Array:
 def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
     """Largest payload with which the motors hold the robot at the start pose [kg], in closed form.
 
-    The static torques are affine in the payload. The result is ``inf`` if the motion does not start
-    at rest or no payload changes the torques (without gravity), and ``-inf`` if the motors hold no
-    payload.
+    The task criterion requires it of the motors alone: under a maximum tension, a controller may
+    still let the platform drop to a pose with steeper cables. The static torques are affine in the
+    payload. The result is ``inf`` if the motion does not start at rest or no payload changes the
+    torques (without gravity), and ``-inf`` if the motors hold no payload.
     """
     if not at_rest(trajectory(0.0)):
         return math.inf
@@ -159,6 +161,16 @@ def _hold_payload_of_redundant_cables(robot: Robot, pose: Array) -> float:
     return float(found.largest) - robot.mass if found.status == HELD else -math.inf
 
 
+def _payload_of_strength(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
+    """Largest payload at rest at the start pose for the maximum tension [kg]; ``inf`` without one,
+    or if the cables hold none there."""
+    if robot.maximum_tension == math.inf:
+        return math.inf
+    start = resting(start_pose(robot, trajectory, error_bounds)[None])
+    payloads = feasible_payloads(robot, start)
+    return float(payloads.largest[0]) if payloads.status[0] == HELD else math.inf
+
+
 EXACT_FACTOR = 5.0
 """Largest ratio of a controller's payload to that of exact tracking on a robot without gravity. It
 is 2.6 for the best known payload of the paper's planar robot."""
@@ -168,13 +180,13 @@ def payload_ceiling(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBou
     """Payload that no controller can be expected to carry [kg]; ``-inf`` if the motors cannot hold
     the start.
 
-    With gravity it is the payload that the motors hold at the start pose. Without, they hold every
+    With gravity it is the payload that motors and cables hold at the start pose. Without, they hold every
     payload at rest, and it is a multiple of the payload of exact tracking, at least the mass of the
     platform.
     """
     held = hold_payload(robot, trajectory, error_bounds)
     if math.isfinite(held):
-        return held
+        return min(held, _payload_of_strength(robot, trajectory, error_bounds))
     if held < 0:
         return -math.inf
     payloads = feasible_payloads(robot, trajectory(np.linspace(0.0, trajectory.duration, _SAMPLES)))

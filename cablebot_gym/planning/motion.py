@@ -40,7 +40,7 @@ class Margins:
     action: float = 0.0
     """Margin of the actions to ± 1; ≥ 0 and < 1."""
     tension: float = 0.0
-    """Margin to the minimum tension of the robot, for all cables [N]; ≥ 0."""
+    """Margin to the minimum and the maximum tension of the robot, for all cables [N]; ≥ 0."""
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -64,7 +64,7 @@ class MarginProfile:
     action: Array
     """Additional margin of the action of each motor to ± 1, shape (k, m); ≥ 0."""
     tension: Array
-    """Additional margin to the minimum tension of all cables, shape (k,) [N]; ≥ 0."""
+    """Additional margin to the minimum and the maximum tension of all cables, shape (k,) [N]; ≥ 0."""
 
     @classmethod
     def zeros(cls, times: Array, cables: int) -> MarginProfile:

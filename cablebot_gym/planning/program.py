@@ -96,8 +96,8 @@ class MotionProgram:
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
-        ValueError: if a margin is not below its bound, the minimum tension exceeds the initial
-            tension of a flexible planar robot, or the robot has motor lag.
+        ValueError: if a margin is not below its bound, the minimum tension exceeds the maximum
+            tension or the initial tension of a flexible planar robot, or the robot has motor lag.
     """
 
     def __init__(
@@ -149,7 +149,11 @@ class MotionProgram:
         """
         robot = self._robot
         self._margins = margins
-        self._least = self._robot.minimum_tension + margins.tension
+        self._least = robot.minimum_tension + margins.tension
+        self._largest = robot.maximum_tension - margins.tension
+        if self._least > self._largest:
+            room = (robot.maximum_tension - robot.minimum_tension) / 2
+            raise ValueError(f"margins: tension must be at most {room:g} N for {robot.name!r}")
         for name in ("position", "rotation"):
             bound = getattr(self._error_bounds, name)
             if not getattr(margins, name) < bound:
@@ -287,8 +291,9 @@ class MotionProgram:
                 low[spline.at[row]] = fixed
                 high[spline.at[row]] = fixed
         for at in self._tensions:
-            least = self._least + self._profile_at("tension", self._instants)
-            low[at] = least[:, None] / TENSION
+            margin = self._profile_at("tension", self._instants)[:, None]
+            low[at] = (self._least + margin) / TENSION
+            high[at] = (self._largest - margin) / TENSION
         low[self._payload_at] = _LIGHTEST * robot.mass
         high[self._payload_at] = self._heaviest
         return low, high
@@ -434,9 +439,11 @@ class MotionProgram:
 
         def limits() -> tuple[Array, Array]:
             most = self._action_bounds()
-            least_tension = self._least + self._profile_at("tension", self._instants)
-            least = np.repeat(least_tension[:, None] / TENSION, 2 * robot.cables, axis=1)
-            return np.hstack([-most, least]), np.hstack([most, np.full_like(least, np.inf)])
+            margin = self._profile_at("tension", self._instants)[:, None]
+            least = np.repeat((self._least + margin) / TENSION, 2 * robot.cables, axis=1)
+            largest = np.full_like(least, np.inf)  # of the tensions, then of the spring forces
+            largest[:, : robot.cables] = (self._largest - margin) / TENSION
+            return np.hstack([-most, least]), np.hstack([most, largest])
 
         def rows(times: Array, orders: Sequence[int]) -> list[Row]:
             return [

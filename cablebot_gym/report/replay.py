@@ -180,7 +180,7 @@ def approach(rollout: Rollout, violation: Violation) -> str:
         subject = "The error"
         values = 100 * arrays[name] / violation.bound
         unit = "% of its bound"
-    elif violation.kind == "slack" and violation.index is not None:
+    elif violation.kind in ("slack", "overload") and violation.index is not None:
         subject = f"The tension of cable {violation.index}"
         values = arrays["tensions"][:, violation.index - 1]
         unit = "N"

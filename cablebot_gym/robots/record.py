@@ -108,6 +108,13 @@ class Robot:
     Below it, cables are not straight as the model assumes. At 1 N, 0.6 m of a steel cable of 1 mm
     (0.04 N/m) sag by 2 mm and lengthen by about 0.01 mm; at 0.1 N they lengthen by more than 1 mm.
     """
+    maximum_tension: float = math.inf
+    """Tension that the task criterion allows in every cable at every physics step [N]; >
+    ``minimum_tension``. Infinite by default: the torques alone limit the tensions.
+
+    It is the strength of cables, fittings or frame with its safety factor, or a limit of the drives'
+    software, where that is less than the tension of the stall torque.
+    """
     workspace: tuple[tuple[float, float], ...] = ()
     """(low, high) of each coordinate [m, rad]. Empty: the bounding box of the base anchors, and
     angles within ± 1 rad. If the home pose is below all anchors, the box begins at the lowest one;
@@ -356,7 +363,14 @@ class Robot:
         return record("robot", cls, data)
 
 
-_OPTIONAL = ("center_of_mass", "plane", "swivel_radius", "swivel_axes", "cable_density")
+_OPTIONAL = (
+    "center_of_mass",
+    "plane",
+    "swivel_radius",
+    "swivel_axes",
+    "cable_density",
+    "maximum_tension",
+)
 _OPTIONAL_OF_TRANSMISSION = (
     "load_friction",
     "friction_speed",
@@ -405,6 +419,13 @@ def _check_fields(robot: Robot) -> None:
             'gravity does not act in a horizontal plane: remove it, or set plane = "vertical"'
         )
     number("minimum_tension", robot.minimum_tension, least=0, unit="N")
+    if robot.maximum_tension != math.inf:
+        number("maximum_tension", robot.maximum_tension)
+        if robot.maximum_tension <= robot.minimum_tension:
+            raise ValueError(
+                f"maximum_tension of {robot.maximum_tension:g} N must exceed minimum_tension, "
+                f"{robot.minimum_tension:g} N; remove it if only the motors limit the tensions"
+            )
     _check_cable_values(robot)
     if not isinstance(robot.sources, Mapping):
         raise ValueError(
@@ -420,7 +441,10 @@ def _check_fields(robot: Robot) -> None:
 
 def _fields_with_numbers(robot: Robot) -> dict[str, Any]:
     """Values of the fields that have one number, or one per motor, by name as in ``ranges``."""
-    values = {name: getattr(robot, name) for name in ("mass", "gravity", "minimum_tension")}
+    values = {
+        name: getattr(robot, name)
+        for name in ("mass", "gravity", "minimum_tension", "maximum_tension")
+    }
     for part in (robot.motors, robot.transmission):
         prefix = type(part).__name__.lower()
         values |= {f"{prefix}.{field}": value for field, value in vars(part).items()}

@@ -44,6 +44,7 @@ def rehearsal(payloads, **changes):
         "rotation": np.zeros((count, 200)),
         "action": np.full((count, 200, 3), 0.5),
         "tension": np.full((count, 200), 5.0),
+        "largest_tension": np.full((count, 200), 90.0),
     }
     return Rehearsal(**values | changes)
 
@@ -55,6 +56,13 @@ def test_payload_counts_only_with_all_smaller_ones():
     position[0, 50] = 0.011
     assert rehearsal([0, 0, 2, 2, 3, 3], position=position).largest_carried() == -1.0
     assert rehearsal([0, 0, 2, 2, 3, 3]).largest_carried() == 3.0
+
+
+def test_overloaded_cable_fails_a_rehearsal():
+    """Within the reserve below the maximum, too; a plan would claim a payload that breaks a cable."""
+    for maximum, carried in ((92.0, True), (91.0, False)):
+        task = replace(TASK, robot=TASK.robot.replace(maximum_tension=maximum))
+        assert rehearsal([0], task=task).carried.tolist() == [carried]
 
 
 def test_equal_robots_need_no_margins():

@@ -302,7 +302,7 @@ def test_limiting_violations_are_counted_with_their_median_time():
     violation = {"kind": "slack", "time": duration / 4}
     records[RANKED_MOTIONS] = carries("a", 0.5, LOOPS[0], {"violation": violation})
     (line,) = [line for line in page_of(records).splitlines() if "| 25 |" in line]
-    assert [cell.strip() for cell in line.split("|")[2:-1]] == ["a", *"010000", "25"]
+    assert [cell.strip() for cell in line.split("|")[2:-1]] == ["a", *"0100000", "25"]
 
 
 def test_overall_fraction_needs_several_environments():

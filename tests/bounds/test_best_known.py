@@ -90,6 +90,17 @@ def test_replay_verifies_the_actions(line):
         assert 0.0097 < verdict.position_peak == stored.position_peak <= 0.01
 
 
+@pytest.mark.usefixtures("quick")
+def test_best_known_payload_keeps_the_maximum_tension(line):
+    robot = PLANAR.replace(maximum_tension=20.0)
+    limited = find_best_known(PLANAR_ID, robot=robot, trajectory=LINE, cache=False)
+    assert limited.verified
+    assert limited.payload < 0.8 * line.payload
+    verdict = replay(limited.payload, limited.actions, robot=robot)
+    assert verdict.carried
+    assert verdict.largest_tension > 19.0
+
+
 def test_replay_has_to_hold_at_finer_steps_too(monkeypatch, line):
     case = best_known._case(PLANAR_ID, trajectory=LINE)
     refinements = []
@@ -312,6 +323,10 @@ def test_bad_argument_is_rejected(arguments, message, cache):
             "infeasible even unloaded: at most .* kg of the platform's 5 kg",
         ),
         ({"trajectory": "dwell-planar"}, "nothing limits the payload on 'dwell-planar'"),
+        (
+            {"robot": PLANAR.replace(maximum_tension=1.2)},
+            "limiting: the motors' torque-speed lines or the maximum tension",
+        ),
         (
             {"error_bounds": {"position": 1e-6}},
             "no motion along 'circle-planar' .*limiting: the error bounds",

@@ -69,6 +69,7 @@ def changed(robot, name, value):
         (COGIRO, "transmission.coulomb_friction", "×1000", "are both in N·m at the pulley"),
         (HANGING, "motors.lag", 2.0, "is it in s? 1 ms"),
         (CAMERA, "minimum_tension", "×1000", "times the largest tension"),  # mN
+        (CAMERA, "maximum_tension", 2e6, "of the strongest motor: is it in N"),  # mN
         (PLANAR, "transmission.pulley_radius", "×100", "are both in m"),  # cm
         (PLANAR, "base_anchors", "×100", "are both in m"),
         (CAMERA, "cable_density", "×1000", "1 g/m is"),

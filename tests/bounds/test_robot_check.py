@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cablebot_gym.bounds.closed_form import exact_payload
-from cablebot_gym.bounds.robot_check import check_motion, modes, segment_distance
+from cablebot_gym.bounds.robot_check import check_model, check_motion, modes, segment_distance
 from cablebot_gym.physics.statics import holds
-from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
+from cablebot_gym.robots import PLANAR, SPATIAL, Robot, find_robot
 from cablebot_gym.trajectories import find_trajectory
 
 CAMERA = find_robot("stadium-camera")
@@ -49,6 +49,43 @@ def test_payload_is_held_up_to_the_limit():
         True,
         False,
     ]
+
+
+BIFILAR = Robot(
+    name="bar on two cables in a plane",
+    base_anchors=((-1.0, 0.0), (1.0, 0.0)),
+    platform_anchors=((-0.5, 0.0), (0.5, 0.0)),
+    plane="vertical",
+    mass=4.0,
+    inertia=(0.5,),
+    center_of_mass=(0.0, 0.1),
+    home_pose=(0.0, 1.0, 0.0),
+    motors=CAMERA.motors,
+    transmission=CAMERA.transmission,
+)
+
+
+@pytest.mark.parametrize(
+    ("robot", "height", "length"),
+    [(CAMERA, 18.0, math.hypot(18.0, 60.0, 40.0)), (BIFILAR, 1.0, math.hypot(1.0, 0.5))],
+    ids=["camera", "hanging bar"],
+)
+def test_maximum_tension_limits_the_payload_at_rest(robot, height, length):
+    limited = robot.replace(maximum_tension=200.0)
+    home = check_model(limited).home
+    weight = robot.cables * 200.0 * height / length
+    assert home.largest == pytest.approx(weight / robot.gravity - robot.mass, rel=1e-6)
+    assert home.reason.endswith("at the maximum tension of 200 N")
+
+
+def test_ceiling_is_the_payload_at_rest_for_the_maximum_tension():
+    """At the start pose, half the position bound lower, where the cables are steeper."""
+    robot = SPATIAL.replace(maximum_tension=100.0)
+    check = check_motion(robot, trajectory="dwell-spatial", payload=9.0)
+    rise = 0.105 / math.hypot(0.105, 0.47, (2 * 0.148 - 0.47) / math.sqrt(3))
+    assert check.ceiling == pytest.approx(600 * rise / robot.gravity - robot.mass, rel=1e-6)
+    assert not check.possible
+    assert check_motion(SPATIAL, trajectory="dwell-spatial", payload=9.0).possible
 
 
 def test_infeasible_motion_names_the_cause():

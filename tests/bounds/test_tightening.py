@@ -1,5 +1,6 @@
 """Margins over time: where and by how much the excesses of replays raise them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,12 @@ from cablebot_gym.task import ErrorBounds
 
 TIMES = np.arange(5) * 0.1
 RULE = Tightening(robot=SPATIAL, error_bounds=ErrorBounds(), times=TIMES)
-KEPT = {"position": 0.0, "rotation": 0.0, "tension": SPATIAL.minimum_tension}
+KEPT = {
+    "position": 0.0,
+    "rotation": 0.0,
+    "tension": SPATIAL.minimum_tension,
+    "largest_tension": 150.0,
+}
 
 
 def replay(steps=5, **peaks):
@@ -24,6 +30,7 @@ def replay(steps=5, **peaks):
         "tracking_error_peak": values["position"],
         "rotation_error_peak": values["rotation"],
         "least_tensions": np.repeat(values["tension"][:, None], SPATIAL.cables, axis=1),
+        "largest_tensions": np.repeat(values["largest_tension"][:, None], SPATIAL.cables, axis=1),
     }
     return SimpleNamespace(arrays=arrays)
 
@@ -53,6 +60,14 @@ def test_margin_grows_where_a_replay_exceeds_the_limit(name, peak, excess):
         assert not np.any(getattr(profile, kept))
     again = RULE.grown(profile, replays, action_excess())
     assert getattr(again, name)[2] == pytest.approx(2 * margin[2])
+
+
+def test_margin_of_the_tensions_grows_where_a_cable_is_overloaded():
+    """A larger margin to the minimum alone would never mend it."""
+    rule = replace(RULE, robot=SPATIAL.replace(maximum_tension=150.0))
+    profile = rule.grown(rule.no_profile(), [replay(largest_tension=150.4)], action_excess())
+    assert 0.4 < profile.tension[2] < 0.6
+    assert np.all(np.delete(profile.tension, 2) == 0)
 
 
 def test_errors_after_saturated_actions_change_the_action_margin_only():

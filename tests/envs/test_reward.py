@@ -101,6 +101,20 @@ def test_tension_below_the_minimum_violates_without_slack():
     assert violations(pushed, actions)[1] == [1]
 
 
+def test_tension_above_the_maximum_violates_without_termination():
+    """T_max is that of the robot, for bilateral cables, too."""
+    actions = np.full((3, 3), 0.1)
+    actions[1] = 0.3  # 30 N in each cable
+    for maximum, steps in ((29.0, [1]), (31.0, [])):
+        for cable in ("unilateral", "bilateral"):
+            robot = ROBOTS[PLANAR].replace(maximum_tension=maximum)
+            _, violated, info = violations(make(PLANAR, robot=robot, cable=cable), actions)
+            assert violated == steps
+            assert np.flatnonzero(info["cost"][1:]).tolist() == steps
+            assert 29.0 < info["largest_tensions"][2].max() < 31.0
+            assert not info["termination_reason"].any()
+
+
 @pytest.mark.parametrize("env_id", [SPATIAL, FLEX_SPATIAL])
 def test_payload_that_no_motor_holds_violates_at_the_start(env_id):
     env = make_any(env_id)

@@ -30,7 +30,7 @@ class HandMadeTask:
     steps: int
     error_bounds: ErrorBounds = BOUNDS
     robot: SimpleNamespace = field(
-        default_factory=lambda: SimpleNamespace(cables=3, minimum_tension=1.0)
+        default_factory=lambda: SimpleNamespace(cables=3, minimum_tension=1.0, maximum_tension=50.0)
     )
     cable: str = "unilateral"
     starts_at_rest: bool = True
@@ -71,6 +71,7 @@ def info_of(
     action=(0.1, -0.2, 0.3),
     slack=(),
     tension=(9, 8, 7),
+    largest=(19, 18, 17),
 ):
     """Info of one step of a single environment."""
     return {
@@ -83,6 +84,7 @@ def info_of(
         "torque_margin": STALL * (1 - np.abs(action)),
         "slack": np.array([cable in slack for cable in (1, 2, 3)]),
         "least_tensions": np.array(tension, float),
+        "largest_tensions": np.array(largest, float),
         "termination_reason": 0,
     }
 
@@ -114,6 +116,7 @@ def test_uneventful_motion_is_carried(criterion):
         position_peak=0.001,
         rotation_peak=0.001,
         least_tension=7.0,
+        largest_tension=19.0,
     )
 
 
@@ -145,6 +148,10 @@ def of_tension(fraction):
     return {"tension": (9.0, 1.0 / fraction, 8.0)}
 
 
+def of_largest_tension(fraction):
+    return {"largest": (9.0, 50.0 * fraction, 8.0)}
+
+
 def of_action(fraction):
     return {"action": (0.1, -fraction, 0.2)}
 
@@ -159,7 +166,9 @@ LEADS = [
 
 
 @pytest.mark.parametrize(("fractions", "steps"), LEADS)
-@pytest.mark.parametrize("change", [of_error, of_rotation, of_tension, of_action])
+@pytest.mark.parametrize(
+    "change", [of_error, of_rotation, of_tension, of_largest_tension, of_action]
+)
 def test_lead_is_the_last_time_span_beyond_nine_tenths_of_the_limit(change, fractions, steps):
     criterion = "paper" if change is of_action else "task"
     script = [change(fraction) for fraction in fractions]
@@ -195,6 +204,16 @@ def test_low_tension_violates_the_task_criterion_only():
     assert judged(third(tension=(1.0, 1.0, 1.0))).carried
     assert judged(low, "paper").carried
     assert judged(low, cable="bilateral").carried, "a bilateral cable may push"
+
+
+def test_high_tension_violates_the_task_criterion_only():
+    high = third(largest=(40.0, 50.5, 50.2))
+    violation = judged(high).violation
+    assert (violation.kind, violation.index) == ("overload", 2)
+    assert (violation.bound, violation.excess) == (50.0, 0.5)
+    assert str(violation) == "cable 2 exceeds its largest tension of 50 N at t = 0.006 s"
+    assert judged(high, cable="bilateral").violation == violation
+    assert judged(high, "paper").carried
 
 
 def test_weak_motor_at_the_start_violates_the_task_criterion():
@@ -235,6 +254,7 @@ def test_error_violations_state_bound_and_time():
         ("paper", "action", (1.0, -1.0, 1.0 + 1e-13), (1.0, -1.0 - 1e-9, 1.0), "torque"),
         ("paper", "position", 0.01, math.nextafter(0.01, 1), "position"),
         ("task", "rotation", 0.02, math.nextafter(0.02, 1), "rotation"),
+        ("task", "largest", (9, 50.0, 9), (9, math.nextafter(50, 51), 9), "overload"),
     ],
 )
 def test_bound_itself_is_within_the_limit(criterion, name, within, beyond, kind):
@@ -245,6 +265,7 @@ def test_bound_itself_is_within_the_limit(criterion, name, within, beyond, kind)
 EVENTS = {
     "torque": {"action": (0.0, 2.0, 0.0)},
     "slack": {"slack": (3,)},
+    "overload": {"largest": (9, 9, 99)},
     "position": {"position": 0.05},
     "rotation": {"rotation": 0.05},
     "terminated": {"terminated": True},
@@ -259,8 +280,8 @@ def test_violations_of_one_step_have_a_fixed_order(criterion, start):
     together = {}
     for kind in KINDS[start:]:
         together |= EVENTS[kind]
-    unchecked = {"task": "torque", "paper": "rotation"}[criterion]
-    expected = next(kind for kind in KINDS[start:] if kind != unchecked)
+    unchecked = {"task": ("torque",), "paper": ("overload", "rotation")}[criterion]
+    expected = next(kind for kind in KINDS[start:] if kind not in unchecked)
     violation = judged(third(**together), criterion).violation
     assert violation.kind == expected
     assert violation.time == pytest.approx((2 if expected == "torque" else 3) * PERIOD)

@@ -103,6 +103,20 @@ HANG_CAPACITY = 6 * 10.0 / 0.05 * 0.1 / math.hypot(0.47, 0.47 / 3**0.5 - 0.296 /
 cos(angle) / g."""
 
 
+def test_maximum_tension_limits_a_static_hang():
+    """With half the tension of the motors, half the mass; the paper criterion has no maximum."""
+    robot = SPATIAL.replace(maximum_tension=100.0)
+    conditions = {"robot": robot, **STATIC, "criterion": "task"}
+    result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, resolution=1e-5, **conditions)
+    assert result.total_mass == pytest.approx(HANG_CAPACITY / 2, abs=2e-5)
+    assert (result.violation.kind, result.violation.bound) == ("overload", 100.0)
+    assert 0 <= result.details.margins["overload"] < 1e-5
+    unchecked = record_rollout(
+        fl("spatial"), SPATIAL_ID, payload=result.failed_payload, **conditions | STATIC
+    )
+    assert unchecked.verdict.carried
+
+
 @pytest.mark.parametrize("resolution", [1e-2, 1e-5])
 def test_static_hang_is_the_vertical_capacity_of_the_cables(resolution):
     result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, resolution=resolution, **STATIC)

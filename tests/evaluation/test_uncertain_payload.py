@@ -217,7 +217,9 @@ def test_margins_are_those_of_the_tightest_single_episodes():
 def verdict(kind, time):
     """Verdict of an episode with a violation of a kind; None for none."""
     violation = None if kind is None else Violation(kind=kind, index=None, time=time, excess=None)
-    peaks = dict.fromkeys(("position_peak", "rotation_peak", "least_tension"), 0.0)
+    peaks = dict.fromkeys(
+        ("position_peak", "rotation_peak", "least_tension", "largest_tension"), 0.0
+    )
     peaks["peak_action"] = (0.5,)
     return Verdict(carried=kind is None, violation=violation, payload=1.0, **peaks)
 

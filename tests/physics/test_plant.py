@@ -178,7 +178,7 @@ def python_period(robot, mass, state, action, lagged, substeps, step, cable):
 
 
 def check_record(plant, states, applied, tensions, lines):
-    """The record of a period: values at its start, least tensions, slack steps and peaks of the
+    """The record of a period: values at its start, least and largest tensions, slack steps and peaks of the
     errors. Returns the steps of the peaks."""
     robot = plant.robot
     least = np.min(tensions, axis=0)
@@ -188,6 +188,7 @@ def check_record(plant, states, applied, tensions, lines):
         kernel.SPEED: drive_speed(robot, states[0]),
         kernel.TENSION: tensions[0],
         kernel.LEAST_TENSION: least,
+        kernel.LARGEST_TENSION: np.max(tensions, axis=0),
         kernel.SLACK: np.sum(np.stack(tensions) <= 0, axis=0),
     }
     for row, values in expected.items():

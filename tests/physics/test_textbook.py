@@ -7,6 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from oracles.plants import QUAD, ROUGH, UNEQUAL, each_of, random_motion
+from oracles.platforms import CRANE
 from scipy.linalg import null_space
 from scipy.optimize import linprog
 from scipy.special import logsumexp
@@ -126,3 +127,25 @@ def test_forward_dynamics_invert_the_inverse_dynamics(robot, minimum):
         )
         assert_allclose(moved, motion[2][members], rtol=0, atol=1e-10)
         assert_allclose(pulled, tension[members], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("choose", [textbook.central_tensions, textbook.least_action_tensions])
+def test_redundant_tensions_are_below_the_maximum_where_it_can_be(choose):
+    """Close to the least largest tension, which a linear program finds. A motor of twice the
+    strength would otherwise take more than its share."""
+    strong = CRANE.motors.replace(stall_torque=CRANE.stall_torque * ([1.0, 2.0] * 4))
+    robot = CRANE.replace(motors=strong)
+    zero = np.zeros(6)
+    structure = textbook.jacobian(robot, robot.home)
+    load = textbook.load(robot, 150.0, robot.home, zero, zero)
+    balance = np.column_stack([-structure.T, zero])
+    below = np.column_stack([np.eye(8), -np.ones(8)])
+    cost = np.append(np.zeros(8), 1.0)
+    least = linprog(cost, A_ub=below, b_ub=np.zeros(8), A_eq=balance, b_eq=load).fun
+    limited = robot.replace(maximum_tension=1.02 * least)
+    free, kept = (
+        choose(either, structure, load, np.zeros(8), np.zeros(8), 1.0)
+        for either in (robot, limited)
+    )
+    assert free.max() > limited.maximum_tension > kept.max()
+    assert_allclose(-structure.T @ kept, load, atol=1e-6)

@@ -232,6 +232,48 @@ def test_motion_in_one_dimension_has_the_payload_in_closed_form(inertia, free_sp
     assert 1 + plan.payload == pytest.approx(one_dimension.largest_mass(**drive), rel=2e-3)
 
 
+@pytest.mark.parametrize("margin", [0.0, 2.0])
+def test_motion_in_one_dimension_keeps_the_maximum_tension(margin):
+    """With T₁ in two cables and T₀ in the others, ``M ẍ = 2 (T₁ − T₀)`` up to the bound at the end."""
+    drive = {"inertia": 0.02, "free_speed": 100.0, "damping": 0.05}
+    robot = one_dimension.line_robot(**drive).replace(maximum_tension=20.0)
+    bounds = ErrorBounds(position=one_dimension.BOUND)
+    program = MotionProgram(
+        robot, one_dimension.Accelerating(), bounds, intervals=30, margins=Margins(tension=margin)
+    )
+    pull = 2 * (20.0 - one_dimension.TENSION - 2 * margin)
+    rate = one_dimension.Accelerating.rate
+    expected = pull / (rate - 2 * one_dimension.BOUND)
+    assert 1 + program.solve().payload == pytest.approx(expected, rel=4e-3)
+
+
+def test_springs_keep_the_maximum_tension():
+    limited = FLEX_PLANAR.replace(maximum_tension=12.0)
+    line = find_trajectory({"name": "line-planar", "duration": 0.4, "dwell": 0.0}, 2)
+    free, kept = (
+        MotionProgram(robot, line, BOUNDS, intervals=20).solve() for robot in (FLEX_PLANAR, limited)
+    )
+    times = np.linspace(0, line.duration, 121)
+    largest = []
+    for plan in (free, kept):
+        x = plan(times)
+        angle, _, _ = plan.motor_motion(times, np.full(len(times), plan.payload))
+        spring = FLEX_PLANAR.stiffness * (angle - textbook.pulley_angle(FLEX_PLANAR, x.position))
+        pulley = textbook.pulley_acceleration(FLEX_PLANAR, x.position, x.velocity, x.acceleration)
+        speed = textbook.pulley_speed(FLEX_PLANAR, x.position, x.velocity)
+        torque = spring - FLEX_PLANAR.pulley_inertia * pulley - FLEX_PLANAR.damping * speed
+        largest.append(np.max(torque / FLEX_PLANAR.pulley_radius))
+    assert largest[0] > 13.0
+    assert largest[1] == pytest.approx(12.0, abs=0.3)
+    assert kept.payload < free.payload
+
+
+def test_margins_beyond_the_tensions_are_rejected():
+    robot = PLANAR.replace(maximum_tension=7.0)
+    with pytest.raises(ValueError, match="tension must be at most 3 N for 'planar'"):
+        MotionProgram(robot, CIRCLE, BOUNDS, intervals=5, margins=Margins(tension=3.1))
+
+
 # --- solving ----------------------------------------------------------------------------------------------------------
 
 

@@ -6,6 +6,7 @@ batch of instants, so that the physics is not implemented twice.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -101,6 +102,8 @@ def _tensions_and_torques(
         # an object array, also where the radius is a number
         radius = textbook.loaded_radius(robot, speed) + 0 * speed
         slope = _tensor(radius / robot.stall_torque)
+        if robot.maximum_tension != math.inf:  # as the central tensions of the textbook
+            slope = torch.maximum(slope, (1 - offset) / robot.maximum_tension)
         tensions = _central_tensions(structure, load, slope, offset, minimum)
     if softness:
         sharp = _objects(tensions)

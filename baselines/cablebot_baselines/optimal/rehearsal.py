@@ -23,8 +23,8 @@ ERROR_RESERVE = 0.02
 """Reserve of a rehearsal to the error bounds, as a fraction of them."""
 
 TENSION_RESERVE = 1.5
-"""Reserve of a rehearsal to the minimum tension [N]: more than the standard deviation over robots of
-their least tension."""
+"""Reserve of a rehearsal to the minimum and the maximum tension [N]: more than the standard
+deviation over robots of their least tension."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,16 +47,21 @@ class Rehearsal:
     """Actions before saturation, (N, T, m)."""
     tension: Array
     """Least tension of all cables in each control period, (N, T) [N]."""
+    largest_tension: Array
+    """Largest tension of all cables in each control period, (N, T) [N]."""
 
     @property
     def excess(self) -> dict[str, Array]:
         """How far each control period is beyond the limits, less the reserves that cover the robots
         that are not rehearsed, by limit, each (N, T); negative within them."""
         bounds = self.task.error_bounds
+        robot = self.task.robot
+        missing_tension = robot.minimum_tension + TENSION_RESERVE - self.tension
+        overload = self.largest_tension - (robot.maximum_tension - TENSION_RESERVE)
         return {
             "position": self.position - (1 - ERROR_RESERVE) * bounds.position,
             "rotation": self.rotation - (1 - ERROR_RESERVE) * bounds.rotation,
-            "tension": self.task.robot.minimum_tension + TENSION_RESERVE - self.tension,
+            "tension": np.maximum(missing_tension, overload),
         }
 
     @property
@@ -82,7 +87,15 @@ class Rehearsal:
         return Rehearsal(task=self.task, times=self.times, **arrays)
 
 
-_EPISODE_ARRAYS = ("payloads", "poses", "position", "rotation", "action", "tension")
+_EPISODE_ARRAYS = (
+    "payloads",
+    "poses",
+    "position",
+    "rotation",
+    "action",
+    "tension",
+    "largest_tension",
+)
 
 
 def rehearse(
@@ -130,6 +143,7 @@ def rehearse(
         steps["rotation"].append(info["rotation_error_peak"])
         steps["action"].append(state.requested)
         steps["tension"].append(info["least_tensions"].min(axis=1))
+        steps["largest_tension"].append(info["largest_tensions"].max(axis=1))
     arrays = {name: np.stack(values, axis=1) for name, values in steps.items()}
     times = np.arange(1, task.steps + 1) / task.control_frequency
     return Rehearsal(task=task, payloads=payload, times=times, **arrays)

@@ -26,6 +26,7 @@ from cablebot_gym.physics.kernel.rows import (
     FREE_TENSION,
     GAP,
     LAGGED,
+    LARGEST_TENSION,
     LEAST_TENSION,
     MOTOR_ANGLE,
     MOTOR_RATE,
@@ -57,7 +58,8 @@ from cablebot_gym.physics.kernel.stage import acceleration_row, stage_dynamics, 
 
 @inline
 def _note_tensions(form, period_starts, unilateral, w, record, lanes):
-    """Counts slack cables and updates the least tensions at the start of a physics step.
+    """Counts slack cables and updates the least and largest tensions at the start of a physics
+    step.
 
     Stores the tensions at the start of the control period.
     """
@@ -74,10 +76,13 @@ def _note_tensions(form, period_starts, unilateral, w, record, lanes):
             if period_starts:
                 record[(rec + TENSION) * lanes + at] = tension
                 record[(rec + LEAST_TENSION) * lanes + at] = tension
+                record[(rec + LARGEST_TENSION) * lanes + at] = tension
                 record[(rec + SLACK) * lanes + at] = slack
             else:
                 least_tension = record[(rec + LEAST_TENSION) * lanes + at]
                 record[(rec + LEAST_TENSION) * lanes + at] = min(tension, least_tension)
+                largest_tension = record[(rec + LARGEST_TENSION) * lanes + at]
+                record[(rec + LARGEST_TENSION) * lanes + at] = max(tension, largest_tension)
                 record[(rec + SLACK) * lanes + at] += slack
 
 

@@ -68,7 +68,8 @@ MOTOR_ANGLE = 5
 MOTOR_SPEED = 6
 LEAST_TENSION = 7
 LAGGED = 8
-CABLE_RECORDS, PULLEY_RECORDS = 9, 2
+LARGEST_TENSION = 9
+CABLE_RECORDS, PULLEY_RECORDS = 10, 2
 
 # Rows of the scratch memory, which is not used between calls. Some serve two kinds of robots. TRIG
 # of a platform in a plane: sine and cosine of φ.

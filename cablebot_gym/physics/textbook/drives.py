@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -351,9 +352,12 @@ def central_tensions(
 def _actions_of_tensions(
     robot: RobotArrays, speed: Array, acceleration: Array
 ) -> tuple[Array, Array]:
-    """Action per tension [1/N] and action at zero tension."""
+    """Action per tension [1/N] and action at zero tension. Where the maximum tension is less than
+    that of the motor, the slope is larger, so that the action is 1 at the maximum tension."""
     offset = normalised_action(robot, motor_torques(robot, 0.0, speed, acceleration), speed)
     slope = loaded_radius(robot, speed) / robot.stall_torque
+    if robot.maximum_tension != math.inf:
+        slope = np.maximum(slope, (1.0 - offset) / robot.maximum_tension)
     return slope, offset
 
 
