@@ -59,6 +59,16 @@ def identify_winch(printed, folder):
         assert abs(item.value - value) < 2 * item.half_width
 
 
+def identify_platform(printed, folder):
+    """The logs of the page give the stiffness of the script."""
+    robot = find_robot("flex-gch-klaus")
+    logs = [read_log(folder / "motions" / name, robot) for name in ("0.3kg.csv", "1kg.csv")]
+    estimates = identify(robot, logs).estimates
+    stiffnesses = [item.value for item in estimates if item.name == "axial_stiffness"]
+    assert len(stiffnesses) == 4
+    assert all(abs(value / 15e3 - 1) < 0.01 for value in stiffnesses)
+
+
 def your_trajectory(printed, folder):
     """Faster motions carry less."""
     slow, middle, fast = numbers(PAYLOAD, printed)
@@ -122,6 +132,7 @@ def minari_dataset(printed, folder):
 
 FAST = (first_steps, identify_winch)
 SLOW = (
+    identify_platform,
     ten_lines,
     your_controller,
     your_robot,

@@ -60,15 +60,13 @@ class Log:
         """Indices of the motors with torque or current.
 
         Raises:
-            ValueError: if there is none, or a motor has both.
+            ValueError: if a motor has both.
         """
         motors = set()
         for column in self.columns:
             quantity, _, number = column.partition("_")
             if quantity in ("torque", "current"):
                 motors.add(int(number) - 1)
-        if not motors:
-            raise ValueError(f"{self.name}: no motor has a column torque_1 [N·m] or current_1 [A]")
         for motor in motors:
             if {f"torque_{motor + 1}", f"current_{motor + 1}"} <= self.columns.keys():
                 raise ValueError(

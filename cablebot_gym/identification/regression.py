@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import t as student
 
-from cablebot_gym.identification.samples import PLATFORM, Samples
+from cablebot_gym.identification.samples import Samples
 from cablebot_gym.kinematics import Array
 
 CONFIDENCE = 0.95
@@ -40,10 +40,19 @@ REMEDIES = {
     "motor_inertia": ("a constant speed", "add a log with accelerations"),
     "coulomb_friction": ("one direction", "add a log in the other direction"),
     CONSTANT: ("one direction", "add a log in the other direction"),
+    "axial_stiffness": (
+        "one tension at each length",
+        "add a log with another payload or pretension",
+    ),
+    "pulley_radius": ("one length", "add a longer motion"),
+    "stiffness": ("one load", "add a log with another payload"),
 }
 """What a log has that does not determine a parameter, and the remedy, in the order in which
 parameters are left out."""
 
+
+UNKNOWN_TENSIONS = "the tensions of redundant cables are unknown; add the columns tension_1, …"
+"""Reason of a parameter that needs the tensions."""
 
 _Groups = dict[str, tuple[tuple[int, ...], ...]]
 """Groups of motors that share a parameter, by its name."""
@@ -95,8 +104,9 @@ def fit(samples: Samples, names: Sequence[str], values: Mapping[str, Array]) -> 
         ValueError: if torques or currents have the wrong sign, or the torque constant is not
             determined.
     """
-    motors = tuple(int(motor) for motor in np.unique(samples.motor))
-    if motors == (PLATFORM,):
+    motors = tuple(np.unique(samples.motor).tolist())
+    motors_are_joined = motors[0] < 0
+    if motors_are_joined:
         motors = tuple(range(samples.regressors.shape[1]))
     _check_sign(samples)
     equations = _Equations(samples, names, values)
@@ -112,14 +122,12 @@ def fit(samples: Samples, names: Sequence[str], values: Mapping[str, Array]) -> 
         if len(groups[name]) > 1:
             groups[name] = (motors,)
         elif name == CONSTANT:
-            raise ValueError(f"the torque constant is not determined: {_inseparable_text(name)}")
+            raise ValueError(f"the torque constant is not determined: {inseparable_text(name)}")
         else:
             del groups[name]
-            reason = _inseparable_text(name)
-            if name == "load_friction" and PLATFORM in samples.motor:
-                reason = (
-                    "the tensions of redundant cables are unknown; add the columns tension_1, …"
-                )
+            reason = inseparable_text(name)
+            if name == "load_friction" and motors_are_joined:
+                reason = UNKNOWN_TENSIONS
             left_out.append(Estimate(name=name, motors=motors, reason=reason))
     estimates, residual = equations.solve(groups)
     for name in groups:
@@ -134,7 +142,8 @@ def fit(samples: Samples, names: Sequence[str], values: Mapping[str, Array]) -> 
     return Fit(estimates=tuple(estimates), residual=residual)
 
 
-def _inseparable_text(name: str) -> str:
+def inseparable_text(name: str) -> str:
+    """Why the samples cannot separate a parameter from others, and the remedy."""
     state, remedy = REMEDIES[name]
     return f"the logs have {state}; {remedy}"
 
@@ -142,7 +151,7 @@ def _inseparable_text(name: str) -> str:
 def _check_sign(samples: Samples) -> None:
     for motor in np.unique(samples.motor):
         chosen = samples.motor == motor
-        if motor != PLATFORM and np.sum(samples.response[chosen] * samples.known[chosen]) < 0:
+        if motor >= 0 and np.sum(samples.response[chosen] * samples.known[chosen]) < 0:
             quantity = "current" if samples.is_current else "torque"
             column = f"{quantity}_{motor + 1}"
             raise ValueError(
@@ -164,13 +173,9 @@ class _Equations:
         empty if there is none."""
         columns = _columns(groups)
         jacobian, _, _ = self._solution(columns)
-        norms = np.linalg.norm(jacobian, axis=0)
-        triangle: Array = np.linalg.qr(jacobian / np.where(norms > 0, norms, 1.0)).R
         dependent = set()
-        for index, column in enumerate(columns):
-            others = np.delete(triangle, index, axis=1)
-            explained = others @ np.linalg.lstsq(others, triangle[:, index], rcond=None)[0]
-            if np.sum((triangle[:, index] - explained) ** 2) < LEAST_TOLERANCE:
+        for column, part in zip(columns, unexplained(jacobian), strict=True):
+            if part < LEAST_TOLERANCE:
                 dependent.add(column.name)
         return next((name for name in REMEDIES if name in dependent), "")
 
@@ -182,7 +187,7 @@ class _Equations:
         estimates = []
         for column, value, half_width in zip(columns, values, widths, strict=True):
             estimate = replace(column, value=float(value), half_width=float(half_width))
-            estimates.append(replace(estimate, reason=_doubt(estimate)))
+            estimates.append(replace(estimate, reason=doubt(estimate)))
         return estimates, residual
 
     def _solution(self, columns: Sequence[Estimate]) -> tuple[Array, Array, Array]:
@@ -227,6 +232,19 @@ def _columns(groups: _Groups) -> list[Estimate]:
     return [Estimate(name=name, motors=group) for name in groups for group in groups[name]]
 
 
+def unexplained(jacobian: Array) -> Array:
+    """Part of the square of each column that the other columns do not explain, (p,); 0 for a column
+    of zeros."""
+    norms = np.linalg.norm(jacobian, axis=0)
+    triangle: Array = np.linalg.qr(jacobian / np.where(norms > 0, norms, 1.0)).R
+    parts = np.empty(len(norms))
+    for index in range(len(norms)):
+        others = np.delete(triangle, index, axis=1)
+        explained = others @ np.linalg.lstsq(others, triangle[:, index], rcond=None)[0]
+        parts[index] = np.sum((triangle[:, index] - explained) ** 2)
+    return parts
+
+
 def half_widths(jacobian: Array, residual: Array, block: Array) -> Array:
     """Half widths of the intervals by the jackknife over blocks, (p,)."""
     size = jacobian.shape[1]
@@ -251,7 +269,7 @@ def half_widths(jacobian: Array, residual: Array, block: Array) -> Array:
     return widths
 
 
-def _doubt(estimate: Estimate) -> str:
+def doubt(estimate: Estimate) -> str:
     """Why an estimate does not determine its parameter; empty if it does."""
     _, remedy = REMEDIES[estimate.name]
     if estimate.half_width > WIDEST * abs(estimate.value):

@@ -3,52 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cablebot_gym.identification.lengths import OFFSET, LengthFit, fit_lengths
 from cablebot_gym.identification.log import Log, pose_columns
-from cablebot_gym.identification.regression import (
-    CONFIDENCE,
-    CONSTANT,
-    TOO_WIDE,
-    WIDEST,
-    Estimate,
-    fit,
-    half_widths,
-)
-from cablebot_gym.identification.samples import (
-    Samples,
-    blocks,
-    drive_samples,
-    has_pose,
-    load_torque,
-    parameter_names,
-    platform_motion,
-)
+from cablebot_gym.identification.regression import CONFIDENCE, CONSTANT, Estimate, Fit, fit
+from cablebot_gym.identification.samples import PLATFORM, Samples, drive_samples, parameter_names
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
 from cablebot_gym.uncertainty import PARAMETERS, ParameterDistribution, Uncertainty
-
-OFFSET = "length_offset"
-"""Name of the measured cable length less that of the angle, which is zero at the home pose."""
 
 UNITS = {CONSTANT: "N·m/A", "pulley_radius": "m", OFFSET: "m"}
 """Units of parameters that are not in :data:`~cablebot_gym.uncertainty.PARAMETERS`."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Residual:
-    """Size of the residual of a motor, or of the equations of the platform."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Response:
+    """Measured and modelled response of one equation at K instants."""
 
-    motor: int
-    """Index of the motor, or :data:`~cablebot_gym.identification.samples.PLATFORM`."""
-    rms: float
-    """RMS of measured minus modelled response [N·m, A, or N]."""
-    response: float
-    """RMS of the measured response in the same unit."""
+    equation: str
+    """Name of the equation: ``motor 1``, ``length 1``, or ``platform x``."""
+    unit: str
+    """Unit of the response: N·m, A, N or m."""
+    time: Array
+    """Times of the log, (K,) [s]."""
+    log: NDArray[np.int64]
+    """Index of the log, (K,)."""
+    measured: Array
+    """Measured response, (K,)."""
+    residual: Array
+    """Measured minus modelled response, (K,)."""
+
+    @property
+    def rms(self) -> float:
+        """RMS of the residual."""
+        return _rms(self.residual)
+
+    @property
+    def measured_rms(self) -> float:
+        """RMS of the measured response."""
+        return _rms(self.measured)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +63,10 @@ class Identification:
     """Their intervals, as uniform deviations from the values of the robot."""
     estimates: tuple[Estimate, ...]
     """All parameters, determined or not."""
-    residuals: tuple[Residual, ...]
-    """Sizes of the residuals."""
+    responses: tuple[Response, ...]
+    """Measured and modelled responses of all equations."""
+    logs: tuple[str, ...]
+    """Names of the logs."""
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data, motors counted from 1, and None in place of what is not finite."""
@@ -74,7 +78,16 @@ class Identification:
                 if not np.isfinite(data[name]):
                     data[name] = None
             estimates.append(data)
-        residuals = [asdict(item) | {"motor": item.motor + 1} for item in self.residuals]
+        residuals = []
+        for response in self.responses:
+            residuals.append(
+                {
+                    "equation": response.equation,
+                    "unit": response.unit,
+                    "rms": response.rms,
+                    "measured_rms": response.measured_rms,
+                }
+            )
         return {"confidence": CONFIDENCE, "estimates": estimates, "residuals": residuals}
 
 
@@ -97,83 +110,75 @@ def identify(robot: Robot, logs: Sequence[Log], *, payload: float = 0.0) -> Iden
         ValueError: if the logs have not what the equations need. The message names the column.
     """
     source = f"identified by `cablebot identify` from {', '.join(log.name for log in logs)}"
-    estimates = _geometry(robot, logs, payload)
-    robot = _with_estimates(robot, estimates, source)
-    samples = drive_samples(robot, logs, payload)
-    names = parameter_names(robot)
-    drives = fit(samples, names, {name: getattr(robot, name) for name in names})
-    estimates += drives.estimates
+    has_torques = any(log.motors() for log in logs)
+    # Tensions from torques need the friction, and the friction needs the radius.
+    passes = 1 + (robot.flexible and has_torques)
+    for _ in range(passes):
+        lengths = fit_lengths(robot, logs, payload)
+        estimates = [item for length in lengths for item in length.estimates]
+        estimates.sort(key=lambda item: (item.name, item.motors))
+        robot = _with_estimates(robot, estimates, source)
+        responses = _length_responses(lengths)
+        if has_torques:
+            samples = drive_samples(robot, logs, payload)
+            names = parameter_names(robot)
+            drives = fit(samples, names, {name: getattr(robot, name) for name in names})
+            estimates += drives.estimates
+            robot = _with_estimates(robot, drives.estimates, source)
+            responses = _drive_responses(robot, samples, drives) + responses
+    if not estimates:
+        pose = ", ".join(pose_columns(robot))
+        raise ValueError(
+            f"{logs[0].name}: no motor has a column torque_1 [N·m] or current_1 [A] for its friction, "
+            f"nor angle_1 [rad] with the pose {pose} for its cable length"
+        )
     return Identification(
-        robot=_with_estimates(robot, drives.estimates, source),
+        robot=robot,
         uncertainty=_uncertainty(estimates),
         estimates=tuple(estimates),
-        residuals=_residuals(samples, drives.residual),
+        responses=tuple(responses),
+        logs=tuple(log.name for log in logs),
     )
 
 
-def _geometry(robot: Robot, logs: Sequence[Log], payload: float) -> list[Estimate]:
-    """Drum radius and length offset of each rigid drive, or stiffness of each joint, from logs with
-    pose and angle.
+def _length_responses(fits: Sequence[LengthFit]) -> list[Response]:
+    """Measured cable lengths and their residuals."""
+    responses = []
+    for item in fits:
+        if len(item.residual):
+            response = Response(
+                equation=f"length {item.motor + 1}",
+                unit="m",
+                time=item.samples.time,
+                log=item.samples.log,
+                measured=item.samples.length,
+                residual=item.residual,
+            )
+            responses.append(response)
+    return responses
 
-    A rigid drive has ``q(X) − q(X₀) = offset − r β``, a joint ``β′ − β = (r T + J β̈ + c β̇)/K``.
-    """
-    estimates: list[Estimate] = []
-    if robot.elastic:
-        return estimates
-    for motor in range(robot.cables):
-        column = f"angle_{motor + 1}"
-        pieces = []
-        for number, log in enumerate(logs):
-            if has_pose(robot, log) and column in log.columns:
-                pieces += _lengths(robot, log, number, motor, payload)
-        if not pieces:
-            continue
-        inputs, outputs, time, number_of_log = map(np.concatenate, zip(*pieces, strict=True))
-        jacobian = np.stack([inputs, np.ones(len(inputs))], axis=1)
-        (slope, offset), *_ = np.linalg.lstsq(jacobian, outputs, rcond=None)
-        residual = outputs - jacobian @ [slope, offset]
-        widths = half_widths(jacobian, residual, blocks(number_of_log, time))
-        reason = ""
-        if widths[0] > WIDEST * abs(slope):
-            reason = f"{TOO_WIDE}; add a longer motion"
-        line = Estimate(
-            name="pulley_radius",
-            motors=(motor,),
-            value=float(slope),
-            half_width=float(widths[0]),
-            reason=reason,
+
+def _drive_responses(robot: Robot, samples: Samples, drives: Fit) -> list[Response]:
+    """Measured torques or currents and their residuals, and those of the platform's equations."""
+    responses = []
+    # The numbers of the platform's equations count downwards from PLATFORM.
+    for number in sorted(np.unique(samples.motor).tolist(), key=lambda item: (item < 0, abs(item))):
+        rows = samples.motor == number
+        equation, unit = f"motor {number + 1}", "N·m"
+        if samples.is_current:
+            unit = "A"
+        if number < 0:
+            equation, unit = f"platform {pose_columns(robot)[PLATFORM - number]}", "N"
+        response = Response(
+            equation=equation,
+            unit=unit,
+            time=samples.time[rows],
+            log=samples.log[rows],
+            measured=samples.response[rows],
+            residual=drives.residual[rows],
         )
-        if robot.jointed:
-            compliance = line.value
-            width = line.half_width / compliance**2
-            line = replace(line, name="stiffness", value=1 / compliance, half_width=width)
-            estimates.append(line)
-            continue
-        width = float(widths[1])
-        estimates += [line, replace(line, name=OFFSET, value=float(offset), half_width=width)]
-    return sorted(estimates, key=lambda item: (item.name, item.motors))
-
-
-def _lengths(
-    robot: Robot, log: Log, number: int, motor: int, payload: float
-) -> list[tuple[Array, ...]]:
-    """Input and output of the line of :func:`_geometry`, times and number of the log."""
-    column = f"angle_{motor + 1}"
-    pieces: list[tuple[Array, ...]] = []
-    for segment in log.segments([*pose_columns(robot), column]):
-        pose, velocity, acceleration = platform_motion(robot, segment)
-        angle = segment.smooth(column)
-        pulley_angle = textbook.pulley_angle(robot, pose)[:, motor]
-        inputs, outputs = -angle, -robot.pulley_radius[motor] * pulley_angle
-        if robot.jointed:
-            mass = robot.mass + payload
-            tensions = textbook.required_tensions(robot, mass, pose, velocity, acceleration)
-            speed, second = segment.smooth(column, 1), segment.smooth(column, 2)
-            inputs = load_torque(robot, motor, tensions[:, motor], speed, second)
-            outputs = angle - pulley_angle
-        time = segment.smooth("time")
-        pieces.append((inputs, outputs, time, np.full(len(time), number)))
-    return pieces
+        responses.append(response)
+    return responses
 
 
 def _with_estimates(robot: Robot, estimates: Sequence[Estimate], source: str) -> Robot:
@@ -206,15 +211,3 @@ def _uncertainty(estimates: Sequence[Estimate]) -> Uncertainty:
             width = max(float(f"{item.half_width / item.value:.6g}") for item in items)
             parameters[name] = ParameterDistribution(low=-width, high=width, each=len(items) > 1)
     return Uncertainty(parameters=parameters)
-
-
-def _residuals(samples: Samples, residual: Array) -> tuple[Residual, ...]:
-    residuals = []
-    for motor in np.unique(samples.motor):
-        chosen = samples.motor == motor
-        rms, response = (
-            float(np.sqrt(np.mean(np.square(values[chosen]))))
-            for values in (residual, samples.response)
-        )
-        residuals.append(Residual(motor=int(motor), rms=rms, response=response))
-    return tuple(residuals)

@@ -22,7 +22,8 @@ BLOCKS = 40
 has at least one block."""
 
 PLATFORM = -1
-"""``motor`` of equations of the platform, which have the torques of all motors."""
+"""``motor`` of the first equation of the platform, which has the torques of all motors. Those of
+the further coordinates follow below it: a negative ``motor`` is an equation of the platform."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,11 +37,15 @@ class Samples:
     regressors: Array
     """Factors of the :func:`parameter_names` of each motor, (N, m, 4)."""
     motor: NDArray[np.int64]
-    """Index of the motor, (N,), or :data:`PLATFORM`."""
+    """Index of the motor, or :data:`PLATFORM` less the index of a coordinate, (N,)."""
     block: NDArray[np.int64]
     """Number of the block, (N,)."""
     is_current: bool
     """Whether the responses are currents."""
+    time: Array
+    """Times, (N,) [s]."""
+    log: NDArray[np.int64]
+    """Index of the log, (N,)."""
 
 
 def parameter_names(robot: Robot) -> tuple[str, ...]:
@@ -66,9 +71,13 @@ def drive_samples(robot: Robot, logs: Sequence[Log], payload: float = 0.0) -> Sa
     for log in logs:
         quantities |= {f"current_{motor + 1}" in log.columns for motor in log.motors()}
     if len(quantities) == 2:
-        raise ValueError("some motors have torques and others currents: identify them apart")
+        raise ValueError(
+            "some motors have torques and others currents: identify them in separate commands"
+        )
     pieces: list[_Piece] = []
     for number, log in enumerate(logs):
+        if not log.motors():
+            continue
         if has_pose(robot, log):
             pieces += _platform_pieces(robot, log, number, payload)
         else:
@@ -81,6 +90,8 @@ def drive_samples(robot: Robot, logs: Sequence[Log], payload: float = 0.0) -> Sa
         motor=joined.motor,
         block=blocks(joined.log, joined.time),
         is_current=quantities.pop(),
+        time=joined.time,
+        log=joined.log,
     )
 
 
@@ -103,17 +114,43 @@ def platform_motion(robot: Robot, segment: Segment) -> tuple[Array, Array, Array
     return pose, velocity, acceleration
 
 
+def platform_mass(robot: Robot, segment: Segment, payload: float) -> float | Array:
+    """Mass of platform and payload [kg], (K,) with a column for the payload."""
+    if "payload" in segment.columns:
+        return robot.mass + segment.smooth("payload")
+    return robot.mass + payload
+
+
 def load_torque(
     robot: Robot, motor: int, tension: Array, speed: Array, acceleration: Array
 ) -> Array:
     """Load L of a motor [N·m], (K,): r T of a rigid transmission; with elastic cables also what
     they wind up, and with joint springs inertia and damping of the pulley."""
-    torque = robot.pulley_radius[motor] * tension
-    if robot.elastic:
-        torque = torque * (1 + tension / robot.axial_stiffness[motor] / 2)
+    still = robot.pulley_radius * tension[:, None]
+    torque: Array = textbook.holding_torque(robot, still)[:, motor]
     if robot.jointed:
         torque = torque + robot.pulley_inertia[motor] * acceleration + robot.damping[motor] * speed
     return torque
+
+
+def tension_from_torque(
+    robot: Robot, motor: int, torque: Array, speed: Array, acceleration: Array
+) -> Array:
+    """Cable tension [N], (K,): the inverse of the drive equation with the friction and inertia of
+    the robot."""
+    inertia, damping, coulomb, per_load = (
+        getattr(robot, name)[motor] for name in parameter_names(robot)
+    )
+    direction = speed / textbook.smooth_magnitude(robot, speed)
+    load = torque - inertia * acceleration - damping * speed - coulomb * direction
+    load = load / (1 + per_load * direction)
+    if robot.jointed:
+        load = load - robot.pulley_inertia[motor] * acceleration - robot.damping[motor] * speed
+    pulling: Array = load / robot.pulley_radius[motor]
+    if robot.elastic:
+        # The root of T (1 + T/(2 EA)) = pulling that is near it.
+        pulling = 2 * pulling / (1 + np.sqrt(1 + 2 * pulling / robot.axial_stiffness[motor]))
+    return pulling
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +181,7 @@ def _winch_pieces(robot: Robot, log: Log, number: int) -> list[_Piece]:
                 f"hanging mass, {tension} [N], or the pose of the platform, {pose}"
             )
         source = tension if tension in log.columns else load
-        for segment in log.segments([*_drive_columns(log, motor), source]):
+        for segment in log.segments([*drive_columns(log, motor), source]):
             _, acceleration = segment.motion(motor)
             tensions = segment.smooth(source)
             if source == load:
@@ -159,7 +196,7 @@ def _platform_pieces(robot: Robot, log: Log, number: int, payload: float) -> lis
     motors = log.motors()
     columns = pose_columns(robot)
     for motor in motors:
-        columns += _drive_columns(log, motor)
+        columns += drive_columns(log, motor)
     if "payload" in log.columns:
         columns.append("payload")
     cells = [f"tension_{motor + 1}" for motor in motors]
@@ -171,9 +208,7 @@ def _platform_pieces(robot: Robot, log: Log, number: int, payload: float) -> lis
         _check_projection(robot, log)
     pieces = []
     for segment in log.segments(columns):
-        mass: float | Array = robot.mass + payload
-        if "payload" in log.columns:
-            mass = robot.mass + segment.smooth("payload")
+        mass = platform_mass(robot, segment, payload)
         pose, velocity, acceleration = platform_motion(robot, segment)
         if not is_measured and not is_unique:
             wrench = textbook.load(robot, mass, pose, velocity, acceleration)
@@ -191,13 +226,15 @@ def _platform_pieces(robot: Robot, log: Log, number: int, payload: float) -> lis
 def _check_projection(robot: Robot, log: Log) -> None:
     """Checks that the equations of the platform are linear in the parameters and complete."""
     cells = [f"tension_{motor + 1}" for motor in range(robot.cables)]
-    if robot.cables < robot.coordinates or robot.flexible or np.any(robot.load_friction):
-        log.require(*cells, purpose=f"{robot.name!r}, whose pose does not tell the tensions,")
+    if robot.cables < robot.coordinates:
+        log.require(*cells, purpose="a robot with fewer cables than coordinates")
+    if robot.jointed:
+        log.require(*cells, purpose="a robot with joint springs and redundant cables")
     torques = [f"torque_{motor + 1}" for motor in range(robot.cables)]
     log.require(*torques, purpose="a robot with more cables than coordinates and no load cells")
 
 
-def _drive_columns(log: Log, motor: int) -> list[str]:
+def drive_columns(log: Log, motor: int) -> list[str]:
     """Columns of response and motion of a motor."""
     motion = f"speed_{motor + 1}"
     if motion not in log.columns:
@@ -239,29 +276,40 @@ def _motor_piece(robot: Robot, segment: Segment, number: int, motor: int, tensio
 def _platform_piece(
     robot: Robot, segment: Segment, number: int, pose: Array, wrench: Array
 ) -> _Piece:
-    """Samples of the equations of the platform, ``Sᵀ (τ/r) = −w + Sᵀ (friction and inertia)/r``. The
-    tensions of redundant cables are unknown and have no part in them."""
-    per_radius = textbook.jacobian(robot, pose) / robot.pulley_radius[:, None]
+    """Samples of the equations of the platform, ``Sᵀ T = −w`` with the tensions ``T = (τ − friction
+    − inertia)/r'``.
+
+    r' has the load friction of the robot, ``r' = r (1 + μ σ) (1 + ε/2)``. The tensions of redundant
+    cables are unknown and have no part in these equations.
+    """
+    jacobian = textbook.jacobian(robot, pose)
     # Moments become forces at the platform anchors.
     span = max(float(np.max(np.abs(robot.platform))), 1e-3)
     scale = np.where(np.arange(robot.coordinates) < robot.dimensions, 1.0, 1 / span)
-    per_radius = per_radius * scale
-    responses, factors, moves = [], [], np.ones(len(pose), bool)
+    responses, factors = [], []
+    moves = np.ones(len(pose), bool)
     for motor in range(robot.cables):
         speed, acceleration = segment.motion(motor)
-        responses.append(segment.smooth(f"torque_{motor + 1}"))
-        factors.append(drive_factors(robot, speed, acceleration, np.zeros(len(speed))))
+        torque = segment.smooth(f"torque_{motor + 1}")
+        direction = speed / textbook.smooth_magnitude(robot, speed)
+        radius = robot.pulley_radius[motor] * (1 + robot.load_friction[motor] * direction)
+        if robot.elastic:
+            tension = tension_from_torque(robot, motor, torque, speed, acceleration)
+            radius = radius * (1 + tension / robot.axial_stiffness[motor] / 2)
+        pull = jacobian[:, motor] * scale / radius[:, None]
+        responses.append(pull * torque[:, None])
+        without_load = drive_factors(robot, speed, acceleration, np.zeros(len(speed)))
+        factors.append(pull[:, :, None] * without_load[:, None])
         moves &= np.abs(speed) > robot.transmission.friction_speed
-    response = np.einsum("kmn,mk->kn", per_radius, np.array(responses))
-    regressors = np.einsum("kmn,mkp->knmp", per_radius, np.array(factors))
-    time = np.repeat(segment.smooth("time")[moves], robot.coordinates)
+    instants = np.count_nonzero(moves)
+    regressors = np.stack(factors, axis=2)[moves]
     return _Piece(
-        response[moves].reshape(-1),
-        (-wrench * scale)[moves].reshape(-1),
-        regressors[moves].reshape(-1, robot.cables, 4),
-        np.full(len(time), PLATFORM),
-        time,
-        np.full(len(time), number),
+        np.sum(responses, axis=0)[moves].ravel(),
+        (-wrench * scale)[moves].ravel(),
+        regressors.reshape(-1, *regressors.shape[2:]),
+        np.tile(PLATFORM - np.arange(robot.coordinates), instants),
+        np.repeat(segment.smooth("time")[moves], robot.coordinates),
+        np.full(instants * robot.coordinates, number),
     )
 
 

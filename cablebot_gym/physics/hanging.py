@@ -74,19 +74,19 @@ def hanging_pose(robot: Robot, mass: float, lengths: ArrayLike, near: ArrayLike)
     def slopes(unknowns: Array) -> Array:
         pose, tensions = unknowns[:n], unknowns[n:]
         structure = textbook.jacobian(robot, pose)
-        matrix = np.zeros((n + m, n + m))
-        matrix[:n, :n] = textbook.weight_stiffness(robot, mass, pose) / weight
-        matrix[:n, :n] += textbook.tension_stiffness(robot, pose, tensions)
-        matrix[:n, n:] = structure.T
-        matrix[n:, :n] = structure
-        return matrix
+        stiffness = textbook.weight_stiffness(robot, mass, pose) / weight
+        stiffness += textbook.tension_stiffness(robot, pose, tensions)
+        return np.block([[stiffness, structure.T], [structure, np.zeros((m, m))]])
 
     forces = textbook.bias(robot, mass, start, still) / weight
     first = np.linalg.lstsq(-textbook.jacobian(robot, start).T, forces, rcond=None)[0]
-    found = root(errors, np.concatenate([start, first]), jac=slopes, options={"xtol": 1e-13})
-    if not np.abs(errors(found.x)).max() < _TOLERANCE:
+    near_rest = np.concatenate([start, first])
+    solution = root(errors, near_rest, jac=slopes, options={"xtol": 1e-13}).x
+    largest_error = np.max(np.abs(errors(solution)))
+    if not largest_error < _TOLERANCE:
         raise ValueError(f"{robot.name}: no pose at rest near {start.tolist()} has these lengths")
-    pose, tensions = found.x[:n], weight * found.x[n:]
+    pose = solution[:n]
+    tensions = weight * solution[n:]
     if tensions.min() <= 0:
         slack = int(np.argmin(tensions)) + 1
         raise ValueError(f"{robot.name}: cable {slack} is slack at rest with these lengths")

@@ -14,6 +14,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 
 from cablebot_gym.kinematics import Array, cable_lengths
@@ -29,6 +30,9 @@ LOG = "analysis/gerry00_estimation/13_concentric_diamonds_1mps_cal"
 
 CARRIAGE = "Rigid Body 2_"
 """Start of the names of the carriage's markers."""
+
+HEADER = 7
+"""Lines above the samples of the capture."""
 
 PERIOD = 0.01
 """Sampling period of the robot's log [s]."""
@@ -71,9 +75,11 @@ class Fit:
     """Whether each cable has a scale of its length."""
     has_size: bool = False
     """Whether width and height of the frame are fitted."""
+    goal: float | None = GOAL
+    """Largest RMS deviation of a length [m]; None for information."""
 
 
-OFFSET = Fit(name="offset per cable", has_scale=False)
+OFFSET = Fit(name="offset per cable", has_scale=False, goal=None)
 SCALE = Fit(name="offset and scale per cable")
 SIZE = Fit(name="the same and size of the frame", has_size=True)
 
@@ -99,28 +105,28 @@ def validate(logs: Mapping[str, bytes]) -> Validation:
     errors = {}
     for fit in (OFFSET, SCALE, SIZE):
         halves = both_halves(robot, capture.pose, log.lengths, fit)
-        errors[fit.name] = errors_of_unseen_half(halves)
-        goal = None
-        if fit.has_scale:
-            goal = GOAL
-        comparison = Comparison(
-            quantity=f"RMS of cable lengths, {fit.name}",
-            unit="m",
-            robot=rms(errors[fit.name]),
-            goal=goal,
+        unseen = errors_of_unseen_half(halves)
+        errors[fit.name] = unseen
+        quantity = f"RMS of cable lengths, {fit.name}"
+        comparisons.append(
+            Comparison(quantity=quantity, unit="m", robot=rms(unseen), goal=fit.goal)
         )
-        comparisons.append(comparison)
     sides = np.ptp(robot.base, axis=0)
     fitted = sides * np.mean([half.size for half in halves], axis=0)
-    radius = float(robot.pulley_radius.mean())
+    radius = robot.pulley_radius.mean()
     # The robot computes lengths with its nominal radius: they are too long if the drum is smaller.
-    drum = radius / float(np.mean([half.scale for half in halves]))
+    drum = radius / np.mean([half.scale for half in halves])
     for quantity, model, value in (
-        ("width of the frame, fitted", sides[0], fitted[0]),
-        ("height of the frame, fitted", sides[1], fitted[1]),
-        ("drum radius, fitted", radius, drum),
+        ("width of the frame", sides[0], fitted[0]),
+        ("height of the frame", sides[1], fitted[1]),
+        ("drum radius", radius, drum),
     ):
-        comparison = Comparison(quantity=quantity, unit="m", model=float(model), robot=float(value))
+        comparison = Comparison(
+            quantity=f"{quantity}, fitted",
+            unit="m",
+            model=float(model),
+            robot=float(value),
+        )
         comparisons.append(comparison)
     tilt = np.degrees(np.ptp(capture.pose[:, 2]))
     return Validation(
@@ -148,38 +154,48 @@ def read_capture(text: bytes) -> Capture:
     The markers of a level rectangle are sorted in each sample, because the export exchanges their
     names in some.
     """
-    header = list(csv.reader(io.StringIO(text.decode("utf-8")).readlines()[:7]))
-    columns = [index for index, name in enumerate(header[3]) if name.startswith(CARRIAGE)]
-    rows = np.loadtxt(io.BytesIO(text), delimiter=",", skiprows=7, usecols=[1, *columns])
+    head = io.StringIO(text.decode("utf-8")).readlines()[:HEADER]
+    names = list(csv.reader(head))[3]
+    columns = [index for index, name in enumerate(names) if name.startswith(CARRIAGE)]
+    rows = np.loadtxt(io.BytesIO(text), delimiter=",", skiprows=HEADER, usecols=[1, *columns])
     markers = rows[:, 1:].reshape(len(rows), -1, 3)
-    plane = np.stack([markers[..., 2], -markers[..., 1]], axis=-1)
-    from_left = np.argsort(plane[..., 0], axis=1)[..., None]
-    ordered = np.take_along_axis(plane, from_left, axis=1)
-    across = ordered[:, 2:].mean(axis=1) - ordered[:, :2].mean(axis=1)
-    tilt = np.arctan2(across[:, 1], across[:, 0])
-    return Capture(time=rows[:, 0], pose=np.column_stack([plane.mean(axis=1), tilt]))
+    right, down = markers[..., 2], -markers[..., 1]
+    from_left = np.argsort(right, axis=1)
+    tilt = np.arctan2(_across(down, from_left), _across(right, from_left))
+    pose = np.stack([right.mean(axis=1), down.mean(axis=1), tilt], axis=1)
+    return Capture(time=rows[:, 0], pose=pose)
+
+
+def _across(coordinate: Array, from_left: NDArray[np.int64]) -> Array:
+    """Mean coordinate of the right markers less that of the left ones, (K,) [m]."""
+    ordered: Array = np.take_along_axis(coordinate, from_left, axis=1)
+    left, right = ordered[:, :2], ordered[:, 2:]
+    return right.mean(axis=1) - left.mean(axis=1)
 
 
 def aligned(capture: Capture, log: RobotLog) -> Capture:
     """The capture at the instants of the robot's log, with the clock shift at which both positions
     correlate best. The capture starts before the log and ends after it."""
     time = PERIOD * np.arange(len(log.position))
+    logged = log.position @ [1, 1j]
 
-    def shifted(shift: float) -> Capture:
+    def shifted(shift: float) -> Array:
         columns = [np.interp(time + shift, capture.time, column) for column in capture.pose.T]
-        return Capture(time=time, pose=np.stack(columns, axis=1))
+        return np.stack(columns, axis=1)
 
     def cost(shift: float) -> float:
         # The frame may be turned in the capture: the magnitude of the correlation of positions as
         # complex numbers does not change with it. y points down here and up in the log.
-        x, y, _ = shifted(shift).pose.T
-        return -float(np.abs(np.corrcoef(x - 1j * y, log.position @ [1, 1j])[0, 1]))
+        captured = shifted(shift)[:, :2] @ [1, -1j]
+        correlation = np.corrcoef(captured, logged)[0, 1]
+        return -float(np.abs(correlation))
 
     coarse = 5 * PERIOD
-    shifts = np.arange(0.0, capture.time[-1] - time[-1], coarse)
-    near = min(shifts.tolist(), key=cost)
+    latest = capture.time[-1] - time[-1]
+    near = min(np.arange(0.0, latest, coarse).tolist(), key=cost)
     bounds = (near - coarse, near + coarse)
-    return shifted(float(minimize_scalar(cost, bounds=bounds, method="bounded").x))
+    best = minimize_scalar(cost, bounds=bounds, method="bounded")
+    return Capture(time=time, pose=shifted(float(best.x)))
 
 
 def calibrate(robot: Robot, pose: Array, lengths: Array, chosen: Array, fit: Fit) -> Calibration:
@@ -200,38 +216,41 @@ def calibrate(robot: Robot, pose: Array, lengths: Array, chosen: Array, fit: Fit
         size = np.ones(2)
         if fit.has_size:
             size = values[3:]
-        model = cable_lengths(robot.base * size, robot.platform, in_frame(pose, values[:3]))
-        error = np.empty_like(lengths)
+        frame = robot.base * size
+        model = cable_lengths(frame, robot.platform, in_frame(pose, values[:3]))
         scale = np.ones(robot.cables)
-        for cable in range(robot.cables):
-            if fit.has_scale:
-                line = np.polyfit(model[chosen, cable], lengths[chosen, cable], 1)
-                scale[cable] = line[0]
-                error[:, cable] = lengths[:, cable] - np.polyval(line, model[:, cable])
-            else:
-                offset = lengths[:, cable] - model[:, cable]
-                error[:, cable] = offset - offset[chosen].mean()
+        if fit.has_scale:
+            deviations = model - model[chosen].mean(axis=0)
+            slopes = deviations[chosen] * lengths[chosen]
+            scale = slopes.sum(axis=0) / np.square(deviations[chosen]).sum(axis=0)
+        error = lengths - scale * model
+        error = error - error[chosen].mean(axis=0)
         return Calibration(size=size, scale=scale, error=error)
 
     def residuals(values: Array) -> Array:
         return calibrated(values).error[chosen].ravel()
 
-    start = np.array([*pose[:, :2].mean(axis=0), 0.0, *np.ones(2 * fit.has_size)])
-    return calibrated(least_squares(residuals, start).x)
+    start = np.zeros(3)
+    start[:2] = pose[:, :2].mean(axis=0)
+    if fit.has_size:
+        start = np.append(start, np.ones(2))
+    best = least_squares(residuals, start)
+    return calibrated(best.x)
 
 
 def in_frame(pose: Array, frame: Array) -> Array:
     """Poses in a frame with the position and rotation ``frame``."""
-    x, y = (pose[:, :2] - frame[:2]).T
+    x, y, angle = (pose - frame).T
     cosine, sine = np.cos(frame[2]), np.sin(frame[2])
-    columns = [cosine * x + sine * y, cosine * y - sine * x, pose[:, 2] - frame[2]]
-    return np.stack(columns, axis=1)
+    along = cosine * x + sine * y
+    across = cosine * y - sine * x
+    return np.stack([along, across, angle], axis=1)
 
 
 def both_halves(robot: Robot, pose: Array, lengths: Array, fit: Fit) -> list[Calibration]:
     """The calibrations on the even and on the odd blocks."""
     even = first_half(len(lengths))
-    return [calibrate(robot, pose, lengths, chosen, fit) for chosen in (even, ~even)]
+    return [calibrate(robot, pose, lengths, half, fit) for half in (even, ~even)]
 
 
 def first_half(samples: int) -> Array:
@@ -253,8 +272,9 @@ def rms(errors: Array) -> float:
 
 def _estimate(capture: Capture, log: RobotLog) -> Comparison:
     """Distance of the robot's own estimate from the capture."""
-    difference = log.position - capture.pose[:, :2] * [1, -1]
-    difference = difference - difference.mean(axis=0)
+    captured = capture.pose[:, :2] * [1, -1]
+    difference = log.position - captured
+    difference -= difference.mean(axis=0)
     return Comparison(
         quantity="RMS of the robot's own position estimate, means removed",
         unit="m",
@@ -270,23 +290,26 @@ def draw(robot: Robot, pose: Array, fitted: Array, errors: Mapping[str, Array]) 
 
     figure = new_figure(4.4)
     path, over_time = figure.subplots(1, 2, width_ratios=[1, 1.3])
-    centre = (pose[:, :2].max(axis=0) + pose[:, :2].min(axis=0)) / 2
-    path.plot(*(pose[:, :2] - centre).T, color=BLUE, linewidth=1.2, label="captured path")
-    for sides, style, label in (
+    position = pose[:, :2]
+    centre = (position.max(axis=0) + position.min(axis=0)) / 2
+    x, y = (position - centre).T
+    path.plot(x, y, color=BLUE, linewidth=1.2, label="captured path")
+    for (width, height), style, label in (
         (np.ptp(robot.base, axis=0), "--", "frame of the model"),
         (fitted, "-", "frame, fitted"),
     ):
-        width, height = sides
         corner = (-width / 2, -height / 2)
-        path.add_patch(Rectangle(corner, width, height, fill=False, linestyle=style, label=label))
+        frame = Rectangle(corner, width, height, fill=False, linestyle=style, label=label)
+        path.add_patch(frame)
     path.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-1.7, 1.7), ylim=(1.4, -1.4))
     time = PERIOD * np.arange(len(pose))
     for (name, error), colour in zip(errors.items(), (GREY, VERMILLION, GREEN), strict=True):
         per_sample = 1e3 * np.sqrt(np.mean(error**2, axis=1))
-        path.plot([], [], color=colour, label=name)
         over_time.plot(time, per_sample, color=colour, linewidth=1.2)
-    over_time.axhline(1e3 * GOAL, color=BLACK, linewidth=1.0, linestyle=":")
-    path.plot([], [], color=BLACK, linewidth=1.0, linestyle=":", label="goal")
+        path.plot([], [], color=colour, label=name)  # for the legend
+    goal = {"color": BLACK, "linewidth": 1.0, "linestyle": ":"}
+    over_time.axhline(1e3 * GOAL, **goal)
+    path.plot([], [], label="goal", **goal)
     over_time.set(xlabel="time [s]", ylabel="RMS error of the cable lengths [mm]", ylim=(0, None))
     add_legend(figure, path)
     return figure

@@ -222,6 +222,8 @@ def _samples(robot: Robot, lifts: Sequence[Lift]) -> Samples:
         motor=np.zeros(speed.size, np.int64),
         block=np.indices(shape)[0].ravel(),
         is_current=False,
+        time=np.zeros(speed.size),
+        log=np.zeros(speed.size, np.int64),
     )
 
 

@@ -1,10 +1,12 @@
 """``cablebot identify``."""
 
 import json
+import sys
 
 import pytest
 from identification.lifts import ROBOT, lift, write
 
+from cablebot_gym.cli.identify import _texts
 from cablebot_gym.robots import load_robot
 from cablebot_gym.uncertainty import find_uncertainty
 
@@ -29,6 +31,40 @@ def test_files_are_a_robot_and_an_uncertainty_of_it(cablebot, logs, tmp_path):
     again = cablebot("identify", *logs, "--robot", "ttk4900", "--out", out)
     assert again.status == 2
     assert "choose another --out" in again.err
+
+
+def test_figures_are_beside_the_report_if_matplotlib_is_there(
+    cablebot, logs, tmp_path, monkeypatch
+):
+    """Without it, the command writes all else and says what to install."""
+    pytest.importorskip("matplotlib")
+    options = ("--robot", "ttk4900", "--out")
+    ended = cablebot("identify", *logs, *options, tmp_path / "drawn")
+    assert "torques.png" in ended.err
+    assert (tmp_path / "drawn" / "torques.png").stat().st_size > 10_000
+    assert not (tmp_path / "drawn" / "lengths.png").exists()
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    ended = cablebot("identify", *logs, *options, tmp_path / "plain")
+    assert ended.status == 0
+    assert "wrote no figures: figures need matplotlib: pip install" in ended.err
+    assert (tmp_path / "plain" / "robot.toml").exists()
+    assert not (tmp_path / "plain" / "torques.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("value", "half_width", "texts"),
+    [
+        (12.0, 0.03, ("12.000", "11.970", "12.030")),
+        (12.7, 2e-4, ("12.70000", "12.69980", "12.70020")),
+        (15010.0, 22.0, ("15010", "14988", "15032")),
+        (-0.0003, 0.0076, ("-0.000300", "-0.007900", "0.007300")),
+        (2e-4, 1e-9, ("0.0002", "0.000199999", "0.000200001")),
+        (1.0, float("inf"), ("1", "−∞", "∞")),
+    ],
+)
+def test_digits_show_the_interval(value, half_width, texts):
+    """Four digits of a radius would print both ends alike."""
+    assert _texts(value, half_width) == texts
 
 
 def test_json_has_the_reason_of_an_open_parameter(cablebot, logs, tmp_path):

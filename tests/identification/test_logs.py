@@ -27,7 +27,11 @@ def test_log_of_a_file_has_its_values(tmp_path):
         ((), {"speed_1": "speed_5"}, "unknown column 'speed_5'"),
         ((), {"speed_1": "time"}, "a column appears twice"),
         (("time",), {}, "a log needs the columns time; add them to the first line"),
-        (("torque_1",), {}, "no motor has a column torque_1 .N·m. or current_1"),
+        (
+            ("torque_1",),
+            {},
+            "no motor has a column torque_1 .N·m. or current_1 .A. for its friction",
+        ),
         (("speed_1",), {}, "motor 1 needs the columns speed_1; add"),
         (("load_1",), {}, r"add load_1 \[kg\] of a hanging mass, tension_1 \[N\], or the pose"),
         ((), {"load_1": "x"}, "the pose needs the columns y, phi; add"),
