@@ -182,7 +182,7 @@ def _drive_responses(robot: Robot, samples: Samples, drives: Fit) -> list[Respon
 
 
 def _with_estimates(robot: Robot, estimates: Sequence[Estimate], source: str) -> Robot:
-    """The robot with the determined parameters, and their sources."""
+    """The robot with the determined parameters and their sources, and without their ranges."""
     fields: dict[str, Array] = {}
     widths: dict[str, float] = {}
     for item in estimates:
@@ -193,13 +193,17 @@ def _with_estimates(robot: Robot, estimates: Sequence[Estimate], source: str) ->
             widths[item.name] = max(width, widths.get(item.name, 0.0))
     changes: dict[str, Any] = {}
     sources = dict(robot.sources)
+    ranges = dict(robot.ranges)
     for name, field in fields.items():
+        # The interval is in the uncertainty; a range may have one value for all motors only.
+        ranges.pop(f"transmission.{name}", None)
         changes[name] = tuple(field.tolist())
         if len(set(changes[name])) == 1:
             changes[name] = changes[name][0]
         text = f"{source}; {100 * CONFIDENCE:g} % interval within ± {100 * widths[name]:.2g} %"
         sources[f"transmission.{name}"] = text
-    return robot.replace(transmission=robot.transmission.replace(**changes), sources=sources)
+    transmission = robot.transmission.replace(**changes)
+    return robot.replace(transmission=transmission, sources=sources, ranges=ranges)
 
 
 def _uncertainty(estimates: Sequence[Estimate]) -> Uncertainty:

@@ -55,7 +55,7 @@ def test_intervals_cover_the_truth_as_often_as_they_say(quantity):
     ids=["one load", "one speed", "constant speeds"],
 )
 def test_undetermined_parameter_is_refused_with_its_remedy(quantity, lifts, name, reason):
-    """The robot keeps its value, and the message names the remedy."""
+    """The robot keeps its value and its range, and the message names the remedy."""
     logs = []
     for seed, (load, speeds, are_constant) in enumerate(lifts):
         logs.append(lift(seed, load, speeds, quantity=quantity, are_constant=are_constant))
@@ -65,6 +65,8 @@ def test_undetermined_parameter_is_refused_with_its_remedy(quantity, lifts, name
     assert reason in estimates[name].reason
     assert getattr(result.robot.transmission, name) == getattr(ROBOT.transmission, name)
     assert name not in result.uncertainty.parameters
+    has_range = "transmission.pulley_inertia" in result.robot.ranges
+    assert has_range == (not estimates["pulley_inertia"].is_determined)
     if quantity == "current":
         assert estimates["torque_constant"].is_determined
 
