@@ -8,8 +8,9 @@ A block stands between two comments, so that the page is plain Markdown, on the 
 NAME is ``leaderboard`` (the best policy of each kind), ``main table`` (of the present policies),
 ``measurement`` (payload lost by sensors and errors), ``errors`` (payload with each error alone),
 ``library`` (the real robots), ``library payloads`` (payloads of laws on them), ``budgets`` (of an
-entry's processor time), ``reality NAME`` (a real robot beside its model), ``published numbers``, a table of ``cablebot
-list``, or a script in ``examples/``, with its output if the name ends in ``and output``.
+entry's processor time), ``reality NAME`` (a real robot beside its model), ``published numbers``,
+``friction and stiffness`` (what they change on real robots), a table of ``cablebot list``, or a
+script in ``examples/``, with its output if the name ends in ``and output``.
 
 python scripts/page_blocks.py
 """
@@ -194,6 +195,8 @@ def block(name: str) -> str:
         )
     if name == "published numbers":
         return published_numbers.table()
+    if name == "friction and stiffness":
+        return published_numbers.effects_table()
     if name.startswith("reality "):
         return real_robots.study_text(name.removeprefix("reality "))
     if name.startswith("examples/"):

@@ -1,9 +1,10 @@
-"""Published numbers of real robots beside those of the model, for the page docs/reality.md."""
+"""Tables of the page docs/reality.md: published numbers of real robots beside those of the model,
+and what friction and the stiffness of tensions change."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from cablebot_gym.bounds.robot_check import check_motion, modes, two_digits
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import find_robot
+from cablebot_gym.robots import ELASTIC, find_robot, library
 from cablebot_gym.trajectories import find_trajectory
 
 FOCAL_RADIUS = 160.0
@@ -31,10 +32,45 @@ CAMERA_SPEED = 13.0
 
 
 def table() -> str:
-    """The table in Markdown."""
-    head = ["robot", "quantity", "published", "model", "source"]
-    lines: list[Sequence[str]] = [head, ["---"] * len(head), *_rows()]
+    """The published numbers in Markdown."""
+    return _markdown(["robot", "quantity", "published", "model", "source"], _rows())
+
+
+def effects_table() -> str:
+    """Payloads of exact tracking without friction and with it, and the softest mode of the robot
+    with elastic cables without the stiffness of tensions, weight and sag and with it, in
+    Markdown."""
+    head = ["robot", "payload [kg]", "without friction", "half payload [kg]", "softest mode [Hz]"]
+    return _markdown([*head, "without tensions and sag"], map(_effects, library()))
+
+
+def _markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines: list[Sequence[str]] = [head, ["---"] * len(head), *rows]
     return "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines) + "\n"
+
+
+def _effects(name: str) -> Sequence[str]:
+    """Row of a robot of the library."""
+    robot = find_robot(name)
+    frictionless = robot.transmission.replace(coulomb_friction=0, load_friction=0, damping=0)
+    payload = check_motion(robot).limit.largest
+    without_friction = check_motion(robot.replace(transmission=frictionless)).limit.largest
+    elastic = find_robot(ELASTIC + name)
+    half = float(f"{check_motion(elastic).limit.largest / 2:.2g}")
+    softest = modes(elastic, half)[0].frequency
+    frequencies, _ = textbook.locked_modes(elastic, elastic.mass + half, elastic.home_pose, None)
+    return (
+        f"`{name}`",
+        _three_digits(payload),
+        _three_digits(without_friction),
+        f"{half:g}",
+        _three_digits(softest),
+        _three_digits(frequencies[0]),
+    )
+
+
+def _three_digits(value: float) -> str:
+    return f"{float(f'{value:.3g}'):g}"
 
 
 def _rows() -> Iterator[Sequence[str]]:

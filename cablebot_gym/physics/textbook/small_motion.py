@@ -142,7 +142,7 @@ def weight_stiffness(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Ar
 
 
 def locked_modes(
-    robot: Robot, mass: ArrayLike, pose: ArrayLike, tensions: ArrayLike
+    robot: Robot, mass: ArrayLike, pose: ArrayLike, tensions: ArrayLike | None
 ) -> tuple[Array, Array]:
     """Modes with locked motors about a pose at rest, from the softest to the stiffest.
 
@@ -153,7 +153,7 @@ def locked_modes(
         robot: the robot.
         mass: mass of the platform and its payload [kg].
         pose: X, shape (n,).
-        tensions: T that hold the mass at rest, shape (m,) [N].
+        tensions: T that hold the mass at rest, shape (m,) [N], or None as in :func:`linear_model`.
 
     Returns:
         Frequencies (k,) [Hz], 0 for a motion that nothing brings back, and shapes (n, k), or (n +
