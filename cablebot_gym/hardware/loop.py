@@ -153,14 +153,18 @@ class _Loop:
         self._rows: list[Array] = []
 
     def prepare(self) -> None:
-        """Homes the winches, and calls the policy once: its first call may compile for seconds."""
+        """Homes the winches, and computes a first and a second period: what is called for the first
+        time may compile for seconds."""
         winches = self._winches
         winches.check_ready(self._now() + PATIENCE)
         winches.home(self._angle, self._now(), PATIENCE)
         self._episode.observe(self._readings())
         self._policy.reset(lambda: (self._task,))
-        self._act(0.0)
+        for _ in range(2):
+            self._action, self._state = self._act(0.0)
+        self._estimate_pose(np.zeros(len(winches)))
         self._policy.reset(lambda: (self._task,))
+        self._action = self._state = None
 
     def run(self) -> Stop | None:
         """Drives until the motion is complete or a limit is violated; then the winches hold."""
@@ -229,8 +233,7 @@ class _Loop:
         self._episode.observe(self._readings(), self._action)
         action, self._state = self._act(moment)
         acceleration = (self._speed - last_speed) / elapsed
-        load = spring_load(self._task.robot, self._torque, self._speed, acceleration)
-        pose = estimated_pose(self._task.robot, self._angle, load, self._pose)
+        pose = self._estimate_pose(acceleration)
         stop = self._command(moment, action, pose, np.nan_to_num(largest_speed), np.isnan(angle))
         self._computing_time = max(self._computing_time, self._now() - replied)
         return stop
@@ -246,6 +249,12 @@ class _Loop:
     def _readings(self) -> Array:
         """Readings in the order of the observation, (1, 2 m)."""
         return np.concatenate([self._angle, self._speed])[None]
+
+    def _estimate_pose(self, acceleration: Array) -> Array:
+        """Pose by the last readings and torques, (n,), with motor accelerations (m,) [rad/s²]."""
+        robot = self._task.robot
+        load = spring_load(robot, self._torque, self._speed, acceleration)
+        return estimated_pose(robot, self._angle, load, self._pose)
 
     def _act(self, moment: float) -> tuple[Array, Any]:
         """Action of the policy, (m,), and its next state."""

@@ -9,8 +9,9 @@ from hardware.loopback import Rig
 from numpy.testing import assert_allclose
 
 from cablebot_gym.envs import fitting_env_id
+from cablebot_gym.hardware import loop
 from cablebot_gym.hardware.limits import DriveLimits
-from cablebot_gym.hardware.loop import Pace
+from cablebot_gym.hardware.loop import Pace, estimated_pose
 from cablebot_gym.hardware.odrive import IDLE, VELOCITY_CONTROL
 from cablebot_gym.hardware.simulator import MOTOR_FAILED, WATCHDOG_TIMER_EXPIRED, Fault
 from cablebot_gym.identification import identify, read_log
@@ -203,6 +204,27 @@ def test_winches_that_hold_are_left_alone():
     assert np.linalg.norm((rig.boards.pose - before)[:2]) < 1e-6
     for axis in rig.boards.axes:
         assert not axis["config.enable_watchdog"]
+
+
+def test_nothing_is_called_for_the_first_time_while_motors_follow(monkeypatch):
+    """The first call of a function may compile for seconds."""
+    rig = Rig(TTK, LINE)
+    calls = []
+
+    class Listed(Holds):
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            calls.append(f"start {episode_start[0]}")
+            return super().predict(observation, state, episode_start)
+
+    def listed_pose(*arguments):
+        calls.append("pose")
+        return estimated_pose(*arguments)
+
+    monkeypatch.setattr(loop, "estimated_pose", listed_pose)
+    monkeypatch.setattr(rig.winches, "start_watchdogs", lambda _: calls.append("armed"))
+    rig.drive(Listed(99, None), limits=DriveLimits(torque_limit=0.01))
+    armed = calls.index("armed")
+    assert set(calls[armed + 1 :]) <= set(calls[:armed]) == {"start True", "start False", "pose"}
 
 
 def test_watchdog_disarms_motors_whose_computer_is_gone():
