@@ -105,7 +105,7 @@ def validate(logs: Mapping[str, bytes]) -> Validation:
             *_ratios(robot, lifts),
             *_torque_constants(robot, lifts),
             *_fit(robot, lifts),
-            *_predictions(robot, lifts),
+            *predictions(robot, lifts),
         ),
         notes=(
             "The mean currents of the two weights are not proportional to them. A hook of about "
@@ -251,27 +251,40 @@ def _fit(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
     return comparisons
 
 
-def _predictions(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
-    """Friction of each winch with the large weight, from a fit to the others and to the small
-    weight."""
-    comparisons = []
+def predictions(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
+    """Friction and currents of each winch with the large weight, from a fit to the others and to
+    the small weight."""
+    frictions = []
+    currents = []
     heavy = max(WINCHES)
     for winch in WINCHES[heavy]:
         unseen = [lift for lift in lifts if (lift.weight, lift.winch) == (heavy, winch)]
-        estimates = fitted_friction(robot, [lift for lift in lifts if lift not in unseen])
+        seen = [lift for lift in lifts if lift not in unseen]
+        estimates = fitted_friction(robot, seen)
         # Not the values of the robot, which have been fitted to all winches.
         fields = {name: estimates[name].value for name in FITTED}
         predicted = robot.replace(transmission=robot.transmission.replace(**fields))
         model = [model_friction(predicted, heavy, winch, lift.speed) for lift in unseen]
-        comparison = Comparison(
+        friction = Comparison(
             quantity=f"friction over gravity, {heavy} kg, winch {winch} from the others",
             unit="1",
             model=float(np.mean(model)),
             robot=float(np.mean([lift.friction for lift in unseen])),
             goal=PREDICTION_GOAL,
         )
-        comparisons.append(comparison)
-    return comparisons
+        frictions.append(friction)
+        level = _mean_current(seen, heavy)
+        deviations = []
+        for lift, ratio in zip(unseen, model, strict=True):
+            deviations += [level * (1 + ratio) / lift.up - 1, level * (1 - ratio) / lift.down - 1]
+        current = Comparison(
+            quantity=f"largest deviation of the currents, {heavy} kg, winch {winch} from the others",
+            unit="1",
+            robot=float(np.max(np.abs(deviations))),
+            goal=PREDICTION_GOAL,
+        )
+        currents.append(current)
+    return frictions + currents
 
 
 def draw(robot: Robot, lifts: Sequence[Lift]) -> Figure:

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import itertools
 from zipfile import ZipFile
 
 import numpy as np
@@ -70,6 +71,27 @@ def test_friction_of_the_model_is_that_of_its_winches():
     torque += robot.load_friction[0] * weight * 9.81 * 0.02
     expected = torque / (weight * 9.81 * 0.02)
     assert ttk4900.model_friction(robot, weight, 0, speed) == pytest.approx(expected, rel=1e-3)
+
+
+def test_winch_is_predicted_from_the_others():
+    """Winch 3 needs 4 % more current than the others, in all lifts."""
+    robot = find_robot("ttk4900")
+    lifts = []
+    for weight, winches in ttk4900.WINCHES.items():
+        for winch, speed in itertools.product(winches, (3.0, 12.0, 25.0)):
+            friction = ttk4900.model_friction(robot, weight, winch, speed)
+            level = weight
+            if winch == 3:
+                level *= 1.04
+            up, down = level * (1 + friction), level * (1 - friction)
+            lift = ttk4900.Lift(weight=weight, winch=winch, speed=speed, up=up, down=down)
+            lifts.append(lift)
+    rows = {item.quantity: item for item in ttk4900.predictions(robot, lifts)}
+    friction = rows["friction over gravity, 5 kg, winch 3 from the others"]
+    assert friction.deviation == pytest.approx(0, abs=1e-3)
+    current = rows["largest deviation of the currents, 5 kg, winch 3 from the others"]
+    assert current.robot == pytest.approx(1 - 1 / 1.04, abs=1e-4)
+    assert current.held
 
 
 # --- gch-klaus ------------------------------------------------------------------------------------
