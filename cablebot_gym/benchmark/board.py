@@ -15,7 +15,7 @@ from typing import Any
 
 from cablebot_gym.benchmark.cells import canonical
 from cablebot_gym.benchmark.policy_source import in_package, policy_source
-from cablebot_gym.policies.entry import is_entry
+from cablebot_gym.policies.entry import POLICY_SUFFIXES, is_entry
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.code_hash import file_digest
@@ -317,7 +317,7 @@ def policy_digest(policy: str) -> str:
     """
     modules, data = policy_source(policy)
     if (
-        not policy.endswith(".zip")
+        not policy.endswith(POLICY_SUFFIXES)
         and not is_entry(policy)
         and not any(in_package(module) for module in modules)
     ):

@@ -26,6 +26,7 @@ from cablebot_gym.policies.entry import (
     LONGEST_NAME,
     PACKAGES,
     POLICY,
+    POLICY_SUFFIXES,
     Entry,
     digests,
     package_root,
@@ -94,7 +95,7 @@ def make_entry(
 def _policy_files(policy: str) -> tuple[Path, list[Path], str, str | None]:
     """Folder and files of a policy, its name in the entry, and the requirement of its package if it
     has one."""
-    if policy.endswith(".zip"):
+    if policy.endswith(POLICY_SUFFIXES):
         return Path(policy).parent, list(policy_source(policy)[1]), Path(policy).name, None
     spec = PolicySpec.parse(policy)
     if spec.own:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cablebot_gym.policies.entry import CARD, PACKAGES, POLICY, is_entry
+from cablebot_gym.policies.entry import CARD, PACKAGES, POLICY, POLICY_SUFFIXES, is_entry
 from cablebot_gym.policies.sb3 import statistics_beside
 from cablebot_gym.robots import Robot
 
@@ -156,7 +156,7 @@ def _sources(names: Sequence[str], working: Path, prefixes: set[Path]) -> Iterat
         path = Path(os.path.abspath(name))
         if is_entry(name):
             yield from (path / part for part in (CARD, POLICY, PACKAGES))
-        elif path.suffix in (".zip", ".pkl"):
+        elif path.suffix in (*POLICY_SUFFIXES, ".pkl"):
             yield path
             statistics = statistics_beside(path)
             if statistics is not None:

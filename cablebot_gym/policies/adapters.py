@@ -247,7 +247,7 @@ class NormalisedPolicy:
     """
 
     def __init__(self, model: Any, layout: ObservationLayout) -> None:
-        self._model, self._layout = model, layout
+        self.model, self.layout = model, layout
 
     def predict(
         self,
@@ -261,8 +261,8 @@ class NormalisedPolicy:
         Raises:
             ValueError: if the observation is not that of the layout.
         """
-        actions, state = self._model.predict(
-            self._layout.normalise(observation), state, episode_start, deterministic
+        actions, state = self.model.predict(
+            self.layout.normalise(observation), state, episode_start, deterministic
         )
         return actions, state
 
@@ -287,7 +287,7 @@ class WrappedPolicy:
         self.note = note
         self.wrappers = stack.names
         self.unsaturated_actions, self.stochastic, _ = declarations(policy)
-        self._stack = stack
+        self.stack = stack
         self._tasks: tuple[Task, ...] | None = None
 
     @property
@@ -323,6 +323,6 @@ class WrappedPolicy:
             else np.atleast_1d(episode_start)
         )
         if state is None:
-            state = Coroutine(partial(self._stack.run, self.policy, self._tasks))
+            state = Coroutine(partial(self.stack.run, self.policy, self._tasks))
         actions = state.send(rows, starts, deterministic)
         return (actions if np.ndim(observation) > 1 else actions[0]), state

@@ -23,6 +23,9 @@ from cablebot_gym.utils.foreign import (
     plain_paths,
 )
 
+POLICY_SUFFIXES = (".zip", ".onnx")
+"""Suffixes of policy files."""
+
 CARD, POLICY, PACKAGES = "entry.json", "policy", "packages"
 """Names in the folder of an entry: the card, the files of the policy, and the packages that it
 refers to, if they are not installed."""
@@ -45,7 +48,10 @@ _NAMES = ("name", "policy", "package")
 
 _FORMS = {
     "name": (r"[A-Za-z0-9][\w.-]*", "ASCII letters, digits, '.', '_' and '-'"),
-    "policy": (r"[\w.]+:\w+|[\w.-]+\.zip", "module:factory or the name of a .zip file"),
+    "policy": (
+        r"[\w.]+:\w+|[\w.-]+\.(zip|onnx)",
+        "module:factory or the name of a .zip or .onnx file",
+    ),
     "package": (r"[\w.-]+==[\w.+!-]+", "name==version, or null"),
 }
 """Valid forms of fields, of which messages, tables and commands are made."""
@@ -60,7 +66,7 @@ class Entry:
     env_ids: tuple[str, ...]
     """Environments for which the policy is made."""
     policy: str
-    """``module:factory``, or a ``.zip`` file in the folder of the policy."""
+    """``module:factory``, or a ``.zip`` or ``.onnx`` file in the folder of the policy."""
     package: str | None
     """Requirement for pip of the package that has the policy, such as ``their-law==1.0``; None if
     the entry has its files."""
@@ -187,7 +193,7 @@ def entry_spec(name: str) -> str:
         return name
     folder = Path(name)
     entry = read_entry(folder)
-    if entry.policy.endswith(".zip"):
+    if entry.policy.endswith(POLICY_SUFFIXES):
         return str(folder / POLICY / entry.policy)
     sys.dont_write_bytecode = True  # an entry has no file that is not on its card
     root = str(entry.root(folder).absolute())

@@ -62,6 +62,8 @@ def statistics_beside(path: Path) -> Path | None:
     and in a folder with the name of the model. RL-Zoo has a single such folder for its best model
     and its checkpoints.
     """
+    if path.suffix != ".zip":
+        return None
     candidates = [
         folder / name for folder in (path.parent, path.with_suffix("")) for name in STATISTICS
     ]

@@ -485,9 +485,24 @@ class Stack:
             raise ValueError(f"wrappers must be a list, such as [{wrappers!r}], not one wrapper")
         self.robot, self.layout = robot, observation_layout(robot)
         self.wrappers = tuple(NamedWrapper.of(wrapper) for wrapper in wrappers)
+        layers = self.layers()
+        env = layers[0]
+        kinds = {kind.__name__ for layer in layers for kind in type(layer).__mro__}
+        self.normalises = "VecNormalize" in kinds
+        """Whether a ``VecNormalize`` is among the wrappers."""
+        single = not isinstance(env, VectorEnv)
+        self.observation_space = env.observation_space if single else env.single_observation_space
+        self.action_space = env.action_space if single else env.single_action_space
+
+    def layers(self) -> list[Any]:
+        """An environment of one row in these wrappers, and all that it wraps, the outermost first.
+
+        Raises:
+            ValueError: if a wrapper raises, fits no form, or goes on learning.
+        """
         space = self.layout.space()
         observation = np.clip(np.zeros((1, self.layout.size)), space.low, space.high)
-        env: Any = StandIn(self.layout, robot.cables, observation, lambda _: observation)
+        env: Any = StandIn(self.layout, self.robot.cables, observation, lambda _: observation)
         self._forms = []
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -497,12 +512,7 @@ class Stack:
         layers = list(_layers(env))
         for layer in layers:
             _check_frozen(layer)
-        kinds = {kind.__name__ for layer in layers for kind in type(layer).__mro__}
-        self.normalises = "VecNormalize" in kinds
-        """Whether a ``VecNormalize`` is among the wrappers."""
-        single = not isinstance(env, VectorEnv)
-        self.observation_space = env.observation_space if single else env.single_observation_space
-        self.action_space = env.action_space if single else env.single_action_space
+        return layers
 
     @property
     def names(self) -> tuple[str, ...]:
