@@ -167,9 +167,11 @@ def _facts(dataset: MinariDataset, env: CableBotEnv, file: Path) -> dict[str, An
     normalised = ""
     if env.settings.normalised_observation:
         normalised = ", which are normalised: (value − centre)/scale"
-    env_id, keywords = "", {}
+    env_id = ""
+    keywords = {}
     if env.spec is not None:
-        env_id, keywords = env.spec.id, env.spec.kwargs
+        env_id = env.spec.id
+        keywords = env.spec.kwargs
     facts = {
         "id": dataset.id,
         "author": ", ".join(metadata["author"]),

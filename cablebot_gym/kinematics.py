@@ -88,7 +88,8 @@ def _cosines_and_sines(
 def _matrix(rows: list[list[Array | float]]) -> Array:
     """3 × 3 matrices from batched entries. The last entry of the first row determines the batch
     shape."""
-    matrix = np.empty((*np.shape(rows[0][2]), 3, 3), np.asarray(rows[0][2]).dtype)
+    corner = np.asarray(rows[0][2])
+    matrix = np.empty((*corner.shape, 3, 3), corner.dtype)
     for i, row in enumerate(rows):
         for j, entry in enumerate(row):
             matrix[..., i, j] = entry
@@ -100,14 +101,18 @@ def turned(pose: ArrayLike, vectors: ArrayLike) -> Array:
 
     d is 2 or 3, the number of coordinates of the position. A point mass does not turn.
     """
-    pose, vectors = as_numbers(pose), as_numbers(vectors)
+    pose = as_numbers(pose)
+    vectors = as_numbers(vectors)
     d = vectors.shape[-1]
     if pose.shape[-1] == d:
         return vectors
     if d == 3:
-        return vectors @ np.swapaxes(rotation_matrix(pose[..., 3:]), -1, -2)
-    cosine, sine = np.cos(pose[..., 2:]), np.sin(pose[..., 2:])
-    x, y = vectors[..., 0], vectors[..., 1]
+        return vectors @ rotation_matrix(pose[..., 3:]).mT
+    angle = pose[..., 2:]
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
+    x = vectors[..., 0]
+    y = vectors[..., 1]
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
 
 
@@ -121,8 +126,9 @@ def cable_vectors(base: ArrayLike, platform: ArrayLike, pose: ArrayLike) -> Arra
         pose: X, shape (..., n) with n = d for a point mass, 3 for a platform in a plane and 6 in
             space.
     """
-    base, pose = as_numbers(base), as_numbers(pose)
-    return pose[..., None, : base.shape[-1]] + turned(pose, platform) - base
+    base = as_numbers(base)
+    position = as_numbers(pose)[..., None, : base.shape[-1]]
+    return position + turned(pose, platform) - base
 
 
 def cable_lengths(
@@ -187,31 +193,37 @@ def jacobian_and_rate(
         velocity: Ẋ, shape (..., n).
         swivel: swivel pulleys, as in :func:`cable_lengths`.
     """
-    base, pose, velocity, platform = (
-        as_numbers(array) for array in (base, pose, velocity, platform)
-    )
-    d, n = base.shape[-1], pose.shape[-1]
-    if n == d:
-        return _unit_and_rate(pose[..., None, :] + platform - base, velocity[..., None, :], swivel)
+    base = as_numbers(base)
+    platform = as_numbers(platform)
+    pose = as_numbers(pose)
+    velocity = as_numbers(velocity)
+    d = base.shape[-1]
+    position = pose[..., None, :d]
+    linear_velocity = velocity[..., None, :d]
+    if pose.shape[-1] == d:
+        return _unit_and_rate(position + platform - base, linear_velocity, swivel)
     if d == 2:
         return _turning_in_plane(base, platform, pose, velocity)
-    euler, rates = pose[..., 3:], velocity[..., 3:]
+    euler = pose[..., 3:]
+    euler_rates = velocity[..., 3:]
     rotation = rotation_matrix(euler)
+    back = rotation.mT  # v @ back = R v for rows v
     to_omega = euler_rate_matrix(euler)
-    back = np.swapaxes(rotation, -1, -2)
-    omega = (to_omega @ rates[..., None])[..., 0]
-    arms = _skew(platform)  # arms @ x = b × x
-    anchor_velocity = velocity[..., None, :3] - (arms @ omega[..., None, :, None])[..., 0] @ back
-    unit, unit_rate = _unit_and_rate(
-        pose[..., None, :3] + platform @ back - base, anchor_velocity, swivel
-    )
+    omega = times_vector(to_omega, euler_rates)
+    arms = skew(platform)  # arms @ x = b × x
+    # In the platform frame, ω × b = −b × ω.
+    anchor_velocity = linear_velocity - times_vector(arms, omega[..., None, :]) @ back
+    vectors = position + platform @ back - base
+    unit, unit_rate = _unit_and_rate(vectors, anchor_velocity, swivel)
     # d/dt (Rᵀu) = Rᵀu̇ − ω × Rᵀu, in the platform frame.
     in_frame = unit @ rotation
-    in_frame_rate = unit_rate @ rotation - in_frame @ np.swapaxes(_skew(omega), -1, -2)
-    moment = (arms @ in_frame[..., None])[..., 0]
-    moment_rate = (arms @ in_frame_rate[..., None])[..., 0]
-    angular_rate = moment_rate @ to_omega + moment @ euler_rate_matrix_rate(euler, rates)
-    jacobian = np.concatenate([unit, moment @ to_omega], axis=-1)
+    in_frame_rate = unit_rate @ rotation - in_frame @ skew(omega).mT
+    moment = times_vector(arms, in_frame)
+    moment_rate = times_vector(arms, in_frame_rate)
+    to_omega_rate = euler_rate_matrix_rate(euler, euler_rates)
+    angular = moment @ to_omega
+    angular_rate = moment_rate @ to_omega + moment @ to_omega_rate
+    jacobian = np.concatenate([unit, angular], axis=-1)
     return jacobian, np.concatenate([unit_rate, angular_rate], axis=-1)
 
 
@@ -219,16 +231,21 @@ def _turning_in_plane(
     base: Array, platform: Array, pose: Array, velocity: Array
 ) -> tuple[Array, Array]:
     """S and Ṡ of platforms in a plane: rows (u, (R b) × u)."""
-    arm, rate = turned(pose, platform), velocity[..., None, 2:]
-    arm_rate = rate * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
-    unit, unit_rate = _unit_and_rate(
-        pose[..., None, :2] + arm - base, velocity[..., None, :2] + arm_rate, None
-    )
-    moment = arm[..., 0] * unit[..., 1] - arm[..., 1] * unit[..., 0]
-    moment_rate = arm[..., 0] * unit_rate[..., 1] - arm[..., 1] * unit_rate[..., 0]
-    moment_rate = moment_rate + arm_rate[..., 0] * unit[..., 1] - arm_rate[..., 1] * unit[..., 0]
-    jacobian = np.concatenate([unit, moment[..., None]], axis=-1)
-    return jacobian, np.concatenate([unit_rate, moment_rate[..., None]], axis=-1)
+    arm = turned(pose, platform)
+    arm_x = arm[..., :1]
+    arm_y = arm[..., 1:]
+    turning_rate = velocity[..., None, 2:]
+    arm_rate = turning_rate * np.concatenate([-arm_y, arm_x], axis=-1)
+    vectors = pose[..., None, :2] + arm - base
+    anchor_velocity = velocity[..., None, :2] + arm_rate
+    unit, unit_rate = _unit_and_rate(vectors, anchor_velocity, None)
+    u_x = unit[..., :1]
+    u_y = unit[..., 1:]
+    moment = arm_x * u_y - arm_y * u_x
+    moment_rate = arm_x * unit_rate[..., 1:] - arm_y * unit_rate[..., :1]
+    moment_rate = moment_rate + arm_rate[..., :1] * u_y - arm_rate[..., 1:] * u_x
+    jacobian = np.concatenate([unit, moment], axis=-1)
+    return jacobian, np.concatenate([unit_rate, moment_rate], axis=-1)
 
 
 class _Swivelled:
@@ -242,13 +259,14 @@ class _Swivelled:
     """
 
     def __init__(self, vectors: Array, swivel: Array) -> None:
+        downwards = np.array([0.0, 0.0, 1.0])
         if swivel.ndim == 1:
-            swivel = swivel[:, None] * np.array([0.0, 0.0, 1.0])
+            swivel = swivel[:, None] * downwards
         radius = np.sqrt(np.sum(swivel**2, axis=-1))
-        upright = np.array([0.0, 0.0, 1.0])  # any direction serves a pulley without a radius
-        self.axis = np.where(
-            radius[:, None] > 0, swivel / np.where(radius > 0, radius, 1.0)[:, None], upright
-        )
+        has_radius = radius[:, None] > 0
+        directions = swivel / np.where(has_radius, radius[:, None], 1.0)
+        # Any direction serves a pulley without a radius.
+        self.axis = np.where(has_radius, directions, downwards)
         self.radius = radius
         self.height = np.sum(vectors * self.axis, axis=-1)
         level = vectors - self.height[..., None] * self.axis
@@ -273,21 +291,17 @@ class _Swivelled:
         out = (self.free * self.across - radius * self.height) / self.square
         down = (radius * self.across + self.free * self.height) / self.square
         beside = np.cross(self.axis, self.level)
-        along, outward, sideways = (
-            np.sum(direction * point_velocity, axis=-1)
-            for direction in (self.axis, self.level, beside)
-        )
+        along = np.sum(self.axis * point_velocity, axis=-1)
+        outward = np.sum(self.level * point_velocity, axis=-1)
+        sideways = np.sum(beside * point_velocity, axis=-1)
         # The free cable turns about the point where it leaves the pulley, and with the pulley about
         # the axis.
         bent = (out * along - down * outward) / self.free
         swung = out * sideways / self.reach
         unit = out[..., None] * self.level + down[..., None] * self.axis
-        rate = (
-            (out * bent)[..., None] * self.axis
-            - (down * bent)[..., None] * self.level
-            + swung[..., None] * beside
-        )
-        return unit, rate
+        rate = (out * bent)[..., None] * self.axis
+        rate = rate - (down * bent)[..., None] * self.level
+        return unit, rate + swung[..., None] * beside
 
 
 def _unit_and_rate(
@@ -304,10 +318,20 @@ def _unit_and_rate(
         return unit, (point_velocity - unit * length_rate) / length
 
 
-def _skew(vector: Array) -> Array:
+def skew(vector: Array) -> Array:
     """The matrix of ``vector ×``, shape (..., 3, 3)."""
     matrix = np.zeros((*vector.shape, 3), vector.dtype)
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
-    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = z, -y, x
+    x, y, z = np.moveaxis(vector, -1, 0)
+    matrix[..., 0, 1] = -z
+    matrix[..., 0, 2] = y
+    matrix[..., 1, 0] = z
+    matrix[..., 1, 2] = -x
+    matrix[..., 2, 0] = -y
+    matrix[..., 2, 1] = x
     return matrix
+
+
+def times_vector(matrix: Array, vector: Array) -> Array:
+    """Batched matrix times vector."""
+    applied: Array = (matrix @ vector[..., None])[..., 0]
+    return applied

@@ -74,7 +74,8 @@ class ParameterDistribution:
         if self.std is not None:
             object.__setattr__(self, "std", number("std", self.std, above=0))
             # Farther out, the cumulative distribution function has no digits left.
-            if not self.low < self.mean + 8 * self.std or not self.high > self.mean - 8 * self.std:
+            reach = 8 * self.std
+            if not self.low < self.mean + reach or not self.high > self.mean - reach:
                 raise ValueError(
                     "low and high must lie within eight std of the mean; change them, mean or std"
                 )
@@ -93,9 +94,12 @@ class ParameterDistribution:
 
         bounds = (np.array([self.low, self.high]) - self.mean) / self.std
         # The upper tail is mirrored: ndtr loses digits near 1.
-        side = -1.0 if bounds[0] > 0 else 1.0
+        side = 1.0
+        if bounds[0] > 0:
+            side = -1.0
         start, end = ndtr(side * bounds)
-        drawn = self.mean + self.std * side * ndtri(start + (end - start) * uniform)
+        quantile = ndtri(start + (end - start) * uniform)
+        drawn = self.mean + self.std * side * quantile
         return np.asarray(np.clip(drawn, self.low, self.high))
 
     def applied(self, nominal: Array, deviation: Array) -> Array:
@@ -106,6 +110,12 @@ class ParameterDistribution:
         if self.relative:
             return nominal * (1 + deviation)
         return nominal + deviation
+
+    def extremes(self, nominal: Array) -> tuple[Array, Array]:
+        """The true values for the deviations ``low`` and ``high``."""
+        low = self.applied(nominal, np.asarray(self.low))
+        high = self.applied(nominal, np.asarray(self.high))
+        return low, high
 
 
 @dataclass(frozen=True)
@@ -135,9 +145,13 @@ class _Parameter:
 
     def belongs_to(self, robot: Robot) -> bool:
         """Whether a robot has the parameter."""
-        lacking = (self.jointed and not robot.jointed) or (self.elastic and not robot.elastic)
-        lacking = lacking or (self.per_load and not np.any(robot.load_friction))
-        return not lacking and not (self.turns and robot.point_mass)
+        if self.jointed and not robot.jointed:
+            return False
+        if self.elastic and not robot.elastic:
+            return False
+        if self.turns and robot.point_mass:
+            return False
+        return bool(not self.per_load or np.any(robot.load_friction))
 
 
 PARAMETERS: Mapping[str, _Parameter] = {
@@ -195,7 +209,9 @@ class ExternalWrench:
         shapes = [(), (2,), (3,)]
         form = "one number or one per axis"
         for name in ("force_mean", "force_std", "moment_mean", "moment_std"):
-            least = 0.0 if name.endswith("std") else -math.inf
+            least = -math.inf
+            if name.endswith("std"):
+                least = 0.0
             values = numbers(name, getattr(self, name), shapes=shapes, form=form, least=least)
             object.__setattr__(self, name, as_tuples(values))
         time = number("correlation_time", self.correlation_time, above=0, unit="s")
@@ -217,19 +233,22 @@ class ExternalWrench:
         Raises:
             ValueError: if the length of a tuple is not the number of axes of the robot.
         """
-        forces, moments = robot.dimensions, robot.coordinates - robot.dimensions
+        d = robot.dimensions
 
-        def components(name: str, axes: int) -> Array:
-            value = np.asarray(getattr(self, name))
-            if not axes:  # a point mass takes no moment, whatever its value
-                return np.empty(0)
-            if value.shape not in ((), (axes,)):
-                raise ValueError(f"wrench: {name} needs {axes} components for {robot.name!r}")
-            return np.broadcast_to(value, (axes,))
+        def components(statistic: str) -> Array:
+            values = np.zeros(robot.coordinates)
+            for quantity, entries in (("force", values[:d]), ("moment", values[d:])):
+                name = f"{quantity}_{statistic}"
+                value = np.asarray(getattr(self, name))
+                axes = len(entries)
+                if axes == 0:  # a point mass takes no moment, whatever its value
+                    continue
+                if value.shape not in ((), (axes,)):
+                    raise ValueError(f"wrench: {name} needs {axes} components for {robot.name!r}")
+                entries[:] = value
+            return values
 
-        mean = [components("force_mean", forces), components("moment_mean", moments)]
-        std = [components("force_std", forces), components("moment_std", moments)]
-        return np.concatenate(mean), np.concatenate(std)
+        return components("mean"), components("std")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -277,10 +296,14 @@ class SensorNoise:
 
     def deviations(self, robot: Robot, measurement: Measurement = POSE) -> Array:
         """Standard deviations of the components of the measured blocks of the observation."""
-        rotations = robot.coordinates - robot.dimensions
+        d = robot.dimensions
+        pose = np.full(robot.coordinates, self.rotation)
+        pose[:d] = self.position
+        velocity = np.full(robot.coordinates, self.rotation_rate)
+        velocity[:d] = self.velocity
         values: dict[str, ArrayLike] = {
-            "pose": [self.position] * robot.dimensions + [self.rotation] * rotations,
-            "velocity": [self.velocity] * robot.dimensions + [self.rotation_rate] * rotations,
+            "pose": pose,
+            "velocity": velocity,
             "motor_angle": self.motor_angle,
             "motor_speed": self.motor_speed,
             "tensions": self.tension,
@@ -288,8 +311,10 @@ class SensorNoise:
             "angular_rate": self.angular_rate,
             "specific_force": self.specific_force,
         }
-        sizes = measurement.sizes(robot)
-        return np.concatenate([np.broadcast_to(values[name], size) for name, size in sizes.items()])
+        blocks = []
+        for name, size in measurement.sizes(robot).items():
+            blocks.append(np.broadcast_to(values[name], size))
+        return np.concatenate(blocks)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -385,14 +410,16 @@ class Uncertainty:
                     number("low of payload", distribution.low, least=-1)
             elif not parameter.position:
                 nominal = np.asarray(getattr(robot, parameter.attribute))
-                smallest = np.min(distribution.applied(nominal, np.asarray(distribution.low)))
+                least, largest = distribution.extremes(nominal)
+                smallest = float(np.min(least))
                 divides = name == "pulley_inertia" and robot.elastic
-                above = 0.0 if parameter.positive or divides else -math.inf
+                above = -math.inf
+                if parameter.positive or divides:
+                    above = 0.0
                 label = f"smallest {name} of {robot.name!r}"
-                number(label, float(smallest), above=above, least=0.0, unit=parameter.unit)
+                number(label, smallest, above=above, least=0.0, unit=parameter.unit)
                 if parameter.per_load:
-                    largest = np.max(distribution.applied(nominal, np.asarray(distribution.high)))
-                    number(f"largest {name}", float(largest), above=0.0, below=1.0)
+                    number(f"largest {name}", float(np.max(largest)), above=0.0, below=1.0)
         if "platform_inertia" in self.parameters and not robot.planar:
             _check_inertia(robot.moments, self.parameters["platform_inertia"])
         if self.wrench is not None:
@@ -419,17 +446,22 @@ class Uncertainty:
                 columns = uniform[:, start : start + math.prod(shape)]
                 if not distribution.each:  # the other columns of the parameter are unused
                     columns = np.broadcast_to(columns[:, :1], columns.shape)
-                deviations[name] = distribution.deviation(columns.reshape(len(uniform), *shape))
+                columns = columns.reshape(len(uniform), *shape)
+                deviations[name] = distribution.deviation(columns)
         return self._true_robots(robot, payload, deviations)
 
     def fastest(self, robot: Robot) -> RobotBatch:
         """The possible robot with the fastest motor dynamics. It determines the physics step."""
         deviations = {}
+        columns = _columns(robot)
         for name, distribution in self.parameters.items():
             parameter = PARAMETERS[name]
             if name != "payload" and not parameter.position:
-                deviation = distribution.low if parameter.lowers_frequency else distribution.high
-                deviations[name] = np.full((1, *_columns(robot)[name][1]), deviation)
+                deviation = distribution.high
+                if parameter.lowers_frequency:
+                    deviation = distribution.low
+                _, shape = columns[name]
+                deviations[name] = np.full((1, *shape), deviation)
         return self._true_robots(robot, np.zeros(1), deviations)
 
     def _true_robots(
@@ -460,8 +492,7 @@ _RECORDS = {"wrench": ExternalWrench, "sensors": SensorNoise, "sensor_bias": Sen
 
 def _check_inertia(moments: Array, distribution: ParameterDistribution) -> None:
     """Checks that no moment can exceed the sum of the other two, for nominal moments (3,)."""
-    least = distribution.applied(moments, np.asarray(distribution.low))
-    largest = distribution.applied(moments, np.asarray(distribution.high))
+    least, largest = distribution.extremes(moments)
     extremes = [(least, least), (largest, largest)]
     if distribution.each:  # one moment can be the largest while the other two are the least
         extremes = [(least, largest)]
@@ -478,11 +509,11 @@ def _check_inertia(moments: Array, distribution: ParameterDistribution) -> None:
 def scaled_tensor(robot: Robot, moments: Array) -> Array:
     """Inertia tensors (N, 3, 3) with the given moments; products grow as the roots of the moments
     they belong to."""
+    axes = np.arange(3 - moments.shape[-1], 3)  # the last: all of them, or the normal of a plane
     factor = np.ones((len(moments), 3))
-    factor[:, 3 - moments.shape[-1] :] = np.sqrt(moments / robot.moments)
+    factor[:, axes] = np.sqrt(moments / robot.moments)
     scaled: Array = robot.inertia_tensor * factor[:, :, None] * factor[:, None, :]
-    index = np.arange(3 - moments.shape[-1], 3)
-    scaled[:, index, index] = moments
+    scaled[:, axes, axes] = moments
     return scaled
 
 

@@ -91,7 +91,8 @@ def _parsed(rows: dict[int, list[str]], kinds: Sequence[str]) -> tuple[Array | N
     late = np.flatnonzero(np.diff(times) <= 0)
     if len(late):
         line = list(rows)[late[0] + 1]
-        before, after = times[late[0]], times[late[0] + 1]
+        before = times[late[0]]
+        after = times[late[0] + 1]
         raise ValueError(f"line {line} has t = {after:g} s after {before:g} s. Times must increase")
     return times - times[0], poses
 

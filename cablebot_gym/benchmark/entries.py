@@ -150,7 +150,8 @@ def entry_cells(
         ValueError: if the suite has hidden motions, which belong to boards, or lacks an environment
             of the entry.
     """
-    cells_of_suite, entry = find_suite(suite), read_entry(folder)
+    cells_of_suite = find_suite(suite)
+    entry = read_entry(folder)
     if cells_of_suite.hidden:
         raise ValueError(
             f"suite {suite!r} has hidden motions, which belong to boards: choose smoke, standard or full"
@@ -330,7 +331,8 @@ def find_entries(folder: Path) -> tuple[dict[str, Entry], dict[str, str]]:
     Raises:
         ValueError: if there is none.
     """
-    entries, invalid = {}, {}
+    entries = {}
+    invalid = {}
     for path in sorted(folder.iterdir()):
         if not os.path.lexists(path / CARD):
             continue

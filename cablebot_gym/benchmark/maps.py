@@ -101,7 +101,8 @@ AXES: Mapping[str, Axis] = MappingProxyType({axis.name: axis for axis in _AXES})
 def varied_fields(cell: Cell) -> tuple[str, ...]:
     """Fields whose value in a cell is not the default: none for most cells, at least one for a cell
     of a map."""
-    values, default = _values(cell), _default_values(cell)
+    values = _values(cell)
+    default = _default_values(cell)
     return tuple(name for name in _LABELS if values[name] != default[name])
 
 

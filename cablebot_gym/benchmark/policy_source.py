@@ -39,7 +39,8 @@ def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     if spec.kind == "factory":
         module, _ = split_name(policy)
     else:
-        module, entry = spec.points[0].module, public_entry(policy)
+        module = spec.points[0].module
+        entry = public_entry(policy)
         if entry is not None and entry.files is not None:
             return (module,), entry.files
     source = module_file(module)

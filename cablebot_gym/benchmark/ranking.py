@@ -43,13 +43,11 @@ def fraction(strata: Sequence[Array]) -> Fraction:
     means = np.array([values.mean() for values in strata])
     lows, highs = np.transpose([_interval(values) for values in strata])
     mean = float(means.mean())
+    worst = min(values.min() for values in strata)
     # Distances of independent intervals add as squares (Zou and Donner 2008).
-    return Fraction(
-        mean=mean,
-        low=mean - math.hypot(*means - lows) / len(strata),
-        high=mean + math.hypot(*highs - means) / len(strata),
-        worst=float(min(values.min() for values in strata)),
-    )
+    below = math.hypot(*means - lows) / len(strata)
+    above = math.hypot(*highs - means) / len(strata)
+    return Fraction(mean=mean, low=mean - below, high=mean + above, worst=float(worst))
 
 
 def _interval(fractions: Array) -> tuple[float, float]:
@@ -60,20 +58,24 @@ def _interval(fractions: Array) -> tuple[float, float]:
     mid-P interval of the success rate with Student's interval of the mean of the successes, as
     logarithms of their product (Zou and Donner 2008).
     """
+    motions = len(fractions)
+    if motions == 1:
+        only = float(fractions[0])
+        return only, only
     successes = fractions[fractions > 0]
     count = len(successes)
-    if len(fractions) == 1:
-        return float(fractions[0]), float(fractions[0])
-    rate_low, rate_high = mid_p_interval(count, len(fractions), CONFIDENCE)
+    rate_low, rate_high = mid_p_interval(count, motions, CONFIDENCE)
     if count < 2:
         return 0.0, rate_high  # nothing is known about the spread of the successes
-    rate = count / len(fractions)
+    rate = count / motions
     mean = float(successes.mean())
-    half_width = _student(count) * float(successes.std(ddof=1)) / math.sqrt(count)
+    spread = float(successes.std(ddof=1))
+    half_width = _student(count) * spread / math.sqrt(count)
     mean_low = max(mean - half_width, 1e-9)
     below = math.hypot(math.log(rate / rate_low), math.log(mean / mean_low))
     above = math.hypot(math.log(rate_high / rate), math.log(1 + half_width / mean))
-    return rate * mean * math.exp(-below), rate * mean * math.exp(above)
+    product = rate * mean
+    return product * math.exp(-below), product * math.exp(above)
 
 
 def _student(count: int) -> float:
@@ -136,10 +138,12 @@ def better_policies(values: Array) -> NDArray[np.bool_]:
     statistic[np.abs(mean) < 1e-9] = 0.0
     probability = 2 * stdtr(motions - 1, -statistic)
     order = np.argsort(probability, kind="stable")
-    allowed = (1 - CONFIDENCE) / (len(order) - np.arange(len(order)))
-    is_ordered = np.zeros(len(order), np.bool_)
+    pairs = len(order)
+    allowed = (1 - CONFIDENCE) / (pairs - np.arange(pairs))
+    is_apart = probability[order] <= allowed
+    is_ordered = np.zeros(pairs, np.bool_)
     # Holm stops at the first pair that is not apart.
-    is_ordered[order] = np.logical_and.accumulate(probability[order] <= allowed)
+    is_ordered[order] = np.logical_and.accumulate(is_apart)
     better = np.zeros((policies, policies), np.bool_)
     better[first, second] = is_ordered & (mean > 0)
     better[second, first] = is_ordered & (mean < 0)
@@ -150,12 +154,13 @@ def _labels(names: Sequence[str], values: Array, authors: Mapping[str, str]) -> 
     """Group of each policy: its author, or the first policy with equal fractions."""
     labels: list[str] = []
     for index, name in enumerate(names):
-        same = (values[:index] == values[index]) | np.isnan(values[:index] + values[index])
-        equal = np.flatnonzero(same.all(axis=1))
+        above = values[:index]
+        is_same = (above == values[index]) | np.isnan(above + values[index])
+        equal_policies = np.flatnonzero(is_same.all(axis=1))
         if name in authors:
             labels.append(f"author {authors[name]}")
-        elif len(equal):
-            labels.append(labels[equal[0]])
+        elif len(equal_policies):
+            labels.append(labels[equal_policies[0]])
         else:
             labels.append(name)
     return labels

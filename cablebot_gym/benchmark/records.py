@@ -56,7 +56,9 @@ class Record:
 def compute(cell: Cell) -> Record:
     """Computes a cell. An exception becomes the error of the record; it does not stop the
     benchmark."""
-    start, used, final = time.perf_counter(), Deadlines.total, True
+    start = time.perf_counter()
+    used = Deadlines.total
+    final = True
     try:
         result = json.loads(canonical(cell.compute()))
     except Exception as error:

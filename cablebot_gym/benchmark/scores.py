@@ -35,7 +35,9 @@ class BestKnown:
     def payload(self) -> float | None:
         """Reference of the scores [kg]; None if the search found no payload that its replay
         verifies."""
-        return self.result["payload"] if self.result.get("verified") else None
+        if self.result.get("verified"):
+            return self.result["payload"]
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,11 +86,12 @@ class Score:
 
 def best_known_payloads(records: Sequence[Record]) -> dict[str, BestKnown]:
     """The best known payloads by :attr:`~cablebot_gym.benchmark.cells.Setting.motion_key`."""
-    return {
-        record.cell.motion_key: BestKnown(cell=record.cell, result=record.result)
-        for record in records
-        if isinstance(record.cell, BestKnownCell)
-    }
+    payloads = {}
+    for record in records:
+        cell = record.cell
+        if isinstance(cell, BestKnownCell):
+            payloads[cell.motion_key] = BestKnown(cell=cell, result=record.result)
+    return payloads
 
 
 def scores(records: Sequence[Record]) -> list[Score]:
@@ -96,11 +99,11 @@ def scores(records: Sequence[Record]) -> list[Score]:
     survey."""
     references = best_known_payloads(records)
     sticks = yardsticks(records)
-    return [
-        _score(record, record.cell, references, sticks)
-        for record in single_records(records)
-        if isinstance(record.cell, PolicyCell)
-    ]
+    policy_scores = []
+    for record in single_records(records):
+        if isinstance(record.cell, PolicyCell):
+            policy_scores.append(_score(record, record.cell, references, sticks))
+    return policy_scores
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,13 +176,16 @@ class Leaderboard:
 
     def motions(self, column: Column) -> int:
         """Number of motions of a column that count."""
-        counts = [len(entry) for key, entry in self.entries.items() if key[1] == column]
-        return max(counts)
+        return max(
+            len(entry) for (_, of_column), entry in self.entries.items() if of_column == column
+        )
 
     def fraction(self, policy: str, column: Column) -> Fraction | None:
         """The fraction of a policy in a column; None without a score for every motion."""
         values = _values(self.entries.get((policy, column), ()))
-        return None if values is None else fraction([values])
+        if values is None:
+            return None
+        return fraction([values])
 
 
 def overall(boards: Sequence[Leaderboard]) -> dict[str, tuple[tuple[str, ...], Fraction]]:
@@ -198,8 +204,8 @@ def overall(boards: Sequence[Leaderboard]) -> dict[str, tuple[tuple[str, ...], F
     fractions = {}
     for policy, by_environment in strata.items():
         if len(by_environment) > 1:
-            values_of_all = list(by_environment.values())
-            fractions[policy] = (tuple(by_environment), fraction(values_of_all))
+            mean = fraction(list(by_environment.values()))
+            fractions[policy] = (tuple(by_environment), mean)
     return fractions
 
 
@@ -216,15 +222,16 @@ def leaderboards(
     """
     groups: dict[str, dict[bool, list[Score]]] = {}
     for score in scores(records):
-        is_one_error = ERROR_SEPARATOR in (score.cell.uncertainty or "")
-        if score.cell.robot_name is None and not is_one_error and not varied_fields(score.cell):
-            tables = groups.setdefault(score.cell.env_id, {True: [], False: []})
-            tables[Column.of(score.cell).is_main].append(score)
+        cell = score.cell
+        is_one_error = ERROR_SEPARATOR in (cell.uncertainty or "")
+        if cell.robot_name is None and not is_one_error and not varied_fields(cell):
+            tables = groups.setdefault(cell.env_id, {True: [], False: []})
+            tables[Column.of(cell).is_main].append(score)
     timings: dict[str, dict[str, Mapping[str, Any]]] = {}
     for record in records:
         if isinstance(record.cell, TimingCell) and record.error is None:
-            cell = record.cell
-            timings.setdefault(cell.env_id, {})[cell.policy] = record.result
+            times = timings.setdefault(record.cell.env_id, {})
+            times[record.cell.policy] = record.result
     boards = []
     for env_id, tables in groups.items():
         for group in tables.values():
@@ -264,8 +271,8 @@ def error_tables(records: Sequence[Record]) -> list[ErrorTable]:
     of which there is an error alone."""
     singles = []
     for score in scores(records):
-        is_usual = score.cell.robot_name is None and score.cell.criterion == "task"
-        if is_usual and not varied_fields(score.cell):
+        is_task = score.cell.robot_name is None and score.cell.criterion == "task"
+        if is_task and not varied_fields(score.cell):
             singles.append(score)
     groups: dict[tuple[str, str, bool, str], dict[str, dict[str, Score]]] = {}
     for score in singles:
@@ -275,9 +282,15 @@ def error_tables(records: Sequence[Record]) -> list[ErrorTable]:
             by_error.setdefault(error, {})[score.cell.policy] = score
     tables = []
     for (env_id, motion, payload_known, uncertainty), by_error in groups.items():
-        here = [s for s in singles if _place(s.cell) == (env_id, motion, payload_known)]
-        by_error[NO_ERROR] = {s.cell.policy: s for s in here if s.cell.uncertainty is None}
-        by_error[ALL_ERRORS] = {s.cell.policy: s for s in here if s.cell.uncertainty == uncertainty}
+        by_error[ALL_ERRORS] = {}
+        for score in singles:
+            cell = score.cell
+            if _place(cell) != (env_id, motion, payload_known):
+                continue
+            if cell.uncertainty is None:
+                by_error[NO_ERROR][cell.policy] = score
+            elif cell.uncertainty == uncertainty:
+                by_error[ALL_ERRORS][cell.policy] = score
         names = dict.fromkeys(name for by_policy in by_error.values() for name in by_policy)
         policies = {}
         for name in names:
@@ -328,19 +341,20 @@ def payload_maps(records: Sequence[Record]) -> list[PayloadMap]:
     for score in scores(records):
         if _is_on_maps(score.cell):
             maps = groups.setdefault(score.cell.env_id, {})
+            motion = str(score.cell.trajectory["name"])
             for axis in AXES.values():
                 constants = axis.constants(score.cell)
                 if constants is not None:
-                    key = (axis, str(score.cell.trajectory["name"]), constants)
-                    maps.setdefault(key, []).append(score)
+                    maps.setdefault((axis, motion, constants), []).append(score)
     references = best_known_payloads(records)
     order = list(AXES.values())
     payload_maps = []
     for env_id, maps in groups.items():
         for key in sorted(maps, key=lambda key: order.index(key[0])):
             axis, motion, constants = key
-            if any(axis.varies(score.cell) for score in maps[key]):
-                payload_maps.append(_map(env_id, motion, axis, constants, maps[key], references))
+            group = maps[key]
+            if any(axis.varies(score.cell) for score in group):
+                payload_maps.append(_map(env_id, motion, axis, constants, group, references))
     return payload_maps
 
 
@@ -348,7 +362,8 @@ def _is_on_maps(cell: PolicyCell) -> bool:
     """Whether a cell has the conditions of the maps: known payload, no uncertainty, task
     criterion."""
     is_nominal = cell.uncertainty is None and cell.criterion == "task"
-    return cell.robot_name is None and is_nominal and cell.payload_model == payload_model_text(True)
+    is_known = cell.payload_model == payload_model_text(True)
+    return cell.robot_name is None and is_nominal and is_known
 
 
 def _map(
@@ -370,8 +385,7 @@ def _map(
     best_known = []
     for value in values:
         any_score = next(iter(by_value[value].values()))
-        reference = references.get(any_score.cell.motion_key)
-        best_known.append(None if reference is None else reference.payload)
+        best_known.append(_best_known_payload(any_score.cell, references))
     policies = {}
     for name, is_varied in names.items():
         if is_varied:
@@ -398,18 +412,22 @@ def _leaderboard(
     for (_, column), entry in entries.items():
         motions[column] = max(motions.get(column, 0), len(entry))
     columns = sorted(motions, key=lambda column: (column.uncertainty is not None, -motions[column]))
+    first_column = columns[0]
     # A motion without best known payload counts for no policy, unless no motion of the column has
     # one.
     for key, entry in entries.items():
         with_reference = tuple(score for score in entry if score.best_known is not None)
         entries[key] = with_reference or entry
-    ranked = {policy: entry for (policy, column), entry in entries.items() if column == columns[0]}
+    ranked = {}
+    for (policy, column), entry in entries.items():
+        if column == first_column:
+            ranked[policy] = entry
     fractions = _aligned(ranked)
     means = {policy: -1.0 for policy, _ in entries}
     for policy, values in fractions.items():
         means[policy] = float(np.nanmean(values))
     policy_ranks: dict[str, int] = {}
-    if motions[columns[0]] >= RANKED_MOTIONS:
+    if motions[first_column] >= RANKED_MOTIONS:
         policy_ranks = ranks(fractions, authors)
     return Leaderboard(
         env_id=env_id,
@@ -424,18 +442,23 @@ def _leaderboard(
 def _aligned(entries: Mapping[str, tuple[Score, ...]]) -> dict[str, Array]:
     """Fractions of the policies that have one for each of their motions, on all motions of a column;
     NaN for motions that a policy has not run."""
-    all_motions: dict[str, int] = {}
+    index_of_motion: dict[str, int] = {}
     for entry in entries.values():
         for score in entry:
-            all_motions.setdefault(canonical(dict(score.cell.trajectory)), len(all_motions))
+            index_of_motion.setdefault(_motion(score), len(index_of_motion))
     fractions = {}
     for policy, entry in entries.items():
         values = _values(entry)
         if values is not None:
-            places = [all_motions[canonical(dict(score.cell.trajectory))] for score in entry]
-            fractions[policy] = np.full(len(all_motions), np.nan)
-            fractions[policy][places] = values
+            indices = [index_of_motion[_motion(score)] for score in entry]
+            fractions[policy] = np.full(len(index_of_motion), np.nan)
+            fractions[policy][indices] = values
     return fractions
+
+
+def _motion(score: Score) -> str:
+    """The motion as text, the same for equal motions."""
+    return canonical(dict(score.cell.trajectory))
 
 
 def _entries(group: Sequence[Score]) -> dict[tuple[str, Column], tuple[Score, ...]]:
@@ -445,14 +468,16 @@ def _entries(group: Sequence[Score]) -> dict[tuple[str, Column], tuple[Score, ..
     for score in group:
         entries.setdefault((score.cell.policy, Column.of(score.cell)), []).append(score)
     for entry in entries.values():
-        entry.sort(key=lambda score: canonical(dict(score.cell.trajectory)))
+        entry.sort(key=_motion)
     return {key: tuple(entry) for key, entry in entries.items()}
 
 
 def _values(entry: Sequence[Score]) -> Array | None:
     """Fractions of the motions; None unless every motion has one."""
     values = [score.score for score in entry if score.score is not None]
-    return np.array(values) if values and len(values) == len(entry) else None
+    if not values or len(values) < len(entry):
+        return None
+    return np.array(values)
 
 
 def _score(
@@ -461,8 +486,7 @@ def _score(
     references: Mapping[str, BestKnown],
     sticks: Mapping[tuple[str, str], Yardstick],
 ) -> Score:
-    best = references.get(cell.motion_key)
-    best_known = None if best is None else best.payload
+    best_known = _best_known_payload(cell, references)
     reference = None
     if best_known and cell.criterion == "task":
         reference = best_known * _attainable(cell, sticks)
@@ -470,6 +494,14 @@ def _score(
     if reference and (record.error is None or record.final):
         score = (record.result.get("payload") or 0.0) / reference
     return Score(cell=cell, result=record.result, best_known=best_known, score=score)
+
+
+def _best_known_payload(cell: PolicyCell, references: Mapping[str, BestKnown]) -> float | None:
+    """Best known payload for the motion of a cell [kg]; None if there is none."""
+    reference = references.get(cell.motion_key)
+    if reference is None:
+        return None
+    return reference.payload
 
 
 def _attainable(cell: PolicyCell, sticks: Mapping[tuple[str, str], Yardstick]) -> float:

@@ -116,7 +116,8 @@ def leaderboard_rows(
 ) -> list[list[str]]:
     """Head and rows of a table: one row per policy, with its rank if there are ranks, and its
     computing time."""
-    ranks, timings = leaderboard.ranks, leaderboard.timings
+    ranks = leaderboard.ranks
+    timings = leaderboard.timings
     head = ["policy", *column_titles(leaderboard)]
     if ranks:
         head.insert(0, "rank")
@@ -225,7 +226,8 @@ def error_rows(table: scores.ErrorTable) -> list[list[str]]:
     for index, error in enumerate(table.errors):
         cells = []
         for entries in table.policies.values():
-            score, exact = entries[index], entries[0]
+            score = entries[index]
+            exact = entries[0]
             text = "–" if score is None else _payload(score)
             if score is not exact and score and score.payload and exact and exact.payload:
                 text += f", {score.payload / exact.payload - 1:+.0%}"

@@ -342,7 +342,9 @@ class _Case:
             actions = self._track(best, self.tightening.no_profile()).actions
             replays = tuple(replay for replay, _ in self._replays(actions, best.payload))
             found = _Verified(motion=best, actions=actions, margins=Margins(), replays=replays)
-        robot, motion, upper = self.robot, found.motion, None
+        robot = self.robot
+        motion = found.motion
+        upper = None
         report("computing the certificate of an upper bound")
         with suppress(ValueError):  # no certificate exists if the tube reaches an anchor
             bound = upper_bound(robot, self.trajectory, self.error_bounds).to_dict()
@@ -412,7 +414,8 @@ class _Case:
     def _first(self, program: MotionProgram) -> PlannedMotion | None:
         """Best motion from several starts: the reference, a lowered one, and a wave about it; None
         if all fail."""
-        n, motions = self.robot.coordinates, []
+        n = self.robot.coordinates
+        motions = []
         sag = np.zeros(n)
         sag[min(2, n - 1)] = 0.7
         wave = np.random.default_rng(0).uniform(-0.5, 0.5, (4, n))
@@ -447,7 +450,8 @@ class _Case:
 
     def _cause(self, intervals: int) -> str:
         """The constraint whose relaxation makes the problem feasible."""
-        motors, bounds = self.robot.motors, self.error_bounds
+        motors = self.robot.motors
+        bounds = self.error_bounds
         free_speed = tuple(_STRONGER * self.robot.per_motor(motors.free_speed))
         stall_torque = tuple(_STRONGER * self.robot.stall_torque)
         stronger = self.robot.replace(

@@ -279,8 +279,9 @@ def _checked(
 
 def _zero(tube: Tube, force: Array, tension: Array) -> float:
     """The mass at which h becomes positive; ``inf`` if there is none or if (2) is violated."""
-    vanishes = not (np.any(force[~tube.free_force]) or np.any(tension[~tube.free_tension]))
-    if not vanishes or np.any(tension < 0) or np.any(tube.deficits(force, tension) > 0):
+    if np.any(force[~tube.free_force]) or np.any(tension[~tube.free_tension]):
+        return math.inf
+    if np.any(tension < 0) or np.any(tube.deficits(force, tension) > 0):
         return math.inf
     if tube.surplus(0.0, force, tension) > 0:
         return 0.0
@@ -302,11 +303,14 @@ def _lifted(tube: Tube, force: Array, tension: Array) -> Array:
     """Raises the coefficients of φ, approximately as little as possible, until (2) holds
     everywhere."""
     for _ in range(50):
-        deficit = tube.deficits(force, tension).reshape(tube.intervals, REFINEMENT, -1).max(axis=1)
+        deficits = tube.deficits(force, tension)
+        deficit = deficits.reshape(tube.intervals, REFINEMENT, -1).max(axis=1)
         if np.all(deficit <= 0):
             break
         # A small surplus, because rounding would cancel a small lift.
-        lift = np.where(deficit > 0, deficit * (1 + 1e-6) + _ROUNDING * np.abs(force).max(), 0.0)
+        surplus = _ROUNDING * np.abs(force).max()
+        lift = np.where(deficit > 0, deficit * (1 + 1e-6) + surplus, 0.0)
+        # Coefficient j acts on intervals j - 2 to j.
         padded = np.pad(lift, ((2, 2), (0, 0)))
         raised = np.max([padded[j : j + tube.intervals + 2] for j in range(3)], axis=0)
         tension = tension + np.where(tube.free_tension[:, None], raised, 0.0)
@@ -344,18 +348,23 @@ def _best(tube: Tube, mass: float) -> tuple[float, Multiplier | None]:
     below ``mass``."""
     if tube.acceleration == 0:  # a reference at rest excludes no mass
         return mass, None
-    program, multiplier = _LinearProgram(tube), None
+    program = _LinearProgram(tube)
+    multiplier = None
     # The optimal multiplier of a trial mass also proves a bound, which is usually close to the best
     # one.
-    trial = mass if math.isfinite(mass) else float(np.sum(tube.pull)) / tube.acceleration
+    trial = mass
+    if not math.isfinite(mass):
+        trial = float(np.sum(tube.pull)) / tube.acceleration
     for _ in range(_TRIALS):
         solution = program.solve(trial)
         proved = math.inf
         if solution is not None:
-            force, tension = solution[0], _lifted(tube, *solution)
+            force = solution[0]
+            tension = _lifted(tube, *solution)
             proved = _zero(tube, force, tension)
         if proved < mass:
-            before, mass = mass, proved
+            before = mass
+            mass = proved
             multiplier = Multiplier(start=tube.start, end=tube.end, force=force, tension=tension)
             trial = mass
             if mass > before * (1 - _ENOUGH):
@@ -377,7 +386,8 @@ class _LinearProgram:
 
     def __init__(self, tube: Tube) -> None:
         self.tube = tube
-        n, m = tube.intervals, tube.robot.cables
+        n = tube.intervals
+        m = tube.robot.cables
         middle = REFINEMENT // 2
         self.second = tube.width**2 * self._table(2, middle)
         self.rate = tube.width**2 * self._table(1, middle)
@@ -386,23 +396,22 @@ class _LinearProgram:
         for point in range(0, REFINEMENT, 2):
             value = self._table(0, point)
             at = np.arange(n) * REFINEMENT + point
-            towards, arc = -tube.away[at], tube.arc[at]
+            towards = -tube.away[at]
+            arc = tube.arc[at][..., None]
             normal = np.stack([-towards[..., 1], towards[..., 0]], axis=-1)
-            cosine = np.cos(arc)[..., None]
-            sine = np.sin(arc)[..., None]
+            along = towards * np.cos(arc)
+            across = normal * np.sin(arc)
             # The hull of an arc of directions lies in the hull of its ends and the intersection of
             # its tangents.
-            corners = (
-                towards * cosine + normal * sine,
-                towards * cosine - normal * sine,
-                towards / cosine,
-            )
+            corners = (along + across, along - across, towards / np.cos(arc))
             for corner in corners:
                 for i in range(m):
-                    force = [sparse.diags_array(corner[:, i, axis]) @ value for axis in range(2)]
+                    x, y = corner[:, i].T
+                    force_x = sparse.diags_array(x) @ value
+                    force_y = sparse.diags_array(y) @ value
                     tension: list[Any] = [None] * m
                     tension[i] = -value
-                    rows.append([*force, *tension, sparse.csr_array((n, n))])
+                    rows.append([force_x, force_y, *tension, sparse.csr_array((n, n))])
         self.cone = sparse.block_array(rows, format="csr")
 
     def _table(self, derivative: int, point: int) -> Any:
@@ -417,32 +426,31 @@ class _LinearProgram:
         """Coefficients of w and φ that approximately maximise h(M); None if the program is
         infeasible."""
         tube = self.tube
-        n = self.tube.intervals
-        m = self.tube.robot.cables
-        angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+        n = tube.intervals
+        m = tube.robot.cables
+        angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         rows = []
-        for direction in np.stack([np.cos(angle), np.sin(angle)], axis=-1):
-            along = self.away @ direction
-            row = [component * self.second for component in direction]
+        for x, y in zip(np.cos(angles), np.sin(angles), strict=True):
+            along = self.away @ np.array([x, y])
+            row = [x * self.second, y * self.second]
             for i in range(m):
-                pull = tube.inertia[i] * self.second - tube.slope[i] * self.rate
-                row.append(sparse.diags_array(-along[:, i] / mass) @ pull)
+                b = tube.inertia[i] * self.second - tube.slope[i] * self.rate
+                row.append(sparse.diags_array(-along[:, i] / mass) @ b)
             rows.append([*row, -sparse.eye_array(n)])
-        inequalities: Any = sparse.vstack(
-            [sparse.block_array(rows, format="csr"), self.cone], format="csr"
-        )
+        psi_rows = sparse.block_array(rows, format="csr")
+        inequalities: Any = sparse.vstack([psi_rows, self.cone], format="csr")
         force_gain = tube.force - tube.robot.minimum_tension / mass * tube.towards
-        gain = np.concatenate(
-            [
-                force_gain.T.ravel(),
-                tube.tension.T.ravel() / mass,
-                np.full(n, -tube.radius / tube.width),
-            ]
-        )
-        scaled = np.concatenate([tube.force.T.ravel(), np.zeros(m * (n + 2) + n)])
+        tension_gain = tube.tension.T.ravel() / mass
+        psi_gain = np.full(n, -tube.radius / tube.width)
+        gain = np.concatenate([force_gain.T.ravel(), tension_gain, psi_gain])
+        # The scale of the multiplier: the functional of w is 1.
+        split = 2 * (n + 2)
+        scaled = np.zeros_like(gain)
+        scaled[:split] = tube.force.T.ravel()
         free = np.concatenate([tube.free_force] * 2 + [tube.free_tension] * m + [np.ones(n, bool)])
-        lower = np.where(free, np.r_[np.full(2 * (n + 2), -np.inf), np.zeros(m * (n + 2) + n)], 0.0)
         upper = np.where(free, np.inf, 0.0)
+        lower = np.zeros_like(upper)
+        lower[:split] = -upper[:split]  # only w may be negative
         bounds: Any = np.stack([lower, upper], axis=-1)
         solution = linprog(
             -gain,
@@ -455,9 +463,8 @@ class _LinearProgram:
         )
         if solution.x is None:
             return None
-        split = 2 * (n + 2)
         force = solution.x[:split].reshape(2, -1).T
-        tension = solution.x[split : split + m * (n + 2)].reshape(m, -1).T
+        tension = solution.x[split:-n].reshape(m, -1).T
         noise = np.abs(force) < _ROUNDING * np.abs(force).max()
         force = np.where(tube.free_force[:, None] & ~noise, force, 0.0)
         tension = np.where(tube.free_tension[:, None], np.maximum(tension, 0.0), 0.0)

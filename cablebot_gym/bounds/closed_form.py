@@ -278,7 +278,8 @@ def _kinks(robot: Robot, reference: Reference, minimum_tension: float) -> Array:
         force[..., None, 0] * structure[:, None, :, 1]
         - force[..., None, 1] * structure[:, None, :, 0]
     )
-    unloaded, loaded = cross_product[:, 0], cross_product[:, 1]
+    unloaded = cross_product[:, 0]
+    loaded = cross_product[:, 1]
     # If the cross product does not change with the mass, the zero is infinite or NaN: no kink.
     with np.errstate(divide="ignore", invalid="ignore"):
         zeros = robot.mass * unloaded / (unloaded - loaded)
@@ -385,15 +386,18 @@ def _payload_of_best_tensions(
         raise _singular_error(robot)
     is_feasible = intervals.status == HELD
     if np.all(is_feasible):
-        low, high = float(max(intervals.least)), float(min(intervals.largest))
+        low = float(max(intervals.least))
+        high = float(min(intervals.largest))
         instant = int(np.argmin(intervals.largest))
     else:
-        low, high = math.inf, -math.inf  # no mass at all
+        low = math.inf  # no mass at all
+        high = -math.inf
         instant = int(np.argmin(is_feasible))  # the first infeasible one
     if high == _HEAVIEST:
         return _result(robot, times, low=low, high=math.inf, active_limit=None)
     if low > high:  # no mass is feasible at all instants
-        low, high = math.inf, -math.inf
+        low = math.inf
+        high = -math.inf
     coefficients = intervals.coefficients[instant]
     motor = int(np.argmax(np.abs(coefficients)))
     # A positive coefficient means the upper bound of the tension, which is U⁺ where it is below the

@@ -70,7 +70,8 @@ def _force(robot: Robot) -> float:
 
 
 def _motor_strength(robot: Robot) -> Iterator[_Quantity]:
-    size, force = _size(robot), _force(robot)
+    size = _size(robot)
+    force = _force(robot)
     free_speed = robot.stall_torque / robot.speed_slope
     speed = float(np.max(free_speed * robot.pulley_radius))
     yield _Quantity(
@@ -150,7 +151,8 @@ def _motor_losses(robot: Robot) -> Iterator[_Quantity]:
 
 
 def _lengths(robot: Robot) -> Iterator[_Quantity]:
-    size, radius = _size(robot), robot.pulley_radius
+    size = _size(robot)
+    radius = robot.pulley_radius
     for name, value, least in (
         ("pulley_radius", radius, 1 / 1300),
         ("swivel_radius", np.asarray(robot.swivel_radius, float), 0.0),

@@ -258,7 +258,8 @@ class _DrawnCase(_Case):
 
     def nominal_payload(self, payload: float) -> float:
         """Nominal payload of a true payload [kg]. The true one is affine in the nominal one."""
-        low, high = self.draw.nominal.mass, 2 * self.draw.nominal.mass
+        low = self.draw.nominal.mass
+        high = 2 * self.draw.nominal.mass
         true_low, true_high = (float(self.draw.reset(mass)["payload"]) for mass in (low, high))
         return low + (payload - true_low) * (high - low) / (true_high - true_low)
 
@@ -277,7 +278,8 @@ class _DrawnCase(_Case):
     def follower(self) -> Follower:
         if not self.robot.flexible:
             return super().follower
-        gains, frequency = _FLEXIBLE_GAINS, _MOTOR_FREQUENCY
+        gains = _FLEXIBLE_GAINS
+        frequency = _MOTOR_FREQUENCY
         return Follower(robot=self.robot, gains=gains, motor_frequency=frequency)
 
     @property
@@ -304,7 +306,8 @@ class _DrawnCase(_Case):
     def _state_of_action(self, motion: PlannedMotion, state: State) -> State:
         """The state after the lag: the plan moves on, and the errors stay."""
         later = state.time + self.draw.lag
-        now, then = motion(state.time), motion(later)
+        now = motion(state.time)
+        then = motion(later)
         ahead = replace(
             state,
             time=later,

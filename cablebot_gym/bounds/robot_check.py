@@ -208,7 +208,8 @@ def check_model(robot: Robot, *, payload: float | None = None) -> RobotCheck:
     except ValueError:  # of springs that are much too stiff: a question about their unit follows
         substeps = None
     if robot.hanging:
-        home, workspace = _hanging_limit(robot, payload), None
+        home = _hanging_limit(robot, payload)
+        workspace = None
     else:
         home = payload_limit(robot, np.zeros(1), resting(robot.home[None]), payload)
         workspace = float(np.mean(holds(robot, _grid(robot), payload)))
@@ -290,7 +291,9 @@ def payload_limit(robot: Robot, times: Array, reference: Reference, payload: flo
     payloads = feasible_payloads(robot, reference)
     failed = np.flatnonzero(payloads.status != HELD)
     if len(failed):
-        least, largest, index = math.inf, -math.inf, int(failed[0])
+        least = math.inf
+        largest = -math.inf
+        index = int(failed[0])
     else:
         least = float(payloads.least.max())
         largest = float(payloads.largest.min())
@@ -391,7 +394,8 @@ def limiting_cables(robot: Robot, coefficients: Array, upper: Array) -> str:
 
 def _grid(robot: Robot) -> Array:
     """Poses at the home orientation in the workspace, (K, n)."""
-    d, (low, high) = robot.dimensions, robot.pose_bounds
+    d = robot.dimensions
+    low, high = robot.pose_bounds
     axes = [np.linspace(low[axis], high[axis], GRID[d]) for axis in range(d)]
     positions = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
     poses = np.tile(robot.home, (len(positions), 1))
@@ -529,7 +533,8 @@ def segment_distance(start: Array, end: Array, other_start: Array, other_end: Ar
     first = end - start
     second = other_end - other_start
     between = start - other_start
-    a, e = np.sum(first**2, axis=-1), np.sum(second**2, axis=-1)
+    a = np.sum(first**2, axis=-1)
+    e = np.sum(second**2, axis=-1)
     b = np.sum(first * second, axis=-1)
     c = np.sum(first * between, axis=-1)
     f = np.sum(second * between, axis=-1)

@@ -215,7 +215,8 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
 def _title(result: DLCCResult) -> str:
     from cablebot_gym.envs import described
 
-    conditions, details = result.conditions, result.details
+    conditions = result.conditions
+    details = result.details
     words = [
         described(conditions.env_id, conditions.robot.name),
         result.policy,
@@ -257,7 +258,8 @@ def _row(result: DLCCResult) -> list[str]:
 def _notes(results: list[DLCCResult]) -> list[str]:
     from cablebot_gym.evaluation.statistics import fewest_draws
 
-    score, details = results[0], results[0].details
+    score = results[0]
+    details = score.details
     bounds = f"error bounds: position {1e3 * (details.error_bounds['position'] or 0.0):g} mm"
     for result in results:
         rotation = result.details.error_bounds["rotation"]

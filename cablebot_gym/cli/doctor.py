@@ -145,7 +145,8 @@ def _compiled_code() -> Iterator[Finding]:
 
 
 def _plans() -> Iterator[Finding]:
-    folder, text = cache_folder(), str(cache_folder())
+    folder = cache_folder()
+    text = str(folder)
     is_usable = is_writable_dir(folder)
     if not is_usable:
         text += f" is not writable, so every process computes its content again: set {CACHE_VARIABLE} to another folder"
@@ -235,7 +236,8 @@ def _statics_test(env_id: str) -> str:
     try:
         _, info = env.reset(seed=0)
         task: Task = env.unwrapped.task  # type: ignore[attr-defined]
-        robot, pose = task.robot, task.trajectory(0.0).position
+        robot = task.robot
+        pose = task.trajectory(0.0).position
         minimum = allocated_minimum(robot)
         torque = holding_torque(
             robot, static_torque(robot, robot.mass + PAYLOAD, pose, minimum=minimum)
@@ -255,7 +257,8 @@ def _statics_test(env_id: str) -> str:
 
 def print_findings(findings: Iterable[Finding]) -> bool:
     """Prints each finding as it arrives. Returns whether no check failed."""
-    console, all_ok = results_console(), True
+    console = results_console()
+    all_ok = True
     for finding in findings:
         mark = {True: "ok  ", False: "BAD ", None: "–   "}[finding.ok]
         console.print(f"{mark}{finding.name}: {finding.text}", soft_wrap=True, highlight=False)

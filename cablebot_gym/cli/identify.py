@@ -105,7 +105,8 @@ def _rows(result: Identification) -> list[list[str]]:
     rows = [["parameter", "motors", "value", confidence, "unit", "determined"]]
     for item in result.estimates:
         unit, factor = _shown_unit(unit_of(item.name))
-        value, interval = "–", "–"
+        value = "–"
+        interval = "–"
         if not math.isnan(item.value):
             value, low, high = _texts(factor * item.value, factor * item.half_width)
             interval = f"{low} to {high}"

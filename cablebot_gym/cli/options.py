@@ -312,7 +312,8 @@ def command_again(command: str, *arguments: object, episode: EpisodeOptions, **o
         options: further options, as for :func:`~cablebot_gym.utils.console.command_line`.
     """
     for item in fields(episode):
-        name, value = item.name, getattr(episode, item.name)
+        name = item.name
+        value = getattr(episode, item.name)
         if name == "payload_known":  # its flag is --payload-unknown
             options["payload_unknown"] = not value
             continue
@@ -356,7 +357,8 @@ def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
 
     if not isinstance(trajectory, BetweenDwells) or not isinstance(trajectory.motion, Waypoints):
         return
-    motion, d = trajectory.motion, robot.dimensions
+    motion = trajectory.motion
+    d = robot.dimensions
     reference = motion(np.linspace(0.0, motion.duration, 20 * len(motion.times) + 1))
     texts = []
     for name, rates, unit in (

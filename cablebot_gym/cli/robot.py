@@ -98,7 +98,8 @@ def _check(
     check = check_model(model, payload=payload)
     if not as_json:  # before the motion, which may be refused
         print("\n".join(report(check)), flush=True)
-    motion, refusal = None, ""
+    motion = None
+    refusal = ""
     try:
         motion = check_motion(model, payload=payload, trajectory=trajectory)
         note_waypoints(model, motion.trajectory)
@@ -154,7 +155,8 @@ def report(check: RobotCheck) -> list[str]:
     from cablebot_gym.envs.settings import FREQUENCY
     from cablebot_gym.robots import KIND_TEXTS
 
-    robot, home = check.robot, check.home
+    robot = check.robot
+    home = check.home
     lines = [
         f"robot      {robot.name}: {KIND_TEXTS[robot.kind]}, {counted(robot.cables, 'cable')}, {robot.springs}"
     ]
@@ -208,7 +210,8 @@ def motion_report(check: RobotCheck, motion: MotionCheck, evaluation: str) -> li
     controller on it."""
     from cablebot_gym.bounds.robot_check import two_digits
 
-    robot, limit = check.robot, motion.limit
+    robot = check.robot
+    limit = motion.limit
     place = f"at t = {limit.time:.2f} s, pose ({_numbers(limit.pose)})"
     name = f"motion     {motion.trajectory.name}, {motion.trajectory.duration:g} s"
     if limit.largest < limit.least:

@@ -50,7 +50,9 @@ def verify(
             f"{str(out)!r} is in the entry, which could have prepared it; choose another --out"
         )
     check_writable_dir(work)
-    seed, records, reasons = 0, [], []
+    seed = 0
+    records = []
+    reasons = []
     try:
         entries.check_entry(folder)
         claims = entries.read_claims(folder)

@@ -30,7 +30,8 @@ class Disturbances:
         self._robot = robot
         self._measurement = measurement
         self._count = count
-        self._frequency, self._streams = control_frequency, streams
+        self._frequency = control_frequency
+        self._streams = streams
         self._all_indices = np.arange(count)
         self._wrench_interval = np.zeros(count, np.int64)  # [control steps], 0 without wrench
         self._wrench_mean = self._wrench_std = self._factor = np.zeros((count, 0))
@@ -55,20 +56,22 @@ class Disturbances:
             holding: actions that are applied until the first delayed action arrives, (k, m).
         """
         shortest, longest = uncertainty.delay_range
-        sensors = uncertainty.sensors is not None or uncertainty.sensor_bias is not None
-        self.quiet &= uncertainty.wrench is None and not sensors and longest == 0
+        has_noise = uncertainty.sensors is not None or uncertainty.sensor_bias is not None
+        self.quiet &= uncertainty.wrench is None and not has_noise and longest == 0
         if self.quiet:
             return
         self._reset_wrench(env_indices, uncertainty)
         self._reset_noise(env_indices, uncertainty)
-        if longest > self._pending.shape[1]:
-            longer = np.zeros((self._count, longest, self._robot.cables))
-            longer[:, : self._pending.shape[1]] = self._pending
-            self._pending = longer
+        capacity = self._pending.shape[1]
+        if longest > capacity:
+            pending = np.zeros((self._count, longest, self._robot.cables))
+            pending[:, :capacity] = self._pending
+            self._pending = pending
         self._delay[env_indices] = shortest
         if longest > shortest:
             uniform = self._streams.uniform(env_indices, Purpose.DELAY, 1)[:, 0]
-            self._delay[env_indices] += (uniform * (longest - shortest + 1)).astype(np.int64)
+            additional = uniform * (longest - shortest + 1)
+            self._delay[env_indices] += additional.astype(np.int64)
         if longest:
             self._pending[env_indices, :longest] = holding[:, None]
 
@@ -77,50 +80,51 @@ class Disturbances:
         if uncertainty.wrench is None:
             return
         mean, std = uncertainty.wrench.statistics(self._robot)
+        components = mean.size
         if self._wrench is None:
-            self._wrench_mean, self._wrench_std, self._factor = (
-                np.zeros((self._count, mean.size)) for _ in range(3)
-            )
-            self._wrench = NormalRows(self._streams, Purpose.WRENCH, self._count, mean.size)
+            self._wrench_mean = np.zeros((self._count, components))
+            self._wrench_std = np.zeros((self._count, components))
+            self._factor = np.zeros((self._count, components))
+            self._wrench = NormalRows(self._streams, Purpose.WRENCH, self._count, components)
         self._wrench.restart(env_indices)
         # the largest int64 is 2^63 − 1
         periods = min(uncertainty.wrench.correlation_time * self._frequency, 2.0**62)
         self._wrench_interval[env_indices] = max(1, round(periods))
-        self._wrench_mean[env_indices], self._wrench_std[env_indices] = mean, std
+        self._wrench_mean[env_indices] = mean
+        self._wrench_std[env_indices] = std
         low, high = uncertainty.wrench.factor
-        self._factor[env_indices] = low + (high - low) * self._streams.uniform(
-            env_indices, Purpose.WRENCH_FACTOR, mean.size
-        )
+        uniform = self._streams.uniform(env_indices, Purpose.WRENCH_FACTOR, components)
+        self._factor[env_indices] = low + (high - low) * uniform
 
     def _reset_noise(self, env_indices: EnvIndices, uncertainty: Uncertainty) -> None:
         if uncertainty.sensors is None and uncertainty.sensor_bias is None:
             self._noise_std[env_indices] = self._bias[env_indices] = 0.0
             return
-        given = (uncertainty.sensors, uncertainty.sensor_bias)
-        noise, bias = (
-            (one or SensorNoise()).deviations(self._robot, self._measurement) for one in given
-        )
+        white = uncertainty.sensors or SensorNoise()
+        bias = uncertainty.sensor_bias or SensorNoise()
+        noise_std = white.deviations(self._robot, self._measurement)
+        bias_std = bias.deviations(self._robot, self._measurement)
+        components = noise_std.size
         if self._noise is None:
-            self._noise_std, self._bias, self.noise = (
-                np.zeros((self._count, noise.size)) for _ in range(3)
-            )
-            self._noise = NormalRows(self._streams, Purpose.SENSORS, self._count, noise.size)
+            self._noise_std = np.zeros((self._count, components))
+            self._bias = np.zeros((self._count, components))
+            self.noise = np.zeros((self._count, components))
+            self._noise = NormalRows(self._streams, Purpose.SENSORS, self._count, components)
         self._noise.restart(env_indices)
-        self._noise_std[env_indices] = noise
-        self._bias[env_indices] = bias * self._streams.normal(
-            env_indices, Purpose.SENSOR_BIAS, bias.size
-        )
+        self._noise_std[env_indices] = noise_std
+        normal = self._streams.normal(env_indices, Purpose.SENSOR_BIAS, components)
+        self._bias[env_indices] = bias_std * normal
 
     def delayed(self, action: Array) -> Array:
         """The actions (N, m) that arrive now; ``action`` is sent now, (N, m), or (m,) for one
         environment."""
-        late = self._delay > 0
-        if not late.any():
+        is_late = self._delay > 0
+        if not is_late.any():
             return action
         action = action.reshape(self._count, -1)
-        arriving = np.where(late[:, None], self._pending[:, 0], action)
+        arriving = np.where(is_late[:, None], self._pending[:, 0], action)
         self._pending[:, :-1] = self._pending[:, 1:]
-        self._pending[late, self._delay[late] - 1] = action[late]
+        self._pending[is_late, self._delay[is_late] - 1] = action[is_late]
         return arriving
 
     def update_wrench(self, plant: Plant) -> None:
@@ -129,10 +133,12 @@ class Disturbances:
             return
         step = plant.step_index[: self._count]
         interval = self._wrench_interval
-        due = np.flatnonzero((interval > 0) & (step % np.maximum(interval, 1) == 0))
+        is_new = step % np.maximum(interval, 1) == 0
+        due = np.flatnonzero((interval > 0) & is_new)
         if due.size:
             normal = self._wrench.at(due, step[due] // interval[due])
-            wrench = self._factor[due] * (self._wrench_mean[due] + self._wrench_std[due] * normal)
+            wrench = self._wrench_mean[due] + self._wrench_std[due] * normal
+            wrench = self._factor[due] * wrench
             d = self._robot.dimensions
             plant.set_wrench(due, wrench[:, :d], wrench[:, d:])
 

@@ -254,7 +254,8 @@ second."""
 
 def _sizes(robot: Robot) -> _Sizes:
     low, high = robot.pose_bounds
-    centre, half = (low + high) / 2, (high - low) / 2
+    centre = (low + high) / 2
+    half = (high - low) / 2
     is_angle = np.arange(robot.coordinates) >= robot.dimensions
     reach = 0.75 * (high - low)
     bounds = [(centre - reach, centre + reach)]
@@ -287,7 +288,8 @@ def _readings(robot: Robot, sizes: _Sizes) -> dict[str, Block]:
     n = robot.coordinates
     m = robot.cables
     axes = robot.dimensions
-    bounds, units = sizes.bounds, sizes.units
+    bounds = sizes.bounds
+    units = sizes.units
     error = np.where(sizes.is_angle, ErrorBounds().rotation, ErrorBounds().position)
     motor = (-1e3, 1e3)
     motor_angle = "motor angle β"

@@ -53,7 +53,8 @@ class Pictures:
     """
 
     def __init__(self, simulation: Simulation, title: str) -> None:
-        self._simulation, self._title = simulation, title
+        self._simulation = simulation
+        self._title = title
         self._trails: list[deque[Array]] = [
             deque(maxlen=LONGEST_TRAIL) for _ in range(simulation.count)
         ]

@@ -59,25 +59,23 @@ class Sensors:
             values = [plant.motor_angle[env_indices], plant.motor_speed[env_indices]]
         else:
             base = truth["base_anchors"][env_indices]
-            platform = (
-                truth["platform_anchors"][env_indices]
-                if "platform_anchors" in truth
-                else robot.platform
-            )
-            home = kinematics.cable_lengths(
-                base, platform, np.broadcast_to(robot.home, pose.shape), robot.swivel
-            )
+            platform = robot.platform
+            if "platform_anchors" in truth:
+                platform = truth["platform_anchors"][env_indices]
+            home = np.broadcast_to(robot.home, pose.shape)
+            home_lengths = kinematics.cable_lengths(base, platform, home, robot.swivel)
+            lengths = kinematics.cable_lengths(base, platform, pose, robot.swivel)
             structure = kinematics.structure_jacobian(base, platform, pose, robot.swivel)
-            length_rates = (structure @ velocity[..., None])[..., 0]
-            changes = (
-                home - kinematics.cable_lengths(base, platform, pose, robot.swivel),
-                -length_rates,
-            )
-            values = [change / robot.pulley_radius for change in changes]
+            length_rates = kinematics.times_vector(structure, velocity)
+            angles = (home_lengths - lengths) / robot.pulley_radius
+            speeds = -length_rates / robot.pulley_radius
+            values = [angles, speeds]
         if self._measurement.tensions:
-            # After a reset the record has no tensions, but the torques at rest.
-            torques = plant.per_cable(kernel.TORQUE)[env_indices] / robot.pulley_radius
-            values.append(torques if fresh else plant.per_cable(kernel.TENSION)[env_indices])
+            if fresh:  # the record has no tensions yet, but the torques at rest
+                torques = plant.per_cable(kernel.TORQUE)[env_indices]
+                values.append(torques / robot.pulley_radius)
+            else:
+                values.append(plant.per_cable(kernel.TENSION)[env_indices])
         if self._measurement.imu:
             axes = self._velocity.shape[-1]
             acceleration = np.zeros_like(pose[:, :axes])
@@ -98,10 +96,7 @@ def inertial(robot: Robot, pose: Array, velocity: Array, acceleration: Array) ->
         acceleration: acceleration of the frame's origin, where the sensor is, (..., 3) [m/s²].
     """
     euler = pose[..., -3:]
-    rate = (kinematics.euler_rate_matrix(euler) @ velocity[..., -3:, None])[..., 0]
-    free = acceleration - robot.gravity_vector
-    return [
-        euler,
-        rate,
-        (np.swapaxes(kinematics.rotation_matrix(euler), -1, -2) @ free[..., None])[..., 0],
-    ]
+    rate = kinematics.times_vector(kinematics.euler_rate_matrix(euler), velocity[..., -3:])
+    to_platform = kinematics.rotation_matrix(euler).mT
+    force = kinematics.times_vector(to_platform, acceleration - robot.gravity_vector)
+    return [euler, rate, force]

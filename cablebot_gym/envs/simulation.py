@@ -127,7 +127,8 @@ class Simulation:
 
     def _bind(self) -> None:
         """Makes the compiled code read the present arrays."""
-        plant, tables = self._plant, self._tables
+        plant = self._plant
+        tables = self._tables
         episodes = outcome.Episodes(
             record=plant.record,
             step=plant.step_index,
@@ -384,7 +385,8 @@ class Simulation:
             if not parameter.belongs_to(self.settings.robot):
                 continue
             if name == "payload":
-                nominal, true = 0.0, payload
+                nominal = 0.0
+                true = payload
             else:
                 nominal = getattr(self.settings.robot, parameter.attribute)
                 true = getattr(robot, parameter.attribute)

@@ -410,7 +410,8 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
         self._simulation.reset(self._env_index, options, [episode_seed])
         # After the check of the options, because an invalid reset does not change the seed.
         super().reset(seed=seed)
-        self._started, self._terminated = True, False
+        self._started = True
+        self._terminated = False
         if self._pictures is not None:
             self._pictures.on_reset([0])
             if self.render_mode == "human":

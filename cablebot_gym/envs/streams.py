@@ -145,7 +145,8 @@ class NormalRows:
     """Standard normal numbers (N, width), new in every interval and drawn in blocks."""
 
     def __init__(self, streams: Streams, purpose: Purpose, count: int, width: int) -> None:
-        self._streams, self._purpose = streams, purpose
+        self._streams = streams
+        self._purpose = purpose
         self._values = np.zeros((count, BLOCK, width))
         self._blocks = np.full(count, -1, np.int64)
 

@@ -41,7 +41,8 @@ class SingleView:
     of ``set_attr``."""
 
     def __init__(self, vector: CableBotVectorEnv, env_index: int) -> None:
-        self._vector, self._env_index = vector, env_index
+        self._vector = vector
+        self._env_index = env_index
 
     @property
     def task(self) -> Task:

@@ -145,7 +145,8 @@ class StepCount:
 
     def __init__(self, progress: Progress | None, expected: int) -> None:
         self._progress = progress
-        self.done, self.expected = 0, expected
+        self.done = 0
+        self.expected = expected
 
     def add(self, steps: int) -> None:
         """Counts further steps and calls the callback."""
@@ -491,9 +492,12 @@ def run_episodes(
         cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
             finite actions.
     """
-    step_env, observe = env.step, judge.observe  # bound before the policy can replace them
+    # Bound before the policy can replace them.
+    step_env = env.step
+    observe = judge.observe
     policy.reset(lambda: deepcopy(env.tasks))
-    state, start = None, np.ones(env.num_envs, np.bool_)
+    state = None
+    start = np.ones(env.num_envs, np.bool_)
     is_later = np.zeros(env.num_envs, np.bool_)
     terminated = np.zeros(env.num_envs, np.bool_)
     count = count or StepCount(None, 0)

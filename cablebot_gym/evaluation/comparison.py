@@ -101,7 +101,8 @@ class PolicyMetrics:
         from scipy.special import stdtrit  # slow to import
 
         values: Array = getattr(self, quantity)
-        mean, width = float(values.mean()), 0.0
+        mean = float(values.mean())
+        width = 0.0
         if len(values) > 1:
             error = float(values.std(ddof=1)) / math.sqrt(len(values))
             width = float(stdtrit(len(values) - 1, (1 + CONFIDENCE) / 2)) * error

@@ -264,14 +264,16 @@ class Judge(metaclass=Sealed):
             self._fail("terminated", ended, time, reason=_REASONS[info["termination_reason"]])
 
     def _check_largest_tension(self, info: Mapping[str, Array], running: NDArray[np.bool_]) -> None:
-        tensions, bound = info["largest_tensions"], self._largest_bound
+        tensions = info["largest_tensions"]
+        bound = self._largest_bound
         largest = tensions.max(axis=1)
         np.maximum(self._largest_tension, largest, out=self._largest_tension, where=running)
         cable = tensions.argmax(axis=1) + 1
         self._check_upper("overload", largest, bound, info["time"], running, index=cable)
 
     def _check_errors(self, info: Mapping[str, Array], running: NDArray[np.bool_]) -> None:
-        position, rotation = info["tracking_error_peak"], info["rotation_error_peak"]
+        position = info["tracking_error_peak"]
+        rotation = info["rotation_error_peak"]
         np.maximum(self._position_peak, position, out=self._position_peak, where=running)
         np.maximum(self._rotation_peak, rotation, out=self._rotation_peak, where=running)
         self._check_upper("position", position, self._position_bound, info["time"], running)

@@ -130,7 +130,8 @@ def default_payload_max(robot: Robot, trajectory: Trajectory, error_bounds: Erro
 
 def _result(batch: Batch, outcome: SearchOutcome, details: Details, *, ranked: bool) -> DLCCResult:
     """The result of a search."""
-    below, above = outcome.below, outcome.above
+    below = outcome.below
+    above = outcome.above
     payload = failed_payload = violation = assured = None
     gap = 0.0
     if below is not None:
@@ -161,7 +162,9 @@ def _result(batch: Batch, outcome: SearchOutcome, details: Details, *, ranked: b
 def _details(
     batch: Batch, outcome: SearchOutcome, payload_max: float, probability: float, confidence: float
 ) -> Details:
-    conditions, below, above = batch.conditions, outcome.below, outcome.above
+    conditions = batch.conditions
+    below = outcome.below
+    above = outcome.above
     is_drawn = batch.draws > 1
     bounds: dict[str, float | None] = {
         "position": conditions.error_bounds.position,

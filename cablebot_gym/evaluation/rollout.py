@@ -82,7 +82,8 @@ class Rollout:
         np.savez_compressed(path, allow_pickle=False, **self.arrays)
 
     def _write_csv(self, path: Path) -> None:
-        names, columns = [], []
+        names = []
+        columns = []
         for name, array in self.arrays.items():
             flat = array.reshape(len(array), -1).astype(float)
             names += (
@@ -106,14 +107,16 @@ class Recorder:
     """
 
     def __init__(self, indices: Sequence[int], names: Collection[str] | None = None) -> None:
-        self._indices, self._names = list(indices), names
+        self._indices = list(indices)
+        self._names = names
         self._states: list[dict[str, Array]] = []
         self._running: list[NDArray[np.bool_]] = []
         self._reason = np.zeros(len(self._indices), np.int64)
 
     def start(self, env: CableBotVectorEnv, observation: Array, info: dict[str, Any]) -> None:
         """Records the state after the reset."""
-        self._env, tasks = env, env.tasks
+        self._env = env
+        tasks = env.tasks
         self._tasks = [tasks[index] for index in self._indices]
         self._truth = self._env.truth
         self._stall_torque = self._truth["motor_strength"]
@@ -162,7 +165,8 @@ class Recorder:
 
     def _pulley_angle(self) -> Array:
         """Pulley angles of the true robots, (N, m) [rad]."""
-        robot, pose = self._env.settings.robot, self._env.pose
+        robot = self._env.settings.robot
+        pose = self._env.pose
         platform = self._truth.get("platform_anchors", robot.platform)
         lengths = [
             cable_lengths(self._truth["base_anchors"], platform, at, robot.swivel)

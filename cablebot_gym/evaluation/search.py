@@ -115,8 +115,9 @@ def _between(
 ) -> list[float]:
     """Equidistant payloads between two others, each moved by up to the fraction ``jitter`` of the
     distance."""
-    places = (1 + np.arange(count) + rng.uniform(-jitter, jitter, count)) / (count + 1)
-    return [float(payload) for payload in low + (high - low) * places]
+    fractions = (1 + np.arange(count) + rng.uniform(-jitter, jitter, count)) / (count + 1)
+    payloads: list[float] = (low + (high - low) * fractions).tolist()
+    return payloads
 
 
 class Search:
@@ -191,18 +192,18 @@ class Search:
             payloads = self._next_payloads()
             dense_rows, repeated = self._due_checks()
             refined_rows = _rows(payloads, self._batch.seeds)
-            rows = refined_rows + dense_rows + [self._scan_rows[index] for index in repeated]
+            repeated_rows = [self._scan_rows[index] for index in repeated]
+            rows = refined_rows + dense_rows + repeated_rows
             if not rows:
                 return self._confirm()
             verdicts = self._batch.run(rows, count=self._count)
             dense_start = len(refined_rows)
             repeated_start = dense_start + len(dense_rows)
             refined = _trials(payloads, self._batch.seeds, verdicts[:dense_start])
-            self._trials |= {trial.payload: trial for trial in refined}
+            self._store(refined)
             self._add_dense(dense_rows, verdicts[dense_start:repeated_start])
-            self._check_repetition(
-                [self._scan_verdicts[index] for index in repeated], verdicts[repeated_start:]
-            )
+            scan_verdicts = [self._scan_verdicts[index] for index in repeated]
+            self._check_repetition(scan_verdicts, verdicts[repeated_start:])
 
     def _scan(self) -> None:
         """Tries the payloads of the grid, and chooses the episodes to repeat."""
@@ -214,7 +215,7 @@ class Search:
         self._scan_trials = _trials(self._grid, self._scan_seeds, self._scan_verdicts)
         has_other_draws = self._is_scan and self._is_drawn
         if not has_other_draws:  # the scan has the draws of the confirmation
-            self._trials = {trial.payload: trial for trial in self._scan_trials}
+            self._store(self._scan_trials)
         self._dense_due = self._is_scan
         # Drawn in every case: the next payloads depend on the state of the generator.
         shuffled = self._rng.permutation(len(self._scan_rows))
@@ -271,16 +272,15 @@ class Search:
                 self._batch.check_alone(below.payload, self._required, self._count)
                 self._repeat_draws(below)
         rollout, below, above = self._record(below, above)
-        success: _Pairs = ()
+        success = []
         if self._is_drawn:
-            success = tuple(
-                (trial.payload, trial.carried / len(trial.verdicts)) for trial in self._scan_trials
-            )
+            for trial in self._scan_trials:
+                success.append((trial.payload, trial.carried / len(trial.verdicts)))
         return SearchOutcome(
             below=below,
             above=above,
             feasible=self._feasible(below),
-            success=success,
+            success=tuple(success),
             discretisation=discretisation,
             assured=self._assured,
             rollout=rollout,
@@ -307,9 +307,9 @@ class Search:
                 return below, above
             if below is None:
                 assert above is not None
-                lower = max(payload for payload in self._grid if payload < above.payload)
-                verdicts = self._batch.run(_rows([lower], self._batch.seeds), count=self._count)
-                (self._trials[lower],) = _trials([lower], self._batch.seeds, verdicts)
+                lower = [max(payload for payload in self._grid if payload < above.payload)]
+                verdicts = self._batch.run(_rows(lower, self._batch.seeds), count=self._count)
+                self._store(_trials(lower, self._batch.seeds, verdicts))
                 continue
             alone = self._batch.try_alone(below.payload, draws, required, self._count)
             if alone.carried >= required:
@@ -317,9 +317,13 @@ class Search:
             if below.payload == 0:
                 raise self._batch.dependent(alone, below.carried)
             failed = [verdict.carried for verdict in alone.verdicts].index(False)
-            self._trials[below.payload] = replace(
-                alone, verdicts=(alone.verdicts[failed],), seeds=(alone.seeds[failed],)
-            )
+            verdict = alone.verdicts[failed]
+            seed = alone.seeds[failed]
+            self._store([replace(alone, verdicts=(verdict,), seeds=(seed,))])
+
+    def _store(self, trials: Sequence[Trial]) -> None:
+        for trial in trials:
+            self._trials[trial.payload] = trial
 
     def _repeat_draws(self, trial: Trial) -> None:
         """Repeats draws of a payload among other payloads and draws, in another order.
@@ -334,7 +338,8 @@ class Search:
         seeds = derived_seeds(np.random.SeedSequence(), len(draws))
         others = list(map(Row, payloads, seeds))
         verdicts = self._batch.run(repeated + others, count=self._count)
-        self._check_repetition([trial.verdicts[draw] for draw in draws], verdicts[: len(repeated)])
+        before = [trial.verdicts[draw] for draw in draws]
+        self._check_repetition(before, verdicts[: len(repeated)])
 
     def _bracket(self) -> tuple[Trial | None, Trial | None]:
         """The trials on both sides of the first failure: the largest carried payload below it and
@@ -349,7 +354,8 @@ class Search:
 
     def _inside(self, below: Trial, above: Trial) -> list[float]:
         """Payloads that subdivide a gap; none if it is narrow enough."""
-        low, high = below.payload, above.payload
+        low = below.payload
+        high = above.payload
         gap = high - low
         if gap <= self._resolution:
             return []
@@ -360,8 +366,9 @@ class Search:
             # The number of carried draws is nearly linear in such a gap: try both sides of the
             # interpolated payload.
             half_width = max(0.4 * self._resolution, 0.1 * gap)
+            margin = 1.5 * half_width
             center = low + gap * (below.carried - self._required + 0.5) / lost_draws
-            center = min(max(center, low + 1.5 * half_width), high - 1.5 * half_width)
+            center = min(max(center, low + margin), high - margin)
             payloads = [center - half_width, center + half_width]
         # In a gap near the resolution, a payload can fall on an end.
         return [payload for payload in payloads if low < payload < high]
@@ -401,9 +408,7 @@ class Search:
         allowed += int(3 * math.sqrt(allowed))
         if len(failed) > allowed:
             row, verdict = failed[allowed]
-            self._trials[row.payload] = Trial(
-                payload=row.payload, verdicts=(verdict,), seeds=(row.seed,)
-            )
+            self._store([Trial(payload=row.payload, verdicts=(verdict,), seeds=(row.seed,))])
 
     def _discretisation(self, below: Trial | None, above: Trial | None) -> float:
         """Upper bound of the change of the payload under finer physics steps [kg]."""
@@ -415,8 +420,9 @@ class Search:
             spacing = above.payload - payload
         # Growing distances: small changes are resolved, large ones are still found.
         offsets = spacing * 4.0 ** np.arange(7)
-        candidates = {payload, *(payload - offsets).tolist(), *(payload + offsets).tolist()}
-        payloads = sorted(near for near in candidates if 0 <= near <= self._grid[-1])
+        candidates = np.concatenate([[payload], payload - offsets, payload + offsets])
+        is_within = (candidates >= 0) & (candidates <= self._grid[-1])
+        payloads = np.unique(candidates[is_within]).tolist()
         rows = _rows(payloads, self._batch.seeds)
         verdicts = self._batch.run(rows, count=self._count, refinement=FINER)
         carried = [verdict.carried for verdict in verdicts]
@@ -449,20 +455,28 @@ class Search:
             repeats = [(below, first_carried)]
         else:
             # A trial of one draw that is carried has no violation.
-            trials = [trial for trial in (below, above) if trial is not None]
-            repeats = [(trial, trial.violation_draw or 0) for trial in trials]
+            repeats = []
+            for trial in (below, above):
+                if trial is not None:
+                    repeats.append((trial, trial.violation_draw or 0))
         # The rest of the work is known now: the progress ends at 100 %.
         remaining = len(repeats) * batch.task.steps
         self._count.expected = min(self._count.expected, self._count.done + remaining)
-        rows = [Row(trial.payload, trial.seeds[draw]) for trial, draw in repeats]
+        rows = []
+        before = []
+        for trial, draw in repeats:
+            rows.append(Row(trial.payload, trial.seeds[draw]))
+            before.append(trial.verdicts[draw])
         recorder = Recorder([0])
         # The recorded episode runs last: Batch.fallbacks counts those of the last batch.
-        unrecorded = [batch.run([row], count=self._count)[0] for row in rows[1:]]
+        unrecorded = []
+        for row in rows[1:]:
+            unrecorded += batch.run([row], count=self._count)
         verdicts = batch.run(rows[:1], observer=recorder, count=self._count) + unrecorded
         rollout = recorder.rollouts(verdicts)[0]
         if batch.policy.declarations.stochastic:
             return rollout, below, above
-        self._check_repetition([trial.verdicts[draw] for trial, draw in repeats], verdicts)
+        self._check_repetition(before, verdicts)
         if not self._is_drawn:
             if below is not None:
                 below = replace(below, verdicts=(verdicts[0],))
@@ -497,6 +511,7 @@ def _trials(payloads: Sequence[float], seeds: Sequence[int], verdicts: _Verdicts
     draws = len(seeds)
     trials = []
     for index, payload in enumerate(payloads):
-        drawn = tuple(verdicts[index * draws : (index + 1) * draws])
+        start = index * draws
+        drawn = tuple(verdicts[start : start + draws])
         trials.append(Trial(payload=payload, verdicts=drawn, seeds=tuple(seeds)))
     return trials

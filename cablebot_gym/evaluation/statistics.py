@@ -17,19 +17,18 @@ def lower_bound(successes: ArrayLike, draws: int, confidence: float) -> Array:
     from scipy.special import betaincinv  # slow to import
 
     successes = np.asarray(successes)
+    at_least_one = np.maximum(successes, 1)
+    quantile = betaincinv(at_least_one, draws - successes + 1, 1 - confidence)
     # The quantile is undefined without a success, and the bound is 0.
-    return np.where(
-        successes > 0,
-        betaincinv(np.maximum(successes, 1), draws - successes + 1, 1 - confidence),
-        0.0,
-    )
+    return np.where(successes > 0, quantile, 0.0)
 
 
 def interval(successes: int, draws: int, confidence: float) -> tuple[float, float]:
     """Two-sided confidence interval of the success probability (Clopper and Pearson)."""
-    low = float(lower_bound(successes, draws, (1 + confidence) / 2))
-    high = 1 - float(lower_bound(draws - successes, draws, (1 + confidence) / 2))
-    return low, high
+    one_sided = (1 + confidence) / 2
+    low = lower_bound(successes, draws, one_sided)
+    failure_bound = lower_bound(draws - successes, draws, one_sided)
+    return float(low), 1 - float(failure_bound)
 
 
 @cache
@@ -46,10 +45,14 @@ def mid_p_interval(successes: int, draws: int, confidence: float) -> tuple[float
 
     def excess(probability: float, count: int) -> float:
         """Probability of fewer successes and of half of the present ones, minus ``outside``."""
-        fewer = float(bdtr(count - 1, draws, probability)) if count > 0 else 0.0
-        return (fewer + float(bdtr(count, draws, probability))) / 2 - outside
+        fewer = 0.0
+        if count > 0:
+            fewer = float(bdtr(count - 1, draws, probability))
+        at_most = float(bdtr(count, draws, probability))
+        return (fewer + at_most) / 2 - outside
 
-    low, high = 0.0, 1.0
+    low = 0.0
+    high = 1.0
     if successes > 0:
         low = 1 - brentq(excess, 0.0, 1.0, args=(draws - successes,))
     if successes < draws:

@@ -220,7 +220,8 @@ class _Motion:
         Without a carried payload, it is one of the scan: the largest one below the least failed
         one, or one that is ``drop`` places lower.
         """
-        below, above = self.below, self.above
+        below = self.below
+        above = self.above
         if below is None:
             if above is None:
                 return self.grid[-1]

@@ -157,11 +157,13 @@ class _Springs:
 def _springs(robot: Robot) -> _Springs:
     square = robot.pulley_radius**2
     if robot.jointed:
-        mass, friction = robot.motor_inertia / square, robot.motor_damping / square
+        mass = robot.motor_inertia / square
+        friction = robot.motor_damping / square
         stiffness = robot.stiffness / square
         damping = np.zeros(robot.cables)
     else:
-        mass, friction = robot.pulley_inertia / square, robot.damping / square
+        mass = robot.pulley_inertia / square
+        friction = robot.damping / square
         length = _lengths(robot, robot.home) + robot.extra_length
         stiffness = robot.axial_stiffness / length
         damping = robot.axial_damping / length

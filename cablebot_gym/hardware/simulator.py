@@ -253,7 +253,8 @@ class SimulatedBoards:
             if due <= self.time:
                 self._delayed.remove(entry)
                 self.output[port].append(line)
-        early, self._early = self._early, []
+        early = self._early
+        self._early = []
         for port, line in early:
             self._obey(port, line)
 

@@ -242,7 +242,10 @@ def _add_cables(
     """Anchors and tensions of the cables of a set."""
     frame = joint.frame
     across = [axis for axis in range(3) if axis not in joint.axes]
-    bases, anchors, radii, forces = [], [], [], []
+    bases = []
+    anchors = []
+    radii = []
+    forces = []
     for index, cable in enumerate(cables, 1):
         name = cable.get("name") or f"cable {index}"
         if "passive" in cable.tag:

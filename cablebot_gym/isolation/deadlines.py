@@ -54,7 +54,9 @@ class _Time:
     """
 
     def __init__(self, deadline: float, *, call: int = 1, everything: int = 1) -> None:
-        self._deadline, self._call, self._all = deadline, call, everything
+        self._deadline = deadline
+        self._call = call
+        self._all = everything
         self._total = self._process = 0.0
 
     def start_process(self) -> None:

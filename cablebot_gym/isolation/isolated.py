@@ -81,7 +81,8 @@ class IsolatedPolicy:
         self._process: PolicyProcess | None = None
         self._fresh = False
         self._deadlines = Deadlines(deadline)
-        self._spec, robot = PolicySpec.parse(name), as_robot(robot)
+        self._spec = PolicySpec.parse(name)
+        robot = as_robot(robot)
         self._cables = robot.cables
         if not all(isinstance(wrapper, (str, Path)) for wrapper in wrappers):
             raise ValueError(
@@ -228,7 +229,8 @@ class IsolatedPolicy:
             or "error" not in content
         ):
             raise self._failed("its process sent invalid data")
-        cause, index = plain(content["error"]), content.get("index")
+        cause = plain(content["error"])
+        index = content.get("index")
         if reply_kind == INVALID:
             self.close()
             raise ValueError(cause)

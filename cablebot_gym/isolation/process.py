@@ -192,7 +192,8 @@ class PolicyProcess:
         """The next reply, with samples of the processor time while it is awaited."""
         start = time.monotonic()
         while True:
-            reply, is_late = None, True
+            reply = None
+            is_late = True
             remaining = max(start + seconds - time.monotonic(), 0.0)
             with suppress(queue.Empty):
                 reply = self._replies.get(timeout=min(remaining, SAMPLING))
@@ -281,7 +282,8 @@ def _processes_of(number: int) -> list[int]:
     """
     if not sys.platform.startswith("linux"):
         return []
-    processes, limit = [], f" {memory_limit(number)} "
+    processes = []
+    limit = f" {memory_limit(number)} "
     for path in Path("/proc").glob("[0-9]*/limits"):
         with suppress(OSError):
             if limit in path.read_text(encoding="ascii"):
@@ -302,7 +304,8 @@ def processor_time_of(number: int) -> float:
         with suppress(OSError, ValueError, IndexError):
             # the name of the program, in parentheses, can hold spaces and parentheses
             fields = path.read_bytes().rpartition(b")")[2].split()
-            process, parent = int(path.parent.name), int(fields[1])
+            process = int(path.parent.name)
+            parent = int(fields[1])
             times[process] = sum(map(int, fields[11:15]))  # user and system, own and of children
             children.setdefault(parent, []).append(process)
     counted: set[int] = set()

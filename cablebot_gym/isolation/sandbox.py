@@ -110,7 +110,8 @@ def sandboxed(
     from cablebot_gym.physics.code_cache import code_folders  # as above
 
     check_sandbox()
-    home, working = Path.home(), Path.cwd()
+    home = Path.home()
+    working = Path.cwd()
     (folder / "home").mkdir()
     prefixes = {
         Path(prefix).absolute() for prefix in (sys.prefix, sys.exec_prefix, sys.base_prefix)

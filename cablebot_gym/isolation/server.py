@@ -161,11 +161,15 @@ def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
         try:
             body = methods[kind](*pickle.loads(request))
         except BaseException as error:
-            failure, text, index = FAILURE, raised(error), None
+            failure = FAILURE
+            text = raised(error)
+            index = None
             if isinstance(error, PolicyError):
-                text, index = error.cause, error.index
+                text = error.cause
+                index = error.index
             elif kind == LOAD and isinstance(error, (ValueError, ImportError)):
-                failure, text = INVALID, str(error)
+                failure = INVALID
+                text = str(error)
             send_frame(
                 replies, failure, json.dumps({"error": text[:4000], "index": index}).encode()
             )
@@ -183,7 +187,8 @@ def main() -> None:
     os.dup2(null, 1)
     _limit_resources()
     # the policy may change the environment variables
-    parent, folder = (os.getppid(), tempfile.gettempdir())
+    parent = os.getppid()
+    folder = tempfile.gettempdir()
     threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
     with suppress(OSError):  # the parent process is gone, or the policy has closed the pipes
         serve(requests, replies)

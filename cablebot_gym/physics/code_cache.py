@@ -52,7 +52,8 @@ class CodeCache(_Cache):
     """
 
     def __init__(self, function: Any, announce: Callable[[], None]) -> None:
-        self._function, self._announce = function, announce
+        self._function = function
+        self._announce = announce
         self._enabled = True
 
     @property
@@ -179,7 +180,8 @@ def _checked(data: bytes) -> bytes:
     Raises:
         ValueError: if the file is truncated or changed.
     """
-    digest, content = data[:_DIGEST], data[_DIGEST:]
+    digest = data[:_DIGEST]
+    content = data[_DIGEST:]
     if hashlib.sha256(content).digest() != digest:
         raise ValueError("its checksum is wrong")
     return content

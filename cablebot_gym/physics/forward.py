@@ -47,7 +47,8 @@ def _prepared(robot: Robot) -> tuple[kernel.Form, Array, float]:
     form = form_of(robot)._replace(jointed=False, elastic=False, load_friction=False)
     rows = pack_parameters(robot)
     m = robot.cables
-    rows[kernel.MASS], rows[kernel.GRAVITY] = _DAMPING * m, 0.0
+    rows[kernel.MASS] = _DAMPING * m
+    rows[kernel.GRAVITY] = 0.0
     rows[kernel.INERTIA : kernel.INERTIA + 3] = _DAMPING * max(np.sum(robot.platform**2), 1e-6)
     if form.lopsided:
         first = kernel.body_parameter(m) + kernel.PRODUCTS
@@ -78,7 +79,8 @@ def forward_kinematics(
     all_finite("lengths", lengths)
     all_finite("guess", guess)
     lengths = np.asarray(lengths, float)
-    (m, n) = (robot.cables, robot.coordinates)
+    m = robot.cables
+    n = robot.coordinates
     shape = lengths.shape[:-1]
     if lengths.shape[-1:] != (m,) or np.shape(guess)[-1:] != (n,):
         raise ValueError(

@@ -38,7 +38,8 @@ def home_at_rest(robot: Robot, mass: float, minimum: float) -> RestPose:
         ValueError: if a platform on fewer cables than coordinates does not hang near home.
     """
     if robot.hanging:
-        return hanging_pose(robot, mass, textbook.cable_lengths(robot, robot.home), robot.home)
+        home_lengths = textbook.cable_lengths(robot, robot.home)
+        return hanging_pose(robot, mass, home_lengths, robot.home)
     torques = textbook.static_torque(robot, mass, robot.home, minimum=minimum)
     return RestPose(pose=robot.home, tensions=torques / robot.pulley_radius)
 
@@ -60,33 +61,36 @@ def hanging_pose(robot: Robot, mass: float, lengths: ArrayLike, near: ArrayLike)
     """
     lengths = np.asarray(lengths, float)
     start = np.asarray(near, float)
-    n, m = robot.coordinates, robot.cables
+    m = robot.cables
+    n = robot.coordinates
     still = np.zeros(n)
     weight = mass * robot.gravity
 
     def errors(unknowns: Array) -> Array:
         """Unbalanced forces over the weight, and errors of the lengths; T is over the weight."""
-        pose, tensions = unknowns[:n], unknowns[n:]
+        pose, tensions = np.split(unknowns, [n])
         forces = textbook.bias(robot, mass, pose, still) / weight
         forces = forces + textbook.jacobian(robot, pose).T @ tensions
-        return np.concatenate([forces, textbook.cable_lengths(robot, pose) - lengths])
+        length_errors = textbook.cable_lengths(robot, pose) - lengths
+        return np.concatenate([forces, length_errors])
 
     def slopes(unknowns: Array) -> Array:
-        pose, tensions = unknowns[:n], unknowns[n:]
+        pose, tensions = np.split(unknowns, [n])
         structure = textbook.jacobian(robot, pose)
         stiffness = textbook.weight_stiffness(robot, mass, pose) / weight
         stiffness += textbook.tension_stiffness(robot, pose, tensions)
         return np.block([[stiffness, structure.T], [structure, np.zeros((m, m))]])
 
     forces = textbook.bias(robot, mass, start, still) / weight
-    first = np.linalg.lstsq(-textbook.jacobian(robot, start).T, forces, rcond=None)[0]
-    near_rest = np.concatenate([start, first])
+    to_forces = -textbook.jacobian(robot, start).T
+    start_tensions = np.linalg.lstsq(to_forces, forces, rcond=None)[0]
+    near_rest = np.concatenate([start, start_tensions])
     solution = root(errors, near_rest, jac=slopes, options={"xtol": 1e-13}).x
     largest_error = np.max(np.abs(errors(solution)))
     if not largest_error < _TOLERANCE:
         raise ValueError(f"{robot.name}: no pose at rest near {start.tolist()} has these lengths")
-    pose = solution[:n]
-    tensions = weight * solution[n:]
+    pose, tensions = np.split(solution, [n])
+    tensions = weight * tensions
     if tensions.min() <= 0:
         slack = int(np.argmin(tensions)) + 1
         raise ValueError(f"{robot.name}: cable {slack} is slack at rest with these lengths")

@@ -63,7 +63,8 @@ def inverse_dynamics(
     results = np.empty((4, *shape))
     if robot.cables > robot.coordinates and robot.kind != "planar":
         required = demands(robot, masses, motion)
-        results[2], results[3] = required.speeds, required.pulley_accelerations
+        results[2] = required.speeds
+        results[3] = required.pulley_accelerations
         results[0] = distribute(
             robot, required.structure, required.load, results[2], results[3], minimum
         )
@@ -105,7 +106,8 @@ def demands(robot: Robot, mass: Array, motion: Array) -> Demands:
         motion: X, Ẋ and Ẍ, shape (3, ..., n).
     """
     form, packed = _prepared(robot)
-    m, n = robot.cables, robot.coordinates
+    m = robot.cables
+    n = robot.coordinates
     structure = np.empty((*mass.shape, m, n))
     load, y = np.empty((2, *mass.shape, n))
     speeds, accelerations = pulleys = np.empty((2, *mass.shape, m))
@@ -132,8 +134,12 @@ def _checked(
         raise ValueError(
             f"poses of {robot.name} need {robot.coordinates} coordinates; the arrays have shape {shape}"
         )
-    motion, masses = np.empty((3, *shape)), np.empty(shape[:-1])
-    motion[0], motion[1], motion[2], masses[...] = pose, velocity, acceleration, mass
+    motion = np.empty((3, *shape))
+    masses = np.empty(shape[:-1])
+    motion[0] = pose
+    motion[1] = velocity
+    motion[2] = acceleration
+    masses[...] = mass
     all_finite("pose, velocity and acceleration", motion)
     all_finite("mass", masses)
     return masses, motion

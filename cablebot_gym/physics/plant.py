@@ -10,19 +10,21 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from cablebot_gym.kinematics import Array, cable_lengths
+from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel
 from cablebot_gym.physics.compiling import load_numba
+from cablebot_gym.physics.textbook import cable_lengths
 from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.uncertainty import RobotArrays
 
 
 def form_of(robot: RobotArrays) -> kernel.Form:
     """Form of a robot, for which the kernel is compiled."""
-    tensor = robot.inertia_tensor
-    products = tensor[..., (0, 0, 1), (1, 2, 2)]
+    is_lopsided = robot.kind == "planar-platform" or bool(
+        np.any(robot.mass_center) or np.any(_products_of_inertia(robot))
+    )
     return kernel.Form(
         dimensions=robot.dimensions,
         coordinates=robot.coordinates,
@@ -30,10 +32,14 @@ def form_of(robot: RobotArrays) -> kernel.Form:
         jointed=robot.jointed,
         elastic=robot.elastic,
         swivel=robot.swivel is not None,
-        lopsided=robot.kind == "planar-platform"
-        or bool(np.any(robot.mass_center) or np.any(products)),
+        lopsided=is_lopsided,
         load_friction=bool(np.any(robot.load_friction)),
     )
+
+
+def _products_of_inertia(robot: RobotArrays) -> Array:
+    """xy, xz and yz components of the inertia tensor, shape (..., 3)."""
+    return robot.inertia_tensor[..., (0, 0, 1), (1, 2, 2)]
 
 
 def pack_parameters(robot: RobotArrays) -> Array:
@@ -42,68 +48,72 @@ def pack_parameters(robot: RobotArrays) -> Array:
     batch = robot.base.shape[:-2]
     form = form_of(robot)
     rows = np.zeros((*batch, kernel.parameter_rows(form)))
+    d = robot.dimensions
+    radius = robot.pulley_radius
+    moments = np.diagonal(robot.inertia_tensor, axis1=-2, axis2=-1)
     rows[..., kernel.MASS] = robot.mass
-    tensor, columns = robot.inertia_tensor, robot.dimensions
-    rows[..., kernel.INERTIA : kernel.INERTIA + 3] = np.diagonal(tensor, axis1=-2, axis2=-1)
+    rows[..., kernel.INERTIA : kernel.INERTIA + 3] = moments
+    rows[..., kernel.GRAVITY] = robot.gravity_vector[-1]
+    rows[..., kernel.FRICTION_SPEED] = robot.transmission.friction_speed
     if form.lopsided:
         body = rows[..., kernel.body_parameter(robot.cables) :]
-        body[..., kernel.PRODUCTS : kernel.PRODUCTS + 3] = tensor[..., (0, 0, 1), (1, 2, 2)]
-        body[..., kernel.CENTER : kernel.CENTER + columns] = robot.mass_center
-    rows[..., kernel.GRAVITY] = robot.gravity_vector[-1]
+        body[..., kernel.PRODUCTS : kernel.PRODUCTS + 3] = _products_of_inertia(robot)
+        body[..., kernel.CENTER : kernel.CENTER + d] = robot.mass_center
     cables = np.zeros((*batch, robot.cables, kernel.CABLE_PARAMETERS))
-    cables[..., kernel.BASE : kernel.BASE + columns] = robot.base
-    cables[..., kernel.PLATFORM : kernel.PLATFORM + columns] = robot.platform - robot.mass_center
-    cables[..., kernel.PER_RADIUS] = 1 / robot.pulley_radius
-    cables[..., kernel.INERTIA_PER_RADIUS2] = robot.pulley_inertia / robot.pulley_radius**2
-    cables[..., kernel.DAMPING_PER_RADIUS2] = robot.damping / robot.pulley_radius**2
+    cables[..., kernel.BASE : kernel.BASE + d] = robot.base
+    cables[..., kernel.PLATFORM : kernel.PLATFORM + d] = robot.platform - robot.mass_center
+    cables[..., kernel.PER_RADIUS] = 1 / radius
+    cables[..., kernel.INERTIA_PER_RADIUS2] = robot.pulley_inertia / radius**2
+    cables[..., kernel.DAMPING_PER_RADIUS2] = robot.damping / radius**2
+    cables[..., kernel.STALL] = robot.stall_torque
+    cables[..., kernel.SLOPE] = robot.speed_slope
+    cables[..., kernel.LAG] = robot.motor_lag
+    cables[..., kernel.COULOMB_FRICTION] = robot.coulomb_friction
+    if robot.flexible:
+        home_length = cable_lengths(robot, robot.home)
     if robot.jointed:
         cables[..., kernel.STIFFNESS] = robot.stiffness
         cables[..., kernel.PER_MOTOR_INERTIA] = 1 / robot.motor_inertia
         cables[..., kernel.MOTOR_DAMPING] = robot.motor_damping
-        cables[..., kernel.HOME_LENGTH] = cable_lengths(
-            robot.base, robot.platform, robot.home, robot.swivel
-        )
-    cables[..., kernel.STALL] = robot.stall_torque
-    cables[..., kernel.SLOPE] = robot.speed_slope
-    cables[..., kernel.LAG] = robot.motor_lag
-    rows[..., kernel.FRICTION_SPEED] = robot.transmission.friction_speed
-    cables[..., kernel.COULOMB_FRICTION] = robot.coulomb_friction
+        cables[..., kernel.HOME_LENGTH] = home_length
     if form.stretches:
         stretch = np.zeros((*batch, robot.cables, kernel.STRETCH_PARAMETERS))
-        stretch[..., kernel.RADIUS] = robot.pulley_radius
+        stretch[..., kernel.RADIUS] = radius
         stretch[..., kernel.LOAD_FRICTION] = robot.load_friction
         if robot.swivel is not None:
             stretch[..., kernel.SWIVEL] = robot.swivel
         if robot.elastic:
-            home = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)
             stretch[..., kernel.PER_PULLEY_INERTIA] = 1 / robot.pulley_inertia
             stretch[..., kernel.AXIAL_STIFFNESS] = robot.axial_stiffness
             stretch[..., kernel.AXIAL_DAMPING] = robot.axial_damping
-            stretch[..., kernel.FULL_LENGTH] = home + robot.extra_length
+            stretch[..., kernel.FULL_LENGTH] = home_length + robot.extra_length
             stretch[..., kernel.EXTRA_LENGTH] = robot.extra_length
-        rows[..., kernel.stretch_parameter(robot.cables, form.lopsided) :] = stretch.reshape(
-            *batch, -1
-        )
-    rows[..., kernel.FIRST_CABLE_PARAMETER : kernel.body_parameter(robot.cables)] = cables.reshape(
-        *batch, -1
-    )
+        start = kernel.stretch_parameter(robot.cables, form.lopsided)
+        rows[..., start:] = stretch.reshape(*batch, -1)
+    rows[..., _cable_rows(robot)] = cables.reshape(*batch, -1)
     return rows
+
+
+def _cable_rows(robot: RobotArrays) -> slice:
+    """Rows of the parameters of all cables."""
+    return slice(kernel.FIRST_CABLE_PARAMETER, kernel.body_parameter(robot.cables))
 
 
 def kernel_memory(*shape: int) -> Array:
     """Array of zeros that starts at a cache line; loads across two lines make the kernel 20 %
     slower."""
-    count, line = math.prod(shape), 64
+    count = math.prod(shape)
+    line = 64  # bytes of a cache line
     memory = np.zeros(count + line // 8)
-    first = -memory.ctypes.data % line // 8
-    return memory[first : first + count].reshape(shape)
+    start = -memory.ctypes.data % line // 8
+    return memory[start : start + count].reshape(shape)
 
 
 def _parts_of(tiles: int, parts: int) -> tuple[slice, ...]:
     """Tiles of each of at most ``parts`` parts, which are nearly equal."""
     parts = min(parts, tiles)
     edges = [tiles * part // parts for part in range(parts + 1)]
-    return tuple(slice(first, last) for first, last in pairwise(edges))
+    return tuple(slice(start, stop) for start, stop in pairwise(edges))
 
 
 class Plant:
@@ -124,10 +134,11 @@ class Plant:
         self, robot: Robot, count: int, *, cable: Cable = "unilateral", parts: int = 1
     ) -> None:
         load_numba()
-        self.robot, self.count = robot, count
+        self.robot = robot
+        self.count = count
         self.unilateral = cable == "unilateral"
         self.lanes = 1 if count == 1 else kernel.LANES
-        tiles = -(-count // self.lanes)
+        tiles = -(-count // self.lanes)  # rounded up
         self.width = tiles * self.lanes
         """Number of lanes in memory: N plus the padding of the last tile."""
         self._tiles = _parts_of(tiles, parts)
@@ -136,9 +147,9 @@ class Plant:
             for tile in self._tiles
         )
         """Robots of each part of the batch."""
-        self._form = form = form_of(robot)
-        self._parameters = kernel_memory(tiles, kernel.parameter_rows(form) * self.lanes)
-        self.record = kernel_memory(tiles, kernel.record_rows(form) * self.lanes)
+        self._form = form_of(robot)
+        self._parameters = kernel_memory(tiles, self._parameter_rows * self.lanes)
+        self.record = kernel_memory(tiles, kernel.record_rows(self._form) * self.lanes)
         """The kernel's record; ``kernel`` defines its rows."""
         self.trajectory_index = np.zeros(self.width, np.int64)
         """Index of the reference trajectory of each lane, shape (width,)."""
@@ -150,9 +161,8 @@ class Plant:
         self._has_friction = False
         """Whether some robot has had Coulomb friction so far."""
         self._bind()
-        self.set_parameters(
-            np.arange(count), np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows))
-        )
+        parameters = np.broadcast_to(pack_parameters(robot), (count, self._parameter_rows))
+        self.set_parameters(np.arange(count), parameters)
 
     def __getstate__(self) -> dict[str, Any]:
         """The attributes without those of :meth:`_bind`."""
@@ -172,8 +182,8 @@ class Plant:
         """Makes the views of the arrays, which copies and pickles lose, and finds the compiled
         function."""
         self._advance = kernel.compiled(self._form, self.lanes).advance
-        first = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
-        self._action = self._view(self.record, first, self.robot.cables, kernel.CABLE_RECORDS)
+        start = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
+        self._action = self._view(self.record, start, self.robot.cables, kernel.CABLE_RECORDS)
         self._memory = tuple(self._memory_of(tiles) for tiles in self._tiles)
 
     def _memory_of(
@@ -201,11 +211,17 @@ class Plant:
 
     def _write(self, memory: Array, row: int, index: Array, values: Array, stride: int = 1) -> None:
         view = self._view(memory, row, values.shape[-1], stride)
-        view[index // self.lanes, :, index % self.lanes] = values
-        if self.count - 1 in index:
-            padding = np.arange(self.count, self.width)
-            last = view[(self.count - 1) // self.lanes, :, (self.count - 1) % self.lanes]
-            view[padding // self.lanes, :, padding % self.lanes] = last
+        tile, lane = np.divmod(index, self.lanes)
+        view[tile, :, lane] = values
+        if self.count - 1 in index:  # the padding repeats the last robot
+            tile, lane = np.divmod(np.arange(self.count - 1, self.width), self.lanes)
+            view[tile[1:], :, lane[1:]] = view[tile[0], :, lane[0]]
+
+    def _write_cables(self, row: int, index: ArrayLike, values: ArrayLike) -> None:
+        """Writes a row of the record per cable, values (len(index), m)."""
+        start = kernel.FIRST_CABLE_RECORD + row
+        values = np.asarray(values, float)
+        self._write(self.record, start, np.asarray(index), values, kernel.CABLE_RECORDS)
 
     def set_parameters(self, index: Array, rows: Array) -> None:
         """Sets the parameters of the robots at ``index`` and resets their external wrench to zero.
@@ -216,11 +232,11 @@ class Plant:
         """
         rows = np.asarray(rows, float)
         self._write(self._parameters, 0, np.asarray(index), rows)
-        cables = rows[:, kernel.FIRST_CABLE_PARAMETER : kernel.body_parameter(self.robot.cables)]
-        self._has_lag |= bool(np.any(cables[:, kernel.LAG :: kernel.CABLE_PARAMETERS]))
-        self._has_friction |= bool(
-            np.any(cables[:, kernel.COULOMB_FRICTION :: kernel.CABLE_PARAMETERS])
-        )
+        cables = rows[:, _cable_rows(self.robot)]
+        lags = cables[:, kernel.LAG :: kernel.CABLE_PARAMETERS]
+        frictions = cables[:, kernel.COULOMB_FRICTION :: kernel.CABLE_PARAMETERS]
+        self._has_lag |= bool(np.any(lags))
+        self._has_friction |= bool(np.any(frictions))
 
     def set_wrench(self, index: Array, force: Array, moment: Array | None = None) -> None:
         """Sets the external wrench on the platforms of the robots at ``index``. It stays until it
@@ -233,13 +249,11 @@ class Plant:
             moment: moment in the base frame [N·m], shape (k, 3), or (k, 1) about the normal of a
                 plane; None for zero. Has no effect on a point mass.
         """
-        index, force = np.asarray(index), np.asarray(force, float)
         wrench = np.zeros((len(index), 6))
-        wrench[:, : force.shape[-1]] = force
+        wrench[:, : np.shape(force)[-1]] = force
         if moment is not None:
-            moment = np.asarray(moment, float)
-            wrench[:, 6 - moment.shape[-1] :] = moment
-        self._write(self._parameters, kernel.FORCE, index, wrench)
+            wrench[:, 6 - np.shape(moment)[-1] :] = moment
+        self._write(self._parameters, kernel.FORCE, np.asarray(index), wrench)
 
     def set_state(self, index: Array, pose: Array, velocity: Array) -> None:
         """Resets the robots at ``index`` to poses X and velocities Ẋ, each (len(index), n), and to
@@ -258,24 +272,17 @@ class Plant:
 
         With elastic cables and without joint springs they are those of the pulleys.
         """
-        first = kernel.FIRST_CABLE_RECORD
-        for row, values in ((kernel.MOTOR_ANGLE, angle), (kernel.MOTOR_SPEED, speed)):
-            self._write(
-                self.record,
-                first + row,
-                np.asarray(index),
-                np.asarray(values, float),
-                kernel.CABLE_RECORDS,
-            )
+        self._write_cables(kernel.MOTOR_ANGLE, index, angle)
+        self._write_cables(kernel.MOTOR_SPEED, index, speed)
 
     def set_pulleys(self, index: Array, angle: Array, speed: Array) -> None:
         """Sets pulley angles β and speeds β̇, each (len(index), m), between joint springs and
         elastic cables."""
+        start = kernel.pulley_record(self.robot.cables)
         for row, values in enumerate((angle, speed)):
-            first = kernel.pulley_record(self.robot.cables) + row
             self._write(
                 self.record,
-                first,
+                start + row,
                 np.asarray(index),
                 np.asarray(values, float),
                 kernel.PULLEY_RECORDS,
@@ -286,15 +293,10 @@ class Plant:
 
         A lag starts from them, within the stall torques.
         """
-        index = np.asarray(index)
-        first = kernel.FIRST_CABLE_RECORD
-        stride = kernel.CABLE_RECORDS
         row = kernel.FIRST_CABLE_PARAMETER + kernel.STALL
         stall = self._read(self._parameters, row, self.robot.cables, kernel.CABLE_PARAMETERS)[index]
-        self._write(self.record, first + kernel.TORQUE, index, torques, stride)
-        self._write(
-            self.record, first + kernel.LAGGED, index, np.clip(torques, -stall, stall), stride
-        )
+        self._write_cables(kernel.TORQUE, index, torques)
+        self._write_cables(kernel.LAGGED, index, np.clip(torques, -stall, stall))
 
     def set_action(self, action: Array) -> None:
         """Sets the actions of all robots, shape (N, m), or (m,) for one robot."""
@@ -303,8 +305,7 @@ class Plant:
         elif self.width == self.count:
             self._action[...] = action.reshape(-1, self.lanes, self.robot.cables).transpose(0, 2, 1)
         else:
-            first = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
-            self._write(self.record, first, np.arange(self.count), action, kernel.CABLE_RECORDS)
+            self._write_cables(kernel.DEMAND, np.arange(self.count), action)
 
     def advance(self, references: Array, ends: Array, *, substeps: int, step: float) -> None:
         """Advances all robots by one control period of ``substeps`` RK4 steps.
@@ -369,18 +370,22 @@ class Plant:
     @property
     def pulley_angle(self) -> Array:
         """Pulley angles β of robots with elastic cables, shape (N, m) [rad]."""
-        return self._pulley(0) if self.robot.jointed else self.motor_angle
+        if self.robot.jointed:
+            return self._pulley(0)
+        return self.motor_angle
 
     @property
     def pulley_speed(self) -> Array:
         """Pulley speeds β̇ of robots with elastic cables, shape (N, m) [rad/s]."""
-        return self._pulley(1) if self.robot.jointed else self.motor_speed
+        if self.robot.jointed:
+            return self._pulley(1)
+        return self.motor_speed
 
     def _pulley(self, row: int) -> Array:
-        first = kernel.pulley_record(self.robot.cables) + row
-        return self._read(self.record, first, self.robot.cables, kernel.PULLEY_RECORDS)
+        start = kernel.pulley_record(self.robot.cables) + row
+        return self._read(self.record, start, self.robot.cables, kernel.PULLEY_RECORDS)
 
     def per_cable(self, row: int) -> Array:
         """A row of the record per cable, such as ``kernel.TENSION``, shape (N, m)."""
-        first = kernel.FIRST_CABLE_RECORD + row
-        return self._read(self.record, first, self.robot.cables, kernel.CABLE_RECORDS)
+        start = kernel.FIRST_CABLE_RECORD + row
+        return self._read(self.record, start, self.robot.cables, kernel.CABLE_RECORDS)

@@ -68,10 +68,9 @@ def catenary(
         ValueError: if a number is not finite.
     """
     _check_finite(across=across, rise=rise, tension=tension, weight=weight)
-    across, rise, tension, weight = np.broadcast_arrays(
-        *(np.asarray(a, float) for a in (across, rise, tension, weight))
-    )
-    height = np.abs(rise)
+    tension = np.asarray(tension, float)
+    weight = np.asarray(weight, float)
+    across, height, tension, weight = np.broadcast_arrays(across, np.abs(rise), tension, weight)
     chord = np.hypot(across, height)
     # With a = H/w, μ = d/(2a): the length is √(h² + (d sinh μ/μ)²), and the slope in the middle is
     # sinh ξ.
@@ -79,20 +78,20 @@ def catenary(
     with np.errstate(over="ignore", invalid="ignore"):  # infinite where sinh μ overflows
         longer = _sinh_excess(ratio) / np.where(ratio > 0, ratio, 1.0)  # sinh μ/μ − 1
         stretched = across * (1 + longer)
-        length = np.hypot(height, stretched)
+        both_lengths = np.hypot(height, stretched) + chord  # of cable and chord
         # length − chord without cancellation
-        extra = across * longer * ((stretched + across) / (length + chord))
+        extra = across * longer * ((stretched + across) / both_lengths)
         # The cable is furthest from the chord where its slope is that of the chord, h/d = sinh ξ′.
         # This point is a (ξ′ − ξ) from the middle, nearer to the upper end, and
         # sinh(ξ′ − ξ) = h (length − chord)/(d² sinh μ/μ).
-        shift = np.arcsinh(height * (longer / (1 + longer)) * ((2 + longer) / (length + chord)))
+        shift = np.arcsinh(height * (longer / (1 + longer)) * ((2 + longer) / both_lengths))
         to_upper_end = ratio - shift  # in units of a
         # Gap between chord and cable, from the upper end, with a cosh ξ′ = T/w
         gap = 2 * np.sinh(to_upper_end / 2) ** 2
         gap = gap + height / chord * _sinh_excess(to_upper_end)
         sag = tension / np.where(weight > 0, weight, 1.0) * gap * across / chord
-    is_cable = np.isfinite(stretched)
-    return np.where(is_cable, sag, np.inf), np.where(is_cable, extra, np.inf)
+    is_too_long = ~np.isfinite(stretched)
+    return np.where(is_too_long, np.inf, sag), np.where(is_too_long, np.inf, extra)
 
 
 def parabola(
@@ -103,10 +102,12 @@ def parabola(
     The limit of :func:`catenary`, with the same arguments, for ``w L ≪ T``.
     """
     _check_finite(across=across, rise=rise, tension=tension, weight=weight)
-    across, rise, tension = (np.asarray(a, float) for a in (across, rise, tension))
+    tension = np.asarray(tension, float)
     chord = np.hypot(across, rise)
     normal = np.asarray(weight, float) * across / chord
-    return normal * chord**2 / (8 * tension), normal**2 * chord**3 / (24 * tension**2)
+    sag = normal * chord**2 / (8 * tension)
+    extra = normal**2 * chord**3 / (24 * tension**2)
+    return sag, extra
 
 
 def sag(robot: Robot, pose: ArrayLike, tensions: ArrayLike) -> Sag:
@@ -115,27 +116,37 @@ def sag(robot: Robot, pose: ArrayLike, tensions: ArrayLike) -> Sag:
     _check_finite(tensions=tensions)
     tensions = np.asarray(tensions, float)
     across, rise = _chords(robot, pose)
-    chord, weight = np.hypot(across, rise), _weights(robot)
+    weight = _weights(robot)
     depth, extra = catenary(across, rise, tensions, weight)
     bending = (weight * across / tensions) ** 2
-    stiffness = robot.axial_stiffness if robot.elastic else np.full(robot.cables, np.inf)
-    with np.errstate(invalid="ignore"):
+    stiffness = np.full(robot.cables, np.inf)
+    if robot.elastic:
+        stiffness = robot.axial_stiffness
+    with np.errstate(invalid="ignore"):  # 0 · ∞ of a cable without weight
         irvine = np.where(bending > 0, bending * stiffness / tensions, 0.0)
-    length = np.broadcast_to(chord, tensions.shape)
+    length = np.broadcast_to(np.hypot(across, rise), tensions.shape)
     return Sag(length=length, sag=depth, extra_length=extra, irvine=irvine)
 
 
 def _chords(robot: Robot, pose: ArrayLike) -> tuple[Array, Array]:
     """Horizontal and vertical distance of the ends of the cables, each (..., m) [m]."""
     vectors = kinematics.cable_vectors(robot.base, robot.platform, pose)
-    if robot.planar and robot.plane == "horizontal":
-        return np.linalg.norm(vectors, axis=-1), np.zeros(vectors.shape[:-1])
-    return np.linalg.norm(vectors[..., :-1], axis=-1), vectors[..., -1]
+    rise = vectors[..., -1]
+    if _is_level(robot):
+        return np.linalg.norm(vectors, axis=-1), np.zeros_like(rise)
+    return np.linalg.norm(vectors[..., :-1], axis=-1), rise
+
+
+def _is_level(robot: Robot) -> bool:
+    """Whether the robot moves in a horizontal plane, from which its cables sag."""
+    return robot.planar and robot.plane == "horizontal"
 
 
 def _weights(robot: Robot) -> Array:
     """Weight of the cables per length, shape (m,) [N/m]."""
-    gravity = GRAVITY if robot.planar and robot.plane == "horizontal" else robot.gravity
+    gravity = robot.gravity
+    if _is_level(robot):
+        gravity = GRAVITY
     return gravity * robot.per_motor(robot.cable_density)
 
 
@@ -172,43 +183,46 @@ def settle(robot: Robot, mass: float, pose: ArrayLike, tensions: ArrayLike) -> S
     straight = np.asarray(tensions, float)
     structure = textbook.jacobian(robot, pose)
     across, rise = _chords(robot, pose)
-    chord, weight = np.hypot(across, rise), _weights(robot)
-    bent = (weight * across) ** 2 * chord / 24
-    soft = chord / robot.axial_stiffness if robot.elastic else np.zeros(robot.cables)
-    load = textbook.bias(robot, mass, pose, np.zeros_like(pose)) + _cable_weight(
-        robot, pose, weight * chord / 2
-    )
-    if not np.any(bent):
-        return Settled(pose_change=np.zeros_like(pose), tensions=straight)
+    chord = np.hypot(across, rise)
+    weight = _weights(robot)
+    sagging = (weight * across) ** 2 * chord / 24  # extra length times T²
+    compliance = np.zeros(robot.cables)
+    if robot.elastic:
+        compliance = chord / robot.axial_stiffness
+    change = np.zeros_like(pose)
+    load = textbook.bias(robot, mass, pose, change)
+    load = load + _cable_weight(robot, pose, weight * chord / 2)
+    if not np.any(sagging):
+        return Settled(pose_change=change, tensions=straight)
 
-    def tension(stretch: Array) -> Array:
-        low, high = np.full(robot.cables, -20.0), np.full(robot.cables, 30.0)  # of log T
+    def tensions_of(stretch: Array) -> Array:
+        """Tensions of chords that are longer by ``stretch``, by bisection of their logarithms."""
+        low = np.full(robot.cables, -20.0)
+        high = np.full(robot.cables, 30.0)
         for _ in range(100):
             middle = (low + high) / 2
-            value = np.exp(middle)
-            longer = (value - straight) * soft - bent / value**2 < stretch
-            low = np.where(longer, middle, low)
-            high = np.where(longer, high, middle)
+            tension = np.exp(middle)
+            is_low = (tension - straight) * compliance - sagging / tension**2 < stretch
+            low = np.where(is_low, middle, low)
+            high = np.where(is_low, high, middle)
         return np.exp((low + high) / 2)
 
-    found = tension(np.zeros(robot.cables))
-    change = np.zeros_like(pose)
-    scale = float(np.linalg.norm(load))
+    tension = tensions_of(np.zeros(robot.cables))
+    unbalanced = load + structure.T @ tension
+    tolerance = 1e-9 * float(np.linalg.norm(load))
     for _ in range(200):
-        missing = load + structure.T @ found
-        if np.linalg.norm(missing) < 1e-9 * scale:
-            return Settled(pose_change=change, tensions=found)
-        rates = 1 / (soft + 2 * bent / found**3)
-        step = np.linalg.solve(structure.T @ (rates[:, None] * structure), -missing)
+        residual = np.linalg.norm(unbalanced)
+        if residual < tolerance:
+            return Settled(pose_change=change, tensions=tension)
+        stiffness = 1 / (compliance + 2 * sagging / tension**3)  # of each cable
+        step = np.linalg.solve(structure.T @ (stiffness[:, None] * structure), -unbalanced)
         while True:  # the residual falls along a short enough step
-            trial = tension(structure @ (change + step))
-            if (
-                np.linalg.norm(load + structure.T @ trial) < np.linalg.norm(missing)
-                or np.abs(step).max() < 1e-15
-            ):
+            tension = tensions_of(structure @ (change + step))
+            unbalanced = load + structure.T @ tension
+            if np.linalg.norm(unbalanced) < residual or np.abs(step).max() < 1e-15:
                 break
             step = step / 2
-        change, found = change + step, trial
+        change = change + step
     raise ValueError("no equilibrium on sagging cables was found: raise minimum_tension")
 
 
@@ -216,15 +230,18 @@ def _cable_weight(robot: Robot, pose: Array, half: Array) -> Array:
     """Required generalised force of weights at the platform anchors, shape (n,)."""
     d = robot.dimensions
     force = np.zeros((robot.cables, d))
-    if not (robot.planar and robot.plane == "horizontal"):
+    if not _is_level(robot):
         force[:, -1] = half
     load = np.zeros(robot.coordinates)
     load[:d] = -force.sum(axis=0)
-    if robot.kind == "spatial":
-        arms = kinematics.turned(pose, robot.platform)
-        turned = kinematics.rotation_matrix(pose[3:]).T @ np.cross(arms, force).sum(axis=0)
-        load[3:] = -kinematics.euler_rate_matrix(pose[3:]).T @ turned
-    elif robot.kind == "planar-platform":
-        arms = kinematics.turned(pose, robot.platform)
+    if robot.point_mass:
+        return load
+    arms = kinematics.turned(pose, robot.platform)
+    if robot.planar:
         load[2] = -np.sum(arms[:, 0] * force[:, 1] - arms[:, 1] * force[:, 0])
+        return load
+    euler = pose[3:]
+    moment = np.cross(arms, force).sum(axis=0)
+    moment_in_frame = kinematics.rotation_matrix(euler).T @ moment
+    load[3:] = -kinematics.euler_rate_matrix(euler).T @ moment_in_frame
     return load

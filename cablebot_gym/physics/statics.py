@@ -60,9 +60,7 @@ def tension_bounds(
     Raises:
         ValueError: if a number is not finite.
     """
-    known = np.all(
-        np.isfinite(textbook.jacobian(robot, reference.position)), axis=(-2, -1), keepdims=True
-    )[..., 0]
+    known = _has_directions(robot, reference.position)[:, None]
     pose = np.where(known, reference.position, robot.home)
     velocity = reference.velocity
     acceleration = reference.acceleration
@@ -71,17 +69,20 @@ def tension_bounds(
     if robot.flexible:
         rest = rest + textbook.coulomb_torque(robot, speed)
     if robot.jointed:
+        second = textbook.pulley_acceleration(robot, pose, velocity, acceleration)
         rest = rest + robot.motor_damping * speed
-        rest = rest + robot.motor_inertia * textbook.pulley_acceleration(
-            robot, pose, velocity, acceleration
-        )
-    limits = textbook.torque_limits(robot, numbers("line_speed", line_speed) * speed)
+        rest = rest + robot.motor_inertia * second
+    lowest, highest = textbook.torque_limits(robot, numbers("line_speed", line_speed) * speed)
     # Motor and pulley turn together, so load friction is that of a rigid transmission.
     per_tension = robot.pulley_radius * (1 + textbook.load_friction(robot, speed))
-    lower, upper = ((limit - rest) / per_tension for limit in limits)
-    lower = np.maximum(lower, number("minimum", minimum))
-    upper = np.minimum(upper, robot.maximum_tension)
-    return np.where(known, lower, np.nan), np.where(known, upper, np.nan)
+    least = np.maximum((lowest - rest) / per_tension, number("minimum", minimum))
+    largest = np.minimum((highest - rest) / per_tension, robot.maximum_tension)
+    return np.where(known, least, np.nan), np.where(known, largest, np.nan)
+
+
+def _has_directions(robot: Robot, poses: Array) -> Array:
+    """Whether all cables have a length, and so a direction, at poses (K, n), shape (K,)."""
+    return np.asarray(np.isfinite(textbook.jacobian(robot, poses)).all(axis=(1, 2)))
 
 
 def required_load(robot: Robot, reference: Reference, payload: float) -> Array:
@@ -96,28 +97,25 @@ def feasible_payloads(robot: Robot, reference: Reference) -> ScaleInterval:
     """Interval of the payloads with which cables and motors follow a reference, at each of its K
     instants [kg]."""
     unloaded = required_load(robot, reference, 0.0)
-    return largest_scale(
-        textbook.jacobian(robot, reference.position),
-        unloaded,
-        required_load(robot, reference, 1.0) - unloaded,
-        *tension_bounds(robot, reference, robot.minimum_tension),
-        HEAVIEST * robot.mass,
-    )
+    per_kilogram = required_load(robot, reference, 1.0) - unloaded
+    structure = textbook.jacobian(robot, reference.position)
+    least, largest = tension_bounds(robot, reference, robot.minimum_tension)
+    heaviest = HEAVIEST * robot.mass
+    return largest_scale(structure, unloaded, per_kilogram, least, largest, heaviest)
 
 
 def feasibility(robot: Robot, reference: Reference, payload: float) -> Feasibility:
     """Whether cables and motors follow a reference with a payload [kg], at each of its instants."""
-    return feasible(
-        textbook.jacobian(robot, reference.position),
-        required_load(robot, reference, payload),
-        *tension_bounds(robot, reference, robot.minimum_tension),
-    )
+    structure = textbook.jacobian(robot, reference.position)
+    load = required_load(robot, reference, payload)
+    least, largest = tension_bounds(robot, reference, robot.minimum_tension)
+    return feasible(structure, load, least, largest)
 
 
 def holds(robot: Robot, poses: Array, payload: float) -> Array:
     """Whether cables and motors hold a payload [kg] at rest at poses (K, n), shape (K,)."""
     with np.errstate(invalid="ignore", divide="ignore"):  # anchors and swivel pulleys
-        known = np.isfinite(textbook.jacobian(robot, poses)).all(axis=(1, 2))
+        known = _has_directions(robot, poses)
     held = np.zeros(len(poses), bool)
     held[known] = feasibility(robot, resting(poses[known]), payload).status == HELD
     return held
@@ -137,28 +135,30 @@ def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds
     if not robot.weightless and robot.cables > robot.coordinates:
         return _hold_payload_of_redundant_cables(robot, pose)
     minimum = textbook.allocated_minimum(robot)
-    empty, loaded = (
-        textbook.static_torque(robot, robot.mass + payload, pose, minimum=minimum)
-        for payload in (0.0, 1.0)
-    )
+    empty = textbook.static_torque(robot, robot.mass, pose, minimum=minimum)
+    loaded = textbook.static_torque(robot, robot.mass + 1.0, pose, minimum=minimum)
     slope = np.abs(loaded - empty)
     sign = np.where(loaded < empty, -1.0, 1.0)
     room = robot.stall_torque - sign * empty
+    unlimited = np.where(room < 0, -np.inf, np.inf)
     with np.errstate(divide="ignore"):
-        payloads = np.where(slope > 0, room / slope, np.where(room < 0, -np.inf, np.inf))
+        payloads = np.where(slope > 0, room / slope, unlimited)
     return float(payloads.min())
 
 
 def _hold_payload_of_redundant_cables(robot: Robot, pose: Array) -> float:
     """Largest payload that some tensions within the stall torques hold at a pose [kg]; ``-inf`` if
     there is none."""
-    zero = np.zeros_like(pose)
-    most = robot.stall_torque / robot.pulley_radius
+    still = np.zeros_like(pose)
+    largest = robot.stall_torque / robot.pulley_radius
     least = textbook.allocated_minimum(robot)
-    unit = textbook.load(robot, 1.0, pose, zero, zero)
+    structure = textbook.jacobian(robot, pose)
+    per_kilogram = textbook.load(robot, 1.0, pose, still, still)
     heaviest = (1 + HEAVIEST) * robot.mass
-    found = largest_scale(textbook.jacobian(robot, pose), 0 * unit, unit, least, most, heaviest)
-    return float(found.largest) - robot.mass if found.status == HELD else -math.inf
+    masses = largest_scale(structure, 0 * per_kilogram, per_kilogram, least, largest, heaviest)
+    if masses.status != HELD:
+        return -math.inf
+    return float(masses.largest) - robot.mass
 
 
 def _payload_of_strength(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
@@ -168,7 +168,9 @@ def _payload_of_strength(robot: Robot, trajectory: Trajectory, error_bounds: Err
         return math.inf
     start = resting(start_pose(robot, trajectory, error_bounds)[None])
     payloads = feasible_payloads(robot, start)
-    return float(payloads.largest[0]) if payloads.status[0] == HELD else math.inf
+    if payloads.status[0] != HELD:
+        return math.inf
+    return float(payloads.largest[0])
 
 
 EXACT_FACTOR = 5.0
@@ -189,6 +191,9 @@ def payload_ceiling(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBou
         return min(held, _payload_of_strength(robot, trajectory, error_bounds))
     if held < 0:
         return -math.inf
-    payloads = feasible_payloads(robot, trajectory(np.linspace(0.0, trajectory.duration, _SAMPLES)))
+    instants = np.linspace(0.0, trajectory.duration, _SAMPLES)
+    payloads = feasible_payloads(robot, trajectory(instants))
     exact = np.min(payloads.largest, initial=math.inf, where=payloads.status == HELD)
-    return max(EXACT_FACTOR * float(exact), robot.mass) if math.isfinite(exact) else robot.mass
+    if not math.isfinite(exact):
+        return robot.mass
+    return max(EXACT_FACTOR * float(exact), robot.mass)

@@ -21,8 +21,11 @@ class Spline:
     z."""
 
     def __init__(self, knots: Array, degree: int, at: Array, base: Array, scale: Array) -> None:
-        self.knots, self.degree = knots, degree
-        self.at, self.base, self.scale = at, base, scale
+        self.knots = knots
+        self.degree = degree
+        self.at = at
+        self.base = base
+        self.scale = scale
 
     def rows(self, times: Array, orders: Sequence[int]) -> list[Row]:
         """Values or derivatives of the spline at the times, one row per order and coordinate."""

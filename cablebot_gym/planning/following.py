@@ -213,13 +213,13 @@ class Follower:
             correction: v, shape (..., n) [m/s², rad/s²].
         """
         structure = textbook.jacobian(robot, pose)
-        transposed = np.swapaxes(structure, -1, -2)
         wrench = textbook.mass_matrix(robot, mass, pose) @ correction[..., None]  # D(X) v
         # The cables pull along −Sᵀ: −Sᵀ T = D v, so T = −S (SᵀS)⁻¹ D v.
-        tensions = -(structure @ np.linalg.solve(transposed @ structure, wrench))[..., 0]
+        square = structure.mT @ structure
+        tensions = -(structure @ np.linalg.solve(square, wrench))[..., 0]
         cable_torque: Array = robot.pulley_radius * tensions
         if not robot.jointed:
             return cable_torque
         # The joint springs also accelerate the pulleys, by J β̈ with β̈ = −S v/r.
-        cable_acceleration = (structure @ correction[..., None])[..., 0]  # S v
+        cable_acceleration = textbook.times_vector(structure, correction)  # S v
         return cable_torque - robot.pulley_inertia * cable_acceleration / robot.pulley_radius

@@ -223,15 +223,15 @@ class MotionProgram:
         least, most = self._assembled.bounds()
         if np.any(least > most):
             raise Infeasible("the margins leave nothing between two limits")
+        x0 = np.clip(x0, low, high)
         with self._interrupt.watch():
-            solution = solver(
-                x0=np.clip(x0, low, high), lbx=low, ubx=high, lbg=least, ubg=most, **multipliers
-            )
+            solution = solver(x0=x0, lbx=low, ubx=high, lbg=least, ubg=most, **multipliers)
         status = solver.stats()["return_status"]
         if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
             raise Infeasible(status)
         self._solution = solution
-        return self._motion(np.clip(np.array(solution["x"])[:, 0], low, high))
+        x = np.array(solution["x"])[:, 0]
+        return self._motion(np.clip(x, low, high))
 
     @property
     def control_points(self) -> int:
@@ -247,16 +247,19 @@ class MotionProgram:
         return np.arange(begin, self._variables).reshape(shape)
 
     def _pose_spline(self, intervals: int) -> Spline:
-        degree = FLEXIBLE_DEGREE if self._robot.flexible else RIGID_DEGREE
+        degree = RIGID_DEGREE
+        if self._robot.flexible:
+            degree = FLEXIBLE_DEGREE
         knots = clamped_knots(self._trajectory.duration, intervals, degree)
-        n = self._robot.coordinates
-        base = interpolate(knots, degree, self._trajectory(greville(knots, degree)).position)
-        turning = np.arange(n) >= self._robot.dimensions
-        bounds = np.where(turning, self._error_bounds.rotation, self._error_bounds.position)
-        return Spline(knots, degree, self._take(len(base), n), base, bounds)
+        poses = self._trajectory(greville(knots, degree)).position
+        base = interpolate(knots, degree, poses)
+        is_angle = np.arange(self._robot.coordinates) >= self._robot.dimensions
+        bounds = np.where(is_angle, self._error_bounds.rotation, self._error_bounds.position)
+        return Spline(knots, degree, self._take(*base.shape), base, bounds)
 
     def _motor_spline(self, intervals: int) -> Spline:
-        robot, degree = self._robot, MOTOR_DEGREE
+        robot = self._robot
+        degree = MOTOR_DEGREE
         knots = clamped_knots(self._trajectory.duration, intervals, degree)
         poses = self._trajectory(greville(knots, degree)).position
         masses = np.full(len(poses), robot.mass)
@@ -366,15 +369,15 @@ class MotionProgram:
         """Constraints on the position and rotation errors, in units of their bounds."""
         ca = self._ca
         d = self._robot.dimensions
-        angles = self._robot.coordinates - self._robot.dimensions
+        angles = self._robot.coordinates - d
         times = self._error_instants
         reference = self._trajectory(times).position
         rows = []
         pose_rows = self._poses.rows(times, [0])
         for row, target, bound in zip(pose_rows, reference.T, self._poses.scale, strict=True):
-            rows.append(Row(row.matrix / bound, row.at, (row.constant - target) / bound))
+            constant = (row.constant - target) / bound
+            rows.append(Row(row.matrix / bound, row.at, constant))
         translation = ca.SX.sym("e", d)
-        rotation = ca.SX.sym("e", angles)
         distance = ca.Function("distance", [translation], [ca.sumsqr(translation)])
 
         def within() -> tuple[Array, Array]:
@@ -383,6 +386,7 @@ class MotionProgram:
 
         blocks = [self._constrain(times, distance, rows[:d], within)]
         if angles:
+            rotation = ca.SX.sym("e", angles)
             angle_errors = ca.Function("rotation", [rotation], [rotation])
 
             def least_and_most() -> tuple[Array, Array]:
@@ -403,11 +407,10 @@ class MotionProgram:
         return np.asarray(1 - margin / getattr(self._error_bounds, name))[:, None]
 
     def _mass_row(self, mass: float | None, times: int) -> Row:
+        column = np.zeros((times, 1))
         if mass is None:
-            column = np.ones((times, 1))
+            column[:] = 1.0
             mass = self._robot.mass
-        else:
-            column = np.zeros((times, 1))
         return Row(column, self._payload_at, np.full(times, mass))
 
     def _action_bounds(self) -> Array:
@@ -419,11 +422,13 @@ class MotionProgram:
 
     def _rigid(self, index: int, mass: float | None) -> Block:
         times = self._instants
-        at = self._tensions[index]
-        tensions = [Row(np.eye(len(times)), column, np.zeros(len(times))) for column in at.T]
-        rows = [*self._poses.rows(times, [0, 1, 2]), *tensions, self._mass_row(mass, len(times))]
+        count = len(times)
+        rows = [*self._poses.rows(times, [0, 1, 2])]
+        for column in self._tensions[index].T:
+            rows.append(Row(np.eye(count), column, np.zeros(count)))
+        rows.append(self._mass_row(mass, count))
         stage = rigid_stage(self._robot, self._period)
-        balanced = np.zeros((len(times), self._robot.coordinates))
+        balanced = np.zeros((count, self._robot.coordinates))
 
         def limits() -> tuple[Array, Array]:
             most = self._action_bounds()
@@ -463,11 +468,12 @@ class MotionProgram:
         ]
         if not robot.weightless:
             lightest_mass = (1 + _LIGHTEST) * robot.mass
-            masses = np.linspace(lightest_mass, robot.mass + self._heaviest, _START_MASSES)
+            heaviest_mass = robot.mass + self._heaviest
+            masses = np.linspace(lightest_mass, heaviest_mass, _START_MASSES)
             velocity = self._trajectory(0.0).velocity
-            start = start_stage(
-                robot, tuple(self._start.tolist()), tuple(velocity.tolist()), tuple(masses.tolist())
-            )
+            # Tuples can be keys of the cache.
+            conditions = (tuple(values.tolist()) for values in (self._start, velocity, masses))
+            start = start_stage(robot, *conditions)
             begin = np.zeros(1)
             start_rows = [*motors.rows(begin, [0, 1]), self._mass_row(mass, len(begin))]
             blocks.append(self._constrain(begin, start, start_rows, _equal))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.kinematics import Array
+from cablebot_gym.kinematics import Array, times_vector
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.rest import motor_start
 from cablebot_gym.robots import Robot
@@ -17,8 +17,11 @@ from cablebot_gym.robots import Robot
 TENSION = 50.0
 """Unit of the tensions in the program [N]. It scales the variables to a similar size."""
 
-_FORCE, _MOMENT = 50.0, 5.0
-"""Units of the balances of forces [N] and moments [N·m]."""
+_FORCE = 50.0
+"""Unit of the balance of forces [N]."""
+
+_MOMENT = 5.0
+"""Unit of the balance of moments [N·m]."""
 
 _THREADS = "OPENBLAS_NUM_THREADS"
 """Environment variable that the linear algebra of the solver reads on loading."""
@@ -76,11 +79,8 @@ def rigid_stage(robot: Robot, period: float = 0.0) -> Any:
     :func:`_actions`.
     """
     ca = import_casadi()
-    n, m = robot.coordinates, robot.cables
-    xs, x = _symbols(ca, "X", n)
-    vs, v = _symbols(ca, "V", n)
-    as_, a = _symbols(ca, "A", n)
-    ts, scaled_tensions = _symbols(ca, "T", m)
+    motion, (x, v, a) = _motion_symbols(ca, robot)
+    ts, scaled_tensions = _symbols(ca, "T", robot.cables)
     ms, mass = _symbols(ca, "m", 1)
     tensions = TENSION * scaled_tensions
     speed = textbook.pulley_speed(robot, x, v)
@@ -88,7 +88,7 @@ def rigid_stage(robot: Robot, period: float = 0.0) -> Any:
     acceleration = textbook.pulley_acceleration(robot, x, v, a)
     actions = _actions(robot, torque, speed, acceleration, period)
     balance = _balance(robot, mass[0], x, v, a, tensions)
-    return _function(ca, "rigid", ca.vertcat(xs, vs, as_, ts, ms), balance, *actions)
+    return _function(ca, "rigid", ca.vertcat(motion, ts, ms), balance, *actions)
 
 
 @lru_cache(maxsize=16)
@@ -100,29 +100,28 @@ def flexible_stage(robot: Robot, period: float = 0.0) -> tuple[Any, Any]:
       of the springs, which must not push.
     """
     ca = import_casadi()
-    n, m = robot.coordinates, robot.cables
-    xs, x = _symbols(ca, "X", n)
-    vs, v = _symbols(ca, "V", n)
-    as_, a = _symbols(ca, "A", n)
-    bs, b = _symbols(ca, "B", m)
-    us, u = _symbols(ca, "U", m)
-    ws, w = _symbols(ca, "W", m)
+    m = robot.cables
+    motion, (x, v, a) = _motion_symbols(ca, robot)
+    angles, angle = _symbols(ca, "B", m)
+    speeds, speed = _symbols(ca, "U", m)
+    accelerations, acceleration = _symbols(ca, "W", m)
     ms, mass = _symbols(ca, "m", 1)
-    torque, spring_force = textbook.spring_drive(robot, x, v, b, u, w)
+    torque, spring_force = textbook.spring_drive(robot, x, v, angle, speed, acceleration)
     if robot.jointed:
-        speed = textbook.pulley_speed(robot, x, v)
-        second = textbook.pulley_acceleration(robot, x, v, a)
-        pulley_torque = robot.pulley_inertia * second + robot.damping * speed
+        pulley_speed = textbook.pulley_speed(robot, x, v)
+        pulley_acceleration = textbook.pulley_acceleration(robot, x, v, a)
+        pulley_torque = robot.pulley_inertia * pulley_acceleration + robot.damping * pulley_speed
         tensions = spring_force - pulley_torque / robot.pulley_radius
     else:
-        tensions, _ = textbook.cable_springs(robot, x, v, b, u, cable="bilateral")
-    numbers = ca.vertcat(xs, vs, as_, bs, us, ws, ms)
-    actions = _actions(robot, torque, u, w, period)
+        tensions, _ = textbook.cable_springs(robot, x, v, angle, speed, cable="bilateral")
+    numbers = ca.vertcat(motion, angles, speeds, accelerations, ms)
     balance = _balance(robot, mass[0], x, v, a, tensions)
-    limits = *actions, tensions / TENSION, spring_force / TENSION
+    actions = _actions(robot, torque, speed, acceleration, period)
+    tensions = tensions / TENSION
+    spring_force = spring_force / TENSION
     return (
         _function(ca, "balance", numbers, balance),
-        _function(ca, "limits", numbers, *limits),
+        _function(ca, "limits", numbers, *actions, tensions, spring_force),
     )
 
 
@@ -145,7 +144,8 @@ def start_stage(
     start_angle = [_piecewise(ca, ms, points, column) for column in angles.T]
     start_speed = [_piecewise(ca, ms, points, column) for column in speeds.T]
     turned = angle - np.array([start_angle])
-    action = textbook.normalised_action(robot, 0.0, speed - np.array([start_speed]))
+    speed_difference = speed - np.array([start_speed])
+    action = textbook.normalised_action(robot, 0.0, speed_difference)
     return _function(ca, "start", ca.vertcat(bs, us, ms), turned, action)
 
 
@@ -185,7 +185,8 @@ def _actions(
         return (textbook.normalised_action(robot, torque, speed),)
     half = period / 2 * acceleration
     start = textbook.normalised_action(robot, torque, speed - half)
-    return start, textbook.normalised_action(robot, torque, speed + half)
+    end = textbook.normalised_action(robot, torque, speed + half)
+    return start, end
 
 
 def derivatives(function: Any) -> tuple[Any, Any]:
@@ -203,6 +204,17 @@ def derivatives(function: Any) -> tuple[Any, Any]:
     )
 
 
+def _motion_symbols(ca: Any, robot: Robot) -> tuple[Any, list[Array]]:
+    """A CasADi vector (X, Ẋ, Ẍ), and its three parts for the textbook."""
+    vectors = []
+    arrays = []
+    for name in ("X", "V", "A"):
+        vector, array = _symbols(ca, name, robot.coordinates)
+        vectors.append(vector)
+        arrays.append(array)
+    return ca.vertcat(*vectors), arrays
+
+
 def _symbols(ca: Any, name: str, count: int) -> tuple[Any, Array]:
     """A CasADi vector, and the same vector as a batch of one for the textbook."""
     symbol = ca.SX.sym(name, count)
@@ -216,6 +228,7 @@ def _function(ca: Any, name: str, numbers: Any, *values: Array) -> Any:
 
 def _balance(robot: Robot, mass: Array, x: Array, v: Array, a: Array, tensions: Array) -> Array:
     """Scaled balance of forces D Ẍ + h + Sᵀ T, shape (1, n)."""
-    pull = (np.swapaxes(textbook.jacobian(robot, x), -1, -2) @ tensions[..., None])[..., 0]
-    units = np.where(np.arange(robot.coordinates) < robot.dimensions, _FORCE, _MOMENT)
+    pull = times_vector(textbook.jacobian(robot, x).mT, tensions)
+    units = np.full(robot.coordinates, _MOMENT)
+    units[: robot.dimensions] = _FORCE
     return (textbook.load(robot, mass, x, v, a) + pull) / units

@@ -421,9 +421,11 @@ def _draw_mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:
     upper = profile.upper[:, mark.motor]
     torque = torques[mark.step]
     # The annotation is placed between the torque and the opposite limit.
-    bottom, top = torques.max(), upper.min()
+    bottom = torques.max()
+    top = upper.min()
     if 2 * torque > lower[mark.step] + upper[mark.step]:
-        bottom, top = lower.max(), torques.min()
+        bottom = lower.max()
+        top = torques.min()
     x = 0.04
     alignment = "left"
     if time < sum(_span(profile.times, profile.end)) / 2:

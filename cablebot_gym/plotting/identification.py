@@ -20,8 +20,11 @@ if TYPE_CHECKING:
 SHOWN = 0.95
 """Fraction of the residuals within the shaded band."""
 
-_ROW, _FRAME = 1.7, 1.2
-"""Heights of a row, and of title and legend [inch]."""
+_ROW = 1.7
+"""Height of a row [inch]."""
+
+_FRAME = 1.2
+"""Height of title and legend [inch]."""
 
 
 def draw_identification(result: Identification) -> dict[str, Figure]:
@@ -31,13 +34,13 @@ def draw_identification(result: Identification) -> dict[str, Figure]:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    lengths = [item for item in result.responses if item.unit == "m"]
-    drives = [item for item in result.responses if item.unit != "m"]
-    figures = {}
-    for name, responses in (("torques", drives), ("lengths", lengths)):
-        if responses:
-            figures[name] = _draw(responses, result)
-    return figures
+    groups: dict[str, list[Response]] = {"torques": [], "lengths": []}
+    for response in result.responses:
+        name = "torques"
+        if response.unit == "m":
+            name = "lengths"
+        groups[name].append(response)
+    return {name: _draw(responses, result) for name, responses in groups.items() if responses}
 
 
 def _draw(responses: Sequence[Response], result: Identification) -> Figure:
@@ -63,20 +66,25 @@ def _draw(responses: Sequence[Response], result: Identification) -> Figure:
 
 def _draw_response(response: Axes, residual: Axes, item: Response, starts: Array) -> None:
     """Draws one equation into its two panels."""
-    unit, factor = item.unit, 1.0
+    unit = item.unit
+    factor = 1.0
     if unit == "m":
-        unit, factor = "mm", 1e3
+        unit = "mm"
+        factor = 1e3
     order = np.lexsort((item.time, item.log))
-    first = np.zeros(len(starts))
+    start_times = np.zeros(len(starts))  # in the logs
     for log in np.unique(item.log):
-        first[log] = item.time[item.log == log].min()
-    time = (item.time - first[item.log] + starts[item.log])[order]
-    errors = factor * item.residual[order]
+        start_times[log] = item.time[item.log == log].min()
+    time = item.time - start_times[item.log] + starts[item.log]
+    time = time[order]
+    residuals = item.residual[order]
     measured = item.measured[order]
-    modelled = measured - item.residual[order]
+    modelled = measured - residuals
+    errors = factor * residuals
     # No line crosses a gap, such as a standstill, whose samples are left out, or the next log.
     steps = np.diff(time)
-    is_gap = (steps > GAP * np.median(steps)) | (np.diff(item.log[order]) > 0)
+    is_gap = steps > GAP * np.median(steps)
+    is_gap |= np.diff(item.log[order]) > 0
     breaks = np.flatnonzero(is_gap) + 1
     time, measured, modelled, errors = (
         np.insert(values, breaks, np.nan) for values in (time, measured, modelled, errors)
@@ -104,8 +112,9 @@ def _draw_response(response: Axes, residual: Axes, item: Response, starts: Array
 
 def _starts(responses: Sequence[Response], logs: int) -> Array:
     """Times at which the logs start in the figure, (logs,) [s]."""
-    spans = np.zeros(logs)
+    durations = np.zeros(logs)
     for item in responses:
         for log in np.unique(item.log):
-            spans[log] = max(spans[log], float(np.ptp(item.time[item.log == log])))
-    return np.cumsum(spans) - spans
+            duration = float(np.ptp(item.time[item.log == log]))
+            durations[log] = max(durations[log], duration)
+    return np.cumsum(durations) - durations

@@ -116,11 +116,10 @@ def validate(logs: Mapping[str, bytes]) -> Validation:
     radius = robot.pulley_radius.mean()
     # The robot computes lengths with its nominal radius: they are too long if the drum is smaller.
     drum = radius / np.mean([half.scale for half in halves])
-    for quantity, model, value in (
-        ("width of the frame", sides[0], fitted[0]),
-        ("height of the frame", sides[1], fitted[1]),
-        ("drum radius", radius, drum),
-    ):
+    quantities = ("width of the frame", "height of the frame", "drum radius")
+    models = (*sides, radius)
+    values = (*fitted, drum)
+    for quantity, model, value in zip(quantities, models, values, strict=True):
         comparison = Comparison(
             quantity=f"{quantity}, fitted",
             unit="m",
@@ -156,21 +155,27 @@ def read_capture(text: bytes) -> Capture:
     """
     head = io.StringIO(text.decode("utf-8")).readlines()[:HEADER]
     names = list(csv.reader(head))[3]
-    columns = [index for index, name in enumerate(names) if name.startswith(CARRIAGE)]
-    rows = np.loadtxt(io.BytesIO(text), delimiter=",", skiprows=HEADER, usecols=[1, *columns])
+    columns = [1]  # the time
+    for column, name in enumerate(names):
+        if name.startswith(CARRIAGE):
+            columns.append(column)
+    rows = np.loadtxt(io.BytesIO(text), delimiter=",", skiprows=HEADER, usecols=columns)
     markers = rows[:, 1:].reshape(len(rows), -1, 3)
-    right, down = markers[..., 2], -markers[..., 1]
+    right = markers[..., 2]
+    down = -markers[..., 1]
     from_left = np.argsort(right, axis=1)
     tilt = np.arctan2(_across(down, from_left), _across(right, from_left))
-    pose = np.stack([right.mean(axis=1), down.mean(axis=1), tilt], axis=1)
-    return Capture(time=rows[:, 0], pose=pose)
+    x = right.mean(axis=1)
+    y = down.mean(axis=1)
+    return Capture(time=rows[:, 0], pose=np.stack([x, y, tilt], axis=1))
 
 
 def _across(coordinate: Array, from_left: NDArray[np.int64]) -> Array:
     """Mean coordinate of the right markers less that of the left ones, (K,) [m]."""
     ordered: Array = np.take_along_axis(coordinate, from_left, axis=1)
-    left, right = ordered[:, :2], ordered[:, 2:]
-    return right.mean(axis=1) - left.mean(axis=1)
+    mean_left = ordered[:, :2].mean(axis=1)
+    mean_right = ordered[:, 2:].mean(axis=1)
+    return mean_right - mean_left
 
 
 def aligned(capture: Capture, log: RobotLog) -> Capture:
@@ -190,9 +195,11 @@ def aligned(capture: Capture, log: RobotLog) -> Capture:
         correlation = np.corrcoef(captured, logged)[0, 1]
         return -float(np.abs(correlation))
 
+    # The cost has several minima: the best shift of a coarse grid is refined.
     coarse = 5 * PERIOD
     latest = capture.time[-1] - time[-1]
-    near = min(np.arange(0.0, latest, coarse).tolist(), key=cost)
+    shifts = np.arange(0.0, latest, coarse)
+    near = min(shifts.tolist(), key=cost)
     bounds = (near - coarse, near + coarse)
     best = minimize_scalar(cost, bounds=bounds, method="bounded")
     return Capture(time=time, pose=shifted(float(best.x)))
@@ -216,13 +223,15 @@ def calibrate(robot: Robot, pose: Array, lengths: Array, chosen: Array, fit: Fit
         size = np.ones(2)
         if fit.has_size:
             size = values[3:]
-        frame = robot.base * size
-        model = cable_lengths(frame, robot.platform, in_frame(pose, values[:3]))
+        base = robot.base * size
+        poses_in_frame = in_frame(pose, values[:3])
+        model = cable_lengths(base, robot.platform, poses_in_frame)
         scale = np.ones(robot.cables)
         if fit.has_scale:
-            deviations = model - model[chosen].mean(axis=0)
-            slopes = deviations[chosen] * lengths[chosen]
-            scale = slopes.sum(axis=0) / np.square(deviations[chosen]).sum(axis=0)
+            deviations = model[chosen] - model[chosen].mean(axis=0)
+            products = deviations * lengths[chosen]
+            squares = np.square(deviations)
+            scale = products.sum(axis=0) / squares.sum(axis=0)
         error = lengths - scale * model
         error = error - error[chosen].mean(axis=0)
         return Calibration(size=size, scale=scale, error=error)
@@ -241,7 +250,9 @@ def calibrate(robot: Robot, pose: Array, lengths: Array, chosen: Array, fit: Fit
 def in_frame(pose: Array, frame: Array) -> Array:
     """Poses in a frame with the position and rotation ``frame``."""
     x, y, angle = (pose - frame).T
-    cosine, sine = np.cos(frame[2]), np.sin(frame[2])
+    rotation = frame[2]
+    cosine = np.cos(rotation)
+    sine = np.sin(rotation)
     along = cosine * x + sine * y
     across = cosine * y - sine * x
     return np.stack([along, across, angle], axis=1)
@@ -294,13 +305,15 @@ def draw(robot: Robot, pose: Array, fitted: Array, errors: Mapping[str, Array]) 
     centre = (position.max(axis=0) + position.min(axis=0)) / 2
     x, y = (position - centre).T
     path.plot(x, y, color=BLUE, linewidth=1.2, label="captured path")
-    for (width, height), style, label in (
-        (np.ptp(robot.base, axis=0), "--", "frame of the model"),
-        (fitted, "-", "frame, fitted"),
-    ):
+
+    def add_frame(size: Array, style: str, label: str) -> None:
+        width, height = size
         corner = (-width / 2, -height / 2)
         frame = Rectangle(corner, width, height, fill=False, linestyle=style, label=label)
         path.add_patch(frame)
+
+    add_frame(np.ptp(robot.base, axis=0), "--", "frame of the model")
+    add_frame(fitted, "-", "frame, fitted")
     path.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-1.7, 1.7), ylim=(1.4, -1.4))
     time = PERIOD * np.arange(len(pose))
     for (name, error), colour in zip(errors.items(), (GREY, VERMILLION, GREEN), strict=True):

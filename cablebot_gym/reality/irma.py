@@ -113,7 +113,10 @@ def hanging_robot(geometry: Mapping[str, Any], pose: Array) -> Robot:
     to_frame = _TURNED @ upright.as_matrix()
     attitude = to_frame @ Rotation.from_euler("XYZ", pose[3:]).as_matrix() @ _TURNED
     angles = Rotation.from_matrix(attitude).as_euler("ZYX")[::-1]
-    base, axes, radii, ends = [], [], [], []
+    base = []
+    axes = []
+    radii = []
+    ends = []
     for actuator in geometry["actuator"]:
         if not actuator["active"]:
             continue

@@ -98,7 +98,8 @@ def _found(source: Source, path: str, folder: Path) -> bytes:
 
 def _downloaded(source: Source, path: str, open_url: Callable[..., Any]) -> bytes:
     """Content of a file from the cache or from its address."""
-    digest, url = source.files[path], source.url(path)
+    digest = source.files[path]
+    url = source.url(path)
     cached = cache_folder() / "logs" / source.repository / source.commit / path
     content = read_cached(cached, partial(_checked, digest=digest))
     if content is not None:

@@ -96,9 +96,15 @@ def validate(logs: Mapping[str, bytes]) -> Validation:
         for winch in winches:
             for text, speed in SPEEDS.items():
                 folder = f"Lifting_tests/{weight}kg/ODrive{winch}"
-                up = steady_current(logs[f"{folder}/Up{text}.csv"], winch, speed, lifting=True)
-                down = steady_current(logs[f"{folder}/Down{text}.csv"], winch, speed, lifting=False)
-                lift = Lift(weight=weight, winch=winch, speed=2 * math.pi * speed, up=up, down=down)
+                up_log = logs[f"{folder}/Up{text}.csv"]
+                down_log = logs[f"{folder}/Down{text}.csv"]
+                lift = Lift(
+                    weight=weight,
+                    winch=winch,
+                    speed=2 * math.pi * speed,
+                    up=steady_current(up_log, winch, speed, lifting=True),
+                    down=steady_current(down_log, winch, speed, lifting=False),
+                )
                 lifts.append(lift)
     return Validation(
         comparisons=(
@@ -141,10 +147,12 @@ def steady_current(log: bytes, winch: int, speed: float, *, lifting: bool) -> fl
     steady = deviation < SPEED_TOLERANCE * speed
     edges = np.flatnonzero(np.diff(steady, prepend=False, append=False))
     for first, end in edges.reshape(-1, 2)[::-1]:
-        start, stop = time[first], time[end - 1]
+        start = time[first]
+        stop = time[end - 1]
         if stop - start >= LEAST_DURATION:
-            inner = (time >= start + TRIMMED) & (time <= stop - TRIMMED)
-            return float(np.abs(current[inner].mean()))
+            is_inner = (time >= start + TRIMMED) & (time <= stop - TRIMMED)
+            mean_current = current[is_inner].mean()
+            return float(np.abs(mean_current))
     raise ValueError(f"a log of winch {winch} has no steady run at {speed:g} rev/s")
 
 
@@ -161,21 +169,32 @@ def model_friction(robot: Robot, weight: float, winch: int, speed: float) -> flo
 def _ratios(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
     comparisons = []
     for weight in WINCHES:
-        chosen = [lift for lift in lifts if lift.weight == weight]
-        model = [model_friction(robot, weight, lift.winch, lift.speed) for lift in chosen]
-        comparison = Comparison(
-            quantity=f"friction over gravity, {weight} kg",
-            unit="1",
-            model=float(np.mean(model)),
-            robot=float(np.mean([lift.friction for lift in chosen])),
-            goal=GOAL,
-        )
-        comparisons.append(comparison)
+        lifts_of_weight = [lift for lift in lifts if lift.weight == weight]
+        quantity = f"friction over gravity, {weight} kg"
+        comparisons.append(_friction_comparison(quantity, robot, lifts_of_weight, GOAL))
     return comparisons
 
 
+def _friction_comparison(
+    quantity: str, robot: Robot, lifts: Sequence[Lift], goal: float
+) -> Comparison:
+    """Mean friction of lifts, over gravity, by the model ``robot`` and as measured."""
+    model = []
+    for lift in lifts:
+        model.append(model_friction(robot, lift.weight, lift.winch, lift.speed))
+    measured = [lift.friction for lift in lifts]
+    return Comparison(
+        quantity=quantity,
+        unit="1",
+        model=float(np.mean(model)),
+        robot=float(np.mean(measured)),
+        goal=goal,
+    )
+
+
 def _mean_current(lifts: Sequence[Lift], weight: float) -> float:
-    return float(np.mean([lift.mean for lift in lifts if lift.weight == weight]))
+    currents = [lift.mean for lift in lifts if lift.weight == weight]
+    return float(np.mean(currents))
 
 
 def _gravity_torque(robot: Robot, lift: Lift) -> float:
@@ -186,8 +205,12 @@ def _torque_constants(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
     """The torque constant by the larger weight, and by the difference of the weights, which is free
     of a hook that both have."""
     torque = float(robot.pulley_radius.mean() * robot.gravity)
-    light, heavy = _mean_current(lifts, 1), _mean_current(lifts, 5)
-    constants = {"5 kg": 5 * torque / heavy, "5 kg less 1 kg": 4 * torque / (heavy - light)}
+    light = _mean_current(lifts, 1)
+    heavy = _mean_current(lifts, 5)
+    constants = {
+        "5 kg": 5 * torque / heavy,
+        "5 kg less 1 kg": 4 * torque / (heavy - light),
+    }
     comparisons = []
     for name, constant in constants.items():
         comparison = Comparison(
@@ -202,7 +225,8 @@ def _torque_constants(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
 
 def _hook(lifts: Sequence[Lift]) -> float:
     """Mass of a hook with which the currents are proportional to the masses [kg]."""
-    light, heavy = _mean_current(lifts, 1), _mean_current(lifts, 5)
+    light = _mean_current(lifts, 1)
+    heavy = _mean_current(lifts, 5)
     return 4 * light / (heavy - light) - 1
 
 
@@ -259,24 +283,19 @@ def predictions(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
     heavy = max(WINCHES)
     for winch in WINCHES[heavy]:
         unseen = [lift for lift in lifts if (lift.weight, lift.winch) == (heavy, winch)]
-        seen = [lift for lift in lifts if lift not in unseen]
-        estimates = fitted_friction(robot, seen)
+        others = [lift for lift in lifts if lift not in unseen]
+        estimates = fitted_friction(robot, others)
         # Not the values of the robot, which have been fitted to all winches.
         fields = {name: estimates[name].value for name in FITTED}
         predicted = robot.replace(transmission=robot.transmission.replace(**fields))
-        model = [model_friction(predicted, heavy, winch, lift.speed) for lift in unseen]
-        friction = Comparison(
-            quantity=f"friction over gravity, {heavy} kg, winch {winch} from the others",
-            unit="1",
-            model=float(np.mean(model)),
-            robot=float(np.mean([lift.friction for lift in unseen])),
-            goal=PREDICTION_GOAL,
-        )
-        frictions.append(friction)
-        level = _mean_current(seen, heavy)
+        quantity = f"friction over gravity, {heavy} kg, winch {winch} from the others"
+        frictions.append(_friction_comparison(quantity, predicted, unseen, PREDICTION_GOAL))
+        mean = _mean_current(others, heavy)
         deviations = []
-        for lift, ratio in zip(unseen, model, strict=True):
-            deviations += [level * (1 + ratio) / lift.up - 1, level * (1 - ratio) / lift.down - 1]
+        for lift in unseen:
+            friction = model_friction(predicted, heavy, winch, lift.speed)
+            deviations.append(mean * (1 + friction) / lift.up - 1)
+            deviations.append(mean * (1 - friction) / lift.down - 1)
         current = Comparison(
             quantity=f"largest deviation of the currents, {heavy} kg, winch {winch} from the others",
             unit="1",
@@ -300,11 +319,13 @@ def draw(robot: Robot, lifts: Sequence[Lift]) -> Figure:
         for direction, marker in (("up", "^"), ("down", "v")):
             values = [getattr(lift, direction) for lift in chosen]
             currents.plot(speeds, values, marker, color=colour, label=f"{weight} kg {direction}")
-        ratios.plot(speeds, [100 * lift.friction for lift in chosen], "o", color=colour)
+        measured = [100 * lift.friction for lift in chosen]
+        ratios.plot(speeds, measured, "o", color=colour)
         winch = WINCHES[weight][0]
         model = []
         for speed in grid:
-            model.append(100 * model_friction(robot, weight, winch, 2 * math.pi * float(speed)))
+            friction = model_friction(robot, weight, winch, 2 * math.pi * float(speed))
+            model.append(100 * friction)
         ratios.plot(grid, model, color=colour)
     currents.set(xlabel="speed [rev/s]", ylabel="motor current [A]", ylim=(0, None))
     ratios.plot([], [], "o", color=GREY, label="robot")

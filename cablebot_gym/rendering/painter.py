@@ -120,20 +120,20 @@ class Painter:
         canvas_size = (_OVERSAMPLING * self.size[0], _OVERSAMPLING * self.size[1])
         self._canvas = self._pygame.Surface(canvas_size)
         self._glass = self._pygame.Surface(canvas_size, self._pygame.SRCALPHA)
-        self._width = canvas_size[0] / self._unit
-        self._height = canvas_size[1] / self._unit
+        canvas_width, canvas_height = canvas_size
+        self._width = canvas_width / self._unit
+        self._height = canvas_height / self._unit
+        robot = task.robot
         # Width of the motor panel at the right.
-        self._panel = max(40 + _BAR_SPACING * task.robot.cables, 150)
-        trajectory = task.trajectory
-        path = np.array(
-            [trajectory(time).position for time in np.linspace(0, trajectory.duration, 241)]
-        )
-        self._path = points_in_space(task.robot, path)
-        self._base = points_in_space(task.robot, task.robot.base)
+        self._panel = max(40 + _BAR_SPACING * robot.cables, 150)
+        times = np.linspace(0, task.trajectory.duration, 241)
+        path = np.array([task.trajectory(time).position for time in times])
+        self._path = points_in_space(robot, path)
+        self._base = points_in_space(robot, robot.base)
         left_edge = 0.04 * self._width
         width = self._width - self._panel - 2 * left_edge
         window = (left_edge, 58, width, self._height - 152)
-        self._camera = fit_robot_camera(task.robot, self._path, window)
+        self._camera = fit_robot_camera(robot, self._path, window)
         self._paint_background()
         self._static_layer = self._canvas.copy()
 
@@ -191,8 +191,9 @@ class Painter:
         corners = self._unit * outline(base)
         self._draw.polygon(self._canvas, "#F4F5F7", corners)
         self._draw.polygon(self._canvas, "#B8BCC4", corners, round(1.5 * self._unit))
-        tube = self._camera.pixels(2 * self.task.error_bounds.position, self._path.mean(axis=0))
         path = self._camera.project(self._path)
+        diameter = 2 * self.task.error_bounds.position
+        tube = self._camera.pixels(diameter, self._path.mean(axis=0))
         for point in _resample(path, max(0.5, tube / 8)):
             self._circle(palette.SKY, point, max(tube / 2, 1))
         self._dashed(path, palette.GREY, 1, 4)
@@ -224,15 +225,16 @@ class Painter:
             self._canvas.blit(self._glass, (0, 0))
             for start, stop in zip(corners, np.roll(corners, -1, axis=0), strict=True):
                 self._line(start, stop, _INK, 1.6)
-        for cable in range(robot.cables):
-            if moment.slack[cable]:
-                self._paint_slack_cable(self._base[cable], ends[cable])
+        for base, end, tension, is_slack in zip(
+            self._base, ends, moment.tensions, moment.slack, strict=True
+        ):
+            if is_slack:
+                self._paint_slack_cable(base, end)
             else:
-                self._paint_tight_cable(
-                    self._base[cable], ends[cable], float(moment.tensions[cable])
-                )
-        reference = points_in_space(robot, self.task.trajectory(moment.time).position)
-        self._circle(palette.VERMILLION, self._camera.project(reference), 3.2, 1.3)
+                self._paint_tight_cable(base, end, float(tension))
+        reference = self.task.trajectory(moment.time).position
+        target = self._camera.project(points_in_space(robot, reference))
+        self._circle(palette.VERMILLION, target, 3.2, 1.3)
 
     def _paint_payload(self, payload: float, centre: Array) -> None:
         """Paints the payload as a ball at the centre of a planar platform, or on a hook below a
@@ -246,7 +248,8 @@ class Painter:
         middle = camera.project(ball)
         size = max(camera.pixels(radius, ball), 2)
         for fraction, colour in _BALL_COLOURS:
-            self._circle(colour, middle - 0.3 * (1 - fraction) * size, fraction * size)
+            shifted = middle - 0.3 * (1 - fraction) * size  # towards the light
+            self._circle(colour, shifted, fraction * size)
 
     def _paint_slack_cable(self, base: Array, end: Array) -> None:
         chord = end - base
@@ -283,20 +286,23 @@ class Painter:
             return min(max(zero - scale * torque, top), bottom)
 
         self._write("motor torques [N·m]", (self._width - 12, 10), 12, across=1.0)
+        lower_limits, upper_limits = moment.torque_limits
         for motor in range(robot.cables):
             x = left_edge + _BAR_SPACING * motor
-            low = row(float(moment.torque_limits[0, motor]))
-            high = row(float(moment.torque_limits[1, motor]))
+            low = row(float(lower_limits[motor]))
+            high = row(float(upper_limits[motor]))
             self._rect(palette.SHADE, x, top, bar_width, bottom - top)
             self._rect(_PAPER, x, high, bar_width, low - high)
             torque = row(float(moment.torques[motor]))
             length = max(abs(torque - zero), 1)
+            is_saturated = abs(float(moment.commanded_action[motor])) >= 1
             colour = palette.BLUE
-            if abs(float(moment.commanded_action[motor])) >= 1:
+            if is_saturated:
                 colour = palette.VERMILLION
             self._rect(colour, x + 3, min(torque, zero), bar_width - 6, length)
-            self._line((x, low), (x + bar_width, low), _INK, 1.6)
-            self._line((x, high), (x + bar_width, high), _INK, 1.6)
+            right_edge = x + bar_width
+            self._line((x, low), (right_edge, low), _INK, 1.6)
+            self._line((x, high), (right_edge, high), _INK, 1.6)
             self._write(str(motor + 1), (x + bar_width / 2, bottom + 4), 12, across=0.5)
         start = left_edge - 4
         stop = start + _BAR_SPACING * robot.cables
@@ -312,31 +318,26 @@ class Painter:
         length = self._panel - 40
         for x in np.arange(0, length, 0.5):
             self._rect(tension_colour(x / length), left_edge + x, top, 1, 7.5)
+        middle = left_edge + length / 2
+        right_edge = left_edge + length
+        below = top + 8
         highest = f"{full_tension(self.task.robot):.3g}"
-        self._write(
-            "cable tension [N]",
-            (left_edge + length / 2, top - 15),
-            11,
-            palette.GREY,
-            across=0.5,
-        )
-        self._write("0", (left_edge, top + 8), 11, palette.GREY)
-        self._write(highest, (left_edge + length, top + 8), 11, palette.GREY, across=1.0)
+        self._write("cable tension [N]", (middle, top - 15), 11, palette.GREY, across=0.5)
+        self._write("0", (left_edge, below), 11, palette.GREY)
+        self._write(highest, (right_edge, below), 11, palette.GREY, across=1.0)
 
     def _paint_gauges(self, moment: Moment) -> None:
         """Paints the errors relative to their bounds, and the time."""
         bounds = self.task.error_bounds
-        self._paint_error(
-            "position", self._height - 60, moment.position_error, bounds.position, "mm"
-        )
+        bottom = self._height
+        self._paint_error("position", bottom - 60, moment.position_error, bounds.position, "mm")
         if not self.task.robot.point_mass:
-            self._paint_error(
-                "rotation", self._height - 40, moment.rotation_error, bounds.rotation, "mrad"
-            )
+            error = moment.rotation_error
+            self._paint_error("rotation", bottom - 40, error, bounds.rotation, "mrad")
         duration = self.task.trajectory.duration
         text = f"{moment.time:.3f} of {duration:.3g} s"
         fraction = min(moment.time / duration, 1.0)
-        self._paint_gauge("time", self._height - 18, 4, fraction, palette.GREY, text, _INK)
+        self._paint_gauge("time", bottom - 18, 4, fraction, palette.GREY, text, _INK)
 
     def _paint_error(
         self, name: str, y: float, error: float, bound: float, bound_unit: str
@@ -366,13 +367,14 @@ class Painter:
         text: str,
         text_colour: str,
     ) -> tuple[float, float]:
-        """Paints a horizontal bar that is filled by a fraction, and returns its left_edge edge and
+        """Paints a horizontal bar that is filled by a fraction, and returns its left edge and
         length."""
         left_edge = 76
         length = self._width - self._panel - 190
+        top = y - height / 2
         self._write(name, (14, y), 12, along=0.5)
-        self._rect(palette.SHADE, left_edge, y - height / 2, length, height)
-        self._rect(colour, left_edge, y - height / 2, fraction * length, height)
+        self._rect(palette.SHADE, left_edge, top, length, height)
+        self._rect(colour, left_edge, top, fraction * length, height)
         self._write(text, (left_edge + length + 8, y), 12, text_colour, along=0.5)
         return left_edge, length
 
@@ -391,16 +393,18 @@ class Painter:
         stop = np.asarray(stop, float)
         along = stop - start
         length = float(np.linalg.norm(along))
-        if length > 0:
-            aside = 0.5 * width * np.array([-along[1], along[0]]) / length
-            corners = np.array([start + aside, stop + aside, stop - aside, start - aside])
-            self._draw.polygon(self._canvas, colour, self._unit * corners)
+        if not length > 0:  # NaN too
+            return
+        aside = 0.5 * width * np.array([-along[1], along[0]]) / length
+        corners = np.array([start + aside, stop + aside, stop - aside, start - aside])
+        self._draw.polygon(self._canvas, colour, self._unit * corners)
 
     def _dashed(self, points: Array, colour: str, width: float, dash: float) -> None:
         """Draws a dashed line through points (k, 2)."""
         pieces = list(pairwise(self._unit * _resample(points, dash)))
+        line_width = round(width * self._unit)
         for start, stop in pieces[::2]:
-            self._draw.line(self._canvas, colour, start, stop, round(width * self._unit))
+            self._draw.line(self._canvas, colour, start, stop, line_width)
 
     def _write(
         self,
@@ -412,12 +416,11 @@ class Painter:
         across: float = 0.0,
         along: float = 0.0,
     ) -> None:
-        """Writes text at a point; ``across`` and ``along`` are the fractions of it left_edge of the
+        """Writes text at a point; ``across`` and ``along`` are the fractions of it left of the
         point and above it."""
         if size not in self._fonts:
-            self._fonts[size] = self._pygame.font.Font(
-                None, max(8, round(1.28 * size * self._unit))
-            )
+            font_height = max(8, round(1.28 * size * self._unit))
+            self._fonts[size] = self._pygame.font.Font(None, font_height)
         image = self._fonts[size].render(text, True, colour)
         left_edge = self._unit * at[0] - across * image.get_width()
         top = self._unit * at[1] - along * image.get_height()
@@ -441,8 +444,9 @@ def _resample(points: Array, step: float) -> Array:
     """Points on the polyline through points (k, 2), at a distance of about ``step``."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     lengths = np.concatenate([[0.0], np.cumsum(steps)])
-    count = max(2, math.ceil(lengths[-1] / step))
-    at = np.linspace(0.0, lengths[-1], count)
-    x = np.interp(at, lengths, points[:, 0])
-    y = np.interp(at, lengths, points[:, 1])
+    total = lengths[-1]
+    count = max(2, math.ceil(total / step))
+    along = np.linspace(0.0, total, count)
+    x = np.interp(along, lengths, points[:, 0])
+    y = np.interp(along, lengths, points[:, 1])
     return np.stack([x, y], axis=-1)

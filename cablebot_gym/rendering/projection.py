@@ -130,7 +130,8 @@ def fit_camera(
         centre = np.array([left_edge + width / 2, top + height / 2]) - (low + high) / 2
         return replace(camera, centre=centre), fits
 
-    near, far = 0.6 * size, 100.0 * size
+    near = 0.6 * size
+    far = 100.0 * size
     for _ in range(40):
         middle = math.sqrt(near * far)
         if camera_at(middle)[1]:
@@ -155,12 +156,14 @@ def fit_robot_camera(
     if robot.planar:
         margin = max(reach, 0.06)
         visible += [path + margin, path - margin]
-        azimuth, elevation = 0.0, math.pi / 2
+        azimuth = 0.0
+        elevation = math.pi / 2
     else:
         for x, y in product((reach, -reach), repeat=2):
             visible.append(path[::20] + np.array([x, y, 0]))
         visible.append(path + np.array([0, 0, HANG + 0.07]))
-        azimuth, elevation = _AZIMUTH, _ELEVATION
+        azimuth = _AZIMUTH
+        elevation = _ELEVATION
     return fit_camera(np.concatenate(visible), window, azimuth=azimuth, elevation=elevation)
 
 

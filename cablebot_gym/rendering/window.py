@@ -36,7 +36,8 @@ class Window:
 
     def __init__(self, caption: str, *, needs_display: bool = True) -> None:
         self._pygame = import_pygame()
-        self._caption, self._needs_display = caption, needs_display
+        self._caption = caption
+        self._needs_display = needs_display
         self._screen: pygame.Surface | None = None
         self._clock = self._pygame.time.Clock()
         self.closed = False

@@ -35,7 +35,8 @@ def composed(outer: Array, inner: Array) -> Array:
 def sine_derivatives(angle: Array) -> Array:
     """sin and its derivatives 1 to 5, shape (6, ...). Rows 0 to 4 are those of sin, rows 1 to 5
     those of cos."""
-    sine, cosine = np.sin(angle), np.cos(angle)
+    sine = np.sin(angle)
+    cosine = np.cos(angle)
     return np.stack([sine, cosine, -sine, -cosine, sine, cosine])
 
 

@@ -114,7 +114,8 @@ class RandomLoop(Motion):
     @cached_property
     def _curve(self) -> tuple[float, Array, Array]:
         """Fraction of the acceleration, c of shape (n,), and (a, b) of shape (2, HARMONICS, n)."""
-        n, groups = self.coordinates, _GROUPS[self.coordinates]
+        n = self.coordinates
+        groups = _GROUPS[self.coordinates]
         # Changing the order of the numbers would change the curve of every seed.
         numbers = _uniform(self.seed, 1 + len(groups) + n + 2 * HARMONICS * n)
         fraction, sizes, offset, waves = np.split(numbers, np.cumsum([1, len(groups), n]))
@@ -201,6 +202,7 @@ def _series(waves: Array, phase: Array) -> Array:
 
 def _shifted(waves: Array, phase: float) -> Array:
     """Coefficients (a, b) of the series that begins at a phase of another one."""
-    cosine, sine = np.cos(phase * _ORDERS)[:, None], np.sin(phase * _ORDERS)[:, None]
+    cosine = np.cos(phase * _ORDERS)[:, None]
+    sine = np.sin(phase * _ORDERS)[:, None]
     along, across = waves
     return np.stack([along * cosine + across * sine, across * cosine - along * sine])

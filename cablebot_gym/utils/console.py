@@ -111,7 +111,9 @@ class Preparation:
     not include."""
 
     def __init__(self) -> None:
-        self._depth, self._since, self._spent = 0, 0.0, 0.0
+        self._depth = 0
+        self._since = 0.0
+        self._spent = 0.0
 
     def start(self) -> None:
         """Starts a preparation, which may be a part of another one."""
@@ -146,7 +148,9 @@ class _Clock:
 
     def __init__(self) -> None:
         self._start = time.monotonic()
-        self._first, self._since, self._last = -1.0, 0.0, 0.0
+        self._first = -1.0
+        self._since = 0.0
+        self._last = 0.0
         self._done = self._expected = 0.0
 
     @property
@@ -158,7 +162,8 @@ class _Clock:
         """Notes the progress. Work starts at the last report of the first value: results may be
         there already."""
         if self._first in (-1.0, done):
-            self._first, self._since = done, PREPARATION.worked
+            self._first = done
+            self._since = PREPARATION.worked
         self._done = done
         self._expected = expected
         self._last = PREPARATION.worked
@@ -198,7 +203,8 @@ def progress(text: str, unit: str = "%") -> Iterator[Step]:
         text: description of the computation.
         unit: unit that is counted, such as ``cells``; ``%`` shows the percentage instead.
     """
-    console, clock = notes_console(), _Clock()
+    console = notes_console()
+    clock = _Clock()
     if not _is_terminal(console):
         with _lines(clock, console.print) as say:
             description = text
@@ -280,8 +286,10 @@ class _Say(Protocol):
 def _lines(clock: _Clock, write: Callable[[str], None]) -> Iterator[_Say]:
     """Writes the present activity with elapsed and remaining time when a line is due, in a thread
     of its own."""
-    ended, lock = threading.Event(), threading.Lock()
-    present, due = "", FIRST_LINE
+    ended = threading.Event()
+    lock = threading.Lock()
+    present = ""
+    due = FIRST_LINE
 
     def write_line() -> None:
         nonlocal due

@@ -247,7 +247,10 @@ def plain_paths(owned: Path, *, count: int, size: int) -> list[Path]:
         OSError: if a folder cannot be read.
         ValueError: if something is neither a regular file nor a folder, or if a limit is exceeded.
     """
-    files, waiting, total, number = [], [owned], 0, 0
+    files = []
+    waiting = [owned]
+    total = 0
+    number = 0
     while waiting:
         path = waiting.pop()
         status = path.lstat()

@@ -44,7 +44,8 @@ def split_name(text: str) -> tuple[str, str]:
     Raises:
         ValueError: if the name is missing, the file does not exist, or another module hides it.
     """
-    source, attribute = text, ""
+    source = text
+    attribute = ""
     if not text.endswith(".py"):
         source, _, attribute = text.rpartition(":")
     if not source.endswith(".py"):

@@ -35,7 +35,8 @@ class _Output(io.RawIOBase):
     """
 
     def __init__(self, raw: Any, fallback: Any) -> None:
-        self._raw, self._fallback = raw, fallback
+        self._raw = raw
+        self._fallback = fallback
         self._is_broken = False
         self.problem = ""
         """Error message of the operating system; empty if there is none, or if the reader has
@@ -56,7 +57,8 @@ class _Output(io.RawIOBase):
                 count = self._raw.write(data)
             except BrokenPipeError:
                 # As in `| head`: nobody reads on, but the command may still write files.
-                self._is_broken, self._fallback = True, None
+                self._is_broken = True
+                self._fallback = None
             except OSError as error:
                 self._is_broken = True
                 self.problem = error.strerror or str(error)

@@ -159,7 +159,8 @@ class _Pool:
 
     def results(self, tasks: Mapping[str, Task]) -> Iterator[tuple[str, Exception | None, Any]]:
         """Key, error and result of each computation in the order of completion."""
-        queue, deaths = deque(self._keys), Counter[str]()
+        queue = deque(self._keys)
+        deaths = Counter[str]()
 
         def submit_next(worker: _Worker) -> None:
             worker.key = None
@@ -177,7 +178,8 @@ class _Pool:
                 if not busy:
                     return
                 for worker in [busy[pipe] for pipe in cast(list[Connection], wait(list(busy)))]:
-                    key, outcome = worker.key or "", self._receive(worker)
+                    key = worker.key or ""
+                    outcome = self._receive(worker)
                     if isinstance(outcome, WorkerDied):
                         deaths[key] += 1
                         worker = self._replace(worker)

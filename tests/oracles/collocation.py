@@ -9,6 +9,7 @@ internal tension: the payload is slightly optimistic.
 import numpy as np
 import pytest
 
+from cablebot_gym.kinematics import times_vector
 from cablebot_gym.physics import textbook
 from cablebot_gym.task import start_pose
 
@@ -30,16 +31,19 @@ def largest_payload(robot, trajectory, error_bounds, *, nodes, period):
     _keep_error_bounds(opti, pose[:, 1:], reference[1:].T, error_bounds)
     columns = [pose, velocity, acceleration]
     if robot.flexible:
-        angles = textbook.static_motor_angle(robot, robot.mass, reference)
-        columns += _states(opti, robot.cables, times, angles)
+        rest_angles = textbook.static_motor_angle(robot, robot.mass, reference)
+        motors = _states(opti, robot.cables, times, rest_angles)
+        columns += motors
+        _, motor_speed, _ = motors
         opti.subject_to(acceleration[:, 0] == 0)
-        opti.subject_to(columns[4][:, 0] == 0)
+        opti.subject_to(motor_speed[:, 0] == 0)
     else:
         tensions = opti.variable(robot.cables, nodes + 1)
         opti.set_initial(tensions, 1.0)
         columns.append(tensions)
-    mass = ca.repmat(robot.mass + payload, 1, nodes + 1)
-    balance, least, action = _stage(robot, period).map(nodes + 1)(ca.vertcat(*columns, mass))
+    columns.append(ca.repmat(robot.mass + payload, 1, nodes + 1))
+    stages = _stage(robot, period).map(nodes + 1)
+    balance, least, action = stages(ca.vertcat(*columns))
     opti.subject_to(ca.vec(balance) == 0)
     opti.subject_to(ca.vec(least) >= robot.minimum_tension / UNIT)
     opti.subject_to(opti.bounded(-1, ca.vec(action), 1))
@@ -52,13 +56,18 @@ def largest_payload(robot, trajectory, error_bounds, *, nodes, period):
 def _states(opti, count, times, values):
     """Values, rates and second rates at the nodes, each (count, nodes); second rates are linear in
     between."""
-    value, rate, second = (opti.variable(count, len(times)) for _ in range(3))
+    nodes = len(times)
+    value = opti.variable(count, nodes)
+    rate = opti.variable(count, nodes)
+    second = opti.variable(count, nodes)
     step = times[1] - times[0]
-    before = second[:, :-1]
-    after = second[:, 1:]
-    opti.subject_to(rate[:, 1:] == rate[:, :-1] + step / 2 * (before + after))
-    moved = step * rate[:, :-1] + step**2 / 6 * (2 * before + after)
-    opti.subject_to(value[:, 1:] == value[:, :-1] + moved)
+    start_rate = rate[:, :-1]
+    start_second = second[:, :-1]
+    end_second = second[:, 1:]
+    rate_change = step / 2 * (start_second + end_second)
+    change = step * start_rate + step**2 / 6 * (2 * start_second + end_second)
+    opti.subject_to(rate[:, 1:] == start_rate + rate_change)
+    opti.subject_to(value[:, 1:] == value[:, :-1] + change)
     opti.set_initial(value, values.T)
     opti.set_initial(rate, np.gradient(values, step, axis=0).T)
     return value, rate, second
@@ -71,30 +80,32 @@ def _keep_error_bounds(opti, pose, reference, error_bounds):
 
 def _stage(robot, period):
     """Balance of forces, least tensions and actions at a node as a function of its column."""
-    n = robot.coordinates
-    m = robot.cables
-    sizes = [n, n, n, m, m, m] if robot.flexible else [n, n, n, m]
+    rows_per_cable = 1
+    if robot.flexible:
+        rows_per_cable = 3
+    sizes = 3 * [robot.coordinates] + rows_per_cable * [robot.cables]
     column = ca.SX.sym("column", sum(sizes) + 1)
     entries = np.array(ca.vertsplit(column), dtype=object)
-    x, v, a, *cables = (part[None] for part in np.split(entries, np.cumsum(sizes))[:-1])
-    least = []
+    *parts, mass = np.split(entries, np.cumsum(sizes))
+    x, v, a, *cables = (part[None] for part in parts)
+    speed = textbook.pulley_speed(robot, x, v)
+    second = textbook.pulley_acceleration(robot, x, v, a)
     if robot.flexible:
+        pulley_torque = robot.pulley_inertia * second + robot.damping * speed
         angle, speed, second = cables
-        torque, springs = textbook.spring_drive(robot, x, v, angle, speed, second)
-        least.append(springs[0] / UNIT)
-        drag = robot.damping * textbook.pulley_speed(robot, x, v)
-        pulley = robot.pulley_inertia * textbook.pulley_acceleration(robot, x, v, a) + drag
-        tensions = springs - pulley / robot.pulley_radius
+        torque, spring_forces = textbook.spring_drive(robot, x, v, angle, speed, second)
+        tensions = spring_forces - pulley_torque / robot.pulley_radius
+        least = [spring_forces[0] / UNIT, tensions[0] / UNIT]
     else:
         tensions = UNIT * cables[0]
-        speed = textbook.pulley_speed(robot, x, v)
-        second = textbook.pulley_acceleration(robot, x, v, a)
         torque = textbook.required_torques(robot, tensions, x, v, a)
-    pull = np.swapaxes(textbook.jacobian(robot, x), -1, -2) @ tensions[..., None]
-    balance = (textbook.load(robot, entries[-1:], x, v, a) + pull[..., 0]) / UNIT
-    least.append(tensions[0] / UNIT)
+        least = [tensions[0] / UNIT]
+    pull = times_vector(textbook.jacobian(robot, x).mT, tensions)
+    balance = (textbook.load(robot, mass, x, v, a) + pull) / UNIT
     # The limits of a constant torque change with the speed in the period.
-    ends = [speed - period / 2 * second, speed + period / 2 * second]
-    action = [textbook.normalised_action(robot, torque, end)[0] for end in ends]
-    outputs = [ca.vertcat(*np.concatenate(part)) for part in (balance, least, action)]
+    half = period / 2 * second
+    actions = []
+    for end_speed in (speed - half, speed + half):
+        actions.append(textbook.normalised_action(robot, torque, end_speed)[0])
+    outputs = [ca.vertcat(*np.concatenate(rows)) for rows in (balance, least, actions)]
     return ca.Function("stage", [column], outputs)

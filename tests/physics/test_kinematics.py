@@ -13,17 +13,14 @@ from cablebot_gym.robots import PLANAR, SPATIAL
 
 @each_of(QUAD, CRANE)
 def test_lengths_are_distances_between_turned_anchors(robot):
-    pose = robot.home + np.random.default_rng(3).uniform(
-        -0.3,
-        0.3,
-        (50, robot.coordinates),
-    )
-    points = pose[:, None, : robot.dimensions] - robot.base
+    rng = np.random.default_rng(3)
+    pose = robot.home + rng.uniform(-0.3, 0.3, (50, robot.coordinates))
+    vectors = pose[:, None, : robot.dimensions] - robot.base
     if not robot.planar:
-        rotation = Rotation.from_euler("ZYX", pose[:, :2:-1])  # capitals: about the turned axes
-        points = points + robot.platform @ np.swapaxes(rotation.as_matrix(), 1, 2)
+        rotations = Rotation.from_euler("ZYX", pose[:, :2:-1])  # capitals: about the turned axes
+        vectors = vectors + robot.platform @ rotations.as_matrix().mT
     lengths = kinematics.cable_lengths(robot.base, robot.platform, pose)
-    assert_allclose(lengths, np.linalg.norm(points, axis=-1), rtol=1e-14)
+    assert_allclose(lengths, np.linalg.norm(vectors, axis=-1), rtol=1e-14)
 
 
 @each_of(PLANAR, SPATIAL, QUAD, *PLATFORMS.values(), SWIVELLED)
@@ -37,10 +34,11 @@ def test_pulley_speed_and_acceleration_are_slopes_of_the_angle(robot):
         return textbook.pulley_speed(robot, moved(time), velocity + time * acceleration)
 
     assert_array_equal(textbook.pulley_angle(robot, robot.home), 0)
-    turning = differentiated(lambda time: textbook.pulley_angle(robot, moved(time)), 1e-4)
-    assert_allclose(speed(0), turning, rtol=1e-9, atol=1e-8)
-    winding = textbook.pulley_acceleration(robot, pose, velocity, acceleration)
-    assert_allclose(winding, differentiated(speed, 1e-4), rtol=1e-8, atol=1e-6)
+    slope = differentiated(lambda time: textbook.pulley_angle(robot, moved(time)), 1e-4)
+    assert_allclose(speed(0), slope, rtol=1e-9, atol=1e-8)
+    pulley_acceleration = textbook.pulley_acceleration(robot, pose, velocity, acceleration)
+    slope = differentiated(speed, 1e-4)
+    assert_allclose(pulley_acceleration, slope, rtol=1e-8, atol=1e-6)
 
 
 def test_euler_rate_matrix_gives_omega_in_the_platform_frame():
@@ -52,10 +50,10 @@ def test_euler_rate_matrix_gives_omega_in_the_platform_frame():
     def slope(function):
         return differentiated(lambda time: function(euler + time * rates), 1e-4)
 
-    rotation = kinematics.rotation_matrix(euler)
-    crossed = np.swapaxes(rotation, 1, 2) @ slope(kinematics.rotation_matrix)
+    to_platform = kinematics.rotation_matrix(euler).mT
+    omega_matrix = to_platform @ slope(kinematics.rotation_matrix)
     omega = np.einsum("nij,nj->ni", kinematics.euler_rate_matrix(euler), rates)
-    assert_allclose(crossed + np.swapaxes(crossed, 1, 2), 0, atol=1e-10)
-    assert_allclose(crossed[:, [2, 0, 1], [1, 2, 0]], omega, atol=1e-10)
+    assert_allclose(omega_matrix + omega_matrix.mT, 0, atol=1e-10)
+    assert_allclose(omega_matrix[:, [2, 0, 1], [1, 2, 0]], omega, atol=1e-10)
     rate = kinematics.euler_rate_matrix_rate(euler, rates)
     assert_allclose(rate, slope(kinematics.euler_rate_matrix), rtol=0, atol=1e-10)

@@ -37,10 +37,9 @@ def gradient(function, point):
 def test_cable_wraps_its_swivel_pulley_on_the_right_side():
     """Straight down from the outer edge of the pulley: half a turn on the pulley and the free
     length."""
+    anchor = np.zeros((1, 3))
     for swivel, depth in ((0.1, 2.0), (-0.1, -2.0)):
-        length = kinematics.cable_lengths(
-            [[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]], [0.2, 0.0, depth], [swivel]
-        )
+        length = kinematics.cable_lengths(anchor, anchor, [0.2, 0.0, depth], [swivel])
         assert_allclose(length, [np.pi * 0.1 + 2.0], rtol=1e-14)
     assert np.sign(SWIVELLED.swivel).tolist() == [1] * 8
     assert np.sign(LOWER_WINCHES.swivel).tolist() == [1, 0, 1, 1, -1, -1, -1, -1]
@@ -50,29 +49,29 @@ def test_swivel_axes_turn_with_the_world():
     """Anchors, pose and vertical axes turned together keep the lengths and their rates; S is the
     gradient of the lengths."""
     turn = Rotation.from_euler("ZYX", [0.4, -0.7, 1.1]).as_matrix()
-    pose = SWIVELLED.home + np.linspace(0.1, 0.3, 6)
+    platform = SWIVELLED.platform
+    upright_pose = SWIVELLED.home + np.linspace(0.1, 0.3, 6)
     velocity = np.linspace(-1.0, 1.0, 6)
-    euler = Rotation.from_matrix(turn @ kinematics.rotation_matrix(pose[3:])).as_euler("ZYX")[::-1]
-    turned_pose = np.concatenate([turn @ pose[:3], euler])
+    rotation = turn @ kinematics.rotation_matrix(upright_pose[3:])
+    euler = Rotation.from_matrix(rotation).as_euler("ZYX")[::-1]
+    pose = np.concatenate([turn @ upright_pose[:3], euler])
+    base = SWIVELLED.base @ turn.T
     axes = np.zeros((8, 3))
     axes[:, 2] = SWIVELLED.swivel
-    turned = (SWIVELLED.base @ turn.T, SWIVELLED.platform, turned_pose, axes @ turn.T)
-    upright = (SWIVELLED.base, SWIVELLED.platform, pose, SWIVELLED.swivel)
-    lengths = kinematics.cable_lengths(*upright)
-    assert_allclose(kinematics.cable_lengths(*turned), lengths, rtol=1e-14)
+    axes = axes @ turn.T
 
-    def at(moved):
-        return kinematics.cable_lengths(*turned[:2], moved, turned[3])
+    def lengths(moved):
+        return kinematics.cable_lengths(base, platform, moved, axes)
 
-    structure = kinematics.structure_jacobian(*turned)
-    assert_allclose(structure, gradient(at, turned_pose), atol=1e-9)
-    rate = kinematics.structure_jacobian_rate(*turned[:3], velocity, turned[3])
+    def structure(moved):
+        return kinematics.structure_jacobian(base, platform, moved, axes)
 
-    def along(time):
-        moved = turned_pose + time * velocity
-        return kinematics.structure_jacobian(*turned[:2], moved, turned[3])
-
-    assert_allclose(rate, differentiated(along, 1e-3), atol=1e-8)
+    upright_lengths = textbook.cable_lengths(SWIVELLED, upright_pose)
+    assert_allclose(lengths(pose), upright_lengths, rtol=1e-14)
+    assert_allclose(structure(pose), gradient(lengths, pose), atol=1e-9)
+    rate = kinematics.structure_jacobian_rate(base, platform, pose, velocity, axes)
+    slope = differentiated(lambda time: structure(pose + time * velocity), 1e-3)
+    assert_allclose(rate, slope, atol=1e-8)
 
 
 def lagrangian(robot, mass, pose, velocity):
@@ -85,14 +84,16 @@ def lagrangian(robot, mass, pose, velocity):
         return moved[..., : robot.dimensions] + offset
 
     speed = differentiated(center, 1e-3)
-    energy = mass * np.sum(speed**2, axis=-1) / 2 + mass * (center(0.0) @ robot.gravity_vector)
+    kinetic = mass * np.sum(speed**2, axis=-1) / 2
+    energy = kinetic + mass * (center(0.0) @ robot.gravity_vector)
     if robot.point_mass:
         return energy
     omega = np.zeros((*pose.shape[:-1], 3))
     if robot.planar:
         omega[..., 2] = velocity[..., 2]
     else:
-        omega = (kinematics.euler_rate_matrix(pose[..., 3:]) @ velocity[..., 3:, None])[..., 0]
+        to_omega = kinematics.euler_rate_matrix(pose[..., 3:])
+        omega = kinematics.times_vector(to_omega, velocity[..., 3:])
     return energy + np.einsum("...i,ij,...j", omega, robot.inertia_tensor, omega) / 2
 
 

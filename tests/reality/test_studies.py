@@ -19,27 +19,39 @@ from cablebot_gym.robots import find_robot
 
 # --- ttk4900 --------------------------------------------------------------------------------------
 
-MASS_CURRENT, FRICTION, PEAK = 4.0, 0.15, 3.0
-"""Current of gravity [A], friction over gravity, and current of the accelerations [A]."""
+MASS_CURRENT = 4.0
+"""Current of gravity [A]."""
+
+FRICTION = 0.15
+"""Friction over gravity."""
+
+PEAK = 3.0
+"""Current of the accelerations [A]."""
 
 
 def lift(rng, speed, *, lifting, winch=1, attempts=((1.0, 3.0),)):
     """A log with one or more runs of a factor of the load and a duration [s], between rests."""
-    velocity, current = [np.zeros(30)], [np.full(30, -MASS_CURRENT)]
+    still = np.zeros(30)
+    holding = np.full(30, -MASS_CURRENT)
+    ramp = np.linspace(0, 1, 8)
+    velocities = [still]
+    currents = [holding]
     direction = 1 if lifting else -1
     for load, duration in attempts:
-        ramp = np.linspace(0, 1, 8)
         profile = np.concatenate([ramp, np.ones(int(duration / 0.03)), ramp[::-1]])
-        force = np.full(len(profile), load * MASS_CURRENT * (1 + direction * FRICTION))
-        force[:10] += PEAK
-        force[-10:] -= PEAK
-        velocity += [direction * speed * profile, np.zeros(30)]
-        current += [-force, np.full(30, -MASS_CURRENT)]
-    velocity = np.concatenate(velocity)
-    rows = np.full((len(velocity), 13), np.nan)
-    rows[:, 0] = 0.03 * np.arange(len(velocity))
-    rows[:, 5 + winch] = velocity + 0.04 * speed * rng.standard_normal(len(velocity))
-    rows[:, 9 + winch] = np.concatenate(current)
+        steady = load * MASS_CURRENT * (1 + direction * FRICTION)
+        current = np.full(len(profile), -steady)
+        current[:10] -= PEAK
+        current[-10:] += PEAK
+        velocities += [direction * speed * profile, still]
+        currents += [current, holding]
+    velocity = np.concatenate(velocities)
+    samples = len(velocity)
+    noise = 0.04 * speed * rng.standard_normal(samples)
+    rows = np.full((samples, 13), np.nan)
+    rows[:, 0] = 0.03 * np.arange(samples)
+    rows[:, 5 + winch] = velocity + noise
+    rows[:, 9 + winch] = np.concatenate(currents)
     rows[::50, 9 + winch] = np.nan
     return csv_text(rows, "time" + 12 * ",column")
 
@@ -66,10 +78,12 @@ def test_log_without_a_steady_run_is_refused():
 
 def test_friction_of_the_model_is_that_of_its_winches():
     robot = find_robot("ttk4900")
-    speed, weight = 25.0, 5.0
-    torque = robot.coulomb_friction[0] + robot.damping[0] * speed
-    torque += robot.load_friction[0] * weight * 9.81 * 0.02
-    expected = torque / (weight * 9.81 * 0.02)
+    speed = 25.0
+    weight = 5.0
+    gravity_torque = weight * 9.81 * 0.02
+    friction = robot.coulomb_friction[0] + robot.damping[0] * speed
+    friction += robot.load_friction[0] * gravity_torque
+    expected = friction / gravity_torque
     assert ttk4900.model_friction(robot, weight, 0, speed) == pytest.approx(expected, rel=1e-3)
 
 
@@ -96,33 +110,43 @@ def test_winch_is_predicted_from_the_others():
 
 # --- gch-klaus ------------------------------------------------------------------------------------
 
-SHIFT, FRAME, CORNERS = 1.234, (0.05, -1.2, 0.3), [[-1, -1], [-1, 1], [1, 1], [1, -1]]
-"""Clock shift [s], pose of the frame in the capture, and corners of the markers' rectangle."""
+SHIFT = 1.234
+"""Clock shift [s]."""
+
+FRAME = (0.05, -1.2, 0.3)
+"""Pose of the frame in the capture."""
+
+CORNERS = [(-0.0656, -0.06), (-0.0656, 0.06), (0.0656, 0.06), (0.0656, -0.06)]
+"""Corners of the markers' rectangle [m]."""
 
 
 def drawn(time):
     """Poses in the frame at times [s]."""
     time = np.maximum(time, 0.0)
-    columns = [
-        0.7 * np.sin(0.9 * time),
-        0.5 * np.sin(0.7 * time + 1),
-        0.1 * np.sin(0.4 * time),
-    ]
-    return np.stack(columns, axis=1)
+    x = 0.7 * np.sin(0.9 * time)
+    y = 0.5 * np.sin(0.7 * time + 1)
+    angle = 0.1 * np.sin(0.4 * time)
+    return np.stack([x, y, angle], axis=1)
+
+
+def rotated(x, y, angle):
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
+    return cosine * x - sine * y, sine * x + cosine * y
 
 
 def capture_text(time, pose):
     """An OptiTrack export with z to the right and y up. Some samples exchange names of markers."""
-    cosine, sine = np.cos(FRAME[2]), np.sin(FRAME[2])
-    x, y = pose[:, 0], pose[:, 1]
-    x, y = FRAME[0] + cosine * x - sine * y, FRAME[1] + sine * x + cosine * y
-    angle = pose[:, 2] + FRAME[2]
-    columns = [time]
-    for u, v in np.array(CORNERS) * [0.0656, 0.06]:
-        right = x + np.cos(angle) * u - np.sin(angle) * v
-        down = y + np.sin(angle) * u + np.cos(angle) * v
-        columns += [np.zeros(len(time)), -down, right]
-    rows = np.column_stack([np.arange(len(time)), *columns])
+    frame_x, frame_y, frame_angle = FRAME
+    x, y, angle = pose.T
+    x, y = rotated(x, y, frame_angle)
+    columns = [np.arange(len(time)), time]
+    for corner_x, corner_y in CORNERS:
+        marker_x, marker_y = rotated(corner_x, corner_y, angle + frame_angle)
+        right = frame_x + x + marker_x
+        up = -(frame_y + y + marker_y)
+        columns += [np.zeros(len(time)), up, right]
+    rows = np.column_stack(columns)
     rows[5::40, 2:] = np.roll(rows[5::40, 2:], 6, axis=1)
     names = ["", ""]
     for marker in range(1, 5):
@@ -148,9 +172,10 @@ def klaus(size=(1.0, 1.0), scale=(1.06, 1.05, 1.07, 1.06)):
     base = [tuple(row) for row in robot.base * size]
     lengths = cable_lengths(robot.replace(base_anchors=base), pose)
     logged = scale * lengths + [0.1, -0.2, 0.3, 0.0]
+    estimated_position = pose[:, :2] * [1, -1] + [1.4, 1.1]
     capture = np.arange(0, 20, 1 / 120)
     logs = {
-        f"{gch_klaus.LOG}.txt": log_text(pose[:, :2] * [1, -1] + [1.4, 1.1], logged),
+        f"{gch_klaus.LOG}.txt": log_text(estimated_position, logged),
         f"{gch_klaus.LOG}.csv": capture_text(capture, drawn(capture - SHIFT)),
     }
     comparisons = gch_klaus.validate(logs).comparisons
@@ -183,7 +208,8 @@ def test_other_size_of_the_frame_is_found():
     assert not results["RMS of cable lengths, offset and scale per cable"].held
     assert results["RMS of cable lengths, the same and size of the frame"].robot < 2e-4
     fitted = [results[f"{side} of the frame, fitted"].robot for side in ("width", "height")]
-    assert_allclose(fitted, [0.96, 0.93] * np.ptp(find_robot("gch-klaus").base, axis=0), rtol=2e-3)
+    sides = np.ptp(find_robot("gch-klaus").base, axis=0)
+    assert_allclose(fitted, [0.96, 0.93] * sides, rtol=2e-3)
     assert results["drum radius, fitted"].robot == pytest.approx(0.0127 / 1.06, rel=1e-3)
 
 
@@ -209,20 +235,26 @@ def bifilar(turn):
         "pos_PG_loc": [0.01, 0.0, 0.05],
         "gravity_axis": turn @ [0.0, 0.0, 1.0],
     }
+    position = turn @ [0.02, 0.0, -0.9]
     attitude = turn @ Rotation.from_euler("XYZ", [0.05, -0.02, 0.1]).as_matrix()
-    pose = np.append(turn @ [0.02, 0.0, -0.9], Rotation.from_matrix(attitude).as_euler("XYZ"))
-    return {"actuator": actuators, "platform": platform}, pose
+    angles = Rotation.from_matrix(attitude).as_euler("XYZ")
+    configuration = {"actuator": actuators, "platform": platform}
+    return configuration, np.append(position, angles)
 
 
 def test_frequencies_do_not_depend_on_the_frame():
     """Frames of motion capture are not level: gravity is along an axis of the configuration."""
     frequencies = []
     for angles in ([0.0, 0.0, 0.0], [0.3, -0.2, 0.4]):
-        robot = irma.hanging_robot(*bifilar(Rotation.from_euler("XYZ", angles).as_matrix()))
+        turn = Rotation.from_euler("XYZ", angles).as_matrix()
+        robot = irma.hanging_robot(*bifilar(turn))
         rest = home_at_rest(robot, robot.mass, 0.0)
-        frequencies.append(locked_modes(robot, robot.mass, rest.pose, rest.tensions)[0])
-    assert_allclose(frequencies[0], frequencies[1], rtol=1e-9)
-    assert_allclose(frequencies[0][0], np.sqrt(9.81 / 1.3) / 2 / np.pi, rtol=0.15)
+        modes, _ = locked_modes(robot, robot.mass, rest.pose, rest.tensions)
+        frequencies.append(modes)
+    level, inclined = frequencies
+    assert_allclose(level, inclined, rtol=1e-9)
+    pendulum = np.sqrt(9.81 / 1.3) / (2 * np.pi)
+    assert_allclose(level[0], pendulum, rtol=0.15)
 
 
 def test_numbers_of_a_workbook_are_read():

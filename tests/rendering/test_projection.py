@@ -9,7 +9,9 @@ import pytest
 
 from cablebot_gym.rendering.projection import fit_camera, outline
 
-WINDOW = (100.0, 50.0, 400.0, 300.0)
+CORNER = np.array([100.0, 50.0])
+SIZE = np.array([400.0, 300.0])
+WINDOW = (*CORNER, *SIZE)
 CLOUD = np.random.default_rng(4).uniform(-1, 1, (60, 3))
 ANGLES = [(0.0, math.pi / 2), (0.4, 0.5), (2.5, 0.0), (-1.0, 1.2)]
 
@@ -20,38 +22,40 @@ def test_fitted_points_fill_the_window(azimuth, elevation):
     page = camera.project(CLOUD)
     low = page.min(axis=0)
     high = page.max(axis=0)
-    assert np.all(low >= np.array(WINDOW[:2]) - 1e-6)
-    assert np.all(high <= np.array(WINDOW[:2]) + WINDOW[2:] + 1e-6)
-    assert np.max((high - low) / WINDOW[2:]) > 0.999
+    assert np.all(low >= CORNER - 1e-6)
+    assert np.all(high <= CORNER + SIZE + 1e-6)
+    assert np.max((high - low) / SIZE) > 0.999
+    assert (low + high) / 2 == pytest.approx(CORNER + SIZE / 2)
     axes = np.array([camera.right, camera.down, camera.forward])
     assert axes @ axes.T == pytest.approx(np.eye(3))
     assert np.linalg.det(axes) == pytest.approx(1.0)
-    assert (low + high) / 2 == pytest.approx(np.array(WINDOW[:2]) + np.array(WINDOW[2:]) / 2)
 
 
 def test_z_points_downwards_in_the_picture():
     camera = fit_camera(CLOUD, WINDOW, azimuth=0.4, elevation=0.5)
-    higher, lower = camera.project([[0, 0, 0], [0, 0, 0.5]])
-    assert lower[1] > higher[1] + 10
-    assert lower[0] == pytest.approx(higher[0], abs=15)  # upright, but for the perspective
+    (x, y), (x_below, y_below) = camera.project([[0, 0, 0], [0, 0, 0.5]])
+    assert y_below > y + 10
+    assert x_below == pytest.approx(x, abs=15)  # upright, but for the perspective
 
 
 def test_projection_is_a_perspective():
     camera = fit_camera(CLOUD, WINDOW, azimuth=0.3, elevation=0.6)
     aside = 0.01 * camera.right
     for distance in (1.0, 2.0, 4.0):
-        at = camera.eye + distance * camera.forward
-        wide = np.linalg.norm(camera.project(at + aside) - camera.project(at))
-        assert wide == pytest.approx(camera.focal * 0.01 / distance)
-        assert camera.pixels(0.01, at) == pytest.approx(wide)
+        point = camera.eye + distance * camera.forward
+        start, end = camera.project([point, point + aside])
+        pixels = np.linalg.norm(end - start)
+        assert pixels == pytest.approx(camera.focal * 0.01 / distance)
+        assert camera.pixels(0.01, point) == pytest.approx(pixels)
 
 
-SQUARE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
+SQUARE = 2.0 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
 
 
 def test_outline_has_the_corners_in_order_without_inner_points():
-    points = np.concatenate([SQUARE[[2, 0, 3, 1, 0]], [[1.5, 1.0]]])
-    np.testing.assert_array_equal(outline(points), SQUARE)
+    shuffled = SQUARE[[2, 0, 3, 1, 0]]
+    inner = [[1.5, 1.0]]
+    np.testing.assert_array_equal(outline(np.concatenate([shuffled, inner])), SQUARE)
 
 
 def test_outline_of_a_bar_keeps_its_anchors():

@@ -13,6 +13,7 @@ it. All functions have these arguments:
 springs, ``small_motion`` linear models.
 """
 
+from cablebot_gym.kinematics import times_vector
 from cablebot_gym.physics.textbook.drives import (
     MINIMUM_TENSION,
     TENSION_RESERVE,
@@ -57,7 +58,6 @@ from cablebot_gym.physics.textbook.platform import (
     pulley_speed,
     smooth_tension_distribution,
     tension_distribution,
-    times_vector,
 )
 from cablebot_gym.physics.textbook.small_motion import (
     LinearModel,

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cablebot_gym import kinematics
-from cablebot_gym.kinematics import Array, as_numbers
+from cablebot_gym.kinematics import Array, as_numbers, times_vector
 from cablebot_gym.physics.distribution import (
     BARRIER,
     HELD,
@@ -23,12 +22,12 @@ from cablebot_gym.physics.textbook.platform import (
     bias,
     cable_lengths,
     jacobian,
+    jacobian_and_rate,
     load,
     mass_matrix,
     pulley_angle,
     pulley_motion,
     tension_distribution,
-    times_vector,
 )
 from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.uncertainty import RobotArrays
@@ -68,7 +67,8 @@ def holding_torque(robot: RobotArrays, torque: Array) -> Array:
     ε = T/EA."""
     if not robot.elastic:
         return torque
-    return torque * (1 + torque / robot.pulley_radius / robot.axial_stiffness / 2)
+    strain = torque / robot.pulley_radius / robot.axial_stiffness
+    return torque * (1 + strain / 2)
 
 
 def stretched_torque(robot: RobotArrays, torque: Array) -> Array:
@@ -80,7 +80,8 @@ def stretched_torque(robot: RobotArrays, torque: Array) -> Array:
     """
     if not robot.elastic:
         return torque
-    return torque / (1 - torque / robot.pulley_radius / robot.axial_stiffness)
+    relative_strain = torque / robot.pulley_radius / robot.axial_stiffness  # ε/(1 + ε)
+    return torque / (1 - relative_strain)
 
 
 def rest_angles(robot: RobotArrays, tensions: ArrayLike, pose: ArrayLike) -> tuple[Array, Array]:
@@ -95,8 +96,9 @@ def rest_angles(robot: RobotArrays, tensions: ArrayLike, pose: ArrayLike) -> tup
     torque = robot.pulley_radius * tensions
     if robot.elastic:
         strain = tensions / robot.axial_stiffness
-        stretched = (cable_lengths(robot, pose) + robot.extra_length) * strain / (1 + strain)
-        pulley = pulley + stretched / robot.pulley_radius
+        length = cable_lengths(robot, pose) + robot.extra_length
+        stretch = length * strain / (1 + strain)
+        pulley = pulley + stretch / robot.pulley_radius
         torque = holding_torque(robot, torque)
     if robot.jointed:
         return pulley + torque / robot.stiffness, pulley
@@ -144,13 +146,13 @@ def joint_equivalent(robot: Robot) -> Robot:
         "extra_length": 0.0,
         "stiffness": stiffness,
     }
-    if not robot.jointed:
-        sides: dict[str, Any] = {
-            "motor_inertia": robot.pulley_inertia,
-            "motor_damping": robot.damping,
-        }
-        sides |= {"pulley_inertia": 0.0, "damping": 0.0}
-    else:
+    sides: dict[str, Any] = {
+        "motor_inertia": robot.pulley_inertia,
+        "motor_damping": robot.damping,
+        "pulley_inertia": 0.0,
+        "damping": 0.0,
+    }
+    if robot.jointed:
         at_motor = robot.stiffness > 2 * stiffness  # the cable is the softer spring
         sides = {
             "motor_inertia": robot.motor_inertia + np.where(at_motor, robot.pulley_inertia, 0.0),
@@ -189,16 +191,19 @@ def cable_springs(
         cable: ``unilateral`` cables can only pull.
     """
     radius = robot.pulley_radius
-    free = cable_lengths(robot, robot.home) + robot.extra_length - radius * as_numbers(angle)
-    strain = (cable_lengths(robot, pose) + robot.extra_length) / free - 1
-    rate = (
-        times_vector(jacobian(robot, pose), as_numbers(velocity)) + radius * as_numbers(speed)
-    ) / free
+    home_length = cable_lengths(robot, robot.home) + robot.extra_length
+    free_length = home_length - radius * as_numbers(angle)
+    length = cable_lengths(robot, pose) + robot.extra_length
+    strain = length / free_length - 1
+    stretching_speed = times_vector(jacobian(robot, pose), as_numbers(velocity))
+    stretching_speed = stretching_speed + radius * as_numbers(speed)
+    rate = stretching_speed / free_length
     tension = robot.axial_stiffness * strain + robot.axial_damping * rate
     wound = radius * robot.axial_stiffness * strain**2 / 2
     if cable == "unilateral":
-        tension = np.where(strain > 0, np.maximum(tension, 0.0), 0.0)
-        wound = np.where(strain > 0, wound, 0.0)
+        is_taut = strain > 0
+        tension = np.where(is_taut, np.maximum(tension, 0.0), 0.0)
+        wound = np.where(is_taut, wound, 0.0)
     return tension, radius * tension + wound
 
 
@@ -212,16 +217,16 @@ def cable_equivalent(robot: Robot) -> Robot:
     """
     if not (robot.elastic and robot.jointed):
         return robot
-    length = robot.extra_length + robot.axial_stiffness * robot.pulley_radius**2 / robot.stiffness
-    sides = {
-        "pulley_inertia": robot.pulley_inertia + robot.motor_inertia,
-        "damping": robot.damping + robot.motor_damping,
-        "motor_inertia": None,
-        "motor_damping": 0.0,
-    }
-    return robot.replace(
-        transmission=robot.transmission.replace(stiffness=None, extra_length=length, **sides)
+    spring_length = robot.axial_stiffness * robot.pulley_radius**2 / robot.stiffness
+    transmission = robot.transmission.replace(
+        stiffness=None,
+        extra_length=robot.extra_length + spring_length,
+        pulley_inertia=robot.pulley_inertia + robot.motor_inertia,
+        damping=robot.damping + robot.motor_damping,
+        motor_inertia=None,
+        motor_damping=0.0,
     )
+    return robot.replace(transmission=transmission)
 
 
 def spring_drive(
@@ -250,16 +255,15 @@ def spring_drive(
         torque = spring_torque + robot.motor_inertia * as_numbers(acceleration)
         torque = torque + motor_friction(robot, speed, spring_torque)
         return torque, spring_torque / robot.pulley_radius
+    velocity = as_numbers(velocity)
+    speed = as_numbers(speed)
     _, cable_torque = cable_springs(robot, pose, velocity, angle, speed, cable="bilateral")
     torque = cable_torque + robot.pulley_inertia * as_numbers(acceleration)
-    torque = torque + robot.damping * as_numbers(speed)
-    at_rest = 0 * as_numbers(velocity)
-    tensions, _ = cable_springs(
-        robot, pose, at_rest, angle, 0 * as_numbers(speed), cable="bilateral"
-    )
+    torque = torque + robot.damping * speed
     torque = torque + coulomb_torque(robot, speed)
     if np.any(robot.load_friction):
         torque = torque + load_friction(robot, speed) * np.abs(cable_torque)
+    tensions, _ = cable_springs(robot, pose, 0 * velocity, angle, 0 * speed, cable="bilateral")
     return torque, tensions
 
 
@@ -317,8 +321,9 @@ def least_action_tensions(
         ValueError: if ``strict`` and no tensions of at least ``minimum`` hold the load.
     """
     slope, offset = _actions_of_tensions(robot, speed, acceleration)
-    span = 1.0 / np.max(np.abs(robot.platform), initial=1e-3)
-    weights = np.where(np.arange(robot.coordinates) < robot.dimensions, 1.0, span)
+    weights = np.ones(robot.coordinates)
+    # Moments over the largest lever arm are comparable to forces.
+    weights[robot.dimensions :] = 1.0 / np.max(np.abs(robot.platform), initial=1e-3)
     distribution = unchecked_least_largest_action(
         structure, as_numbers(load), minimum, slope, offset, weights=weights
     )
@@ -354,7 +359,8 @@ def _actions_of_tensions(
 ) -> tuple[Array, Array]:
     """Action per tension [1/N] and action at zero tension. Where the maximum tension is less than
     that of the motor, the slope is larger, so that the action is 1 at the maximum tension."""
-    offset = normalised_action(robot, motor_torques(robot, 0.0, speed, acceleration), speed)
+    unloaded_torques = motor_torques(robot, 0.0, speed, acceleration)
+    offset = normalised_action(robot, unloaded_torques, speed)
     slope = loaded_radius(robot, speed) / robot.stall_torque
     if robot.maximum_tension != math.inf:
         slope = np.maximum(slope, (1.0 - offset) / robot.maximum_tension)
@@ -374,9 +380,7 @@ def required_torques(
     They include :func:`coulomb_torque` and load friction. Of a flexible robot they are the torques of the springs,
     without it.
     """
-    structure, rate = kinematics.jacobian_and_rate(
-        robot.base, robot.platform, pose, velocity, robot.swivel
-    )
+    structure, rate = jacobian_and_rate(robot, pose, velocity)
     speed, second = pulley_motion(robot, structure, rate, velocity, acceleration)
     return motor_torques(robot, tensions, speed, second)
 
@@ -416,8 +420,8 @@ def coulomb_torque(robot: RobotArrays, speed: ArrayLike) -> Array:
 
 def load_friction(robot: RobotArrays, speed: ArrayLike) -> Array:
     """Load friction over the load, μ ω/√(ω² + ω₀²), at motor speeds ω (..., m)."""
-    share: Array = robot.load_friction * as_numbers(speed) / smooth_magnitude(robot, speed)
-    return share
+    fraction: Array = robot.load_friction * as_numbers(speed) / smooth_magnitude(robot, speed)
+    return fraction
 
 
 def loaded_radius(robot: RobotArrays, speed: ArrayLike) -> Array:
@@ -471,16 +475,15 @@ def inverse_dynamics(
 ) -> InverseDynamics:
     """Tensions, torques and pulley motion for a motion. The arguments are as in
     :func:`required_tensions`."""
-    pose, velocity, acceleration = (
-        np.asarray(array, float) for array in (pose, velocity, acceleration)
-    )
-    structure, rate = kinematics.jacobian_and_rate(
-        robot.base, robot.platform, pose, velocity, robot.swivel
-    )
+    pose = np.asarray(pose, float)
+    velocity = np.asarray(velocity, float)
+    acceleration = np.asarray(acceleration, float)
+    structure, rate = jacobian_and_rate(robot, pose, velocity)
     speed, second = pulley_motion(robot, structure, rate, velocity, acceleration)
     wrench = load(robot, mass, pose, velocity, acceleration)
     if robot.cables == robot.coordinates:
-        tensions = -np.linalg.solve(np.swapaxes(structure, -1, -2), wrench[..., None])[..., 0]
+        negative_tensions = np.linalg.solve(structure.mT, wrench[..., None])
+        tensions = -negative_tensions[..., 0]
     elif robot.kind == "planar":
         tensions = tension_distribution(structure, wrench, minimum, strict=strict)
     else:
@@ -531,14 +534,13 @@ def motion_equations(
     robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLike
 ) -> MotionEquations:
     """The terms at poses (..., n) and velocities (..., n), with masses (...) [kg]."""
-    pose, velocity = as_numbers(pose), as_numbers(velocity)
-    structure, rate = kinematics.jacobian_and_rate(
-        robot.base, robot.platform, pose, velocity, robot.swivel
-    )
+    velocity = as_numbers(velocity)
+    structure, rate = jacobian_and_rate(robot, pose, velocity)
     radius = robot.pulley_radius
     cable_speed = times_vector(structure, velocity)
     rotor_masses = robot.pulley_inertia / radius**2
-    drag = rotor_masses * times_vector(rate, velocity) + robot.damping / radius**2 * cable_speed
+    rotor_force = rotor_masses * times_vector(rate, velocity)
+    drag = rotor_force + robot.damping / radius**2 * cable_speed
     return MotionEquations(
         mass_matrix=mass_matrix(robot, mass, pose),
         bias=bias(robot, mass, pose, velocity),
@@ -570,16 +572,19 @@ def forward_dynamics(
     equations = motion_equations(robot, mass, pose, velocity)
     if not robot.flexible:
         torques = torques - coulomb_torque(robot, equations.pulley_speed)
+    structure = equations.structure
     grip = robot.pulley_radius / loaded_radius(robot, equations.pulley_speed)
-    structure, rotors = equations.structure, grip * equations.rotor_masses
+    rotors = grip * equations.rotor_masses
     driving_force = grip * (torques / robot.pulley_radius + equations.cable_drag)
 
     def solve(taut: Array) -> tuple[Array, Array]:
-        weighted = np.swapaxes(structure, -1, -2) * taut
+        """Accelerations and tensions if only the cables with ``taut`` = 1 act."""
+        weighted = structure.mT * taut
         left = equations.mass_matrix + weighted @ (rotors[..., None] * structure)
         right = -(equations.bias + times_vector(weighted, driving_force))
         acceleration = np.linalg.solve(left, right[..., None])[..., 0]
-        return acceleration, driving_force + rotors * times_vector(structure, acceleration)
+        tension = driving_force + rotors * times_vector(structure, acceleration)
+        return acceleration, tension
 
     acceleration, tension = solve(np.ones(robot.cables))
     if cable == "bilateral":
@@ -592,8 +597,9 @@ def forward_dynamics(
             break
         taut = np.array(taut_set)
         acceleration, tension = solve(taut)
-        signs_agree = np.all(np.where(taut > 0, tension >= 0, tension <= 0), axis=-1)
-        consistent = signs_agree & ~settled
+        # A slack cable would have to push to keep up with its winch.
+        sign_agrees = np.where(taut > 0, tension >= 0, tension <= 0)
+        consistent = np.all(sign_agrees, axis=-1) & ~settled
         result[consistent] = acceleration[consistent]
         pulled[consistent] = (tension * taut)[consistent]
         settled |= consistent

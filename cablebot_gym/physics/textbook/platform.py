@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cablebot_gym import kinematics
-from cablebot_gym.kinematics import Array, as_numbers
+from cablebot_gym.kinematics import Array, as_numbers, skew, times_vector
 from cablebot_gym.uncertainty import RobotArrays
 
 
@@ -19,9 +19,15 @@ def jacobian(robot: RobotArrays, pose: ArrayLike) -> Array:
 
 def jacobian_rate(robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike) -> Array:
     """Ṡ, the time derivative of S along Ẋ, shape (..., m, n)."""
-    return kinematics.structure_jacobian_rate(
-        robot.base, robot.platform, pose, velocity, robot.swivel
-    )
+    _, rate = jacobian_and_rate(robot, pose, velocity)
+    return rate
+
+
+def jacobian_and_rate(
+    robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike
+) -> tuple[Array, Array]:
+    """S and Ṡ, each (..., m, n)."""
+    return kinematics.jacobian_and_rate(robot.base, robot.platform, pose, velocity, robot.swivel)
 
 
 def mass_matrix(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Array:
@@ -34,41 +40,46 @@ def mass_matrix(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Array:
     """
     pose = as_numbers(pose)
     mass = as_numbers(mass)
-    shape = np.broadcast_shapes(mass.shape, pose.shape[:-1])
-    mass = np.broadcast_to(mass, shape)[..., None, None]
-    d, n = robot.dimensions, robot.coordinates
+    batch = np.broadcast_shapes(mass.shape, pose.shape[:-1])
+    mass = np.broadcast_to(mass, batch)
+    masses = mass[..., None, None]
+    d = robot.dimensions
+    n = robot.coordinates
+    translation = masses * np.eye(d)
     if robot.point_mass:
-        return mass * np.eye(d)
-    matrix = np.zeros((*shape, n, n), np.result_type(pose, mass))
-    matrix[..., :d, :d] = mass * np.eye(d)
-    offset, inertia = robot.mass_center, robot.inertia_tensor
+        return translation
+    matrix = np.zeros((*batch, n, n), np.result_type(pose, mass))
+    matrix[..., :d, :d] = translation
+    offset = robot.mass_center
+    inertia = robot.inertia_tensor
     if robot.planar:
-        arm = kinematics.turned(pose, offset[None])[..., 0, :]
-        matrix[..., 2, 2] = inertia[..., 2, 2] + mass[..., 0, 0] * (offset @ offset)
-        matrix[..., 0, 2] = matrix[..., 2, 0] = -mass[..., 0, 0] * arm[..., 1]
-        matrix[..., 1, 2] = matrix[..., 2, 1] = mass[..., 0, 0] * arm[..., 0]
+        arm = center_arm(robot, pose)
+        matrix[..., 2, 2] = inertia[..., 2, 2] + mass * (offset @ offset)
+        matrix[..., 0, 2] = matrix[..., 2, 0] = -mass * arm[..., 1]
+        matrix[..., 1, 2] = matrix[..., 2, 1] = mass * arm[..., 0]
         return matrix
-    to_omega = kinematics.euler_rate_matrix(pose[..., 3:])
+    euler = pose[..., 3:]
+    to_omega = kinematics.euler_rate_matrix(euler)
     if np.any(offset):
-        rotation = kinematics.rotation_matrix(pose[..., 3:])
-        coupling = -mass * rotation @ _cross_matrix(offset) @ to_omega
+        rotation = kinematics.rotation_matrix(euler)
+        coupling = -masses * rotation @ skew(offset) @ to_omega
         matrix[..., :3, 3:] = coupling
-        matrix[..., 3:, :3] = np.swapaxes(coupling, -1, -2)
-        inertia = _about_origin(inertia, mass, offset)
-    matrix[..., 3:, 3:] = np.swapaxes(to_omega, -1, -2) @ inertia @ to_omega
+        matrix[..., 3:, :3] = coupling.mT
+        inertia = _about_origin(inertia, masses, offset)
+    matrix[..., 3:, 3:] = to_omega.mT @ inertia @ to_omega
     return matrix
+
+
+def center_arm(robot: RobotArrays, pose: Array) -> Array:
+    """R c in a plane, from the frame's origin to the centre of mass, shape (..., 2) [m]."""
+    return kinematics.turned(pose, robot.mass_center[None])[..., 0, :]
 
 
 def _about_origin(inertia: Array, mass: Array, offset: Array) -> Array:
     """Inertia about the frame's origin for a centre of mass at ``offset``: Steiner's theorem."""
-    moved: Array = inertia + mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset))
+    squares = (offset @ offset) * np.eye(3)
+    moved: Array = inertia + mass * (squares - np.outer(offset, offset))
     return moved
-
-
-def _cross_matrix(vector: Array) -> Array:
-    """Matrix of ``vector ×``, shape (3, 3)."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def bias(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLike) -> Array:
@@ -83,30 +94,37 @@ def bias(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, velocity: ArrayLi
     mass = as_numbers(mass)
     shape = np.broadcast_shapes(pose.shape, velocity.shape, (*mass.shape, 1))
     vector = np.zeros(shape, np.result_type(pose, mass, velocity))
-    d, offset = robot.dimensions, robot.mass_center
-    weight = mass[..., None] * robot.gravity_vector
-    vector[..., :d] = -weight
+    mass = mass[..., None]
+    weight = mass * robot.gravity_vector
+    vector[..., : robot.dimensions] = -weight
     if robot.point_mass:
         return vector
+    offset = robot.mass_center
+    is_offset = np.any(offset)
     if robot.planar:
-        if np.any(offset):
-            arm = kinematics.turned(pose, offset[None])[..., 0, :]
-            vector[..., :2] -= mass[..., None] * velocity[..., 2:] ** 2 * arm
+        if is_offset:
+            arm = center_arm(robot, pose)
+            vector[..., :2] -= mass * velocity[..., 2:] ** 2 * arm
             vector[..., 2] = arm[..., 1] * weight[..., 0] - arm[..., 0] * weight[..., 1]
         return vector
-    inertia, rates = robot.inertia_tensor, velocity[..., 3:]
-    to_omega = kinematics.euler_rate_matrix(pose[..., 3:])
+    euler = pose[..., 3:]
+    rates = velocity[..., 3:]
+    inertia = robot.inertia_tensor
+    if is_offset:
+        inertia = _about_origin(inertia, mass[..., None], offset)
+    to_omega = kinematics.euler_rate_matrix(euler)
+    to_omega_rate = kinematics.euler_rate_matrix_rate(euler, rates)
     omega = times_vector(to_omega, rates)
-    spin = times_vector(kinematics.euler_rate_matrix_rate(pose[..., 3:], rates), rates)
-    if np.any(offset):
-        inertia = _about_origin(inertia, mass[..., None, None], offset)
-    moment = times_vector(inertia, spin) + np.cross(omega, times_vector(inertia, omega))
-    if np.any(offset):
-        rotation = kinematics.rotation_matrix(pose[..., 3:])
+    spin = times_vector(to_omega_rate, rates)
+    gyroscopic = np.cross(omega, times_vector(inertia, omega))
+    moment = times_vector(inertia, spin) + gyroscopic
+    if is_offset:
+        rotation = kinematics.rotation_matrix(euler)
         centripetal = np.cross(omega, np.cross(omega, offset)) + np.cross(spin, offset)
-        vector[..., :3] += mass[..., None] * times_vector(rotation, centripetal)
-        moment = moment - np.cross(offset, times_vector(np.swapaxes(rotation, -1, -2), weight))
-    vector[..., 3:] = times_vector(np.swapaxes(to_omega, -1, -2), moment)
+        vector[..., :3] += mass * times_vector(rotation, centripetal)
+        weight_in_frame = times_vector(rotation.mT, weight)
+        moment = moment - np.cross(offset, weight_in_frame)
+    vector[..., 3:] = times_vector(to_omega.mT, moment)
     return vector
 
 
@@ -133,21 +151,23 @@ def pulley_speed(robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike) -> Ar
 
     With a rigid transmission it is the motor speed.
     """
-    return -times_vector(jacobian(robot, pose), as_numbers(velocity)) / robot.pulley_radius
+    cable_speed = times_vector(jacobian(robot, pose), as_numbers(velocity))
+    return -cable_speed / robot.pulley_radius
 
 
 def pulley_angle(robot: RobotArrays, pose: ArrayLike) -> Array:
     """Pulley angle β = −(q(X) − q(X₀))/r [rad], shape (..., m), of cables that do not stretch."""
-    return (cable_lengths(robot, robot.home) - cable_lengths(robot, pose)) / robot.pulley_radius
+    wound_up = cable_lengths(robot, robot.home) - cable_lengths(robot, pose)
+    return wound_up / robot.pulley_radius
 
 
 def pulley_acceleration(
     robot: RobotArrays, pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
 ) -> Array:
     """Pulley acceleration β̈ = −(S Ẍ + Ṡ Ẋ)/r (Eq. 6) [rad/s²], shape (..., m)."""
-    cable = times_vector(jacobian(robot, pose), as_numbers(acceleration))
-    cable = cable + times_vector(jacobian_rate(robot, pose, velocity), as_numbers(velocity))
-    return -cable / robot.pulley_radius
+    structure, rate = jacobian_and_rate(robot, pose, velocity)
+    _, second = pulley_motion(robot, structure, rate, velocity, acceleration)
+    return second
 
 
 def pulley_motion(
@@ -155,8 +175,11 @@ def pulley_motion(
 ) -> tuple[Array, Array]:
     """β̇ and β̈ from S and Ṡ, see :func:`pulley_speed` and :func:`pulley_acceleration`."""
     velocity = as_numbers(velocity)
-    cable = times_vector(structure, as_numbers(acceleration)) + times_vector(rate, velocity)
-    return -times_vector(structure, velocity) / robot.pulley_radius, -cable / robot.pulley_radius
+    radius = robot.pulley_radius
+    cable_speed = times_vector(structure, velocity)
+    cable_acceleration = times_vector(structure, as_numbers(acceleration))
+    cable_acceleration = cable_acceleration + times_vector(rate, velocity)
+    return -cable_speed / radius, -cable_acceleration / radius
 
 
 def tension_distribution(
@@ -179,18 +202,24 @@ def tension_distribution(
     remaining = load + minimum * structure.sum(axis=-2)
     shape = np.broadcast_shapes(structure.shape[:-2], load.shape[:-1])
     best_sum = np.full(shape, np.inf)
-    best = np.zeros((*shape, structure.shape[-2]))
-    for i, j in combinations(range(structure.shape[-2]), 2):
-        (ax, ay), (bx, by) = (np.moveaxis(-structure[..., k, :], -1, 0) for k in (i, j))
+    cables = structure.shape[-2]
+    best = np.zeros((*shape, cables))
+    force_x, force_y = np.moveaxis(remaining, -1, 0)
+    pulls = np.moveaxis(-structure, (-2, -1), (0, 1))  # on the platform, (m, 2, ...)
+    for i, j in combinations(range(cables), 2):
+        ax, ay = pulls[i]
+        bx, by = pulls[j]
         determinant = ax * by - ay * bx
         with np.errstate(divide="ignore", invalid="ignore"):
-            tension_i = (remaining[..., 0] * by - remaining[..., 1] * bx) / determinant
-            tension_j = (ax * remaining[..., 1] - ay * remaining[..., 0]) / determinant
+            tension_i = (force_x * by - force_y * bx) / determinant
+            tension_j = (ax * force_y - ay * force_x) / determinant
         # A force along one of the two cables gives a tiny negative value by rounding.
         slack = 1e-12 * (1 + np.abs(tension_i) + np.abs(tension_j))
-        usable = (tension_i >= -slack) & (tension_j >= -slack) & (np.abs(determinant) > 1e-12)
-        usable &= tension_i + tension_j < best_sum
-        best_sum = np.where(usable, tension_i + tension_j, best_sum)
+        usable = (tension_i >= -slack) & (tension_j >= -slack)
+        usable &= np.abs(determinant) > 1e-12  # the cables are not parallel
+        pair_sum = tension_i + tension_j
+        usable &= pair_sum < best_sum
+        best_sum = np.where(usable, pair_sum, best_sum)
         pair = np.zeros_like(best)
         pair[..., i] = tension_i
         pair[..., j] = tension_j
@@ -219,15 +248,10 @@ def smooth_tension_distribution(
         minimum: minimum tension [N].
         softness: smoothing of α [N]; > 0.
     """
-    (ax, ay), (bx, by), (cx, cy) = (np.moveaxis(structure[..., k, :], -1, 0) for k in range(3))
+    (ax, ay), (bx, by), (cx, cy) = np.moveaxis(structure, (-2, -1), (0, 1))
     null = np.stack([bx * cy - cx * by, cx * ay - ax * cy, ax * by - bx * ay], axis=-1)
     null = null / null.sum(axis=-1, keepdims=True)
     lifts = np.exp((minimum - least) / null / softness)
-    soft: Array = least + softness * np.log(lifts.sum(axis=-1, keepdims=True)) * null
+    total_lift = lifts.sum(axis=-1, keepdims=True)
+    soft: Array = least + softness * np.log(total_lift) * null
     return soft
-
-
-def times_vector(matrix: Array, vector: Array) -> Array:
-    """Batched matrix times vector."""
-    applied: Array = (matrix @ vector[..., None])[..., 0]
-    return applied

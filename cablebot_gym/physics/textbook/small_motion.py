@@ -3,16 +3,17 @@ and weight."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh, null_space
 
-from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array, as_numbers
 from cablebot_gym.physics.textbook.platform import (
     cable_lengths,
+    center_arm,
     jacobian,
     jacobian_rate,
     mass_matrix,
@@ -54,8 +55,11 @@ def linear_model(
         tensions: T that hold the mass at rest [N], shape (..., m): K is then the second derivative
             of the potential of springs and weight. None leaves out what tensions and weight add.
     """
-    mass = robot.mass if mass is None else mass
-    pose = robot.home if pose is None else as_numbers(pose)
+    if mass is None:
+        mass = robot.mass
+    if pose is None:
+        pose = robot.home
+    pose = as_numbers(pose)
     structure = jacobian(robot, pose)
     m = robot.cables
     n = robot.coordinates
@@ -73,7 +77,7 @@ def linear_model(
         for start, block in blocks:
             rows[..., start : start + block.shape[-1]] = block
         weights = np.broadcast_to(weight, (*batch, m))[..., None]
-        matrix += np.swapaxes(rows, -1, -2) @ (weights * rows)
+        matrix += rows.mT @ (weights * rows)
 
     radius = robot.pulley_radius[..., None]
     pulley = (0, -structure / radius)
@@ -85,24 +89,26 @@ def linear_model(
     add(inertia, robot.pulley_inertia, pulley)
     add(damping, robot.damping, pulley)
     largest_friction = robot.coulomb_friction + robot.load_friction * robot.stall_torque
-    add(damping, robot.speed_slope + largest_friction / robot.transmission.friction_speed, motor)
+    friction_slope = largest_friction / robot.transmission.friction_speed
+    add(damping, robot.speed_slope + friction_slope, motor)
     if robot.elastic:
         stretch = np.ones(m)  # length over free length
         if tensions is not None:
             stretch = 1 + as_numbers(tensions) / robot.axial_stiffness
         free_length = (cable_lengths(robot, pose) + robot.extra_length) / stretch
         wound = radius * stretch[..., None] * identity
-        add(stiffness, robot.axial_stiffness / free_length, (0, structure), (n, wound))
-        rates = (0, structure), (n, radius * identity)
-        add(damping, robot.axial_damping / free_length, *rates)
+        platform = (0, structure)
+        add(stiffness, robot.axial_stiffness / free_length, platform, (n, wound))
+        add(damping, robot.axial_damping / free_length, platform, (n, radius * identity))
     if robot.jointed:
-        twist = motor, (pulley[0], -pulley[1])
         add(inertia, robot.motor_inertia, motor)
         add(damping, robot.motor_damping, motor)
-        add(stiffness, robot.stiffness, *twist)
+        start, pulley_angle = pulley
+        add(stiffness, robot.stiffness, motor, (start, -pulley_angle))
     if tensions is not None:
-        stiffness[..., :n, :n] += tension_stiffness(robot, pose, tensions)
-        stiffness[..., :n, :n] += weight_stiffness(robot, mass, pose)
+        platform_stiffness = stiffness[..., :n, :n]
+        platform_stiffness += tension_stiffness(robot, pose, tensions)
+        platform_stiffness += weight_stiffness(robot, mass, pose)
     return LinearModel(inertia=inertia, damping=damping, stiffness=stiffness)
 
 
@@ -110,10 +116,11 @@ def tension_stiffness(robot: RobotArrays, pose: ArrayLike, tensions: ArrayLike) 
     """Σ T_i ∂²q_i/∂X² [N/m, N, N·m], shape (..., n, n): what tensions T (..., m) add to the
     stiffness because the cables turn."""
     pose = as_numbers(pose)
+    weights = as_numbers(tensions)[..., None]
     columns = []
     for along in np.eye(robot.coordinates):
-        rate = jacobian_rate(robot, pose, np.broadcast_to(along, pose.shape))
-        columns.append(np.sum(as_numbers(tensions)[..., None] * rate, axis=-2))
+        slope = jacobian_rate(robot, pose, np.broadcast_to(along, pose.shape))  # of S along X_j
+        columns.append(np.sum(weights * slope, axis=-2))
     return np.stack(columns, axis=-1)
 
 
@@ -121,17 +128,16 @@ def weight_stiffness(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Ar
     """Second derivative of the potential of the weight, −m g ∂²(R c)/∂X² along gravity, shape (...,
     n, n): zero with the centre of mass c in the frame's origin."""
     pose = as_numbers(pose)
-    d, n = robot.dimensions, robot.coordinates
-    second = np.zeros((*pose.shape, n))
-    if n == d or not np.any(robot.mass_center):
+    second = np.zeros((*pose.shape, robot.coordinates))
+    if robot.point_mass or not np.any(robot.mass_center):
         return second
     weight = as_numbers(mass)[..., None] * robot.gravity_vector
     if robot.planar:
-        arm = kinematics.turned(pose, robot.mass_center[None])[..., 0, :]
-        second[..., 2, 2] = np.sum(weight * arm, axis=-1)
+        second[..., 2, 2] = np.sum(weight * center_arm(robot, pose), axis=-1)
         return second
     c_x, c_y, c_z = robot.mass_center
-    psi, theta = pose[..., 3], pose[..., 4]
+    psi = pose[..., 3]
+    theta = pose[..., 4]
     level = np.sin(psi) * c_y + np.cos(psi) * c_z
     turned = np.cos(psi) * c_y - np.sin(psi) * c_z
     # The third row of R gives (R c)_z = −sin θ c_x + cos θ (sin ψ c_y + cos ψ c_z).
@@ -171,7 +177,7 @@ def locked_modes(
     stiffness = free.T @ model.stiffness[:moving, :moving] @ free
     inertia = free.T @ model.inertia[:moving, :moving] @ free
     squares, shapes = eigh(stiffness, inertia)
-    return np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi), free @ shapes
+    return _frequencies(squares), free @ shapes
 
 
 def free_modes(
@@ -184,16 +190,21 @@ def free_modes(
     """
     model = linear_model(robot, mass=mass, pose=pose, tensions=tensions)
     squares, shapes = eigh(model.stiffness, model.inertia)
-    winding = slice(robot.coordinates, None)
-    return np.sqrt(np.maximum(squares[winding], 0.0)) / (2 * np.pi), shapes[:, winding]
+    n = robot.coordinates
+    return _frequencies(squares[n:]), shapes[:, n:]
+
+
+def _frequencies(squares: Array) -> Array:
+    """Frequencies [Hz] from squares of angular frequencies, which rounding can make negative."""
+    angular_frequencies = np.sqrt(np.maximum(squares, 0.0))
+    return angular_frequencies / (2 * np.pi)
 
 
 def highest_frequency(robot: RobotArrays) -> float:
     """Highest natural frequency of a flexible robot about its home pose with taut cables
     [rad/s]."""
     model = linear_model(robot)
-    squares = np.linalg.eigvals(np.linalg.solve(model.inertia, model.stiffness)).real
-    return float(np.sqrt(squares.max()))
+    return math.sqrt(_largest_eigenvalue(model.inertia, model.stiffness))
 
 
 def fastest_decay_rate(robot: RobotArrays) -> float:
@@ -202,4 +213,10 @@ def fastest_decay_rate(robot: RobotArrays) -> float:
     The slope of the Coulomb friction is largest at standstill, τ_c/ω₀.
     """
     model = linear_model(robot)
-    return float(np.linalg.eigvals(np.linalg.solve(model.inertia, model.damping)).real.max())
+    return _largest_eigenvalue(model.inertia, model.damping)
+
+
+def _largest_eigenvalue(inertia: Array, matrix: Array) -> float:
+    """Largest real part of the eigenvalues of M⁻¹ A, of one robot or of any of N."""
+    eigenvalues = np.linalg.eigvals(np.linalg.solve(inertia, matrix))
+    return float(eigenvalues.real.max())
