@@ -114,8 +114,9 @@ CableBot-Planar-v0:
 """
 
 UNTRAINED = """
-import cablebot_gym, stable_baselines3
-stable_baselines3.PPO("MlpPolicy", "CableBot-Planar-v0").save("model.zip")
+import cablebot_gym, gymnasium, stable_baselines3
+env = gymnasium.make("CableBot-Planar-v0")  # by its name, Stable-Baselines3 asks for pictures
+stable_baselines3.PPO("MlpPolicy", env).save("model.zip")
 """
 
 
