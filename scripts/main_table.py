@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from markdown_table import markdown_table
 
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, DrawnCell, SurveyCell, TimingCell
 from cablebot_gym.benchmark.engine import local, run_cells
@@ -127,10 +128,7 @@ def table(board: Results, results: Results) -> str:
             )
         tracked = exact_tracking(board, now.env_id)
         rows.append(["exact tracking, robot known", "–", f"{tracked:.1%}", "–", "–"])
-        head, *body = rows
-        text += f"\n### {now.env_id}\n\n"
-        for row in (head, ["---"] * 2 + ["---:"] * 3, *body):
-            text += f"| {' | '.join(row)} |\n"
+        text += f"\n### {now.env_id}\n\n{markdown_table(rows, right=3)}"
     return text + "\n"
 
 

@@ -20,6 +20,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from markdown_table import markdown_table
 from scipy.stats import chi2
 
 from cablebot_baselines.estimation import (
@@ -292,13 +293,13 @@ def table(data: dict[str, Any]) -> str:
             rows[row][env_id] = _cell(env_id, result, exact)
     head = ["sensors", "estimator", "errors of the sensors", "deviation"]
     head += [f"`{env_id}`, `{law}`" for env_id, law in LAWS.items()]
-    lines = [head, ["---"] * len(head)]
+    lines = [head]
     for row, entries in rows.items():
         lines.append([*row, *(entries.get(env_id, "–") for env_id in LAWS)])
     return (
         f"\nWith {data['draws']} draws, 95 % of consistent filters have a NEES at one instant "
         f"between {interval(2, data['draws'])} in a plane, and {interval(6, data['draws'])} in space.\n\n"
-        + "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        + markdown_table(lines)
         + "\n"
     )
 

@@ -28,6 +28,7 @@ import main_table
 import measure_winches
 import published_numbers
 import real_robots
+from markdown_table import markdown_table
 
 from cablebot_gym.benchmark.leaderboard import Results, errors_text, library_tables
 from cablebot_gym.benchmark.scores import Column, Leaderboard, best_known_payloads, leaderboards
@@ -75,10 +76,7 @@ def readme_table(results: Results) -> str:
     boards_of: dict[str, list[Leaderboard]] = {}
     for board in boards:
         boards_of.setdefault(board.env_id, []).append(board)
-    rows = [
-        ["environment", *KINDS.values(), "best known on the circle"],
-        ["---"] * (2 + len(KINDS)),
-    ]
+    rows = [["environment", *KINDS.values(), "best known on the circle"]]
     for env_id, boards_of_env in boards_of.items():
         row = [f"`{env_id}`", *(_best(boards_of_env, kind) for kind in KINDS)]
         columns = len(row)
@@ -94,7 +92,7 @@ def readme_table(results: Results) -> str:
         reference = "payload that can be hoped for"
     text = f"The best policy of each kind: mean fraction of the {reference}\n({motion}, {heading(first)}),\n"
     text += "and its payload on the circle with an exactly known robot.\n\n"
-    return text + "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    return text + markdown_table(rows)
 
 
 def _best(boards: list[Leaderboard], kind: str) -> str:
@@ -206,12 +204,12 @@ def block(name: str) -> str:
             text += f"\n```text\n{output(script)}```\n"
         return text
     head, *rows = {key: rows for key, _, rows in tables()}[name]
-    lines = [head, ["---"] * len(head)]
+    lines = [head]
     for key, *cells in rows:
         if key:
             key = f"`{key}`"
         lines.append([key, *cells])
-    return "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines) + "\n"
+    return f"\n{markdown_table(lines)}\n"
 
 
 def output(script: Path) -> str:

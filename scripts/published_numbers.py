@@ -4,9 +4,10 @@ and what friction and the stiffness of tensions change."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from markdown_table import markdown_table
 from scipy.spatial.transform import Rotation
 
 from cablebot_gym.bounds.robot_check import check_motion, modes, two_digits
@@ -33,7 +34,8 @@ CAMERA_SPEED = 13.0
 
 def table() -> str:
     """The published numbers in Markdown."""
-    return _markdown(["robot", "quantity", "published", "model", "source"], _rows())
+    head = ["robot", "quantity", "published", "model", "source"]
+    return f"\n{markdown_table([head, *_rows()])}\n"
 
 
 def effects_table() -> str:
@@ -41,12 +43,8 @@ def effects_table() -> str:
     with elastic cables without the stiffness of tensions, weight and sag and with it, in
     Markdown."""
     head = ["robot", "payload [kg]", "without friction", "half payload [kg]", "softest mode [Hz]"]
-    return _markdown([*head, "without tensions and sag"], map(_effects, library()))
-
-
-def _markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines: list[Sequence[str]] = [head, ["---"] * len(head), *rows]
-    return "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines) + "\n"
+    head.append("without tensions and sag")
+    return f"\n{markdown_table([head, *map(_effects, library())])}\n"
 
 
 def _effects(name: str) -> Sequence[str]:

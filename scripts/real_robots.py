@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from markdown_table import markdown_table
 from matplotlib import rc_context
 
 from cablebot_gym.reality import STUDIES
@@ -47,12 +48,10 @@ def study_text(name: str) -> str:
     for stored in study["comparisons"]:
         del stored["deviation"], stored["held"]
         comparisons.append(Comparison(**stored))
-    head, *rows = table(comparisons)
     address = f"https://github.com/{study['repository']}/tree/{study['commit']}"
     text = f"\nSource: [{study['repository']}]({address}), license {study['license']}. "
     text += f"Files: {len(study['files'])}. Command: `{study['command']}`.\n\n"
-    for row in (head, ["---"] * len(head), *rows):
-        text += f"| {' | '.join(row)} |\n"
+    text += markdown_table(table(comparisons))
     return text + "\n" + "".join(f"* {note}\n" for note in study["notes"]) + "\n"
 
 
