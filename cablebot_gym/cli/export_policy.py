@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cablebot_gym.cli.options import EnvId, PolicyName, TaskOptions, robot_of
 from cablebot_gym.utils.console import print_table
 
 if TYPE_CHECKING:
     from cablebot_gym.evaluation.rollout import Rollout
+    from cablebot_gym.policies import LoadedPolicy
+    from cablebot_gym.policies.onnx import OnnxPolicy
+    from cablebot_gym.policies.onnx_export import ExportableModel
 
 
 def export_policy(
@@ -51,7 +54,10 @@ def export_policy(
     if PolicySpec.parse(policy).kind != "file":
         raise not_exportable(policy, "it is no model in a file")
     robot = robot_of(env_id, task)
-    loaded = load(policy, robot, wrappers=[normalize] if normalize else ())
+    wrappers = []
+    if normalize is not None:
+        wrappers.append(normalize)
+    loaded = load(policy, robot, wrappers=wrappers)
     model = ExportableModel(policy, loaded.policy, robot)
     period = 1 / task.control_frequency
     file = model.to_onnx(env_id=env_id, control_period=f"{period:g} s")
@@ -61,7 +67,12 @@ def export_policy(
 
 
 def _compare(
-    model: Any, original: Any, exported: Any, env_id: str, task: TaskOptions, tolerance: float
+    model: ExportableModel,
+    original: LoadedPolicy,
+    exported: OnnxPolicy,
+    env_id: str,
+    task: TaskOptions,
+    tolerance: float,
 ) -> None:
     """Simulates a motion with a file and its model, and prints their differences and the times of
     the file.

@@ -99,12 +99,12 @@ def _json(data: object) -> str:
 def _rows(result: Identification) -> list[list[str]]:
     """Header and rows of the estimates."""
     from cablebot_gym.identification.regression import CONFIDENCE
-    from cablebot_gym.identification.result import unit_of
+    from cablebot_gym.identification.result import shown_unit, unit_of
 
     confidence = f"{100 * CONFIDENCE:g} % interval"
     rows = [["parameter", "motors", "value", confidence, "unit", "determined"]]
     for item in result.estimates:
-        unit, factor = _shown_unit(unit_of(item.name))
+        unit, factor = shown_unit(unit_of(item.name))
         value = "–"
         interval = "–"
         if not math.isnan(item.value):
@@ -116,13 +116,6 @@ def _rows(result: Identification) -> list[list[str]]:
             determined = f"not determined: {item.reason}"
         rows.append([item.name, motors, value, interval, unit, determined])
     return rows
-
-
-def _shown_unit(unit: str) -> tuple[str, float]:
-    """Printed unit, and its factor: lengths are in mm."""
-    if unit == "m":
-        return "mm", 1e3
-    return unit, 1.0
 
 
 def _texts(value: float, half_width: float) -> tuple[str, str, str]:
@@ -142,9 +135,11 @@ def _texts(value: float, half_width: float) -> tuple[str, str, str]:
 
 def _residual_lines(result: Identification) -> list[str]:
     """Lines with the residuals."""
+    from cablebot_gym.identification.result import shown_unit
+
     lines = []
     for item in result.responses:
-        unit, factor = _shown_unit(item.unit)
+        unit, factor = shown_unit(item.unit)
         text = f"residual   {item.equation}: {factor * item.rms:.3g} {unit} RMS"
         if item.unit != "m":
             text += f", {item.rms / item.measured_rms:.1%} of the measured RMS"

@@ -38,7 +38,7 @@ from cablebot_gym.identification.samples import (
 )
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import Robot, library
+from cablebot_gym.robots import ELASTIC, Robot, library
 
 OFFSET = "length_offset"
 """Name of the measured cable length less that of the angle, which is zero at the home pose."""
@@ -214,7 +214,7 @@ def _fit_rigid(robot: Robot, motor: int, samples: LengthSamples, *, is_hinted: b
         return result
     remedy = f"write axial_stiffness = {stretch.value:.3g} under [transmission] in its TOML file"
     if robot.name in library():
-        remedy = f"use --robot flex-{robot.name}"
+        remedy = f"use --robot {ELASTIC}{robot.name}"
     reason = (
         f"the lengths grow with the tension, but the cables of this robot do not stretch; {remedy}"
     )
@@ -246,7 +246,8 @@ def _fit(robot: Robot, motor: int, samples: LengthSamples, *, may_stretch: bool)
     home = textbook.cable_lengths(robot, robot.home)[motor] + robot.extra_length[motor]
     values = np.array([robot.pulley_radius[motor], 0.0, compliance])
     fitted = [_OFFSET]
-    too_short, too_alike = "", ""
+    too_short = ""
+    too_alike = ""
     if np.std(samples.length) > LEAST_MOTION * np.mean(samples.length):
         fitted.insert(0, _RADIUS)
     else:

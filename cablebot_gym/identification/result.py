@@ -98,6 +98,13 @@ def unit_of(name: str) -> str:
     return PARAMETERS[name].unit
 
 
+def shown_unit(unit: str) -> tuple[str, float]:
+    """Unit in which values in an SI unit are shown, and their factor: lengths are in mm."""
+    if unit == "m":
+        return "mm", 1e3
+    return unit, 1.0
+
+
 def identify(robot: Robot, logs: Sequence[Log], *, payload: float = 0.0) -> Identification:
     """Identifies what the logs determine of the drives of a robot.
 

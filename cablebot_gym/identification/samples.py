@@ -138,12 +138,10 @@ def tension_from_torque(
 ) -> Array:
     """Cable tension [N], (K,): the inverse of the drive equation with the friction and inertia of
     the robot."""
-    inertia, damping, coulomb, per_load = (
-        getattr(robot, name)[motor] for name in parameter_names(robot)
-    )
-    direction = speed / textbook.smooth_magnitude(robot, speed)
-    load = torque - inertia * acceleration - damping * speed - coulomb * direction
-    load = load / (1 + per_load * direction)
+    parameters = [getattr(robot, name)[motor] for name in parameter_names(robot)]
+    factors = drive_factors(robot, speed, acceleration, np.ones(len(speed)))
+    load = torque - factors[:, :-1] @ parameters[:-1]
+    load = load / (1 + factors[:, -1] * parameters[-1])
     if robot.jointed:
         load = load - robot.pulley_inertia[motor] * acceleration - robot.damping[motor] * speed
     pulling: Array = load / robot.pulley_radius[motor]
@@ -249,8 +247,14 @@ def drive_columns(log: Log, motor: int) -> list[str]:
 
 def drive_factors(robot: Robot, speed: Array, acceleration: Array, load: Array) -> Array:
     """Factors of the parameters, (..., 4)."""
-    direction = speed / textbook.smooth_magnitude(robot, speed)
+    direction = _direction(robot, speed)
     return np.stack([acceleration, speed, direction, direction * np.abs(load)], axis=-1)
+
+
+def _direction(robot: Robot, speed: Array) -> Array:
+    """Smooth direction of motion σ."""
+    direction: Array = speed / textbook.smooth_magnitude(robot, speed)
+    return direction
 
 
 def _motor_piece(robot: Robot, segment: Segment, number: int, motor: int, tension: Array) -> _Piece:
@@ -286,13 +290,14 @@ def _platform_piece(
     # Moments become forces at the platform anchors.
     span = max(float(np.max(np.abs(robot.platform))), 1e-3)
     scale = np.where(np.arange(robot.coordinates) < robot.dimensions, 1.0, 1 / span)
-    responses, factors = [], []
+    responses = []
+    factors = []
     moves = np.ones(len(pose), bool)
     for motor in range(robot.cables):
         speed, acceleration = segment.motion(motor)
         torque = segment.smooth(f"torque_{motor + 1}")
-        direction = speed / textbook.smooth_magnitude(robot, speed)
-        radius = robot.pulley_radius[motor] * (1 + robot.load_friction[motor] * direction)
+        per_load = robot.load_friction[motor] * _direction(robot, speed)
+        radius = robot.pulley_radius[motor] * (1 + per_load)
         if robot.elastic:
             tension = tension_from_torque(robot, motor, torque, speed, acceleration)
             radius = radius * (1 + tension / robot.axial_stiffness[motor] / 2)

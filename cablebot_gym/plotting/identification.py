@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cablebot_gym.identification.log import GAP
-from cablebot_gym.identification.result import Identification, Response
+from cablebot_gym.identification.result import Identification, Response, shown_unit
 from cablebot_gym.kinematics import Array
 from cablebot_gym.plotting.figures import add_legend, new_figure, set_title
 from cablebot_gym.utils.palette import BLUE, GREY, SHADE, VERMILLION
@@ -66,11 +66,7 @@ def _draw(responses: Sequence[Response], result: Identification) -> Figure:
 
 def _draw_response(response: Axes, residual: Axes, item: Response, starts: Array) -> None:
     """Draws one equation into its two panels."""
-    unit = item.unit
-    factor = 1.0
-    if unit == "m":
-        unit = "mm"
-        factor = 1e3
+    unit, factor = shown_unit(item.unit)
     order = np.lexsort((item.time, item.log))
     start_times = np.zeros(len(starts))  # in the logs
     for log in np.unique(item.log):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ def import_onnx() -> None:
         ImportError: if the package is missing; the message names the command that installs it.
     """
     try:
-        import onnx  # noqa: F401
+        import_module("onnx")
     except ImportError:
         raise ImportError("the export needs onnx: pip install 'cablebot-gym[onnx]'") from None
 

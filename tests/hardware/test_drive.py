@@ -206,7 +206,7 @@ def test_winches_that_hold_are_left_alone():
         assert not axis["config.enable_watchdog"]
 
 
-def test_nothing_is_called_for_the_first_time_while_motors_follow(monkeypatch):
+def test_all_that_may_compile_is_called_before_motors_follow(monkeypatch):
     """The first call of a function may compile for seconds."""
     rig = Rig(TTK, LINE)
     calls = []

@@ -133,7 +133,7 @@ def test_undetermined_axial_stiffness_is_refused_with_its_remedy(changes, edit, 
     assert result.robot.transmission.axial_stiffness == robot.transmission.axial_stiffness
 
 
-def test_radius_and_offset_of_a_rigid_drive_need_no_torques():
+def test_radius_and_offset_of_a_rigid_drive_follow_from_poses_and_angles():
     nominal = with_transmission(SPATIAL, pulley_radius=0.05)
     true = with_transmission(nominal, pulley_radius=RADIUS)
     time, pose, *_ = smooth_motion(true, np.random.default_rng(0), period=0.02, samples=2000)
@@ -149,7 +149,7 @@ def test_radius_and_offset_of_a_rigid_drive_need_no_torques():
     assert result.robot.pulley_radius == pytest.approx(RADIUS, rel=1e-3)
 
 
-def test_log_without_torques_and_poses_names_both_remedies():
+def test_log_of_motions_alone_names_both_remedies():
     log = Log(name="a.csv", columns={"time": np.arange(99.0), "angle_1": np.arange(99.0)})
     with pytest.raises(
         ValueError, match=r"no .* torque_1 .* nor angle_1 \[rad\] with the pose x, y"
