@@ -44,7 +44,7 @@ def effects_table() -> str:
     Markdown."""
     head = ["robot", "payload [kg]", "without friction", "half payload [kg]", "softest mode [Hz]"]
     head.append("without tensions and sag")
-    return f"\n{markdown_table([head, *map(_effects, library())])}\n"
+    return f"\n{markdown_table([head, *map(_effects, library())], right=5)}\n"
 
 
 def _effects(name: str) -> Sequence[str]:
