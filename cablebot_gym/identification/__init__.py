@@ -1,9 +1,0 @@
-"""Parameters of winches from logs, with confidence intervals, ``cablebot identify``.
-
-Log, samples of the drive equation, regression, result: one module each.
-"""
-
-from cablebot_gym.identification.log import read_log
-from cablebot_gym.identification.result import Identification, identify
-
-__all__ = ["Identification", "identify", "read_log"]

@@ -1,0 +1,224 @@
+"""Identification of a robot: estimates, the robot with them, and their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablebot_winches.identification.lengths import OFFSET, LengthFit, fit_lengths
+from cablebot_winches.identification.log import Log, pose_columns
+from cablebot_winches.identification.regression import CONFIDENCE, CONSTANT, Estimate, Fit, fit
+from cablebot_winches.identification.samples import PLATFORM, Samples, drive_samples, parameter_names
+from cablebot_gym.kinematics import Array
+from cablebot_gym.robots import Robot
+from cablebot_gym.uncertainty import PARAMETERS, ParameterDistribution, Uncertainty
+
+UNITS = {CONSTANT: "N·m/A", "pulley_radius": "m", OFFSET: "m"}
+"""Units of parameters that are not in :data:`~cablebot_gym.uncertainty.PARAMETERS`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Response:
+    """Measured and modelled response of one equation at K instants."""
+
+    equation: str
+    """Name of the equation: ``motor 1``, ``length 1``, or ``platform x``."""
+    unit: str
+    """Unit of the response: N·m, A, N or m."""
+    time: Array
+    """Times of the log, (K,) [s]."""
+    log: NDArray[np.int64]
+    """Index of the log, (K,)."""
+    measured: Array
+    """Measured response, (K,)."""
+    residual: Array
+    """Measured minus modelled response, (K,)."""
+
+    @property
+    def rms(self) -> float:
+        """RMS of the residual."""
+        return _rms(self.residual)
+
+    @property
+    def measured_rms(self) -> float:
+        """RMS of the measured response."""
+        return _rms(self.measured)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identification:
+    """Result of an identification."""
+
+    robot: Robot
+    """The robot with the determined parameters."""
+    uncertainty: Uncertainty
+    """Their intervals, as uniform deviations from the values of the robot."""
+    estimates: tuple[Estimate, ...]
+    """All parameters, determined or not."""
+    responses: tuple[Response, ...]
+    """Measured and modelled responses of all equations."""
+    logs: tuple[str, ...]
+    """Names of the logs."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able data, motors counted from 1, and None in place of what is not finite."""
+        estimates = []
+        for item in self.estimates:
+            data = asdict(item) | {"unit": unit_of(item.name), "determined": item.is_determined}
+            data["motors"] = [motor + 1 for motor in item.motors]
+            for name in ("value", "half_width"):
+                if not np.isfinite(data[name]):
+                    data[name] = None
+            estimates.append(data)
+        residuals = []
+        for response in self.responses:
+            residuals.append(
+                {
+                    "equation": response.equation,
+                    "unit": response.unit,
+                    "rms": response.rms,
+                    "measured_rms": response.measured_rms,
+                }
+            )
+        return {"confidence": CONFIDENCE, "estimates": estimates, "residuals": residuals}
+
+
+def unit_of(name: str) -> str:
+    """SI unit of an identified parameter."""
+    if name in UNITS:
+        return UNITS[name]
+    return PARAMETERS[name].unit
+
+
+def shown_unit(unit: str) -> tuple[str, float]:
+    """Unit in which values in an SI unit are shown, and their factor: lengths are in mm."""
+    if unit == "m":
+        return "mm", 1e3
+    return unit, 1.0
+
+
+def identify(robot: Robot, logs: Sequence[Log], *, payload: float = 0.0) -> Identification:
+    """Identifies what the logs determine of the drives of a robot.
+
+    Args:
+        robot: robot with geometry and masses. Parameters that are not determined keep its values.
+        logs: logs of :func:`~cablebot_winches.identification.log.read_log`.
+        payload: payload of logs of a platform without a column for it [kg].
+
+    Raises:
+        ValueError: if the logs have not what the equations need. The message names the column.
+    """
+    source = f"identified by `cablebot identify` from {', '.join(log.name for log in logs)}"
+    has_torques = any(log.motors() for log in logs)
+    # Tensions from torques need the friction, and the friction needs the radius.
+    passes = 1 + (robot.flexible and has_torques)
+    for _ in range(passes):
+        lengths = fit_lengths(robot, logs, payload)
+        estimates = [item for length in lengths for item in length.estimates]
+        estimates.sort(key=lambda item: (item.name, item.motors))
+        robot = _with_estimates(robot, estimates, source)
+        responses = _length_responses(lengths)
+        if has_torques:
+            samples = drive_samples(robot, logs, payload)
+            names = parameter_names(robot)
+            drives = fit(samples, names, {name: getattr(robot, name) for name in names})
+            estimates += drives.estimates
+            robot = _with_estimates(robot, drives.estimates, source)
+            responses = _drive_responses(robot, samples, drives) + responses
+    if not estimates:
+        pose = ", ".join(pose_columns(robot))
+        raise ValueError(
+            f"{logs[0].name}: no motor has a column torque_1 [N·m] or current_1 [A] for its friction, "
+            f"nor angle_1 [rad] with the pose {pose} for its cable length"
+        )
+    return Identification(
+        robot=robot,
+        uncertainty=_uncertainty(estimates),
+        estimates=tuple(estimates),
+        responses=tuple(responses),
+        logs=tuple(log.name for log in logs),
+    )
+
+
+def _length_responses(fits: Sequence[LengthFit]) -> list[Response]:
+    """Measured cable lengths and their residuals."""
+    responses = []
+    for item in fits:
+        if len(item.residual):
+            response = Response(
+                equation=f"length {item.motor + 1}",
+                unit="m",
+                time=item.samples.time,
+                log=item.samples.log,
+                measured=item.samples.length,
+                residual=item.residual,
+            )
+            responses.append(response)
+    return responses
+
+
+def _drive_responses(robot: Robot, samples: Samples, drives: Fit) -> list[Response]:
+    """Measured torques or currents and their residuals, and those of the platform's equations."""
+    responses = []
+    # The numbers of the platform's equations count downwards from PLATFORM.
+    for number in sorted(np.unique(samples.motor).tolist(), key=lambda item: (item < 0, abs(item))):
+        rows = samples.motor == number
+        equation, unit = f"motor {number + 1}", "N·m"
+        if samples.is_current:
+            unit = "A"
+        if number < 0:
+            equation, unit = f"platform {pose_columns(robot)[PLATFORM - number]}", "N"
+        response = Response(
+            equation=equation,
+            unit=unit,
+            time=samples.time[rows],
+            log=samples.log[rows],
+            measured=samples.response[rows],
+            residual=drives.residual[rows],
+        )
+        responses.append(response)
+    return responses
+
+
+def _with_estimates(robot: Robot, estimates: Sequence[Estimate], source: str) -> Robot:
+    """The robot with the determined parameters and their sources, and without their ranges."""
+    fields: dict[str, Array] = {}
+    widths: dict[str, float] = {}
+    for item in estimates:
+        if item.is_determined and item.name not in (CONSTANT, OFFSET):
+            field = fields.setdefault(item.name, np.array(getattr(robot, item.name)))
+            field[list(item.motors)] = float(f"{item.value:.6g}")
+            width = item.half_width / item.value
+            widths[item.name] = max(width, widths.get(item.name, 0.0))
+    changes: dict[str, Any] = {}
+    sources = dict(robot.sources)
+    ranges = dict(robot.ranges)
+    for name, field in fields.items():
+        # The interval is in the uncertainty; a range may have one value for all motors only.
+        ranges.pop(f"transmission.{name}", None)
+        changes[name] = tuple(field.tolist())
+        if len(set(changes[name])) == 1:
+            changes[name] = changes[name][0]
+        text = f"{source}; {100 * CONFIDENCE:g} % interval within ± {100 * widths[name]:.2g} %"
+        sources[f"transmission.{name}"] = text
+    transmission = robot.transmission.replace(**changes)
+    return robot.replace(transmission=transmission, sources=sources, ranges=ranges)
+
+
+def _uncertainty(estimates: Sequence[Estimate]) -> Uncertainty:
+    """Relative deviations within the widest interval of each determined parameter."""
+    parameters = {}
+    for name in PARAMETERS:
+        items = [item for item in estimates if item.name == name and item.is_determined]
+        if items:
+            width = max(float(f"{item.half_width / item.value:.6g}") for item in items)
+            parameters[name] = ParameterDistribution(low=-width, high=width, each=len(items) > 1)
+    return Uncertainty(parameters=parameters)
