@@ -108,8 +108,9 @@ def find_measurement(
         ValueError: if a name or a field is unknown, or the robot cannot have a sensor.
     """
     if isinstance(measurement, str):
-        check_not_a_file("measurement", measurement, JSON_FORM)
         kind, *sensors = measurement.split("+")
+        if kind not in KINDS:
+            check_not_a_file("measurement", measurement, JSON_FORM)
         otherwise = f", and join it with {' or '.join(SENSORS)} by '+'"
         chosen = choice("measurement", kind, KINDS, otherwise)
         measurement = {"kind": chosen} | {choice("sensor", name, SENSORS): True for name in sensors}

@@ -695,9 +695,10 @@ def find_uncertainty(
 def _joined(names: str, robot: Robot) -> Uncertainty:
     """The uncertainty of names joined by ``+``, which must not define a field twice."""
     merged: dict[str, Any] = {}
-    check_not_a_file("uncertainty", names, JSON_FORM)
     for name in names.split("+"):
         name, _, error = name.partition(ERROR_SEPARATOR)
+        if name not in UNCERTAINTIES:
+            check_not_a_file("uncertainty", names, JSON_FORM)
         choice("uncertainty", name, UNCERTAINTIES, ", or join several by '+'")
         uncertainty = UNCERTAINTIES[name](robot)
         if error:

@@ -8,9 +8,8 @@ A block stands between two comments, so that the page is plain Markdown, on the 
 NAME is ``leaderboard`` (the best policy of each kind), ``main table`` (of the present policies),
 ``measurement`` (payload lost by sensors and errors), ``errors`` (payload with each error alone),
 ``library`` (the real robots), ``library payloads`` (payloads of laws on them), ``budgets`` (of an
-entry's processor time), ``reality NAME`` (a real robot beside its model), ``published numbers``,
-``friction and stiffness`` (what they change on real robots), a table of ``cablebot list``, or a
-script in ``examples/``, with its output if the name ends in ``and output``.
+entry's processor time), a table of ``cablebot list``, or a script in ``examples/``, with its output
+if the name ends in ``and output``.
 
 python scripts/page_blocks.py
 """
@@ -26,8 +25,6 @@ from pathlib import Path
 
 import main_table
 import measure_winches
-import published_numbers
-import real_robots
 from markdown_table import markdown_table
 
 from cablebot_gym.benchmark.leaderboard import Results, errors_text, library_tables
@@ -52,7 +49,6 @@ PAGES = (
     "docs/measurement.md",
     "docs/robots.md",
     "docs/uncertainty.md",
-    "docs/reality.md",
     "docs/submit.md",
 )
 """Pages with blocks."""
@@ -191,12 +187,6 @@ def block(name: str) -> str:
         return measure_winches.table(
             json.loads((measure_winches.FOLDER / "results.json").read_text(encoding="utf-8"))
         )
-    if name == "published numbers":
-        return published_numbers.table()
-    if name == "friction and stiffness":
-        return published_numbers.effects_table()
-    if name.startswith("reality "):
-        return real_robots.study_text(name.removeprefix("reality "))
     if name.startswith("examples/"):
         script = ROOT / name.removesuffix(WITH_OUTPUT)
         text = f"```python\n{script.read_text(encoding='utf-8')}```\n"

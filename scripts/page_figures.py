@@ -1,4 +1,4 @@
-"""Simulates and draws the figures of the pages on DLCC, uncertainty, robots and identification, docs/figures/*.png.
+"""Simulates and draws the figures of the pages on DLCC, uncertainty and robots, docs/figures/*.png.
 
 python scripts/page_figures.py
 """
@@ -6,10 +6,7 @@ python scripts/page_figures.py
 from __future__ import annotations
 
 import argparse
-import runpy
-from contextlib import chdir
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import page_blocks
@@ -18,7 +15,6 @@ from matplotlib.figure import Figure
 
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.identification import identify, read_log
 from cablebot_gym.plotting.figures import (
     DPI,
     TravelledPath,
@@ -27,9 +23,8 @@ from cablebot_gym.plotting.figures import (
     new_figure,
     path_panels,
 )
-from cablebot_gym.plotting.identification import draw_identification
 from cablebot_gym.plotting.robots import draw_robot
-from cablebot_gym.robots import find_robot, library
+from cablebot_gym.robots import library
 from cablebot_gym.task import payload_model_text
 from cablebot_gym.utils.palette import BLUE, GREEN, GREY, ORANGE, VERMILLION
 
@@ -51,7 +46,6 @@ def write(folder: Path) -> list[Path]:
         "torques": draw_torques(evaluate_dlcc(POLICY, ENV_ID, criterion="task")),
         "errors": errors(),
         "payloads": payloads(),
-        "identify": identification(),
         "draws": draw_success(
             evaluate_dlcc("fl-tuned", ENV_ID, uncertainty="table6", draws=64, payload_max=6)
         ),
@@ -85,16 +79,6 @@ def errors() -> Figure:
         paths.append(path)
     path_panels(figure, episode.task.trajectory, paths, **vars(episode.task.error_bounds))
     return figure
-
-
-def identification() -> Figure:
-    """Measured and modelled torques of the logs of the example."""
-    examples = Path(__file__).resolve().parents[1] / "examples"
-    robot = find_robot(str(examples / "square.toml"))
-    with TemporaryDirectory() as folder, chdir(folder):
-        runpy.run_path(str(examples / "identify_winch.py"))
-        logs = [read_log(Path("lifts") / name, robot) for name in ("2kg.csv", "6kg.csv")]
-    return draw_identification(identify(robot, logs))["torques"]
 
 
 def payloads() -> Figure:

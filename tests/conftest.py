@@ -1,84 +1,19 @@
-"""Fixtures of all tests."""
+"""Fixtures of the tests of cablebot_gym and cablebot_baselines."""
 
 import os
 import shutil
 import signal
 
 import pytest
-from hypothesis import HealthCheck, settings
+from fixtures import (  # noqa: F401
+    _no_screen,
+    _own_cache,
+    _shared_compilation,
+    cache,
+    pytest_configure,
+)
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
-
-
-VARIABLES = (
-    *(
-        "CABLEBOT_SANDBOX",
-        "COLUMNS",
-        "LINES",
-        "NO_COLOR",
-        "FORCE_COLOR",
-        "CLICOLOR_FORCE",
-        "TTY_COMPATIBLE",
-    ),
-    *(
-        "TTY_INTERACTIVE",
-        "TERM",
-        "TERMINAL_WIDTH",
-        "PY_COLORS",
-        "GITHUB_ACTIONS",
-        "MPLBACKEND",
-        "RAY_ADDRESS",
-    ),
-)
-"""Environment variables that change what commands print, and where policies and cells run."""
-
-
-def pytest_configure():
-    """The tests are the same on every machine, however they are started.
-
-    Ctrl-C interrupts, here and in the processes that tests start, even if the run was started with
-    SIGINT ignored. Shells start background jobs so: ``nohup pytest &``.
-    """
-    for name in VARIABLES:
-        os.environ.pop(name, None)
-    # Other programs may use the cores: no example is too slow.
-    settings.register_profile(
-        "any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
-    )
-    settings.load_profile("any machine")
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-@pytest.fixture(autouse=True, scope="session")
-def _own_cache(tmp_path_factory):
-    """The tests neither read nor write the user's cache of plans."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CABLEBOT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
-@pytest.fixture(autouse=True, scope="session")
-def _shared_compilation(request, tmp_path_factory):
-    """Test processes do not compile the same kernel at the same time."""
-    if hasattr(request.config, "workerinput"):
-        from compiling import share
-
-        share(tmp_path_factory.getbasetemp().parent / "compiling")
-
-
-@pytest.fixture(autouse=True)
-def _no_screen(monkeypatch):
-    """Windows open without a display."""
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-
-
-@pytest.fixture
-def cache(tmp_path, monkeypatch):
-    """An empty cache for one test."""
-    folder = tmp_path / "cache"
-    monkeypatch.setenv("CABLEBOT_CACHE", str(folder))
-    return folder
 
 
 @pytest.fixture

@@ -9,9 +9,6 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from cablebot_gym.identification import identify, read_log
-from cablebot_gym.robots import find_robot
-
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -47,26 +44,6 @@ def your_robot(printed, folder):
     carried = numbers(AFTER_COLON, printed)
     assert carried == sorted(carried)
     assert carried[0] < 0.5 * carried[-1]
-
-
-def identify_winch(printed, folder):
-    """The logs of the page give the values of the script."""
-    robot = find_robot(EXAMPLES / "square.toml")
-    logs = [read_log(folder / "lifts" / name, robot) for name in ("2kg.csv", "6kg.csv")]
-    truth = (8e-4, 0.01, 0.05, 0.04)
-    for item, value in zip(identify(robot, logs).estimates, truth, strict=True):
-        assert item.is_determined
-        assert abs(item.value - value) < 2 * item.half_width
-
-
-def identify_platform(printed, folder):
-    """The logs of the page give the stiffness of the script."""
-    robot = find_robot("flex-gch-klaus")
-    logs = [read_log(folder / "motions" / name, robot) for name in ("0.3kg.csv", "1kg.csv")]
-    estimates = identify(robot, logs).estimates
-    stiffnesses = [item.value for item in estimates if item.name == "axial_stiffness"]
-    assert len(stiffnesses) == 4
-    assert all(abs(value / 15e3 - 1) < 0.01 for value in stiffnesses)
 
 
 def your_trajectory(printed, folder):
@@ -130,9 +107,8 @@ def minari_dataset(printed, folder):
         assert (dataset / name).is_file()
 
 
-FAST = (first_steps, identify_winch)
+FAST = (first_steps,)
 SLOW = (
-    identify_platform,
     ten_lines,
     your_controller,
     your_robot,

@@ -31,7 +31,6 @@ from cablebot_gym.robots import (
     Transmission,
     find_robot,
 )
-from cablebot_gym.robots.writing import to_toml
 from cablebot_gym.task import ErrorBounds, find_error_bounds
 
 NAN = math.nan
@@ -100,15 +99,6 @@ def test_data_have_the_keys_of_used_options_only():
         "defaults",
     }
     assert not keys & {*SPATIAL.to_dict(), *SPATIAL.to_dict()["transmission"]}
-
-
-def test_maximum_tension_survives_a_robot_file(tmp_path):
-    robot = SPATIAL.replace(maximum_tension=120.0)
-    file = tmp_path / "strong.toml"
-    file.write_text(to_toml(robot))
-    assert find_robot(str(file)).maximum_tension == 120.0
-    file.write_text(to_toml(SPATIAL))
-    assert find_robot(str(file)).maximum_tension == math.inf
 
 
 def test_workspace_is_the_box_of_the_anchors_or_the_given_one():

@@ -11,7 +11,7 @@ import atexit
 import gc
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from typing import Annotated, Any
 
@@ -25,7 +25,7 @@ from cablebot_gym.utils.user_code import sentence_of_user_code
 
 COMMAND_GROUP = "cablebot_gym.commands"
 """Entry point group of commands. A package adds a command by an entry point that names a function
-with typer's annotations."""
+with typer's annotations. A name of two words, ``robot import``, is a command of a group."""
 
 COMMANDS = {
     "Evaluate policies": {
@@ -42,9 +42,6 @@ COMMANDS = {
     "Export policies": {
         "export-policy": "cablebot_gym.cli.export_policy:export_policy",
     },
-    "Drive real winches": {
-        "drive": "cablebot_gym.cli.drive:drive",
-    },
     "Run benchmarks": {
         "benchmark": "cablebot_gym.cli.benchmark:benchmark",
         "report": "cablebot_gym.cli.report:report",
@@ -53,13 +50,15 @@ COMMANDS = {
     },
     "Inspect the installation": {
         "list": "cablebot_gym.cli.listing:list_",
-        "robot": "cablebot_gym.cli.robot:robot",
-        "identify": "cablebot_gym.cli.identify:identify",
-        "validate": "cablebot_gym.cli.validate:validate",
+        "robot check": "cablebot_gym.cli.robot:check",
+        "robot export": "cablebot_gym.cli.exporting:export",
         "doctor": "cablebot_gym.cli.doctor:doctor",
     },
 }
 """Built-in commands by group. The module of a command is imported when the command is run."""
+
+GROUPS = {"robot": "Check and export robots."}
+"""Help of the groups of commands."""
 
 ADDED = "Commands of other installed packages"
 """Title of the group of commands that entry points add."""
@@ -68,17 +67,31 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C."""
 
 
+def named_commands(group: TyperGroup, prefix: str = "") -> dict[str, Any]:
+    """The commands of a group and of the groups in it, by what is typed."""
+    commands: dict[str, Any] = {}
+    for name, command in group.commands.items():
+        if isinstance(command, TyperGroup):
+            commands |= named_commands(command, f"{prefix}{name} ")
+        else:
+            commands[prefix + name] = command
+    return commands
+
+
 class _GroupedCommands(TyperGroup):
-    """Lists the commands by group, with the full first sentence of each help text."""
+    """Lists the commands by subject, with the full first sentence of each help text."""
 
     def format_commands(
         self, ctx: Any, formatter: Any
     ) -> None:  # types of click, which typer may vendor
-        added = [
-            name for name in self.commands if not any(name in names for names in COMMANDS.values())
-        ]
+        prefix = f"{self.name} " if ctx.parent else ""
+        commands = named_commands(self, prefix)
+        added = [name for name in commands if name not in BUILT_IN]
         for title, names in {**COMMANDS, ADDED: added}.items():
-            rows = [(name, self.commands[name].get_short_help_str(limit=1000)) for name in names]
+            rows = []
+            for name in names:
+                if name in commands:
+                    rows.append((name, commands[name].get_short_help_str(limit=1000)))
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
@@ -96,8 +109,8 @@ app = typer.Typer(
         "  0    success, whatever the payload is\n"
         "  1    failure: a policy raised an error, a file could not be written,\n"
         "       a benchmark cell failed, a best known payload was not verified,\n"
-        "       an entry was refused, doctor found a fault, a robot\n"
-        "       was refused or does not carry its payload, or a drive stopped\n"
+        "       an entry was refused, doctor found a fault, or a robot\n"
+        "       was refused or does not carry its payload\n"
         "  2    invalid input, or a folder that is not writable\n"
         "  130  interrupted"
     ),
@@ -136,10 +149,30 @@ def command_points() -> dict[str, EntryPoint]:
 
 def add_commands(points: Mapping[str, EntryPoint]) -> None:
     """Loads commands into :data:`app`. A command that :data:`app` already has is not replaced."""
-    present = {item.name for item in app.registered_commands}
     for name, point in points.items():
-        if name not in present:
-            app.command(name=name, cls=GroupedOptions)(with_options(point.load()))
+        parent, _, last = name.rpartition(" ")
+        group = _group(parent) if parent else app
+        if last not in [item.name for item in group.registered_commands]:
+            group.command(name=last, cls=GroupedOptions)(with_options(point.load()))
+
+
+def _group(name: str) -> typer.Typer:
+    """The group of commands with a name, made if :data:`app` does not have it yet."""
+    for item in app.registered_groups:
+        if item.name == name and item.typer_instance is not None:
+            return item.typer_instance
+    group = typer.Typer(rich_markup_mode=None)
+    app.add_typer(group, name=name, cls=_GroupedCommands, help=GROUPS.get(name))
+    return group
+
+
+def _points_of(typed: str) -> Mapping[str, EntryPoint]:
+    """The command that is typed first, those of the group that is typed first, or else all: a load
+    of all takes time."""
+    if typed in BUILT_IN:
+        return {typed: BUILT_IN[typed]}
+    points = command_points()
+    return {name: point for name, point in points.items() if name.split()[0] == typed} or points
 
 
 def main() -> None:
@@ -163,11 +196,7 @@ def _run() -> None:
     try:
         if len(sys.argv) < 2:
             sys.argv.append("--help")
-        typed = sys.argv[1]
-        if typed in BUILT_IN:
-            add_commands({typed: BUILT_IN[typed]})
-        else:
-            add_commands(command_points())
+        add_commands(_points_of(sys.argv[1]))
         # a number if the parser ended the command, for example after Ctrl-C
         status = app(standalone_mode=False)
         if status == INTERRUPTED:
@@ -194,22 +223,22 @@ def _run() -> None:
         message = format_message()
         if not message.endswith((".", "?")):
             message += "."
-        if message.startswith("No such command"):
+        if message.startswith(("No such command", "Missing command")):
             message += f" The commands are {', '.join(command_points())}."
-        elif example := _example(sys.argv[1]):
+        elif example := _example(sys.argv[1:]):
             message += f" Example: {example}"
         _fail(message, getattr(error, "exit_code", 2))
 
 
-def _example(name: str) -> str:
-    """The first example in the docstring of a command; empty if there is no such command."""
-    texts = [
-        item.callback.__doc__ or ""
-        for item in app.registered_commands
-        if item.name == name and item.callback
-    ]
-    match = re.search(r"^ *(?:Example: )?(cablebot .+)$", "\n".join(texts), re.MULTILINE)
-    return match[1] if match else ""
+def _example(arguments: Sequence[str]) -> str:
+    """The first example in the docstring of the command that is typed; empty if there is none."""
+    for name, point in _points_of(arguments[0]).items():
+        words = name.split()
+        if arguments[: len(words)] == words:
+            text = point.load().__doc__ or ""
+            match = re.search(r"^ *(?:Example: )?(cablebot .+)$", text, re.MULTILINE)
+            return match[1] if match else ""
+    return ""
 
 
 def _with_option_names(message: str) -> str:

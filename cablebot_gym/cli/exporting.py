@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
+from typing import Annotated
 
+from cablebot_gym.cli.options import Payload, RobotName
 from cablebot_gym.utils.console import say
 
 
-def export_file(name: str, payload: float | None, out: Path | None) -> None:
-    """Writes a robot as MJCF and prints what differs from its simulation. In the keyframe ``home``
-    it is at rest with its payload.
+def export(
+    name: RobotName, out: Annotated[Path, "File to write (.xml)."], payload: Payload = None
+) -> None:
+    """Export a robot as MJCF for MuJoCo.
 
-    Raises:
-        ValueError: if there is no such robot or MJCF cannot hold it, or ``out`` is missing, exists
-            or has another suffix.
+    Notes say what the file describes in another way. In the keyframe `home` the robot is at rest
+    with its payload.
+
+    Example: cablebot robot export cogiro --payload 300 --out cogiro.xml
     """
     from cablebot_gym.envs.settings import FREQUENCY, fewest_substeps
     from cablebot_gym.exporters import export_mjcf
@@ -23,8 +27,8 @@ def export_file(name: str, payload: float | None, out: Path | None) -> None:
     from cablebot_gym.utils.checks import number
     from cablebot_gym.utils.files import atomic_write_text, check_new_file
 
-    if out is None or out.suffix.lower() != ".xml":
-        raise ValueError(f"give a file for MuJoCo that ends in .xml: --out {Path(name).stem}.xml")
+    if out.suffix.lower() != ".xml":
+        raise ValueError(f"--out must end in .xml, not {out.name!r}")
     check_new_file(out)
     robot = find_robot(name)
     if payload is None:

@@ -51,6 +51,13 @@ Payload = Annotated[
         help="Payload [kg]. The default is the least one of the robot's payload range, else 0.",
     ),
 ]
+RobotName = Annotated[
+    str,
+    typer.Argument(
+        metavar="ROBOT",
+        help="TOML or JSON file, or name of a robot; `cablebot list` shows the names.",
+    ),
+]
 Draws = Annotated[
     int | None,
     typer.Option(

@@ -1,4 +1,4 @@
-"""``cablebot robot``."""
+"""``cablebot robot check``."""
 
 from __future__ import annotations
 
@@ -10,18 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cablebot_gym.cli.exporting import export_file
-from cablebot_gym.cli.importing import import_file
 from cablebot_gym.cli.options import (
     EpisodeOptions,
     Json,
     Payload,
+    RobotName,
     TrajectoryData,
     command_again,
     counted,
     note_waypoints,
 )
-from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.console import say
 from cablebot_gym.utils.user_code import sentence_of_user_code
 
@@ -30,57 +28,25 @@ if TYPE_CHECKING:
     from cablebot_gym.robots import Robot
 
 
-def robot(
-    task: Annotated[str, typer.Argument(metavar="TASK", help="The task: check, import or export.")],
-    name: Annotated[
-        str,
-        typer.Argument(
-            metavar="ROBOT",
-            help="To check or export: TOML or JSON file, or name of a robot; `cablebot list` shows the names. To "
-            "import: NAME_bodies.xml or NAME_cables.xml of CASPR, or a .wcrfx file of WireX.",
-        ),
-    ],
+def check(
+    name: RobotName,
     payload: Payload = None,
     trajectory: TrajectoryData = None,
-    out: Annotated[
-        Path | None,
-        "File to write: the drawing of a check (.svg, .png, .pdf), the imported robot (.toml), or the exported one "
-        "(.xml).",
-    ] = None,
-    cable_set: Annotated[str | None, "Cable set of a CASPR file. The default is its own."] = None,
+    out: Annotated[Path | None, "Drawing to write (.svg, .png, .pdf)."] = None,
     as_json: Json = False,
 ) -> None:
-    """Check a robot and its motion, import a robot from a file of CASPR or WireX, or export it as MJCF.
+    """Check a robot and its motion.
 
     The check prints payloads, workspace, modes, physics step, sag, and doubtful values. Nothing is
     simulated. The exit status is 1 if the robot or the motion is refused, or if no controller can
     be expected to carry the payload.
-
-    The exported file is for MuJoCo. Notes say what it describes in another way.
 
     Examples:
 
     cablebot robot check my.toml --out my.svg
 
     cablebot robot check cogiro --payload 300
-
-    cablebot robot import SEGESTA_bodies.xml --out segesta.toml
-
-    cablebot robot export cogiro --payload 300 --out cogiro.xml
     """
-    task = choice("task", task, ["check", "import", "export"])
-    if task != "check" and (trajectory is not None or as_json):
-        raise ValueError("--trajectory and --json are for `cablebot robot check`: remove them")
-    if task == "import":
-        if payload is not None:
-            raise ValueError(
-                "--payload is for `cablebot robot check` and `cablebot robot export`: remove it"
-            )
-        return import_file(Path(name), out, cable_set)
-    if cable_set is not None:
-        raise ValueError("--cable-set is for `cablebot robot import`: remove it")
-    if task == "export":
-        return export_file(name, payload, out)
     if out is not None and out.suffix not in (".svg", ".png", ".pdf"):
         raise ValueError(f"--out must end in .svg, .png or .pdf, not {out.name!r}")
     _check(name, payload, trajectory, out, as_json)

@@ -203,6 +203,12 @@ class Simulation:
         """True poses X, shape (N, n)."""
         return self._plant.pose
 
+    @property
+    def torques(self) -> Array:
+        """Motor torques that the last step applied, or those at rest after a reset, shape (N, m)
+        [N·m]."""
+        return self.cables[outcome.INFO_CABLES.index("torques"), : self.count]
+
     def reset(
         self,
         env_indices: NDArray[np.int64],

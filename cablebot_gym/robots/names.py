@@ -130,7 +130,9 @@ def find_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
     if name.removeprefix(ELASTIC) not in library():
         forms = "a .toml or .json file"
         check_not_a_file(
-            "robot", robot, f"{forms}; `cablebot robot import` makes one from CASPR and WireX files"
+            "robot",
+            robot,
+            f"{forms}; `cablebot robot import` of cablebot-winches makes one from CASPR and WireX files",
         )
         raise unknown_name_error("robot", robot, robot_names(), f", {forms}, or pass a Robot")
     return _library_robot(name)

@@ -41,11 +41,18 @@ def raised(error: BaseException, verb: str = "it raised", where: str = "") -> st
 def sentence_of_user_code(error: BaseException) -> str:
     """The error as one sentence if it passed through code that is neither installed nor of this
     project, else empty."""
-    baselines = getattr(sys.modules.get("cablebot_baselines"), "__path__", [])
-    folders = tuple(str(path) + os.sep for path in baselines)
-    if any(not frame.filename.startswith(folders) for frame in _frames(error)):
+    if any(not frame.filename.startswith(_project_folders()) for frame in _frames(error)):
         return raised(error, "your code raised")
     return str(getattr(error, _SENTENCE, ""))
+
+
+def _project_folders() -> tuple[str, ...]:
+    """Folders of the other packages of this project, whose names start as that of this one."""
+    folders = []
+    for name, module in list(sys.modules.items()):
+        if name.startswith("cablebot_") and "." not in name:
+            folders += [str(path) + os.sep for path in getattr(module, "__path__", [])]
+    return tuple(folders)
 
 
 def keep_sentence(error: BaseException, sentence: str) -> None:

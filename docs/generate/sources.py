@@ -18,7 +18,7 @@ REPORT = (
     "the payload versus R, duration and K.</p>\n\n"
 )
 
-_TOP_FILE = re.compile(r"^\[.*\]\(\.\./(\w+\.md)\)\.?$", re.MULTILINE)
+_TOP_FILE = re.compile(r"^\[.*\]\(\.\./(\w+\.md|\w+/README\.md)\)\.?$", re.MULTILINE)
 _CELL = re.compile(r"(?<=\| )`[\w-]+`(?:, `[\w-]+`)*(?= \|)")
 _CODE = re.compile(r"`([\w-]+)`")
 _OBJECT = re.compile(r"(?<![}`\w])`(cablebot_(?:gym|baselines)(?:\.\w+)+)`(?!`)")
@@ -32,8 +32,8 @@ def setup(app: Sphinx) -> None:
 def adapt(app: Sphinx, name: str, source: list[str]) -> None:
     """Adapts the text of a Markdown page, in place.
 
-    * A paragraph that is only a link to a file at the top of the repository is replaced by that
-      file.
+    * A paragraph that is only a link to a file at the top of the repository, or to the README of
+      another distribution, is replaced by that file.
     * Names of environments and policies in the cells of tables link to their pages.
     * Full names of objects of this project, such as ``cablebot_gym.task.Task``, link to the API
       reference.
@@ -43,9 +43,15 @@ def adapt(app: Sphinx, name: str, source: list[str]) -> None:
         return
 
     def top_file(match: re.Match[str]) -> str:
-        app.env.note_dependency(DOCS.parent / match[1], docname=name)
-        text = (DOCS.parent / match[1]).read_text(encoding="utf-8")
-        return text.partition("\n")[2].replace("](docs/", "](")  # the page has its own title
+        path = DOCS.parent / match[1]
+        app.env.note_dependency(path, docname=name)
+        text = path.read_text(encoding="utf-8").partition("\n")[2]  # the page has its own title
+        if path.parent == DOCS.parent:
+            return text.replace("](docs/", "](")
+        folder = path.parent.name
+        return text.replace("](docs/", f"](../{folder}/docs/").replace(
+            "](../README.md", "](index.md"
+        )
 
     text = _TOP_FILE.sub(top_file, source[0]).replace("](../LEADERBOARD.md)", "](/leaderboard.md)")
     text = _CELL.sub(lambda cell: _CODE.sub(_linked, cell[0]), text)

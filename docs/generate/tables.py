@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections import defaultdict
-from dataclasses import fields
 from pathlib import Path
-from typing import get_type_hints
 
 from typer.testing import CliRunner
 
@@ -15,7 +13,6 @@ from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import best_known_payloads
 from cablebot_gym.cli.app import add_commands, app, command_points
 from cablebot_gym.cli.listing import tables
-from cablebot_gym.hardware.limits import DriveLimits
 from generate.pages import RESULTS, Pages, table
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
@@ -28,7 +25,6 @@ def write(pages: Pages) -> None:
         pages.write(f"{name}.inc", table(rows))
     pages.write("requirements.inc", requirements())
     pages.write("commands.inc", commands())
-    pages.write("drive-limits.inc", drive_limits())
     pages.write("replays.inc", replays())
     pages.write("clients.inc", clients())
 
@@ -40,19 +36,6 @@ def requirements() -> str:
     extras = {"the package itself": project["dependencies"], **project["optional-dependencies"]}
     for extra, requirements in extras.items():
         rows.append([extra, ", ".join(f"`{requirement}`" for requirement in requirements)])
-    return table(rows)
-
-
-def drive_limits() -> str:
-    """Limits of `cablebot drive`."""
-    rows = [["option", "default", "meaning"]]
-    hints = get_type_hints(DriveLimits, include_extras=True)
-    for field in fields(DriveLimits):
-        default = "–"
-        if field.default is not None:
-            default = f"{field.default:g}"
-        option = field.name.replace("_", "-")
-        rows.append([f"`--{option}`", default, hints[field.name].__metadata__[0]])
     return table(rows)
 
 
@@ -122,7 +105,7 @@ def commands() -> str:
     runner = CliRunner(env={"COLUMNS": "100", "TERM": "dumb", "NO_COLOR": "1"})
     for name in points:
         shown = runner.invoke(
-            app, [name, "--help"], prog_name="cablebot", catch_exceptions=False
+            app, [*name.split(), "--help"], prog_name="cablebot", catch_exceptions=False
         ).output
         text += f"\n## cablebot {name}\n\n```text\n{shown.strip()}\n```\n"
     return text

@@ -18,7 +18,6 @@ from cablebot_gym.benchmark.entries import CLAIMS, read_claims
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.cli.benchmark import read_results
 from cablebot_gym.cli.options import _read_data
-from cablebot_gym.importers import import_robot
 from cablebot_gym.measurement import find_measurement
 from cablebot_gym.policies import load_policy
 from cablebot_gym.policies.entry import read_entry
@@ -64,7 +63,6 @@ READERS = {
     "robot.TOML": (find_robot, SQUARE),
     "robot.json": (find_robot, json.dumps(PLANAR.to_dict())),
     "way.csv": (lambda path: find_trajectory(str(path), "planar"), "t,x,y\n0,0,0\n1,0.1,0\n"),
-    "robot.wcrfx": (import_robot, "<models><robot motionpattern='2T'/></models>"),
     "train.yaml": (of_training, "default: {n_envs: 3}\n"),
     "results.json": (read_results, "{}"),
     "card.json": (card, "{}"),
@@ -185,6 +183,22 @@ def test_existing_path_is_not_an_unknown_name(tmp_path, monkeypatch, find, name)
     message = rf"^(file|folder) '{name}' has no form of a (?!.*unknown).*; use "
     with pytest.raises(ValueError, match=message):
         find(name)
+
+
+@pytest.mark.parametrize(
+    ("find", "name"),
+    [
+        (find_robot, "planar"),
+        (lambda name: load_policy(name, PLANAR), "fl"),
+        (lambda name: find_trajectory(name, "planar"), "circle-planar"),
+        (lambda name: find_uncertainty(name, PLANAR), "hardware"),
+        (lambda name: find_measurement(name, PLANAR), "winches"),
+    ],
+)
+def test_valid_name_is_not_that_of_a_folder(tmp_path, monkeypatch, find, name):
+    monkeypatch.chdir(tmp_path)
+    Path(name).mkdir()
+    find(name)
 
 
 LINE = r"\(motion_of_a_test\.py, line "

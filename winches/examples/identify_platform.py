@@ -1,7 +1,7 @@
 """Writes logs of a moving platform with elastic cables for ``cablebot identify``: recordings of the
 simulator in the columns of a log, with noise and encoder steps.
 
-python examples/identify_platform.py
+python winches/examples/identify_platform.py
 """
 
 import csv

@@ -1,7 +1,7 @@
 """Writes logs of a winch that lifts and lowers two masses, as a test bench would, for ``cablebot
 identify``.
 
-python examples/identify_winch.py
+python winches/examples/identify_winch.py
 """
 
 import csv

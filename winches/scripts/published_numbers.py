@@ -1,4 +1,4 @@
-"""Tables of the page docs/reality.md: published numbers of real robots beside those of the model,
+"""Tables of the page winches/docs/reality.md: published numbers of real robots beside those of the model,
 and what friction and the stiffness of tensions change."""
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Compares the model with public logs of real robots, for the page docs/reality.md.
+"""Compares the model with public logs of real robots, for the page winches/docs/reality.md.
 
-Writes the results of ``cablebot validate`` to docs/reality/results.json, and a figure of each
-study.
+Writes the results of ``cablebot validate`` to winches/docs/reality/results.json, and a figure of
+each study.
 
-python scripts/real_robots.py [--logs FOLDER]
+PYTHONPATH=scripts python winches/scripts/real_robots.py [--logs FOLDER]
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from typing import Any
 from markdown_table import markdown_table
 from matplotlib import rc_context
 
+from cablebot_gym.utils.files import atomic_write, atomic_write_text
 from cablebot_winches.reality import STUDIES
 from cablebot_winches.reality.comparison import Comparison, table
 from cablebot_winches.reality.sources import SOURCES, read_logs
-from cablebot_gym.utils.files import atomic_write, atomic_write_text
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "reality"
 

@@ -6,10 +6,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from cablebot_winches.importers import import_robot
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import least_norm
 from cablebot_gym.robots import load_robot
+from cablebot_winches.importers import import_robot
 
 BASE = [
     (sx * 2.0, sy * 1.5, z) for z in (2.0, 0.1) for sx, sy in ((-1, 1), (1, 1), (1, -1), (-1, -1))
@@ -252,6 +252,17 @@ SQUARE = np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
 def test_file_without_a_model_is_refused_in_one_sentence(write, texts, message):
     with pytest.raises(ValueError, match=rf"^cannot import '.*toy.*': .*{message}"):
         import_robot(write(**texts))
+
+
+@pytest.mark.parametrize(
+    ("encoding", "message"),
+    [("utf-8-sig", "its motion pattern is '2T'"), ("utf-16", "save it as UTF-8")],
+)
+def test_file_is_utf_8_with_or_without_a_mark(write, encoding, message):
+    path = write(wcrfx=wirex("2T"))
+    path.write_text(path.read_text(), encoding=encoding)
+    with pytest.raises(ValueError, match=message):
+        import_robot(path)
 
 
 def test_cable_set_is_chosen_by_name(write):

@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from cablebot_gym.cli.app import INTERRUPTED
 from cablebot_gym.cli.options import Payload, PolicyName, TaskOptions, fitting_id, robot_of
 from cablebot_gym.cli.records import Options
-from cablebot_winches.hardware.limits import DriveLimits
 from cablebot_gym.utils.console import say
+from cablebot_winches.hardware.limits import DriveLimits
 
 if TYPE_CHECKING:
+    from cablebot_gym.robots import Robot
     from cablebot_winches.hardware.channel import Channel
     from cablebot_winches.hardware.odrive import Winch
     from cablebot_winches.hardware.result import DriveResult
-    from cablebot_gym.robots import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,10 +110,10 @@ def drive(
 
     cablebot drive --robot my.toml --policy ekf+fl --port /dev/ttyACM0 --port /dev/ttyACM1 --armed
     """
-    from cablebot_winches.hardware import loop
-    from cablebot_winches.hardware.odrive import Winches
     from cablebot_gym.policies import load
     from cablebot_gym.utils.files import check_writable_file
+    from cablebot_winches.hardware import loop
+    from cablebot_winches.hardware.odrive import Winches
 
     winches.check()
     if log is not None:
@@ -153,11 +152,11 @@ def _open_channels(
 ) -> Iterator[tuple[Sequence[Winch], Mapping[str, Channel]]]:
     """The winches and the open channels by port, to real or simulated boards."""
     from cablebot_gym.envs.settings import default_trajectory
+    from cablebot_gym.task import find_error_bounds, start_pose
+    from cablebot_gym.trajectories import find_trajectory
     from cablebot_winches.hardware.channel import SerialChannel
     from cablebot_winches.hardware.odrive import AXES, plain_wiring, read_wiring
     from cablebot_winches.hardware.simulator import Fault, simulated_boards
-    from cablebot_gym.task import find_error_bounds, start_pose
-    from cablebot_gym.trajectories import find_trajectory
 
     ports = options.port
     if options.simulate:
@@ -194,7 +193,7 @@ def _status(result: DriveResult) -> int:
     if result.stop is None:
         return 0
     if result.stop.cause == loop.INTERRUPTED:
-        return INTERRUPTED
+        return 128 + signal.SIGINT
     return 1
 
 

@@ -48,12 +48,12 @@ def identify(
 
     cablebot identify motion.csv --robot my.toml --payload 2 --out identified
     """
-    from cablebot_winches.identification import identify, read_log
     from cablebot_gym.robots import find_robot
-    from cablebot_winches.robot_file import to_toml
     from cablebot_gym.task import to_jsonable
     from cablebot_gym.utils.checks import number
     from cablebot_gym.utils.files import atomic_write_text, check_writable_dir
+    from cablebot_winches.identification import identify, read_log
+    from cablebot_winches.robot_file import to_toml
 
     nominal = find_robot(robot)
     number("--payload", payload, least=0, unit="kg")
@@ -76,8 +76,8 @@ def identify(
 def _figures(result: Identification, folder: Path) -> list[str]:
     """Writes the figures, and returns their names: none without matplotlib."""
     from cablebot_gym.plotting.figures import DPI, import_matplotlib
-    from cablebot_winches.identification.figures import draw_identification
     from cablebot_gym.utils.files import atomic_write
+    from cablebot_winches.identification.figures import draw_identification
 
     try:
         import_matplotlib()

@@ -3,26 +3,38 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from cablebot_gym.cli.options import counted
 from cablebot_gym.utils.console import say
 
 
-def import_file(path: Path, out: Path | None, cable_set: str | None) -> None:
-    """Imports a robot, prints where each value comes from, and writes the robot as a TOML file.
+def import_file(
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="NAME_bodies.xml or NAME_cables.xml of CASPR, or a .wcrfx file of WireX.",
+        ),
+    ],
+    out: Annotated[Path, "File of the robot to write (.toml)."],
+    cable_set: Annotated[str | None, "Cable set of a CASPR file. The default is its own."] = None,
+) -> None:
+    """Import a robot from a file of CASPR or WireX.
 
-    Raises:
-        ValueError: if the robot cannot be imported, or ``out`` is missing, exists or has another
-            suffix.
+    The command prints where each value comes from. A file has no complete winches, so parts of them
+    are assumed.
+
+    Example: cablebot robot import SEGESTA_bodies.xml --out segesta.toml
     """
-    from cablebot_winches.importers import import_robot
     from cablebot_gym.robots import KIND_TEXTS
     from cablebot_gym.utils.files import atomic_write_text, check_new_file
+    from cablebot_winches.importers import import_robot
 
-    if out is None or out.suffix.lower() != ".toml":
-        raise ValueError(
-            f"give a file for the robot that ends in .toml: --out {path.stem.lower()}.toml"
-        )
+    if out.suffix.lower() != ".toml":
+        raise ValueError(f"--out must end in .toml, not {out.name!r}")
     check_new_file(out)
     imported = import_robot(path, cable_set=cable_set)
     robot = imported.robot

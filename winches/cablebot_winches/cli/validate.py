@@ -39,10 +39,10 @@ def validate(
     cablebot validate gch-klaus --logs cable-robot --out klaus.svg
     """
     from cablebot_gym.plotting.figures import DPI, import_matplotlib
+    from cablebot_gym.utils.files import atomic_write, check_writable_file
     from cablebot_winches.reality import STUDIES
     from cablebot_winches.reality.comparison import table
     from cablebot_winches.reality.sources import SOURCES, read_logs
-    from cablebot_gym.utils.files import atomic_write, check_writable_file
 
     study = STUDIES[choice("study", name, STUDIES)]
     if out is not None:

@@ -7,6 +7,8 @@ import time
 from contextlib import suppress
 from typing import Any, Protocol
 
+import serial
+
 BAUD_RATE = 115_200
 """Baud rate of a UART. USB ignores it."""
 
@@ -39,15 +41,10 @@ class SerialChannel:
             as ``socket://localhost:4000``.
 
     Raises:
-        ImportError: if pyserial is missing.
         OSError: if the port cannot be opened.
     """
 
     def __init__(self, url: str) -> None:
-        try:
-            import serial
-        except ImportError:
-            raise ImportError("ports need pyserial: pip install 'cablebot-gym[hardware]'") from None
         self._port: Any = serial.serial_for_url(
             url, baudrate=BAUD_RATE, write_timeout=WRITE_TIMEOUT
         )

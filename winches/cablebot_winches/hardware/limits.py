@@ -8,11 +8,13 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_gym.envs.limits import SLACK_TIME
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number, whole
+
+SLACK_TIME = 0.1
+"""Longest time below the least tension [s], as in the environments."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,12 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cablebot_gym.envs.outcome import INFO_CABLES
 from cablebot_gym.envs.simulation import Simulation
-from cablebot_winches.hardware.limits import DriveLimits, Guard, Moment, Stop
-from cablebot_winches.hardware.odrive import Winches
-from cablebot_winches.hardware.result import DriveResult
-from cablebot_winches.identification.log import pose_columns
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.forward import forward_kinematics
@@ -21,7 +16,10 @@ from cablebot_gym.policies import LoadedPolicy, PolicyError
 from cablebot_gym.policies.spec import check_measurement
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import number
-from cablebot_gym.utils.user_code import raised
+from cablebot_winches.hardware.limits import DriveLimits, Guard, Moment, Stop
+from cablebot_winches.hardware.odrive import Winches
+from cablebot_winches.hardware.result import DriveResult
+from cablebot_winches.identification.log import pose_columns
 
 PATIENCE = 5.0
 """Longest time for replies before the start, and without real time [s]."""
@@ -137,7 +135,7 @@ class _Loop:
         self._commanded = False
         self._state: Any = None
         self._action: Array | None = None
-        self._torque = episode.cables[INFO_CABLES.index("torques"), 0].copy()
+        self._torque = episode.torques[0].copy()
         self._slices = episode.layout.slices()
         self._angle = episode.observation[0, self._slices["motor_angle"]].copy()
         self._speed = np.zeros(robot.cables)
@@ -190,7 +188,7 @@ class _Loop:
         except KeyboardInterrupt:
             stop = Stop(cause=INTERRUPTED, time=moment)
         except Exception as error:  # the log is worth more than a traceback
-            stop = Stop(cause=f"the loop {raised(error)}", time=moment)
+            stop = Stop(cause=f"the loop raised {type(error).__name__}: {error}", time=moment)
         finally:
             self._hold()
         return stop

@@ -10,6 +10,7 @@ its reply has a checksum too.
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
@@ -18,12 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cablebot_winches.hardware.channel import Channel
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import number, record
 from cablebot_gym.utils.files import read_text
-from cablebot_gym.utils.foreign import foreign_toml
+from cablebot_winches.hardware.channel import Channel
 
 IDLE = 1
 """State of an axis whose motor has no current."""
@@ -87,7 +87,7 @@ def read_wiring(path: Path, robot: Robot) -> tuple[Winch, ...]:
         ValueError: if the file cannot be read, or does not have one axis for each cable.
     """
     try:
-        tables = foreign_toml(read_text(path)).get("winch", [])
+        tables = tomllib.loads(read_text(path)).get("winch", [])
     except OSError as error:
         raise ValueError(f"cannot read wiring {str(path)!r}: {error.strerror}") from error
     winches = tuple(record("winch", Winch, table) for table in tables)

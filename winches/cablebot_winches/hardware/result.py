@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from cablebot_winches.hardware.limits import Stop
 from cablebot_gym.kinematics import Array
 from cablebot_gym.utils.files import atomic_write
+from cablebot_winches.hardware.limits import Stop
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,8 +21,12 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from cablebot_gym.envs.outcome import INFO_CABLES
 from cablebot_gym.envs.simulation import Simulation
+from cablebot_gym.kinematics import Array
+from cablebot_gym.physics.textbook import normalised_action
+from cablebot_gym.robots import Robot
+from cablebot_gym.utils.checks import choice, whole
+from cablebot_gym.utils.workers import GRACE
 from cablebot_winches.hardware.odrive import (
     CLOSED_LOOP_CONTROL,
     IDLE,
@@ -32,11 +36,6 @@ from cablebot_winches.hardware.odrive import (
     with_checksum,
     without_checksum,
 )
-from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.textbook import normalised_action
-from cablebot_gym.robots import Robot
-from cablebot_gym.utils.checks import choice, whole
-from cablebot_gym.utils.workers import GRACE
 
 MOTOR_FAILED = 0x40
 """Error flag of an axis whose motor has an error of its own."""
@@ -135,7 +134,7 @@ class SimulatedBoards:
         if robot.jointed:
             inertia = robot.motor_inertia
         self._speed_gain = SPEED_GAIN * inertia / self.period
-        self._integral = self._plant.cables[INFO_CABLES.index("torques"), 0].copy()
+        self._integral = self._plant.torques[0].copy()
         """Torques of the integrators, which hold the platform at first, (m,) [N·m]."""
         self.axes = [_holding_axis() for _ in wiring]
         """Properties of each axis, by winch."""

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cablebot_winches.identification.log import GAP
-from cablebot_winches.identification.result import Identification, Response, shown_unit
 from cablebot_gym.kinematics import Array
 from cablebot_gym.plotting.figures import add_legend, new_figure, set_title
 from cablebot_gym.utils.palette import BLUE, GREY, SHADE, VERMILLION
+from cablebot_winches.identification.log import GAP
+from cablebot_winches.identification.result import Identification, Response, shown_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

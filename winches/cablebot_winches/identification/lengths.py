@@ -18,6 +18,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cablebot_gym.kinematics import Array
+from cablebot_gym.physics import textbook
+from cablebot_gym.robots import ELASTIC, Robot, library
 from cablebot_winches.identification.log import Log, Segment, pose_columns
 from cablebot_winches.identification.regression import (
     UNKNOWN_TENSIONS,
@@ -36,9 +39,6 @@ from cablebot_winches.identification.samples import (
     platform_motion,
     tension_from_torque,
 )
-from cablebot_gym.kinematics import Array
-from cablebot_gym.physics import textbook
-from cablebot_gym.robots import ELASTIC, Robot, library
 
 OFFSET = "length_offset"
 """Name of the measured cable length less that of the angle, which is zero at the home pose."""

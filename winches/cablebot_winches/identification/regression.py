@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import t as student
 
-from cablebot_winches.identification.samples import Samples
 from cablebot_gym.kinematics import Array
+from cablebot_winches.identification.samples import Samples
 
 CONFIDENCE = 0.95
 """Confidence of the intervals."""

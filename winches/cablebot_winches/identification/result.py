@@ -9,13 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_winches.identification.lengths import OFFSET, LengthFit, fit_lengths
-from cablebot_winches.identification.log import Log, pose_columns
-from cablebot_winches.identification.regression import CONFIDENCE, CONSTANT, Estimate, Fit, fit
-from cablebot_winches.identification.samples import PLATFORM, Samples, drive_samples, parameter_names
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
 from cablebot_gym.uncertainty import PARAMETERS, ParameterDistribution, Uncertainty
+from cablebot_winches.identification.lengths import OFFSET, LengthFit, fit_lengths
+from cablebot_winches.identification.log import Log, pose_columns
+from cablebot_winches.identification.regression import CONFIDENCE, CONSTANT, Estimate, Fit, fit
+from cablebot_winches.identification.samples import (
+    PLATFORM,
+    Samples,
+    drive_samples,
+    parameter_names,
+)
 
 UNITS = {CONSTANT: "N·m/A", "pulley_radius": "m", OFFSET: "m"}
 """Units of parameters that are not in :data:`~cablebot_gym.uncertainty.PARAMETERS`."""

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_winches.identification.log import Log, Segment, pose_columns
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
+from cablebot_winches.identification.log import Log, Segment, pose_columns
 
 BLOCKS = 40
 """Number of blocks in time over all logs. Errors of different blocks count as independent; a log

@@ -9,6 +9,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from cablebot_gym.kinematics import Array, rotation_matrix
+from cablebot_gym.utils.checks import choice
 from cablebot_winches.importers.source import (
     FRAME_CHANGE,
     TENSOR,
@@ -17,8 +19,6 @@ from cablebot_winches.importers.source import (
     read_xml,
     symmetric,
 )
-from cablebot_gym.kinematics import Array, rotation_matrix
-from cablebot_gym.utils.checks import choice
 
 ROOTS = ("bodies_system", "cables")
 """Root elements of the two files."""

@@ -13,8 +13,8 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import GRAVITY, Motors, Plane, Robot, Transmission
-from cablebot_winches.robot_file import to_toml
 from cablebot_gym.utils.files import read_text
+from cablebot_winches.robot_file import to_toml
 
 ASSUMED_BASE_WIDTH_OVER_DRUM_RADIUS = 100.0
 """Assumed ratio of the width of the base to the drum radius. Small robots have about 20, large ones

@@ -8,8 +8,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from cablebot_winches.importers.source import FRAME_CHANGE, TENSOR, FileValues, child_of, symmetric
 from cablebot_gym.kinematics import Array
+from cablebot_winches.importers.source import FRAME_CHANGE, TENSOR, FileValues, child_of, symmetric
 
 ROOT = "models"
 """Root element of the files."""

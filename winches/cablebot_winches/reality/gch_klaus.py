@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 
 from cablebot_gym.kinematics import Array, cable_lengths
-from cablebot_winches.reality.comparison import Comparison, Validation
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.utils.palette import BLACK, BLUE, GREEN, GREY, VERMILLION
+from cablebot_winches.reality.comparison import Comparison, Validation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cablebot_gym.kinematics import Array
-from cablebot_winches.reality.comparison import Comparison, Validation
 from cablebot_gym.utils.palette import BLUE, VERMILLION
+from cablebot_winches.reality.comparison import Comparison, Validation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -23,9 +23,9 @@ from scipy.spatial.transform import Rotation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.hanging import home_at_rest
 from cablebot_gym.physics.textbook import locked_modes
-from cablebot_winches.reality.comparison import Comparison, Validation
 from cablebot_gym.robots import Motors, Robot, Transmission
 from cablebot_gym.utils.palette import BLUE, GREEN, GREY, VERMILLION
+from cablebot_winches.reality.comparison import Comparison, Validation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -17,10 +17,12 @@ from urllib.request import urlopen
 
 from cablebot_gym.utils.console import progress
 from cablebot_gym.utils.files import atomic_write, cache_folder, read_cached
-from cablebot_gym.utils.foreign import LARGEST_TEXT, foreign_bytes
 
 TIMEOUT = 30.0
 """Longest time without an answer of the server [s]."""
+
+LARGEST_FILE = 64 << 20
+"""Largest size of a file that is downloaded [bytes]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +88,7 @@ def _found(source: Source, path: str, folder: Path) -> bytes:
     others = 0
     for candidate in sorted(folder.rglob(f"*{name}")):
         if candidate.is_file():
-            content = foreign_bytes(candidate, LARGEST_TEXT, links=True)
+            content = candidate.read_bytes()
             if _digest(content) == source.files[path]:
                 return content
             others += 1
@@ -106,7 +108,7 @@ def _downloaded(source: Source, path: str, open_url: Callable[..., Any]) -> byte
         return content
     try:
         with open_url(url, timeout=TIMEOUT) as response:
-            content = response.read(LARGEST_TEXT)
+            content = response.read(LARGEST_FILE)
     except (OSError, HTTPException) as error:
         raise ConnectionError(
             f"cannot download {url} ({error}). Download the repository elsewhere, and name its "

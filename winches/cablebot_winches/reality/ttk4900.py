@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import median_filter
 
-from cablebot_winches.identification.regression import Estimate, fit
-from cablebot_winches.identification.samples import Samples, drive_factors, parameter_names
 from cablebot_gym.physics.textbook import motor_torques
-from cablebot_winches.reality.comparison import Comparison, Validation
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
+from cablebot_winches.identification.regression import Estimate, fit
+from cablebot_winches.identification.samples import Samples, drive_factors, parameter_names
+from cablebot_winches.reality.comparison import Comparison, Validation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

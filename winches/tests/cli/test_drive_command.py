@@ -4,9 +4,9 @@ import json
 
 import pytest
 
+from cablebot_gym.robots import find_robot
 from cablebot_winches.hardware.loop import INTERRUPTED
 from cablebot_winches.identification import read_log
-from cablebot_gym.robots import find_robot
 
 MOTION = json.dumps({"name": "line-planar-platform", "duration": 0.2, "dwell": 0.1})
 DRIVE = ("drive", "--robot", "ttk4900", "--policy", "fk+fl", "--trajectory", MOTION)

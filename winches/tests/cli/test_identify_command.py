@@ -6,9 +6,9 @@ import sys
 import pytest
 from identification.lifts import ROBOT, lift, write
 
-from cablebot_winches.cli.identify import _texts
 from cablebot_gym.robots import load_robot
 from cablebot_gym.uncertainty import find_uncertainty
+from cablebot_winches.cli.identify import _texts
 
 
 @pytest.fixture

@@ -1,10 +1,10 @@
 """Simulated boards in the process of the test: no time passes but that of the robot."""
 
 from cablebot_gym.envs.simulation import Simulation
+from cablebot_gym.policies import load
 from cablebot_winches.hardware.loop import Pace, drive
 from cablebot_winches.hardware.odrive import Winch, Winches
 from cablebot_winches.hardware.simulator import SimulatedBoards
-from cablebot_gym.policies import load
 
 FREQUENCY = 500.0
 

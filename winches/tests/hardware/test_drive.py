@@ -9,14 +9,14 @@ from hardware.loopback import Rig
 from numpy.testing import assert_allclose
 
 from cablebot_gym.envs import fitting_env_id
+from cablebot_gym.policies import load
+from cablebot_gym.robots import find_robot
 from cablebot_winches.hardware import loop
 from cablebot_winches.hardware.limits import DriveLimits
 from cablebot_winches.hardware.loop import Pace, estimated_pose
 from cablebot_winches.hardware.odrive import IDLE, VELOCITY_CONTROL
 from cablebot_winches.hardware.simulator import MOTOR_FAILED, WATCHDOG_TIMER_EXPIRED, Fault
 from cablebot_winches.identification import identify, read_log
-from cablebot_gym.policies import load
-from cablebot_gym.robots import find_robot
 
 TTK = find_robot("ttk4900")
 LINE = {"name": "line-planar-platform", "duration": 1.0, "dwell": 0.1}

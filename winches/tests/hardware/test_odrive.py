@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from clock import HANG, monotonic
 
+from cablebot_gym.robots import find_robot
 from cablebot_winches.hardware.channel import SerialChannel
 from cablebot_winches.hardware.odrive import (
     Winch,
@@ -15,7 +16,6 @@ from cablebot_winches.hardware.odrive import (
     read_wiring,
     with_checksum,
 )
-from cablebot_gym.robots import find_robot
 
 TTK = find_robot("ttk4900")
 

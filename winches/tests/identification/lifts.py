@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from cablebot_winches.identification.log import Log
 from cablebot_gym.robots import find_robot
+from cablebot_winches.identification.log import Log
 
 ROBOT = find_robot("ttk4900")
 CONSTANT = 0.055

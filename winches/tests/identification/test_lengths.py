@@ -7,11 +7,11 @@ from identification.platforms import noisy_log, smooth_motion
 from oracles.plants import with_transmission
 from scipy import stats
 
+from cablebot_gym.physics import textbook
+from cablebot_gym.robots import PLANAR, SPATIAL
 from cablebot_winches.identification import identify
 from cablebot_winches.identification.log import Log
 from cablebot_winches.identification.regression import CONFIDENCE
-from cablebot_gym.physics import textbook
-from cablebot_gym.robots import PLANAR, SPATIAL
 
 SEEDS = 30
 OFFSET = -0.01

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from identification.lifts import ROBOT, lift, write
 
+from cablebot_gym.robots import load_robot
 from cablebot_winches.identification import identify, read_log
 from cablebot_winches.identification.log import COLUMNS, Log
-from cablebot_gym.robots import load_robot
 from cablebot_winches.robot_file import to_toml
 
 
@@ -81,7 +81,7 @@ def test_identified_robot_survives_its_file(tmp_path):
 
 
 def test_page_has_the_columns():
-    folder = Path(__file__).parents[2] / "docs" / "your-own"
+    folder = Path(__file__).parents[2] / "docs"
     page = (folder / "identify.md").read_text(encoding="utf-8")
     for name, (unit, meaning) in COLUMNS.items():
         assert f"| `{name}` | {unit} | {meaning} |" in page

@@ -7,9 +7,9 @@ from identification.platforms import noisy_log, smooth_motion
 from oracles.plants import with_transmission
 
 from cablebot_gym import record_rollout
-from cablebot_winches.identification import identify
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
+from cablebot_winches.identification import identify
 
 FRICTION = {"coulomb_friction": 0.06, "damping": 0.02, "pulley_inertia": 1e-3}
 

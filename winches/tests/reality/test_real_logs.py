@@ -24,10 +24,10 @@ def test_stored_results_are_of_the_present_sources():
 def test_stored_results_are_those_of_the_real_logs(name):
     folder = os.environ.get("CABLEBOT_LOGS")
     if not folder:
-        pytest.skip("set CABLEBOT_LOGS to a folder with the logs of docs/reality.md")
+        pytest.skip("set CABLEBOT_LOGS to a folder with the logs of winches/docs/reality.md")
     source = SOURCES[name]
     anew = STUDIES[name](read_logs(source, Path(folder))).to_dict(name, source)
-    again = "compute them anew: python scripts/real_robots.py"
+    again = "compute them anew: python winches/scripts/real_robots.py"
     assert anew["notes"] == STORED[name]["notes"], again
     for computed, stored in zip(anew["comparisons"], STORED[name]["comparisons"], strict=True):
         for field in ("quantity", "unit", "goal", "held"):

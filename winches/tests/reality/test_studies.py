@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from cablebot_gym.physics.hanging import home_at_rest
 from cablebot_gym.physics.textbook import cable_lengths, locked_modes
+from cablebot_gym.robots import find_robot
 from cablebot_winches.reality import gch_klaus, innopolis, irma, ttk4900
 from cablebot_winches.reality.comparison import Comparison, table
-from cablebot_gym.robots import find_robot
 
 # --- ttk4900 --------------------------------------------------------------------------------------
 

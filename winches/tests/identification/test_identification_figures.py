@@ -5,9 +5,9 @@ import pytest
 from identification.lifts import lift
 from numpy.testing import assert_allclose
 
+from cablebot_gym.robots import find_robot
 from cablebot_winches.identification import identify
 from cablebot_winches.identification.log import Log
-from cablebot_gym.robots import find_robot
 
 pytest.importorskip("matplotlib")
 

@@ -1,0 +1,1 @@
+"""Commands of ``cablebot`` that this package adds, one module each."""
