@@ -64,6 +64,7 @@ nitpick_ignore_regex = [
     (r"py:.*", r"(.*\.)?(_.*|AnyCell)"),
     (r"py:.*", rf"({'|'.join(INTERNAL)})(\..*)?"),  # docstrings of public modules may mention them
     (r"py:obj", r"cablebot_gym\.commands"),  # a group of entry points
+    (r"py:obj", r"typing\.Annotated\[.*"),  # types of options, cut at their texts
 ]
 
 # A page for each public module. The extension "generate" empties the folder first.

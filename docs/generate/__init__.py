@@ -8,7 +8,7 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
-from generate import docstrings, environments, mathml, policies, report, sources, tables
+from generate import docstrings, environments, mathml, policies, report, sources, tables, winches
 from generate.pages import Pages
 
 
@@ -26,7 +26,7 @@ def write_all(app: Sphinx) -> None:
     default values."""
     folder = Path(app.srcdir) / "generated"
     shutil.rmtree(folder, ignore_errors=True)
-    for module in (environments, policies, tables):
+    for module in (environments, policies, tables, winches):
         module.write(Pages(folder))
     if app.builder.format == "html":
         report.write(Path(app.outdir))

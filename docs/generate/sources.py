@@ -37,7 +37,8 @@ def adapt(app: Sphinx, name: str, source: list[str]) -> None:
     * Names of environments and policies in the cells of tables link to their pages.
     * Full names of objects of this project, such as ``cablebot_gym.task.Task``, link to the API
       reference.
-    * The home page gets the contents of the site; two pages get the list of their generated pages.
+    * The home page gets the contents of the site; three pages get the list of their generated
+      pages.
     """
     if not str(app.env.doc2path(name)).endswith(".md"):
         return
@@ -48,17 +49,15 @@ def adapt(app: Sphinx, name: str, source: list[str]) -> None:
         text = path.read_text(encoding="utf-8").partition("\n")[2]  # the page has its own title
         if path.parent == DOCS.parent:
             return text.replace("](docs/", "](")
-        folder = path.parent.name
-        return text.replace("](docs/", f"](../{folder}/docs/").replace(
-            "](../README.md", "](index.md"
-        )
+        text = text.replace("](../README.md)", "](index.md)")
+        return text.replace("](docs/", f"](generated/{path.parent.name}/")
 
     text = _TOP_FILE.sub(top_file, source[0]).replace("](../LEADERBOARD.md)", "](/leaderboard.md)")
     text = _CELL.sub(lambda cell: _CODE.sub(_linked, cell[0]), text)
     text = _OBJECT.sub(r"{py:obj}`~\1`", text)
     if name == "index":
         text += "\n" + (DOCS / "contents.inc").read_text(encoding="utf-8")
-    if name in ("environments", "policies"):
+    if name in ("environments", "policies", "winches"):
         text += f"\n```{{toctree}}\n:hidden:\n:glob:\n\ngenerated/{name}/*\n```\n"
     if name == "leaderboard":
         title, _, body = text.partition("\n")
