@@ -74,7 +74,6 @@ PUBLIC_MODULES = (
     "cablebot_gym.benchmark.records",
     "cablebot_gym.benchmark.scores",
     "cablebot_gym.bounds",
-    "cablebot_gym.bounds.certificate",
     "cablebot_gym.bounds.closed_form",
     "cablebot_gym.bounds.robot_check",
     "cablebot_gym.datasets",
