@@ -76,7 +76,6 @@ PUBLIC_MODULES = (
     "cablebot_gym.bounds",
     "cablebot_gym.bounds.closed_form",
     "cablebot_gym.bounds.robot_check",
-    "cablebot_gym.datasets",
     "cablebot_gym.envs",
     "cablebot_gym.envs.observation",
     "cablebot_gym.envs.settings",

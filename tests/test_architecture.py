@@ -34,7 +34,6 @@ ORDER = (
     *(
         "rendering",
         "envs",
-        "datasets",
         "policies",
         "hardware",
         "isolation",
