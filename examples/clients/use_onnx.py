@@ -23,7 +23,7 @@ actor = torch.nn.Sequential(
     torch.nn.Hardtanh(),  # the bounds of the action
 )
 row = torch.zeros(1, envs.observation_space.shape[0])
-torch.onnx.export(actor, (row,), "actor.onnx", input_names=["observation"], external_data=False)
+torch.onnx.export(actor.eval(), (row,), "actor.onnx", input_names=["observation"], external_data=False)
 session = onnxruntime.InferenceSession("actor.onnx")
 
 
