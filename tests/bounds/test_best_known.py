@@ -115,17 +115,6 @@ def test_replay_has_to_hold_at_finer_steps_too(monkeypatch, line):
     assert case._first(case._program(20)).payload == 3.0  # the best of several starts
 
 
-def test_replay_fails_beyond_the_limits(line):
-    assert not replay(1.05 * line.payload, line.actions).carried
-    assert not replay(line.payload, 0.97 * line.actions).carried
-    assert not replay(line.payload, np.roll(line.actions, 1, axis=0)).carried
-    assert not replay(
-        line.payload,
-        line.actions,
-        error_bounds={"position": 0.0095},
-    ).carried
-
-
 # --- the paper's circle and other robots ------------------------------------------------------------------------------
 
 
