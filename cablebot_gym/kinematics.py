@@ -165,18 +165,6 @@ def structure_jacobian(
     return jacobian_and_rate(base, platform, pose, zero_velocity, swivel)[0]
 
 
-def structure_jacobian_rate(
-    base: ArrayLike,
-    platform: ArrayLike,
-    pose: ArrayLike,
-    velocity: ArrayLike,
-    swivel: ArrayLike | None = None,
-) -> Array:
-    """Ṡ, the time derivative of S along the velocity Ẋ, shape (..., m, n). Arguments as in
-    :func:`cable_lengths`."""
-    return jacobian_and_rate(base, platform, pose, velocity, swivel)[1]
-
-
 def jacobian_and_rate(
     base: ArrayLike,
     platform: ArrayLike,

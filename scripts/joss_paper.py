@@ -10,7 +10,6 @@ import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from statistics import median
 from string import Template
 from typing import Any
 
@@ -22,7 +21,6 @@ from cablebot_gym.benchmark.scores import (
     Column,
     Leaderboard,
     Score,
-    best_known_payloads,
     leaderboards,
 )
 
@@ -54,10 +52,6 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
         hardware[env_id] = _circle(boards, env_id, payload_known=False, uncertainty="hardware")
         entries += hardware[env_id]
     unknown = hardware["CableBot-Spatial-v0"]
-    ratios = []
-    for known in best_known_payloads(results.records).values():
-        if known.payload is not None and known.result.get("upper"):
-            ratios.append(known.payload / known.result["upper"]["payload"])
     carrying = [score.cell.policy for score in entries if score.payload is not None]
     (draws,) = {score.cell.draws for score in entries}
     return {
@@ -66,9 +60,6 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
         "motions": results.board.motions,
         "environments": len(env_ids),
         "table": readme_table(results).partition("\n\n")[2].strip(),
-        "bounded": len(ratios),
-        "ratio": f"{median(ratios):.1%}",
-        "smallest_ratio": f"{min(ratios):.1%}",
         "fl_known": _payload(spatial, "fl"),
         "fl_unknown": _payload(unknown, "fl"),
         "adaptive_unknown": _payload(unknown, "adaptive"),

@@ -1,9 +1,9 @@
 """Measures the payload that laws lose with the sensors of winches, for the page
 docs/measurement.md.
 
-Each case is the DLCC of a law on the circle, payload known, task criterion, by bisection, with the
-attainable deviation of the estimate. The results are kept in docs/measurement/results.json after
-every case: a second call computes the missing ones.
+Each case is the DLCC of a law on the circle, payload known, task criterion, by bisection. The
+results are kept in docs/measurement/results.json after every case: a second call computes the
+missing ones.
 
 python scripts/measure_winches.py [--env ID …]
 """
@@ -27,7 +27,6 @@ from cablebot_baselines.estimation import (
     Estimated,
     ExtendedKalmanFilter,
     FilterErrors,
-    attainable_deviation,
 )
 from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
@@ -57,7 +56,7 @@ RESOLUTION = 0.02
 """Resolution of the payloads [kg]."""
 
 PAYLOAD = 1.0
-"""Payload for the attainable deviations [kg]."""
+"""Payload of the episodes in which the filter is checked [kg]."""
 
 COUNTS = 8192
 """Steps of an encoder per revolution."""
@@ -190,22 +189,6 @@ def estimator(env_id: str, case: dict[str, str]) -> ExtendedKalmanFilter | None:
     return ExtendedKalmanFilter(robot, FilterErrors.of(uncertainty, robot, start=start))
 
 
-def attainable(env_id: str, case: dict[str, str]) -> float | None:
-    """Largest attainable standard deviation of an angle along the motion [rad], of a coordinate of
-    a point mass [m]; None without a filter that knows the errors."""
-    kalman = estimator(env_id, case)
-    if kalman is None:
-        return None
-    measurement = conditions(env_id, case)["measurement"]
-    env: Any = gym.make_vec(env_id, num_envs=1, payload=PAYLOAD, measurement=measurement).unwrapped
-    env.reset(seed=0)
-    deviations = attainable_deviation(kalman, env.tasks[0])
-    first = 0
-    if not kalman.robot.point_mass:
-        first = kalman.robot.dimensions
-    return float(deviations[:, first:].max())
-
-
 def consistency(env_id: str, case: dict[str, str]) -> float | None:
     """Squared errors of the pose by the covariance that the filter states, divided by the number of
     coordinates (NEES/n): mean of the draws and of the motion. None without a filter that knows the
@@ -274,7 +257,7 @@ CASE = ("estimator", "sensors", "errors", "disturbance")
 
 def table(data: dict[str, Any]) -> str:
     """Markdown table of the stored results: payload of each case, its fraction of that with the exact
-    pose, and the attainable deviation."""
+    pose, and the consistency of the filter."""
     stored = {}
     for result in data["cases"]:
         key = tuple(result[name] for name in ("env_id", *CASE))
@@ -290,7 +273,7 @@ def table(data: dict[str, Any]) -> str:
                 estimator = f"`{case['estimator']}`"
             errors = NAMES[case["errors"]]
             row = (f"`{case['sensors']}`", estimator, errors, DISTURBANCES[disturbance])
-            rows[row][env_id] = _cell(env_id, result, exact)
+            rows[row][env_id] = _cell(result, exact)
     head = ["sensors", "estimator", "errors of the sensors", "deviation"]
     head += [f"`{env_id}`, `{law}`" for env_id, law in LAWS.items()]
     lines = [head]
@@ -304,7 +287,7 @@ def table(data: dict[str, Any]) -> str:
     )
 
 
-def _cell(env_id: str, result: dict[str, Any] | None, exact: dict[str, Any] | None) -> str:
+def _cell(result: dict[str, Any] | None, exact: dict[str, Any] | None) -> str:
     """Text of a case, from its result and that with the exact pose."""
     if result is None:
         return "not computed yet"
@@ -314,11 +297,10 @@ def _cell(env_id: str, result: dict[str, Any] | None, exact: dict[str, Any] | No
         text = f"{payload:.2f} kg"
         if result["estimator"] and exact is not None and exact["payload"] is not None:
             text += f", {payload / exact['payload']:.0%}"
-    deviation = result.get("deviation")
-    if deviation is None:
+    consistency = result.get("nees")
+    if consistency is None:
         return text
-    unit = "mm" if find_robot(env_robot(env_id)).point_mass else "mrad"
-    return f"{text} (σ {1e3 * deviation:.2f} {unit}, NEES {result['nees']:.2f})"
+    return f"{text} (NEES {consistency:.2f})"
 
 
 def interval(coordinates: int, draws: int) -> str:
@@ -357,7 +339,6 @@ def main() -> None:
             continue
         env_id = case["env_id"]
         result = {
-            "deviation": attainable(env_id, case),
             "nees": consistency(env_id, case),
             **payload(env_id, case),
         }

@@ -113,23 +113,15 @@ CableBot-Planar-v0:
         features: [time_since_start, actions, error, model_payload]
 """
 
-UNTRAINED = """
-import cablebot_gym, gymnasium, stable_baselines3
-env = gymnasium.make("CableBot-Planar-v0")  # by its name, Stable-Baselines3 asks for pictures
-stable_baselines3.PPO("MlpPolicy", env).save("model.zip")
-"""
-
 
 def check_extras() -> None:
-    """Trains a policy, evaluates it with figures, exports a model, and runs cells of the benchmark."""
+    """Trains a policy, evaluates it with figures, and runs cells of the benchmark."""
     program = Path(sys.executable).with_name("cablebot")
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "ppo.yaml").write_text(TRAINING, encoding="utf-8")
-        subprocess.run([sys.executable, "-c", UNTRAINED], check=True, cwd=folder)
         for arguments in (
             "train CableBot-Planar-v0 --algo ppo --config ppo.yaml --out run --eval-every 512",
             "dlcc CableBot-Planar-v0 --policy run/best.zip --resolution 0.5 --out figures",
-            "export-policy CableBot-Planar-v0 --policy model.zip --out policy.onnx",
             "benchmark --suite smoke --policies fl,apg-circle --out benchmark",
         ):
             subprocess.run(

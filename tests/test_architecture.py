@@ -32,7 +32,6 @@ ORDER = (
     *(
         "rendering",
         "envs",
-        "datasets",
         "policies",
         "isolation",
         "evaluation",

@@ -41,7 +41,6 @@ BEST = best_known.BestKnownPayload(
     program_payload=1.0,
     meshes=((20, 1.0),),
     margins={},
-    upper=None,
     environment={},
     versions={},
     motion=MOTION,

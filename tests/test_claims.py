@@ -1,13 +1,7 @@
 """Statements of pages, help and docstrings: wrong ones do not return, and what can be compared with
 the code is."""
 
-import math
-
-import gymnasium as gym
-import pytest
-
 from cablebot_gym import ENV_IDS
-from cablebot_gym.bounds.certificate import hold_payload
 from cablebot_gym.cli.listing import tables
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.envs.single import CableBotEnv
@@ -27,10 +21,3 @@ def test_list_says_what_is_elastic():
         robot = find_robot(ENV_ROBOTS[env_id])
         assert ("joint springs" in text) == robot.jointed
         assert ("elastic cables" in text) == robot.elastic
-
-
-@pytest.mark.parametrize("env_id", ENV_IDS)
-def test_upper_bound_exists_under_gravity_as_the_page_says(env_id):
-    task = gym.make(env_id).unwrapped.settings
-    bound = hold_payload(task.robot, task.trajectory, task.error_bounds)
-    assert math.isfinite(bound) == (not task.robot.weightless)

@@ -87,14 +87,11 @@ PLAIN = (
     kinematics.cable_vectors,
     kinematics.cable_lengths,
     kinematics.structure_jacobian,
-    kinematics.structure_jacobian_rate,
     kinematics.jacobian_and_rate,
     distribution.least_norm,
-    distribution.least_largest_action,
     distribution.feasible,
     distribution.largest_scale,
     sag.catenary,
-    sag.parabola,
 )
 OTHER = {
     "inverse_dynamics of the kernel": (partial(inverse_dynamics, SPATIAL), {"minimum": 1.0}),

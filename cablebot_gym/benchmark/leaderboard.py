@@ -432,9 +432,7 @@ def _versions(records: Sequence[Record]) -> list[Mapping[str, str]]:
 
 def _best_known_rows(references: Iterable[BestKnown]) -> list[list[str]]:
     """A row for each motion, and one for all random motions of an environment."""
-    rows = [
-        ["environment", "motion", "payload [kg]", "total mass [kg]", "upper bound [kg]", "note"]
-    ]
+    rows = [["environment", "motion", "payload [kg]", "total mass [kg]", "note"]]
     groups: dict[tuple[str, str], list[BestKnown]] = {}
     for best in references:
         groups.setdefault((best.cell.env_id, tables.family_title(best.cell)), []).append(best)
@@ -446,14 +444,12 @@ def _best_known_rows(references: Iterable[BestKnown]) -> list[list[str]]:
 
 
 def _best_known_numbers(group: Sequence[BestKnown]) -> list[str]:
-    """Medians of payload, total mass and upper bound."""
+    """Medians of payload and total mass."""
     results = [best.result for best in group]
-    upper_bounds = [result.get("upper") or {} for result in results]
     texts = []
     for values in (
         [result.get("payload") for result in results],
         [result.get("total_mass") for result in results],
-        [upper.get("payload") for upper in upper_bounds],
     ):
         numbers = [value for value in values if value is not None]
         texts.append(f"{np.median(numbers):.3f}" if numbers else "–")

@@ -1,5 +1,4 @@
-"""Payload bounds independent of a policy: closed form, best known payload, and certificate of an
-upper bound."""
+"""Payload bounds independent of a policy: closed form and best known payload."""
 
 from cablebot_gym.bounds.closed_form import ExactPayload, exact_payload
 

@@ -2,8 +2,8 @@
 limits.
 
 It is a lower bound of the largest feasible payload. A local solver computes it. Replays of the
-inputs in the environment verify it, with the physics step and with a tenth of it. Only a
-certificate gives an upper bound. Needs the extra ``optimal``.
+inputs in the environment verify it, with the physics step and with a tenth of it. Needs the extra
+``optimal``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.bounds.certificate import upper_bound
 from cablebot_gym.bounds.tightening import Tightening
 from cablebot_gym.envs import check_robot, env_robot
 from cablebot_gym.envs.observation import observation_layout
@@ -84,8 +83,8 @@ _MOTOR_FREQUENCY = 200.0
 """Frequency of the motor loop of flexible robots in that controller [rad/s]."""
 
 _FIRST_MESHES = 3
-"""Number of coarse meshes that may fail. In a narrow tube about a jumping reference, coarse meshes
-are infeasible."""
+"""Number of coarse meshes that may fail. With narrow error bounds about a jumping reference,
+coarse meshes are infeasible."""
 
 _STRONGER, _WIDER = 1e3, 0.05
 """Relaxations that identify the limiting constraint: factor of the motor strength, and error bound
@@ -141,9 +140,6 @@ class BestKnownPayload:
     margins: dict[str, float]
     """Largest margin of the replayed motion to each limit. It holds only near the times at which
     the limit needs it."""
-    upper: dict[str, Any] | None
-    """Proved upper bound, see :class:`~cablebot_gym.bounds.certificate.Certificate`; None where
-    none is known."""
     environment: dict[str, Any]
     """Robot, trajectory and control frequency, as JSON-able data."""
     versions: dict[str, str]
@@ -174,9 +170,6 @@ class BestKnownPayload:
         )
         for replay in self.replays:
             text += f"\nreplay with {replay.substeps} physics steps per control period: {replay}"
-        if self.upper is not None:
-            text += f"\nproved upper bound: {self.upper['payload']:.3f} kg"
-            text += f" (total {self.upper['total_mass']:.3f} kg); {self.upper['conditions']}"
         return text
 
 
@@ -329,7 +322,7 @@ class _Case:
         return Tightening(robot=self.robot, error_bounds=self.error_bounds, times=times)
 
     def solve(self, report: Progress) -> BestKnownPayload:
-        """Solves and refines the program, verifies the motion, and adds the upper bound."""
+        """Solves and refines the program, and verifies the motion."""
         check_workspace(self.robot, self.trajectory)
         meshes, program = self._refine(report)
         best = meshes[-1][1]
@@ -344,11 +337,6 @@ class _Case:
             found = _Verified(motion=best, actions=actions, margins=Margins(), replays=replays)
         robot = self.robot
         motion = found.motion
-        upper = None
-        report("computing the certificate of an upper bound")
-        with suppress(ValueError):  # no certificate exists if the tube reaches an anchor
-            bound = upper_bound(robot, self.trajectory, self.error_bounds).to_dict()
-            upper = bound if bound["total_mass"] is not None else None
         return BestKnownPayload(
             env_id=self.env_id,
             payload=motion.payload,
@@ -359,7 +347,6 @@ class _Case:
             program_payload=best.payload,
             meshes=tuple((count, mesh.payload) for count, mesh in meshes),
             margins=to_jsonable(found.margins),
-            upper=upper,
             environment={
                 "robot": robot.to_dict(),
                 "trajectory": to_jsonable(self.trajectory),
@@ -464,16 +451,14 @@ class _Case:
         wider = ErrorBounds(
             position=max(_WIDER, bounds.position), rotation=max(_WIDER, bounds.rotation)
         )
-        for cause, robot, tube in (
+        for cause, robot, error_bounds in (
             (strength, stronger, bounds),
             ("the error bounds", self.robot, wider),
             (f"the error bounds together with {strength}", stronger, wider),
         ):
             with suppress(Infeasible):
-                if (
-                    MotionProgram(robot, self.trajectory, tube, intervals=intervals).solve().payload
-                    >= 0
-                ):
+                program = MotionProgram(robot, self.trajectory, error_bounds, intervals=intervals)
+                if program.solve().payload >= 0:
                     return cause
         return "the cables, which can only pull, but the motion needs pushing forces"
 

@@ -1,5 +1,5 @@
 """Checks of a robot before anything is simulated: payload along its motion, workspace, modes, sag,
-and doubtful values.
+and cables that touch.
 
 The checks are static or follow the reference exactly; no controller is involved.
 """
@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.bounds.doubts import doubtful_values
 from cablebot_gym.envs.settings import check_simulated, default_trajectory, fewest_substeps
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
@@ -121,8 +120,6 @@ class RobotCheck:
     """Softest and stiffest mode with locked and with free motors, see :func:`modes`."""
     substeps: int | None
     """Suggested number of physics steps per control period; None if the springs need too many."""
-    questions: tuple[str, ...]
-    """Doubtful values, each with a remedy."""
 
     def to_dict(self) -> dict[str, Any]:
         """The result as JSON-able data; None for an infinite number."""
@@ -134,7 +131,6 @@ class RobotCheck:
             "workspace": self.workspace,
             "modes": [vars(mode) for mode in self.modes],
             "substeps": self.substeps,
-            "questions": list(self.questions),
         }
 
 
@@ -205,7 +201,7 @@ def check_model(robot: Robot, *, payload: float | None = None) -> RobotCheck:
     payload = _payload_of(robot, payload)
     try:
         substeps = fewest_substeps(robot)
-    except ValueError:  # of springs that are much too stiff: a question about their unit follows
+    except ValueError:  # springs that are much too stiff
         substeps = None
     if robot.hanging:
         home = _hanging_limit(robot, payload)
@@ -220,7 +216,6 @@ def check_model(robot: Robot, *, payload: float | None = None) -> RobotCheck:
         workspace=workspace,
         modes=tuple(modes(robot, payload)),
         substeps=substeps,
-        questions=tuple(doubtful_values(robot)),
     )
 
 

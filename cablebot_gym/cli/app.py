@@ -39,9 +39,6 @@ COMMANDS = {
         "video": "cablebot_gym.cli.video:video",
         "picture": "cablebot_gym.cli.picture:picture",
     },
-    "Export policies": {
-        "export-policy": "cablebot_gym.cli.export_policy:export_policy",
-    },
     "Run benchmarks": {
         "benchmark": "cablebot_gym.cli.benchmark:benchmark",
         "report": "cablebot_gym.cli.report:report",

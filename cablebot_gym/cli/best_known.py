@@ -23,10 +23,8 @@ def best_known(
 
     It is the largest payload for which a motion and torques within all limits are known, and
     therefore a lower bound of the optimal payload. Replays of the torques in the environment, with
-    its physics step and with a tenth of it, verify it under the task criterion. The result also has
-    a proven upper bound: for rigid robots with a point mass in a horizontal plane, and for robots
-    under gravity whose motion starts at rest. Requires the extra: pip install
-    'cablebot-gym[optimal]'.
+    its physics step and with a tenth of it, verify it under the task criterion. Requires the extra:
+    pip install 'cablebot-gym[optimal]'.
 
     Example: cablebot best-known CableBot-Spatial-v0 --position-bound 20 --json
     """

@@ -39,8 +39,7 @@ FittingEnvId = Annotated[
 
 _POLICY = typer.Option(
     "--policy",
-    help="Name of an installed policy, a .zip file (bundle or SB3 model), an .onnx file of `cablebot export-policy`, "
-    "package.module:factory, or file.py:factory.",
+    help="Name of an installed policy, a .zip file (bundle or SB3 model), package.module:factory, or file.py:factory.",
 )
 PolicyName = Annotated[str, _POLICY]
 PolicyNameOrNone = Annotated[str | None, _POLICY]

@@ -37,8 +37,8 @@ def check(
 ) -> None:
     """Check a robot and its motion.
 
-    The check prints payloads, workspace, modes, physics step, sag, and doubtful values. Nothing is
-    simulated. The exit status is 1 if the robot or the motion is refused, or if no controller can
+    The check prints payloads, workspace, modes, physics step, sag, and cables that touch. Nothing
+    is simulated. The exit status is 1 if the robot or the motion is refused, or if no controller can
     be expected to carry the payload.
 
     Examples:
@@ -72,9 +72,10 @@ def _check(
     except ValueError as error:
         refusal = sentence_of_user_code(error) or str(error)
     if as_json:
-        data = {"held": False, "refused": refusal} if motion is None else motion.to_dict()
-        questions = [*check.questions, *(motion.questions if motion else ())]
-        print(json.dumps({**check.to_dict(), **data, "questions": questions}, indent=2))
+        data = {"held": False, "refused": refusal, "questions": []}
+        if motion is not None:
+            data = motion.to_dict()
+        print(json.dumps(check.to_dict() | data, indent=2))
     elif motion is not None:
         law = "composite-tuned" if model.flexible else "fl"
         evaluation = command_again(
@@ -166,9 +167,7 @@ def report(check: RobotCheck) -> list[str]:
         lines.append(
             f"step       {counted(check.substeps, 'physics step')} of {step} in a control period"
         )
-    return lines + (
-        [f"question   {question}" for question in check.questions] or ["questions  none"]
-    )
+    return lines
 
 
 def motion_report(check: RobotCheck, motion: MotionCheck, evaluation: str) -> list[str]:

@@ -44,7 +44,7 @@ def submit(
         str,
         typer.Argument(
             help="Policy: a name or package.module:factory of an installed package, module:factory or file.py:factory, "
-            "or a .zip or .onnx file."
+            "or a .zip file."
         ),
     ],
     ids: Annotated[str, typer.Option("--id", help="Environment ids, separated by commas.")],

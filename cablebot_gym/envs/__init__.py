@@ -42,9 +42,6 @@ PAPER_ENV_IDS = ENV_IDS[:4]
 FLEXIBLE_ENV_IDS = tuple(env_id for env_id in ENV_IDS if "-Flex" in env_id)
 """Ids of the environments whose robots have joint springs or elastic cables."""
 
-RIGID_ENV_IDS = tuple(env_id for env_id in ENV_IDS if env_id not in FLEXIBLE_ENV_IDS)
-"""Ids of the environments whose robots are rigid."""
-
 TERMINATION_REASONS = ("", "tracking_error", "slack", "workspace", "non_finite", "violation")
 """Name of each code in ``info["termination_reason"]``. Code 0, the empty string, means "not
 terminated"."""

@@ -3,11 +3,12 @@
 m cables hold the load w on n ≤ m coordinates if ``−Sᵀ T = w``. The r = m − n redundant cables leave
 a choice::
 
-    least_norm             the tensions nearest to reference tensions
-    least_largest_action   the tensions whose largest motor action is the least
-    central                tensions away from all bounds, which change smoothly along a motion
-    feasible               whether some tensions within the bounds hold the load, and if not, why
-    largest_scale          the interval of s for which they hold ``w₀ + s w₁``, e.g. the payload
+    least_norm       the tensions nearest to reference tensions
+    central          tensions away from all bounds, which change smoothly along a motion
+    feasible         whether some tensions within the bounds hold the load, and if not, why
+    largest_scale    the interval of s for which they hold ``w₀ + s w₁``, e.g. the payload
+    unchecked_least_largest_action
+                     the tensions whose largest motor action is the least
 
 For example, the least tensions of eight cables on six coordinates, each at least 100 N::
 
@@ -22,7 +23,6 @@ The compiled solutions are in ``tension_problems`` and ``central_tensions``.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +48,7 @@ SINGULAR = nearest_point.SINGULAR
 """Status of an item whose S has a rank below n."""
 
 SMOOTHING = 1e-2
-"""Default weight ε of the sum of the squared actions in :func:`least_largest_action`."""
+"""Default weight ε of the sum of the squared actions in :func:`unchecked_least_largest_action`."""
 
 BARRIER = 1e-2
 """Default barrier parameter μ of :func:`central`."""
@@ -163,7 +163,7 @@ def least_norm(
     return _distribution(shape, matrices, loads, tensions, status)
 
 
-def least_largest_action(
+def unchecked_least_largest_action(
     structure: ArrayLike,
     load: ArrayLike,
     lower: ArrayLike,
@@ -204,36 +204,8 @@ def least_largest_action(
         smoothing: ε; at least 1e-9.
         weights: as in :func:`least_norm`.
 
-    Raises:
-        ValueError: if the shapes do not match, a number is not finite, or ``smoothing`` is too
-            small. A bound may be infinite.
-    """
-    if not 1e-9 <= smoothing < math.inf:
-        raise ValueError(f"smoothing is {smoothing}; it must be finite and at least 1e-9")
-    all_finite("slope", slope)
-    all_finite("offset", offset)
-    all_finite("weights", weights)
-    _check_problem(structure, load, lower, upper)
-    return unchecked_least_largest_action(
-        structure, load, lower, slope, offset, upper, smoothing=smoothing, weights=weights
-    )
-
-
-def unchecked_least_largest_action(
-    structure: ArrayLike,
-    load: ArrayLike,
-    lower: ArrayLike,
-    slope: ArrayLike,
-    offset: ArrayLike,
-    upper: ArrayLike = np.inf,
-    *,
-    smoothing: float = SMOOTHING,
-    weights: ArrayLike = 1.0,
-) -> Distribution:
-    """As :func:`least_largest_action`, for laws, whose numbers are finite: the checks would take a
-    tenth of the time.
-
-    If S is not finite, as in a pose where a cable has no length, the status is :data:`SINGULAR`.
+    It is for laws, whose numbers are finite: checks would take a tenth of the time. If S is not
+    finite, as in a pose where a cable has no length, the status is :data:`SINGULAR`.
     """
     shape, matrices, loads, (low, high, slopes, offsets) = _arrays(
         structure, load, lower, upper, slope, offset
@@ -269,7 +241,7 @@ def central(
 
     They minimise ``½ Σ a_i² − μ Σ [log(a_i − a_i(minimum)) + log(1 − a_i)]`` with the actions ``a_i =
     slope_i T_i + offset_i``. The least of a smooth, strictly convex function is a smooth function
-    of S, w, slope and offset where S has full rank, whereas :func:`least_largest_action` crosses
+    of S, w, slope and offset where S has full rank, whereas :func:`unchecked_least_largest_action` crosses
     its edges fast. A cable keeps a distance of about μ over the gradient of the rest from its
     bounds. For μ → 0 the tensions become those of the least squared actions within the bounds; for
     μ → ∞ the analytic centre of the tensions that hold the load.

@@ -1,5 +1,5 @@
-"""Sag of heavy cables, which the straight cables of the model leave out: catenary, parabola, and
-the platform's pose.
+"""Sag of heavy cables, which the straight cables of the model leave out: catenary and the
+platform's pose.
 
 T is the component of the tension along the chord between the ends of a cable, w the weight per
 length [N/m], and θ the inclination of the chord. The horizontal force is ``T cos θ``. Only the
@@ -92,22 +92,6 @@ def catenary(
         sag = tension / np.where(weight > 0, weight, 1.0) * gap * across / chord
     is_too_long = ~np.isfinite(stretched)
     return np.where(is_too_long, np.inf, sag), np.where(is_too_long, np.inf, extra)
-
-
-def parabola(
-    across: ArrayLike, rise: ArrayLike, tension: ArrayLike, weight: ArrayLike
-) -> tuple[Array, Array]:
-    """Sag and extra length [m] of the parabola, ``w cos θ L²/(8 T)`` and ``(w cos θ)² L³/(24 T²)``.
-
-    The limit of :func:`catenary`, with the same arguments, for ``w L ≪ T``.
-    """
-    _check_finite(across=across, rise=rise, tension=tension, weight=weight)
-    tension = np.asarray(tension, float)
-    chord = np.hypot(across, rise)
-    normal = np.asarray(weight, float) * across / chord
-    sag = normal * chord**2 / (8 * tension)
-    extra = normal**2 * chord**3 / (24 * tension**2)
-    return sag, extra
 
 
 def sag(robot: Robot, pose: ArrayLike, tensions: ArrayLike) -> Sag:

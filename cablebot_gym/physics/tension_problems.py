@@ -145,7 +145,7 @@ def solve_least_largest(
     structure, load, lower, upper, slope, offset, smoothing, weights, tensions, status
 ):
     """Tensions whose largest action is the least, see
-    :func:`~cablebot_gym.physics.distribution.least_largest_action`.
+    :func:`~cablebot_gym.physics.distribution.unchecked_least_largest_action`.
     """
     items, m, n = structure.shape
     size, root = m - n + 1, math.sqrt(smoothing)

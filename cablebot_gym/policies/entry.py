@@ -23,7 +23,7 @@ from cablebot_gym.utils.foreign import (
     plain_paths,
 )
 
-POLICY_SUFFIXES = (".zip", ".onnx")
+POLICY_SUFFIXES = (".zip",)
 """Suffixes of policy files."""
 
 CARD, POLICY, PACKAGES = "entry.json", "policy", "packages"
@@ -49,8 +49,8 @@ _NAMES = ("name", "policy", "package")
 _FORMS = {
     "name": (r"[A-Za-z0-9][\w.-]*", "ASCII letters, digits, '.', '_' and '-'"),
     "policy": (
-        r"[\w.]+:\w+|[\w.-]+\.(zip|onnx)",
-        "module:factory or the name of a .zip or .onnx file",
+        r"[\w.]+:\w+|[\w.-]+\.zip",
+        "module:factory or the name of a .zip file",
     ),
     "package": (r"[\w.-]+==[\w.+!-]+", "name==version, or null"),
 }
@@ -66,7 +66,7 @@ class Entry:
     env_ids: tuple[str, ...]
     """Environments for which the policy is made."""
     policy: str
-    """``module:factory``, or a ``.zip`` or ``.onnx`` file in the folder of the policy."""
+    """``module:factory``, or a ``.zip`` file in the folder of the policy."""
     package: str | None
     """Requirement for pip of the package that has the policy, such as ``their-law==1.0``; None if
     the entry has its files."""

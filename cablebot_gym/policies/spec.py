@@ -18,7 +18,6 @@ from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.policies.adapters import as_policy
 from cablebot_gym.policies.entry import CARD, POLICY_SUFFIXES
-from cablebot_gym.policies.onnx import load_onnx
 from cablebot_gym.policies.protocol import (
     LoadedPolicy,
     Policy,
@@ -61,8 +60,8 @@ or made for another robot."""
 
 
 Kind = Literal["entry", "installed", "file", "factory", "unknown"]
-"""Kind of a policy's name: folder of an entry with its card; name of an installed policy; ``.zip`` or
-``.onnx`` file; ``package.module:factory`` or ``file.py:factory``."""
+"""Kind of a policy's name: folder of an entry with its card; name of an installed policy; ``.zip``
+file; ``package.module:factory`` or ``file.py:factory``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,8 +201,8 @@ def check_measurement(policy: LoadedPolicy, measurement: Measurement) -> None:
 
 
 def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = ()) -> Policy:
-    """A policy from an installed name, a ``.zip`` or ``.onnx`` file, or
-    ``package.module:factory``; ``ekf+…`` behind an estimator.
+    """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``; ``ekf+…``
+    behind an estimator.
 
     A factory, a function or a class, is called with the nominal robot, or with nothing if it needs
     nothing. A file is passed to the loaders of :data:`FILE_ENTRY_POINT_GROUP` in turn. If all of
@@ -321,8 +320,7 @@ def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
         factory = _import_factory(name, subject)
         return _call(factory, robot, subject), subject, None
     forms = (
-        "a learned bundle or an SB3 file ending in .zip, an .onnx file of `cablebot export-policy`, "
-        "file.py:factory, or package.module:factory"
+        "a learned bundle or an SB3 file ending in .zip, file.py:factory, or package.module:factory"
     )
     check_not_a_file("policy", name, f"{forms}, or the folder of an entry with its card")
     raise unknown_name_error("policy", name, policy_entries(), f", {forms}")
@@ -390,8 +388,6 @@ def _load_file(path: Path, robot: Robot) -> Policy:
     subject = f"policy file {str(path)!r}"
     if not path.is_file():
         raise ValueError(f"{subject} does not exist")
-    if path.suffix == ".onnx":
-        return load_onnx(path, robot)
     damaged: Any = True
     with suppress(Exception), zipfile.ZipFile(path) as file:
         damaged = file.testzip()

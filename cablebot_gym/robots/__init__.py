@@ -46,9 +46,6 @@ from cablebot_gym.robots.parts import (
 )
 from cablebot_gym.robots.record import (
     Robot,
-    holds_upside_down,
-    reach_and_gyration,
-    vertical_remedy,
 )
 
 __all__ = [
@@ -77,11 +74,8 @@ __all__ = [
     "find_robot",
     "has_paper_capacity",
     "has_paper_geometry",
-    "holds_upside_down",
     "library",
     "load_robot",
     "private_robot",
-    "reach_and_gyration",
     "robot_names",
-    "vertical_remedy",
 ]

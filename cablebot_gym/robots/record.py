@@ -498,7 +498,7 @@ def _check_cable_values(robot: Robot) -> None:
                 )
 
 
-def reach_and_gyration(robot: Robot) -> tuple[float, float]:
+def _reach_and_gyration(robot: Robot) -> tuple[float, float]:
     """Largest distance of a platform anchor from the centre of mass, and largest radius of gyration
     [m]."""
     reach = float(np.max(np.linalg.norm(robot.platform - robot.mass_center, axis=1)))
@@ -510,13 +510,13 @@ def _check_body(robot: Robot) -> None:
     """Checks that a body and cables of this size and form exist."""
     checks.check_widths(robot.base, robot.pulley_radius, robot.swivel_radius)
     if not robot.point_mass:
-        checks.check_reach(*reach_and_gyration(robot))
+        checks.check_reach(*_reach_and_gyration(robot))
     if robot.kind == "spatial":
         checks.check_inertia(robot.inertia, robot.inertia_tensor)
     heights = cable_vectors(robot.base, robot.platform, robot.home)[:, -1]
     if not robot.weightless and heights.max() < 0:
         raise ValueError(
-            f"all base anchors are below the platform at home_pose; {vertical_remedy(robot)}"
+            f"all base anchors are below the platform at home_pose; {_vertical_remedy(robot)}"
         )
     low, high = robot.pose_bounds
     if np.any(low >= high):
@@ -557,12 +557,12 @@ def _check_home(robot: Robot) -> None:
         if robot.kind == "planar" and robot.weightless:
             problem = "the cables do not surround"
         remedy = "move the pose or the anchors"
-        if holds_upside_down(robot):
-            remedy = f"upside down they would. {vertical_remedy(robot)}"
+        if _holds_upside_down(robot):
+            remedy = f"upside down they would. {_vertical_remedy(robot)}"
         raise ValueError(f"{robot.name}: {problem} home_pose {robot.home_pose}; {remedy}")
 
 
-def vertical_remedy(robot: Robot) -> str:
+def _vertical_remedy(robot: Robot) -> str:
     """Direction of the vertical axis in words, and how to convert a frame in which it points up."""
     if robot.planar:
         return (
@@ -575,7 +575,7 @@ def vertical_remedy(robot: Robot) -> str:
     )
 
 
-def holds_upside_down(robot: Robot) -> bool:
+def _holds_upside_down(robot: Robot) -> bool:
     """Whether positive tensions would hold the home pose if gravity acted upwards: a frame may have
     been turned."""
     jacobian = structure_jacobian(robot.base, robot.platform, robot.home, robot.swivel)

@@ -9,7 +9,6 @@ from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.steering import (
-    Residual,
     Shift,
     Steering,
 )
@@ -33,15 +32,6 @@ FEATURES = (
     "model_payload",
 )
 
-RESIDUAL_FEATURES = (
-    "pose",
-    "velocity",
-    "actions",
-    "error",
-    "time_since_start",
-    "reference_acceleration",
-)
-
 CASES = {
     "planar shift": (PLANAR_ID, Base(gains=(2000.0, 90.0)), Shift(action_period=0.02), FEATURES),
     "preview": (
@@ -50,12 +40,11 @@ CASES = {
         Shift(action_period=0.014, degree=4, preview=0.1, fraction=0.5),
         FEATURES,
     ),
-    "residual": (SPATIAL_ID, Base(), Residual(action_period=0.006), RESIDUAL_FEATURES),
     "springs": (
         FLEX_SPATIAL_ID,
         Base(law="composite", estimates_payload=True),
-        Residual(),
-        RESIDUAL_FEATURES,
+        Shift(degree=4),
+        FEATURES,
     ),
 }
 """Environment, base law, action mapping and features."""

@@ -13,15 +13,11 @@ from cablebot_baselines.estimation import (
     ExtendedKalmanFilter,
     FilterErrors,
     KinematicEstimator,
-    attainable_deviation,
-    calibrate,
-    home_offset,
 )
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.physics import textbook
 from cablebot_gym.policies import load_policy
-from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
+from cablebot_gym.robots import PLANAR, find_robot
 from cablebot_gym.uncertainty import find_uncertainty
 
 ENCODERS = {"kind": "winches", "encoder_resolution": 2 * np.pi / 8192}
@@ -213,20 +209,6 @@ def test_filter_finds_the_stiffness():
     assert np.abs(errors[-50:]).max() < 5e-4
 
 
-def test_bound_before_the_motion_is_that_of_weighted_least_squares():
-    """Of a rigid robot at rest, with zero errors that are independent."""
-    env = gym.make_vec("CableBot-Planar-v0", num_envs=1, measurement=ENCODERS).unwrapped
-    env.reset(seed=0)
-    task = env.tasks[0]
-    zeros = {"sensors": {"motor_speed": 1e-2}, "sensor_bias": {"motor_angle": 6e-3}}
-    expected = FilterErrors.of(find_uncertainty(zeros, PLANAR), PLANAR)
-    deviation = attainable_deviation(ExtendedKalmanFilter(PLANAR, expected), task)
-    turning = textbook.jacobian(PLANAR, task.trajectory(0.0).position) / 0.05
-    variance = 6e-3**2 + ENCODERS["encoder_resolution"] ** 2 / 12
-    covariance = variance * np.linalg.inv(turning.T @ turning)
-    assert_allclose(deviation[0], np.sqrt(np.diag(covariance)), rtol=1e-3)
-
-
 @pytest.mark.slow
 def test_law_behind_the_filter_keeps_its_payload():
     """The tolerance is 1 % of the payload."""
@@ -252,41 +234,3 @@ def test_diverged_estimate_stops_the_motors_of_its_own_episode():
     actions, _ = policy.predict(rows)
     assert (actions[:2] == 0).all()
     assert (actions[2] != 0).any()
-
-
-def readings(robot, count, *, seed=0):
-    """Poses, and offsets of the motor angles."""
-    rng = np.random.default_rng(seed)
-    n = robot.coordinates
-    poses = robot.home + 0.08 * rng.uniform(-1, 1, (count, n))
-    if n > 2:
-        poses[:, 2] += 0.25
-    return poses, rng.normal(0, 0.1, robot.cables)
-
-
-def test_calibration_recovers_offsets_from_redundant_cables():
-    poses, offset = readings(PLANAR, 12)
-    calibration = calibrate(PLANAR, textbook.pulley_angle(PLANAR, poses) + offset, poses + 0.01)
-    assert_allclose(calibration.offset, offset, atol=1e-8)
-    assert_allclose(calibration.poses, poses, atol=1e-9)
-
-
-@pytest.mark.parametrize("sensor", ["tensions", "orientation"])
-def test_calibration_of_six_cables_needs_another_sensor(sensor):
-    poses, offset = readings(SPATIAL, 10)
-    angles = textbook.pulley_angle(SPATIAL, poses) + offset
-    zero = np.zeros_like(poses)
-    with pytest.raises(ValueError, match="do not determine the offsets"):
-        calibrate(SPATIAL, angles, poses + 0.005)
-    tensions = textbook.required_tensions(SPATIAL, np.full(10, SPATIAL.mass), poses, zero, zero)
-    exact = {"tensions": tensions, "orientation": poses[:, 3:]}
-    calibration = calibrate(SPATIAL, angles, poses + 0.005, **{sensor: exact[sensor]})
-    assert_allclose(calibration.offset, offset, atol=1e-5)
-
-
-def test_home_offset_is_the_difference_at_the_known_pose():
-    poses, offset = readings(SPATIAL, 1)
-    offset_at_home = home_offset(
-        SPATIAL, textbook.pulley_angle(SPATIAL, poses[0]) + offset, poses[0]
-    )
-    assert_allclose(offset_at_home, offset, atol=1e-12)

@@ -151,7 +151,6 @@ def test_violations_equal_the_inverse_dynamics():
         (lambda: configured(motions={"loops": VALIDATION[0] + 1}), "loops"),
         (lambda: configured(motions={"named": [HELD_OUT]}), "motions"),
         (lambda: configured(tensoin=3.0), "tensoin"),
-        (lambda: configured(steering={"kind": "residual"}), "kind shift or planning"),
         (lambda: configured(steering={"kind": "planning"}), "base"),
         (lambda: configured(steering={"kind": "nonsense"}), "planning"),
         (lambda: configured(features=["nonsense"]), "nonsense"),

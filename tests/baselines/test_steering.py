@@ -9,10 +9,8 @@ from steering import (
     FLEX_SPATIAL_ID,
     PERIOD,
     PLANAR_ID,
-    RESIDUAL_FEATURES,
     SPATIAL_ID,
     line,
-    observations,
     steer,
     steering_of,
     tasks_of,
@@ -21,7 +19,6 @@ from steering import (
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.steering import (
     DERIVATIVES,
-    Residual,
     Shift,
 )
 from cablebot_gym.envs.observation import observation_layout
@@ -108,21 +105,6 @@ def test_action_period_is_rounded_to_control_periods():
         steering = steering_of(action_mapping=Shift(action_period=action_period))
         steering.reset(tasks_of(PLANAR_ID, control_frequency=frequency))
         assert steering.periods == periods
-
-
-def test_residual_adds_the_clipped_action_of_the_last_decision():
-    action_mapping = Residual(action_period=0.006, fraction=0.25)
-    steering = steering_of(SPATIAL_ID, action_mapping=action_mapping, features=RESIDUAL_FEATURES)
-    rows, _ = observations(SPATIAL_ID, 9, envs=1)
-    law = Base().make(SPATIAL)
-    memory = None
-    actions = np.random.default_rng(0).uniform(-2, 2, (9, 6))
-    for step, observation in enumerate(rows[:, 0]):
-        blocks = steering.split(observation)
-        memory = steering.reset_memory(blocks, memory, None)
-        command, memory = steering.respond(blocks, actions[step], memory)
-        added = command - law.predict(observation)[0]
-        assert_allclose(added, 0.25 * np.clip(actions[step // 3 * 3], -1, 1), atol=1e-12)
 
 
 @pytest.mark.parametrize(("degree", "preview"), [(2, 0.0), (5, 0.0), (3, 0.05)])

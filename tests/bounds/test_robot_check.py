@@ -1,4 +1,4 @@
-"""Checks of a robot: payload along the motion, workspace, modes, sag, and questions."""
+"""Checks of a robot: payload along the motion, workspace, modes, sag, and cables that touch."""
 
 import math
 
@@ -7,8 +7,10 @@ import pytest
 
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.bounds.robot_check import check_model, check_motion, modes, segment_distance
-from cablebot_gym.physics.statics import holds
-from cablebot_gym.robots import PLANAR, SPATIAL, Robot, find_robot
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.statics import hold_payload, holds
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot, find_robot
+from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import find_trajectory
 
 CAMERA = find_robot("stadium-camera")
@@ -86,6 +88,26 @@ def test_ceiling_is_the_payload_at_rest_for_the_maximum_tension():
     assert check.ceiling == pytest.approx(600 * rise / robot.gravity - robot.mass, rel=1e-6)
     assert not check.possible
     assert check_motion(SPATIAL, trajectory="dwell-spatial", payload=9.0).possible
+
+
+@pytest.mark.parametrize("robot", [SPATIAL, FLEX_SPATIAL], ids=lambda robot: robot.name)
+def test_stall_torque_holds_the_payload_at_the_start(robot):
+    """At the start pose, half the position bound lower."""
+    motion = find_trajectory("circle-spatial", 6)
+    bounds = ErrorBounds(position=0.02)
+    payload = hold_payload(robot, motion, bounds)
+    lowered = motion(0.0).position + 0.01 * np.eye(6)[2]
+    torque = textbook.static_torque(robot, robot.mass + payload, lowered)
+    assert (torque / robot.stall_torque).max() == pytest.approx(1.0, abs=1e-12)
+    assert payload > hold_payload(robot, motion, ErrorBounds(position=0.01)) + 0.5
+
+
+@pytest.mark.parametrize(
+    ("robot", "motion"), [(SPATIAL, "paper-spatial"), (FLEX_PLANAR, "circle-planar")]
+)
+def test_stall_torque_limits_nothing_without_weight_or_rest(robot, motion):
+    trajectory = find_trajectory(motion, robot.kind)
+    assert hold_payload(robot, trajectory, ErrorBounds()) == math.inf
 
 
 def test_infeasible_motion_names_the_cause():

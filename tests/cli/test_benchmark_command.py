@@ -35,7 +35,6 @@ HIDDEN = replace(TINY, name="hidden", blocks=(MOTIONS, Block(conditions=CHANGES 
 def best(monkeypatch):
     """Stands for the search, which has tests of its own; counts how often it is asked."""
     best_known = {"payload": 2.4, "total_mass": 3.4, "verified": True}
-    best_known["upper"] = {"payload": 3.3, "total_mass": 4.3}
     search = Mock(return_value=Mock(to_dict=lambda: best_known))
     module = SimpleNamespace(find_best_known=search)
     monkeypatch.setitem(sys.modules, "cablebot_gym.bounds.best_known", module)

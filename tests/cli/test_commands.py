@@ -98,8 +98,6 @@ MISTAKES = {
     f"picture {PLANAR} a.gif {POLICY}": "has to end in .png or .jpg or .webp",
     f"picture {PLANAR} a.png {POLICY} --time -1": "--time must be a finite number at least 0 s",
     f"picture {PLANAR} a.png {POLICY} --time 9": "--time must be at most 1.6 s",
-    f"export-policy {PLANAR} --policy fl --out file/p.onnx": "cannot write to folder",
-    f"export-policy {PLANAR} --policy model.zip --out p.zip": "--out must end in .onnx",
     "benchmark --suite huge": "unknown suite 'huge'; choose one of smoke, standard, ranked, full",
     "benchmark --ray auto --workers 1": "--workers and --ray exclude each other",
     TRAIN + "file/below": "",
@@ -125,7 +123,6 @@ def test_bad_input_ends_with_status_2_one_line_and_no_file(cablebot, tmp_path, t
         ("casadi", "optimal", f"best-known {PLANAR}"),
         ("pygame", "render", f"video {PLANAR} video.gif {POLICY}"),
         ("ray", "ray", "benchmark --policies fl --ray local"),
-        ("onnx", "onnx", f"export-policy {PLANAR} --policy model.zip --out policy.onnx"),
     ],
 )
 def test_missing_extra_ends_with_the_command_that_installs_it(

@@ -36,7 +36,6 @@ def test_report_of_a_file_has_every_part(cablebot, edited, tmp_path):
         "exact tracking carries up to",
         "limit at t =",
         "sag ",
-        "questions  none",
     ):
         assert text in ended.out
     assert (tmp_path / "my.svg").read_text().count("<svg") == 1

@@ -20,7 +20,7 @@ from cablebot_gym.physics.distribution import (
     least_norm,
 )
 from cablebot_gym.physics.distribution import (
-    least_largest_action as least_action,
+    unchecked_least_largest_action as least_action,
 )
 from cablebot_gym.robots import find_robot
 

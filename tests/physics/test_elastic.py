@@ -181,43 +181,6 @@ def test_energy_is_kept_while_slack_comes_and_goes(robot):
     assert np.any(np.any(slack, axis=0) & ~np.all(slack, axis=0))
 
 
-@each_elastic
-def test_cable_slides_on_its_drum(robot):
-    """The torque at rest is the energy that a small turn of the drum adds. A cable that sticks to
-    its drum keeps its strain there, and needs less torque by half the strain."""
-    tension = np.linspace(50.0, 400.0, robot.cables)
-    strain = tension / robot.axial_stiffness
-    radius = robot.pulley_radius
-    _, pulley = textbook.rest_angles(robot, tension, robot.home)
-    still = np.zeros(robot.coordinates)
-    tension_of_springs, torque = textbook.cable_springs(
-        robot, robot.home, still, pulley, 0 * pulley
-    )
-    assert_allclose(tension_of_springs, tension)
-    length = textbook.cable_lengths(robot, robot.home) + robot.extra_length
-    free = length / (1 + strain)
-
-    def span_energy(wound):
-        rest = free - wound
-        return robot.axial_stiffness * (length - rest) ** 2 / (2 * rest)
-
-    def sliding_energy(turn):
-        return span_energy(radius * turn)
-
-    def sticking_energy(turn):
-        wound = radius * turn / (1 + strain)
-        return span_energy(wound) + robot.axial_stiffness * strain**2 / 2 * wound
-
-    def energy_per_turn(energy):
-        return (energy(1e-5) - energy(-1e-5)) / 2e-5
-
-    sticking = energy_per_turn(sticking_energy)
-    assert_allclose(torque, energy_per_turn(sliding_energy), rtol=1e-6)
-    assert_allclose(sticking, radius * tension, rtol=1e-6)
-    assert_allclose(torque, textbook.holding_torque(robot, radius * tension))
-    assert_allclose(torque / sticking - 1, strain / 2, rtol=1e-3)
-
-
 # --- environments -------------------------------------------------------------------------------------------------
 
 

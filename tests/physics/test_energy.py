@@ -1,17 +1,9 @@
-"""The plant against what no equation of it states: energy and power, and the order of convergence
-of its steps."""
-
-from itertools import pairwise
+"""The plant against what no equation of it states: energy and power."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles.elastic import elastic_state_of, holding_torques, plant_at, states
 from oracles.plants import (
-    FLEX_QUAD,
-    FLEX_UNEQUAL,
-    QUAD,
-    UNEQUAL,
     State,
     advance,
     both_cables,
@@ -24,83 +16,17 @@ from oracles.plants import (
     free_motors,
     friction_torques,
     loaded_plant,
-    no_reference,
-    off_centre,
     random_states,
-    rigid_robots,
     state_of,
     take_up_torques,
     textbook_rates,
     with_transmission,
 )
-from oracles.platforms import HANGING
 from scipy.linalg import eigh
 
 from cablebot_gym.envs.settings import make_settings
-from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL
-
-
-def assert_order_four(end, coarsest, finest):
-    """Errors fall with the fourth power of the step; ``end`` gives the state after some number of
-    steps."""
-    fine = end(finest)
-    errors = [np.abs(end(coarsest * doubled) - fine).max() for doubled in (1, 2, 4)]
-    assert errors[-1] > 1e-13
-    for coarse, halved in pairwise(errors):
-        assert 3.7 < np.log2(coarse / halved) < 4.5
-
-
-@each_of(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL)
-def test_integrator_has_order_four_while_motors_are_saturated(robot):
-    """Motors follow their torque-speed lines; limits once per step would give order one."""
-    pose, velocity = (value[None] for value in off_centre(robot))
-    angle = textbook.pulley_angle(robot, pose)
-    state = State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity))
-
-    def end(substeps):
-        plant = loaded_plant(robot, state)
-        plant.set_action(np.ones((1, robot.cables)))
-        plant.advance(*no_reference(robot), substeps=substeps, step=0.01 / substeps)
-        saturated = drive_speed(robot, state_of(plant)) > drive_speed(robot, state) + 1
-        assert np.mean(saturated) >= 0.5
-        return state_of(plant).columns()
-
-    assert_order_four(end, 8 if robot.flexible else 2, 2048)
-
-
-@each_of(QUAD, FLEX_QUAD)
-def test_order_is_four_where_friction_reverses(robot):
-    """Friction is smooth there: one that sticks would give order one at each reversal."""
-    robot = with_transmission(robot, coulomb_friction=0.05, friction_speed=2.0)
-    pose, velocity = (value[None] for value in off_centre(robot))
-    angle = textbook.pulley_angle(robot, pose)
-    state = State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity))
-
-    def end(substeps):
-        plant = loaded_plant(robot, state)
-        # against the motion
-        plant.set_action(-0.05 * np.sign(drive_speed(robot, state)))
-        plant.advance(*no_reference(robot), substeps=substeps, step=0.02 / substeps)
-        assert np.any(drive_speed(robot, state_of(plant)) * drive_speed(robot, state) < 0)
-        return state_of(plant).columns()
-
-    assert_order_four(end, 32, 4096)
-
-
-def test_order_is_four_while_elastic_cables_are_taut():
-    robot = with_transmission(free_motors(HANGING), axial_stiffness=2e4, damping=0.0)
-    state = states(robot, 2, spread=0.1)
-    torques = holding_torques(robot, state)
-    duration = 2.0 / textbook.highest_frequency(robot)
-
-    def end(steps):
-        plant = plant_at(robot, state)
-        advance(plant, torques, duration, 8 * steps)
-        assert not plant.per_cable(kernel.SLACK).any()
-        return elastic_state_of(plant).columns()
-
-    assert_order_four(end, 2, 128)
 
 
 @both_cables
@@ -142,38 +68,6 @@ def test_power_is_balanced_also_with_slack_cables(robot, cable):
     change = differentiated(energy, 4e-5 if robot.flexible else 2e-4)
     size = 1 + np.sum(np.abs(torques * motor), axis=1)
     assert_allclose(change / size, power / size, rtol=0, atol=1e-8)
-
-
-@pytest.mark.parametrize("count", [1, 2])
-@rigid_robots
-def test_work_of_a_constant_force_becomes_energy(robot, count):
-    """The undriven, undamped plant gains F·Δp: the force neither turns nor pauses. Reached: 1e-11 J
-    of 24 J."""
-    robot = with_transmission(free_motors(robot), damping=0.0)
-    mass = 1.3 * robot.mass
-    force = np.array([25.0, -40.0, 30.0])[: robot.dimensions]
-    pose = robot.home + 0.05
-    if not robot.planar:
-        pose[2] += 0.25
-    motors = np.zeros((count, robot.cables))
-    poses = np.tile(pose, (count, 1))
-    start = State(poses, np.full_like(poses, 0.4), motors, motors)
-    plant = loaded_plant(robot, start, mass=mass)
-    plant.set_wrench(np.arange(count), np.tile(force, (count, 1)))
-    advance(plant, np.zeros(robot.cables), 0.3, 300)
-    work = (plant.pose - pose)[:, : robot.dimensions] @ force
-    assert np.abs(work).min() > 0.5
-    before, after = (
-        sum(
-            energies(
-                robot,
-                state,
-                mass=mass,
-            )
-        )
-        for state in (start, state_of(plant))
-    )
-    assert_allclose(after - before, work, rtol=0, atol=1e-9)
 
 
 @each_of(FLEX_PLANAR, FLEX_SPATIAL)

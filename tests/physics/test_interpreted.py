@@ -26,7 +26,7 @@ def problems():
 STRUCTURE, LOAD = problems()
 CALLS = {
     "solve_least_norm": lambda: distribution.least_norm(STRUCTURE, LOAD, 1.0, 20.0),
-    "solve_least_largest": lambda: distribution.least_largest_action(
+    "solve_least_largest": lambda: distribution.unchecked_least_largest_action(
         STRUCTURE, LOAD, 1.0, 0.5, 0.1, 20.0
     ),
     "solve_central": lambda: [distribution.central(STRUCTURE, LOAD, 1.0, 0.05, 0.1)],

@@ -69,7 +69,7 @@ def test_swivel_axes_turn_with_the_world():
     upright_lengths = textbook.cable_lengths(SWIVELLED, upright_pose)
     assert_allclose(lengths(pose), upright_lengths, rtol=1e-14)
     assert_allclose(structure(pose), gradient(lengths, pose), atol=1e-9)
-    rate = kinematics.structure_jacobian_rate(base, platform, pose, velocity, axes)
+    _, rate = kinematics.jacobian_and_rate(base, platform, pose, velocity, axes)
     slope = differentiated(lambda time: structure(pose + time * velocity), 1e-3)
     assert_allclose(rate, slope, atol=1e-8)
 

@@ -51,20 +51,6 @@ def test_tensions_are_the_least_of_a_linear_program(x, y, fx, fy, minimum, robot
     assert tensions.sum() == pytest.approx(best.fun, rel=1e-7, abs=1e-7)
 
 
-@settings(max_examples=20, derandomize=True)
-@given(coordinate, coordinate, force, force)
-def test_least_tensions_of_three_cables_are_least_at_once(x, y, fx, fy):
-    """The least α minimises every tension at once."""
-    structure = textbook.jacobian(PLANAR, [x, y])
-    load = np.array([fx, fy])
-    assume(least_by_linear_program(structure, load, 5.0, np.ones(3)).status == 0)
-    least = []
-    for cable in np.eye(3):
-        least.append(least_by_linear_program(structure, load, 5.0, cable).fun)
-    tensions = textbook.tension_distribution(structure, load, 5.0)
-    assert_allclose(tensions, least, rtol=1e-7, atol=1e-7)
-
-
 @settings(max_examples=40, derandomize=True)
 @given(coordinate, coordinate, force, force, st.sampled_from([0.5, 5.0]))
 def test_smooth_tensions_are_a_soft_maximum(x, y, fx, fy, softness):

@@ -268,12 +268,6 @@ def test_springs_keep_the_maximum_tension():
     assert kept.payload < free.payload
 
 
-def test_margins_beyond_the_tensions_are_rejected():
-    robot = PLANAR.replace(maximum_tension=7.0)
-    with pytest.raises(ValueError, match="tension must be at most 3 N for 'planar'"):
-        MotionProgram(robot, CIRCLE, BOUNDS, intervals=5, margins=Margins(tension=3.1))
-
-
 # --- solving ----------------------------------------------------------------------------------------------------------
 
 
@@ -301,16 +295,6 @@ def test_resolving_with_other_margins_has_the_same_optimum():
     again = program.resolve(margins)
     assert again.payload == pytest.approx(fresh.payload, abs=1e-4)
     assert again.payload < free.payload - 0.1
-
-
-def test_robot_with_motor_lag_is_rejected():
-    """A plan that ignores the lag would fail in the environment."""
-    robot = PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01))
-    with pytest.raises(
-        ValueError,
-        match="need motors without lag, but the motors of robot 'planar' have a lag",
-    ):
-        MotionProgram(robot, CIRCLE, BOUNDS, intervals=30)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

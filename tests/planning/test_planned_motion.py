@@ -69,9 +69,6 @@ each_case = pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=() if name == "planar" else pytest.mark.slow) for name in CASES],
 )
-planar_cases = pytest.mark.parametrize(
-    "name", ["planar", pytest.param("flexible planar", marks=pytest.mark.slow)]
-)
 
 
 @cache
@@ -195,11 +192,10 @@ def test_motion_starts_in_the_state_of_an_episode(name):
 # --- as a trajectory --------------------------------------------------------------------------------------------------
 
 
-@planar_cases
-def test_motion_is_a_trajectory_that_rests_outside_its_duration(name):
-    motion = plan(name)
+def test_motion_is_a_trajectory_that_rests_outside_its_duration():
+    motion = plan("planar")
     assert find_trajectory(motion, 2) is motion
-    reference = CASES[name].reference
+    reference = CASES["planar"].reference
     assert (motion.name, motion.duration) == (reference.name, reference.duration)
     after = motion(motion.duration + 0.3)
     before = motion(-0.3)
@@ -232,9 +228,20 @@ def test_motion_is_a_trajectory_that_rests_outside_its_duration(name):
             "rotation must be below the error bound",
         ),
         (FLEX_PLANAR, {"tension": 4.5}, "at most 4 N for 'flex-planar'"),
+        (
+            PLANAR.replace(maximum_tension=7.0),
+            {"tension": 3.1},
+            "tension must be at most 3 N for 'planar'",
+        ),
+        # a plan that ignores the lag would fail in the environment
+        (
+            PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01)),
+            {},
+            "need motors without lag, but the motors of robot 'planar' have a lag",
+        ),
     ],
 )
-def test_margins_that_leave_no_motion_raise(robot, margins, message):
+def test_robot_or_margins_without_a_motion_raise(robot, margins, message):
     reference = find_trajectory(f"paper-{robot.kind}", robot.coordinates)
     with pytest.raises(ValueError, match=message):
         MotionProgram(robot, reference, BOUNDS, intervals=4, margins=Margins(**margins))

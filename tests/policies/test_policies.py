@@ -194,12 +194,11 @@ def test_name_is_read_without_importing_anything(module):
     name = module("raise SystemExit")
     kinds = {
         text: PolicySpec.parse(text).kind
-        for text in ("fl", "ekf+fl", "best.zip", "best.onnx", f"{name}:make", "a.py", "lqr")
+        for text in ("fl", "ekf+fl", "best.zip", f"{name}:make", "a.py", "lqr")
     }
     assert list(kinds.values()) == [
         "installed",
         "installed",
-        "file",
         "file",
         "factory",
         "factory",

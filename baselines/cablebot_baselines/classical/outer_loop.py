@@ -145,12 +145,6 @@ class RobustPD:
         solution: Array = solve_continuous_lyapunov(system.T, -self.weight)
         return solution
 
-    def lyapunov_value(self, blocks: Blocks) -> Array:
-        """V = eᵀPe over all coordinates, shape (...)."""
-        e = _error_states(blocks)
-        products = e * (e @ self.lyapunov)
-        return np.sum(products, axis=(-2, -1))
-
     def switching(self, blocks: Blocks) -> Array:
         """s = BᵀPe, shape (..., n)."""
         e = _error_states(blocks)

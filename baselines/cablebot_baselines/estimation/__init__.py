@@ -1,8 +1,6 @@
 """Estimators: pose and velocity from the sensors of winches and platform, so that any policy runs
 with them."""
 
-from cablebot_baselines.estimation.attainable import attainable_deviation
-from cablebot_baselines.estimation.calibration import Calibration, calibrate, home_offset
 from cablebot_baselines.estimation.ekf import ExtendedKalmanFilter
 from cablebot_baselines.estimation.errors import FilterErrors
 from cablebot_baselines.estimation.estimated import (
@@ -14,15 +12,11 @@ from cablebot_baselines.estimation.estimated import (
 )
 
 __all__ = [
-    "Calibration",
     "Estimated",
     "ExtendedKalmanFilter",
     "FilterErrors",
     "KinematicEstimator",
-    "attainable_deviation",
-    "calibrate",
     "ekf",
     "ekf_homed",
     "fk",
-    "home_offset",
 ]

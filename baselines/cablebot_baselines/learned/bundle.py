@@ -17,7 +17,6 @@ from cablebot_baselines.learned.base import Base, find_base
 from cablebot_baselines.learned.network import Network, zero_network
 from cablebot_baselines.learned.planner import Planning, PlanningPolicy, input_count
 from cablebot_baselines.learned.steering import (
-    Residual,
     Shift,
     Steering,
     action_mapping_to_jsonable,
@@ -52,7 +51,7 @@ class Bundle:
     """Id of the training environment."""
     base: Base | None = None
     """Classical law that the network steers; None for a planning network."""
-    action_mapping: Shift | Residual | Planning
+    action_mapping: Shift | Planning
     """Meaning of the network's outputs."""
     features: tuple[str, ...] = ()
     """Names of the network's inputs, see :mod:`cablebot_baselines.learned.features`; empty for a
@@ -194,15 +193,15 @@ class Bundle:
             ) from error
 
 
-def find_mapping(data: Mapping[str, Any]) -> Shift | Residual | Planning:
+def find_mapping(data: Mapping[str, Any]) -> Shift | Planning:
     """The meaning of a network's outputs from the data of a file.
 
     Raises:
         ValueError: if the kind or a key is unknown, or a value is invalid.
     """
-    if not isinstance(data, Mapping) or data.get("kind") in (None, Shift.kind, Residual.kind):
+    if not isinstance(data, Mapping) or data.get("kind") in (None, Shift.kind):
         return find_action_mapping(data)
-    choice("kind of steering", data["kind"], (Shift.kind, Residual.kind, Planning.kind))
+    choice("kind of steering", data["kind"], (Shift.kind, Planning.kind))
     return record("steering", Planning, {name: data[name] for name in data if name != "kind"})
 
 

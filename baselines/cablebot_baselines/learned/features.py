@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from cablebot_baselines.classical.law import Array
 from cablebot_gym.envs.observation import observation_layout
@@ -59,9 +58,6 @@ _TIME_SIZES = {
 }
 """Sizes of the features that are functions of time."""
 
-SHIFT_FEATURES = ("shift", "shift_velocity")
-"""Features that exist only with a shifted reference."""
-
 
 def check_features(names: Sequence[str], robot: Robot) -> tuple[str, ...]:
     """Checks names of features for a robot and returns them.
@@ -100,27 +96,3 @@ def feature_values(
 def is_planned(name: str) -> bool:
     """Whether a feature is known before an episode: a time, or a vector of the reference."""
     return name in _TIME_SIZES or name.startswith(("reference_", "preview_"))
-
-
-def feature_symmetry(names: Sequence[str], transform: Array) -> Array:
-    """Matrix (count, count) that a rotation or reflection of the plane applies to features of the
-    reference.
-
-    Args:
-        names: names of the features of a planar robot.
-        transform: orthogonal matrix (2, 2).
-
-    Raises:
-        ValueError: if a feature is neither a vector of the reference nor a time.
-    """
-    matrices = []
-    for name in names:
-        if name in _TIME_SIZES:
-            matrices.append(np.eye(_TIME_SIZES[name]))
-        elif is_planned(name):
-            matrices.append(transform)
-        else:
-            raise ValueError(
-                f"feature {name!r} is invalid with symmetric: remove the feature, or remove symmetric"
-            )
-    return block_diag(*matrices)

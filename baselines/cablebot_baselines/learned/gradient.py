@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,10 +34,9 @@ except ImportError as error:
 
 from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.differentiable import required_actuation
-from cablebot_baselines.learned.features import feature_symmetry, feature_values, is_planned
+from cablebot_baselines.learned.features import feature_values, is_planned
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.steering import Shift
-from cablebot_baselines.learned.symmetry import SymmetricLayers, symmetries
 from cablebot_gym.envs.observation import observed_reference
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import find_error_bounds, start_pose
@@ -69,11 +69,7 @@ class GradientSettings:
     """
 
     hidden: tuple[int, ...] = ()
-    """Hidden units of each layer; empty for a linear network. With ``symmetric`` per element of the
-    symmetry group."""
-    symmetric: bool = False
-    """Whether the network is equivariant to a planar robot's symmetries, see
-    :mod:`cablebot_baselines.learned.symmetry`."""
+    """Hidden units of each layer; empty for a linear network."""
     rounds: tuple[float, ...] = (30.0, 100.0, 300.0, 1000.0, 3000.0)
     """Penalty weight ρ of each round."""
     softness: tuple[float, ...] = ()
@@ -201,16 +197,14 @@ class GradientTraining:
             )
 
     def _make_layers(self) -> None:
-        transforms = np.eye(self.robot.coordinates)[None]
-        if self.settings.symmetric:
-            transforms = symmetries(self.robot)
-        input_transforms = np.array(
-            [feature_symmetry(self.features, transform) for transform in transforms]
-        )
-        self._layers = SymmetricLayers(input_transforms, transforms, self.settings.hidden)
-        self._variables = list(self._layers.layers.parameters())
         inputs = self._motions.inputs[self._motions.inside[..., 0]]
-        self._mean, scale = self._layers.statistics(inputs)
+        sizes = (inputs.shape[-1], *self.settings.hidden, self.robot.coordinates)
+        self._layers: Any = nn.ModuleList()
+        for size, outputs in pairwise(sizes):
+            self._layers.append(nn.Linear(size, outputs, dtype=torch.float64))
+        self._variables = list(self._layers.parameters())
+        self._mean = inputs.mean(0)
+        scale = inputs.std(0)
         self._scale = torch.where(scale > 1e-9, scale, 1.0)
         start = torch.tensor(self._start_shifts.mean(0)) / self._bounds
         *_, weight, bias = self._variables
@@ -259,10 +253,10 @@ class GradientTraining:
 
     def _actions(self, inputs: Tensor) -> Tensor:
         values = ((inputs - self._mean) / self._scale).clamp(-Network.CUT, Network.CUT)
-        *hidden, (weight, bias) = self._layers.weights()
-        for hidden_weight, hidden_bias in hidden:
-            values = torch.tanh(nn.functional.linear(values, hidden_weight, hidden_bias))
-        values = nn.functional.linear(values, weight, bias)
+        *hidden, last = self._layers
+        for layer in hidden:
+            values = torch.tanh(layer(values))
+        values = last(values)
         # The squash "ball" of the network.
         position = values[..., :3]
         angles = values[..., 3:]
@@ -377,12 +371,11 @@ class GradientTraining:
     @property
     def network(self) -> Network:
         """The network as plain arrays."""
-        weights, biases = zip(*self._layers.weights(), strict=True)
         return Network(
             mean=_array(self._mean),
             scale=_array(self._scale),
-            weights=tuple(map(_array, weights)),
-            biases=tuple(map(_array, biases)),
+            weights=tuple(_array(layer.weight) for layer in self._layers),
+            biases=tuple(_array(layer.bias) for layer in self._layers),
             squash="ball",
         )
 

@@ -16,7 +16,7 @@ from cablebot_baselines.learned.bundle import Bundle, find_mapping
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
 from cablebot_baselines.learned.planner import Planning
 from cablebot_baselines.learned.planner_training import PlannerSettings, PlannerTraining
-from cablebot_baselines.learned.steering import Residual, Shift, Steering
+from cablebot_baselines.learned.steering import Shift, Steering
 from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.robots import Robot, find_robot
@@ -99,14 +99,10 @@ def _untrained(
     env_id: str,
     robot: Robot,
     plain: Mapping[str, Any],
-    action_mapping: Shift | Residual | Planning,
+    action_mapping: Shift | Planning,
 ) -> Bundle:
     if isinstance(action_mapping, Planning):
         return Bundle.of_planning(env_id, action_mapping)
-    if isinstance(action_mapping, Residual):
-        raise ValueError(
-            f"steering must be of kind shift or planning for {ALGORITHM}, not residual"
-        )
     steering = Steering(
         robot,
         base=find_base(plain["base"]),

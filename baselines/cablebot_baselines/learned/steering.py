@@ -1,5 +1,4 @@
-"""Action mappings: a learner's actions shift the reference of a classical law, or add to the law's
-actions.
+"""Action mapping: a learner's actions shift the reference of a classical law.
 
 This module computes one control period from an observation and an action, for one episode or a
 batch. The wrappers for training and the policies for evaluation both use it, so that a policy
@@ -19,7 +18,7 @@ from scipy.interpolate import BSpline
 from cablebot_baselines.classical.law import Array
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.learned.base import Base
-from cablebot_baselines.learned.features import SHIFT_FEATURES, check_features, feature_values
+from cablebot_baselines.learned.features import check_features, feature_values
 from cablebot_gym.envs.observation import PREVIEWS, Blocks, observation_layout, preview_name
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task
@@ -70,9 +69,14 @@ class Shift:
     """Preview time of the reference [s]: 0, or one of the observation's previews."""
 
     def __post_init__(self) -> None:
-        _check_period_and_fraction(self)
+        period = number(
+            "action_period", self.action_period, above=0.0, most=LONGEST_ACTION_PERIOD, unit="s"
+        )
+        fraction = number("fraction", self.fraction, above=0.0, most=1.0)
         degree = whole("degree", self.degree, least=2, most=5)
         preview = number("preview", self.preview, unit="s")
+        object.__setattr__(self, "action_period", period)
+        object.__setattr__(self, "fraction", fraction)
         object.__setattr__(self, "degree", degree)
         object.__setattr__(self, "preview", preview)
         if preview not in (0.0, *PREVIEWS):
@@ -124,78 +128,26 @@ class Shift:
         return weights
 
 
-@dataclass(frozen=True, kw_only=True)
-class Residual:
-    """Actions in [−1, 1]ᵐ, scaled by ``fraction``, are added to the actions of a law.
-
-    Raises:
-        ValueError: if a number is out of its range.
-    """
-
-    kind: ClassVar[str] = "residual"
-    preview: ClassVar[float] = 0.0
-
-    action_period: float = 0.02
-    """Time between two actions [s]; > 0. It is rounded to whole control periods."""
-    fraction: float = 0.3
-    """Largest addition to an action; in (0, 1]."""
-
-    def __post_init__(self) -> None:
-        _check_period_and_fraction(self)
-
-    def actions(self, robot: Robot) -> int:
-        """Size of an action."""
-        return robot.cables
-
-    @property
-    def memory_length(self) -> int:
-        """Number of past actions in the memory."""
-        return 1
-
-
-def _check_period_and_fraction(action_mapping: Shift | Residual) -> None:
-    period = number(
-        "action_period",
-        action_mapping.action_period,
-        above=0.0,
-        most=LONGEST_ACTION_PERIOD,
-        unit="s",
-    )
-    fraction = number("fraction", action_mapping.fraction, above=0.0, most=1.0)
-    object.__setattr__(action_mapping, "action_period", period)
-    object.__setattr__(action_mapping, "fraction", fraction)
-
-
-_KINDS: dict[str, type[Shift] | type[Residual]] = {
-    Shift.kind: Shift,
-    Residual.kind: Residual,
-}
-
-
 def action_mapping_to_jsonable(action_mapping: Any) -> dict[str, Any]:
     """An action mapping as JSON-able data, for :func:`find_action_mapping`."""
     return {"kind": action_mapping.kind, **asdict(action_mapping)}
 
 
-def find_action_mapping(
-    action_mapping: Shift | Residual | str | Mapping[str, Any],
-) -> Shift | Residual:
-    """Returns an action mapping from an object, a kind, or a dict ``{"kind": …, "action_period":
-    …}``.
-
-    The kinds are ``"shift"`` and ``"residual"``.
+def find_action_mapping(action_mapping: Shift | str | Mapping[str, Any]) -> Shift:
+    """Returns an action mapping from an object, the kind ``"shift"``, or a dict ``{"kind":
+    "shift", "action_period": …}``.
 
     Raises:
         ValueError: if the kind or a key is unknown, or a value is invalid.
     """
-    if isinstance(action_mapping, (Shift, Residual)):
+    if isinstance(action_mapping, Shift):
         return action_mapping
     if isinstance(action_mapping, str):
         action_mapping = {"kind": action_mapping}
-    keys = {"kind", *Shift.__dataclass_fields__, *Residual.__dataclass_fields__}
+    keys = {"kind", *Shift.__dataclass_fields__}
     data = mapping("steering", action_mapping, sorted(keys))
-    kind = choice("kind of steering", data.pop("kind", None), _KINDS)
-    return record("steering", _KINDS[kind], data)
+    choice("kind of steering", data.pop("kind", None), [Shift.kind])
+    return record("steering", Shift, data)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -204,7 +156,7 @@ class Memory:
 
     actions: Array
     """Last actions, oldest first, (..., memory_length, size). Before the first action, those of a
-    shift to the start pose; 0 for a residual."""
+    shift to the start pose."""
     anchors: Array
     """Origins of the control points of a shift with a preview, (..., memory_length, n); otherwise
     empty."""
@@ -225,20 +177,16 @@ class Steering:
         features: observation of a learner, see :mod:`cablebot_baselines.learned.features`.
 
     Raises:
-        ValueError: if the law does not support the robot, a feature is unknown, or a residual is
-            combined with features of a shift or with a law that estimates the payload of a rigid
-            robot.
+        ValueError: if the law does not support the robot, or a feature is unknown.
     """
 
     def __init__(
-        self, robot: Robot, *, base: Base, action_mapping: Shift | Residual, features: Sequence[str]
+        self, robot: Robot, *, base: Base, action_mapping: Shift, features: Sequence[str]
     ) -> None:
         self.robot = robot
         self.base = base
         self.action_mapping = action_mapping
         self.features = check_features(features, robot)
-        if isinstance(action_mapping, Residual):
-            self._check_residual()
         self.law = base.make(robot)
         self.actions = action_mapping.actions(robot)
         """Size of an action."""
@@ -250,28 +198,16 @@ class Steering:
         self.inputs = self.observe(blocks, memory).size
         """Size of a learner's observation."""
 
-    def _check_residual(self) -> None:
-        for name in self.features:
-            if name in SHIFT_FEATURES:
-                raise ValueError(
-                    f"feature {name!r} requires steering of kind shift: remove it, or use shift"
-                )
-        if self.base.estimates_payload and not self.robot.flexible:
-            raise ValueError(
-                "a residual would bias the payload estimate of the base law: set "
-                "estimates_payload to False, or use steering of kind shift"
-            )
-
     def _prepare(self, error_bounds: ErrorBounds, period: float) -> None:
         self._period = period
         periods = round(self.action_mapping.action_period / period)
         self.periods = max(1, periods)
         """Number of control periods per action."""
-        if isinstance(self.action_mapping, Shift):
-            self._prepare_spline(self.action_mapping, error_bounds)
+        self._prepare_spline(error_bounds)
 
-    def _prepare_spline(self, shift: Shift, error_bounds: ErrorBounds) -> None:
+    def _prepare_spline(self, error_bounds: ErrorBounds) -> None:
         """Weights of the control points at each phase of an action period."""
+        shift = self.action_mapping
         period = self._period
         self._bounds = shift.bounds(error_bounds, self.robot)
         action_period = self.periods * period
@@ -337,9 +273,8 @@ class Steering:
         coordinates = self.robot.coordinates
         actions = np.zeros((*batch, length, self.actions))
         anchors = np.zeros((*batch, 0, coordinates))
-        if isinstance(action_mapping, Shift):
-            start_action = self._start / self._bounds
-            actions += np.expand_dims(start_action, -2)
+        start_action = self._start / self._bounds
+        actions += np.expand_dims(start_action, -2)
         if action_mapping.preview:
             reference = blocks["reference_pose"]
             anchors = np.repeat(reference[..., None, :], length, axis=-2)
@@ -367,17 +302,13 @@ class Steering:
         """The observation of a learner before its action, (..., features)."""
         time = memory.step * self._period
         derived = {"time_since_start": time[..., None]}
-        if isinstance(self.action_mapping, Shift):
-            shift, rate = self._present_shift(blocks, memory)
-            # The oldest action no longer affects the spline.
-            actions = memory.actions[..., 1:, :]
-            derived["actions"] = actions.reshape(*memory.step.shape, -1)
-            derived["shift"] = shift / self._bounds
-            change_per_action = rate * self.periods * self._period
-            derived["shift_velocity"] = change_per_action / self._bounds
-        else:
-            shift = np.zeros_like(blocks["pose"])
-            derived["actions"] = memory.actions[..., 0, :]
+        shift, rate = self._present_shift(blocks, memory)
+        # The oldest action no longer affects the spline.
+        actions = memory.actions[..., 1:, :]
+        derived["actions"] = actions.reshape(*memory.step.shape, -1)
+        derived["shift"] = shift / self._bounds
+        change_per_action = rate * self.periods * self._period
+        derived["shift_velocity"] = change_per_action / self._bounds
         derived["error"] = blocks["reference_pose"] + shift - blocks["pose"]
         return feature_values(self.features, blocks, derived)
 
@@ -404,9 +335,6 @@ class Steering:
             episode_start = None
         shifted = self._shifted_reference(blocks, memory)
         applied, law = self.law.respond(shifted, memory.law, episode_start)
-        if isinstance(self.action_mapping, Residual):
-            residual = memory.actions[..., 0, :]
-            applied = applied + self.action_mapping.fraction * residual
         memory = replace(memory, step=memory.step + 1, law=law)
         return applied, memory
 
@@ -425,13 +353,12 @@ class Steering:
         return replace(memory, actions=actions, anchors=anchors)
 
     def _clipped(self, action: Array) -> Array:
-        """Clips an action to ±1, and the position of a shift to the unit ball."""
+        """Clips an action to ±1, and its position to the unit ball."""
         action = np.asarray(action, float)
         action = np.clip(action, -1.0, 1.0)
-        if isinstance(self.action_mapping, Shift):
-            position = action[..., :3]
-            length = np.linalg.norm(position, axis=-1, keepdims=True)
-            position /= np.maximum(length, 1.0)
+        position = action[..., :3]
+        length = np.linalg.norm(position, axis=-1, keepdims=True)
+        position /= np.maximum(length, 1.0)
         return action
 
     def _spline(self, weights: Array, memory: Memory) -> Array:
@@ -445,8 +372,6 @@ class Steering:
 
     def _shifted_reference(self, blocks: Blocks, memory: Memory) -> Blocks:
         """The blocks with the shifted reference instead of the reference."""
-        if not isinstance(self.action_mapping, Shift):
-            return blocks
         phase = memory.step % self.periods
         weights = self._motion[phase]
         if not self.robot.flexible:

@@ -304,7 +304,7 @@ def least_action_tensions(
     [N].
 
     All tensions are at least ``minimum``, see
-    :func:`~cablebot_gym.physics.distribution.least_largest_action`. Without ``strict`` the result
+    :func:`~cablebot_gym.physics.distribution.unchecked_least_largest_action`. Without ``strict`` the result
     for a load beyond the cables and motors leaves the least wrench error, so that a control law can
     continue.
 

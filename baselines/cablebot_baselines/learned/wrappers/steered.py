@@ -19,7 +19,6 @@ from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.base import Base, default_base, find_base
 from cablebot_baselines.learned.steering import (
     Memory,
-    Residual,
     Shift,
     Steering,
     find_action_mapping,
@@ -48,7 +47,7 @@ class SteeredVector(BatchWrapper):
         env: VectorEnv[Array, ArrayLike, Array],
         *,
         base: Base | str | Mapping[str, Any] | None = None,
-        steering: Shift | Residual | str | Mapping[str, Any] | None = None,
+        steering: Shift | str | Mapping[str, Any] | None = None,
         features: Sequence[str],
         effort: float = 0.0,
     ) -> None:
@@ -179,8 +178,7 @@ def _with_rows(values: Array, replacement: Array, env_indices: Array) -> Array:
 
 
 class Steered(SingleWrapper):
-    """A learner's action steers a classical law: it shifts the law's reference, or adds to the
-    law's actions.
+    """A learner's action steers a classical law: it shifts the law's reference.
 
     A step is one action, which lasts ``Steering.periods`` control periods. Their rewards are
     summed, and the step ends early if the episode ends. ``info`` is that of the last control
@@ -193,9 +191,9 @@ class Steered(SingleWrapper):
         env: single environment of this package, optionally with other wrappers.
         base: base law as a name, a dict ``{"law": …, "gains": …}`` or a :class:`Base`; None for
             that of the robot, see :func:`~cablebot_baselines.learned.base.default_base`.
-        steering: action mapping: ``"shift"``, ``"residual"``, a dict ``{"kind": "shift",
-            "action_period": 0.04, …}``, a :class:`Shift` or a :class:`Residual`; None for a shift
-            with :data:`ACTIONS` actions in the motion.
+        steering: action mapping: ``"shift"``, a dict ``{"kind": "shift", "action_period": 0.04,
+            …}``, or a :class:`Shift`; None for a shift with :data:`ACTIONS` actions in the
+            motion.
         features: names of the features, in the order of the observation.
         effort: penalty factor of the mean square of each action; ≥ 0. At the end of an episode,
             actions have no consequence; without this penalty they drift to the edge of their range,
