@@ -10,7 +10,7 @@ from generate.pages import Pages
 
 FOLDER = Path(__file__).parents[2] / "winches" / "docs"
 
-_FILE = re.compile(r"(?<=\]\()([^)#:]+)")
+_FILE = re.compile(r"(?<=\]\()([^)#:]+)(?=[)#])")
 
 
 def write(pages: Pages) -> None:
