@@ -5,13 +5,6 @@ import shutil
 import signal
 
 import pytest
-from fixtures import (  # noqa: F401
-    _no_screen,
-    _own_cache,
-    _shared_compilation,
-    cache,
-    pytest_configure,
-)
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 

@@ -1,10 +1,3 @@
-"""Fixtures of the tests of cablebot_winches: those of the core, and its command line."""
+"""Fixtures of the tests of cablebot_winches."""
 
 from cli.conftest import cablebot  # noqa: F401
-from fixtures import (  # noqa: F401
-    _no_screen,
-    _own_cache,
-    _shared_compilation,
-    cache,
-    pytest_configure,
-)

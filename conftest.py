@@ -1,6 +1,10 @@
 """Fixtures of all tests, those of other distributions of this repository included."""
 
 import os
+
+# Before NumPy and torch are imported: more threads than cores would wait for each other.
+os.environ["OMP_NUM_THREADS"] = "1"
+
 import signal
 
 import pytest
