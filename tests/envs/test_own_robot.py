@@ -40,7 +40,6 @@ ROBOTS = {
     "vertical": BASE.replace(plane="vertical"),
     "point": HANGING,
     "platform": find_robot("ttk4900").replace(defaults=Defaults()),
-    "camera": find_robot("stadium-camera").replace(defaults=Defaults()),
     "fast": find_robot("fast").replace(defaults=Defaults()),
 }
 """Robots without data of their motion, by kind and size: from 1.5 m to 600 m."""
@@ -97,13 +96,9 @@ SMALL = PLANAR.replace(
     [
         (PLANAR, 0.01),
         (SPATIAL, 0.01),
-        (ROBOTS["camera"], 0.1),
         (ROBOTS["fast"], 0.5),
         (SMALL, 0.002),
-        (
-            SMALL.replace(defaults=Defaults(error_bounds={"position": 0.003})),
-            0.003,
-        ),
+        (SMALL.replace(defaults=Defaults(error_bounds={"position": 0.003})), 0.003),
     ],
 )
 def test_position_bound_follows_from_the_width(robot, position):

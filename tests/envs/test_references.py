@@ -22,11 +22,7 @@ class Altered:
     coordinates = 2
 
     def __init__(self, change):
-        self._circle = SmoothCircle(
-            radius=0.2165,
-            center=(0.0, 0.0),
-            duration=self.duration,
-        )
+        self._circle = SmoothCircle(radius=0.2165, center=(0.0, 0.0), duration=self.duration)
         self._change = change
 
     def __call__(self, times):
@@ -105,10 +101,3 @@ def test_values_that_are_not_finite_raise(order, time, message):
 
     with pytest.raises(ValueError, match=message):
         make(PLANAR, trajectory=Altered(spoilt)).reset()
-
-
-@pytest.mark.parametrize(("frequency", "duration"), [(5e6, 1.0), (500.0, 1e4)])
-def test_motion_of_too_many_steps_raises(frequency, duration):
-    motion = {"name": "dwell-planar", "duration": duration}
-    with pytest.raises(ValueError, match=r"at most 1000 s|more than 1,000,000"):
-        make(PLANAR, trajectory=motion, control_frequency=frequency).reset()
