@@ -25,10 +25,8 @@ RECORD = MotionRecord(
         ({}, True, True),
         ({"best_known": 9.1}, False, True),  # close to the limit at the worst pose
         ({"held_at_start": 9.0}, False, True),
-        ({"best_known": None}, False, True),
         ({"held_at_start": None, "held_at_worst": None}, True, True),
         ({"exact_least": 0.1}, True, False),  # needs ballast
-        ({"exact": None, "exact_least": None}, True, False),
     ],
 )
 def test_record_says_whether_motion_is_dynamic_and_exact(changes, is_dynamic, is_exact):
