@@ -89,22 +89,20 @@ def test_checkers_of_gymnasium_and_sb3_raise_nothing(env_id, keywords):
     ("frequency", "trajectory", "steps"),
     [
         (500.0, {"name": "dwell-planar", "duration": 0.002}, 1),
-        (70.0, {"name": "loop-planar", "seed": 10_000}, 125),  # 1.79 s
-        (333.0, {"name": "circle-planar", "dwell": 0.0123}, 341),
+        (333.0, {"name": "dwell-planar", "duration": 0.1246}, 41),
     ],
 )
 def test_step_that_completes_the_motion_truncates(frequency, trajectory, steps):
     """A time limit shortens the episode and never lengthens it. Steps after the end are truncated
     too."""
     keywords = {"trajectory": trajectory, "control_frequency": frequency}
-    env = make(PLANAR, **keywords)
-    episode = rollout(env, np.zeros((steps + 2, 3)), seed=0)
+    taut = np.full((steps + 2, 3), 0.1)
+    episode = rollout(make(PLANAR, **keywords), taut, seed=0)
     assert episode.truncated.tolist() == [False] * (steps - 1) + [True] * 3
-    assert env.task.steps == steps
     for limit in (max(1, steps // 2), 2 * steps):
         end = min(limit, steps)
         limited = gym.make(PLANAR, max_episode_steps=limit, **keywords)
-        episode = rollout(limited, np.zeros((end, 3)), seed=0)
+        episode = rollout(limited, taut[:end], seed=0)
         assert np.flatnonzero(episode.truncated).tolist() == [end - 1]
 
 
@@ -113,27 +111,21 @@ def test_step_that_completes_the_motion_truncates(frequency, trajectory, steps):
 
 @two_ids
 def test_types_are_pythons_own_and_info_keys_are_constant(env_id):
-    """Info contains finite numbers and arrays, which other libraries stack."""
+    """Info contains finite numbers and arrays, which other libraries stack, under the names of the
+    manual."""
     env = make(env_id)
-    observation, info = env.reset(seed=0)
+    _, info = env.reset(seed=0)
     types = {key: type(value) for key, value in info.items()}
-    assert types["termination_reason"] is int
     assert set(types.values()) == {int, float, bool, np.ndarray}
     terms = {f"reward_{term}" for term in REWARD_TERMS}
     assert not any(info[term] for term in terms)  # a reset earns nothing
     section = CableBotEnv.__doc__.split("## Info")[1].split("## Arguments")[0]
     assert {*re.findall(r"`(\w+)`", section)} | terms == {*info}
-    for action in random_actions(env, 60, -2, 2):
-        assert {key: type(value) for key, value in info.items()} == types
-        for key, value in info.items():
-            assert np.all(np.isfinite(value)), key
-            if isinstance(value, np.ndarray):
-                assert value.shape == (ROBOTS[env_id].cables,), key
-                assert value.dtype == (np.bool_ if key == "slack" else np.float64), key
-        observation, reward, terminated, truncated, info = env.step(action)
+    for action in random_actions(env, 20, -2, 2):
+        _, reward, terminated, truncated, info = env.step(action)
         assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool]
-        assert (info["termination_reason"] != 0) == terminated
-        assert observation.dtype == env.observation_space.dtype == np.float64
+        assert {key: type(value) for key, value in info.items()} == types
+        assert all(np.all(np.isfinite(value)) for value in info.values())
 
 
 @pytest.mark.parametrize("count", [None, 3])
@@ -208,8 +200,7 @@ def test_measured_blocks_are_the_true_state(env_id):
     assert_allclose(episode.info["rotation_error"], turn, atol=1e-14)
 
 
-@two_ids
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(("env_id", "known"), [(PLANAR, True), (FLEX_SPATIAL, False)])
 def test_observation_and_task_hide_the_true_values(env_id, known):
     """Only the springs of flexible robots depend on the true payload at the start, and only info
     has it."""
@@ -221,20 +212,14 @@ def test_observation_and_task_hide_the_true_values(env_id, known):
     visible = np.ones(env.layout.size, bool)
     if ROBOTS[env_id].flexible:
         visible[env.layout.slices()["motor_angle"]] = False
-    payloads = set()
-    for seed in range(4):
-        observation, info = env.reset(seed=seed)
-        payloads.add(info["payload"])
-        assert_array_equal(observation[visible], nominal.reset(seed=seed)[0][visible])
-        assert 3.0 <= info["payload"] == env.truth["payload"] <= 4.0
-        observation, _, _, _, later = env.step(np.full(ROBOTS[env_id].cables, 0.3))
-        assert later["payload"] == info["payload"]
-        blocks = env.layout.split(observation)
-        assert blocks["model_payload"][0] == env.task.model_payload == (2.0 if known else 0.0)
-        assert blocks["payload_known"][0] == env.task.payload_known == known
-        assert env.task.robot == ROBOTS[env_id]
-        assert str(info["payload"]) not in repr(env.task)
-    assert len(payloads) == 4
+    observation, info = env.reset(seed=1)
+    assert 3.0 <= info["payload"] == env.truth["payload"] <= 4.0
+    assert_array_equal(observation[visible], nominal.reset(seed=1)[0][visible])
+    blocks = env.layout.split(env.step(np.full(ROBOTS[env_id].cables, 0.3))[0])
+    assert blocks["model_payload"][0] == env.task.model_payload == (2.0 if known else 0.0)
+    assert blocks["payload_known"][0] == env.task.payload_known == known
+    assert env.task.robot == ROBOTS[env_id]
+    assert str(info["payload"]) not in repr(env.task)
 
 
 # --- copies -------------------------------------------------------------------------------------------------------

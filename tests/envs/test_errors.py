@@ -14,18 +14,14 @@ MASS_ONLY = {"parameters": {"platform_mass": {"low": 0.1, "high": 0.2}}}
 KEYWORDS = [
     ({"reward_weights": {"energy": 1.0}}, "energy"),
     ({"cable": "rope"}, "unilateral, bilateral"),
-    ({"substeps": 1.5}, "substeps"),
     ({"observation_dtype": "float16"}, "float64, float32"),
-    ({"control_frequency": 0.0}, "control_frequency"),
     ({"payload_range": (2.0, 1.0)}, "payload_range"),
     ({"payload": 1.0, "payload_range": (0.0, 2.0)}, "exclude each other"),
     ({"error_bounds": {"position": 10}}, r"at most 1\.32 m, .* a bound of 10 mm is 0\.01"),
-    ({"initial_error_range": [-0.1, 0.0]}, "initial_error_range"),
     ({"normalised_observation": 1}, "must be True or False"),
     ({"robot": ROBOTS["CableBot-FlexPlanar-v0"]}, "use CableBot-FlexPlanar-v0"),
     ({"trajectory": {"name": "dwell-planar", "duration": 1e4}}, r"at most 1000 s"),
     ({"control_frequency": 5e6}, "more than 1,000,000"),
-    ({"measurement": "winch"}, "did you mean 'winches'"),
     ({"measurement": "winches+gps"}, "unknown sensor 'gps'"),
     ({"measurement": "winches+imu"}, "no platform with three angles"),
     ({"measurement": {"tensions": True}}, "belong to the kind 'winches'"),
@@ -38,7 +34,6 @@ VECTOR_KEYWORDS = [
     ({"render_mode": "human"}, "render_mode"),
     ({"num_envs": 3, "payload": [1.0, 2.0]}, "payload"),
     ({"threads": 1.5}, "threads"),
-    ({"robot": ROBOTS["CableBot-FlexPlanar-v0"]}, "use CableBot-FlexPlanar-v0"),
 ]
 
 
@@ -72,10 +67,7 @@ def test_unknown_keyword_raises_type_error(construct):
     [
         (None, {"options": {"paylaod": 1.0}}, "paylaod"),
         (None, {"options": {"payload": [1.0, 2.0]}}, "payload"),
-        (None, {"options": {"payload_known": 0.5}}, "payload_known"),
-        (None, {"options": {"model_payload_factor": float("nan")}}, "model_payload_factor"),
         (None, {"options": {"trajectory": "paper-planar"}}, "paper-planar"),
-        (None, {"options": {"initial_error": 0.01}}, "initial_error"),
         (None, {"options": {"uncertainty": STIFF}}, "substeps"),
         # no tensions hold it
         (
@@ -85,17 +77,14 @@ def test_unknown_keyword_raises_type_error(construct):
         ),
         (None, {"options": {"noise_seed": 0.5}}, "noise_seed must be"),
         (3, {"options": {"noise_seed": [1, 2]}}, "noise_seed must be"),
-        (3, {"options": {"payload": [1.0, 2.0, -1.0]}}, "payload"),
         (3, {"options": {"uncertainty": ["table6"] * 2}}, "uncertainty"),
         (3, {"options": {"reset_mask": np.array([1, 0, 1])}}, "reset_mask"),
-        (3, {"options": {"reset_mask": np.zeros(3, bool)}}, "reset_mask"),
         (
             3,
             {"options": {"reset_mask": np.array([True, False, False]), "payload": -1.0}},
             "payload",
         ),
         (3, {"seed": [1, -2, 3]}, "seed"),
-        (3, {"seed": [1, 2]}, "seed"),
     ],
 )
 def test_bad_reset_raises_and_leaves_the_episode(count, reset, words):
@@ -127,8 +116,6 @@ def test_bad_reset_raises_and_leaves_the_episode(count, reset, words):
     ("count", "action"),
     [
         (None, np.zeros(2)),
-        (None, np.zeros((1, 3))),
-        (None, 0.5),
         (None, [0.0, np.nan, 0.0]),
         (None, [0.0, 0.0, 1e308]),
         (3, np.zeros(3)),

@@ -13,7 +13,6 @@ from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.evaluator import default_payload_max
 from cablebot_gym.robots import (
     PLANAR,
-    SPATIAL,
     Defaults,
     Motors,
     Robot,
@@ -95,7 +94,6 @@ SMALL = PLANAR.replace(
     ("robot", "position"),
     [
         (PLANAR, 0.01),
-        (SPATIAL, 0.01),
         (ROBOTS["fast"], 0.5),
         (SMALL, 0.002),
         (SMALL.replace(defaults=Defaults(error_bounds={"position": 0.003})), 0.003),
@@ -109,7 +107,6 @@ def test_position_bound_follows_from_the_width(robot, position):
     ("robot", "top"),
     [
         (PLANAR, 10.0),
-        (SPATIAL, 20.0),
         (find_robot("cogiro"), 1500.0),
         (PLANAR.replace(motors=PLANAR.motors.replace(stall_torque=20.0)), 52.0),
     ],

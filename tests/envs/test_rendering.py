@@ -65,23 +65,20 @@ def test_moment_has_the_limits_of_the_true_motors(env_id):
 
 
 def test_vector_environment_paints_the_pictures_of_single_ones():
-    """Also the trail after an autoreset, and by ``call``."""
-    painted = {"render_mode": "rgb_array"}
+    """Also the trail after an autoreset."""
     payloads = [1.0, 6.0]
-    envs = make_vector(SPATIAL, 2, payload=payloads, max_episode_steps=4, **painted)
+    painted = {"render_mode": "rgb_array"}
+    envs = make_vector(SPATIAL, 2, payload=payloads, max_episode_steps=2, **painted)
     singles = [make(SPATIAL, payload=payload, **painted) for payload in payloads]
-    envs.reset(seed=7)
     action = np.full((2, 6), 0.4)
-    envs.step(action)
+    envs.reset(seed=7)
     for single in singles:
         single.reset()
-        single.step(action[0])
-    assert_array_equal(envs.render(), [single.render() for single in singles])
-    for _ in range(4):
+    for step in range(3):
         envs.step(action)
-    for single in singles:
-        single.reset()
-    assert_array_equal(envs.call("render"), [single.render() for single in singles])
+        for single in singles:
+            single.step(action[0]) if step < 2 else single.reset()
+    assert_array_equal(envs.render(), [single.render() for single in singles])
     assert not np.array_equal(*envs.render())
 
 

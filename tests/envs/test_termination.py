@@ -18,10 +18,9 @@ def make(env_id, **keywords):
     return make_any(env_id, **{"trajectory": f"dwell-{ROBOTS[env_id].kind}"} | keywords)
 
 
-def reason_after(env, action, steps=1, **options):
-    """Reason of the termination, which comes in the last of these steps at the earliest."""
-    episode = rollout(env, np.tile(action, (steps, 1)), options=options)
-    assert not episode.terminated[:-1].any()
+def reason_after(env, action, **options):
+    """Reason of the termination in the first step."""
+    episode = rollout(env, action[None], options=options)
     assert not episode.truncated.any()  # a crash is not a time limit
     reason = TERMINATION_REASONS[episode.info["termination_reason"][-1]]
     assert episode.terminated[-1] == (reason != "")
@@ -42,10 +41,10 @@ def test_step_after_termination_warns_until_reset():
 
 @rigid_ids
 def test_pose_outside_radius_or_workspace_terminates(env_id):
+    """The sensors do not matter: noise of 0.5 m would end the episodes at once."""
     robot = ROBOTS[env_id]
     action = np.full(robot.cables, 0.3)
     workspace = tuple((home - 0.03, home + 0.03) for home in robot.home_pose)
-    # The sensors do not matter: noise of 0.5 m would end the episodes at once.
     noise = {"sensors": {"position": 0.5}}
     narrow = make(env_id, robot=robot.replace(workspace=workspace), uncertainty=noise)
     for direction, side in itertools.product(np.eye(robot.coordinates), (-1, 1)):
@@ -53,9 +52,9 @@ def test_pose_outside_radius_or_workspace_terminates(env_id):
             error = distance * side * direction
             assert reason_after(narrow, action, initial_error=error) == reason
     wide = make(env_id)
-    for error, reason in ((0.1001, "tracking_error"), (0.0995, "")):
-        start = error * np.eye(robot.coordinates)[0]
-        assert reason_after(wide, action, initial_error=start) == reason
+    for distance, reason in ((0.1001, "tracking_error"), (0.0995, "")):
+        error = distance * np.eye(robot.coordinates)[0]
+        assert reason_after(wide, action, initial_error=error) == reason
 
 
 # --- reasons ------------------------------------------------------------------------------------------------------
