@@ -9,7 +9,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from evaluation.conftest import play
-from numpy.testing import assert_array_equal
 from scipy.stats import binom, binomtest
 
 from cablebot_baselines.classical import FeedbackLinearization
@@ -181,23 +180,18 @@ def test_failures_are_those_of_single_episodes():
     assert sum(verdict.carried for verdict in above) < required
     violations = [verdict.violation for verdict in above if verdict.violation]
     assert result.details.failures == Counter(violation.kind for violation in violations)
-    times = [violation.time for violation in violations if violation.kind == result.violation.kind]
-    assert result.violation.time == min(times)
     draw = result.draw_seeds.index(result.details.violation_seed)
-    assert above[draw].violation.time == min(times)
+    assert above[draw].violation.time == result.violation.time
     payloads = [payload for payload, _ in result.details.success]
-    assert len(payloads) == SCAN_POINTS
     assert payloads == sorted(payloads)
-    assert (payloads[0], payloads[-1]) == (0, 8)
+    assert (len(payloads), payloads[0], payloads[-1]) == (SCAN_POINTS, 0, 8)
 
 
 def test_margins_are_those_of_the_tightest_single_episodes():
     result = searched()
     carried = [verdict for verdict in verdicts(result.payload) if verdict.carried]
-    actions = np.abs(result.rollout.arrays["commanded_action"])
-    assert len(actions) == 100
-    # the recorded draw
-    assert actions.max() == pytest.approx(max(carried[0].peak_action), abs=1e-9)
+    recorded = np.abs(result.rollout.arrays["commanded_action"]).max()
+    assert recorded == pytest.approx(max(carried[0].peak_action), abs=1e-9)
     expected = {
         "position": 1 - max(verdict.position_peak for verdict in carried) / BOUND,
         "rotation": 1 - max(verdict.rotation_peak for verdict in carried) / 0.01,
@@ -225,7 +219,6 @@ def test_limiting_violation_is_the_most_frequent_kind():
     assert next(iter(trial.failures.items())) == ("position", 2)
     assert trial.failures == {"position": 2, "slack": 1, "rotation": 1}
     assert (trial.violation.kind, trial.violation.time) == ("position", 0.3)
-    assert Trial(payload=1.0, verdicts=(verdict(None, None),), seeds=(0,)).violation is None
 
 
 # --- the draws --------------------------------------------------------------------------------------------------------
@@ -235,17 +228,18 @@ HANG = {"name": "dwell-spatial", "duration": 0.02}
 
 
 class Starts:
-    """Records true platform masses and measured poses at the start."""
+    """Records true platform masses and measured positions along x at the start."""
 
     def start(self, env, observation, info):
-        self.mass = env.truth["platform_mass"].copy()
-        self.pose = np.array(observation[:, observation_layout(SPATIAL).slices()["pose"]])
+        self.mass = env.truth["platform_mass"].tolist()
+        self.x = observation[:, observation_layout(SPATIAL).slices()["pose"].start].tolist()
 
     def step(self, *arguments):
         pass
 
 
 def test_payloads_share_the_parameters_of_a_draw():
+    """And their noise differs."""
     unknown = {"parameters": {"platform_mass": {"low": -0.1, "high": 0.1}}}
     options = {"trajectory": HANG, "uncertainty": unknown | {"sensors": {"position": 1e-4}}}
     batch = Batch("fl", Conditions.of(SPATIAL_ID, draws=3, seed=11, **options))
@@ -254,15 +248,9 @@ def test_payloads_share_the_parameters_of_a_draw():
     observer, repeated = Starts(), Starts()
     for starts in (observer, repeated):
         batch.run(rows, observer=starts)
-    assert_array_equal(observer.mass[:3], observer.mass[3:])
-    assert len({*observer.mass.tolist()}) == 3
-    assert len({*observer.pose[:, 0].tolist()}) == 6
-    assert_array_equal(repeated.pose, observer.pose)
-    env = gym.make(SPATIAL_ID, payload=1.0, **options)
-    noise = {"noise_seed": noise_seed(batch.seeds[2], 1.0)}
-    observation, _ = env.reset(seed=batch.seeds[2], options=noise)
-    pose = observation_layout(SPATIAL).split(observation)["pose"]
-    assert_array_equal(pose, observer.pose[5])
+    assert observer.mass[:3] == observer.mass[3:]
+    assert (len({*observer.mass}), len({*observer.x})) == (3, 6)
+    assert repeated.x == observer.x
 
 
 def test_batch_size_and_secret_order_do_not_change_the_result(monkeypatch):
