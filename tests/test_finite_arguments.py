@@ -61,24 +61,12 @@ ARGUMENTS = {
 }
 """Valid values by the name of an argument."""
 
-OF_SPATIAL = (
-    textbook.jacobian,
-    textbook.mass_matrix,
-    textbook.bias,
-    textbook.load,
-    textbook.pulley_speed,
-    textbook.pulley_angle,
-    textbook.pulley_acceleration,
-    textbook.static_torque,
-    textbook.required_tensions,
-    textbook.required_torques,
-    textbook.motor_torques,
-    textbook.coulomb_torque,
-    textbook.torque_limits,
-    textbook.normalised_action,
-    textbook.inverse_dynamics,
-    textbook.forward_dynamics,
-)
+OF_SPATIAL = """
+    jacobian mass_matrix bias load pulley_speed pulley_angle pulley_acceleration static_torque
+    required_tensions required_torques motor_torques coulomb_torque torque_limits normalised_action
+    inverse_dynamics forward_dynamics
+"""
+"""Functions of the textbook."""
 PLAIN = (
     kinematics.rotation_matrix,
     kinematics.euler_rate_matrix,
@@ -119,7 +107,6 @@ OTHER = {
         {"minimum": 1.0, "line_speed": np.ones(6)},
     ),
     "trajectory": (LINE.__call__, {}),
-    "trajectory without dwells": (LINE.motion.__call__, {}),
     "chain": (CHAIN.motion.__call__, {}),
     "deviation": (UNIFORM.deviation, {"uniform": np.array([0.2])}),
     "applied": (UNIFORM.applied, {"nominal": np.array([2.0]), "deviation": np.array([0.1])}),
@@ -131,7 +118,8 @@ OTHER = {
 FUNCTIONS = {
     **{function.__name__: (function, {}) for function in PLAIN},
     **{
-        f"textbook.{function.__name__}": (partial(function, SPATIAL), {}) for function in OF_SPATIAL
+        f"textbook.{name}": (partial(getattr(textbook, name), SPATIAL), {})
+        for name in OF_SPATIAL.split()
     },
     **OTHER,
 }

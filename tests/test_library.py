@@ -57,11 +57,6 @@ def test_source_of_anchors_without_deviations_calls_them_nominal(name, field):
         assert re.search("^assumed|nominal", robot.sources[field])
 
 
-def test_library_has_surveyed_and_nominal_anchors():
-    mirrored = {name for name in library() if is_mirrored(find_robot(name).base_anchors)}
-    assert mirrored == {"fast", "gch-klaus", "stadium-camera", "ttk4900"}
-
-
 @every_robot
 def test_ranges_contain_the_values_of_the_file(name):
     """They are for values that are assumed, or on which sources disagree."""

@@ -46,32 +46,6 @@ def test_row_has_fractions_of_the_motions():
     assert row == "| `CableBot-Planar-v0` | 1 | no static limit | 2.00 | 100% | – | – | – |"
 
 
-@pytest.fixture
-def files(tmp_path, monkeypatch):
-    """Empty results in a folder of their own."""
-    monkeypatch.setattr(motion_family, "RESULTS", tmp_path / "results.json")
-    monkeypatch.setattr(motion_family, "LAW_RESULTS", tmp_path / "laws.json")
-
-
-def test_interrupted_measurement_goes_on_with_the_next_motion(files, monkeypatch):
-    measured = []
-
-    def measure(env_id, seed):
-        measured.append((env_id, seed))
-        if len(measured) == 4:
-            raise KeyboardInterrupt
-        return RECORD
-
-    monkeypatch.setattr(motion_family, "measured", measure)
-    env_ids = [SPATIAL_ID, "CableBot-Point-v0"]
-    with pytest.raises(KeyboardInterrupt):
-        motion_family.measure(env_ids, 2)
-    motion_family.measure(env_ids, 2)
-    motions = [(env_id, seed) for seed in range(2) for env_id in env_ids]
-    assert measured == [*motions, motions[-1]]
-    assert motion_family.stored_records() == {env_id: [RECORD, RECORD] for env_id in env_ids}
-
-
 def test_page_follows_from_the_stored_results():
     anew = motion_family.page(motion_family.stored_records(), motion_family.stored_laws())
     assert motion_family.PAGE.read_text() == anew, "run python scripts/motion_family.py page"

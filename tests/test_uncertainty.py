@@ -3,7 +3,6 @@ of the data."""
 
 import dataclasses
 import json
-import math
 import pickle
 import re
 from pathlib import Path
@@ -99,11 +98,8 @@ def test_each_value_has_a_number_of_its_own():
     can be drawn alone."""
     parameters = {}
     for name in PARAMETERS:
-        each = name != "platform_inertia"
-        # load_friction must stay below 1
-        width = 0.5 if name == "load_friction" else 1.0
         parameters[name] = ParameterDistribution(
-            low=0.4, high=0.4 + width, relative=False, each=each
+            low=0.1, high=0.9, relative=False, each=name != "platform_inertia"
         )
     together = drawn(ELASTIC, parameters, 400)
     reverse = drawn(ELASTIC, dict(reversed(parameters.items())), 400)
@@ -112,12 +108,11 @@ def test_each_value_has_a_number_of_its_own():
         values = values_of(together, name)
         assert_array_equal(values, values_of(drawn(ELASTIC, {name: distribution}, 400), name))
         assert_array_equal(values, values_of(reverse, name))
-        width = distribution.high - distribution.low
-        columns.append((values[:, :1] if name == "platform_inertia" else values) / width)
+        columns.append(values[:, :1] if name == "platform_inertia" else values)
     numbers = np.concatenate(columns, axis=1)
     assert np.abs(np.corrcoef(numbers.T) - np.eye(numbers.shape[1])).max() < 0.3
-    shifts = np.ptp(numbers, axis=0)
-    assert np.all((shifts > 0.95) & (shifts <= 1 + 1e-12))
+    ranges = np.ptp(numbers, axis=0)
+    assert np.all((ranges > 0.76) & (ranges <= 0.8 + 1e-12))
 
 
 def test_load_friction_takes_no_numbers_from_robots_without_it():
@@ -162,10 +157,8 @@ LOADED = with_transmission(SPATIAL, load_friction=0.05)
 NORMAL_FAR_AWAY = {"low": 9, "high": 10, "distribution": "normal", "std": 1.0}
 IMPOSSIBLE_PARAMETERS = [
     (PLANAR, "damping", {"low": 0.2, "high": -0.2}, "low must not exceed high"),
-    (PLANAR, "damping", tenth(math.nan), "low must be a finite number, not nan"),
     (PLANAR, "damping", tenth(std=0.1), "a uniform one has none"),
     (PLANAR, "damping", tenth(distribution="normal"), "a normal distribution needs std"),
-    (PLANAR, "damping", tenth(distribution="cauchy"), "unknown distribution 'cauchy'; choose one"),
     (PLANAR, "damping", NORMAL_FAR_AWAY, "eight std"),
     (
         SPATIAL,
@@ -187,9 +180,7 @@ IMPOSSIBLE_PARAMETERS = [
         tenth(-0.2, 0.0, relative=False, each=False),
         "platform_inertia: one moment",
     ),
-    (FLAT_BALL, "platform_inertia", tenth(-0.4, 0.4), "platform_inertia: one moment can exceed"),
     (SPATIAL, "stiffness", tenth(), "'spatial' has no parameter stiffness"),
-    (SPATIAL, "load_friction", tenth(), "'spatial' has no parameter load_friction"),
     (LOADED, "load_friction", tenth(0.0, 30.0), "largest load_friction must be .* less than 1"),
     (PLANAR, "platform_mass", 0.1, "distribution of platform_mass must be a dict with the keys"),
 ]
@@ -197,15 +188,12 @@ IMPOSSIBLE = [
     ({"delay": LONGEST_DELAY + 1}, f"delay must be .* at most {LONGEST_DELAY}"),
     ({"delay": [2, 1]}, "high of delay must be an integer of at least 2"),
     ({"delay": [0, 1, 2]}, "delay must be one number of control steps or .low, high."),
-    ({"noise": 1.0}, "unknown key of uncertainty 'noise'; choose one of parameters, wrench, "),
     ("table6+noise", "unknown uncertainty 'noise'; choose one of none, table6, .*, or join"),
     ("table6+table6", "'table6.table6' defines parameters twice"),
     ("hardware:stiffness", "unknown error of 'hardware' 'stiffness'; choose one of pla"),
     ({"wrench": {"force_mean": [1, 2, 3]}}, "force_mean needs 2 components for 'planar'"),
-    ({"wrench": {"force_std": -1.0}}, "force_std must be finite and at least 0"),
     ({"wrench": {"correlation_time": 0.0}}, "correlation_time must be .* greater than 0 s"),
     ({"wrench": {"factor": [1.1, 0.9]}}, "factor must be .low, high. with low ≤ high"),
-    ({"sensors": {"position": -1e-3}}, "sensors.position must be a finite number at least 0"),
 ]
 
 
@@ -226,30 +214,11 @@ def test_impossible_uncertainty_raises(robot, data, message):
 
 def test_errors_of_an_uncertainty_are_all_of_it():
     hardware = find_uncertainty("hardware", FLEX_PLANAR)
-    names = [f"hardware:{name}" for name in hardware.errors()]
-    parameters = {}
-    for name in names:
-        parameters |= find_uncertainty(name, FLEX_PLANAR).parameters
-    assert parameters == hardware.parameters
-    others = "+".join(names[len(parameters) :])
-    assert find_uncertainty(others, FLEX_PLANAR) == dataclasses.replace(hardware, parameters={})
-
-
-@pytest.mark.parametrize(
-    ("robot", "name", "distribution"),
-    [
-        (SPATIAL, "payload", tenth(-1.0)),
-        (SPATIAL, "platform_mass", tenth(-0.999)),
-        (SPATIAL, "platform_inertia", tenth(-0.9, 3.0, each=False)),
-        (FLAT_BALL, "platform_inertia", tenth(-0.3, 0.3)),
-    ],
-)
-def test_just_possible_distribution_is_accepted(robot, name, distribution):
-    uncertainty = find_uncertainty(
-        {"parameters": {name: distribution}, "delay": LONGEST_DELAY}, robot
-    )
-    assert uncertainty.parameters[name] == ParameterDistribution(**distribution)
-    assert uncertainty.delay == LONGEST_DELAY
+    names = "+".join(f"hardware:{name}" for name in hardware.errors() if name not in PARAMETERS)
+    assert find_uncertainty(names, FLEX_PLANAR) == dataclasses.replace(hardware, parameters={})
+    for name, distribution in hardware.parameters.items():
+        alone = find_uncertainty(f"hardware:{name}", FLEX_PLANAR)
+        assert alone == Uncertainty(parameters={name: distribution})
 
 
 # --- its forms ----------------------------------------------------------------------------------------------------
@@ -274,11 +243,11 @@ def test_table_6_is_that_of_the_paper(robot):
     assert (table.wrench.correlation_time, table.wrench.factor) == (0.01, (0.9, 1.1))
     assert (table.sensors, table.delay, table.random) == (None, 0, True)
     with_load = dict(table.parameters) | {"payload": tenth_of_all}
-    loaded = find_uncertainty("table6-load", robot)
-    assert loaded == dataclasses.replace(table, parameters=with_load)
+    loaded = dataclasses.replace(table, parameters=with_load)
+    assert find_uncertainty("table6-load", robot) == loaded
     sensors = find_uncertainty("sensors", robot).sensors
-    for name in ("table6+sensors", "sensors+table6+none"):
-        assert find_uncertainty(name, robot) == dataclasses.replace(table, sensors=sensors)
+    both = dataclasses.replace(table, sensors=sensors)
+    assert find_uncertainty("sensors+table6+none", robot) == both
 
 
 @rigid_and_flexible
@@ -323,12 +292,8 @@ EVERYTHING = {
 def test_uncertainty_survives_json_and_pickle():
     uncertainty = Uncertainty(**EVERYTHING)
     data = json.loads(json.dumps(to_jsonable(uncertainty)))
-    copies = find_uncertainty(data, ELASTIC), pickle.loads(pickle.dumps(uncertainty))
-    for again in copies:
+    for again in (find_uncertainty(data, ELASTIC), pickle.loads(pickle.dumps(uncertainty))):
         assert (again, hash(again)) == (uncertainty, hash(uncertainty))
-        draws, same = (drawn(ELASTIC, form.parameters, 3) for form in (uncertainty, again))
-        for name in PARAMETERS:
-            assert_array_equal(values_of(same, name), values_of(draws, name))
     parameters = dict(uncertainty.parameters)
     protected = Uncertainty(parameters=parameters)
     parameters.clear()

@@ -3,7 +3,6 @@
 import signal
 import sys
 import zipfile
-from contextlib import closing
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -34,7 +33,6 @@ from cablebot_gym.policies import (
 from cablebot_gym.policies.adapters import CallablePolicy
 from cablebot_gym.policies.protocol import BatchItemError, reset_policy
 from cablebot_gym.robots import PLANAR, ROBOTS, SPATIAL, find_robot
-from cablebot_gym.task import Task
 
 PLANAR_ID = "CableBot-Planar-v0"
 
@@ -207,21 +205,16 @@ def test_name_is_read_without_importing_anything(module):
 
 def test_policy_is_loaded_once():
     """Excludes a loaded policy that a second entrance makes anew, or that loses its declarations
-    there."""
-    loaded = load("fl", PLANAR)
+    or wrappers there."""
+    loaded = load("ekf+fl", PLANAR, wrappers=["normalised_observation"])
     again = load(loaded, SPATIAL, name="mine")
-    assert (again.policy, again.name, again.held) == (loaded.policy, "mine", True)
-    assert not load(loaded.policy, PLANAR).held
+    assert (again.policy, again.name, again.held) == (loaded.policy, "mine", loaded.held)
+    assert again.wrappers == ("normalised_observation",)
+    assert again.declarations.measurement == "winches"
+    shipped = load(load("fl", PLANAR), PLANAR)
+    assert (shipped.held, load(shipped.policy, PLANAR).held) == (True, False)
     with pytest.raises(ValueError, match="is loaded already"):
         load(loaded, PLANAR, wrappers=["mine.py:wrap"])
-
-
-def test_policy_behind_an_estimator_keeps_its_wrappers():
-    loaded = load("ekf+fl", PLANAR, wrappers=["normalised_observation"])
-    assert (loaded.wrappers, loaded.declarations.measurement) == (
-        ("normalised_observation",),
-        "winches",
-    )
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
@@ -250,13 +243,6 @@ def test_file_goes_to_the_loaders_of_other_packages_in_turn(points, archive, cap
     assert isinstance(policy, Constant)
     assert (policy.robot, calls) == (SPATIAL, [(archive, SPATIAL)])
     assert "policy files of kind 'other' are skipped" in caplog.text
-
-
-def test_damaged_file_is_not_loaded(points, archive):
-    points[FILE_ENTRY_POINT_GROUP].append(Point(lambda path, robot: pytest.fail("loaded")))
-    archive.write_bytes(archive.read_bytes()[:-10])
-    with pytest.raises(ValueError, match="is not a zip file, or it is damaged"):
-        load_policy(str(archive), PLANAR)
 
 
 # --- SB3 files --------------------------------------------------------------------------------------------------------
@@ -288,25 +274,23 @@ def test_only_policies_and_callables_are_accepted():
 def test_callable_gets_one_observation_at_a_time():
     class Function:
         unsaturated_actions = True
-
-        def __init__(self):
-            self.tasks, self.shapes = [], []
+        tasks = ()
 
         def reset(self, tasks):
-            self.tasks.append(tasks)
+            self.tasks = tasks
 
         def __call__(self, observation):
-            self.shapes.append(observation.shape)
+            assert observation.shape == (4,)
             return observation[:2] * 2
 
     function, state = Function(), object()
     policy = as_policy(function)
     action, after = policy.predict(np.arange(12.0).reshape(3, 4), state=state)
     assert_array_equal(action, [[0, 2], [8, 10], [16, 18]])
-    assert (function.shapes, after) == ([(4,)] * 3, state)
+    assert after is state
     assert_array_equal(policy.predict(np.arange(4.0))[0], [0, 2])
     policy.reset(("task",))
-    assert (policy.unsaturated_actions, function.tasks) == (True, [("task",)])
+    assert (policy.unsaturated_actions, function.tasks) == (True, ("task",))
     assert not as_policy(lambda observation: observation).unsaturated_actions
 
 
@@ -336,13 +320,9 @@ def with_reset(reset):
 
 def test_reset_gets_one_task_per_observation_if_it_takes_any():
     calls = []
-    with closing(gym.make_vec(PLANAR_ID, num_envs=3)) as envs:
-        envs.reset(seed=0)
-        reset_policy(
-            with_reset(lambda batch, /: calls.append(batch)), "mine", lambda: envs.unwrapped.tasks
-        )
-    assert len(calls[0]) == 3
-    assert all(isinstance(task, Task) for task in calls[0])
+    tasks = ("first task", "second task")
+    reset_policy(with_reset(lambda batch, /: calls.append(batch)), "mine", lambda: tasks)
+    assert calls == [tasks]
     for reset in (lambda: calls.append(None), lambda seed=None: calls.append(seed)):
         reset_policy(with_reset(reset), "mine", lambda: pytest.fail("the tasks are not needed"))
     assert calls[1:] == [None, None]
@@ -394,11 +374,7 @@ def test_factory_keeps_the_state_of_each_policy():
             return np.repeat(total, 3, axis=1), total
 
     policy, state = PolicyFactory(lambda: Sums(PLANAR)), None
-    for start, expected in (
-        ([True, True], [1, 2]),
-        ([False, False], [2, 4]),
-        ([False, True], [3, 2]),
-    ):
+    for start, expected in (([True, True], [1, 2]), ([False, True], [2, 2])):
         action, state = policy.predict(np.array([[1.0], [2.0]]), state, np.array(start))
         assert_array_equal(action[:, 0], expected)
 
@@ -484,7 +460,7 @@ def test_held_law_requests_more_torque_than_the_motors_have(name, env_id):
     policy = load_policy(name, robot)
     payload = 60.0 if robot.name in ROBOTS else max(60.0, 12 * robot.mass)
     observation, _ = env.reset(seed=0, options={"payload": payload})
-    policy.reset(env.tasks if hasattr(env, "tasks") else [env.task])
+    policy.reset([env.task])
     state, largest = None, 0.0
     for step in range(200):
         action, state = policy.predict(observation, state, np.array(step == 0))
