@@ -22,7 +22,6 @@ RATE = np.array([0.1, 0.2, -0.1, 0.3, -0.2, 0.1])
 LOAD = np.array([0.0, 0, -117.7, 0, 0, 0])
 HEAVY = find_robot("flex-cogiro")
 LINE = find_trajectory("line-spatial", "spatial")
-CHAIN = find_trajectory("chain-planar", "planar")
 UNIFORM = ParameterDistribution(low=-0.1, high=0.1)
 DRAWN = Uncertainty(parameters={"platform_mass": UNIFORM})
 
@@ -86,7 +85,6 @@ PLAIN = (
 )
 OTHER = {
     "inverse_dynamics of the kernel": (partial(inverse_dynamics, SPATIAL), {"minimum": 1.0}),
-    "cable_lengths with swivels": (kinematics.cable_lengths, {"swivel": np.full(6, 0.01)}),
     "central": (distribution.central, {"minimum": 1.0}),
     "rest_angles": (partial(textbook.rest_angles, FLEX_SPATIAL), {}),
     "forward_kinematics": (
@@ -107,9 +105,7 @@ OTHER = {
         {"minimum": 1.0, "line_speed": np.ones(6)},
     ),
     "trajectory": (LINE.__call__, {}),
-    "chain": (CHAIN.motion.__call__, {}),
     "deviation": (UNIFORM.deviation, {"uniform": np.array([0.2])}),
-    "applied": (UNIFORM.applied, {"nominal": np.array([2.0]), "deviation": np.array([0.1])}),
     "draw": (
         partial(DRAWN.draw, SPATIAL),
         {"payload": np.zeros(2), "uniform": np.full((2, draw_size(SPATIAL)), 0.5)},

@@ -40,23 +40,6 @@ def test_every_value_of_a_file_has_a_source(name):
     assert all(text.strip() == text and len(text) > 6 for text in data["sources"].values())
 
 
-def is_mirrored(anchors):
-    """Whether the reflection of x or of y maps a set of anchors onto itself exactly."""
-    points = {tuple(point) for point in anchors}
-    reflections = ({(-x, *rest) for x, *rest in points}, {(x, -y, *z) for x, y, *z in points})
-    return points in reflections
-
-
-@every_robot
-@pytest.mark.parametrize("field", ["base_anchors", "platform_anchors"])
-def test_source_of_anchors_without_deviations_calls_them_nominal(name, field):
-    """Surveyed anchors are never exact mirror images of each other."""
-    robot = find_robot(name)
-    anchors = getattr(robot, field)
-    if anchors and is_mirrored(anchors):
-        assert re.search("^assumed|nominal", robot.sources[field])
-
-
 @every_robot
 def test_ranges_contain_the_values_of_the_file(name):
     """They are for values that are assumed, or on which sources disagree."""

@@ -197,23 +197,6 @@ def test_delayed_motors_start_within_the_stall_torque(payload):
     assert not commanded[3].any()
 
 
-# --- payload and its model ----------------------------------------------------------------------------------------
-
-
-def test_model_payload_factor_applies_to_the_nominal_payload():
-    """To a drawn one, too, and not to what uncertainty adds."""
-    env = make(PLANAR, payload_range=(1.0, 5.0), model_payload_factor=0.9)
-    observation, info = env.reset(seed=1)
-    assert env.task.model_payload == 0.9 * info["payload"]
-    assert env.layout.split(observation)["model_payload"][0] == env.task.model_payload
-    heavier = {"parameters": {"payload": {"low": 0.5, "high": 0.5}}}
-    env = make(PLANAR, payload=2.0, uncertainty=heavier, model_payload_factor=0.9)
-    assert (env.reset(seed=0)[1]["payload"], env.task.model_payload) == (
-        3.0,
-        0.9 * 2.0,
-    )
-
-
 # --- physics steps ------------------------------------------------------------------------------------------------
 
 

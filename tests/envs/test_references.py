@@ -4,13 +4,12 @@ import warnings
 
 import numpy as np
 import pytest
-from oracles.episodes import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, make
+from oracles.episodes import FLEX_PLANAR, PLANAR, make
 
 from cablebot_gym.trajectories import (
     ORDERS,
     Reference,
     SmoothCircle,
-    trajectory_names,
 )
 
 
@@ -77,15 +76,6 @@ def test_motion_after_the_duration_warns():
         arrays["velocity"][..., 0] += 0.05
 
     assert "still moves after its duration" in " ".join(warnings_of(continued, PLANAR))
-
-
-@pytest.mark.parametrize(("frequency", "duration"), [(20.0, 0.05), (500.0, 1.0)])
-def test_motions_of_the_library_start_silently(frequency, duration):
-    for name in trajectory_names(6):
-        # The accelerations of loops set their durations, and the motions of chains.
-        free = not name.startswith(("loop", "chain"))
-        motion = {"name": name} | ({"duration": duration} if free else {})
-        make(FLEX_SPATIAL, trajectory=motion, control_frequency=frequency).reset()
 
 
 @pytest.mark.parametrize(

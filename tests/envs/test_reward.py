@@ -18,7 +18,6 @@ from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.settings import DEFAULT_WEIGHTS
 from cablebot_gym.evaluation.constraints import Judge
-from cablebot_gym.policies import load_policy
 
 
 def make(env_id, **keywords):
@@ -178,39 +177,3 @@ def test_default_weights_satisfy_the_proof():
     assert inside == 1
     assert saturation < position / 2
     assert violation >= position + rotation
-
-
-def returns_of(name, env):
-    """Returns of a policy, and whether the task criterion is met, of each environment."""
-    policy = load_policy(name, env.settings.robot)
-    observation, info = env.reset(seed=0)
-    tasks = env.tasks
-    if hasattr(policy, "reset"):
-        policy.reset(tasks)
-    judge = Judge("task", tasks[0].robot.cables, env.num_envs)
-    judge.reset(info, tasks[0])
-    state = None
-    total = np.zeros(env.num_envs)
-    running = np.ones(env.num_envs, np.bool_)
-    for step in range(tasks[0].steps):
-        start = np.full(env.num_envs, step == 0)
-        actions, state = policy.predict(observation, state, start, deterministic=True)
-        observation, reward, terminated, _, info = env.step(np.clip(actions, -9e5, 9e5))
-        total += running * reward
-        judge.observe(info, terminated)
-        running &= ~terminated
-    return total, judge.carried
-
-
-def test_return_orders_success_before_failure():
-    env = make_vector(
-        PLANAR,
-        6,
-        trajectory={"name": "line-planar", "duration": 0.3, "dwell": 0.05},
-        payload=[0.0, 1.0, 3.0, 9.0, 20.0, 40.0],
-        autoreset_mode="Disabled",
-    )
-    returns, carried = np.concatenate([returns_of(name, env) for name in ("fl", "robust")], axis=1)
-    success = carried.astype(bool)
-    assert success.any()
-    assert returns[success].min() > returns[~success].max() + 1

@@ -1,9 +1,6 @@
 """Policy files: bundles of other packages, and models of Stable-Baselines3 behind the wrappers of
 their training."""
 
-import functools
-import pickle
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -14,7 +11,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.policies import load, load_policy
 from cablebot_gym.policies.sb3 import CONTRIB_ALGORITHMS, SB3_ALGORITHMS
-from cablebot_gym.policies.wrappers import statistics
 from cablebot_gym.robots import PLANAR
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -140,22 +136,13 @@ def test_model_of_normalised_observations_gets_them(tmp_path):
 def trained(tmp_path):
     """Makes an untrained PPO model and the ``VecNormalize`` of its training environment."""
     sb3 = pytest.importorskip("stable_baselines3")
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-    def make(wrap=lambda env: env, *, frames=1, **keywords):
+    def make(wrap=lambda env: env, **keywords):
         venv = DummyVecEnv([lambda: wrap(gym.make(PLANAR_ID, **keywords))])
         normalize = VecNormalize(venv)
-        venv = VecFrameStack(normalize, frames) if frames > 1 else normalize
-        model = sb3.PPO(
-            "MlpPolicy",
-            venv,
-            n_steps=8,
-            batch_size=8,
-            n_epochs=1,
-            policy_kwargs={"net_arch": []},
-            seed=0,
-        )
-        return model, normalize
+        few = {"n_steps": 8, "batch_size": 8, "n_epochs": 1, "policy_kwargs": {"net_arch": []}}
+        return sb3.PPO("MlpPolicy", normalize, seed=0, **few), normalize
 
     return make
 
@@ -244,22 +231,3 @@ def test_wrapped_spaces_decide_whether_a_model_fits(trained, tmp_path):
     ):
         with pytest.raises(ValueError, match=message):
             load_policy(str(tmp_path / "best.zip"), PLANAR, wrappers=fewer)
-
-
-def test_frames_are_stacked_as_stable_baselines_does(trained):
-    from stable_baselines3.common.vec_env import VecFrameStack
-
-    model, normalize = trained(frames=2)
-    normalize.obs_rms.mean = np.linspace(-1, 1, 31)
-    env = model.get_env()
-    first = env.reset()
-    action = model.predict(first, deterministic=True)[0]
-    second = env.step(action)[0]
-    frozen = statistics("VecNormalize", pickle.dumps(normalize))
-    policy = load(
-        model, PLANAR, wrappers=[frozen, functools.partial(VecFrameStack, n_stack=2)]
-    ).policy
-    given, state = policy.predict(normalize.unnormalize_obs(first[:, 31:]))
-    assert_allclose(given, action, atol=1e-5)
-    given, _ = policy.predict(normalize.unnormalize_obs(second[:, 31:]), state)
-    assert_allclose(given, model.predict(second, deterministic=True)[0], atol=1e-5)

@@ -13,7 +13,7 @@ from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.isolation import IsolatedPolicy
-from cablebot_gym.policies import PolicyError, load, load_policy
+from cablebot_gym.policies import PolicyError, load_policy
 from cablebot_gym.policies.wrappers import StandIn
 from cablebot_gym.robots import PLANAR
 
@@ -171,21 +171,6 @@ def test_error_in_a_wrapper_names_its_line_and_payload(wrapper, key):
 def test_invalid_wrapper_is_refused_before_the_first_episode(wrappers, message):
     with pytest.raises(ValueError, match=message):
         load_policy("fl", PLANAR_ID, wrappers=wrappers)
-
-
-def test_frozen_statistics_of_gymnasium_are_applied():
-    mean = np.linspace(0, 1, LAYOUT.size)
-    var = np.full(LAYOUT.size, 4.0)
-
-    def normalize(env):
-        env = vector.NormalizeObservation(env)
-        env.obs_rms.mean, env.obs_rms.var, env.update_running_mean = mean, var, False
-        return env
-
-    seen = []
-    policy = Inner(read=lambda observation: seen.append(observation) or observation)
-    load(policy, PLANAR, wrappers=[normalize]).policy.predict(np.ones((2, LAYOUT.size)))
-    assert_allclose(seen[0], np.tile((1 - mean) / 2, (2, 1)), rtol=1e-5)
 
 
 # --- nothing but the stand-in -----------------------------------------------------------------------------------------
