@@ -3,7 +3,7 @@ robust law."""
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -25,13 +25,21 @@ def text_of(name):
 
 def parts_of(uncertainty):
     """Names of the uncertain parameters and of the other parts of an uncertainty."""
-    others = [name for name, value in vars(uncertainty).items() if value and name != "parameters"]
-    return [*uncertainty.parameters, *others]
+    nothing = Uncertainty()
+    names = list(uncertainty.parameters)
+    for field in fields(uncertainty):
+        if field.name != "parameters" and getattr(uncertainty, field.name) != getattr(
+            nothing, field.name
+        ):
+            names.append(field.name)
+    return names
 
 
 def without(uncertainty, source):
-    parameters = dict(uncertainty.parameters)
-    if parameters.pop(source, None):
+    if source in uncertainty.parameters:
+        parameters = {
+            name: value for name, value in uncertainty.parameters.items() if name != source
+        }
         return replace(uncertainty, parameters=parameters)
     return replace(uncertainty, **{source: getattr(Uncertainty(), source)})
 

@@ -62,7 +62,8 @@ def identify_platform(printed, folder):
     logs = [read_log(folder / "motions" / name, robot) for name in ("0.3kg.csv", "1kg.csv")]
     estimates = identify(robot, logs).estimates
     stiffnesses = [item.value for item in estimates if item.name == "axial_stiffness"]
-    assert stiffnesses == pytest.approx([15e3] * 4, rel=0.01)
+    assert len(stiffnesses) == 4
+    assert all(abs(value / 15e3 - 1) < 0.01 for value in stiffnesses)
 
 
 def your_trajectory(printed, folder):
@@ -112,7 +113,9 @@ def paper_figure(printed, folder):
 def minari_dataset(printed, folder):
     """Actions replay bit for bit, without violation."""
     lines = printed.splitlines()
-    assert min(float(line.split()[-1]) for line in lines[1:-1]) > 800
+    returns = [float(line.split()[-1]) for line in lines[1:-1]]
+    assert len(returns) == 8
+    assert min(returns) > 800
     assert lines[-1].endswith("at most 0.0")
     dataset = folder / "out" / "cablebot-spatial" / "apg-circle-v0"
     for name in ("data/main_data.hdf5", "DATASHEET.md", "croissant.json"):

@@ -88,12 +88,13 @@ def module(tmp_path, monkeypatch):
 
 
 def test_policies_of_other_packages_are_found_by_name(points):
-    entry = PolicyEntry(
-        name="constant", kind="learned", env_ids=ENV_IDS[:1], factory=Constant, summary="theirs"
-    )
-    points[ENTRY_POINT_GROUP].append(Point(entry))
+    for name in ("zzz", "constant"):
+        entry = PolicyEntry(
+            name=name, kind="learned", env_ids=ENV_IDS[:1], factory=Constant, summary="third party"
+        )
+        points[ENTRY_POINT_GROUP].append(Point(entry))
     assert list(policy_entries()) == sorted(policy_entries())
-    assert {"constant", "fl"} <= set(policy_entries())
+    assert {"constant", "fl", "zzz"} <= set(policy_entries())
     policy = load_policy("constant", SPATIAL)
     assert isinstance(policy, Constant)
     assert policy.robot is SPATIAL
@@ -188,16 +189,18 @@ def test_name_that_loads_no_policy_is_explained(module, name, message):
 def test_name_is_read_without_importing_anything(module):
     name = module("raise SystemExit")
     kinds = {
-        "fl": "installed",
-        "ekf+fl": "installed",
-        "best.zip": "file",
-        "best.onnx": "file",
-        f"{name}:make": "factory",
-        "a.py": "factory",
-        "lqr": "unknown",
+        text: PolicySpec.parse(text).kind
+        for text in ("fl", "ekf+fl", "best.zip", "best.onnx", f"{name}:make", "a.py", "lqr")
     }
-    for text, kind in kinds.items():
-        assert PolicySpec.parse(text).kind == kind
+    assert list(kinds.values()) == [
+        "installed",
+        "installed",
+        "file",
+        "file",
+        "factory",
+        "factory",
+        "unknown",
+    ]
     behind = PolicySpec.parse("ekf+fl")
     assert ([point.name for point in behind.estimators], behind.target) == (["ekf"], "fl")
     assert (behind.own, behind.held, PolicySpec.parse("fl").own) == (False, False, True)
