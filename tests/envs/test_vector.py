@@ -198,55 +198,6 @@ LATER = {
 }
 
 
-@two_ids
-def test_reset_options_reach_the_environments_of_the_mask(env_id):
-    """With motions of other lengths and with other delays in the middle of other episodes: tables
-    and queues grow and shrink."""
-    assert {*PER_ENVIRONMENT, *FOR_ALL, "noise_seed"} == {*RESET_OPTIONS}
-    robot = ROBOTS[env_id]
-    env = make_vector(env_id, 3, autoreset_mode="Disabled")
-    singles = [make(env_id) for _ in range(3)]
-    per_environment, for_all, later = (
-        of_robot(values, robot) for values in (PER_ENVIRONMENT, FOR_ALL, LATER)
-    )
-    noise = {"noise_seed": [9, 5, 7]}
-    noisy = per_environment | for_all | noise
-    restarts = {
-        0: (noisy, np.array([True, True, True])),
-        6: (later, np.array([True, False, True])),
-        14: ({}, np.array([False, True, True])),
-    }
-
-    def check_rows(results, expected):
-        for index, row in expected.items():
-            check_equal(results[0][index], row[0], f"observation of {index}")
-            check_equal({name: values[index] for name, values in results[-1].items()}, row[-1])
-        truths = [single.truth for single in singles]
-        check_equal({name: list(values) for name, values in env.truth.items()}, merged(truths))
-
-    for step, action in enumerate(random_actions(env, 20) * 0.3):
-        if step in restarts:
-            options, mask = restarts[step]
-            seed = 4 if step == 0 else None
-            results = env.reset(
-                seed=seed, options=options | {"reset_mask": mask} if step else options
-            )
-            expected = {}
-            for index in np.flatnonzero(mask):
-                mine = options_of(options, index)
-                single_seed = None if seed is None else seed + int(index)
-                expected[index] = singles[index].reset(seed=single_seed, options=mine)
-            check_rows(results, expected)
-        stepped = {index: single.step(action[index]) for index, single in enumerate(singles)}
-        check_rows(env.step(action), stepped)
-    by_keyword = make_vector(env_id, 3, **per_environment, **for_all)
-    fresh = make_vector(env_id, 3)
-    check_equal(by_keyword.reset(seed=4, options=noise), fresh.reset(seed=4, options=noisy))
-    some = {"reset_mask": np.array([False, True, True])}
-    options = per_environment | for_all | some
-    check_equal(by_keyword.reset(options=some), fresh.reset(options=options))
-
-
 def options_of(options, index):
     """Reset options of one environment of three."""
     return {
@@ -255,8 +206,46 @@ def options_of(options, index):
     }
 
 
-def merged(truths):
-    return {name: [truth[name] for truth in truths] for name in truths[0]}
+@two_ids
+def test_reset_options_reach_the_environments_of_the_mask(env_id):
+    """With motions of other lengths and with other delays in the middle of other episodes: tables
+    and queues grow and shrink."""
+    robot = ROBOTS[env_id]
+    env = make_vector(env_id, 3, autoreset_mode="Disabled")
+    singles = [make(env_id) for _ in range(3)]
+    first = of_robot(PER_ENVIRONMENT | FOR_ALL, robot) | {"noise_seed": [9, 5, 7]}
+    assert {*first} == {*RESET_OPTIONS}
+    restarts = {
+        0: ([4, 5, 6], first, {}),
+        6: ([None] * 3, of_robot(LATER, robot), {"reset_mask": np.array([True, False, True])}),
+        14: ([None] * 3, {}, {"reset_mask": np.array([False, True, True])}),
+    }
+
+    def check_rows(results, expected):
+        for index, row in expected.items():
+            check_equal(results[0][index], row[0], f"observation of {index}")
+            check_equal({name: values[index] for name, values in results[-1].items()}, row[-1])
+        check_equal(env.get_attr("truth"), tuple(single.truth for single in singles))
+
+    for step, action in enumerate(random_actions(env, 20) * 0.3):
+        if step in restarts:
+            seeds, options, mask = restarts[step]
+            rows = {
+                index: singles[index].reset(seed=seeds[index], options=options_of(options, index))
+                for index in np.flatnonzero(mask.get("reset_mask", np.ones(3)))
+            }
+            check_rows(env.reset(seed=seeds, options=options | mask), rows)
+        rows = {index: single.step(action[index]) for index, single in enumerate(singles)}
+        check_rows(env.step(action), rows)
+
+
+def test_keywords_per_environment_are_the_reset_options():
+    options = of_robot(PER_ENVIRONMENT, ROBOTS[PLANAR])
+    by_keyword = make_vector(PLANAR, 3, **options)
+    by_option = make_vector(PLANAR, 3)
+    for seed, mask in ((4, {}), (None, {"reset_mask": np.array([False, True, True])})):
+        expected = by_option.reset(seed=seed, options=options | mask)
+        check_equal(by_keyword.reset(seed=seed, options=mask), expected)
 
 
 # --- seeds --------------------------------------------------------------------------------------------------------
