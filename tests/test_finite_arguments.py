@@ -22,7 +22,6 @@ RATE = np.array([0.1, 0.2, -0.1, 0.3, -0.2, 0.1])
 LOAD = np.array([0.0, 0, -117.7, 0, 0, 0])
 HEAVY = find_robot("flex-cogiro")
 LINE = find_trajectory("line-spatial", "spatial")
-CHAIN = find_trajectory("chain-planar", "planar")
 UNIFORM = ParameterDistribution(low=-0.1, high=0.1)
 DRAWN = Uncertainty(parameters={"platform_mass": UNIFORM})
 
@@ -61,24 +60,12 @@ ARGUMENTS = {
 }
 """Valid values by the name of an argument."""
 
-OF_SPATIAL = (
-    textbook.jacobian,
-    textbook.mass_matrix,
-    textbook.bias,
-    textbook.load,
-    textbook.pulley_speed,
-    textbook.pulley_angle,
-    textbook.pulley_acceleration,
-    textbook.static_torque,
-    textbook.required_tensions,
-    textbook.required_torques,
-    textbook.motor_torques,
-    textbook.coulomb_torque,
-    textbook.torque_limits,
-    textbook.normalised_action,
-    textbook.inverse_dynamics,
-    textbook.forward_dynamics,
-)
+OF_SPATIAL = """
+    jacobian mass_matrix bias load pulley_speed pulley_angle pulley_acceleration static_torque
+    required_tensions required_torques motor_torques coulomb_torque torque_limits normalised_action
+    inverse_dynamics forward_dynamics
+"""
+"""Functions of the textbook."""
 PLAIN = (
     kinematics.rotation_matrix,
     kinematics.euler_rate_matrix,
@@ -95,7 +82,6 @@ PLAIN = (
 )
 OTHER = {
     "inverse_dynamics of the kernel": (partial(inverse_dynamics, SPATIAL), {"minimum": 1.0}),
-    "cable_lengths with swivels": (kinematics.cable_lengths, {"swivel": np.full(6, 0.01)}),
     "central": (distribution.central, {"minimum": 1.0}),
     "rest_angles": (partial(textbook.rest_angles, FLEX_SPATIAL), {}),
     "forward_kinematics": (
@@ -116,10 +102,7 @@ OTHER = {
         {"minimum": 1.0, "line_speed": np.ones(6)},
     ),
     "trajectory": (LINE.__call__, {}),
-    "trajectory without dwells": (LINE.motion.__call__, {}),
-    "chain": (CHAIN.motion.__call__, {}),
     "deviation": (UNIFORM.deviation, {"uniform": np.array([0.2])}),
-    "applied": (UNIFORM.applied, {"nominal": np.array([2.0]), "deviation": np.array([0.1])}),
     "draw": (
         partial(DRAWN.draw, SPATIAL),
         {"payload": np.zeros(2), "uniform": np.full((2, draw_size(SPATIAL)), 0.5)},
@@ -128,7 +111,8 @@ OTHER = {
 FUNCTIONS = {
     **{function.__name__: (function, {}) for function in PLAIN},
     **{
-        f"textbook.{function.__name__}": (partial(function, SPATIAL), {}) for function in OF_SPATIAL
+        f"textbook.{name}": (partial(getattr(textbook, name), SPATIAL), {})
+        for name in OF_SPATIAL.split()
     },
     **OTHER,
 }

@@ -8,7 +8,6 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.task import ErrorBounds, at_rest, check_workspace, start_pose
 from cablebot_gym.trajectories import find_trajectory
@@ -17,43 +16,28 @@ PLANAR_ID = "CableBot-Planar-v0"
 OUTSIDE = {"name": "smooth-circle-planar", "radius": 3.0}
 
 
-@pytest.mark.parametrize("fly", [evaluate_dlcc, record_rollout])
-def test_motion_outside_the_workspace_raises(fly):
+def test_motion_outside_the_workspace_raises():
     with pytest.raises(
         ValueError,
         match=r"'smooth-circle-planar' leaves the workspace of 'planar' at t = 0.000 s: x = 3 ",
     ):
-        fly("fl", PLANAR_ID, trajectory=OUTSIDE)
+        evaluate_dlcc("fl", PLANAR_ID, trajectory=OUTSIDE)
 
 
-@pytest.mark.parametrize("side", [0, 1])
 @pytest.mark.parametrize("coordinate", range(6))
-def test_motion_may_leave_the_workspace_by_the_error_bounds(coordinate, side):
+def test_motion_may_leave_the_workspace_by_the_error_bounds(coordinate):
     """A bound of another coordinate, or one side of the workspace alone."""
     motion = find_trajectory("paper-spatial", 6)
     poses = motion(np.linspace(0.0, motion.duration, 2001)).position
-    error_bounds = ErrorBounds(position=0.01, rotation=0.02)
-
-    def fits(beyond, *bounds):
-        box = np.array([poses.min(axis=0), poses.max(axis=0)])
-        box[side, coordinate] += beyond * (1 - 2 * side)
-        robot = SimpleNamespace(
-            name="box",
-            kind="spatial",
-            dimensions=3,
-            coordinates=6,
-            pose_bounds=box,
-        )
-        with contextlib.suppress(ValueError):
-            check_workspace(robot, motion, *bounds)
-            return True
-        return False
-
-    assert fits(0.0)
-    assert not fits(0.005)
-    assert fits(0.005, error_bounds)
-    assert fits(0.015, error_bounds) == (coordinate >= 3)
-    assert not fits(0.03, error_bounds)
+    bounds = ErrorBounds(position=0.01, rotation=0.02)
+    fields = {"name": "box", "kind": "spatial", "dimensions": 3, "coordinates": 6}
+    for side in (0, 1):
+        for beyond, fits in ((0.0, True), (0.005, True), (0.015, coordinate >= 3), (0.03, False)):
+            box = np.array([poses.min(axis=0), poses.max(axis=0)])
+            box[side, coordinate] += beyond * (1 - 2 * side)
+            robot = SimpleNamespace(**fields, pose_bounds=box)
+            with contextlib.nullcontext() if fits else pytest.raises(ValueError, match="leaves"):
+                check_workspace(robot, motion, bounds)
 
 
 # --- the start of an episode --------------------------------------------------------------------------------------
@@ -65,12 +49,10 @@ def test_motion_may_leave_the_workspace_by_the_error_bounds(coordinate, side):
     [
         (SPATIAL, "circle-spatial", True),
         (FLEX_SPATIAL, {"name": "loop-spatial", "seed": 10_003}, True),
-        (SPATIAL, "dwell-spatial", True),
         (SPATIAL, {"name": "line-spatial", "dwell": 0}, True),
         (SPATIAL, {"name": "circle-spatial", "dwell": 0}, False),
         (SPATIAL, "paper-spatial", False),
         (PLANAR, "circle-planar", True),
-        (PLANAR, "paper-planar", False),
     ],
 )
 def test_spatial_robots_start_lower_than_a_motion_at_rest(robot, trajectory, rests, position):

@@ -31,34 +31,7 @@ from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.trajectories import find_trajectory
 
-DAILY = (PLANAR, FLEX_SPATIAL, "CableBot-FlexPlanarPlatform-v0")
-"""Each kind of robot is compiled for itself."""
-SLOWLY = [pytest.param(env_id, marks=pytest.mark.slow) for env_id in ROBOTS if env_id not in DAILY]
-
-
-def in_new_process(code):
-    """Output of a new interpreter that raises warnings as errors."""
-    ended = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        capture_output=True,
-        text=True,
-        timeout=HANG,
-    )
-    assert ended.returncode == 0, ended.stderr
-    return ended.stdout
-
-
 # --- registration -------------------------------------------------------------------------------------------------
-
-
-def test_module_prefix_imports_the_package():
-    code = (
-        "import sys, gymnasium as gym\n"
-        "assert 'cablebot_gym' not in sys.modules\n"
-        f"gym.make('cablebot_gym:{PLANAR}').reset(seed=0)\n"
-        f"print(type(gym.make_vec('cablebot_gym:{PLANAR}', num_envs=2).unwrapped).__name__)\n"
-    )
-    assert in_new_process(code) == "CableBotVectorEnv\n"
 
 
 def test_import_registers_without_loading_heavy_libraries():
@@ -67,38 +40,46 @@ def test_import_registers_without_loading_heavy_libraries():
         "print([i for i in gym.registry if i.startswith('CableBot')])\n"
         "print([m for m in ('numba', 'torch', 'scipy', 'mujoco', 'matplotlib') if m in sys.modules])\n"
     )
-    assert in_new_process(code).splitlines() == [
-        str(list(cablebot_gym.ENV_IDS)),
-        "[]",
-    ]
+    ended = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=HANG,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.splitlines() == [str(list(cablebot_gym.ENV_IDS)), "[]"]
 
 
 @each_id
-def test_each_id_has_its_robot_and_a_vector_form(env_id):
+def test_each_id_has_its_robot(env_id):
     env = make(env_id)
     robot = ROBOTS[env_id]
     assert env.settings.robot == robot
     assert env.action_space.shape == (robot.cables,)
     assert env.observation_space == observation_layout(robot).space()
     assert gym.spec(env_id).max_episode_steps is None
-    assert make_vector(env_id, 2).single_observation_space == env.observation_space
 
 
-@pytest.mark.parametrize("env_id", [*DAILY, *SLOWLY])
+@pytest.mark.parametrize(
+    ("env_id", "keywords"),
+    [
+        (PLANAR, {"uncertainty": {"delay": 3, "sensors": {"position": 1e-4}}}),
+        (
+            FLEX_SPATIAL,
+            {
+                "measurement": "winches+tensions+imu",
+                "normalised_observation": True,
+                "uncertainty": "hardware",
+            },
+        ),
+    ],
+)
 @pytest.mark.filterwarnings("error")
-def test_checkers_of_gymnasium_and_sb3_raise_nothing(env_id):
+def test_checkers_of_gymnasium_and_sb3_raise_nothing(env_id, keywords):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    env = make(env_id, uncertainty={"delay": 3, "sensors": {"position": 1e-4}})
+    env = make(env_id, **keywords)
     checker.check_env(env, warn=True)
     check_env(env, skip_render_check=True)
-
-
-@pytest.mark.parametrize("construct", [gym.make, gym.make_vec])
-def test_robot_of_another_kind_raises(construct):
-    construct(PLANAR, robot=ROBOTS[PLANAR].replace(mass=2.0, name="mine")).reset(seed=0)
-    with pytest.raises(ValueError, match="use CableBot-FlexPlanar-v0"):
-        construct(PLANAR, robot=ROBOTS["CableBot-FlexPlanar-v0"])
-    CableBotEnv(robot="spatial").reset(seed=0)  # a class without id takes any robot
 
 
 # --- ends of episodes ---------------------------------------------------------------------------------------------
@@ -108,23 +89,20 @@ def test_robot_of_another_kind_raises(construct):
     ("frequency", "trajectory", "steps"),
     [
         (500.0, {"name": "dwell-planar", "duration": 0.002}, 1),
-        (1000.0, {"name": "line-planar", "duration": 2.0}, 2600),
-        (70.0, {"name": "loop-planar", "seed": 10_000}, 125),  # 1.79 s
-        (333.0, {"name": "circle-planar", "dwell": 0.0123}, 341),
+        (333.0, {"name": "dwell-planar", "duration": 0.1246}, 41),
     ],
 )
 def test_step_that_completes_the_motion_truncates(frequency, trajectory, steps):
     """A time limit shortens the episode and never lengthens it. Steps after the end are truncated
     too."""
     keywords = {"trajectory": trajectory, "control_frequency": frequency}
-    env = make(PLANAR, **keywords)
-    episode = rollout(env, np.zeros((steps + 2, 3)), seed=0)
+    taut = np.full((steps + 2, 3), 0.1)
+    episode = rollout(make(PLANAR, **keywords), taut, seed=0)
     assert episode.truncated.tolist() == [False] * (steps - 1) + [True] * 3
-    assert env.task.steps == steps
     for limit in (max(1, steps // 2), 2 * steps):
         end = min(limit, steps)
         limited = gym.make(PLANAR, max_episode_steps=limit, **keywords)
-        episode = rollout(limited, np.zeros((end, 3)), seed=0)
+        episode = rollout(limited, taut[:end], seed=0)
         assert np.flatnonzero(episode.truncated).tolist() == [end - 1]
 
 
@@ -133,27 +111,21 @@ def test_step_that_completes_the_motion_truncates(frequency, trajectory, steps):
 
 @two_ids
 def test_types_are_pythons_own_and_info_keys_are_constant(env_id):
-    """Info contains finite numbers and arrays, which other libraries stack."""
+    """Info contains finite numbers and arrays, which other libraries stack, under the names of the
+    manual."""
     env = make(env_id)
-    observation, info = env.reset(seed=0)
+    _, info = env.reset(seed=0)
     types = {key: type(value) for key, value in info.items()}
-    assert types["termination_reason"] is int
     assert set(types.values()) == {int, float, bool, np.ndarray}
     terms = {f"reward_{term}" for term in REWARD_TERMS}
     assert not any(info[term] for term in terms)  # a reset earns nothing
     section = CableBotEnv.__doc__.split("## Info")[1].split("## Arguments")[0]
     assert {*re.findall(r"`(\w+)`", section)} | terms == {*info}
-    for action in random_actions(env, 60, -2, 2):
-        assert {key: type(value) for key, value in info.items()} == types
-        for key, value in info.items():
-            assert np.all(np.isfinite(value)), key
-            if isinstance(value, np.ndarray):
-                assert value.shape == (ROBOTS[env_id].cables,), key
-                assert value.dtype == (np.bool_ if key == "slack" else np.float64), key
-        observation, reward, terminated, truncated, info = env.step(action)
+    for action in random_actions(env, 20, -2, 2):
+        _, reward, terminated, truncated, info = env.step(action)
         assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool]
-        assert (info["termination_reason"] != 0) == terminated
-        assert observation.dtype == env.observation_space.dtype == np.float64
+        assert {key: type(value) for key, value in info.items()} == types
+        assert all(np.all(np.isfinite(value)) for value in info.values())
 
 
 @pytest.mark.parametrize("count", [None, 3])
@@ -161,13 +133,7 @@ def test_results_are_copies(count):
     """Neither a later step nor writing by the caller changes the other."""
     keywords = {"uncertainty": {"delay": 1}}
     env, twin = (
-        make(PLANAR, **keywords)
-        if count is None
-        else make_vector(
-            PLANAR,
-            count,
-            **keywords,
-        )
+        make_vector(PLANAR, count, **keywords) if count else make(PLANAR, **keywords)
         for _ in range(2)
     )
     action = np.full(env.action_space.shape, 0.7)
@@ -176,10 +142,12 @@ def test_results_are_copies(count):
     env.step(action)
     check_equal(results, before)
     results[0][:] = 99.0
+    env.truth["motor_strength"][...] = 99.0
     twin.reset(seed=0)
     twin.step(action.copy())
     action[:] = 0.0
     check_equal(env.step(action), twin.step(action))
+    check_equal(env.truth, twin.truth)
 
 
 @two_ids
@@ -189,12 +157,8 @@ def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
     trajectory = {"name": f"lemniscate-{robot.kind}", "amplitude": amplitude}
     trajectory |= {"duration": 0.3, "dwell": 0.1}
     frequency = 70.0  # 0.5 s are 35 periods; 0.5 s is reached and passed
-    env = make(
-        env_id,
-        trajectory=trajectory,
-        control_frequency=frequency,
-        error_bounds={"position": 1.0},
-    )
+    wide = {"error_bounds": {"position": 1.0}}
+    env = make(env_id, trajectory=trajectory, control_frequency=frequency, **wide)
     expected = find_trajectory(trajectory, robot.coordinates)
     orders = {"velocity": 1e-12, "acceleration": 1e-10}
     if robot.flexible:
@@ -203,22 +167,14 @@ def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
     blocks = env.layout.split(episode.observations)
     times = np.arange(45) / frequency
     now = expected(times)
-    assert_allclose(
-        blocks["time_to_go"][:, 0],
-        np.maximum(0.5 - times, 0.0),
-        atol=1e-12,
-    )
+    assert_allclose(blocks["time_to_go"][:, 0], np.maximum(0.5 - times, 0.0), atol=1e-12)
     assert_allclose(blocks["reference_pose"], now.position, atol=1e-12)
     for order, tolerance in orders.items():
         values = blocks[f"reference_{order}"]
         assert_allclose(values, getattr(now, order), rtol=1e-12, atol=tolerance)
     for milliseconds in (20, 50, 100, 200):
         ahead = expected(times + milliseconds / 1000).position
-        assert_allclose(
-            blocks[f"preview_{milliseconds}ms"],
-            ahead - now.position,
-            atol=1e-12,
-        )
+        assert_allclose(blocks[f"preview_{milliseconds}ms"], ahead - now.position, atol=1e-12)
 
 
 @two_ids
@@ -244,8 +200,7 @@ def test_measured_blocks_are_the_true_state(env_id):
     assert_allclose(episode.info["rotation_error"], turn, atol=1e-14)
 
 
-@two_ids
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(("env_id", "known"), [(PLANAR, True), (FLEX_SPATIAL, False)])
 def test_observation_and_task_hide_the_true_values(env_id, known):
     """Only the springs of flexible robots depend on the true payload at the start, and only info
     has it."""
@@ -257,27 +212,23 @@ def test_observation_and_task_hide_the_true_values(env_id, known):
     visible = np.ones(env.layout.size, bool)
     if ROBOTS[env_id].flexible:
         visible[env.layout.slices()["motor_angle"]] = False
-    payloads = set()
-    for seed in range(4):
-        observation, info = env.reset(seed=seed)
-        payloads.add(info["payload"])
-        assert_array_equal(observation[visible], nominal.reset(seed=seed)[0][visible])
-        assert 3.0 <= info["payload"] == env.truth["payload"] <= 4.0
-        observation, _, _, _, later = env.step(np.full(ROBOTS[env_id].cables, 0.3))
-        assert later["payload"] == info["payload"]
-        blocks = env.layout.split(observation)
-        assert blocks["model_payload"][0] == env.task.model_payload == (2.0 if known else 0.0)
-        assert blocks["payload_known"][0] == env.task.payload_known == known
-        assert env.task.robot == ROBOTS[env_id]
-        assert str(info["payload"]) not in repr(env.task)
-    assert len(payloads) == 4
+    observation, info = env.reset(seed=1)
+    assert 3.0 <= info["payload"] == env.truth["payload"] <= 4.0
+    assert_array_equal(observation[visible], nominal.reset(seed=1)[0][visible])
+    blocks = env.layout.split(env.step(np.full(ROBOTS[env_id].cables, 0.3))[0])
+    assert blocks["model_payload"][0] == env.task.model_payload == (2.0 if known else 0.0)
+    assert blocks["payload_known"][0] == env.task.payload_known == known
+    assert env.task.robot == ROBOTS[env_id]
+    assert str(info["payload"]) not in repr(env.task)
 
 
 # --- copies -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-@pytest.mark.parametrize("count", [None, 40])
+@pytest.mark.parametrize(
+    ("count", "duplicate"),
+    [(None, copy.deepcopy), (40, lambda env: pickle.loads(pickle.dumps(env)))],
+)
 def test_copy_in_mid_episode_continues_independently(count, duplicate):
     """Excludes a copy whose kernel reads other memory than its actions are written to."""
     keywords = {"uncertainty": "table6+sensors", "payload": 1.0}

@@ -13,7 +13,6 @@ from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.evaluator import default_payload_max
 from cablebot_gym.robots import (
     PLANAR,
-    SPATIAL,
     Defaults,
     Motors,
     Robot,
@@ -40,7 +39,6 @@ ROBOTS = {
     "vertical": BASE.replace(plane="vertical"),
     "point": HANGING,
     "platform": find_robot("ttk4900").replace(defaults=Defaults()),
-    "camera": find_robot("stadium-camera").replace(defaults=Defaults()),
     "fast": find_robot("fast").replace(defaults=Defaults()),
 }
 """Robots without data of their motion, by kind and size: from 1.5 m to 600 m."""
@@ -96,14 +94,9 @@ SMALL = PLANAR.replace(
     ("robot", "position"),
     [
         (PLANAR, 0.01),
-        (SPATIAL, 0.01),
-        (ROBOTS["camera"], 0.1),
         (ROBOTS["fast"], 0.5),
         (SMALL, 0.002),
-        (
-            SMALL.replace(defaults=Defaults(error_bounds={"position": 0.003})),
-            0.003,
-        ),
+        (SMALL.replace(defaults=Defaults(error_bounds={"position": 0.003})), 0.003),
     ],
 )
 def test_position_bound_follows_from_the_width(robot, position):
@@ -114,7 +107,6 @@ def test_position_bound_follows_from_the_width(robot, position):
     ("robot", "top"),
     [
         (PLANAR, 10.0),
-        (SPATIAL, 20.0),
         (find_robot("cogiro"), 1500.0),
         (PLANAR.replace(motors=PLANAR.motors.replace(stall_torque=20.0)), 52.0),
     ],

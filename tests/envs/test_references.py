@@ -4,13 +4,12 @@ import warnings
 
 import numpy as np
 import pytest
-from oracles.episodes import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, make
+from oracles.episodes import FLEX_PLANAR, PLANAR, make
 
 from cablebot_gym.trajectories import (
     ORDERS,
     Reference,
     SmoothCircle,
-    trajectory_names,
 )
 
 
@@ -22,11 +21,7 @@ class Altered:
     coordinates = 2
 
     def __init__(self, change):
-        self._circle = SmoothCircle(
-            radius=0.2165,
-            center=(0.0, 0.0),
-            duration=self.duration,
-        )
+        self._circle = SmoothCircle(radius=0.2165, center=(0.0, 0.0), duration=self.duration)
         self._change = change
 
     def __call__(self, times):
@@ -83,15 +78,6 @@ def test_motion_after_the_duration_warns():
     assert "still moves after its duration" in " ".join(warnings_of(continued, PLANAR))
 
 
-@pytest.mark.parametrize(("frequency", "duration"), [(20.0, 0.05), (500.0, 1.0)])
-def test_motions_of_the_library_start_silently(frequency, duration):
-    for name in trajectory_names(6):
-        # The accelerations of loops set their durations, and the motions of chains.
-        free = not name.startswith(("loop", "chain"))
-        motion = {"name": name} | ({"duration": duration} if free else {})
-        make(FLEX_SPATIAL, trajectory=motion, control_frequency=frequency).reset()
-
-
 @pytest.mark.parametrize(
     ("order", "time", "message"),
     [
@@ -105,10 +91,3 @@ def test_values_that_are_not_finite_raise(order, time, message):
 
     with pytest.raises(ValueError, match=message):
         make(PLANAR, trajectory=Altered(spoilt)).reset()
-
-
-@pytest.mark.parametrize(("frequency", "duration"), [(5e6, 1.0), (500.0, 1e4)])
-def test_motion_of_too_many_steps_raises(frequency, duration):
-    motion = {"name": "dwell-planar", "duration": duration}
-    with pytest.raises(ValueError, match=r"at most 1000 s|more than 1,000,000"):
-        make(PLANAR, trajectory=motion, control_frequency=frequency).reset()

@@ -9,7 +9,6 @@ from oracles.episodes import (
     ROBOTS,
     SPATIAL,
     make_vector,
-    paper_ids,
     rigid_ids,
     rollout,
 )
@@ -19,8 +18,6 @@ from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.settings import DEFAULT_WEIGHTS
 from cablebot_gym.evaluation.constraints import Judge
-from cablebot_gym.policies import load_policy, policy_entries
-from cablebot_gym.trajectories import held_out_seeds
 
 
 def make(env_id, **keywords):
@@ -32,25 +29,17 @@ def make(env_id, **keywords):
 def tremble(env_id, steps):
     """Random actions, each repeated for five steps; many are beyond ±1, some beyond ±2."""
     rng = np.random.default_rng(0)
-    return 2.5 * np.repeat(
-        rng.uniform(0.1, 1.0, (steps // 5, ROBOTS[env_id].cables)),
-        5,
-        axis=0,
-    )
+    held = rng.uniform(0.1, 1.0, (steps // 5, ROBOTS[env_id].cables))
+    return 2.5 * np.repeat(held, 5, axis=0)
 
 
-@pytest.mark.parametrize("weight", [1.0, -2.5])
 @rigid_ids
-def test_reward_is_the_sum_of_its_weighted_terms(env_id, weight):
-    weights = {term: weight * (1 + index) for index, term in enumerate(REWARD_TERMS)}
+def test_reward_is_the_sum_of_its_weighted_terms(env_id):
+    weights = {term: (-1) ** index * (1 + index) for index, term in enumerate(REWARD_TERMS)}
     bounds = {"position": 0.03, "rotation": 0.002}
     robot = ROBOTS[env_id]
-    env = make(
-        env_id,
-        trajectory=f"paper-{robot.kind}",
-        reward_weights=weights,
-        error_bounds=bounds,
-    )
+    motion = f"paper-{robot.kind}"
+    env = make(env_id, trajectory=motion, reward_weights=weights, error_bounds=bounds)
     actions = tremble(env_id, 30)
     start = 0.02 * np.eye(robot.coordinates)[1]
     episode = rollout(env, actions, seed=0, options={"initial_error": start})
@@ -84,35 +73,27 @@ def violations(env, actions, **options):
     return info["violated"][0], np.flatnonzero(info["reward_violation"][1:]).tolist(), info
 
 
-def test_tension_below_the_minimum_violates_without_slack():
-    """T_min is that of the robot; bilateral cables only have to pull."""
+@pytest.mark.parametrize(
+    ("limits", "cable", "action", "steps"),
+    [
+        ({"minimum_tension": 1.0}, "unilateral", 0.006, [1]),  # 0.6 N in each cable
+        ({"minimum_tension": 0.5}, "unilateral", 0.006, []),
+        ({"minimum_tension": 1.0}, "bilateral", 0.006, []),  # such a cable only has to pull
+        ({}, "bilateral", -0.01, [1]),
+        ({"maximum_tension": 29.0}, "unilateral", 0.3, [1]),  # 30 N in each cable
+        ({"maximum_tension": 29.0}, "bilateral", 0.3, [1]),
+        ({"maximum_tension": 31.0}, "unilateral", 0.3, []),
+    ],
+)
+def test_tension_beyond_a_limit_of_the_robot_violates(limits, cable, action, steps):
+    """Without slack and without termination."""
     actions = np.full((3, 3), 0.1)
-    actions[1] = 0.006  # 0.6 N in each cable
-    for minimum, steps in ((1.0, [1]), (0.5, [])):
-        env = make(PLANAR, robot=ROBOTS[PLANAR].replace(minimum_tension=minimum))
-        _, violated, info = violations(env, actions)
-        assert violated == steps
-        assert np.flatnonzero(info["cost"][1:]).tolist() == steps
-        assert 0.5 < info["least_tensions"][2].min() < 1.0
-        assert not info["slack"].any()
-    pushed = make(PLANAR, cable="bilateral")
-    assert violations(pushed, actions)[1] == []
-    actions[1] = -0.01
-    assert violations(pushed, actions)[1] == [1]
-
-
-def test_tension_above_the_maximum_violates_without_termination():
-    """T_max is that of the robot, for bilateral cables, too."""
-    actions = np.full((3, 3), 0.1)
-    actions[1] = 0.3  # 30 N in each cable
-    for maximum, steps in ((29.0, [1]), (31.0, [])):
-        for cable in ("unilateral", "bilateral"):
-            robot = ROBOTS[PLANAR].replace(maximum_tension=maximum)
-            _, violated, info = violations(make(PLANAR, robot=robot, cable=cable), actions)
-            assert violated == steps
-            assert np.flatnonzero(info["cost"][1:]).tolist() == steps
-            assert 29.0 < info["largest_tensions"][2].max() < 31.0
-            assert not info["termination_reason"].any()
+    actions[1] = action
+    env = make(PLANAR, robot=ROBOTS[PLANAR].replace(**limits), cable=cable)
+    _, violated, info = violations(env, actions)
+    assert violated == steps
+    assert np.flatnonzero(info["cost"][1:]).tolist() == steps
+    assert not info["termination_reason"].any()
 
 
 @pytest.mark.parametrize("env_id", [SPATIAL, FLEX_SPATIAL])
@@ -122,14 +103,12 @@ def test_payload_that_no_motor_holds_violates_at_the_start(env_id):
         start, violated, info = violations(env, [np.ones(6)] * 2, payload=payload)
         assert (start, violated) == (not held, [] if held else [0])
         assert np.all(info["torque_margin"][0] >= 0) == held
-        assert info["reward_inside"][1:].tolist() == [float(held)] * 2
         assert info["cost"][1:].tolist() == [float(not held), 0.0]
     moving = {"payload": 9.0, "trajectory": "paper-spatial"}
     assert env.reset(options=moving)[1]["violated"] is False
 
 
-@rigid_ids
-@pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
+@pytest.mark.parametrize(("env_id", "cable"), [(PLANAR, "unilateral"), (SPATIAL, "bilateral")])
 def test_violated_agrees_with_the_judge(env_id, cable):
     """Over random actions, payloads that cannot be held, and start errors, until the end of the
     motion."""
@@ -163,23 +142,20 @@ def test_violated_agrees_with_the_judge(env_id, cable):
     assert np.mean(judge.failed) > at_start + 0.1
 
 
-@rigid_ids
-def test_terminate_on_violation_ends_the_episode_there(env_id):
+def test_terminate_on_violation_ends_the_episode_there():
     """Nothing else changes; the reason has the lowest precedence."""
-    actions = tremble(env_id, 120)
+    actions = tremble(PLANAR, 120)
     actions[:, 1:] *= 0.02  # the first cable pulls the platform out of the termination radius
-    patient = rollout(make(env_id), actions)
-    strict = rollout(make(env_id, terminate_on_violation=True), actions)
-    step = np.flatnonzero(patient.info["violated"])[0] - 1
-    reasons = [TERMINATION_REASONS[code] for code in strict.info["termination_reason"]]
-    assert np.flatnonzero(strict.terminated)[0] == step
-    assert reasons[step + 1] == "violation"
-    assert_array_equal(patient.rewards[: step + 1], strict.rewards[: step + 1])
-    assert not patient.terminated[: step + 1].any()
-    rows = np.flatnonzero(patient.info["termination_reason"])
-    assert rows.size
-    for episode in (patient, strict):
-        assert set(episode.info["termination_reason"][rows]) == {1}
+    patient = rollout(make(PLANAR), actions)
+    strict = rollout(make(PLANAR, terminate_on_violation=True), actions)
+    step = np.flatnonzero(patient.info["violated"])[0]
+    reasons = strict.info["termination_reason"]
+    assert np.flatnonzero(strict.terminated)[0] == step - 1
+    assert TERMINATION_REASONS[reasons[step]] == "violation"
+    assert_array_equal(patient.rewards[:step], strict.rewards[:step])
+    outside = patient.info["termination_reason"] == 1
+    assert outside.any()
+    assert np.all(reasons[outside] == 1)
 
 
 def test_termination_violates():
@@ -201,67 +177,3 @@ def test_default_weights_satisfy_the_proof():
     assert inside == 1
     assert saturation < position / 2
     assert violation >= position + rotation
-
-
-def returns_of(name, env):
-    """Returns of a policy, and whether the task criterion is met, of each environment."""
-    policy = load_policy(name, env.settings.robot)
-    observation, info = env.reset(seed=0)
-    tasks = env.tasks
-    if hasattr(policy, "reset"):
-        policy.reset(tasks)
-    judge = Judge("task", tasks[0].robot.cables, env.num_envs)
-    judge.reset(info, tasks[0])
-    state = None
-    total = np.zeros(env.num_envs)
-    running = np.ones(env.num_envs, np.bool_)
-    for step in range(tasks[0].steps):
-        start = np.full(env.num_envs, step == 0)
-        actions, state = policy.predict(observation, state, start, deterministic=True)
-        observation, reward, terminated, _, info = env.step(np.clip(actions, -9e5, 9e5))
-        total += running * reward
-        judge.observe(info, terminated)
-        running &= ~terminated
-    return total, judge.carried
-
-
-def check_order(env_id, trajectory, policies, payloads):
-    """Every success of the policies returns more than every failure."""
-    env = make_vector(
-        env_id,
-        len(payloads),
-        trajectory=trajectory,
-        payload=payloads,
-        autoreset_mode="Disabled",
-    )
-    returns, carried = np.concatenate([returns_of(name, env) for name in policies], axis=1)
-    success = carried.astype(bool)
-    assert success.any()
-    assert returns[success].min() > returns[~success].max() + 1
-
-
-def test_return_orders_success_before_failure():
-    trajectory = {"name": "line-planar", "duration": 0.3, "dwell": 0.05}
-    check_order(PLANAR, trajectory, ["fl", "robust"], [0.0, 1.0, 3.0, 9.0, 20.0, 40.0])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "seed",
-    [None, *held_out_seeds(2)],
-    ids=["circle", "loop 1", "loop 2"],
-)
-@paper_ids
-def test_return_orders_all_classical_policies(env_id, seed):
-    """On the default motion and on held-out loops, for payloads from none to more than any policy
-    carries."""
-    kind = ROBOTS[env_id].kind
-    trajectory = f"circle-{kind}" if seed is None else {"name": f"loop-{kind}", "seed": seed}
-    policies = [
-        entry.name
-        for entry in policy_entries().values()
-        if entry.kind == "classical" and env_id in entry.env_ids
-    ]
-    assert len(policies) >= 2
-    payloads = [0.0, 0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 12.0]
-    check_order(env_id, trajectory, policies, payloads)

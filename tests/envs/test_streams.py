@@ -1,15 +1,11 @@
 """Random streams: seeds determine all draws, and draws of different purposes are independent."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import (
     PLANAR,
-    ROBOTS,
-    check_equal,
     make,
     make_vector,
-    two_ids,
     wrenches,
 )
 from scipy import stats
@@ -53,33 +49,23 @@ def check_unrelated(rows, law):
 
 
 def test_seeds_episodes_and_purposes_have_independent_numbers():
-    powers = (32, 64, 65, 127, 128, 200)
-    seeds = (0, 1, *(2**power for power in powers), 2**64 + 1, 2**128 + 2**64)
+    seeds = (0, 1, 2**32, 2**64, 2**64 + 1, 2**128, 2**128 + 2**64)
     everyone = np.arange(len(seeds))
-    rows = []
+    uniform = []
+    normal = []
     for purpose in Purpose:
         random = streams(*seeds)
         for _ in range(2):
-            rows += list(random.uniform(everyone, purpose, 3000))
+            uniform += list(random.uniform(everyone, purpose, 1600))
+            for block in (0, 1, 300):
+                blocks = np.full(len(seeds), block)
+                numbers = random.normal_block(everyone, purpose, blocks, 50)
+                assert numbers.shape == (len(seeds), BLOCK, 50)
+                normal += list(numbers.reshape(len(seeds), -1))
             random.start_episode(everyone)
-    check_unrelated(rows, "uniform")
-    assert 0 <= np.min(rows) < np.max(rows) < 1
-
-
-def test_blocks_have_independent_normal_numbers():
-    random = streams(5, 6)
-    rows = []
-    for purpose in Purpose:
-        for block in (0, 1, 2, 300):
-            numbers = random.normal_block(
-                indices(0, 1),
-                purpose,
-                indices(block, block),
-                100,
-            )
-            assert numbers.shape == (2, BLOCK, 100)
-            rows += list(numbers.reshape(2, -1))
-    check_unrelated(rows, "norm")
+    check_unrelated(uniform, "uniform")
+    check_unrelated(normal, "norm")
+    assert 0 <= np.min(uniform) < np.max(uniform) < 1
 
 
 def test_streams_do_not_depend_on_what_was_read():
@@ -89,8 +75,7 @@ def test_streams_do_not_depend_on_what_was_read():
         disturbed.normal_block(indices(0), purpose, indices(9), 3)
     for purpose in Purpose:
         expected = fresh.uniform(indices(0, 1), purpose, 5)
-        for _ in range(2):
-            assert_array_equal(disturbed.uniform(indices(0, 1), purpose, 5), expected)
+        assert_array_equal(disturbed.uniform(indices(0, 1), purpose, 5), expected)
 
 
 def test_rows_depend_on_the_interval_only():
@@ -103,7 +88,6 @@ def test_rows_depend_on_the_interval_only():
     assert len(np.unique(expected)) == expected.size
     for steps in (indices(100, 3), indices(0, 159), indices(33, 32)):
         assert_array_equal(jumping.at(everyone, steps), expected[steps, everyone])
-        assert_array_equal(jumping.at(indices(1), steps[1:]), expected[steps[1:], 1])
     random.start_episode(indices(0))
     jumping.restart(indices(0))
     rows = jumping.at(everyone, indices(33, 32))
@@ -114,10 +98,18 @@ def test_rows_depend_on_the_interval_only():
 # --- environments -------------------------------------------------------------------------------------------------
 
 
-def draws_of(env_id, **keywords):
+SOURCES = {
+    "mass": {"parameters": MASS},
+    "wrench": {"wrench": FORCES},
+    "sensors": {"sensors": NOISE},
+}
+"""Uncertainties of one kind."""
+
+
+def draws_of(uncertainty):
     """Draws of four episodes of one step, by name."""
-    widths = [0.001] * ROBOTS[env_id].coordinates
-    env = make(env_id, payload_range=(0.5, 2.0), initial_error_range=widths, **keywords)
+    ranges = {"payload_range": (0.5, 2.0), "initial_error_range": [0.001] * 2}
+    env = make(PLANAR, uncertainty=uncertainty, **ranges)
     rows = []
     for seed in (5, None, None, None):
         observation, _ = env.reset(seed=seed)
@@ -127,36 +119,25 @@ def draws_of(env_id, **keywords):
             "mass": env.truth["platform_mass"],
             "sensors": env.layout.split(observation)["pose"] - env.pose,
         }
-        env.step(np.full(env.action_space.shape, 0.4))
-        rows.append(draws | {"wrench": wrenches(env)[0, : ROBOTS[env_id].dimensions]})
+        env.step(np.full(3, 0.4))
+        rows.append(draws | {"wrench": wrenches(env)[0, :2]})
     return {name: np.array([draws[name] for draws in rows]) for name in rows[0]}
 
 
-@two_ids
-def test_draws_do_not_depend_on_the_other_uncertainties(env_id):
-    fields_of = {
-        "mass": {"parameters": MASS},
-        "wrench": {"wrench": FORCES},
-        "sensors": {"sensors": NOISE},
-    }
+def test_draws_do_not_depend_on_the_other_uncertainties():
     tenth = ParameterDistribution(low=-0.1, high=0.1)
     parameters = MASS | dict.fromkeys(("motor_strength", "payload"), tenth)
-    everything = Uncertainty(
-        parameters=parameters,
-        wrench=FORCES,
-        sensors=NOISE,
-        delay=2,
-    )
-    together = draws_of(env_id, uncertainty=everything)
-    nominal = draws_of(env_id)
-    for name in ("payload", "error", *fields_of):
-        assert len(np.unique(together[name])) >= 4
-    for source, fields in fields_of.items():
-        draws = draws_of(env_id, uncertainty=Uncertainty(**fields))
+    everything = Uncertainty(parameters=parameters, wrench=FORCES, sensors=NOISE, delay=2)
+    together = draws_of(everything)
+    nominal = draws_of(None)
+    for name, values in together.items():
+        assert len(np.unique(values)) >= 4, name
+    for source, fields in SOURCES.items():
+        draws = draws_of(Uncertainty(**fields))
         for name in ("payload", "error"):
             assert_array_equal(draws[name], nominal[name], err_msg=source)
             assert_array_equal(together[name], nominal[name])
-        assert [name for name in fields_of if np.ptp(draws[name])] == [source]
+        assert [name for name in SOURCES if np.ptp(draws[name])] == [source]
         assert_allclose(draws[source], together[source], rtol=0, atol=1e-15)
 
 
@@ -175,8 +156,7 @@ def noise_and_parameters(env, **reset):
     return np.round(noises, 8), parameters
 
 
-@pytest.mark.parametrize("noise_seed", [7, [9, 5, 7]])
-def test_noise_seed_changes_the_noise_and_not_the_parameters(noise_seed):
+def test_noise_seed_changes_the_noise_and_not_the_parameters():
     """Wrench and white noise follow it until the next seed; masses, factors, biases and delays
     follow the seed."""
     uncertainty = Uncertainty(
@@ -188,21 +168,10 @@ def test_noise_seed_changes_the_noise_and_not_the_parameters(noise_seed):
     )
     env = make_vector(PLANAR, 3, uncertainty=uncertainty)
     noises, parameters = noise_and_parameters(env, seed=1)
-    options = {"noise_seed": noise_seed}
+    options = {"noise_seed": 7}
     other_noises, same_parameters = noise_and_parameters(env, seed=1, options=options)
     assert not np.any(noises == other_noises)
     assert len(np.unique(other_noises)) == other_noises.size
     for value, expected in zip(same_parameters, parameters, strict=True):
         assert_array_equal(value, expected)
     assert_array_equal(noise_and_parameters(env, seed=1)[0], noises)
-
-
-@pytest.mark.parametrize("bad", [-1, 0.5, [1, 2], "seed"])
-def test_impossible_noise_seed_raises_and_keeps_the_streams(bad):
-    uncertainty = Uncertainty(parameters=MASS, sensors=NOISE)
-    env, twin = (make(PLANAR, uncertainty=uncertainty) for _ in range(2))
-    check_equal(env.reset(seed=0), twin.reset(seed=0))
-    with pytest.raises(ValueError, match="noise_seed must be"):
-        env.reset(seed=1, options={"noise_seed": bad})
-    check_equal(env.reset(), twin.reset())
-    check_equal(env.truth, twin.truth)

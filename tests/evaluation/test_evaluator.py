@@ -5,7 +5,6 @@ import dataclasses
 import json
 import math
 import pickle
-from functools import cache
 
 import gymnasium as gym
 import numpy as np
@@ -22,14 +21,12 @@ from cablebot_gym.evaluation import (
     DLCCMonitor,
     ErrorBounds,
     PolicyError,
-    Task,
-    compare_policies,
     evaluate_dlcc,
 )
 from cablebot_gym.evaluation.batch import noise_seed
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.evaluation.search import SCAN_POINTS
-from cablebot_gym.robots import PAPER_PAYLOAD_MAX, PLANAR, SPATIAL
+from cablebot_gym.robots import PLANAR, SPATIAL
 from cablebot_gym.trajectories import Dwell, find_trajectory
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -48,40 +45,19 @@ def fl(kind):
     return FeedbackLinearization(ROBOTS[kind])
 
 
-@cache
-def scored(kind, criterion, known=True, position=0.01, rotation=0.01):
-    """FL on the paper's circle at 500 Hz; several tests share each case."""
-    return evaluate_dlcc(
-        fl(kind),
-        IDS[kind],
-        criterion=criterion,
-        trajectory=f"paper-{kind}",
-        payload_known=known,
-        error_bounds=ErrorBounds(position=position, rotation=rotation),
-        resolution=0.01,
-    )
+def scored(kind, criterion):
+    """FL on the paper's circle at 500 Hz."""
+    keywords = {"criterion": criterion, "trajectory": f"paper-{kind}", "resolution": 0.01}
+    return evaluate_dlcc(fl(kind), IDS[kind], **keywords)
 
 
 # --- the figures ------------------------------------------------------------------------------------------------------
 
 
-def test_payloads_match_independent_runs():
-    paper = scored("spatial", "paper")
-    assert paper.total_mass == paper.payload + 10
-    assert (paper.violation.kind, paper.violation.index) == ("torque", 2)
-    assert paper.violation.time == pytest.approx(0.5, abs=0.005)
-    assert paper.violation.excess > 0
+def test_payload_matches_an_independent_run():
     task = scored("spatial", "task")
     assert task.violation.kind == "rotation"
-    alone = scored("spatial", "task", rotation=10.0)
-    assert alone.violation.kind == "position"
-    unknown = scored("spatial", "task", known=False)
-    assert not unknown.conditions.payload_known
-    planar = scored("planar", "task")
-    assert planar.total_mass == planar.payload + 1
-    payloads = ((paper, 1.78), (task, 4.03), (alone, 4.59), (unknown, 0.39), (planar, 1.90))
-    for (result, payload), near in zip(payloads, (0.03, 0.1, 0.1, 0.03, 0.05), strict=True):
-        assert result.payload == pytest.approx(payload, abs=near)
+    assert task.payload == pytest.approx(4.03, abs=0.1)
 
 
 @pytest.mark.parametrize("kind", ["planar", "spatial"])
@@ -90,6 +66,7 @@ def test_paper_criterion_agrees_with_the_closed_form(kind):
     circle = find_trajectory(f"paper-{kind}", robot.coordinates)
     exact = exact_payload(robot, circle, minimum_tension=5.0)
     result = scored(kind, "paper")
+    assert result.total_mass == result.payload + robot.mass
     assert result.total_mass == pytest.approx(exact.total_mass, rel=0.02)
     assert (result.violation.kind, result.violation.index) == (exact.kind, exact.motor)
     assert result.violation.time == pytest.approx(exact.time, abs=0.005)
@@ -103,42 +80,14 @@ HANG_CAPACITY = 6 * 10.0 / 0.05 * 0.1 / math.hypot(0.47, 0.47 / 3**0.5 - 0.296 /
 cos(angle) / g."""
 
 
-def test_maximum_tension_limits_a_static_hang():
-    """With half the tension of the motors, half the mass; the paper criterion has no maximum."""
-    robot = SPATIAL.replace(maximum_tension=100.0)
-    conditions = {"robot": robot, **STATIC, "criterion": "task"}
-    result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, resolution=1e-5, **conditions)
-    assert result.total_mass == pytest.approx(HANG_CAPACITY / 2, abs=2e-5)
-    assert (result.violation.kind, result.violation.bound) == ("overload", 100.0)
-    assert 0 <= result.details.margins["overload"] < 1e-5
-    unchecked = record_rollout(
-        fl("spatial"), SPATIAL_ID, payload=result.failed_payload, **conditions | STATIC
-    )
-    assert unchecked.verdict.carried
-
-
-@pytest.mark.parametrize("resolution", [1e-2, 1e-5])
-def test_static_hang_is_the_vertical_capacity_of_the_cables(resolution):
+def test_static_hang_is_the_vertical_capacity_of_the_cables():
+    resolution = 1e-5
     result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, resolution=resolution, **STATIC)
     expected = HANG_CAPACITY - 10
-    assert 14 < expected < 15
     # At the exact payload every motor stalls; only rounding of the numbers is tolerated there.
     assert result.payload - 1e-9 <= expected <= result.payload + resolution + 1e-9
     assert (result.violation.kind, result.violation.time) == ("torque", 0.0)
     assert result.violation.excess < 10 * resolution / expected
-
-
-LOWER = [0, 0, 0.15, 0, 0, 0]
-"""Start pose that a falling platform leaves with taut cables."""
-
-
-def test_environment_terminates_outside_wide_error_bounds_only():
-    keywords = {"trajectory": {"name": "dwell-spatial", "duration": 0.2}, "initial_error": LOWER}
-    keywords |= {"error_bounds": ErrorBounds(position=0.3, rotation=1.0), "payload_max": 1.0}
-    wide = evaluate_dlcc(lambda _: np.zeros(6), SPATIAL_ID, **keywords)
-    largest = wide.rollout.arrays["tracking_error"].max()
-    assert 0.1 < largest < 0.3, "beyond the environment's default radius"
-    assert (wide.payload, wide.violation, wide.scan_ended) == (1.0, None, True)
 
 
 # --- the search -------------------------------------------------------------------------------------------------------
@@ -152,7 +101,7 @@ def test_resolution_below_rounding_ends():
     assert result.payload == pytest.approx(HANG_CAPACITY - 10, abs=1e-9)
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(threshold=st.floats(0.0, 4.9), resolution=st.sampled_from([0.3, 1e-4]))
 def test_search_finds_a_threshold(threshold, resolution):
     result = evaluate_dlcc(
@@ -168,19 +117,15 @@ def test_search_finds_a_threshold(threshold, resolution):
 
 
 def test_feasible_set_with_holes_is_reported_as_intervals():
-    policy = Dropping(
-        lambda payload: (payload > 1.02) & (payload < 1.58) | (payload > 2.22) & (payload < 2.38)
-    )
+    policy = Dropping(lambda payload: (payload > 1.02) & (payload < 1.58))
     motion = {"name": "dwell-spatial", "duration": 0.1}
     result = evaluate_dlcc(policy, SPATIAL_ID, payload_max=3.15, resolution=1e-4, trajectory=motion)
     assert 1.02 - 1e-4 <= result.payload <= 1.02
-    assert result.violation.kind == "slack"
-    assert len(result.details.feasible) == 3
-    assert result.details.feasible[0] == (0.0, result.payload)
+    below, (low, high) = result.details.feasible
+    assert below == (0.0, result.payload)
     # 64 points of [0, 3.15] are at most 0.075 apart.
-    lows, highs = np.array(result.details.feasible[1:]).T
-    assert np.all((lows >= [1.58, 2.38]) & (lows <= [1.655, 2.455]))
-    assert np.all((highs <= [2.22, 3.15]) & (highs >= [2.145, 3.15]))
+    assert 1.58 <= low <= 1.655
+    assert high == 3.15
 
 
 def test_policy_that_fails_unloaded_has_no_payload():
@@ -189,13 +134,8 @@ def test_policy_that_fails_unloaded_has_no_payload():
     result = evaluate_dlcc(policy, SPATIAL_ID, payload_max=6.3, **keywords)
     assert (result.payload, result.total_mass, result.score) == (None, None, 0.0)
     assert (result.resolution, result.details.margins) == (0.0, {})
-    assert result.violation.kind == "slack"
     assert result.violation == play(DLCCMonitor(gym.make(SPATIAL_ID, **keywords)), policy).violation
     assert result.rollout.arrays["time"][-1] == result.violation.time
-    assert result.rollout.payload == 0
-    ((low, high),) = result.details.feasible
-    assert 2.5 <= low <= 2.65
-    assert 3.35 <= high <= 3.5
     assert "fails unloaded: cable 1 falls below its tension bound of 1 N at t =" in str(result)
     assert json.loads(result.to_json())["payload"] is None
 
@@ -219,7 +159,6 @@ class Spy(FeedbackLinearization):
     def __init__(self, robot):
         super().__init__(robot)
         self.tasks = []
-        self.observations = []
         self.states = []
         self.starts = []
 
@@ -229,27 +168,23 @@ class Spy(FeedbackLinearization):
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         assert deterministic is True
-        self.observations.append(np.array(observation))
         self.states.append(state)
-        self.starts.append(np.array(episode_start))
-        action, _ = super().predict(observation)
-        return action, ("state", len(self.states))
+        self.starts.append(episode_start.tolist())
+        return super().predict(observation)[0], ("state", len(self.states))
 
 
 def test_policy_gets_its_state_and_the_episode_starts():
     spy = Spy(SPATIAL)
     steps = 25
-    batches = 4  # scan, checks, finer physics, recorded episode
     evaluate_dlcc(spy, SPATIAL_ID, trajectory=HANG, payload_max=1.0)
     expected = []
-    for _ in range(batches):
+    for size in (SCAN_POINTS, 2 * SCAN_POINTS, 6, 1):  # scan, checks, finer physics, recording
+        assert spy.starts[:steps] == [[True] * size] + [[False] * size] * (steps - 1)
+        del spy.starts[:steps]
         expected += ["reset", None]
         for _ in range(steps - 1):
             expected.append(("state", len(expected)))
     assert spy.states == expected
-    assert [start.all() for start in spy.starts] == ([True] + [False] * (steps - 1)) * batches
-    assert not np.any(spy.starts[1])
-    assert [len(spy.observations[start]) for start in (0, steps)] == [SCAN_POINTS, 2 * SCAN_POINTS]
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -259,42 +194,32 @@ def test_tasks_contain_public_knowledge_only(known):
     public["error_bounds"] = ErrorBounds(position=0.02, rotation=0.03)
     evaluate_dlcc(spy, SPATIAL_ID, trajectory=HANG, **public)
     tasks = spy.tasks[0]
-    assert len(tasks) == SCAN_POINTS
     payloads = [task.model_payload for task in tasks]
-    assert PAPER_PAYLOAD_MAX == {"planar": 10.0, "spatial": 20.0}
-    assert (min(payloads), max(payloads)) == (0.0, 20.0 * known)
-    names = {field.name for field in dataclasses.fields(Task)}
-    assert names == {"robot", "trajectory", "model_payload", "measurement", *public}
+    assert (len(tasks), min(payloads), max(payloads)) == (SCAN_POINTS, 0.0, 20.0 * known)
+    names = {"robot", "trajectory", "model_payload", "measurement", *public}
     for task in tasks:
+        assert set(vars(task)) == names
         assert public.items() <= vars(task).items()
         assert task.robot == SPATIAL, "nominal, without payload"
-        assert set(vars(task)) == names
-
-
-def test_policy_by_name_is_built_for_the_given_robot():
-    heavy = SPATIAL.replace(mass=12.0)
-    by_name, built = (
-        evaluate_dlcc(policy, SPATIAL_ID, trajectory=HANG, robot=heavy, resolution=0.1)
-        for policy in ("fl", FeedbackLinearization(heavy))
-    )
-    assert by_name.policy == "fl"
-    assert by_name.payload == built.payload
-    assert by_name.total_mass == built.payload + 12
 
 
 # --- errors -----------------------------------------------------------------------------------------------------------
 
 
-class Failing(Spy):
+class Failing(FeedbackLinearization):
     """FL that does something wrong from the eleventh step on."""
 
     def __init__(self, wrong):
         super().__init__(SPATIAL)
         self.wrong = wrong
+        self.steps = 0
 
     def predict(self, observation, **keywords):
         action, state = super().predict(observation, **keywords)
-        return (self.wrong(action) if len(self.starts) > 10 else action), state
+        self.steps += 1
+        if self.steps > 10:
+            action = self.wrong(action)
+        return action, state
 
 
 def infinite(action):
@@ -306,16 +231,15 @@ def raising(action):
     raise KeyError("lost")
 
 
-def large(action):
-    return action - 1e7
-
-
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
         (raising, r"payloads of 0 to 6\.3 kg: it raised KeyError: 'lost'"),
         (infinite, r"a payload of [\d.]+ kg: it returned NaN or infinity"),
-        (large, r"a payload of 0 kg: it returned the action -1e\+07; actions must be"),
+        (
+            lambda action: action - 1e7,
+            r"a payload of 0 kg: it returned the action -1e\+07; actions must be",
+        ),
     ],
 )
 def test_error_of_a_policy_names_time_and_payload(wrong, message):
@@ -332,9 +256,9 @@ def test_nan_after_the_violation_is_ignored():
         def predict(self, observation, **keywords):
             action, state = super().predict(observation, **keywords)
             self.steps += 1
-            return np.where(
-                (observation[:, [MODEL_PAYLOAD]] > 1) & (self.steps % 100 > 60), np.nan, action
-            ), state
+            if self.steps % 100 > 60:
+                action[observation[:, MODEL_PAYLOAD] > 1] = np.nan
+            return action, state
 
     motion = {"name": "dwell-spatial", "duration": 0.2}
     policy = Blind(lambda payload: payload > 1)
@@ -348,15 +272,12 @@ def test_nan_after_the_violation_is_ignored():
         ({"criterion": "both"}, "choose one of task, paper"),
         ({"trajectory": HANG | {"duration": 5e-4}}, "shorter than a control period"),
         ({"resolution": math.nan}, "resolution must be a finite number greater than 0"),
-        ({"payload_max": math.inf}, "payload_max must be a finite number greater than 0"),
         ({"payload": 1.0}, "payload is set by the evaluation"),
         ({"robot": PLANAR}, "use CableBot-Planar-v0"),
         ({"seed": -1}, "seed must be an integer of at least 0"),
         ({"policy": lambda _: 0, "criterion": "paper", "name": "toy"}, "apply to policy 'toy'"),
-        ({"draws": 0}, "draws must be an integer of at least 1"),
         ({"draws": 2, "uncertainty": {"delay": 3}}, "would be equal: choose a random uncertainty"),
         ({"probability": 1.0}, "probability must be .* less than 1"),
-        ({"confidence": 0}, "confidence must be .* greater than 0.5"),
     ],
 )
 def test_bad_argument_is_rejected_before_the_work(arguments, message):
@@ -364,19 +285,6 @@ def test_bad_argument_is_rejected_before_the_work(arguments, message):
     defaults["progress"] = lambda *_: pytest.fail("work")
     with pytest.raises(ValueError, match=message):
         evaluate_dlcc(env_id=SPATIAL_ID, **defaults | arguments)
-
-
-@pytest.mark.parametrize(
-    ("policies", "arguments", "message"),
-    [
-        ([], {}, "give at least one policy"),
-        (["fl", "fl"], {}, "every policy needs its own name"),
-        (["fl"], {"payload": math.nan}, "payload must be a finite number at least 0"),
-    ],
-)
-def test_bad_comparison_is_rejected(policies, arguments, message):
-    with pytest.raises(ValueError, match=message):
-        compare_policies(policies, SPATIAL_ID, trajectory=HANG, **arguments)
 
 
 # --- the result -------------------------------------------------------------------------------------------------------
@@ -408,10 +316,9 @@ class OwnMotion:
 
 
 def test_result_of_an_own_motion_can_be_saved():
-    result = evaluate_dlcc("fl", SPATIAL_ID, trajectory=OwnMotion(), payload_max=1.0, name="mine")
-    data = json.loads(result.to_json(), parse_constant=pytest.fail)
-    assert data["payload"] == 1.0
-    assert data["policy"] == "mine"
+    result = evaluate_dlcc("fl", SPATIAL_ID, trajectory=OwnMotion(), payload_max=1.0)
+    assert (result.violation, result.scan_ended) == (None, True)
+    assert json.loads(result.to_json(), parse_constant=pytest.fail)["payload"] == 1.0
 
 
 # --- recorded episodes ------------------------------------------------------------------------------------------------
@@ -425,16 +332,13 @@ def test_rollout_equals_an_episode_of_the_single_environment(tmp_path):
     rollout = record_rollout(policy, SPATIAL_ID, seed=4, **conditions)
     observation, info = env.reset(seed=4, options={"noise_seed": noise_seed(4, 2.0)})
     assert len(rollout) == 101
-    assert rollout.payload == info["payload"]
-    assert_array_equal(rollout.stall_torque, env.unwrapped.truth["motor_strength"])
     for index in range(101):
         moment = rollout.moment(index)
         assert_array_equal(moment.pose, env.unwrapped.pose)
-        for name in ("time", "tensions", "torques", "commanded_action", "slack"):
+        for name in ("time", "payload", "tensions", "torques", "commanded_action", "slack"):
             assert_array_equal(getattr(moment, name), info[name])
         if index < 100:
             observation, reward, _, _, info = env.step(policy.predict(observation)[0])
-            assert_array_equal(rollout.arrays["pose"][index], observation[:6])
             assert rollout.arrays["reward"][index] == reward
     rollout.save(tmp_path / "run.npz")
     with np.load(tmp_path / "run.npz") as file:

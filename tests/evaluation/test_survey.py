@@ -2,25 +2,27 @@
 
 import numpy as np
 import pytest
-from scipy.stats import beta, betabinom
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym import evaluate_dlcc, find_robot, find_trajectory
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import survey as survey_module
-from cablebot_gym.evaluation.batch import Batch, Row
-from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.survey import ROBOTS, motion_seeds, survey
+from cablebot_gym.evaluation.batch import Batch
+from cablebot_gym.evaluation.survey import motion_seeds, survey
 from cablebot_gym.policies import PolicyError
 
 PLANAR = "CableBot-Planar-v0"
-MOTIONS = [find_trajectory({"name": "loop-planar", "seed": seed}, "planar") for seed in range(4)]
+MOTIONS = [
+    find_trajectory({"name": "line-planar", "duration": duration, "dwell": dwell}, "planar")
+    for duration, dwell in ((0.25, 0.0), (0.3, 0.05))
+]
+"""Short motions of different payloads: 0.6 and 1.6 kg with feedback linearization."""
 SENSORS = {"uncertainty": "sensors", "payload_known": False}
 
 
 @pytest.fixture(scope="module")
 def drawn():
-    return survey("adaptive", PLANAR, MOTIONS, robots=5, seed=7, **SENSORS)
+    return survey("adaptive", PLANAR, MOTIONS, robots=4, seed=7, **SENSORS)
 
 
 def test_nominal_payload_is_the_dlcc_of_each_motion():
@@ -31,29 +33,28 @@ def test_nominal_payload_is_the_dlcc_of_each_motion():
 
 
 def test_all_robots_carry_the_payload_and_one_fails_above(drawn):
-    for motion, seed, found in zip(MOTIONS, motion_seeds(7, 4), drawn.motions, strict=True):
+    for motion, seed, found in zip(MOTIONS, motion_seeds(7, 2), drawn.motions, strict=True):
         dlcc = evaluate_dlcc(
-            "adaptive", PLANAR, trajectory=motion, seed=seed, draws=5, resolution=0.01, **SENSORS
+            "adaptive", PLANAR, trajectory=motion, seed=seed, draws=4, resolution=0.05, **SENSORS
         )
         assert set(found.below.seeds) == set(dlcc.draw_seeds)
         # noise differs between payloads, and the search tries others
         assert found.payload == pytest.approx(dlcc.payload, abs=0.1)
-        assert found.below.carried == 5
+        assert found.below.carried == 4
         assert found.above.carried < len(found.above.verdicts)
         assert found.violation is not None
 
 
 def test_each_motion_has_its_own_robots_however_many_motions_follow(drawn):
     seeds = [seed for found in drawn.motions for seed in found.below.seeds]
-    assert len(set(seeds)) == 4 * 5
+    assert len(set(seeds)) == 2 * 4
     assert motion_seeds(7, 4) == motion_seeds(7, 100)[:4]
 
 
 def test_policy_that_fails_unloaded_gets_zero():
-    found = survey(lambda observation: np.zeros(3), PLANAR, MOTIONS[:2])
+    found = survey(lambda observation: np.zeros(3), PLANAR, MOTIONS)
     assert [motion.payload for motion in found.motions] == [None, None]
     assert found.payloads.tolist() == [0.0, 0.0]
-    assert all(motion.violation.kind for motion in found.motions)
 
 
 class ActsAtPayloads(FeedbackLinearization):
@@ -63,13 +64,13 @@ class ActsAtPayloads(FeedbackLinearization):
         action, state = super().predict(observation, state, episode_start, deterministic)
         blocks = observation_layout(self.robot).split(np.atleast_2d(observation))
         payload = blocks["model_payload"].reshape(-1)
-        action[(payload > 1.0) & (payload < 1.3)] = 0.0
+        action[(payload > 0.3) & (payload < 0.5)] = 0.0
         return action, state
 
 
 def test_payload_is_below_the_first_hole():
     found = survey(ActsAtPayloads(find_robot("planar")), PLANAR, MOTIONS)
-    assert found.payloads == pytest.approx(1.0, abs=max(found.resolutions))
+    assert found.payloads == pytest.approx(0.3, abs=max(found.resolutions))
 
 
 class SharesRows(FeedbackLinearization):
@@ -77,14 +78,12 @@ class SharesRows(FeedbackLinearization):
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         action, state = super().predict(observation, state, episode_start, deterministic)
-        if len(np.atleast_2d(observation)) < 4:
-            action = 0.5 * action
-        return action, state
+        return action * (0.5 if len(observation) < 4 else 1.0), state
 
 
 def test_policy_that_needs_other_rows_is_refused():
     with pytest.raises(PolicyError, match="depends on the other episodes of its batch"):
-        survey(SharesRows(find_robot("planar")), PLANAR, MOTIONS)
+        survey(SharesRows(find_robot("planar")), PLANAR, 2 * MOTIONS)
 
 
 def test_robot_closest_to_the_next_violation_of_each_motion_is_repeated(monkeypatch):
@@ -96,10 +95,10 @@ def test_robot_closest_to_the_next_violation_of_each_motion_is_repeated(monkeypa
         return run(batch, rows, **options)
 
     monkeypatch.setattr(Batch, "run", recorded)
-    monkeypatch.setattr(survey_module, "REPEATED", 8)
-    result = survey("adaptive", PLANAR, MOTIONS, robots=5, **SENSORS)
+    monkeypatch.setattr(survey_module, "REPEATED", 4)
+    result = survey("adaptive", PLANAR, MOTIONS, robots=4, **SENSORS)
     repeated = {row.seed for row in batches[-1]}
-    assert len(batches[-1]) == len(repeated) == 8
+    assert len(batches[-1]) == len(repeated) == 4
     for motion in result.motions:
         assert motion.violation.kind == "slack"
         tensions = [verdict.least_tension for verdict in motion.below.verdicts]
@@ -127,7 +126,6 @@ def test_stochastic_policy_has_the_payload_that_it_carries_alone(monkeypatch):
     ("keywords", "message"),
     [
         ({"trajectory": "circle-planar"}, "its own trajectory"),
-        ({"draws": 3}, "its own draws"),
         ({"motions": []}, "at least one"),
         ({"robots": 3}, "all 3 robots would be equal"),
     ],
@@ -135,27 +133,3 @@ def test_stochastic_policy_has_the_payload_that_it_carries_alone(monkeypatch):
 def test_invalid_survey_is_refused(keywords, message):
     with pytest.raises(ValueError, match=message):
         survey("fl", PLANAR, **{"motions": MOTIONS, **keywords})
-
-
-@pytest.mark.slow
-def test_fresh_robots_carry_surveyed_payloads_as_often_as_promised():
-    """The weakest of 19 robots decides a payload. The probability that a further robot carries it
-    then has the distribution Beta(19, 1), if no two robots are equal, with the mean 19/20."""
-    motions = [
-        find_trajectory({"name": "loop-planar", "seed": seed}, "planar") for seed in range(10)
-    ]
-    conditions = {"uncertainty": "hardware", "payload_known": False}
-    payloads = survey("adaptive", PLANAR, motions, seed=11, **conditions).payloads
-    assert payloads.min() > 0
-    robots = 200
-    seeds = np.random.default_rng(12).integers(2**53, size=(len(motions), robots)).tolist()
-    rows = []
-    for motion, payload in enumerate(payloads):
-        rows += [Row(payload, seed, motion) for seed in seeds[motion]]
-    verdicts = Batch("adaptive", Conditions.of(PLANAR, **conditions), motions=motions).run(rows)
-    carried = np.reshape([verdict.carried for verdict in verdicts], (len(motions), robots))
-    rates = carried.mean(axis=1)
-    standard_error = betabinom(robots, ROBOTS, 1).std() / robots / np.sqrt(len(motions))
-    assert rates.mean() >= beta(ROBOTS, 1).mean() - 3 * standard_error
-    # One survey of 10 motions in 1000 has a rate below this bound.
-    assert rates.min() >= betabinom(robots, ROBOTS, 1).ppf(0.001 / len(motions)) / robots

@@ -9,14 +9,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from evaluation.conftest import play
-from numpy.testing import assert_array_equal
 from scipy.stats import binom, binomtest
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import DLCCMonitor, Verdict, Violation, evaluate_dlcc
 from cablebot_gym.evaluation import batch as batch_module
-from cablebot_gym.evaluation.batch import DEFAULT_DRAWS, Batch, Row, Trial, noise_seed
+from cablebot_gym.evaluation.batch import Batch, Row, Trial, noise_seed
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.search import SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes, required_successes
@@ -87,9 +86,7 @@ def true_masses(uncertainty, seed, draws):
     return np.array(masses)
 
 
-@pytest.mark.parametrize(
-    ("draws", "probability", "required"), [(20, 0.95, 19), (80, 0.95, 80), (80, 0.6, 56)]
-)
+@pytest.mark.parametrize(("draws", "probability", "required"), [(20, 0.95, 19), (80, 0.6, 56)])
 def test_payload_is_an_order_statistic_of_the_draws(draws, probability, required):
     """With 20 draws the fraction counts, with 80 the 95/95 lower tolerance bound."""
     unknown = spread(platform_mass=0.1)
@@ -100,7 +97,6 @@ def test_payload_is_an_order_statistic_of_the_draws(draws, probability, required
     expected = np.sort(capacities)[-required]
     assert result.payload - 1e-6 <= expected <= result.failed_payload + 1e-6
     assert 0 < result.resolution <= 1e-4
-    assert result.draws == draws
     assert result.assured == (draws == 80)
     assert sum(result.details.failures.values()) == draws - required + 1
     for payload, fraction in result.details.success:
@@ -114,7 +110,7 @@ def exact_low(carried, draws, confidence):
     return test.proportion_ci(confidence, method="exact").low
 
 
-@pytest.mark.parametrize("draws", [1, 2, 58, 59, 512])
+@pytest.mark.parametrize("draws", [1, 58, 59, 512])
 @pytest.mark.parametrize(("probability", "confidence"), [(0.5, 0.8), (0.95, 0.95)])
 def test_required_successes_agree_with_scipys_interval(draws, probability, confidence):
     required, is_assured = required_successes(draws, probability, confidence)
@@ -125,9 +121,11 @@ def test_required_successes_agree_with_scipys_interval(draws, probability, confi
         assert exact_low(required - 1, draws, confidence) < probability
     else:
         assert required == math.ceil(draws * probability - 1e-9)
+    # 0.95 · 20 is 19 to the last bit or just above.
+    assert required_successes(20, 0.95, 0.95) == (19, False)
 
 
-@pytest.mark.parametrize("draws", [2, 64, 512])
+@pytest.mark.parametrize("draws", [2, 512])
 def test_plausible_successes_agree_with_scipy(draws):
     required, _ = required_successes(draws, 0.95, 0.95)
     low = exact_low(required, draws, 1 - 1e-4)
@@ -135,16 +133,10 @@ def test_plausible_successes_agree_with_scipy(draws):
     assert plausible_successes(0, draws, 12, 1e-4) == 0
 
 
-def test_required_fraction_of_too_few_draws_is_rounded_up():
-    # 0.95 · 20 is 19 to the last bit or just above.
-    assert required_successes(20, 0.95, 0.95) == (19, False)
-    assert required_successes(7, 1e-15, 0.95)[0] == 1
-
-
 # --- single episodes --------------------------------------------------------------------------------------------------
 
-SHORT = {"name": "dwell-spatial", "duration": 0.25}
-BOUND = 0.004
+SHORT = {"name": "dwell-spatial", "duration": 0.2}
+BOUND = 0.003
 UNKNOWN = {
     "parameters": {
         "payload": {"low": -0.2, "high": 0.2},
@@ -188,23 +180,18 @@ def test_failures_are_those_of_single_episodes():
     assert sum(verdict.carried for verdict in above) < required
     violations = [verdict.violation for verdict in above if verdict.violation]
     assert result.details.failures == Counter(violation.kind for violation in violations)
-    times = [violation.time for violation in violations if violation.kind == result.violation.kind]
-    assert result.violation.time == min(times)
     draw = result.draw_seeds.index(result.details.violation_seed)
-    assert above[draw].violation.time == min(times)
+    assert above[draw].violation.time == result.violation.time
     payloads = [payload for payload, _ in result.details.success]
-    assert len(payloads) == SCAN_POINTS
     assert payloads == sorted(payloads)
-    assert (payloads[0], payloads[-1]) == (0, 8)
+    assert (len(payloads), payloads[0], payloads[-1]) == (SCAN_POINTS, 0, 8)
 
 
 def test_margins_are_those_of_the_tightest_single_episodes():
     result = searched()
     carried = [verdict for verdict in verdicts(result.payload) if verdict.carried]
-    actions = np.abs(result.rollout.arrays["commanded_action"])
-    assert len(actions) == 125
-    # the recorded draw
-    assert actions.max() == pytest.approx(max(carried[0].peak_action), abs=1e-9)
+    recorded = np.abs(result.rollout.arrays["commanded_action"]).max()
+    assert recorded == pytest.approx(max(carried[0].peak_action), abs=1e-9)
     expected = {
         "position": 1 - max(verdict.position_peak for verdict in carried) / BOUND,
         "rotation": 1 - max(verdict.rotation_peak for verdict in carried) / 0.01,
@@ -232,7 +219,6 @@ def test_limiting_violation_is_the_most_frequent_kind():
     assert next(iter(trial.failures.items())) == ("position", 2)
     assert trial.failures == {"position": 2, "slack": 1, "rotation": 1}
     assert (trial.violation.kind, trial.violation.time) == ("position", 0.3)
-    assert Trial(payload=1.0, verdicts=(verdict(None, None),), seeds=(0,)).violation is None
 
 
 # --- the draws --------------------------------------------------------------------------------------------------------
@@ -242,17 +228,18 @@ HANG = {"name": "dwell-spatial", "duration": 0.02}
 
 
 class Starts:
-    """Records true platform masses and measured poses at the start."""
+    """Records true platform masses and measured positions along x at the start."""
 
     def start(self, env, observation, info):
-        self.mass = env.truth["platform_mass"].copy()
-        self.pose = np.array(observation[:, observation_layout(SPATIAL).slices()["pose"]])
+        self.mass = env.truth["platform_mass"].tolist()
+        self.x = observation[:, observation_layout(SPATIAL).slices()["pose"].start].tolist()
 
     def step(self, *arguments):
         pass
 
 
 def test_payloads_share_the_parameters_of_a_draw():
+    """And their noise differs."""
     unknown = {"parameters": {"platform_mass": {"low": -0.1, "high": 0.1}}}
     options = {"trajectory": HANG, "uncertainty": unknown | {"sensors": {"position": 1e-4}}}
     batch = Batch("fl", Conditions.of(SPATIAL_ID, draws=3, seed=11, **options))
@@ -261,18 +248,12 @@ def test_payloads_share_the_parameters_of_a_draw():
     observer, repeated = Starts(), Starts()
     for starts in (observer, repeated):
         batch.run(rows, observer=starts)
-    assert_array_equal(observer.mass[:3], observer.mass[3:])
-    assert len({*observer.mass.tolist()}) == 3
-    assert len({*observer.pose[:, 0].tolist()}) == 6
-    assert_array_equal(repeated.pose, observer.pose)
-    env = gym.make(SPATIAL_ID, payload=1.0, **options)
-    noise = {"noise_seed": noise_seed(batch.seeds[2], 1.0)}
-    observation, _ = env.reset(seed=batch.seeds[2], options=noise)
-    pose = observation_layout(SPATIAL).split(observation)["pose"]
-    assert_array_equal(pose, observer.pose[5])
+    assert observer.mass[:3] == observer.mass[3:]
+    assert (len({*observer.mass}), len({*observer.x})) == (3, 6)
+    assert repeated.x == observer.x
 
 
-def test_batch_size_and_secret_order_do_not_change_the_result(monkeypatch):
+def test_batch_size_does_not_change_the_result(monkeypatch):
     default = searched()
     monkeypatch.setattr(batch_module, "BATCH", 100)
     searched.cache_clear()
@@ -283,24 +264,19 @@ def test_batch_size_and_secret_order_do_not_change_the_result(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("unknown", "draws"),
-    [(None, 1), ("none", 1), ({"delay": 2}, 1), ("table6", 7), ("sensors", 7)],
+    ("unknown", "draws"), [(None, 1), ({"delay": 2}, 1), ("table6", 7), ("sensors", 7)]
 )
 def test_default_number_of_draws_depends_on_randomness(monkeypatch, unknown, draws):
-    assert DEFAULT_DRAWS == 512
     monkeypatch.setattr(batch_module, "DEFAULT_DRAWS", 7)
     motion = HANG | {"duration": 0.002}
-    result = evaluate_dlcc(
-        "fl", SPATIAL_ID, uncertainty=unknown, trajectory=motion, payload_max=0.1
-    )
+    options = {"uncertainty": unknown, "trajectory": motion, "payload_max": 0.1}
+    result = evaluate_dlcc("fl", SPATIAL_ID, **options)
     assert result.draws == draws
-    details = result.details
-    for empty in (details.probability is None, details.confidence is None):
-        assert empty == (draws == 1)
-    assert (details.success == ()) == (result.assurance == "") == (draws == 1)
+    assert (result.details.probability is None) == (draws == 1)
+    assert (result.details.success == ()) == (result.assurance == "") == (draws == 1)
 
 
-# --- progress, output and bad input -----------------------------------------------------------------------------------
+# --- progress and bad input -------------------------------------------------------------------------------------------
 
 
 def test_progress_is_monotonic_and_complete():
@@ -309,7 +285,6 @@ def test_progress_is_monotonic_and_complete():
     pulled(spread(platform_mass=0.1), progress=lambda *step: steps.append(step), **keywords)
     done, expected = np.array(steps).T
     assert done[0] == 1
-    assert np.all(np.diff(done) >= 0)
     assert np.all(np.diff(done / expected) >= 0)
     assert done[-1] == expected[-1]
 
@@ -319,9 +294,6 @@ def test_failing_unloaded_in_many_draws_gives_no_payload():
     unknown = {"parameters": {"platform_mass": {"low": -0.35, "high": 0.0}}}
     result = pulled(unknown, draws=8, probability=0.9, payload_max=1.0, resolution=0.1)
     assert 0 < result.details.success[0][1] < 1
-    assert result.payload is None
-    assert result.score == 0.0
-    assert result.details.feasible == ()
+    assert (result.payload, result.score, result.details.feasible) == (None, 0.0, ())
     assert 0 < result.details.failures["position"] < 8
     assert result.rollout.arrays["time"][-1] == result.violation.time
-    assert np.all(result.rollout.arrays["commanded_action"] == Constant.action)

@@ -3,7 +3,6 @@
 import signal
 import sys
 import zipfile
-from contextlib import closing
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from cablebot_baselines.classical import FL, FeedbackLinearization
+from cablebot_baselines.classical import FL
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation.batch import Batch
@@ -34,7 +33,6 @@ from cablebot_gym.policies import (
 from cablebot_gym.policies.adapters import CallablePolicy
 from cablebot_gym.policies.protocol import BatchItemError, reset_policy
 from cablebot_gym.robots import PLANAR, ROBOTS, SPATIAL, find_robot
-from cablebot_gym.task import Task
 
 PLANAR_ID = "CableBot-Planar-v0"
 
@@ -141,13 +139,11 @@ def test_factory_of_a_module_makes_a_policy(module):
     policy = load_policy(f"{name}:function", SPATIAL)
     assert isinstance(policy, CallablePolicy)
     assert_array_equal(policy.predict(np.zeros((3, 2)))[0], [[6], [6], [6]])
-    assert isinstance(load_policy("cablebot_baselines.classical:FL", PLANAR), FeedbackLinearization)
     assert load_policy(f"{name}:Alone", SPATIAL).robot == 2.0
     assert load_policy(f"{name}:made", SPATIAL).robot == 2.0
 
 
 def test_robot_may_be_named_or_be_that_of_an_environment():
-    assert policy_entries()["fl"] is FL
     for robot in ("CableBot-Spatial-v0", "spatial", SPATIAL):
         assert load_policy("fl", robot).robot is SPATIAL
     message = r"unknown environment or robot 'CableBot-Spatal-v0'.*did you mean 'CableBot-S"
@@ -211,21 +207,16 @@ def test_name_is_read_without_importing_anything(module):
 
 def test_policy_is_loaded_once():
     """Excludes a loaded policy that a second entrance makes anew, or that loses its declarations
-    there."""
-    loaded = load("fl", PLANAR)
+    or wrappers there."""
+    loaded = load("ekf+fl", PLANAR, wrappers=["normalised_observation"])
     again = load(loaded, SPATIAL, name="mine")
-    assert (again.policy, again.name, again.held) == (loaded.policy, "mine", True)
-    assert not load(loaded.policy, PLANAR).held
+    assert (again.policy, again.name, again.held) == (loaded.policy, "mine", loaded.held)
+    assert again.wrappers == ("normalised_observation",)
+    assert again.declarations.measurement == "winches"
+    shipped = load(load("fl", PLANAR), PLANAR)
+    assert (shipped.held, load(shipped.policy, PLANAR).held) == (True, False)
     with pytest.raises(ValueError, match="is loaded already"):
         load(loaded, PLANAR, wrappers=["mine.py:wrap"])
-
-
-def test_policy_behind_an_estimator_keeps_its_wrappers():
-    loaded = load("ekf+fl", PLANAR, wrappers=["normalised_observation"])
-    assert (loaded.wrappers, loaded.declarations.measurement) == (
-        ("normalised_observation",),
-        "winches",
-    )
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
@@ -256,13 +247,6 @@ def test_file_goes_to_the_loaders_of_other_packages_in_turn(points, archive, cap
     assert "policy files of kind 'other' are skipped" in caplog.text
 
 
-def test_damaged_file_is_not_loaded(points, archive):
-    points[FILE_ENTRY_POINT_GROUP].append(Point(lambda path, robot: pytest.fail("loaded")))
-    archive.write_bytes(archive.read_bytes()[:-10])
-    with pytest.raises(ValueError, match="is not a zip file, or it is damaged"):
-        load_policy(str(archive), PLANAR)
-
-
 # --- SB3 files --------------------------------------------------------------------------------------------------------
 
 
@@ -285,35 +269,31 @@ def test_only_policies_and_callables_are_accepted():
     assert as_policy(policy) is policy
     with pytest.raises(TypeError, match=r"not the class Constant: pass Constant\(…\)"):
         as_policy(Constant)
-    for thing in (None, "fl", np.zeros(3)):
-        with pytest.raises(TypeError, match=rf"{type(thing).__name__} is neither"):
-            as_policy(thing)
+    with pytest.raises(TypeError, match="NoneType is neither"):
+        as_policy(None)
 
 
 def test_callable_gets_one_observation_at_a_time():
     class Function:
         unsaturated_actions = True
-
-        def __init__(self):
-            self.tasks, self.shapes = [], []
+        tasks = ()
 
         def reset(self, tasks):
-            self.tasks.append(tasks)
+            self.tasks = tasks
 
         def __call__(self, observation):
-            self.shapes.append(observation.shape)
+            assert observation.shape == (4,)
             return observation[:2] * 2
 
     function, state = Function(), object()
     policy = as_policy(function)
     action, after = policy.predict(np.arange(12.0).reshape(3, 4), state=state)
     assert_array_equal(action, [[0, 2], [8, 10], [16, 18]])
-    assert (function.shapes, after) == ([(4,)] * 3, state)
+    assert after is state
     assert_array_equal(policy.predict(np.arange(4.0))[0], [0, 2])
     policy.reset(("task",))
-    assert (policy.unsaturated_actions, function.tasks) == (True, [("task",)])
-    plain = as_policy(lambda observation: observation)
-    assert (plain.unsaturated_actions, hasattr(plain, "reset")) == (False, False)
+    assert (policy.unsaturated_actions, function.tasks) == (True, ("task",))
+    assert not as_policy(lambda observation: observation).unsaturated_actions
 
 
 @pytest.mark.parametrize(
@@ -342,13 +322,9 @@ def with_reset(reset):
 
 def test_reset_gets_one_task_per_observation_if_it_takes_any():
     calls = []
-    with closing(gym.make_vec(PLANAR_ID, num_envs=3)) as envs:
-        envs.reset(seed=0)
-        reset_policy(
-            with_reset(lambda batch, /: calls.append(batch)), "mine", lambda: envs.unwrapped.tasks
-        )
-    assert len(calls[0]) == 3
-    assert all(isinstance(task, Task) for task in calls[0])
+    tasks = ("first task", "second task")
+    reset_policy(with_reset(lambda batch, /: calls.append(batch)), "mine", lambda: tasks)
+    assert calls == [tasks]
     for reset in (lambda: calls.append(None), lambda seed=None: calls.append(seed)):
         reset_policy(with_reset(reset), "mine", lambda: pytest.fail("the tasks are not needed"))
     assert calls[1:] == [None, None]
@@ -400,14 +376,9 @@ def test_factory_keeps_the_state_of_each_policy():
             return np.repeat(total, 3, axis=1), total
 
     policy, state = PolicyFactory(lambda: Sums(PLANAR)), None
-    for start, expected in (
-        ([True, True], [1, 2]),
-        ([False, False], [2, 4]),
-        ([False, True], [3, 2]),
-    ):
+    for start, expected in (([True, True], [1, 2]), ([False, True], [2, 2])):
         action, state = policy.predict(np.array([[1.0], [2.0]]), state, np.array(start))
         assert_array_equal(action[:, 0], expected)
-    assert_array_equal(PolicyFactory(lambda: Sums(PLANAR)).predict(np.array([3.0]))[0], [3, 3, 3])
 
 
 # --- calls ------------------------------------------------------------------------------------------------------------
@@ -422,7 +393,6 @@ class Own(BaseException):
     ("error", "message"),
     [
         (SystemExit(0), r"it raised SystemExit: 0 \(test_policies.py, line \d+\)"),
-        (GeneratorExit(), "it raised GeneratorExit"),
         (RuntimeError("lost" * 1000), "it raised RuntimeError: (lost){250}…"),
         (Own(), "it raised Own: its message cannot be shown"),
     ],
@@ -478,7 +448,7 @@ HELD = [
     (name, env_id)
     for name, entry in policy_entries().items()
     if entry.unsaturated_actions
-    for env_id in entry.env_ids
+    for env_id in entry.env_ids[:1]
     if load_policy(name, find_robot(env_robot(env_id))).unsaturated_actions
 ]
 
@@ -492,7 +462,7 @@ def test_held_law_requests_more_torque_than_the_motors_have(name, env_id):
     policy = load_policy(name, robot)
     payload = 60.0 if robot.name in ROBOTS else max(60.0, 12 * robot.mass)
     observation, _ = env.reset(seed=0, options={"payload": payload})
-    policy.reset(env.tasks if hasattr(env, "tasks") else [env.task])
+    policy.reset([env.task])
     state, largest = None, 0.0
     for step in range(200):
         action, state = policy.predict(observation, state, np.array(step == 0))

@@ -29,13 +29,10 @@ def test_valid_values_are_returned_in_one_type():
     array = np.array([1, 2])
     checked = numbers("x", array, shapes=[(2,)], above=0)
     assert checked.dtype == float
-    checked[0] = 9  # a new array
-    assert array.tolist() == [1, 2]
+    assert not np.shares_memory(checked, array)
     assert mapping("x", {"a": 1}, ["a", "b"]) == {"a": 1}
     assert choice("robot", "b", ["a", "b"]) == "b"
-    point = Point(x=1.0)
-    assert record("point", Point, {"x": 1.0}) == point
-    assert record("point", Point, point) is point
+    assert record("point", Point, {"x": 1.0}) == Point(x=1.0)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,149 @@
+"""Errors of the environments: what was called, and the words of the message."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from oracles.episodes import FLEX_SPATIAL, PLANAR, ROBOTS, check_equal, make, make_vector
+
+from cablebot_gym.envs.single import CableBotEnv
+
+STIFF = {"parameters": {"stiffness": {"low": 0.0, "high": 8000.0}}}
+MASS_ONLY = {"parameters": {"platform_mass": {"low": 0.1, "high": 0.2}}}
+
+KEYWORDS = [
+    ({"reward_weights": {"energy": 1.0}}, "energy"),
+    ({"cable": "rope"}, "unilateral, bilateral"),
+    ({"observation_dtype": "float16"}, "float64, float32"),
+    ({"payload_range": (2.0, 1.0)}, "payload_range"),
+    ({"payload": 1.0, "payload_range": (0.0, 2.0)}, "exclude each other"),
+    ({"error_bounds": {"position": 10}}, r"at most 1\.32 m, .* a bound of 10 mm is 0\.01"),
+    ({"normalised_observation": 1}, "must be True or False"),
+    ({"robot": ROBOTS["CableBot-FlexPlanar-v0"]}, "use CableBot-FlexPlanar-v0"),
+    ({"trajectory": {"name": "dwell-planar", "duration": 1e4}}, r"at most 1000 s"),
+    ({"control_frequency": 5e6}, "more than 1,000,000"),
+    ({"measurement": "winches+gps"}, "unknown sensor 'gps'"),
+    ({"measurement": "winches+imu"}, "no platform with three angles"),
+    ({"measurement": {"tensions": True}}, "belong to the kind 'winches'"),
+    ({"measurement": {"kind": "winches", "encoder_resolution": -1.0}}, "at least 0 rad"),
+]
+VECTOR_KEYWORDS = [
+    ({"num_envs": 0}, "num_envs"),
+    ({"max_episode_steps": 0}, "max_episode_steps"),
+    ({"autoreset_mode": "never"}, "NextStep, SameStep, Disabled"),
+    ({"render_mode": "human"}, "render_mode"),
+    ({"num_envs": 3, "payload": [1.0, 2.0]}, "payload"),
+    ({"threads": 1.5}, "threads"),
+]
+
+
+@pytest.mark.parametrize(
+    ("construct", "keywords", "words"),
+    [
+        *((gym.make, *row) for row in KEYWORDS),
+        *((gym.make_vec, *row) for row in VECTOR_KEYWORDS),
+    ],
+)
+def test_bad_keyword_raises(construct, keywords, words):
+    with pytest.raises((TypeError, ValueError), match=words):
+        construct(PLANAR, **keywords).reset()
+
+
+def test_class_without_id_takes_any_robot():
+    CableBotEnv(robot="spatial").reset(seed=0)
+
+
+@pytest.mark.parametrize("construct", [gym.make, gym.make_vec])
+def test_unknown_keyword_raises_type_error(construct):
+    """TorchRL tries ``frameskip`` first, and looks for Python's own words."""
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
+        construct(PLANAR, frameskip=1)
+    with pytest.raises(TypeError, match=r"choose one of robot, payload, .*; did you mean 'payl"):
+        construct(PLANAR, paylaod=1.0)
+
+
+@pytest.mark.parametrize(
+    ("count", "reset", "words"),
+    [
+        (None, {"options": {"paylaod": 1.0}}, "paylaod"),
+        (None, {"options": {"payload": [1.0, 2.0]}}, "payload"),
+        (None, {"options": {"trajectory": "paper-planar"}}, "paper-planar"),
+        (None, {"options": {"uncertainty": STIFF}}, "substeps"),
+        # no tensions hold it
+        (
+            None,
+            {"options": {"uncertainty": "table6", "initial_error": [0, 0, -0.1, 0, 0, 0]}},
+            "start pose",
+        ),
+        (None, {"options": {"noise_seed": 0.5}}, "noise_seed must be"),
+        (3, {"options": {"noise_seed": [1, 2]}}, "noise_seed must be"),
+        (3, {"options": {"uncertainty": ["table6"] * 2}}, "uncertainty"),
+        (3, {"options": {"reset_mask": np.array([1, 0, 1])}}, "reset_mask"),
+        (
+            3,
+            {"options": {"reset_mask": np.array([True, False, False]), "payload": -1.0}},
+            "payload",
+        ),
+        (3, {"seed": [1, -2, 3]}, "seed"),
+    ],
+)
+def test_bad_reset_raises_and_leaves_the_episode(count, reset, words):
+    """Truth, task, seed, wrench, delay, noise and random streams."""
+    keywords = {
+        "uncertainty": MASS_ONLY | {"delay": 2},
+        "trajectory": "dwell-spatial",
+        "payload_range": (0.0, 2.0),
+        "initial_error_range": [1e-3] * 6,
+    }
+    env, twin = (
+        make_vector(FLEX_SPATIAL, count, **keywords) if count else make(FLEX_SPATIAL, **keywords)
+        for _ in range(2)
+    )
+    start = {"seed": 0, "options": {"uncertainty": "table6+sensors"}}
+    check_equal(env.reset(**start), twin.reset(**start))
+    for step in range(6):
+        if step in (0, 5):
+            with pytest.raises(ValueError, match=words):
+                env.reset(**{"seed": 99} | reset)
+            check_equal(env.truth, twin.truth)
+            assert env.np_random_seed == twin.np_random_seed
+        action = np.full(env.action_space.shape, 0.5 + 0.01 * step)
+        check_equal(env.step(action), twin.step(action))
+    check_equal(env.reset(), twin.reset())
+
+
+@pytest.mark.parametrize(
+    ("count", "action"),
+    [
+        (None, np.zeros(2)),
+        (None, [0.0, np.nan, 0.0]),
+        (None, [0.0, 0.0, 1e308]),
+        (3, np.zeros(3)),
+        (3, np.zeros((2, 3))),
+    ],
+)
+def test_bad_action_raises_and_leaves_the_episode(count, action):
+    env, twin = (make_vector(PLANAR, count) if count else make(PLANAR) for _ in range(2))
+    check_equal(env.reset(seed=0), twin.reset(seed=0))
+    with pytest.raises(ValueError, match="action"):
+        env.step(action)
+    large = np.full(env.action_space.shape, 9e5)
+    result = env.step(large)
+    check_equal(result, twin.step(large))
+    np.testing.assert_array_equal(result[4]["commanded_action"], large)
+
+
+def test_calls_before_a_reset_raise():
+    """Also after a reset that failed, and with a mask."""
+    painted = {"render_mode": "rgb_array"}
+    envs = make_vector(PLANAR, 3, **painted)
+    with pytest.raises(ResetNeeded, match="reset_mask"):
+        envs.reset(options={"reset_mask": np.array([True, False, False])})
+    env = make(PLANAR, **painted)
+    with pytest.raises(ValueError, match="paylaod"):
+        env.reset(options={"paylaod": 1.0})
+    for each in (env, envs):
+        with pytest.raises(ResetNeeded, match=r"reset\(\) before step"):
+            each.step(np.zeros(each.action_space.shape))
+        with pytest.raises(ResetNeeded, match=r"reset\(\) before render"):
+            each.render()
