@@ -10,7 +10,7 @@ from oracles.platforms import CAMERA, CRANE, TURNING
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flexible import composite_tuned
-from cablebot_baselines.classical.observing import Observing
+from cablebot_baselines.classical.observer_law import ObserverLaw
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.estimation.filtering import delayed_weights, dynamics_of
 from cablebot_gym.envs import env_robot
@@ -36,7 +36,7 @@ def observing(env_id, uncertainty, largest_payload):
         law = composite_tuned(expectation.robot)
     else:
         law = FeedbackLinearization(expectation.robot, gains=(400.0, 40.0))
-    return Observing(law, expectation, largest_payload=largest_payload)
+    return ObserverLaw(law, expectation, largest_payload=largest_payload)
 
 
 def episodes(env_id, uncertainty, payload, steps, **keywords):

@@ -12,7 +12,8 @@ from cablebot_baselines.classical.flexible import (
     FourthOrder,
     MotorPD,
 )
-from cablebot_baselines.classical.observing import OBSERVING, Observing
+from cablebot_baselines.classical.observer_law import OBSERVING, ObserverLaw
+from cablebot_baselines.classical.observing import ROBUST_OBSERVING, Observing
 from cablebot_baselines.classical.outer_loop import PD, BoundedRobustPD, RobustPD
 from cablebot_baselines.classical.robust import (
     ROBUST,
@@ -20,7 +21,6 @@ from cablebot_baselines.classical.robust import (
     Robust,
     RobustComposite,
 )
-from cablebot_baselines.classical.robust_observing import ROBUST_OBSERVING, RobustObserving
 
 __all__ = [
     "ADAPTIVE",
@@ -43,10 +43,10 @@ __all__ = [
     "FeedbackLinearization",
     "FourthOrder",
     "MotorPD",
+    "ObserverLaw",
     "Observing",
     "PaperFlexible",
     "Robust",
     "RobustComposite",
-    "RobustObserving",
     "RobustPD",
 ]

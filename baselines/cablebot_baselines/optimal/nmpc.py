@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.law import Array, flexible_advice
-from cablebot_baselines.classical.observing import UNCERTAINTY, Instant, Observing, observed_gains
+from cablebot_baselines.classical.observer_law import (
+    UNCERTAINTY,
+    Instant,
+    ObserverLaw,
+    observed_gains,
+)
 from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
 from cablebot_baselines.estimation.expectation import Expectation
@@ -93,7 +98,7 @@ class PlannerState:
     """Whether the platform is too far from its reference to plan, (N,)."""
 
 
-class NonlinearMPC(Observing):
+class NonlinearMPC(ObserverLaw):
     """Plans the next 0.2 s at every fifth control step and tracks the plan at every step.
 
     A plan starts from the state that the observer expects at the instant at which the action takes
