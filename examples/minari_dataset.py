@@ -1,6 +1,6 @@
 """Records a Minari dataset of an expert with several payloads, describes it, and replays it.
 
-The replay gives the same observations. The expert is the learned policy `apg-circle`, which ships
+The replay gives the same observations. The expert is the learned policy `ppo-circle`, which ships
 with the package. All files are written below FOLDER. Beside the data, `DATASHEET.md` describes the
 dataset for people and `croissant.json` for machines. Needs the extra minari: pip install
 'cablebot-gym[minari]'.
@@ -23,14 +23,14 @@ from cablebot_gym.datasets import describe_dataset
 from cablebot_gym.robots import SPATIAL
 
 ENV_ID = "CableBot-Spatial-v0"
-NAME = "cablebot-spatial/apg-circle-v0"
+NAME = "cablebot-spatial/ppo-circle-v0"
 PAYLOADS = np.linspace(0, 7, 8)  # [kg]
 
 
 def record() -> None:
     """Records one episode for each payload, with the payload known."""
     env = minari.DataCollector(gym.make(ENV_ID))
-    expert = load_policy("apg-circle", SPATIAL)
+    expert = load_policy("ppo-circle", SPATIAL)
     for seed, payload in enumerate(PAYLOADS):
         observation, _ = env.reset(seed=seed, options={"payload": float(payload)})
         expert.reset([env.unwrapped.task])
@@ -44,11 +44,11 @@ def record() -> None:
     env.create_dataset(
         NAME,
         eval_env=ENV_ID,
-        algorithm_name="apg-circle",
+        algorithm_name="ppo-circle",
         author="you",
         author_email="you@example.org",
         code_permalink="https://example.org/your/code",
-        description=f"apg-circle on circle-spatial, {PAYLOADS[0]:g} to {PAYLOADS[-1]:g} kg (known)",
+        description=f"ppo-circle on circle-spatial, {PAYLOADS[0]:g} to {PAYLOADS[-1]:g} kg (known)",
         requirements=[f"cablebot-gym=={cablebot_gym.__version__}"],
     )
     env.close()

@@ -125,7 +125,7 @@ def minari_dataset(printed, folder):
     assert len(returns) == 8
     assert min(returns) > 800
     assert lines[-1].endswith("at most 0.0")
-    dataset = folder / "out" / "cablebot-spatial" / "apg-circle-v0"
+    dataset = folder / "out" / "cablebot-spatial" / "ppo-circle-v0"
     for name in ("data/main_data.hdf5", "DATASHEET.md", "croissant.json"):
         assert (dataset / name).is_file()
 

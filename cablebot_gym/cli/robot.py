@@ -110,7 +110,7 @@ def _check(
         questions = [*check.questions, *(motion.questions if motion else ())]
         print(json.dumps({**check.to_dict(), **data, "questions": questions}, indent=2))
     elif motion is not None:
-        law = "composite-tuned" if model.flexible else "fl"
+        law = "composite" if model.flexible else "fl"
         evaluation = command_again(
             "dlcc", policy=law, episode=EpisodeOptions(robot=name, trajectory=trajectory)
         )

@@ -26,8 +26,8 @@ def page(entry: PolicyEntry) -> str:
     if entry.kind == "optimal":
         needs = "`pip install 'cablebot-gym[optimal]'`"
     kind: str = entry.kind
-    if entry.as_printed:
-        kind += ", as printed"
+    if entry.known_robot:
+        kind += ", known robot"
     commands = ""
     for env_id in entry.env_ids:
         commands += f"cablebot dlcc {env_id} --policy {entry.name}\n"

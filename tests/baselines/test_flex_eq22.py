@@ -107,17 +107,6 @@ def test_measured_acceleration_is_a_difference_quotient(two_observations):
     assert np.abs(speed_change).max() > 0.1
 
 
-def test_new_episode_of_a_batch_starts_with_fresh_memory(two_observations):
-    before, after = two_observations
-    _, state = MEASURED.predict(before, state=None, episode_start=~NO_START)
-    action, _ = MEASURED.predict(after, state=state, episode_start=np.array([False, True, False]))
-    going_on, _ = MEASURED.predict(after, state=state, episode_start=NO_START)
-    fresh, _ = MEASURED.predict(after, state=None)
-    assert_array_equal(action[1], fresh[1])
-    assert_array_equal(action[[0, 2]], going_on[[0, 2]])
-    assert np.all(np.abs(going_on - fresh).max(axis=1) > 1e-3)
-
-
 def test_repeated_observation_gives_the_same_action():
     observation, _ = gym.make(ID).reset(seed=0)
     action, state = MEASURED.predict(observation)

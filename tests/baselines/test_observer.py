@@ -9,7 +9,7 @@ from oracles.plants import FLEX_UNEQUAL, QUAD, UNEQUAL, each_of, random_motion, 
 from oracles.platforms import CAMERA, CRANE, TURNING
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.flexible import composite_tuned
+from cablebot_baselines.classical.flexible import make_composite
 from cablebot_baselines.classical.observer_law import ObserverLaw
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.estimation.filtering import delayed_weights, dynamics_of
@@ -33,7 +33,7 @@ def observing(env_id, uncertainty, largest_payload):
     robot = find_robot(env_robot(env_id))
     expectation = Expectation.of(robot, uncertainty)
     if robot.flexible:
-        law = composite_tuned(expectation.robot)
+        law = make_composite(expectation.robot)
     else:
         law = FeedbackLinearization(expectation.robot, gains=(400.0, 40.0))
     return ObserverLaw(law, expectation, largest_payload=largest_payload)
@@ -203,21 +203,3 @@ def test_held_robot_shows_its_mass_only_after_the_first_action_arrives():
     assert_allclose(second, first, rtol=1e-6)
     mass = truth["platform_mass"] + truth["payload"]
     assert_allclose(estimates[3].mass, mass, rtol=0.03)
-
-
-def test_episodes_of_a_batch_are_estimated_as_if_alone():
-    robot = find_robot("spatial")
-    uncertainty = find_uncertainty("hardware", robot)
-    law = observing("CableBot-Spatial-v0", uncertainty, 6.0)
-    alone = observing("CableBot-Spatial-v0", uncertainty, 6.0)
-    env = gym.make_vec(
-        "CableBot-Spatial-v0", num_envs=3, uncertainty=uncertainty, payload_known=False
-    )
-    observation, _ = env.reset(seed=0, options={"payload": np.array([0.0, 3.0, 6.0])})
-    together_state = state = None
-    for step in range(12):
-        starts = np.array([False, step == 6, False]) | (step == 0)
-        together, together_state = law.predict(observation, together_state, starts)
-        action, state = alone.predict(observation[1], state, starts[1])
-        assert_allclose(action, together[1], atol=1e-9)
-        observation, *_ = env.step(together)

@@ -218,9 +218,9 @@ def test_factory_for_no_robot_is_rejected(module):
     [
         (["nobody"], [], "unknown policy 'nobody'"),
         (
-            ["fl4"],
+            ["flex-eq22"],
             [PLANAR],
-            "policy 'fl4' supports CableBot-FlexSpatial-v0, not CableBot-Planar-v0",
+            "policy 'flex-eq22' supports CableBot-FlexSpatial-v0, not CableBot-Planar-v0",
         ),
         (
             [],

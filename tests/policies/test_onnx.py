@@ -130,7 +130,7 @@ def test_file_moves_the_robot_like_its_model(saved, monkeypatch, capsys, env_id)
 
 REFUSED = {
     "law": ({}, "fl", "'fl' cannot be exported: it is no model in a file"),
-    "bundle": ({}, str(WEIGHTS / "apg-circle-planar.zip"), "it is of the type"),
+    "bundle": ({}, str(WEIGHTS / "apg-loops-planar.zip"), "it is of the type"),
     "recurrent": (
         {"algorithm": "RecurrentPPO", "package": "sb3_contrib", "policy": "MlpLstmPolicy"},
         "model.zip",

@@ -11,7 +11,7 @@ import numpy as np
 
 from cablebot_baselines.classical.flexible import FlexibleLaw
 from cablebot_baselines.classical.law import Array
-from cablebot_baselines.classical.outer_loop import PD, OuterLoop, checked_gains
+from cablebot_baselines.classical.outer_loop import PD, Gains, OuterLoop, checked_gains
 from cablebot_baselines.entries import entry
 from cablebot_baselines.episodes import first_steps
 from cablebot_gym.robots import Robot
@@ -38,7 +38,7 @@ class PaperFlexible(FlexibleLaw):
             variant needs the ``state`` of predict and uses the commanded value in the first step of
             an episode.
         as_printed: whether to omit the damping terms, as the paper does from Eq. 4 on.
-        gains: (K_P, K_D); None for the paper's gains.
+        gains: (K_P, K_D) or ``paper``.
         minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
 
     Raises:
@@ -51,7 +51,7 @@ class PaperFlexible(FlexibleLaw):
         *,
         motor_acceleration: MotorAcceleration = "commanded",
         as_printed: bool = False,
-        gains: tuple[float, float] | None = None,
+        gains: Gains = "paper",
         minimum_tension: float | None = None,
     ) -> None:
         choice("motor_acceleration", motor_acceleration, get_args(MotorAcceleration))

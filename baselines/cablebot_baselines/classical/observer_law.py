@@ -11,30 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_baselines.classical.allocation import allocate
-from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.flexible import composite_tuned
 from cablebot_baselines.classical.law import Array, ClassicalLaw
-from cablebot_baselines.entries import entry
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.estimation.observer import RobotObserver
 from cablebot_baselines.estimation.observer_state import ObserverState, RobotEstimate
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.physics.textbook import allocated_minimum, normalised_action
+from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
-from cablebot_gym.uncertainty import find_uncertainty
 
 PERIOD = 2e-3
 """Control period of the observer before :meth:`ObserverLaw.reset` [s]."""
 
-MINIMUM_TENSION = 7.0
-"""Least tension that ``observing`` allocates with more cables than coordinates [N]. Less, and a cable
-goes slack where the reference's acceleration jumps."""
-
 UNCERTAINTY = "hardware"
-"""Uncertainty that ``observing`` expects."""
+"""Uncertainty that the laws expect."""
 
 _REFERENCE = {
     "reference_pose": "position",
@@ -285,23 +277,3 @@ def _extrapolated(blocks: dict[str, Array], delay: Array) -> dict[str, Array]:
             value = value + factor * blocks[higher]
         later[name] = value
     return later
-
-
-def make_observing(robot: Robot) -> ObserverLaw:
-    """Makes the policy ``observing``: the reference is tracked by feedback linearization of a rigid
-    robot or by the composite law of a flexible one."""
-    uncertainty = find_uncertainty(UNCERTAINTY, robot)
-    expectation = Expectation.of(robot, uncertainty)
-    law: ClassicalLaw
-    if robot.flexible:
-        law = composite_tuned(expectation.robot)
-    else:
-        law = FeedbackLinearization(
-            expectation.robot,
-            gains=observed_gains(robot),
-            minimum_tension=allocated_minimum(robot, MINIMUM_TENSION),
-        )
-    return ObserverLaw(law, expectation)
-
-
-OBSERVING = entry("observing", make_observing)

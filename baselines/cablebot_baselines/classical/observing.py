@@ -126,9 +126,11 @@ class Observing(ObserverLaw):
         return action
 
 
-def make_robust_observing(robot: Robot) -> Observing:
-    """Makes the policy ``robust-observing``."""
-    return Observing(Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot)))
+def make_observing(robot: Robot, *, largest_payload: float | None = None) -> Observing:
+    """The law for a robot that may be any of ``hardware``; the arguments are those of
+    :class:`Observing`."""
+    expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
+    return Observing(expectation, largest_payload=largest_payload)
 
 
-ROBUST_OBSERVING = entry("robust-observing", make_robust_observing)
+OBSERVING = entry("observing", make_observing)

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.law import Array, flexible_advice
+from cablebot_baselines.classical.law import Array
 from cablebot_baselines.classical.observer_law import (
     UNCERTAINTY,
     Instant,
@@ -219,9 +219,7 @@ class PlanningPolicy(ObserverLaw):
 
     def __init__(self, robot: Robot, network: Network, planning: Planning) -> None:
         if robot.flexible:
-            raise ValueError(
-                f"a planning network needs a rigid robot, but {flexible_advice(robot)}"
-            )
+            raise ValueError(f"a planning network needs a rigid robot, not {robot.springs}")
         sizes = (network.inputs, network.outputs)
         expected = (input_count(robot), robot.coordinates)
         if sizes != expected:

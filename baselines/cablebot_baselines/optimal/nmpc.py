@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.law import Array, flexible_advice
+from cablebot_baselines.classical.law import Array
 from cablebot_baselines.classical.observer_law import (
     UNCERTAINTY,
     Instant,
@@ -117,7 +117,8 @@ class NonlinearMPC(ObserverLaw):
     Args:
         robot: nominal rigid robot.
         tuning: tuning of the plans; None for :data:`TUNING`.
-        gains: (K_P, K_D) of the law that tracks the plan; None for the gains of ``observing``.
+        gains: (K_P, K_D) of the law that tracks the plan; None for
+            :func:`~cablebot_baselines.classical.observer_law.observed_gains`.
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
@@ -127,12 +128,12 @@ class NonlinearMPC(ObserverLaw):
     def __init__(
         self,
         robot: Robot,
-        *,
         tuning: Tuning | None = None,
+        *,
         gains: tuple[float, float] | None = None,
     ) -> None:
         if robot.flexible:
-            raise ValueError(f"nmpc needs a rigid robot, but {flexible_advice(robot)}")
+            raise ValueError(f"nmpc needs a rigid robot, not {robot.springs}")
         tuning = tuning or by_kind(TUNING, robot)
         expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
         self.program = HorizonProgram(robot, tuning)
