@@ -40,7 +40,7 @@ def parse_options(entry: PolicyEntry, text: str) -> dict[str, Any]:
     """
     if not text:
         return {}
-    valid = _parameters(entry)
+    valid = option_parameters(entry)
     if not valid:
         raise ValueError(f"policy {entry.name!r} has no options: leave {text!r} out")
     options: dict[str, Any] = {}
@@ -56,7 +56,7 @@ def parse_options(entry: PolicyEntry, text: str) -> dict[str, Any]:
     return options
 
 
-def _parameters(entry: PolicyEntry) -> dict[str, inspect.Parameter]:
+def option_parameters(entry: PolicyEntry) -> dict[str, inspect.Parameter]:
     """The options of a policy by name: the keyword-only parameters of its factory."""
     parameters = inspect.signature(entry.factory).parameters
     return {

@@ -163,11 +163,11 @@ def test_real_time_repeats_every_episode():
 
 
 def test_policies_are_assigned_to_their_environments():
-    assert find_policies(["fl", "motor-pd", "fl"], PAPER_ENV_IDS) == {
+    assert find_policies(["fl", "flex-eq22", "fl"], PAPER_ENV_IDS) == {
         PLANAR: ("fl",),
         SPATIAL: ("fl",),
-        "CableBot-FlexPlanar-v0": ("motor-pd",),
-        "CableBot-FlexSpatial-v0": (),
+        "CableBot-FlexPlanar-v0": (),
+        "CableBot-FlexSpatial-v0": ("flex-eq22",),
     }
 
 
