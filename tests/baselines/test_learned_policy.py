@@ -36,8 +36,6 @@ from cablebot_gym.utils import code_hash
 
 DWELL = {"name": "dwell-planar", "duration": 0.05}
 
-each_case = pytest.mark.parametrize("case", CASES)
-
 
 @pytest.fixture
 def saved(tmp_path):
@@ -56,24 +54,6 @@ def test_motion_of_a_base_alone_is_the_task_soon():
     alone.reset(tasks)
     robot.reset(tasks)
     assert_allclose(run(alone, rows)[-50:], run(robot, rows)[-50:], rtol=0, atol=1e-9)
-
-
-@each_case
-def test_episodes_of_a_batch_are_independent(case):
-    bundle = bundle_of(case)
-    steps = 50
-    envs = 4
-    rows, tasks = observations(bundle.env_id, steps, envs)
-    starts = np.zeros((steps, envs), bool)
-    for index, begun in enumerate((0, 7, 23, 38)):
-        starts[begun, index] = True
-    policy = LearnedPolicy(bundle, find_robot(env_robot(bundle.env_id)))
-    policy.reset(tasks)
-    together = run(policy, rows, starts)
-    for index, begun in enumerate((0, 7, 23, 38)):
-        fresh = run(policy, rows[begun:, index])
-        assert_allclose(together[begun:, index], fresh, rtol=0, atol=1e-9 * np.abs(together).max())
-    assert np.ptp(together, axis=1).max() > 0.01
 
 
 @pytest.mark.parametrize(

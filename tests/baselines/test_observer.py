@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from driving import drive
 from gymnasium.vector import AutoresetMode
 from numpy.testing import assert_allclose
 from oracles.plants import FLEX_UNEQUAL, QUAD, UNEQUAL, each_of, random_motion, slowly
@@ -52,16 +53,11 @@ def episodes(env_id, uncertainty, payload, steps, **keywords):
         autoreset_mode=AutoresetMode.DISABLED,
         **keywords,
     )
-    observation, _ = env.reset(seed=7, options={"payload": payload})
-    law.reset(env.unwrapped.tasks)
-    state = None
     estimates = []
     errors = []
-    for _ in range(steps):
-        action, state = law.predict(observation, state)
-        estimates.append(law.observer.estimate(state.observer))
-        observation, _, _, _, info = env.step(action)
-        errors.append(info["tracking_error"])
+    for step in drive(law, env, steps, seed=7, options={"payload": payload}):
+        estimates.append(law.observer.estimate(step.state.observer))
+        errors.append(step.info["tracking_error"])
     return estimates, env.unwrapped.truth, np.array(errors)
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import yaml
+from driving import drive
 
 from cablebot_baselines.classical.observer_law import ObserverLaw, observed_gains
 from cablebot_baselines.learned.bundle import Bundle
@@ -38,13 +39,11 @@ def largest_errors(policy, trajectory, payloads, uncertainty=None):
         uncertainty=uncertainty,
         payload_known=uncertainty is None,
     )
-    observation, _ = env.reset(seed=7, options={"payload": payloads})
-    policy.reset(env.tasks)
-    state, errors = None, []
-    for _ in range(env.tasks[0].steps - 1):
-        action, state = policy.predict(observation, state)
-        observation, *_, info = env.step(action)
-        errors.append(info["tracking_error_peak"])
+    start = {"seed": 7, "options": {"payload": payloads}}
+    errors = [
+        step.info["tracking_error_peak"]
+        for step in drive(policy, env, env.tasks[0].steps - 1, **start)
+    ]
     return np.max(errors, axis=0) / env.tasks[0].error_bounds.position
 
 
