@@ -11,7 +11,6 @@ from cablebot_baselines.classical import (
     Composite,
     FeedbackLinearization,
     MotorPD,
-    PaperFlexible,
     Robust,
 )
 from cablebot_baselines.episodes import first_steps
@@ -32,7 +31,6 @@ CASES = [
     ),
     ("fl:gains=tuned", "CableBot-Planar-v0"),
     ("composite:gains=paper", "CableBot-FlexSpatial-v0"),
-    ("flex-eq22:motor_acceleration=measured", "CableBot-FlexSpatial-v0"),
 ]
 
 STEPS, RESTART = 16, 8
@@ -163,7 +161,6 @@ def test_episode_start_is_one_boolean_or_one_per_row():
         (Composite, FLEX_SPATIAL, {"spring_damping": -1.0}, "spring_damping must be"),
         (MotorPD, FLEX_SPATIAL, {"frequency": 0.0}, "frequency must be"),
         (MotorPD, FLEX_SPATIAL, {"damping_ratio": 0.0}, "damping_ratio must be"),
-        (PaperFlexible, FLEX_SPATIAL, {"motor_acceleration": "v"}, "unknown motor_acceleration"),
     ],
 )
 def test_invalid_arguments_raise(law, robot, keywords, message):

@@ -45,7 +45,6 @@ class RobustComposite(Composite):
     Args:
         robot: nominal robot.
         gains: (k_p, k_d), the same for each coordinate, or ``paper``.
-        spring_damping: largest K_v in units of √(K J′); ≥ 0.
         minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
         robustness: ``boundary_layer``, ``zeta``, ``phi`` and ``q`` of the outer loop.
 
@@ -58,11 +57,10 @@ class RobustComposite(Composite):
         robot: Robot,
         *,
         gains: Gains = "paper",
-        spring_damping: float = 1.0,
         minimum_tension: float | None = None,
         **robustness: Any,
     ) -> None:
-        super().__init__(robot, spring_damping=spring_damping, minimum_tension=minimum_tension)
+        super().__init__(robot, minimum_tension=minimum_tension)
         self.outer = RobustPD(gains=checked_gains(gains, robot), **robustness)
 
 
