@@ -86,7 +86,3 @@ class FourthOrder(FlexibleLaw):
 
 def _solve(matrix: Array, vector: Array) -> Array:
     return np.linalg.solve(matrix, vector[..., None])[..., 0]
-
-
-def _solve(matrix: Array, vector: Array) -> Array:
-    return np.linalg.solve(matrix, vector[..., None])[..., 0]
