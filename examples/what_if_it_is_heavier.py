@@ -12,7 +12,7 @@ UNCERTAINTY = {
 }
 
 if __name__ == "__main__":
-    laws = ("fl", "fl-tuned", "adaptive")
+    laws = ("fl", "fl:gains=tuned", "adaptive")
     compared = compare_policies(
         laws, "CableBot-Spatial-v0", payload=2.0, uncertainty=UNCERTAINTY, draws=16
     )

@@ -44,8 +44,8 @@ RESULTS = FOLDER / "results.json"
 LAWS = {
     "CableBot-Planar-v0": "adaptive",
     "CableBot-Spatial-v0": "adaptive",
-    "CableBot-FlexPlanar-v0": "composite-tuned",
-    "CableBot-FlexSpatial-v0": "composite",
+    "CableBot-FlexPlanar-v0": "composite",
+    "CableBot-FlexSpatial-v0": "composite:gains=paper",
 }
 """Law of each environment. It reads pose and velocity."""
 

@@ -32,6 +32,7 @@ from cablebot_gym.evaluation.survey import survey
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.statics import feasible_payloads, hold_payload, resting
 from cablebot_gym.planning import Infeasible, MotionProgram
+from cablebot_gym.policies import policy_entries
 from cablebot_gym.task import find_error_bounds
 from cablebot_gym.trajectories import TRAINING_SEEDS, Trajectory
 from cablebot_gym.utils.files import atomic_write_text
@@ -45,9 +46,9 @@ GRAVITY = 9.81
 """Gravitational acceleration [m/s²]."""
 
 RIGID_LAWS = ("fl", "robust", "adaptive")
-FLEXIBLE_LAWS = ("composite", "composite-tuned", "adaptive-composite")
-LAWS = (*RIGID_LAWS, *FLEXIBLE_LAWS)
-"""Control laws. The first that is made for a robot is the paper's law."""
+FLEXIBLE_LAWS = ("composite", "adaptive")
+LAWS = tuple(dict.fromkeys([*RIGID_LAWS, *FLEXIBLE_LAWS]))
+"""Control laws."""
 
 STATIC_FRACTION = 0.9
 """Fraction of every static limit below which a payload counts as limited by the dynamics."""
@@ -89,7 +90,7 @@ WANTED_EXACT = 0.9
 """Least fraction of motions that can be tracked exactly."""
 
 WANTED_UNLOADED = 0.8
-"""Least fraction of motions on which the paper's law carries its platform."""
+"""Least fraction of motions on which the first law carries its platform."""
 
 WANTED_RANGE = 0.3
 """Least difference between the largest and the smallest fraction of the best law."""
@@ -105,8 +106,7 @@ jumps as on the paper's circle. Bold entries miss the value that was wanted.
   little smaller than that of `cablebot best-known`.
 * *Acceleration*: median of the largest acceleration of the position, in units of 9.81 m/s².
 * *Exact*: a rigid robot can track the motion exactly without payload.
-* *Unloaded*: the paper's law carries its platform. That is `fl`; with springs `composite`, or `composite-tuned` on
-  robots that `composite` is not made for.
+* *Unloaded*: the first law carries its platform. That is `fl`, and with springs `composite`.
 * *Any law*: one of the laws carries its platform. They are {", ".join(f"`{law}`" for law in LAWS)}.
 * *Law fraction*: payload of the best of these laws over the best known payload.
 
@@ -270,7 +270,7 @@ def row(
 def law_cells(
     records: Sequence[MotionRecord], laws: Mapping[str, Sequence[float | None]]
 ) -> tuple[str, str, str]:
-    """Fractions of motions on which the paper's law and any law carry their platforms, and range of
+    """Fractions of motions on which the first law and any law carry their platforms, and range of
     the fraction of the best known payload that the best law carries."""
     if not laws:
         return "–", "–", "–"
@@ -323,10 +323,12 @@ def stored_laws() -> LawPayloads:
 
 
 def laws_of(env_id: str) -> tuple[str, ...]:
-    """The laws for the transmission of the robot of an environment, which is exactly known."""
+    """The laws that support the robot of an environment, which is exactly known."""
+    laws = RIGID_LAWS
     if find_robot(env_robot(env_id)).flexible:
-        return FLEXIBLE_LAWS
-    return RIGID_LAWS
+        laws = FLEXIBLE_LAWS
+    entries = policy_entries()
+    return tuple(law for law in laws if env_id in entries[law].env_ids)
 
 
 def store_records(records: Records) -> None:

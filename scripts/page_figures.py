@@ -47,7 +47,7 @@ def write(folder: Path) -> list[Path]:
         "errors": errors(),
         "payloads": payloads(),
         "draws": draw_success(
-            evaluate_dlcc("fl-tuned", ENV_ID, uncertainty="table6", draws=64, payload_max=6)
+            evaluate_dlcc("fl:gains=tuned", ENV_ID, uncertainty="table6", draws=64, payload_max=6)
         ),
     }
     for name in library():

@@ -64,7 +64,7 @@ def check_policies() -> None:
     fl = evaluate_dlcc("fl", **conditions)
     assert fl.payload is not None
     assert 3 < fl.payload < 5, fl
-    shipped = evaluate_dlcc("apg-circle", **conditions)
+    shipped = evaluate_dlcc("ppo-circle", **conditions)
     assert shipped.payload is not None
     assert shipped.payload > 1.4 * fl.payload, shipped
     print(f"{fl}\n{shipped}")
@@ -122,7 +122,7 @@ def check_extras() -> None:
         for arguments in (
             "train CableBot-Planar-v0 --algo ppo --config ppo.yaml --out run --eval-every 512",
             "dlcc CableBot-Planar-v0 --policy run/best.zip --resolution 0.5 --out figures",
-            "benchmark --suite smoke --policies fl,apg-circle --out benchmark",
+            "benchmark --suite smoke --policies fl,apg-loops --out benchmark",
         ):
             subprocess.run(
                 [program, *arguments.split()], check=True, cwd=folder, stdout=subprocess.DEVNULL

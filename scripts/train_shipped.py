@@ -1,7 +1,7 @@
 """Trains and evaluates the shipped learned policies with several seeds; writes weights, cards and
 docs/learned.md.
 
-    python scripts/train_shipped.py --policy apg-circle --id CableBot-Spatial-v0
+    python scripts/train_shipped.py --policy apg-loops --id CableBot-Spatial-v0
 
 Runs are kept in folders ``NAME-KIND-SEED`` under ``--runs``, evaluations in the folder ``judged``
 next to them. The same command resumes after an interrupt. ``--page`` updates the best known

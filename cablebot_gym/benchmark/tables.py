@@ -106,8 +106,8 @@ def policy_text(policy: str, unverified: Collection[str] = ()) -> str:
     if policy in unverified:
         text += ", unverified"
     entry = public_entry(policy)
-    if entry is not None and entry.as_printed:
-        text += ", as printed"
+    if entry is not None and entry.known_robot:
+        text += ", known robot"
     return text
 
 

@@ -83,7 +83,6 @@ def compare(
     grid = [] if payloads is None else payload_grid(payloads)
     names = options.split_names(policies)
     robot = options.robot_of(env_id, episode)
-    options.note_unsupported(names, env_id)
     loaded = options.loaded_policies(names, robot, episode.wrappers, process)
     has_isolated = any(policy.isolated for policy in loaded)
     episode = options.with_seed(episode, is_secret=has_isolated)

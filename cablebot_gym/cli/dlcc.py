@@ -86,7 +86,7 @@ def dlcc(
 
     cablebot dlcc CableBot-Spatial-v0 --policy fl --out results
 
-    cablebot dlcc CableBot-Spatial-v0 --policy fl-tuned --uncertainty table6
+    cablebot dlcc CableBot-Spatial-v0 --policy fl:gains=tuned --uncertainty table6
 
     cablebot dlcc --policy fl,robust,adaptive --robot cogiro
     """
@@ -103,7 +103,6 @@ def dlcc(
         policies.append(
             options.loaded_policy(name, robot, wrappers=episode.wrappers, process=process)
         )
-    options.note_unsupported(names, env_id)
     data: list[dict[str, Any]] = []
     for loaded in policies:
         results = _results(loaded, env_id, episode, search)

@@ -74,7 +74,7 @@ def _data() -> dict[str, Any]:
                 "name": item.name,
                 "kind": item.kind,
                 "env_ids": list(item.env_ids),
-                "as_printed": item.as_printed,
+                "known_robot": item.known_robot,
             }
             for item in policy_entries().values()
         ],
@@ -286,8 +286,8 @@ def _policy_rows() -> list[list[str]]:
         if set(policy.env_ids) >= set(ENV_IDS):
             ids = "all"
         kind: str = policy.kind
-        if policy.as_printed:
-            kind += ", as printed"
+        if policy.known_robot:
+            kind += ", known robot"
         rows.append([policy.name, kind, ids, policy.summary])
     return rows
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -458,24 +459,15 @@ def choose_sandbox(no_sandbox: bool) -> None:
 
 
 def split_names(text: str | None) -> list[str]:
-    """Names from a list separated by commas."""
-    return [name.strip() for name in (text or "").split(",") if name.strip()]
+    """Names from a list separated by commas. A comma before ``option=`` is part of a name:
+    ``fl:gains=tuned,minimum_tension=3,adaptive`` has two."""
+    names = re.split(r",(?!\s*\w+=)", text or "")
+    return [name.strip() for name in names if name.strip()]
 
 
 def counted(count: int, noun: str) -> str:
     """A count with its noun, such as ``2 draws``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
-
-
-def note_unsupported(names: list[str], env_id: str) -> None:
-    """Prints a note for each policy that does not list the environment as supported. Such a policy
-    still runs."""
-    from cablebot_gym.isolation.installed import public_entry
-
-    for name in names:
-        entry = public_entry(name)
-        if entry is not None and env_id not in entry.env_ids:
-            say(f"note: {name} is designed for {', '.join(entry.env_ids)}, not for {env_id}")
 
 
 def check_figure_folder(out: Path | None, *names: str) -> None:

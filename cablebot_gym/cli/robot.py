@@ -77,7 +77,7 @@ def _check(
             data = motion.to_dict()
         print(json.dumps(check.to_dict() | data, indent=2))
     elif motion is not None:
-        law = "composite-tuned" if model.flexible else "fl"
+        law = "composite" if model.flexible else "fl"
         evaluation = command_again(
             "dlcc", policy=law, episode=EpisodeOptions(robot=name, trajectory=trajectory)
         )

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_gym.measurement import POSE
-from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.utils.user_code import raised
 
@@ -62,9 +61,11 @@ class PolicyEntry:
     kind: Literal["classical", "optimal", "learned"]
     """Kind of design method."""
     env_ids: tuple[str, ...]
-    """Ids of the environments that the policy supports."""
-    factory: Callable[[Robot], Policy]
-    """Function that makes the policy from a nominal robot."""
+    """Ids of the environments whose kinds of robots the policy supports. It is not loaded for robots
+    of other kinds."""
+    factory: Callable[..., Policy]
+    """Function that makes the policy from a nominal robot. Its keyword-only parameters are options
+    of the name."""
     summary: str
     """Description in one line."""
     slow: bool = False
@@ -76,9 +77,9 @@ class PolicyEntry:
     """Whether a test of this project holds the policy to its declaration ``unsaturated_actions``.
     The paper criterion marks the results of other policies as declared, also of policies of other
     packages."""
-    as_printed: bool = False
-    """Whether the policy is a law of the paper that is kept with its equations and gains, although
-    it fails unloaded on robots of ``hardware`` whose payload is unknown."""
+    known_robot: bool = False
+    """Whether the policy is for a robot that is exactly known: it fails unloaded on some robots of
+    ``hardware`` whose payload is unknown."""
     files: tuple[Path, ...] | None = None
     """Data files that the policy reads, such as weights. Benchmark results depend on their content.
     None stands for all files in the folder of the policy's module."""

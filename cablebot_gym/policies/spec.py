@@ -8,6 +8,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from itertools import groupby
 from operator import attrgetter
@@ -18,6 +19,12 @@ from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.policies.adapters import as_policy
 from cablebot_gym.policies.entry import CARD, POLICY_SUFFIXES
+from cablebot_gym.policies.options import (
+    parse_options,
+    split_options,
+    supports,
+    unsupported_error,
+)
 from cablebot_gym.policies.protocol import (
     LoadedPolicy,
     Policy,
@@ -60,8 +67,8 @@ or made for another robot."""
 
 
 Kind = Literal["entry", "installed", "file", "factory", "unknown"]
-"""Kind of a policy's name: folder of an entry with its card; name of an installed policy; ``.zip``
-file; ``package.module:factory`` or ``file.py:factory``."""
+"""Kind of a policy's name: folder of an entry with its card; name of an installed policy, also with
+options; ``.zip`` file; ``package.module:factory`` or ``file.py:factory``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +81,8 @@ class PolicySpec:
     """Installed estimators in front of the policy, the outermost first: ``ekf`` of ``ekf+fl``."""
     target: str
     """The name without the estimators."""
+    options: str
+    """Options of an installed policy as text: ``gains=tuned`` of ``fl:gains=tuned``."""
     kind: Kind
     """Kind of the target."""
     points: tuple[EntryPoint, ...]
@@ -91,7 +100,8 @@ class PolicySpec:
                 break
             estimators.append(candidates[0])
             target = policy
-        points = _own_first(entry_points(group=ENTRY_POINT_GROUP, name=target))
+        installed_name, options = split_options(target)
+        points = _own_first(entry_points(group=ENTRY_POINT_GROUP, name=installed_name))
         kind: Kind = "unknown"
         if Path(target, CARD).is_file():
             kind = "entry"
@@ -101,7 +111,14 @@ class PolicySpec:
             kind = "file"
         elif ":" in target or target.endswith(".py"):
             kind = "factory"
-        return cls(text=text, estimators=tuple(estimators), target=target, kind=kind, points=points)
+        return cls(
+            text=text,
+            estimators=tuple(estimators),
+            target=target,
+            options=options,
+            kind=kind,
+            points=points,
+        )
 
     @property
     def installed(self) -> bool:
@@ -204,6 +221,9 @@ def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = 
     """A policy from an installed name, a ``.zip`` file, or ``package.module:factory``; ``ekf+…``
     behind an estimator.
 
+    An installed name may have options, ``fl:gains=900/60,minimum_tension=3``: keyword arguments of
+    its factory.
+
     A factory, a function or a class, is called with the nominal robot, or with nothing if it needs
     nothing. A file is passed to the loaders of :data:`FILE_ENTRY_POINT_GROUP` in turn. If all of
     them return None, the file is loaded as a Stable-Baselines3 model of PPO, SAC, TD3, A2C or DDPG.
@@ -219,8 +239,8 @@ def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = 
             error says so.
 
     Raises:
-        ValueError: if the name is unknown, or if the policy cannot be loaded or does not fit the
-            robot. The message lists the valid names.
+        ValueError: if the name or an option is unknown, or if the policy cannot be loaded or does
+            not support the kind of the robot. The message lists the valid names.
         PolicyError: if the code of the policy tries to end the process.
     """
     return load(name, as_robot(robot), wrappers=wrappers).policy
@@ -312,7 +332,7 @@ def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
         )
     entry = spec.entry()
     if entry is not None:
-        return entry.factory(robot), subject, None
+        return _from_entry(entry, robot, spec.options), subject, None
     if spec.kind == "file":
         path = Path(name)
         return _load_file(path, robot), f"policy file {name!r}", statistics_beside(path)
@@ -326,6 +346,12 @@ def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
     raise unknown_name_error("policy", name, policy_entries(), f", {forms}")
 
 
+def _from_entry(entry: PolicyEntry, robot: Robot, options: str = "") -> Policy:
+    if not supports(entry, robot):
+        raise unsupported_error(entry, robot, policy_entries().values())
+    return entry.factory(robot, **parse_options(entry, options))
+
+
 def _import_factory(name: str, subject: str) -> Callable[..., Any]:
     try:
         factory = import_object(name)
@@ -333,9 +359,13 @@ def _import_factory(name: str, subject: str) -> Callable[..., Any]:
         raise
     except BaseException as error:
         reason = error if isinstance(error, Exception) else raised(error)
-        raise _failure(error, subject, f"cannot import it ({reason})") from error
+        cause = f"cannot import it ({reason})"
+        policy = name.partition(":")[0]
+        if policy in policy_names():
+            cause += f"; an option of the policy {policy!r} has the form {policy}:OPTION=VALUE"
+        raise _failure(error, subject, cause) from error
     if isinstance(factory, PolicyEntry):
-        return factory.factory
+        return partial(_from_entry, factory)
     if isinstance(factory, Policy) and not isinstance(factory, type):
         return lambda: factory
     if not callable(factory):

@@ -82,7 +82,7 @@ def picture(env: gym.Env[Any, Any]) -> Image.Image:
     task = env.get_wrapper_attr("task")
     law = "fl"
     if task.robot.flexible:
-        law = "composite-tuned"
+        law = "composite"
     policy = load_policy(law, task.robot)
     for _ in range(round(PICTURED[0] * task.steps)):
         observation, *_ = env.step(policy.predict(observation)[0])

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from typing import get_type_hints
+from typing import get_args, get_type_hints
 
 from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_baselines.learned.shipped import SHIPPED
 from cablebot_gym.benchmark.tables import column_titles, entry_text, timing_text
 from cablebot_gym.policies import PolicyEntry, policy_entries
+from cablebot_gym.policies.options import option_parameters
 from generate.errata import mentioned
 from generate.pages import Pages, all_leaderboards, table
 
@@ -26,16 +27,17 @@ def page(entry: PolicyEntry) -> str:
     if entry.kind == "optimal":
         needs = "`pip install 'cablebot-gym[optimal]'`"
     kind: str = entry.kind
-    if entry.as_printed:
-        kind += ", as printed"
+    if entry.known_robot:
+        kind += ", known robot"
+    options = ", ".join(f"`{name}`" for name in option_parameters(entry)) or "none"
     commands = ""
     for env_id in entry.env_ids:
         commands += f"cablebot dlcc {env_id} --policy {entry.name}\n"
     text = f"# `{entry.name}`\n\n{entry.summary[0].upper()}{entry.summary[1:]}.\n\n"
     text += table(
         [
-            ["kind", "made for", "needs"],
-            [kind, ", ".join(f"`{env_id}`" for env_id in entry.env_ids), needs],
+            ["kind", "made for", "options", "needs"],
+            [kind, ", ".join(f"`{env_id}`" for env_id in entry.env_ids), options, needs],
         ]
     )
     text += f"\n```sh\n{commands}```\n\n## Payload\n\nPayload [kg] and its fraction of the best known payload, task "
@@ -64,7 +66,9 @@ def policy_class(entry: PolicyEntry) -> type:
         return entry.factory
     if entry.name in SHIPPED:
         return LearnedPolicy
-    policy: type = get_type_hints(entry.factory)["return"]
+    returned = get_type_hints(entry.factory)["return"]
+    # The first of the classes for rigid robots and for those with springs.
+    policy: type = next(iter(get_args(returned)), returned)
     return policy
 
 

@@ -11,7 +11,7 @@ from cablebot_gym.report.page import html, replay_queries
 from cablebot_gym.report.replay import replays
 from generate.pages import MAPS, PAPER_MAPS, RESULTS
 
-RECORDED = ("fl", "apg-circle", "composite", "motor-pd")
+RECORDED = ("fl", "ppo-circle", "composite", "motor-pd")
 """Policies with recorded episodes on the circle, payload known."""
 
 

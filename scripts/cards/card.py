@@ -48,7 +48,6 @@ KNOWN, UNKNOWN = Condition(), Condition(payload_known=False)
 
 CONDITIONS = {
     "ppo-circle": (KNOWN, UNKNOWN),
-    "apg-circle": (KNOWN, UNKNOWN),
     "apg-loops": (KNOWN, UNKNOWN),
     "planner": (KNOWN, UNKNOWN),
 }

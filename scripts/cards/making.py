@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cablebot_baselines.classical.flexible import Composite, FourthOrder, MotorPD
+from cablebot_baselines.classical.flexible import Composite, MotorPD
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.runs import BEST, LAST
@@ -47,7 +47,7 @@ Evaluate = Callable[[Mapping[str, Cell]], Sequence[Record]]
 
 def reference_law(env_id: str) -> str:
     """The classical law for comparison."""
-    return "composite-tuned" if env_id in FLEXIBLE_ENV_IDS else "fl"
+    return "composite" if env_id in FLEXIBLE_ENV_IDS else "fl"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -351,8 +351,6 @@ def base_text(base: Base, env_id: str) -> str:
     if base.law == "motor-pd":
         frequency = base.frequency or _default(MotorPD, "frequency")
         gains = f"ω = {frequency:g} rad/s, ζ = {_default(MotorPD, 'damping_ratio'):g}"
-    elif base.law == "fl4":
-        gains = f"poles {', '.join(f'{pole:g}' for pole in _default(FourthOrder, 'poles'))} 1/s"
     else:
         stiffness, damping = inner.outer.gains
         gains = f"K_P = {stiffness:g} 1/s², K_D = {damping:g} 1/s"

@@ -25,7 +25,7 @@ def runs(tmp_path):
     from shipping import PAYLOADS, save_run  # needs torch
 
     for seed in PAYLOADS:
-        save_run(tmp_path / "runs" / f"apg-circle-planar-{seed}", seed)
+        save_run(tmp_path / "runs" / f"apg-loops-planar-{seed}", seed)
     return tmp_path / "runs"
 
 

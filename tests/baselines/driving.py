@@ -14,9 +14,10 @@ class Step(NamedTuple):
     info: dict[str, Any]
 
 
-def drive(policy, env, steps=None):
-    """Yields each control step; without ``steps`` over the whole motion."""
-    observation, _ = env.reset(seed=0)
+def drive(policy, env, steps=None, **start):
+    """Yields each control step; without ``steps`` over the whole motion. ``start`` has keywords of
+    the environment's ``reset``."""
+    observation, _ = env.reset(**{"seed": 0, **start})
     tasks = env.unwrapped.tasks
     policy.reset(tasks)
     state = None

@@ -16,7 +16,8 @@ from cablebot_gym.benchmark.cells import BestKnownCell
 
 ROOT = Path(__file__).parents[2]
 PLANAR_ID, SPATIAL_ID, FLEX_PLANAR_ID = ENV_IDS[:3]
-APG_CIRCLE = SHIPPED["apg-circle"]
+APG_CIRCLE = replace(SHIPPED["apg-loops"], config="gradient")
+"""A policy for the circle."""
 
 BEST_KNOWN = {
     BestKnownCell(env_id=PLANAR_ID, trajectory=trajectory).motion_key: payload
@@ -36,7 +37,7 @@ in PAYLOADS."""
 
 
 def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
-    """Writes a finished run of ``apg-circle`` whose network outputs nearly zero; ``changes`` are of
+    """Writes a finished run of ``apg-loops`` whose network outputs nearly zero; ``changes`` are of
     its card."""
     plain = read_yaml(env_id, Path("gradient"))
     untrained = make_gradient_config(env_id, plain).untrained
@@ -77,7 +78,7 @@ def survey_result(payloads):
 
 
 def ship(runs, weights):
-    """Ships ``apg-circle`` on the planar robot and returns its card."""
+    """Ships ``apg-loops`` on the planar robot and returns its card."""
     script.ship_all(
         [(APG_CIRCLE, PLANAR_ID)],
         seeds=5,

@@ -68,11 +68,11 @@ def test_card_and_weights_are_those_of_the_median_seed(runs, computed, tmp_path)
     loops = [(loop.seed, loop.law_payload, loop.best_known) for loop in card.held_out]
     assert loops == [(10_000 + index, 2.0, 4.0) for index in range(3)] + [(10_003, 2.0, None)]
     assert [run.held_out for run in card.seeds] == [(), (), (), (), (1.6, 3.6, 1.6, 3.6)]
-    shipped = (weights / "apg-circle-planar.zip").read_bytes()
+    shipped = (weights / "apg-loops-planar.zip").read_bytes()
     assert card.shipped_seed == 4
-    assert shipped == (runs / "apg-circle-planar-4" / BEST).read_bytes()
+    assert shipped == (runs / "apg-loops-planar-4" / BEST).read_bytes()
     assert card.sha256 == hashlib.sha256(shipped).hexdigest()
-    text = (weights / "apg-circle-planar.json").read_text()
+    text = (weights / "apg-loops-planar.json").read_text()
     assert Card.from_json(text).to_json() == text == card.to_json()
 
 
@@ -138,7 +138,7 @@ def test_random_loops_of_an_earlier_family_are_named_and_keep_their_best_known_p
     earlier = replace(card, loop_durations=(9.9, *card.loop_durations[1:]))
     assert "earlier family" not in card_markdown([card])
     page = card_markdown([card, earlier])
-    assert "slower and all smooth: `apg-circle` (Planar).\n\n" in page
+    assert "slower and all smooth: `apg-loops` (Planar).\n\n" in page
     assert page.count("random loops of an earlier family, training seeds 0 to 2,") == 1
     larger = {key: 2 * payload for key, payload in BEST_KNOWN.items()}
     assert with_best_known(card, larger).held_out[0].best_known == 8.0

@@ -82,7 +82,7 @@ def test_filter_finds_the_pose_behind_the_springs():
     errors, _ = run(
         "CableBot-FlexPlanar-v0",
         ExtendedKalmanFilter(find_robot("flex-planar")),
-        law="composite-tuned",
+        law="composite",
     )
     assert np.abs(errors[..., :2]).max() < 1e-4  # the springs deflect by centimetres of cable
 
@@ -102,7 +102,7 @@ def test_homing_removes_zero_errors_of_sensors(env_id, law):
     assert np.abs(errors[..., :2]).max() < 2e-4
 
 
-@pytest.mark.parametrize("law", ["motor-pd", "adaptive-composite"])
+@pytest.mark.parametrize("law", ["motor-pd", "composite"])
 def test_law_reads_motor_angles_less_the_offset_that_homing_finds(law):
     """With the raw angles both laws fail at once: the zero error is centimetres of cable."""
     steps = 300
@@ -135,7 +135,7 @@ def test_diverged_filter_starts_anew_and_leaves_the_other_episodes():
     env = gym.make_vec("CableBot-FlexPlanar-v0", num_envs=2, measurement="winches").unwrapped
     rows, _ = env.reset(seed=0)
     robot = find_robot("flex-planar")
-    policy = Estimated(load_policy("composite-tuned", robot), robot)
+    policy = Estimated(load_policy("composite", robot), robot)
     policy.reset(env.tasks)
     _, (estimate, law) = policy.predict(rows)
     for value in (np.nan, 1e200):
@@ -183,8 +183,8 @@ SENSORS = {
     [
         ("CableBot-Planar-v0", "fl"),
         ("CableBot-Spatial-v0", "fl"),
-        ("CableBot-FlexPlanar-v0", "composite-tuned"),
-        ("CableBot-FlexSpatial-v0", "composite"),
+        ("CableBot-FlexPlanar-v0", "composite"),
+        ("CableBot-FlexSpatial-v0", "composite:gains=paper"),
     ],
 )
 def test_errors_are_as_large_as_the_filter_states(env_id, law):
@@ -203,9 +203,7 @@ def test_errors_are_as_large_as_the_filter_states(env_id, law):
 def test_filter_finds_the_stiffness():
     """With nominal springs the error is a millimetre: 10 % of a deflection of centimetres."""
     softer = {"stiffness": {"low": -0.1, "high": 0.1, "each": False}}
-    errors, _ = homed(
-        "CableBot-FlexPlanar-v0", "composite-tuned", 4, SENSORS | {"parameters": softer}
-    )
+    errors, _ = homed("CableBot-FlexPlanar-v0", "composite", 4, SENSORS | {"parameters": softer})
     assert np.abs(errors[-50:]).max() < 5e-4
 
 

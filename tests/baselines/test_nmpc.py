@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from driving import drive, keeps_limits
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 pytest.importorskip("casadi")
 
@@ -23,7 +23,7 @@ from cablebot_baselines.optimal.nmpc import NMPC, STEPS_PER_PLAN, TUNING, Nonlin
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning.stage_functions import TENSION
-from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, find_robot
+from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
 from cablebot_gym.task import ErrorBounds
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -77,40 +77,6 @@ def test_plan_uses_the_error_bounds_of_the_task(policies):
         < rollout(policies[PLANAR_ID], vector(PLANAR_ID, 1, payload=1.5), steps=450)[1][0]
         < 0.01
     )
-
-
-# --- batch and state --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("env_id", ROBOTS)
-def test_batch_gives_the_same_actions_as_single_observations(policies, env_id):
-    policy = policies[env_id]
-    env = vector(env_id, 3, payload=np.array([0.0, 1.0, 2.0]))
-    alone = [None] * 3
-    for step in drive(policy, env, 2 * STEPS_PER_PLAN + 1):
-        for index in range(3):
-            single, alone[index] = policy.predict(step.observation[index], state=alone[index])
-            assert_allclose(single, step.action[index], rtol=0, atol=1e-12)
-
-
-def test_new_episode_discards_the_plan(policies):
-    """An environment that starts acts like a new policy, and does not disturb the other one."""
-    policy = policies[PLANAR_ID]
-    env = vector(PLANAR_ID, 2, payload=2.0)
-    start_rows, _ = env.reset(seed=0)
-    policy.reset(env.unwrapped.tasks)
-    observation = start_rows
-    state = None
-    for _ in range(STEPS_PER_PLAN):
-        action, state = policy.predict(observation, state=state)
-        observation, *_ = env.step(action)
-    mixed = np.stack([start_rows[0], observation[1]])
-    anew, _ = policy.predict(mixed, state=state, episode_start=np.array([True, False]))
-    fresh, _ = policy.predict(start_rows[:1])
-    onward, _ = policy.predict(observation, state=state)
-    assert_array_equal(anew[0], fresh[0])
-    assert_array_equal(anew[1], onward[1])
-    assert_array_equal(policy.predict(observation, state=state)[0], onward)
 
 
 # --- the program ------------------------------------------------------------------------------------------------------
@@ -294,10 +260,6 @@ def test_platform_far_away_is_one_fallback_per_episode(monkeypatch):
 # --- invalid input ----------------------------------------------------------------------------------------------------
 
 
-def test_unsupported_robots_raise(policies):
-    with pytest.raises(ValueError, match="built for robot"):
-        policies[PLANAR_ID].reset(vector(SPATIAL_ID, 1).unwrapped.tasks)
-    with pytest.raises(ValueError, match="joint springs"):
-        NonlinearMPC(FLEX_PLANAR)
+def test_motors_with_a_lag_raise():
     with pytest.raises(ValueError, match="motors without lag"):
         NonlinearMPC(PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01)))

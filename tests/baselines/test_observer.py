@@ -3,14 +3,15 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from driving import drive
 from gymnasium.vector import AutoresetMode
 from numpy.testing import assert_allclose
 from oracles.plants import FLEX_UNEQUAL, QUAD, UNEQUAL, each_of, random_motion, slowly
 from oracles.platforms import CAMERA, CRANE, TURNING
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.flexible import composite_tuned
-from cablebot_baselines.classical.observing import Observing
+from cablebot_baselines.classical.flexible import make_composite
+from cablebot_baselines.classical.observer_law import ObserverLaw
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.estimation.filtering import delayed_weights, dynamics_of
 from cablebot_gym.envs import env_robot
@@ -33,10 +34,10 @@ def observing(env_id, uncertainty, largest_payload):
     robot = find_robot(env_robot(env_id))
     expectation = Expectation.of(robot, uncertainty)
     if robot.flexible:
-        law = composite_tuned(expectation.robot)
+        law = make_composite(expectation.robot)
     else:
         law = FeedbackLinearization(expectation.robot, gains=(400.0, 40.0))
-    return Observing(law, expectation, largest_payload=largest_payload)
+    return ObserverLaw(law, expectation, largest_payload=largest_payload)
 
 
 def episodes(env_id, uncertainty, payload, steps, **keywords):
@@ -52,16 +53,11 @@ def episodes(env_id, uncertainty, payload, steps, **keywords):
         autoreset_mode=AutoresetMode.DISABLED,
         **keywords,
     )
-    observation, _ = env.reset(seed=7, options={"payload": payload})
-    law.reset(env.unwrapped.tasks)
-    state = None
     estimates = []
     errors = []
-    for _ in range(steps):
-        action, state = law.predict(observation, state)
-        estimates.append(law.observer.estimate(state.observer))
-        observation, _, _, _, info = env.step(action)
-        errors.append(info["tracking_error"])
+    for step in drive(law, env, steps, seed=7, options={"payload": payload}):
+        estimates.append(law.observer.estimate(step.state.observer))
+        errors.append(step.info["tracking_error"])
     return estimates, env.unwrapped.truth, np.array(errors)
 
 
@@ -203,21 +199,3 @@ def test_held_robot_shows_its_mass_only_after_the_first_action_arrives():
     assert_allclose(second, first, rtol=1e-6)
     mass = truth["platform_mass"] + truth["payload"]
     assert_allclose(estimates[3].mass, mass, rtol=0.03)
-
-
-def test_episodes_of_a_batch_are_estimated_as_if_alone():
-    robot = find_robot("spatial")
-    uncertainty = find_uncertainty("hardware", robot)
-    law = observing("CableBot-Spatial-v0", uncertainty, 6.0)
-    alone = observing("CableBot-Spatial-v0", uncertainty, 6.0)
-    env = gym.make_vec(
-        "CableBot-Spatial-v0", num_envs=3, uncertainty=uncertainty, payload_known=False
-    )
-    observation, _ = env.reset(seed=0, options={"payload": np.array([0.0, 3.0, 6.0])})
-    together_state = state = None
-    for step in range(12):
-        starts = np.array([False, step == 6, False]) | (step == 0)
-        together, together_state = law.predict(observation, together_state, starts)
-        action, state = alone.predict(observation[1], state, starts[1])
-        assert_allclose(action, together[1], atol=1e-9)
-        observation, *_ = env.step(together)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 import yaml
+from driving import drive
 
-from cablebot_baselines.classical.observing import Observing, observed_gains
+from cablebot_baselines.classical.observer_law import ObserverLaw, observed_gains
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.gradient_run import train_gradient
 from cablebot_baselines.learned.network import zero_network
@@ -38,13 +39,11 @@ def largest_errors(policy, trajectory, payloads, uncertainty=None):
         uncertainty=uncertainty,
         payload_known=uncertainty is None,
     )
-    observation, _ = env.reset(seed=7, options={"payload": payloads})
-    policy.reset(env.tasks)
-    state, errors = None, []
-    for _ in range(env.tasks[0].steps - 1):
-        action, state = policy.predict(observation, state)
-        observation, *_, info = env.step(action)
-        errors.append(info["tracking_error_peak"])
+    start = {"seed": 7, "options": {"payload": payloads}}
+    errors = [
+        step.info["tracking_error_peak"]
+        for step in drive(policy, env, env.tasks[0].steps - 1, **start)
+    ]
     return np.max(errors, axis=0) / env.tasks[0].error_bounds.position
 
 
@@ -52,7 +51,7 @@ def test_zero_network_tracks_the_reference_as_closely_as_observing():
     network = zero_network(input_count(PLANAR), PLANAR.coordinates)
     planning = Planning(gains=observed_gains(PLANAR))
     policy = PlanningPolicy(PLANAR, network, planning)
-    observing = Observing(policy.law, policy.expectation, payload_prior=planning.payload_prior)
+    observing = ObserverLaw(policy.law, policy.expectation, payload_prior=planning.payload_prior)
     (motion,) = loops(1)
     payloads = np.array([0.0, 1.0])
     tracked = largest_errors(policy, motion, payloads)
@@ -65,7 +64,7 @@ def test_policy_tracks_the_reference_until_it_knows_a_task():
     observation, _ = env.reset(seed=0)
     planning = Planning()
     policy = PlanningPolicy(PLANAR, network, planning)
-    tracking = Observing(policy.law, policy.expectation, payload_prior=planning.payload_prior)
+    tracking = ObserverLaw(policy.law, policy.expectation, payload_prior=planning.payload_prior)
     actions, _ = policy.predict(observation)
     expected, _ = tracking.predict(observation)
     assert np.array_equal(actions, expected)

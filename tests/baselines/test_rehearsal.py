@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("casadi")
 
-from cablebot_baselines.optimal import rehearsed as module
 from cablebot_baselines.optimal.rehearsal import (
     GROWTH,
     LARGEST_ACTION_MARGIN,
@@ -18,13 +17,12 @@ from cablebot_baselines.optimal.rehearsal import (
     grown_margins,
     spread_margins,
 )
-from cablebot_baselines.optimal.rehearsed import find_rehearsed_plan, with_lighter_payload
+from cablebot_baselines.optimal.rehearsed import with_lighter_payload
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import MarginProfile, MotionProgram
-from cablebot_gym.robots import FLEX_PLANAR, PLANAR
+from cablebot_gym.robots import FLEX_PLANAR
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import find_trajectory
-from cablebot_gym.uncertainty import find_uncertainty
 
 TASK = gym.make("CableBot-Planar-v0", payload_known=False).unwrapped.task
 TIMES = np.arange(1, 201) / TASK.control_frequency
@@ -119,14 +117,3 @@ def test_lighter_payload_on_a_plan_is_near_a_solution():
     structure = textbook.jacobian(FLEX_PLANAR, planned.position)
     wrench = -np.einsum("tmn,tm->tn", structure, tensions)
     assert_allclose(wrench, FLEX_PLANAR.mass * planned.acceleration, atol=1.0)
-
-
-@pytest.mark.slow
-def test_rehearsed_plan_is_carried_by_robots_of_another_seed(monkeypatch):
-    """They are as random as the rehearsed ones; a plan that fits those only would be worthless."""
-    task = replace(TASK, trajectory=find_trajectory({"name": "loop-planar", "seed": 3}, "planar"))
-    uncertainty = find_uncertainty("hardware", PLANAR)
-    plan = find_rehearsed_plan(task, uncertainty)
-    search = module.PlanSearch(task, uncertainty)
-    monkeypatch.setattr(module, "SEED", 5)
-    assert search._rehearsal(plan, (0.0, 0.5, 0.95)).carried.all()

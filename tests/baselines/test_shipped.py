@@ -7,7 +7,6 @@ import subprocess
 import sys
 import zipfile
 from dataclasses import replace
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from cards.card import CONDITIONS, LEAST_SEEDS, read_cards
 from cards.making import read_best_known, with_best_known
 from cards.page import card_markdown
 from cards.statistics import median_seed
-from shipping import APG_CIRCLE, PLANAR_ID, ROOT, SPATIAL_ID, save_run, script, ship
+from shipping import APG_CIRCLE, PLANAR_ID, ROOT, save_run, script, ship
 from stable_baselines3 import PPO
 from test_training import run as train
 
@@ -24,7 +23,7 @@ from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.runs import BEST, LAST, read_yaml
 from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, load_shipped, stem
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
+from cablebot_gym.robots import PLANAR
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
 
 AGAIN = "run python scripts/train_shipped.py --page"
@@ -36,9 +35,9 @@ def test_invalid_requests_are_rejected_before_the_work(runs, computed, tmp_path)
     with pytest.raises(ValueError, match="--seeds must be at least 5"):
         script.ship_all([(APG_CIRCLE, PLANAR_ID)], seeds=4, runs=tmp_path / "none")
     assert not (tmp_path / "none").exists()
-    save_run(runs / "apg-circle-planar-2", 2, config={"motions": {"loops": 2}})
+    save_run(runs / "apg-loops-planar-2", 2, config={"motions": {"loops": 2}})
     with pytest.raises(
-        ValueError, match="another config than the present apg-circle: remove the folder"
+        ValueError, match="another config than the present apg-loops: remove the folder"
     ):
         ship(runs, tmp_path / "weights")
     assert not computed
@@ -62,28 +61,6 @@ def test_sb3_model_has_the_actor_of_the_bundle_and_no_paths(tmp_path):
     with zipfile.ZipFile(io.BytesIO(data)) as file:
         text = b"".join(file.read(name) for name in file.namelist())
     assert not any(str(folder).encode() in text for folder in (ROOT, tmp_path))
-
-
-def test_entry_points_name_the_shipped_policies():
-    points = entry_points(group="cablebot_gym.policies")
-    for name, shipped in SHIPPED.items():
-        entry = points[name].load()
-        assert entry.name == name
-        assert entry.kind == "learned"
-        assert entry.env_ids == shipped.env_ids
-
-
-@pytest.mark.parametrize("robot", [SPATIAL, FLEX_PLANAR], ids=lambda robot: robot.name)
-def test_kind_of_robot_selects_the_weights(robot):
-    policy = load_shipped("apg-loops", robot.replace(name="own", mass=1.1 * robot.mass))
-    assert policy.bundle.env_id == ("CableBot-FlexPlanar-v0" if robot.flexible else SPATIAL_ID)
-
-
-def test_policy_for_other_robots_is_rejected():
-    with pytest.raises(
-        ValueError, match=r"'ppo-circle' is for CableBot-Spatial-v0, not for .*choose apg-circle"
-    ):
-        load_shipped("ppo-circle", PLANAR)
 
 
 def test_weights_and_cards_of_all_policies_are_present():
@@ -111,7 +88,7 @@ import sys
 sys.modules["torch"] = sys.modules["stable_baselines3"] = None
 from cablebot_baselines.learned.shipped import load_shipped
 from cablebot_gym.robots import PLANAR
-load_shipped("apg-circle", PLANAR)
+load_shipped("apg-loops", PLANAR)
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

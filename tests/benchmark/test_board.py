@@ -337,7 +337,7 @@ def test_surveyed_payloads_keep_their_promise_on_the_mean(motions, excess):
 
 def test_fresh_draws_tell_a_kept_promise_from_a_broken_one(inline):
     feasible = record(cell(), 0.3)
-    too_much = record(cell(policy="fl-tuned"), 2.1)
+    too_much = record(cell(policy="fl:gains=tuned"), 2.1)
     unpromised = [
         record(cell(uncertainty=None, draws=1), assured=None),
         record(cell(policy="robust"), None),
@@ -347,10 +347,10 @@ def test_fresh_draws_tell_a_kept_promise_from_a_broken_one(inline):
         [feasible, too_much, *unpromised], local(1), cells=20, draws=60, seed=5, say=print
     )
     by_policy = {confirmation.cell.policy: confirmation for confirmation in confirmations}
-    assert set(by_policy) == {"fl", "fl-tuned"}
+    assert set(by_policy) == {"fl", "fl:gains=tuned"}
     assert by_policy["fl"].success_rate == 1.0
-    assert by_policy["fl-tuned"].success_rate < 0.5
-    assert "2.100 kg in at least 95% of all draws" in str(by_policy["fl-tuned"])
+    assert by_policy["fl:gains=tuned"].success_rate < 0.5
+    assert "2.100 kg in at least 95% of all draws" in str(by_policy["fl:gains=tuned"])
     with pytest.raises(ValueError, match="no payload under uncertainty"):
         list(confirm(unpromised, local(1), cells=20, draws=60, seed=5, say=print))
 

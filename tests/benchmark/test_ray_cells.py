@@ -23,7 +23,7 @@ CELLS = [
     PolicyCell(
         env_id="CableBot-Planar-v0", trajectory=CIRCLE, policy=policy, resolution=0.1, **model
     )
-    for policy in ("fl", "fl-tuned")
+    for policy in ("fl", "fl:gains=tuned")
     for model in ({}, {"payload_known": False})
 ]
 

@@ -163,11 +163,11 @@ def test_real_time_repeats_every_episode():
 
 
 def test_policies_are_assigned_to_their_environments():
-    assert find_policies(["fl", "motor-pd", "fl"], PAPER_ENV_IDS) == {
+    assert find_policies(["fl", "flex-eq22", "fl"], PAPER_ENV_IDS) == {
         PLANAR: ("fl",),
         SPATIAL: ("fl",),
-        "CableBot-FlexPlanar-v0": ("motor-pd",),
-        "CableBot-FlexSpatial-v0": (),
+        "CableBot-FlexPlanar-v0": (),
+        "CableBot-FlexSpatial-v0": ("flex-eq22",),
     }
 
 
@@ -218,9 +218,9 @@ def test_factory_for_no_robot_is_rejected(module):
     [
         (["nobody"], [], "unknown policy 'nobody'"),
         (
-            ["fl4"],
+            ["flex-eq22"],
             [PLANAR],
-            "policy 'fl4' supports CableBot-FlexSpatial-v0, not CableBot-Planar-v0",
+            "policy 'flex-eq22' supports CableBot-FlexSpatial-v0, not CableBot-Planar-v0",
         ),
         (
             [],

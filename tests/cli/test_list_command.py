@@ -35,13 +35,13 @@ def test_json_and_text_have_every_name_and_unit(cablebot, data):
         listed = [item["name"] if isinstance(item, dict) else item for item in data[key]]
         assert listed == list(names)
         assert set(names) <= words
-    fl4 = {
-        "name": "fl4",
+    law = {
+        "name": "flex-eq22",
         "kind": "classical",
         "env_ids": ["CableBot-FlexSpatial-v0"],
-        "as_printed": True,
+        "known_robot": True,
     }
-    assert fl4 in data["policies"]
+    assert law in data["policies"]
     assert {parameter.unit for parameter in PARAMETERS.values()} <= words
 
 

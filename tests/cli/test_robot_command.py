@@ -61,7 +61,7 @@ def test_json_has_numbers_and_questions(cablebot):
             1,
             "8 kg cannot be carried: at the start pose the motors and cables hold 7.437 kg",
         ),
-        ("flex-ttk4900", 4, 0, "cablebot dlcc --policy composite-tuned --robot flex-ttk4900"),
+        ("flex-ttk4900", 4, 0, "cablebot dlcc --policy composite --robot flex-ttk4900"),
     ],
 )
 def test_payload_is_judged_by_exact_tracking_and_by_the_start(

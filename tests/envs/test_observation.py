@@ -58,7 +58,7 @@ def tracked(env_id, options=None, **keywords):
     and both envs."""
     envs = [make(env_id, normalised_observation=form, **keywords) for form in (False, True)]
     robot = ROBOTS[env_id]
-    policy = load_policy("composite-tuned" if robot.flexible else "fl", robot)
+    policy = load_policy("composite" if robot.flexible else "fl", robot)
     rows = []
     results = [env.reset(seed=0, options=options) for env in envs]
     ended = False

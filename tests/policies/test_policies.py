@@ -13,6 +13,7 @@ from numpy.testing import assert_array_equal
 
 from cablebot_baselines.classical import FL
 from cablebot_gym import ENV_IDS
+from cablebot_gym.cli.options import split_names
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation.batch import Batch
 from cablebot_gym.evaluation.conditions import Conditions
@@ -90,7 +91,7 @@ def module(tmp_path, monkeypatch):
 def test_policies_of_other_packages_are_found_by_name(points):
     for name in ("zzz", "constant"):
         entry = PolicyEntry(
-            name=name, kind="learned", env_ids=ENV_IDS[:1], factory=Constant, summary="third party"
+            name=name, kind="learned", env_ids=ENV_IDS, factory=Constant, summary="third party"
         )
         points[ENTRY_POINT_GROUP].append(Point(entry))
     assert list(policy_entries()) == sorted(policy_entries())
@@ -184,6 +185,51 @@ def test_name_that_loads_no_policy_is_explained(module, name, message):
     with pytest.raises(ValueError, match=message) as caught:
         load_policy(name, PLANAR)
     assert f"'{name}'" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "gains", "minimum_tension"),
+    [
+        ("fl:gains=tuned", (2000.0, 90.0), 5.0),
+        ("fl:gains=900/60,minimum_tension=3", (900.0, 60.0), 3.0),
+    ],
+)
+def test_options_of_a_name_are_arguments_of_the_law(name, gains, minimum_tension):
+    spec = PolicySpec.parse(name)
+    assert (spec.kind, spec.own, spec.target) == ("installed", True, name)
+    law = load_policy(name, PLANAR)
+    assert (law.outer.gains, law.minimum_tension) == (gains, minimum_tension)
+    assert load(f"ekf+{name}", PLANAR).name == f"ekf+{name}"
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "fl:gain=3",
+            "unknown fl option 'gain'; choose one of gains, minimum_tension, such as fl:",
+        ),
+        ("fl:gains=tuned,zeta=1", "unknown fl option 'zeta'"),
+        ("fl:gains=tund", "unknown gains 'tund'; choose one of paper, tuned"),
+        ("adaptive:allocation=maybe", "allocation must be true or false, not 'maybe'"),
+        ("trajopt:gains=tuned", "policy 'trajopt' has no options: leave 'gains=tuned' out"),
+        ("fl:tuned", "an option of the policy 'fl' has the form fl:OPTION=VALUE"),
+        ("lqr:gains=tuned", "unknown policy|No module named 'lqr'"),
+    ],
+)
+def test_invalid_option_raises_with_the_valid_ones(name, message):
+    with pytest.raises(ValueError, match=message):
+        load_policy(name, PLANAR)
+
+
+def test_entry_that_is_named_by_its_module_refuses_other_kinds_of_robots():
+    with pytest.raises(ValueError, match=r"does not support robot 'flex-planar'.*: use one of "):
+        load_policy("cablebot_baselines.classical:FL", find_robot("flex-planar"))
+
+
+def test_comma_before_an_option_does_not_separate_policies():
+    names = ["fl:gains=tuned,minimum_tension=3", "adaptive"]
+    assert split_names(",".join(names)) == names
 
 
 def test_name_is_read_without_importing_anything(module):

@@ -11,7 +11,7 @@ import numpy as np
 
 from cablebot_gym import find_robot, record_rollout
 
-ENV_ID, POLICY = "CableBot-FlexPlanarPlatform-v0", "composite-tuned"
+ENV_ID, POLICY = "CableBot-FlexPlanarPlatform-v0", "composite"
 FOLDER = Path("motions")
 POSITION_NOISE, ROTATION_NOISE, TORQUE_NOISE, TENSION_NOISE = 1e-4, 5e-4, 0.01, 0.3
 ENCODER_STEP = 2 * np.pi / 8192

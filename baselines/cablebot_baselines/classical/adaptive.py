@@ -11,7 +11,7 @@ import numpy as np
 
 from cablebot_baselines.classical.allocation import allocate
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.flexible import composite_tuned
+from cablebot_baselines.classical.flexible import make_composite
 from cablebot_baselines.classical.law import Array, ClassicalLaw
 from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
@@ -233,12 +233,17 @@ class Adaptive(ClassicalLaw):
         return momentum[..., :d]
 
 
-def make_adaptive(robot: Robot) -> Adaptive:
-    """Makes the policy ``adaptive`` or, for a flexible robot, ``adaptive-composite``."""
+def make_adaptive(
+    robot: Robot, *, estimator_prior_weight: float = 0.01, allocation: bool = True
+) -> Adaptive:
+    """The adaptive law around feedback linearization or, for a robot with joint springs or elastic
+    cables, around the composite law; the arguments are those of :class:`Adaptive`."""
+    law: ClassicalLaw
     if robot.flexible:
-        return Adaptive(composite_tuned(robot))
-    return Adaptive(FeedbackLinearization(robot, gains=by_kind(ADAPTIVE_GAINS, robot)))
+        law = make_composite(robot)
+    else:
+        law = FeedbackLinearization(robot, gains=by_kind(ADAPTIVE_GAINS, robot))
+    return Adaptive(law, estimator_prior_weight=estimator_prior_weight, allocation=allocation)
 
 
 ADAPTIVE = entry("adaptive", make_adaptive)
-ADAPTIVE_COMPOSITE = entry("adaptive-composite", make_adaptive)

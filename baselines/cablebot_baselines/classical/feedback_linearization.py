@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from cablebot_baselines.classical.law import Array, ClassicalLaw
-from cablebot_baselines.classical.outer_loop import PD, OuterLoop, by_kind, checked_gains
+from cablebot_baselines.classical.outer_loop import (
+    NAMED_GAINS,
+    PD,
+    Gains,
+    OuterLoop,
+    checked_gains,
+)
 from cablebot_baselines.entries import entry
 from cablebot_gym.robots import Robot
 
@@ -12,6 +18,8 @@ TUNED_GAINS = {"planar": (2000.0, 90.0), "spatial": (1600.0, 80.0)}
 
 With a known payload the DLCC is that of the paper's gains.
 """
+
+_TABLES = NAMED_GAINS | {"tuned": TUNED_GAINS}
 
 
 class FeedbackLinearization(ClassicalLaw):
@@ -25,26 +33,24 @@ class FeedbackLinearization(ClassicalLaw):
 
     Args:
         robot: nominal robot.
-        gains: (K_P, K_D), the same for each coordinate; None for the paper's gains. Sampling with
+        gains: (K_P, K_D), the same for each coordinate, ``paper`` or ``tuned``. Sampling with
             period h reduces the effective K_D by about K_P h/2, so the planar gains need a control
             frequency well above 100 Hz.
         minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
 
     Raises:
-        ValueError: if a gain is not positive, or ``minimum_tension`` is negative.
+        ValueError: if the gains are invalid, or ``minimum_tension`` is negative.
     """
-
-    for_rigid_robots = True
 
     def __init__(
         self,
         robot: Robot,
         *,
-        gains: tuple[float, float] | None = None,
+        gains: Gains = "paper",
         minimum_tension: float | None = None,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
-        self.outer: OuterLoop = PD(gains=checked_gains(gains, robot))
+        self.outer: OuterLoop = PD(gains=checked_gains(gains, robot, _TABLES))
 
     def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
         """Requested torques [N·m] and motor speeds [rad/s], each (..., m)."""
@@ -54,9 +60,4 @@ class FeedbackLinearization(ClassicalLaw):
         return required.torques, required.speeds
 
 
-def _tuned(robot: Robot) -> FeedbackLinearization:
-    return FeedbackLinearization(robot, gains=by_kind(TUNED_GAINS, robot))
-
-
 FL = entry("fl", FeedbackLinearization)
-FL_TUNED = entry("fl-tuned", _tuned)

@@ -9,13 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from cablebot_baselines.classical.law import Array, ClassicalLaw
-from cablebot_baselines.classical.outer_loop import PD, BoundedRobustPD, RobustPD, checked_gains
+from cablebot_baselines.classical.outer_loop import (
+    PD,
+    BoundedRobustPD,
+    Gains,
+    RobustPD,
+    checked_gains,
+)
 from cablebot_baselines.entries import entry
 from cablebot_baselines.episodes import first_steps
 from cablebot_gym.physics import textbook
@@ -39,8 +44,8 @@ FLEXIBLE_MINIMUM_TENSION = 14.0
 """Least tension that the laws allocate on a planar robot with joint springs [N].
 
 A jump of the reference acceleration lets the tensions swing far below the allocated ones. This is
-the smallest value for which no tension limits the DLCC of ``motor-pd``, ``composite-tuned`` and
-``adaptive-composite`` on the paper's circle between dwells. It costs a law that the tensions do not
+the smallest value for which no tension limits the DLCC of ``motor-pd``, ``composite`` and
+``adaptive`` on the paper's circle between dwells. It costs a law that the tensions do not
 limit only a few per cent of the DLCC.
 """
 
@@ -78,7 +83,7 @@ class FlexibleLaw(ClassicalLaw):
         if not robot.flexible:
             law = type(self).__name__
             raise ValueError(
-                f"{law} needs joint springs or elastic cables; robot {robot.name!r} has none. Use fl."
+                f"{law} needs joint springs or elastic cables; robot {robot.name!r} has none"
             )
         super().__init__(robot, minimum_tension=minimum_tension)
 
@@ -164,7 +169,7 @@ class Composite(FlexibleLaw):
 
     Args:
         robot: nominal robot.
-        gains: (K_P, K_D) of the rigid law; None for the paper's gains.
+        gains: (K_P, K_D) of the rigid law, or ``paper``.
         spring_damping: largest K_v in units of √(K J′); ≥ 0.
         leads_springs: whether the torque κ leads by the lag of the damped springs along the
             reference, (K_v κ̇ + J′ κ̈)/K.
@@ -179,7 +184,7 @@ class Composite(FlexibleLaw):
         self,
         robot: Robot,
         *,
-        gains: tuple[float, float] | None = None,
+        gains: Gains = "paper",
         spring_damping: float = 1.0,
         leads_springs: bool = False,
         minimum_tension: float | None = None,
@@ -337,81 +342,6 @@ class MotorPD(FlexibleLaw):
         return feedforward + correction
 
 
-class FourthOrder(FlexibleLaw):
-    """Fourth-order feedback linearization: the input is the snap of the platform, the error
-    dynamics have given poles.
-
-    The law computes acceleration and jerk from the state through the spring torques. κ is affine in
-    Ẍ, κ̇ in the jerk and κ̈ in the snap, each with the matrix ∂κ/∂Ẍ. The law needs as many cables
-    as coordinates. The paper gives no gains for this law; the default poles are our choice.
-
-    Args:
-        robot: nominal spatial robot.
-        poles: four poles in the left half plane, complex poles in conjugate pairs [1/s].
-
-    Raises:
-        ValueError: if the robot is planar or has no joint springs, or the poles are invalid.
-    """
-
-    def __init__(
-        self, robot: Robot, *, poles: Sequence[complex] = (-15.0, -15.0, -60.0, -60.0)
-    ) -> None:
-        super().__init__(robot)
-        if robot.cables != robot.coordinates:
-            raise ValueError(
-                "fl4 needs as many cables as coordinates, "
-                f"but robot {robot.name!r} has {robot.cables} cables and {robot.coordinates} coordinates. "
-                "Use composite-tuned or motor-pd."
-            )
-        gains = np.poly(np.asarray(poles))
-        rounding = 1e-9 * np.abs(gains)
-        are_stable = np.all(np.real(poles) < 0)
-        are_conjugate = np.all(np.abs(np.imag(gains)) <= rounding)
-        if len(poles) != 4 or not are_stable or not are_conjugate:
-            raise ValueError(
-                f"poles must be four stable poles, complex poles in conjugate pairs, not {poles}"
-            )
-        self._gains = np.real(gains)[1:]
-
-    def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
-        robot = self.model
-        pose = blocks["pose"]
-        velocity = blocks["velocity"]
-        zero = np.zeros_like(pose)
-        slope = self.torque_slope(mass, pose)
-        stiffness = textbook.joint_stiffness(self.robot, pose)
-        # κ = K (β′ − β) and its rate are measured. They determine acceleration and jerk.
-        deflection = blocks["motor_angle"] - textbook.pulley_angle(robot, pose)
-        deflection_rate = blocks["motor_speed"] - self.pulley_speed(pose, velocity)
-        spring = stiffness * deflection
-        spring_rate = stiffness * deflection_rate
-        spring_without_acceleration = self._spring_torques(mass, pose, velocity, zero)
-        acceleration = _solve(slope, spring - spring_without_acceleration)
-        motion = Motion(
-            position=pose, velocity=velocity, acceleration=acceleration, jerk=zero, snap=zero
-        )
-        _, rate_without_jerk, _ = self._spring_torque_derivatives(mass, motion)
-        jerk = _solve(slope, spring_rate - rate_without_jerk)
-        motion = replace(motion, jerk=jerk)
-        _, _, second_without_snap = self._spring_torque_derivatives(mass, motion)
-        jerk_gain, acceleration_gain, velocity_gain, pose_gain = self._gains
-        snap = blocks["reference_snap"] + (
-            jerk_gain * (blocks["reference_jerk"] - jerk)
-            + acceleration_gain * (blocks["reference_acceleration"] - acceleration)
-            + velocity_gain * (blocks["reference_velocity"] - velocity)
-            + pose_gain * (blocks["reference_pose"] - pose)
-        )
-        spring_second = second_without_snap + textbook.times_vector(slope, snap)
-        pulley_acceleration = self._pulley_acceleration(pose, velocity, acceleration)
-        motor_acceleration = pulley_acceleration + spring_second / stiffness
-        inertial = robot.motor_inertia * motor_acceleration
-        return spring + inertial + textbook.motor_friction(robot, blocks["motor_speed"], spring)
-
-
-def _solve(matrix: Array, vector: Array) -> Array:
-    return np.linalg.solve(matrix, vector[..., None])[..., 0]
-
-
 def _longest_period(tasks: Sequence[Task]) -> float:
     """Longest control period [s]."""
     return max(1 / task.control_frequency for task in tasks)
@@ -423,24 +353,41 @@ def _slowest_frequency(robot: Robot) -> float:
     return float(np.sqrt(np.min(squares)))
 
 
-def composite_tuned(robot: Robot) -> Composite:
+def make_composite(
+    robot: Robot, *, gains: Gains = "tuned", minimum_tension: float | None = None
+) -> Composite:
     """Composite law with gains for the kind of the robot, which also tolerate an unknown payload.
 
     Much more spring damping does not help: β̇′ follows β̇ only as long as the spring torque is
     constant. The lead is for joint springs: on elastic cables it makes the errors larger.
+
+    Args:
+        robot: nominal robot.
+        gains: ``tuned``, or the ``gains`` of :class:`Composite` with its other defaults.
+        minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
+
+    Raises:
+        ValueError: as :class:`Composite`.
     """
+    if gains != "tuned":
+        return Composite(robot, gains=gains, minimum_tension=minimum_tension)
     if robot.kind == "planar":
-        return Composite(robot, gains=(800.0, 30.0), spring_damping=0.5)
+        return Composite(
+            robot, gains=(800.0, 30.0), spring_damping=0.5, minimum_tension=minimum_tension
+        )
     ratio = 1.0
     if robot.elastic:
         # The outer loop is as slow, compared with the winches, as that of the paper's robot.
         frequency = _slowest_frequency(textbook.joint_equivalent(robot))
         ratio = min(1.0, frequency / _slowest_frequency(FLEX_SPATIAL))
-    gains = (ratio**2 * 200.0, ratio * 28.0)
-    return Composite(robot, gains=gains, spring_damping=0.4, leads_springs=not robot.elastic)
+    return Composite(
+        robot,
+        gains=(ratio**2 * 200.0, ratio * 28.0),
+        spring_damping=0.4,
+        leads_springs=not robot.elastic,
+        minimum_tension=minimum_tension,
+    )
 
 
-COMPOSITE = entry("composite", Composite)
-COMPOSITE_TUNED = entry("composite-tuned", composite_tuned)
+COMPOSITE = entry("composite", make_composite)
 MOTOR_PD = entry("motor-pd", MotorPD)
-FL4 = entry("fl4", FourthOrder)

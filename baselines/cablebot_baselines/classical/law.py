@@ -3,7 +3,6 @@ robot."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,17 +27,6 @@ from cablebot_gym.utils.checks import number
 Array = NDArray[Any]
 
 
-_LOGGER = logging.getLogger("cablebot_gym")
-
-
-def flexible_advice(robot: Robot) -> str:
-    """Advice for a user of a law for rigid robots on a flexible robot."""
-    springs = "elastic cables"
-    if robot.jointed:
-        springs = "joint springs"
-    return f"robot {robot.name!r} has {springs}. Use composite-tuned or adaptive-composite."
-
-
 class ClassicalLaw:
     """Control law that computes motor torques from the blocks of the observation and the nominal
     parameters.
@@ -55,9 +43,6 @@ class ClassicalLaw:
     """
 
     unsaturated_actions = True
-    for_rigid_robots = False
-    """Whether the law ignores springs. On a flexible robot it usually fails unloaded, and logs an
-    advice."""
     usual_minimum = MINIMUM_TENSION
     """Usual least tension [N]."""
     tension_reserve = TENSION_RESERVE
@@ -66,10 +51,6 @@ class ClassicalLaw:
     def __init__(self, robot: Robot, *, minimum_tension: float | None = None) -> None:
         if minimum_tension is None:
             minimum_tension = allocated_minimum(robot, self.usual_minimum, self.tension_reserve)
-        if self.for_rigid_robots and robot.flexible:
-            _LOGGER.warning(
-                "%s is for rigid robots, but %s", type(self).__name__, flexible_advice(robot)
-            )
         self.robot = robot
         self.minimum_tension = number("minimum_tension", minimum_tension, least=0.0, unit="N")
         self.model = joint_equivalent(robot)

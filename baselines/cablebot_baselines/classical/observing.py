@@ -1,260 +1,99 @@
-"""A control law that acts for the robot that it meets, with an observer's estimates of mass, motors and
-delay."""
+"""Robust control behind an observer: the paper's robust law (Eqs. 26–36) in a form that holds on
+robots that are not exactly known."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_baselines.classical.allocation import allocate
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.flexible import composite_tuned
+from cablebot_baselines.classical.flexible import Composite
 from cablebot_baselines.classical.law import Array, ClassicalLaw
+from cablebot_baselines.classical.observer_law import PERIOD, UNCERTAINTY, ObserverLaw
+from cablebot_baselines.classical.robust_design import Peaks, RobustDesign
 from cablebot_baselines.entries import entry
-from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.estimation.expectation import Expectation
-from cablebot_baselines.estimation.observer import RobotObserver
-from cablebot_baselines.estimation.observer_state import ObserverState, RobotEstimate
-from cablebot_gym.bounds.closed_form import exact_payload
-from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.physics.textbook import allocated_minimum, normalised_action
+from cablebot_baselines.estimation.observer_state import RobotEstimate
+from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.uncertainty import find_uncertainty
 
-PERIOD = 2e-3
-"""Control period of the observer before :meth:`Observing.reset` [s]."""
+_HALVINGS = 7
+"""Number of halvings that find the largest acceleration within the limits of the motors."""
 
-MINIMUM_TENSION = 7.0
-"""Least tension that ``observing`` allocates with more cables than coordinates [N]. Less, and a cable
-goes slack where the reference's acceleration jumps."""
-
-UNCERTAINTY = "hardware"
-"""Uncertainty that ``observing`` expects."""
-
-_REFERENCE = {
-    "reference_pose": "position",
-    "reference_velocity": "velocity",
-    "reference_acceleration": "acceleration",
-    "reference_jerk": "jerk",
-    "reference_snap": "snap",
-}
-"""Fields of a motion by blocks of the reference, which an observation may have."""
+_Law = FeedbackLinearization | Composite
 
 
-def observed_gains(robot: Robot) -> tuple[float, float]:
-    """(K_P, K_D) of a law behind the observer for a rigid robot [1/s², 1/s].
-
-    Higher ones amplify the noise of the sensors; with lower ones a platform in a plane turns too
-    far where the motors have less friction.
-    """
-    if robot.planar:
-        return 900.0, 60.0
-    return 400.0, 40.0
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Instant:
-    """What is known in a control step of N episodes."""
-
-    blocks: dict[str, Array]
-    """Blocks of the observation, each (N, size)."""
-    estimate: RobotEstimate
-    """Estimates of the observer."""
-    ahead: dict[str, Array]
-    """State at the instant at which the action takes effect, see
-    :meth:`~cablebot_baselines.estimation.observer.RobotObserver.at_effect`."""
-    time_to_go: Array
-    """Rest of the motion at that instant, (N,) [s]."""
-    starts: NDArray[np.bool_]
-    """Whether an episode starts, (N,)."""
-
-    def time(self, task: Task, rows: Any) -> Array:
-        """Time of a task's motion at that instant in some episodes [s]."""
-        time: Array = task.trajectory.duration - self.time_to_go[rows]
-        return time
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ObservingState:
-    """State of an observing law between two control steps."""
-
-    observer: ObserverState
-    """State of the observer."""
-    requested: Array
-    """Actions before saturation, (N, m)."""
-    memory: Any = None
-    """Memory of the reference, see :meth:`Observing.reference`."""
-
-
-class Observing(ClassicalLaw):
-    """A control law behind a :class:`~cablebot_baselines.estimation.observer.RobotObserver`.
-
-    The law computes torques for the expected robot with the estimated mass, from the state and the
-    reference at the instant at which its action will take effect. The requested acceleration cancels
-    that of the estimated wrench. The action divides the torques by the estimated strengths of the
-    motors. With as many cables as coordinates, saturated actions are
-    replaced by those within ±1 that come closest to the requested acceleration.
+class Observing(ObserverLaw):
+    """The law of :class:`~cablebot_baselines.classical.observer_law.ObserverLaw` with the gains, bounds
+    and tensions of a :class:`~cablebot_baselines.classical.robust_design.RobustDesign` for each
+    motion that it meets.
 
     Args:
-        law: control law without memory for the expected robot.
         expectation: what is expected of the robot.
-        largest_payload: largest payload that is considered possible if the payload is unknown [kg];
-            None for ``payload_prior`` times that with which the motors can track the reference of
-            the task exactly.
-        payload_prior: a multiple, as above.
+        largest_payload: as in :class:`~cablebot_baselines.classical.observer_law.ObserverLaw`.
     """
 
-    unsaturated_actions = False
+    law: _Law
 
-    def __init__(
-        self,
-        law: ClassicalLaw,
-        expectation: Expectation,
-        *,
-        largest_payload: float | None = None,
-        payload_prior: float = 1.0,
-    ) -> None:
-        super().__init__(law.robot, minimum_tension=law.minimum_tension)
-        self.law = law
-        self.expectation = expectation
-        self.largest_payload = largest_payload
-        self._payload_prior = payload_prior
-        self._tasks: tuple[Task, ...] = ()
-        payloads = np.array([self._possible(None)])
-        self.observer = self._observer(PERIOD, payloads)
-        self._allocates = law.robot.cables == law.robot.coordinates
-
-    def reset(self, tasks: Sequence[Task]) -> None:
-        """Passes the tasks to the law, and makes the observer for their control period.
-
-        Raises:
-            ValueError: if a task's robot differs from the law's robot in kind or anchors.
-        """
-        self.law.reset(tasks)
-        self._tasks = tuple(tasks)
-        payloads = np.zeros(len(tasks))
-        for task, rows in self._rows_by_motion(len(tasks)):
-            payloads[rows] = self._possible(task)
-        self._prepare(tasks, payloads)
-        period = 1 / tasks[0].control_frequency
-        self.observer = self._observer(period, payloads)
-        self._load_compiled_code(tasks)
-
-    def _load_compiled_code(self, tasks: Sequence[Task]) -> None:
-        """Runs the observer for two steps: in a control step the loading of its compiled code would
-        take longer than the control period."""
-        size = observation_layout(self.robot).size
-        blocks = self.split(np.zeros((len(tasks), size)))
-        blocks["pose"] = np.array([task.start_pose for task in tasks])
-        starts = np.zeros(len(tasks), np.bool_)
-        observer = self.observer
-        state = observer.update(blocks, None, starts)
-        state = observer.update(blocks, state, starts)
-        observer.at_effect(blocks, state)
+    def __init__(self, expectation: Expectation, *, largest_payload: float | None = None) -> None:
+        kind = Composite if expectation.robot.flexible else FeedbackLinearization
+        super().__init__(kind(expectation.robot), expectation, largest_payload=largest_payload)
+        self._unknown = self._designed(PERIOD, self._possible(None), Peaks())
+        self._of_motions: dict[int, _Law] = {}
 
     def _prepare(self, tasks: Sequence[Task], payloads: Array) -> None:
-        """Adapts the law to the tasks and the largest possible payload of each, (N,) [kg]."""
-
-    def _possible(self, task: Task | None) -> float:
-        """Largest payload that is considered possible in a task; None for an unknown task [kg]."""
-        if self.largest_payload is not None:
-            return self.largest_payload
-        payload = float(self.robot.mass)
-        if task is not None:
-            exact = exact_payload(task.robot, task.trajectory)
-            payload = max(payload, exact.payload)
-        return self._payload_prior * payload
-
-    def _observer(self, period: float, payloads: Array) -> RobotObserver:
-        if np.ptp(payloads) == 0:
-            payloads = payloads[0]  # serves any number of episodes
-        return RobotObserver(self.expectation, period, largest_payload=payloads)
-
-    def respond(
-        self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None
-    ) -> tuple[Array, Any]:
-        """Actions within ±1 from the blocks of an observation, and the next state."""
-        shape = blocks["pose"].shape[:-1]
-        rows = blocks
-        if not shape:
-            rows = {name: values[None] for name, values in blocks.items()}
-        starts = first_steps(state, episode_start, shape).reshape(-1)
-        observed = None
-        memory = None
-        if state is not None:
-            observed = state.observer
-            memory = state.memory
-        observed = self.observer.update(rows, observed, starts)
-        estimate = self.observer.estimate(observed)
-        ahead = self.observer.at_effect(rows, observed)
-        time_to_go = np.maximum(rows["time_to_go"][:, 0] - estimate.delay, 0.0)
-        instant = Instant(
-            blocks=rows, estimate=estimate, ahead=ahead, time_to_go=time_to_go, starts=starts
-        )
-        reference, memory = self.reference(instant, memory)
-        later = ahead | {"time_to_go": time_to_go[:, None]} | reference
-        requested, action = self._act(rows | later, estimate)
-        after = ObservingState(observer=observed, requested=requested, memory=memory)
-        return action.reshape(*shape, self.robot.cables), after
-
-    def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], Any]:
-        """Blocks of the reference at the instant at which the action takes effect, and the memory
-        for the next step; ``memory`` is that of the last step, None before the first.
-
-        They are those of the task's motion: a Taylor series from the observed reference does not
-        know where its acceleration jumps, and a light platform then loses the tension of a cable.
-        """
-        if not self._tasks:
-            return _extrapolated(instant.blocks, instant.estimate.delay), None
-        names = [name for name in _REFERENCE if name in instant.blocks]
-        later = {name: np.empty_like(instant.blocks[name]) for name in names}
-        for task, rows in self._rows_by_motion(len(instant.time_to_go)):
-            motion = task.trajectory(instant.time(task, rows))
-            for name in names:
-                later[name][rows] = getattr(motion, _REFERENCE[name])
-        return later, None
-
-    def _rows_by_motion(self, count: int) -> list[tuple[Task, NDArray[np.intp]]]:
-        """Each motion's first task and its rows of a batch of ``count`` episodes."""
-        tasks: dict[int, Task] = {}
-        groups: dict[int, list[int]] = {}
-        for row in range(count):
-            task = self._tasks[row % len(self._tasks)]
+        self._of_motions = {}
+        for task, payload in zip(tasks, payloads.tolist(), strict=True):
             motion = id(task.trajectory)
-            tasks.setdefault(motion, task)
-            groups.setdefault(motion, []).append(row)
-        return [(tasks[motion], np.array(rows)) for motion, rows in groups.items()]
+            if motion not in self._of_motions:
+                peaks = Peaks.of(self.robot, task, float(self.robot.mass) + payload / 2)
+                law = self._designed(1 / task.control_frequency, payload, peaks)
+                law.reset([task])
+                self._of_motions[motion] = law
+
+    def _designed(self, period: float, largest_payload: float, peaks: Peaks) -> _Law:
+        """The law for a motion."""
+        design = RobustDesign(
+            expectation=self.expectation,
+            period=period,
+            largest_payload=largest_payload,
+            peaks=peaks,
+        )
+        law: _Law
+        minimum = design.minimum_tension
+        if self.robot.flexible:
+            law = Composite(
+                self.robot,
+                spring_damping=design.spring_damping,
+                leads_springs=not self.robot.elastic,
+                minimum_tension=minimum,
+            )
+        else:
+            law = FeedbackLinearization(self.robot, minimum_tension=minimum)
+        law.outer = design.outer
+        return law
+
+    def _by_motion(self, count: int) -> list[tuple[_Law, NDArray[np.intp]]]:
+        """The law of each motion, and its rows of a batch of ``count`` episodes."""
+        if not self._tasks:
+            return [(self._unknown, np.arange(count))]
+        return [
+            (self._of_motions[id(task.trajectory)], rows)
+            for task, rows in self._rows_by_motion(count)
+        ]
 
     def _act(self, blocks: dict[str, Array], estimate: RobotEstimate) -> tuple[Array, Array]:
-        """Requested and saturated actions, each (N, m), for blocks at the instant at which they
-        take effect."""
-        return self._of_law(self.law, blocks, estimate)
-
-    def _of_law(
-        self, law: ClassicalLaw, blocks: dict[str, Array], estimate: RobotEstimate
-    ) -> tuple[Array, Array]:
-        """The actions of :meth:`_act` by a law."""
-        acceleration = blocks["reference_acceleration"] - blocks["disturbance"]
-        blocks = blocks | {"reference_acceleration": acceleration}
-        torques, speeds = law.torques(blocks, estimate.mass)
-        requested = normalised_action(self.robot, torques / estimate.strength, speeds)
-        action = requested.copy()
-        is_saturated = np.any(np.abs(requested) > 1, axis=-1)
-        if np.any(is_saturated):
-            saturated = {name: values[is_saturated] for name, values in blocks.items()}
-            action[is_saturated] = self._reduced(
-                law,
-                requested[is_saturated],
-                saturated,
-                estimate.mass[is_saturated],
-                estimate.strength[is_saturated],
-            )
-        return requested, np.clip(action, -1.0, 1.0)
+        count = len(estimate.mass)
+        requested = np.empty((count, self.robot.cables))
+        action = np.empty_like(requested)
+        for law, rows in self._by_motion(count):
+            of_motion = {name: values[rows] for name, values in blocks.items()}
+            requested[rows], action[rows] = self._of_law(law, of_motion, estimate.of(rows))
+        return requested, action
 
     def _reduced(
         self,
@@ -264,44 +103,34 @@ class Observing(ClassicalLaw):
         mass: Array,
         strength: Array,
     ) -> Array:
-        """Actions in place of requested ones beyond ±1, each (N, m)."""
-        if not self._allocates:
-            return requested
-        slope = law.torque_slope(mass, blocks["pose"])
-        stall = self.robot.stall_torque * strength
-        return allocate(requested, slope / stall[..., None])
+        """With more cables than coordinates the acceleration is reduced in its direction, so that
+        all cables keep the allocated tension."""
+        if self._allocates:
+            return super()._reduced(law, requested, blocks, mass, strength)
+        assert isinstance(law, _Law)
+        acceleration = law.outer(blocks)
+        on_reference = blocks | {
+            "reference_pose": blocks["pose"],
+            "reference_velocity": blocks["velocity"],
+        }
+        factor = np.zeros(len(mass))
+        action = np.clip(requested, -1.0, 1.0)
+        for step in 0.5 ** np.arange(1, _HALVINGS + 1):
+            larger = factor + step
+            on_reference["reference_acceleration"] = larger[:, None] * acceleration
+            torques, speeds = law.torques(on_reference, mass)
+            candidate = normalised_action(self.robot, torques / strength, speeds)
+            is_possible = np.all(np.abs(candidate) <= 1, axis=-1)
+            factor[is_possible] = larger[is_possible]
+            action[is_possible] = candidate[is_possible]
+        return action
 
 
-def _extrapolated(blocks: dict[str, Array], delay: Array) -> dict[str, Array]:
-    """Reference after a delay (N,) [s], by the Taylor series of the observed derivatives."""
-    step = delay[:, None]
-    names = [name for name in _REFERENCE if name in blocks]
-    later = {}
-    for index, name in enumerate(names):
-        value = blocks[name]
-        factor = np.ones_like(step)
-        for order, higher in enumerate(names[index + 1 :], start=1):
-            factor = factor * step / order
-            value = value + factor * blocks[higher]
-        later[name] = value
-    return later
-
-
-def make_observing(robot: Robot) -> Observing:
-    """Makes the policy ``observing``: the reference is tracked by feedback linearization of a rigid
-    robot or by the composite law of a flexible one."""
-    uncertainty = find_uncertainty(UNCERTAINTY, robot)
-    expectation = Expectation.of(robot, uncertainty)
-    law: ClassicalLaw
-    if robot.flexible:
-        law = composite_tuned(expectation.robot)
-    else:
-        law = FeedbackLinearization(
-            expectation.robot,
-            gains=observed_gains(robot),
-            minimum_tension=allocated_minimum(robot, MINIMUM_TENSION),
-        )
-    return Observing(law, expectation)
+def make_observing(robot: Robot, *, largest_payload: float | None = None) -> Observing:
+    """The law for a robot that may be any of ``hardware``; the arguments are those of
+    :class:`Observing`."""
+    expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
+    return Observing(expectation, largest_payload=largest_payload)
 
 
 OBSERVING = entry("observing", make_observing)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from cablebot_gym.envs.observation import Blocks
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
-from cablebot_gym.utils.checks import number, numbers
+from cablebot_gym.utils.checks import choice, number, numbers
 
 _T = TypeVar("_T")
 
@@ -36,14 +36,25 @@ def by_kind(table: Mapping[str, _T], robot: Robot) -> _T:
     return table["spatial"]
 
 
-def checked_gains(gains: tuple[float, float] | None, robot: Robot) -> tuple[float, float]:
-    """The gains (K_P, K_D); the paper's gains for None.
+NAMED_GAINS = {"paper": PAPER_GAINS}
+"""Tables of gains by name."""
+
+Gains = tuple[float, float] | str
+"""Gains (K_P, K_D), the same for each coordinate [1/s², 1/s], or the name of a table of them."""
+
+
+def checked_gains(
+    gains: Gains,
+    robot: Robot,
+    tables: Mapping[str, Mapping[str, tuple[float, float]]] = NAMED_GAINS,
+) -> tuple[float, float]:
+    """The gains (K_P, K_D), given as numbers or by the name of a table.
 
     Raises:
-        ValueError: if ``gains`` are not two positive numbers.
+        ValueError: if ``gains`` are neither two positive numbers nor the name of a table.
     """
-    if gains is None:
-        return by_kind(PAPER_GAINS, robot)
+    if isinstance(gains, str):
+        return by_kind(tables[choice("gains", gains, tables)], robot)
     form = "two numbers (K_P, K_D)"
     checked = numbers("gains", gains, shapes=[(2,)], form=form, above=0.0)
     stiffness, damping = checked.tolist()

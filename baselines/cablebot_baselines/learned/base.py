@@ -8,7 +8,7 @@ from typing import Any
 
 from cablebot_baselines.classical.adaptive import Adaptive
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.flexible import Composite, FourthOrder, MotorPD
+from cablebot_baselines.classical.flexible import Composite, MotorPD
 from cablebot_baselines.classical.law import ClassicalLaw
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import choice, numbers, record
@@ -23,7 +23,7 @@ class Base:
     """
 
     law: str = "fl"
-    """Name of the law: ``fl``, ``composite``, ``motor-pd`` or ``fl4``."""
+    """Name of the law: ``fl``, ``composite`` or ``motor-pd``."""
     gains: tuple[float, float] | None = None
     """Gains (K_P, K_D) of ``fl`` and ``composite`` [1/s², 1/s]; None for the paper's gains."""
     frequency: float | None = None
@@ -94,11 +94,10 @@ def _motor_pd(robot: Robot, base: Base) -> MotorPD:
 
 _LAWS: dict[str, Callable[[Robot, Base], ClassicalLaw]] = {
     "fl": lambda robot, base: FeedbackLinearization(
-        robot, gains=base.gains, minimum_tension=base.minimum_tension
+        robot, gains=base.gains or "paper", minimum_tension=base.minimum_tension
     ),
     "composite": lambda robot, base: Composite(
-        robot, gains=base.gains, minimum_tension=base.minimum_tension
+        robot, gains=base.gains or "paper", minimum_tension=base.minimum_tension
     ),
     "motor-pd": _motor_pd,
-    "fl4": lambda robot, base: FourthOrder(robot),
 }

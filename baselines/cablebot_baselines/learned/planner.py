@@ -11,8 +11,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.law import Array, flexible_advice
-from cablebot_baselines.classical.observing import UNCERTAINTY, Instant, Observing, observed_gains
+from cablebot_baselines.classical.law import Array
+from cablebot_baselines.classical.observer_law import (
+    UNCERTAINTY,
+    Instant,
+    ObserverLaw,
+    observed_gains,
+)
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.learned.network import Network
 from cablebot_gym.physics.textbook import allocated_minimum
@@ -194,7 +199,7 @@ def input_count(robot: Robot) -> int:
     return per_coordinate * robot.coordinates + 2 + robot.cables
 
 
-class PlanningPolicy(Observing):
+class PlanningPolicy(ObserverLaw):
     """A network plans the platform's acceleration within the error bounds.
 
     It reads the pose and velocity that the observer expects at the instant at which the action
@@ -214,9 +219,7 @@ class PlanningPolicy(Observing):
 
     def __init__(self, robot: Robot, network: Network, planning: Planning) -> None:
         if robot.flexible:
-            raise ValueError(
-                f"a planning network needs a rigid robot, but {flexible_advice(robot)}"
-            )
+            raise ValueError(f"a planning network needs a rigid robot, not {robot.springs}")
         sizes = (network.inputs, network.outputs)
         expected = (input_count(robot), robot.coordinates)
         if sizes != expected:

@@ -28,7 +28,7 @@ except ImportError as error:
     ) from error
 
 from cablebot_baselines.classical.law import Array
-from cablebot_baselines.classical.observing import UNCERTAINTY
+from cablebot_baselines.classical.observer_law import UNCERTAINTY
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.learned.differentiable import required_actuation
 from cablebot_baselines.learned.network import Network

@@ -10,7 +10,6 @@ from cablebot_baselines.entries import DATA
 from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.policies import Policy, PolicyEntry
 from cablebot_gym.robots import Robot
-from cablebot_gym.utils.checks import choice
 
 WEIGHTS = Path(__file__).parent / "weights"
 """Folder of the shipped files: the bundles ``NAME-KIND.zip`` and their cards ``NAME-KIND.json``;
@@ -28,7 +27,7 @@ class Shipped(PolicyEntry):
 
 
 def stem(name: str, env_id: str) -> str:
-    """Name of a policy's files without their suffix, such as ``apg-circle-flexspatial``."""
+    """Name of a policy's files without their suffix, such as ``apg-loops-flexspatial``."""
     return f"{name}-{short_id(env_id).lower()}"
 
 
@@ -50,21 +49,14 @@ def load_shipped(name: str, robot: Robot) -> Policy:
         robot: nominal robot.
 
     Raises:
-        ValueError: if the name is unknown, the weights for this kind of robot are missing or
-            damaged, or the robot's observation differs from the one that the policy was trained on.
+        ValueError: if the weights for this kind of robot are missing or damaged, or the robot's
+            observation differs from the one that the policy was trained on.
     """
     # Imported here: listing policies does not need them.
     from cablebot_baselines.learned.bundle import Bundle
     from cablebot_baselines.learned.policy import make_policy
 
-    shipped = SHIPPED[choice("learned policy", name, SHIPPED)]
-    env_id = fitting_env_id(robot)
-    if env_id not in shipped.env_ids:
-        fitting = ", ".join(entry.name for entry in SHIPPED.values() if env_id in entry.env_ids)
-        raise ValueError(
-            f"policy {name!r} is for {', '.join(shipped.env_ids)}, not for {env_id}: choose {fitting}"
-        )
-    return make_policy(Bundle.load(weights_file(name, env_id)), robot)
+    return make_policy(Bundle.load(weights_file(name, fitting_env_id(robot))), robot)
 
 
 def _shipped(name: str) -> Shipped:
@@ -77,9 +69,8 @@ def _shipped(name: str) -> Shipped:
 
 
 PPO_CIRCLE = _shipped("ppo-circle")
-APG_CIRCLE = _shipped("apg-circle")
 APG_LOOPS = _shipped("apg-loops")
 PLANNER = _shipped("planner")
 
-SHIPPED = {entry.name: entry for entry in (PPO_CIRCLE, APG_CIRCLE, APG_LOOPS, PLANNER)}
+SHIPPED = {entry.name: entry for entry in (PPO_CIRCLE, APG_LOOPS, PLANNER)}
 """Shipped policies by name."""

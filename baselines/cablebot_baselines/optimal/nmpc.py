@@ -11,8 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.law import Array, flexible_advice
-from cablebot_baselines.classical.observing import UNCERTAINTY, Instant, Observing, observed_gains
+from cablebot_baselines.classical.law import Array
+from cablebot_baselines.classical.observer_law import (
+    UNCERTAINTY,
+    Instant,
+    ObserverLaw,
+    observed_gains,
+)
 from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.entries import entry
 from cablebot_baselines.estimation.expectation import Expectation
@@ -93,7 +98,7 @@ class PlannerState:
     """Whether the platform is too far from its reference to plan, (N,)."""
 
 
-class NonlinearMPC(Observing):
+class NonlinearMPC(ObserverLaw):
     """Plans the next 0.2 s at every fifth control step and tracks the plan at every step.
 
     A plan starts from the state that the observer expects at the instant at which the action takes
@@ -112,7 +117,8 @@ class NonlinearMPC(Observing):
     Args:
         robot: nominal rigid robot.
         tuning: tuning of the plans; None for :data:`TUNING`.
-        gains: (K_P, K_D) of the law that tracks the plan; None for the gains of ``observing``.
+        gains: (K_P, K_D) of the law that tracks the plan; None for
+            :func:`~cablebot_baselines.classical.observer_law.observed_gains`.
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
@@ -122,12 +128,12 @@ class NonlinearMPC(Observing):
     def __init__(
         self,
         robot: Robot,
-        *,
         tuning: Tuning | None = None,
+        *,
         gains: tuple[float, float] | None = None,
     ) -> None:
         if robot.flexible:
-            raise ValueError(f"nmpc needs a rigid robot, but {flexible_advice(robot)}")
+            raise ValueError(f"nmpc needs a rigid robot, not {robot.springs}")
         tuning = tuning or by_kind(TUNING, robot)
         expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
         self.program = HorizonProgram(robot, tuning)

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from cablebot_baselines.classical.observing import Observing
+from cablebot_baselines.classical.observer_law import ObserverLaw
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.kinematics import Array
 from cablebot_gym.planning import MarginProfile
@@ -99,7 +99,7 @@ _EPISODE_ARRAYS = (
 
 
 def rehearse(
-    law: Observing,
+    law: ObserverLaw,
     task: Task,
     uncertainty: Uncertainty,
     payloads: Sequence[float],

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import make_lsq_spline
 
-from cablebot_baselines.classical.observing import Instant, Observing
+from cablebot_baselines.classical.observer_law import Instant, ObserverLaw
 from cablebot_baselines.classical.outer_loop import by_kind
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.optimal.plan_law import PlanLaw, TrackingGains
@@ -126,7 +126,7 @@ def find_rehearsed_plan(task: Task, uncertainty: Uncertainty) -> PlannedMotion:
     )
 
 
-def tracking_law(plan: PlannedMotion, expectation: Expectation, task: Task) -> Observing:
+def tracking_law(plan: PlannedMotion, expectation: Expectation, task: Task) -> ObserverLaw:
     """The law that tracks a plan on a robot that is not exactly known.
 
     Args:
@@ -144,7 +144,7 @@ def tracking_law(plan: PlannedMotion, expectation: Expectation, task: Task) -> O
     return law
 
 
-class _Tracking(Observing):
+class _Tracking(ObserverLaw):
     """A law that tracks its own plan, which the reference of the task does not concern."""
 
     def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], Any]:

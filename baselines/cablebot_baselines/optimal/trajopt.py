@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.classical.adaptive import make_adaptive
 from cablebot_baselines.classical.law import Array, ClassicalLaw
-from cablebot_baselines.classical.observing import Observing
+from cablebot_baselines.classical.observer_law import ObserverLaw
 from cablebot_baselines.entries import entry
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.estimation.expectation import Expectation
@@ -134,7 +134,7 @@ class TrajOpt:
         """The law of a task's episode with the rehearsed plan or the exact one, or why there is no
         plan."""
         rehearsed = self._stored("rehearsed", task)
-        if isinstance(rehearsed, Observing):
+        if isinstance(rehearsed, ObserverLaw):
             assert rehearsed.largest_payload is not None
             is_light = task.model_payload <= rehearsed.largest_payload
             if is_light or not task.payload_known:

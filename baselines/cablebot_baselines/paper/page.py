@@ -218,8 +218,8 @@ _TERMS = """\
 * **Limiting violation**: the first violated condition at a payload just above the largest feasible one.
 * **Laws for rigid robots**: `fl` is the feedback linearization of the paper (Eqs. 10–19), `robust` adds Δv of Eq. 34,
   and `adaptive` estimates the payload.
-* **Laws for joint springs**: `composite`, `robust-composite` and `adaptive-composite` add damping of the springs to
-  these laws, `fl4` linearises up to the fourth derivative, `motor-pd` controls the motor angles, and `flex-eq22` is the
+* **Laws for joint springs**: `composite` adds damping of the springs to `fl`, and to `robust` and `adaptive` on such
+  robots, `fl4` linearises up to the fourth derivative, `motor-pd` controls the motor angles, and `flex-eq22` is the
   law of the paper.
 * **ε**: boundary layer within which the robust term Δv is continuous."""
 

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablebot_baselines.classical import Composite, FeedbackLinearization, FourthOrder
+from cablebot_baselines.classical import Composite, FeedbackLinearization
 from cablebot_baselines.classical.outer_loop import PAPER_GAINS
 from cablebot_baselines.paper.exact import paper_circle
+from cablebot_baselines.paper.fourth_order import FourthOrder
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.judgement import Judgement, Run, verdict
 from cablebot_baselines.paper.laws import FeedForward

@@ -10,13 +10,14 @@ import numpy as np
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flex_eq22 import PaperFlexible
-from cablebot_baselines.classical.flexible import Composite, FourthOrder, MotorPD
+from cablebot_baselines.classical.flexible import Composite, MotorPD
 from cablebot_baselines.paper.exact import (
     exact_limit,
     paper_circle,
     state_space_limit,
     state_space_profile,
 )
+from cablebot_baselines.paper.fourth_order import FourthOrder
 from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_baselines.paper.judgement import Judgement, Run, verdict
 from cablebot_baselines.paper.part import Jobs, Number, Outcome, Results, job

@@ -7,8 +7,9 @@ from functools import partial
 from itertools import product
 from typing import Any
 
-from cablebot_baselines.classical import Composite, FeedbackLinearization, FourthOrder, MotorPD
+from cablebot_baselines.classical import Composite, FeedbackLinearization, MotorPD
 from cablebot_baselines.paper.exact import LargestPayload, exact_limit, state_space_limit
+from cablebot_baselines.paper.fourth_order import FourthOrder
 from cablebot_baselines.paper.interpretation import (
     AS_PRINTED,
     Interpretation,

@@ -1,0 +1,168 @@
+"""What all shipped policies have in common: actions of a batch and of an episode alone, memory, and
+refused robots."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from cablebot_baselines.classical import (
+    Adaptive,
+    Composite,
+    FeedbackLinearization,
+    MotorPD,
+    Robust,
+)
+from cablebot_baselines.episodes import first_steps
+from cablebot_gym import ENV_IDS
+from cablebot_gym.envs import env_robot, fitting_env_id
+from cablebot_gym.policies import load_policy, policy_entries
+from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL, find_robot
+
+ENTRIES = policy_entries()
+
+CASES = [
+    # The plans of trajopt take seconds to minutes.
+    *(
+        (name, env_id)
+        for name, entry in ENTRIES.items()
+        if not entry.plans
+        for env_id in entry.env_ids
+    ),
+    ("fl:gains=tuned", "CableBot-Planar-v0"),
+    ("composite:gains=paper", "CableBot-FlexSpatial-v0"),
+]
+
+STEPS, RESTART = 16, 8
+"""Number of steps, and the step at which the first episode starts anew."""
+
+
+class Episode:
+    """An episode of a robot, and a policy that acts in it alone."""
+
+    def __init__(self, name, env_id, motion, payload):
+        kind = find_robot(env_robot(env_id)).kind
+        trajectory = {"name": f"loop-{kind}", "seed": motion, "dwell": 0.0}
+        self.env = gym.make(env_id, trajectory=trajectory, payload=payload)
+        self.task = self.env.unwrapped.task
+        self.policy = load_policy(name, self.task.robot)
+        self.policy.reset([self.task])
+        self.start()
+
+    def start(self):
+        self.observation, _ = self.env.reset(seed=0)
+        self.state = None
+
+    def act(self):
+        action, self.state = self.policy.predict(self.observation, self.state)
+        return action
+
+
+@pytest.mark.parametrize(("name", "env_id"), CASES)
+def test_row_of_a_batch_acts_as_an_episode_alone(name, env_id):
+    """Excludes gains or tensions for the hardest motion of a batch, memory that another episode or
+    the last one leaves, and actions that differ when they are repeated."""
+    episodes = [Episode(name, env_id, motion, payload) for motion, payload in ((0, 0.0), (5, 2.0))]
+    tasks = [episode.task for episode in episodes]
+    policy = load_policy(name, tasks[0].robot)
+    policy.reset(tasks)
+    state = None
+    actions = []
+    for step in range(STEPS):
+        if step == RESTART:
+            episodes[0].start()
+        starts = np.array([step in (0, RESTART), step == 0])
+        observation = np.stack([episode.observation for episode in episodes])
+        before = observation.copy()
+        repeated, _ = policy.predict(observation, state=state, episode_start=starts)
+        action, state = policy.predict(
+            observation, state=state, episode_start=starts, deterministic=True
+        )
+        assert_array_equal(repeated, action)
+        assert_array_equal(observation, before)
+        assert action.shape == (2, tasks[0].robot.cables)
+        assert action.dtype == np.float64
+        for episode, row in zip(episodes, action, strict=True):
+            assert_allclose(episode.act(), row, rtol=1e-9, atol=1e-9)
+            episode.observation = episode.env.step(np.clip(row, -1, 1))[0]
+        actions.append(action)
+    assert np.ptp(actions, axis=0).max() > 1e-3
+    assert np.ptp(actions, axis=1).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_robot_of_another_kind_is_refused_with_policies_that_support_it(name):
+    """A user's robot is judged by its kind."""
+    for env_id in set(ENV_IDS) - set(ENTRIES[name].env_ids):
+        robot = find_robot(env_robot(env_id)).replace(name="own", mass=3.0)
+        supporting = [other for other, entry in ENTRIES.items() if env_id in entry.env_ids]
+        message = f"'{name}' does not support robot 'own'.*: use one of {', '.join(supporting)}$"
+        with pytest.raises(ValueError, match=message):
+            load_policy(name, robot)
+
+
+LAWS = [name for name, entry in ENTRIES.items() if entry.kind == "classical"]
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_law_rejects_tasks_and_observations_of_another_robot(name):
+    robot = find_robot(env_robot(ENTRIES[name].env_ids[0]))
+    law = load_policy(name, robot)
+    other = "CableBot-Spatial-v0" if robot.kind == "planar" else "CableBot-Planar-v0"
+    env = gym.make(other)
+    with pytest.raises(ValueError, match=r"was built for robot .*Build the law"):
+        law.reset([env.unwrapped.task])
+    with pytest.raises(ValueError, match=r"observation of robot '.*' has \d+ components"):
+        law.predict(env.reset(seed=0)[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "robot", "changes"),
+    [
+        ("fl", SPATIAL, {"base_anchors": 1.01 * SPATIAL.base}),
+        ("fl", SPATIAL, {"platform_anchors": 1.01 * SPATIAL.platform}),
+        ("composite", FLEX_SPATIAL, {"home_pose": (0, 0, 0.15, 0, 0, 0)}),
+    ],
+)
+def test_law_rejects_a_robot_of_another_geometry(name, robot, changes):
+    def task(**changes):
+        changed = robot.replace(name="changed", **changes)
+        return gym.make(fitting_env_id(robot), robot=changed).unwrapped.task
+
+    law = load_policy(name, robot)
+    law.reset([task(mass=11.0)])
+    with pytest.raises(ValueError, match="'changed' differs in kind or anchors"):
+        law.reset([task(**changes)])
+
+
+def test_episode_start_is_one_boolean_or_one_per_row():
+    """Stable-Baselines3 passes an array of one for one observation."""
+    for start in (True, np.array([[True]])):
+        assert first_steps("a state", start, ()).item()
+        assert not first_steps("a state", ~np.asarray(start), ()).item()
+    assert first_steps("a state", [True, False, True], (3,)).tolist() == [True, False, True]
+    with pytest.raises(ValueError, match=r"one boolean or have shape \(3,\)"):
+        first_steps("a state", [True, False], (3,))
+
+
+@pytest.mark.parametrize(
+    ("law", "robot", "keywords", "message"),
+    [
+        (FeedbackLinearization, SPATIAL, {"gains": (0.0, 1.0)}, "gains must be"),
+        (FeedbackLinearization, SPATIAL, {"gains": "tund"}, "did you mean 'tuned'"),
+        (FeedbackLinearization, PLANAR, {"minimum_tension": -1e-9}, "must be .* at least 0 N"),
+        (Adaptive, FeedbackLinearization(SPATIAL), {"estimator_prior_weight": 0.0}, "than 0 s"),
+        (Robust, SPATIAL, {"boundary_layer": 0.0}, "boundary_layer must be greater than 0"),
+        (Robust, SPATIAL, {"zeta": 1.0}, "zeta must be"),
+        (Robust, SPATIAL, {"phi": -1.0}, "phi must be"),
+        (Robust, SPATIAL, {"q": [[1.0, 0.5], [0.2, 1.0]]}, "symmetric and positive definite"),
+        (Robust, SPATIAL, {"q": [1.0, 1.0]}, "q must be a positive number or a 2×2 matrix"),
+        (Composite, SPATIAL, {}, "needs joint springs"),
+        (Composite, FLEX_SPATIAL, {"spring_damping": -1.0}, "spring_damping must be"),
+        (MotorPD, FLEX_SPATIAL, {"frequency": 0.0}, "frequency must be"),
+        (MotorPD, FLEX_SPATIAL, {"damping_ratio": 0.0}, "damping_ratio must be"),
+    ],
+)
+def test_invalid_arguments_raise(law, robot, keywords, message):
+    with pytest.raises(ValueError, match=message):
+        law(robot, **keywords)
