@@ -45,7 +45,7 @@ def paper() -> str:
 def _of_leaderboard(results: Results) -> dict[str, Any]:
     if results.board is None:
         raise ValueError("docs/leaderboard has no board: run the suite ranked")
-    boards = leaderboards(results.records, results.authors)
+    boards = leaderboards(results.records)
     env_ids = list(dict.fromkeys(board.env_id for board in boards))
     spatial = _circle(boards, "CableBot-Spatial-v0")
     hardware = {}

@@ -15,7 +15,7 @@ from typing import Any
 
 from cablebot_gym.benchmark.cells import canonical
 from cablebot_gym.benchmark.policy_source import in_package, policy_source
-from cablebot_gym.policies.entry import POLICY_SUFFIXES, is_entry
+from cablebot_gym.policies.spec import POLICY_SUFFIXES
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.code_hash import file_digest
@@ -316,11 +316,7 @@ def policy_digest(policy: str) -> str:
         ValueError: if the policy is a module outside a package, whose data files are unknown.
     """
     modules, data = policy_source(policy)
-    if (
-        not policy.endswith(POLICY_SUFFIXES)
-        and not is_entry(policy)
-        and not any(in_package(module) for module in modules)
-    ):
+    if not policy.endswith(POLICY_SUFFIXES) and not any(in_package(module) for module in modules):
         raise ValueError(
             f"the data files of policy {policy!r} are unknown: put its module into a package"
         )

@@ -33,47 +33,15 @@ from cablebot_gym.benchmark.yardstick import PROBABILITY
 from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.evaluation.survey import ROBOTS
 from cablebot_gym.isolation.installed import public_entry
-from cablebot_gym.policies.entry import LONGEST_NAME
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import results_console
-from cablebot_gym.utils.foreign import foreign_json, foreign_line, foreign_list, foreign_object
+from cablebot_gym.utils.foreign import foreign_json, foreign_list, foreign_object
 
 _INTRODUCTION = """# Leaderboard
 
 Payload [kg] that a policy carries (DLCC), and its fraction of the best known payload. Rows are sorted by the first
 column; the [definitions](#definitions) are at the end.
 """
-
-
-CARD_FIELDS = ("authors", "licence", "compute", "data", "seeds")
-"""Fields of the card of an entry that the page shows."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class EntryNote:
-    """An entry of others: its card in short, and whether it is verified."""
-
-    policy: str
-    """Name of the policy in the table."""
-    package: str | None
-    """Requirement for pip of its package; None if the entry has its files."""
-    authors: str
-    """Authors."""
-    licence: str
-    """Licence."""
-    compute: str
-    """Compute for training and tuning."""
-    data: str
-    """Data and motions for training and tuning."""
-    seeds: str
-    """Seeds of the training."""
-    status: str
-    """``verified``, or ``unverified`` with a reason."""
-
-    @property
-    def verified(self) -> bool:
-        """Whether the entry was rerun in a sandbox and its claims hold."""
-        return self.status == "verified"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,13 +56,6 @@ class Results:
     """Records of all cells."""
     board: Board | None = None
     """Board with the hidden motions; None for a suite without."""
-    entries: Sequence[EntryNote] = ()
-    """Policies that are entries of others."""
-
-    @property
-    def authors(self) -> dict[str, str]:
-        """Authors of the entries by policy."""
-        return {entry.policy: entry.authors for entry in self.entries}
 
     @property
     def due(self) -> list[str]:
@@ -171,8 +132,6 @@ class Results:
                 "seconds": round(record.seconds, 3),
                 "final": record.final,
             }
-            if record.processor_seconds:
-                entry["processor_seconds"] = round(record.processor_seconds, 3)
             if entry["cell"]["kind"] == "policy":
                 score = scored[record.cell.key]
                 entry |= {"best_known": score.best_known, "score": score.score}
@@ -184,8 +143,6 @@ class Results:
             "board": board,
             "versions": versions,
         }
-        if self.entries:
-            head["entries"] = [asdict(entry) for entry in self.entries]
         fields = [
             f" {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}"
             for name, value in head.items()
@@ -215,15 +172,11 @@ class Results:
             board = data["board"]
             if board is not None:
                 board = Board(**foreign_object("the board", board))
-            entries = []
-            for entry in foreign_list("entries", data.get("entries", [])):
-                entries.append(EntryNote(**foreign_object("an entry", entry)))
             return cls(
-                suite=foreign_line("suite", data["suite"], LONGEST_NAME),
+                suite=str(data["suite"]),
                 command=str(data["command"]),
                 records=records,
                 board=board,
-                entries=entries,
             )
         except KeyError as error:
             raise ValueError(f"the key {error} is missing") from error
@@ -235,16 +188,16 @@ def markdown(results: Results) -> str:
     """The leaderboard page: a table for each environment, payload maps, best known payloads and
     notes."""
     records = results.records
-    boards = leaderboards(records, results.authors)
+    boards = leaderboards(records)
     main = [board for board in boards if board.is_main]
     second = [board for board in boards if not board.is_main]
     text = _INTRODUCTION + _absent_text(results, boards)
     if main:
         text += f"\n## Robots that are not exactly known\n\n{_main_text(main)}"
-    text += _boards_text(main, results.entries, has_main=True)
+    text += _boards_text(main, has_main=True)
     if main and second:
         text += "\n## Robots that are exactly known, and single motions\n"
-    text += _boards_text(second, results.entries, has_main=bool(main))
+    text += _boards_text(second, has_main=bool(main))
     library = library_tables(records)
     if library:
         text += "\n## Real robots\n\n"
@@ -257,7 +210,6 @@ def markdown(results: Results) -> str:
     )
     text += _maps_text(records)
     text += errors_text(records, "##")
-    text += _section("Entries", _entry_rows(results.entries))
     text += _section("Best known payloads", _best_known_rows(best_known_payloads(records).values()))
     text += _section(
         "What can be hoped for on robots that are not exactly known",
@@ -304,14 +256,11 @@ def _absent_text(results: Results, boards: Sequence[Leaderboard]) -> str:
     return text
 
 
-def _boards_text(
-    boards: Sequence[Leaderboard], entries: Sequence[EntryNote], *, has_main: bool
-) -> str:
+def _boards_text(boards: Sequence[Leaderboard], *, has_main: bool) -> str:
     """The tables under headings; with main tables, those have a common heading each."""
-    unverified = {entry.policy for entry in entries if not entry.verified}
     text = ""
     for board in boards:
-        rows = tables.leaderboard_rows(board, unverified)
+        rows = tables.leaderboard_rows(board)
         level = "###" if has_main else "##"
         title = board.env_id
         if has_main and not board.is_main:
@@ -475,17 +424,6 @@ def _best_known_note(group: Sequence[BestKnown]) -> str:
     if len(payloads) < len(group):
         note += f"; {len(group) - len(payloads)} without a verified payload"
     return note
-
-
-def _entry_rows(entries: Sequence[EntryNote]) -> list[list[str]]:
-    head = ("policy", "package", "authors", "licence", "training compute", "training data")
-    rows = [[*head, "seeds", "status"]]
-    for entry in entries:
-        texts = []
-        for name in (*CARD_FIELDS, "status"):
-            texts.append(" ".join(_escaped(getattr(entry, name)).split()))
-        rows.append([f"`{entry.policy}`", _escaped(entry.package or "–"), *texts])
-    return rows
 
 
 def print_page(page: str) -> None:

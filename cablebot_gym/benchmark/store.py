@@ -74,7 +74,6 @@ class Store:
             "versions": dict(record.versions),
             "result": dict(record.result),
             "seconds": round(record.seconds, 3),
-            "processor_seconds": round(record.processor_seconds, 3),
         }
         data["checksum"] = self._checksum(data)
         text = json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n"

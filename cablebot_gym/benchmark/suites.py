@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from importlib.resources import files
 from itertools import chain, product
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -29,7 +28,6 @@ from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.statistics import fewest_draws
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.isolation.installed import public_entries, public_entry
-from cablebot_gym.policies.entry import is_entry, read_entry
 from cablebot_gym.policies.protocol import PolicyError
 from cablebot_gym.robots import ELASTIC, find_robot, library
 from cablebot_gym.task import find_error_bounds, to_jsonable
@@ -169,8 +167,8 @@ def find_env_ids(suite: Suite, env_ids: Sequence[str]) -> tuple[str, ...]:
 def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """The names of the policies to evaluate on each environment.
 
-    An installed policy and an entry are evaluated on the environments that they support; a policy
-    file or a ``package.module:factory`` on all environments.
+    An installed policy is evaluated on the environments that it supports; a policy file or a
+    ``package.module:factory`` on all environments.
 
     Args:
         names: policy names as on the command line; empty for all installed policies.
@@ -186,8 +184,6 @@ def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tup
     supported: dict[str, tuple[str, ...]] = {}
     for name, entry in entries.items():
         supported[name] = tuple(env_ids) if entry is None else entry.env_ids
-        if names and is_entry(name):
-            supported[name] = read_entry(Path(name)).env_ids
     for name in names:
         fitting = [env_id for env_id in env_ids if env_id in supported[name]]
         if not fitting:

@@ -48,8 +48,6 @@ COMMANDS = {
     "Run benchmarks": {
         "benchmark": "cablebot_gym.cli.benchmark:benchmark",
         "report": "cablebot_gym.cli.report:report",
-        "submit": "cablebot_gym.cli.submit:submit",
-        "verify": "cablebot_gym.cli.verify:verify",
     },
     "Inspect the installation": {
         "list": "cablebot_gym.cli.listing:list_",
@@ -96,8 +94,8 @@ app = typer.Typer(
         "  0    success, whatever the payload is\n"
         "  1    failure: a policy raised an error, a file could not be written,\n"
         "       a benchmark cell failed, a best known payload was not verified,\n"
-        "       an entry was refused, doctor found a fault, a robot\n"
-        "       was refused or does not carry its payload, or a drive stopped\n"
+        "       doctor found a fault, a robot was refused or does not carry its\n"
+        "       payload, or a drive stopped\n"
         "  2    invalid input, or a folder that is not writable\n"
         "  130  interrupted"
     ),

@@ -15,7 +15,7 @@ from cablebot_gym.cli.board import (
     commit_board,
     started_board,
 )
-from cablebot_gym.cli.options import NoSandbox, Workers, choose_sandbox, split_names
+from cablebot_gym.cli.options import Workers, split_names
 from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.console import command_line, progress, say
 
@@ -52,14 +52,6 @@ class CellOptions(Options):
         str | None,
         "Environment ids, separated by commas. The default is those of the suite.",
     ] = None
-    entries: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder of entries of others, which run in a sandbox, as further policies.",
-        ),
-    ] = None
-    no_sandbox: NoSandbox = False
     seed: Annotated[
         int | None,
         "Evaluation seed, to repeat a run. The default is drawn once and stored in the folder; that of a "
@@ -156,9 +148,9 @@ def benchmark(
     Every policy runs in a process of its own, except for policies of this project in surveys: all
     hidden motions in one cell. Each finished cell is stored as a file in the results
     folder. The same command resumes an interrupted benchmark. It computes only cells that are
-    missing, damaged or computed with different code: that of this package, or of the package or
-    folder of the policy. The exit status is 1 if a payload could not be computed, if an entry is
-    invalid, or if --verify finds a broken promise.
+    missing, damaged or computed with different code: that of this package or of the
+    policy. The exit status is 1 if a payload could not be computed, or if
+    --verify finds a broken promise.
 
     Examples:
 
@@ -168,10 +160,10 @@ def benchmark(
 
     cablebot benchmark --suite library --out robots
 
-    cablebot benchmark --suite ranked --out board --entries entries --commit 2027-1
+    cablebot benchmark --suite ranked --out board --commit 2027-1
     --beacon "NIST beacon 2.0 pulse at 2027-01-04T12:00Z" --beacon-date 2027-01-04T12:00Z
 
-    cablebot benchmark --suite ranked --out board --entries entries --beacon-value 8F3C…
+    cablebot benchmark --suite ranked --out board --beacon-value 8F3C…
 
     cablebot benchmark --verify board --cells 20 --draws 1024
 
@@ -179,7 +171,6 @@ def benchmark(
     """
     from cablebot_gym.benchmark.board import run_seed
     from cablebot_gym.benchmark.cells import TimingCell
-    from cablebot_gym.benchmark.entries import invalid_note, note, status
     from cablebot_gym.benchmark.leaderboard import Results
     from cablebot_gym.benchmark.store import FOLDER
     from cablebot_gym.benchmark.suites import find_suite, suite_cells
@@ -192,7 +183,7 @@ def benchmark(
         return _verify(verification.verify, backend, verification, selection, value)
     suite = find_suite(selection.suite)
     check_board_options(board_options, suite)
-    policies, submitted, invalid = _policies(selection)
+    policies = _policies(selection)
     names = sorted({name for supported in policies.values() for name in supported})
     out = output.out
     check_writable_dir(out / FOLDER)
@@ -225,18 +216,15 @@ def benchmark(
         if computing.any_source:
             use = "they are reused"
         say(f"{store.foreign} cells exist only with results of different code: {use}")
-    notes = [note(Path(name), status(Path(name), records)) for name in submitted]
-    notes += [invalid_note(name, reason) for name, reason in invalid.items()]
     results = Results(
         suite=selection.suite,
         command=command_line("benchmark", **typed),
         records=records,
         board=board,
-        entries=notes,
     )
     _write(results, output)
     payloads = [record for record in records if not isinstance(record.cell, TimingCell)]
-    if invalid or failures(payloads):
+    if failures(payloads):
         raise typer.Exit(1)
 
 
@@ -257,37 +245,20 @@ def _store(output: OutputOptions, computing: ComputingOptions, board: Board | No
     return Store(output.out, say=say, any_source=computing.any_source, key=key)
 
 
-def _policies(
-    selection: CellOptions,
-) -> tuple[dict[str, tuple[str, ...]], list[str], dict[str, str]]:
-    """Names of the policies by environment, those that are entries of others, and the reasons of
-    invalid entries."""
-    from cablebot_gym.benchmark.entries import find_entries
+def _policies(selection: CellOptions) -> dict[str, tuple[str, ...]]:
+    """Names of the policies by environment."""
     from cablebot_gym.benchmark.suites import (
         check_evaluated,
         find_env_ids,
         find_policies,
         find_suite,
     )
-    from cablebot_gym.isolation.installed import public_entries
 
     suite = find_suite(selection.suite)
     env_ids = find_env_ids(suite, split_names(selection.ids))
-    names = split_names(selection.policies)
-    submitted: list[str] = []
-    invalid: dict[str, str] = {}
-    if selection.entries is not None:
-        choose_sandbox(selection.no_sandbox)
-        valid, invalid = find_entries(selection.entries)
-        for name, reason in invalid.items():
-            say(f"entry {name} is invalid and left out: {reason}")
-        for name, entry in valid.items():
-            if set(entry.env_ids) & set(env_ids):
-                submitted.append(name)
-        names = [*(names or public_entries()), *submitted]
-    policies = find_policies(names, env_ids)
+    policies = find_policies(split_names(selection.policies), env_ids)
     check_evaluated(suite, policies)
-    return policies, submitted, invalid
+    return policies
 
 
 def _typed(selection: CellOptions, output: OutputOptions, board: Board | None) -> dict[str, Any]:
@@ -298,8 +269,6 @@ def _typed(selection: CellOptions, output: OutputOptions, board: Board | None) -
     return {
         "suite": selection.suite,
         "policies": selection.policies,
-        "entries": selection.entries,
-        "no_sandbox": selection.no_sandbox,
         "ids": selection.ids,
         "out": output.out,
         "page": output.page,

@@ -63,9 +63,6 @@ Workers = Annotated[
     int | None,
     typer.Option("--workers", help="Number of worker processes. The default is one per core."),
 ]
-NoSandbox = Annotated[
-    bool, typer.Option("--no-sandbox", help="Run entries without a sandbox. They stay unverified.")
-]
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON.")]
 
 SEED_BITS = 53
@@ -431,24 +428,6 @@ def loaded_policies(
         layers = () if is_installed else wrappers
         policies.append(loaded_policy(name, robot, wrappers=layers, process=process))
     return policies
-
-
-def choose_sandbox(no_sandbox: bool) -> None:
-    """Checks the sandbox of entries, or makes this process and its workers run entries without one.
-
-    Raises:
-        ValueError: if there is no sandbox, and it is not declined.
-    """
-    from cablebot_gym.isolation import sandbox
-
-    if no_sandbox:
-        return sandbox.opt_out()
-    try:
-        sandbox.check_sandbox()
-    except ValueError as error:
-        raise ValueError(
-            f"{error}. --no-sandbox runs entries without one, and trusts them"
-        ) from None
 
 
 def split_names(text: str | None) -> list[str]:

@@ -4,7 +4,7 @@ machine does."""
 from __future__ import annotations
 
 import math
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 from cablebot_gym.utils.checks import number
 
@@ -18,10 +18,6 @@ code are made then."""
 TOTAL = 60
 """Budget of all calls of an evaluation together, so of a cell of the benchmark, in deadlines of a
 call."""
-
-BUDGET = 24 * 3600.0
-"""Budget of all cells of an entry of the benchmark together [s of processor time]. The slowest policy
-of this project needs little more than an hour."""
 
 WAITING = 10
 """Largest elapsed time of a call or of the start, in units of the same limit of processor time. It
@@ -99,9 +95,6 @@ class Deadlines:
         ValueError: if the deadline is invalid.
     """
 
-    total: ClassVar[float] = 0.0
-    """Processor time of all policies for which this process has waited so far [s]."""
-
     def __init__(self, deadline: float) -> None:
         deadline = number("deadline", deadline, above=0, unit="s")
         self._processor = _Time(deadline)
@@ -122,7 +115,6 @@ class Deadlines:
         """The policy has been waited for [s], and has taken processor time [s]."""
         self._elapsed.wait(elapsed)
         self._processor.wait(processor)
-        Deadlines.total += processor
 
     def remaining(self) -> Limits:
         """Time that the next answer may take."""

@@ -20,7 +20,7 @@ import numpy as np
 
 from cablebot_gym.isolation.deadlines import DEADLINE, Deadlines
 from cablebot_gym.isolation.process import EndedError, PolicyProcess, ProcessorTimeError, plain
-from cablebot_gym.isolation.sandbox import opted_out, prepare_sandbox
+from cablebot_gym.isolation.sandbox import prepare_sandbox
 from cablebot_gym.isolation.server import ANSWER, FAILURE, INVALID, LOAD, PREDICT, RESET
 from cablebot_gym.policies.protocol import Array, LoadedPolicy, PolicyError, declarations, say
 from cablebot_gym.policies.spec import PolicySpec, as_robot
@@ -57,8 +57,7 @@ class IsolatedPolicy:
         wrappers: names of the wrappers of the training, the innermost first, see
             :data:`~cablebot_gym.policies.wrappers.Wrapper`. They run in the process of the policy.
         sandbox: whether the process runs in a sandbox without network, other processes, and most
-            files, see :func:`~cablebot_gym.isolation.sandbox.sandboxed`. Entries of others always
-            do, unless :func:`~cablebot_gym.isolation.sandbox.opt_out` was called.
+            files, see :func:`~cablebot_gym.isolation.sandbox.sandboxed`.
 
     Raises:
         ValueError: if the name is unknown or the policy cannot be loaded, if a wrapper is given by
@@ -90,7 +89,7 @@ class IsolatedPolicy:
             )
         wrapper_names = tuple(map(str, wrappers))
         self._sandboxed_names: tuple[str, ...] | None = None
-        if sandbox or (self._spec.kind == "entry" and not opted_out()):
+        if sandbox:
             prepare_sandbox(robot)
             self._sandboxed_names = (self._spec.target, *wrapper_names)
         self._load = pickle.dumps((name, robot, search_path(), real_time, wrapper_names))

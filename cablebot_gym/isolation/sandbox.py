@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cablebot_gym.policies.entry import CARD, PACKAGES, POLICY, POLICY_SUFFIXES, is_entry
 from cablebot_gym.policies.sb3 import statistics_beside
+from cablebot_gym.policies.spec import POLICY_SUFFIXES
 from cablebot_gym.robots import Robot
 
 _NAMESPACES = ("--unshare-all", "--die-with-parent", "--cap-drop", "ALL")
@@ -26,9 +26,6 @@ _SYSTEM = (
     *("/etc/ld.so.cache", "/etc/alternatives", "/etc/localtime", "/sys/devices/system/cpu"),
 )
 """Files of the operating system that the policy can read, if they exist."""
-
-_OPT_OUT = "CABLEBOT_SANDBOX"
-"""Environment variable; ``off`` runs entries without a sandbox, in worker processes too."""
 
 
 @cache
@@ -42,15 +39,6 @@ def sandbox_problem() -> str:
         [program, *_NAMESPACES, *bound, "true"], capture_output=True, text=True, errors="replace"
     )
     return f"bubblewrap is not permitted here ({tried.stderr.strip()})" if tried.returncode else ""
-
-
-def sandbox_name() -> str | None:
-    """Name and version of the sandbox in which entries run; None if they run without one."""
-    if opted_out():
-        return None
-    return subprocess.run(
-        ["bwrap", "--version"], capture_output=True, text=True, check=True
-    ).stdout.strip()
 
 
 def check_sandbox() -> None:
@@ -76,16 +64,6 @@ def prepare_sandbox(robot: Robot) -> None:
     check_sandbox()
     pose = np.zeros(robot.coordinates)
     inverse_dynamics(robot, 1.0, pose, pose, pose)
-
-
-def opt_out() -> None:
-    """Entries of this process and of its workers run without a sandbox."""
-    os.environ[_OPT_OUT] = "off"
-
-
-def opted_out() -> bool:
-    """Whether entries run without a sandbox."""
-    return os.environ.get(_OPT_OUT) == "off"
 
 
 def sandboxed(
@@ -155,9 +133,7 @@ def _sources(names: Sequence[str], working: Path, prefixes: set[Path]) -> Iterat
     folders = []
     for name in names:
         path = Path(os.path.abspath(name))
-        if is_entry(name):
-            yield from (path / part for part in (CARD, POLICY, PACKAGES))
-        elif path.suffix in (*POLICY_SUFFIXES, ".pkl"):
+        if path.suffix in (*POLICY_SUFFIXES, ".pkl"):
             yield path
             statistics = statistics_beside(path)
             if statistics is not None:
@@ -166,8 +142,7 @@ def _sources(names: Sequence[str], working: Path, prefixes: set[Path]) -> Iterat
             folders.append(path.parent)
     for text in sys.path:
         folder = Path(os.path.abspath(text or working))
-        of_others = is_entry(names[0]) and folder == working
-        if not of_others and not any(map(folder.is_relative_to, prefixes)):
+        if not any(map(folder.is_relative_to, prefixes)):
             folders.append(folder)
     for folder in folders:
         # a .zip of modules; a folder of pip

@@ -22,7 +22,6 @@ from contextlib import suppress
 from typing import IO, Any
 
 from cablebot_gym.policies.adapters import PolicyFactory, RealTime
-from cablebot_gym.policies.entry import entry_spec
 from cablebot_gym.policies.protocol import PolicyError, declarations, predicted, reset_policy
 from cablebot_gym.policies.spec import PolicySpec, load
 from cablebot_gym.utils.user_code import raised
@@ -91,8 +90,6 @@ class _Server:
         """Loads the policy, for real time if there is a control period, and returns its
         declarations as JSON."""
         sys.path[:] = path
-        target = PolicySpec.parse(name).target
-        name = name.removesuffix(target) + entry_spec(target)
         loaded = load(name, robot, wrappers=wrappers)
         self._policy = loaded.policy
         self._cables = robot.cables

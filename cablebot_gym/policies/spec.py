@@ -17,7 +17,6 @@ from typing import Any, Literal, cast
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.policies.adapters import as_policy
-from cablebot_gym.policies.entry import CARD, POLICY_SUFFIXES
 from cablebot_gym.policies.onnx import load_onnx
 from cablebot_gym.policies.protocol import (
     LoadedPolicy,
@@ -60,9 +59,12 @@ another kind. It raises a ValueError with an explanation if the file is of its k
 or made for another robot."""
 
 
-Kind = Literal["entry", "installed", "file", "factory", "unknown"]
-"""Kind of a policy's name: folder of an entry with its card; name of an installed policy; ``.zip`` or
-``.onnx`` file; ``package.module:factory`` or ``file.py:factory``."""
+POLICY_SUFFIXES = (".zip", ".onnx")
+"""Suffixes of policy files."""
+
+Kind = Literal["installed", "file", "factory", "unknown"]
+"""Kind of a policy's name: name of an installed policy; ``.zip`` or ``.onnx`` file;
+``package.module:factory`` or ``file.py:factory``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,9 +96,7 @@ class PolicySpec:
             target = policy
         points = _own_first(entry_points(group=ENTRY_POINT_GROUP, name=target))
         kind: Kind = "unknown"
-        if Path(target, CARD).is_file():
-            kind = "entry"
-        elif points:
+        if points:
             kind = "installed"
         elif target.endswith(POLICY_SUFFIXES):
             kind = "file"
@@ -306,11 +306,6 @@ def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
     """The target of a name without wrappers, the subject of messages, and a file of statistics
     beside it."""
     name, subject = spec.target, f"policy {spec.target!r}"
-    if spec.kind == "entry":
-        raise ValueError(
-            f"entry {name!r} runs in a process of its own only: `cablebot dlcc` does it without "
-            "--no-isolate, and IsolatedPolicy in Python"
-        )
     entry = spec.entry()
     if entry is not None:
         return entry.factory(robot), subject, None
@@ -324,7 +319,7 @@ def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
         "a learned bundle or an SB3 file ending in .zip, an .onnx file of `cablebot export-policy`, "
         "file.py:factory, or package.module:factory"
     )
-    check_not_a_file("policy", name, f"{forms}, or the folder of an entry with its card")
+    check_not_a_file("policy", name, forms)
     raise unknown_name_error("policy", name, policy_entries(), f", {forms}")
 
 

@@ -86,7 +86,7 @@ def _found(source: Source, path: str, folder: Path) -> bytes:
     others = 0
     for candidate in sorted(folder.rglob(f"*{name}")):
         if candidate.is_file():
-            content = foreign_bytes(candidate, LARGEST_TEXT, links=True)
+            content = foreign_bytes(candidate, LARGEST_TEXT)
             if _digest(content) == source.files[path]:
                 return content
             others += 1

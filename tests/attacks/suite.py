@@ -21,7 +21,6 @@ sys.path.append(str(FOLDER))
 import cheats  # noqa: E402
 import process_cheats  # noqa: E402
 import survey_suite  # noqa: E402
-from hostile_entries import HOSTILE_ENTRIES  # noqa: E402
 
 ENV_ID = "CableBot-Spatial-v0"
 UNKNOWN = ("--payload-unknown",)
@@ -249,14 +248,6 @@ These policies do what only a sandbox closes. Each fails with a message when its
 """
 
 
-ENTRIES_HEAD = """\
-An [entry](submit.md) is a folder that strangers have made. Each of these folders ended or misled a run of
-`cablebot benchmark --entries`. Now the sizes are checked before anything is read, and only regular files are opened. An
-invalid entry costs itself only: the leaderboard names it with the reason, and the others run. The column *before* was
-measured at commit d241351, with 8 GiB of memory.
-"""
-
-
 def _what(attack):
     """What the policy of an attack does, in one line."""
     return " ".join(getattr(module(attack.name), attack.name).__doc__.split())
@@ -280,10 +271,6 @@ def page():
     for attack in SANDBOXED:
         lines.append(f"| {_what(attack)} | “{attack.now}” | {Attack.now} |")
     lines += survey_suite.lines()
-    lines += ["", "## Files of entries", "", ENTRIES_HEAD]
-    lines += ["| the entry … | before, the run | now, the entry is invalid |", "|---|---|---|"]
-    for hostile in HOSTILE_ENTRIES:
-        lines.append(f"| {hostile.change.__doc__} | {hostile.before} | “{hostile.now}” |")
     return "\n".join(lines) + "\n"
 
 

@@ -9,19 +9,16 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from attacks.hostile_entries import BRACKETS, HUGE, sparse
 from clock import HANG
 
 from cablebot_gym.benchmark.board import read_board, run_seed
 from cablebot_gym.benchmark.cells import PolicyCell
-from cablebot_gym.benchmark.entries import CLAIMS, read_claims
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.cli.benchmark import read_results
 from cablebot_gym.cli.options import _read_data
 from cablebot_gym.importers import import_robot
 from cablebot_gym.measurement import find_measurement
 from cablebot_gym.policies import load_policy
-from cablebot_gym.policies.entry import read_entry
 from cablebot_gym.report.recording import _read as read_episodes
 from cablebot_gym.robots import PLANAR, find_robot
 from cablebot_gym.trajectories import find_trajectory
@@ -30,6 +27,14 @@ from cablebot_gym.utils.user_code import sentence_of_user_code
 from cablebot_gym.utils.workers import _portable
 
 ROOT = Path(__file__).parents[2]
+
+HUGE = "1" + "0" * 400
+"""A number beyond the largest float."""
+
+BRACKETS = "[" * 200_000 + "]" * 200_000
+"""JSON that a recursive reader cannot read."""
+
+
 MOTION = """
 from cablebot_gym.trajectories import Reference
 class Lost:
@@ -50,14 +55,6 @@ def of_training(path):
     return read_yaml("CableBot-Planar-v0", path)
 
 
-def card(path):
-    return read_entry(path.rename(path.with_name("entry.json")).parent)
-
-
-def claims(path):
-    return read_claims(path.rename(path.with_name(CLAIMS)).parent)
-
-
 SQUARE = (ROOT / "examples" / "square.toml").read_text()
 READERS = {
     "robot.toml": (find_robot, SQUARE),
@@ -67,8 +64,6 @@ READERS = {
     "robot.wcrfx": (import_robot, "<models><robot motionpattern='2T'/></models>"),
     "train.yaml": (of_training, "default: {n_envs: 3}\n"),
     "results.json": (read_results, "{}"),
-    "card.json": (card, "{}"),
-    "claim.json": (claims, "{}"),
 }
 
 
@@ -133,6 +128,12 @@ HOSTILE = {
     "huge number": lambda path, text: path.write_text(re.sub(r"\d+(\.\d+)?|^{}$", HUGE, text)),
     "list": lambda path, text: path.write_text("[]"),
 }
+
+
+def sparse(path):
+    """Makes a file of 200 GiB that takes no space on the disk."""
+    path.touch()
+    os.truncate(path, 200 << 30)
 
 
 @pytest.fixture

@@ -53,12 +53,6 @@ def test_policy_sees_only_modules_of_the_working_directory(view, tmp_path):
     assert set(code_folders()) <= read
 
 
-def test_entry_sees_only_its_card_and_its_policy(view, tmp_path):
-    read, _, _ = view("entries/law")
-    own = {one.relative_to(tmp_path).as_posix() for one in read if one.is_relative_to(tmp_path)}
-    assert own == {f"work/entries/law/{name}" for name in ("entry.json", "policy", "packages")}
-
-
 def test_missing_bubblewrap_is_named_with_its_install_command(monkeypatch):
     monkeypatch.setattr("shutil.which", lambda name: None)
     monkeypatch.setattr(sandbox, "sandbox_problem", sandbox.sandbox_problem.__wrapped__)
