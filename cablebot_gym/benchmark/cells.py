@@ -18,8 +18,6 @@ import numpy as np
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.evaluation.batch import Batch, Row
-from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.evaluation.survey import motion_seeds, survey
 from cablebot_gym.evaluation.timing import time_actions
@@ -139,14 +137,11 @@ class PolicyCell(Setting):
     uncertainty: str | None = None
     """Name of an uncertainty; None for none."""
     draws: int = 1
-    """Number of fresh draws that confirm the payload; 1 without uncertainty, except in real
-    time."""
+    """Number of fresh draws that confirm the payload; 1 without uncertainty."""
     probability: float = 0.95
     """Required success rate over the draws."""
     seed: int = 0
     """Evaluation seed."""
-    real_time: bool = False
-    """Whether an action that comes after its control period is replaced by the last one."""
     resolution: float | None = None
     """Payload resolution of the search [kg]; None for the evaluator's default."""
     payload_max: float | None = None
@@ -205,31 +200,8 @@ class PolicyCell(Setting):
             "fallbacks": result.details.fallbacks,
         }
 
-    def success_rate(self, payload: float, draws: int, seed: int) -> float:
-        """Fraction of fresh draws in which the policy carries a payload.
-
-        Args:
-            payload: nominal payload [kg].
-            draws: number of draws.
-            seed: seed of the draws.
-
-        Raises:
-            PolicyError: if the policy carries the payload less often alone than with other
-                episodes.
-        """
-        conditions = Conditions.of(
-            self.env_id, criterion=self.criterion, draws=draws, seed=seed, **self.env_options()
-        )
-        with self._isolated() as policy:
-            batch = Batch(policy, conditions)
-            verdicts = batch.run([Row(payload, draw_seed) for draw_seed in batch.seeds])
-            carried = sum(verdict.carried for verdict in verdicts)
-            batch.check_alone(payload, carried)
-        return carried / draws
-
     def _isolated(self) -> IsolatedPolicy:
-        period = 1 / self.control_frequency
-        return IsolatedPolicy(self.policy, self.robot, real_time=period if self.real_time else None)
+        return IsolatedPolicy(self.policy, self.robot)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,7 +243,7 @@ class SurveyCell(PolicyCell):
         names = ("criterion", "seed")
         options = self.env_options() | {name: getattr(self, name) for name in names}
         del options["trajectory"]
-        is_shipped = PolicySpec.parse(self.policy).shipped and not self.real_time
+        is_shipped = PolicySpec.parse(self.policy).shipped
         with nullcontext(self.policy) if is_shipped else self._isolated() as policy:
             result = survey(
                 policy, self.env_id, motions, robots=self.draws, name=self.policy, **options

@@ -40,10 +40,10 @@ def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
         if entry is not None and entry.files is not None:
             return (module,), entry.files
     source = module_file(module)
-    return (module,), () if source is None else _data_files(source, in_package(module))
+    return (module,), () if source is None else _data_files(source, _in_package(module))
 
 
-def in_package(module: str) -> bool:
+def _in_package(module: str) -> bool:
     """Whether a module has the folder of its file for itself and for other modules of its
     package."""
     path = module_file(module)

@@ -122,8 +122,6 @@ class Column:
     """DLCC criterion: ``task`` or ``paper``."""
     draws: int = 1
     """Number of draws that confirm the payload."""
-    real_time: bool = False
-    """Whether late actions are replaced by the last one."""
     is_family: bool = False
     """Whether the motions are random ones of a family."""
 
@@ -143,7 +141,6 @@ class Column:
             uncertainty=cell.uncertainty,
             criterion=cell.criterion,
             draws=cell.draws,
-            real_time=cell.real_time,
             is_family="seed" in cell.trajectory,
         )
 

@@ -27,8 +27,6 @@ def heading(column: scores.Column) -> str:
     words = [payload_model_text(column.payload_known, column.model_payload_factor)]
     if column.uncertainty:
         words.append(column.uncertainty)
-    if column.real_time:
-        words.append("real time")
     if column.draws > 1:
         unit = "robots" if column.is_main else "draws"
         words.append(f"{column.draws} {unit}")

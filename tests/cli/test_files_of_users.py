@@ -11,7 +11,6 @@ from types import SimpleNamespace
 import pytest
 from clock import HANG
 
-from cablebot_gym.benchmark.board import read_board, run_seed
 from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.cli.benchmark import read_results
@@ -114,8 +113,6 @@ def option(path):
 RECORD = json.dumps({"cell": CELL.to_dict(), "source": CELL.source, "result": {"payload": 1}})
 ALL_READERS = READERS | {
     "motion.json": (option, '{"name": "circle-planar", "duration": 1}'),
-    "run.json": (lambda path: run_seed(path.parent), '{"seed": 1}'),
-    "board.json": (lambda path: read_board(path.parent), '{"motions": 1}'),
     "cell.json": (cell, RECORD),
     "episode.json": (read_episodes, '[{"payload": 1}]'),
     "state.json": (training, '{"timesteps": 1}'),
