@@ -83,13 +83,13 @@ def _compare(
     import numpy as np
 
     from cablebot_gym.evaluation.rollout import record_rollout
-    from cablebot_gym.policies.adapters import WARM_UP, RealTime
+    from cablebot_gym.evaluation.timing import WARM_UP, TimedPolicy
 
     def record(policy: object) -> Rollout:
         payload = model.robot.defaults.payload(0.0)
         return record_rollout(policy, env_id, payload=payload, **task.keywords())
 
-    timed = RealTime(exported, math.inf)
+    timed = TimedPolicy(exported)
     motion = record(timed)
     in_float32 = record(original)
     model.compute_in_float64()

@@ -187,6 +187,11 @@ def draw_seeds(seed: int, draws: int) -> list[int]:
     return [seed] if draws == 1 else derived_seeds(np.random.SeedSequence(seed), draws)
 
 
+def fresh_sequence(seed: int) -> np.random.SeedSequence:
+    """Seed sequence of the draws that confirm a payload and belong to no other part of a search."""
+    return np.random.SeedSequence(seed, spawn_key=(5,))
+
+
 def derived_seeds(sequence: np.random.SeedSequence, count: int) -> list[int]:
     """Seeds of 53 bits from a seed sequence."""
     return [int(word) >> 11 for word in sequence.generate_state(count, np.uint64)]
@@ -311,24 +316,21 @@ class Batch:
         observer: Observer | None = None,
         count: StepCount | None = None,
         full_motion: bool = False,
-        order: NDArray[np.int64] | None = None,
         refinement: int = 1,
     ) -> list[Verdict]:
-        """Rolls out episodes, in a secret random order unless somebody observes them.
+        """Rolls out episodes.
 
         Args:
             rows: payload and seed of each episode.
             observer: receives the steps of the rows in their order.
             count: counts the finished or skipped control steps.
             full_motion: whether to simulate an episode to the end of the motion after a violation.
-            order: permutation of the rows; None for a secret one.
             refinement: factor of the number of physics steps in a control period.
 
         Returns:
             One verdict for each row.
         """
-        if order is None:
-            order = np.arange(len(rows)) if observer is not None else secret_order(len(rows))
+        order = np.arange(len(rows))
         groups = [order]
         if observer is None and len(rows) > 2 * BATCH:
             # a group ends with its longest motion
@@ -391,8 +393,7 @@ class Batch:
         return observation, info
 
     def check_alone(self, payload: float, carried: int, count: StepCount | None = None) -> None:
-        """Tries a payload in fresh draws with secret seeds, one batch each, until enough of them
-        carry it.
+        """Tries a payload in fresh draws, one batch each, until enough of them carry it.
 
         A policy that averages noise over the rows of a batch carries more there than alone.
 
@@ -412,8 +413,8 @@ class Batch:
     def try_alone(
         self, payload: float, draws: int, required: int, count: StepCount | None = None
     ) -> Trial:
-        """Tries a payload in fresh draws with secret seeds, each alone in its batch, so that an
-        isolated policy has a fresh process for each.
+        """Tries a payload in fresh draws, each alone in its batch, so that an isolated policy has a
+        fresh process for each.
 
         Args:
             payload: nominal payload [kg].
@@ -426,7 +427,7 @@ class Batch:
         """
         verdicts: list[Verdict] = []
         carried = 0
-        seeds = derived_seeds(np.random.SeedSequence(), draws)
+        seeds = derived_seeds(fresh_sequence(self.conditions.seed), draws)
         for seed in seeds:
             if carried == required or len(verdicts) - carried > draws - required:
                 break
@@ -458,12 +459,6 @@ def _threads(rows: int) -> int:
     if rows < THREADED or parent_process() is not None:
         return 1
     return cores()
-
-
-def secret_order(count: int) -> NDArray[np.int64]:
-    """A random permutation from the entropy of the operating system, so that a row does not tell
-    its payload."""
-    return np.random.default_rng().permutation(count)
 
 
 def run_episodes(

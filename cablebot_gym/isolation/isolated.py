@@ -51,9 +51,6 @@ class IsolatedPolicy:
             times. The elapsed time may be :data:`~cablebot_gym.isolation.deadlines.WAITING` times
             as long, that of all calls
             :data:`~cablebot_gym.isolation.deadlines.WAITING_FOR_ALL` times.
-        real_time: control period after which an action is replaced by the last one of its episode
-            [s]; None for no limit. The process of the policy measures the time, so it has to be
-            honest. See :class:`~cablebot_gym.policies.adapters.RealTime`.
         wrappers: names of the wrappers of the training, the innermost first, see
             :data:`~cablebot_gym.policies.wrappers.Wrapper`. They run in the process of the policy.
         sandbox: whether the process runs in a sandbox without network, other processes, and most
@@ -72,7 +69,6 @@ class IsolatedPolicy:
         robot: Robot | str,
         *,
         deadline: float = DEADLINE,
-        real_time: float | None = None,
         wrappers: Sequence[str | Path] = (),
         sandbox: bool = False,
     ) -> None:
@@ -92,7 +88,7 @@ class IsolatedPolicy:
         if sandbox:
             prepare_sandbox(robot)
             self._sandboxed_names = (self._spec.target, *wrapper_names)
-        self._load = pickle.dumps((name, robot, search_path(), real_time, wrapper_names))
+        self._load = pickle.dumps((name, robot, search_path(), wrapper_names))
         described = self._start()
         declared = declarations(SimpleNamespace(**described))
         self.unsaturated_actions = declared.unsaturated_actions

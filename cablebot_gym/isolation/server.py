@@ -21,7 +21,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import IO, Any
 
-from cablebot_gym.policies.adapters import PolicyFactory, RealTime
 from cablebot_gym.policies.protocol import PolicyError, declarations, predicted, reset_policy
 from cablebot_gym.policies.spec import PolicySpec, load
 from cablebot_gym.utils.user_code import raised
@@ -84,20 +83,14 @@ class _Server:
         name: str,
         robot: Any,
         path: list[str],
-        real_time: float | None = None,
         wrappers: tuple[str, ...] = (),
     ) -> bytes:
-        """Loads the policy, for real time if there is a control period, and returns its
-        declarations as JSON."""
+        """Loads the policy and returns its declarations as JSON."""
         sys.path[:] = path
         loaded = load(name, robot, wrappers=wrappers)
         self._policy = loaded.policy
         self._cables = robot.cables
         self._state = None
-        if real_time is not None:
-            self._policy = PolicyFactory(
-                lambda: RealTime(load(name, robot, wrappers=wrappers).policy, real_time)
-            )
         described = declarations(self._policy)._asdict() | {
             "notes": loaded.notes,
             "wrappers": loaded.wrappers,

@@ -92,11 +92,7 @@ ATTACKS = (
     Attack("cached_motors", before="20 kg for the next, honest `fl`"),
     Attack("false_limits", before="20 kg, also for the next, honest `fl`"),
     Attack("other_judge", before="20 kg, also for the next, honest `fl`"),
-    Attack(
-        "false_judge",
-        "Judge.verdict cannot be replaced",
-        before="20 kg, also for the next, honest `fl`",
-    ),
+    Attack("false_judge", before="20 kg, also for the next, honest `fl`"),
     Attack("false_numpy", before="4.03 kg"),
     Attack("overwritten", before="4.03 kg"),
     # episodes

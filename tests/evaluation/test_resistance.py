@@ -10,13 +10,13 @@ from numpy.testing import assert_array_equal
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs import limits
-from cablebot_gym.evaluation import PolicyError, batch, evaluate_dlcc, time_actions
+from cablebot_gym.evaluation import PolicyError, batch, evaluate_dlcc, time_actions, timing
 from cablebot_gym.evaluation.batch import ALONE, RISK, STOCHASTIC_ALONE, Batch
 from cablebot_gym.evaluation.search import FINER, REPEATED_DRAWS, SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
 from cablebot_gym.isolation import IsolatedPolicy
-from cablebot_gym.policies import PolicyFactory, RealTime, adapters
+from cablebot_gym.policies import PolicyFactory
 from cablebot_gym.robots import SPATIAL, find_robot
 
 SPATIAL_ID = "CableBot-Spatial-v0"
@@ -146,11 +146,6 @@ def test_evaluation_after_a_contaminating_policy_keeps_its_payload(name, monkeyp
     assert "not isolated" in str(result)
 
 
-def test_method_of_the_judge_cannot_be_replaced():
-    with pytest.raises(TypeError, match=r"Judge.verdict cannot be replaced"):
-        batch.Judge.verdict = None
-
-
 def test_policy_of_this_project_runs_in_the_process_of_the_evaluation():
     result = evaluated("fl")
     assert not result.isolated
@@ -175,11 +170,11 @@ def batches(monkeypatch):
     return seeds_of_batches
 
 
-def test_draws_of_the_check_alone_are_fresh_and_secret(batches):
-    results = [evaluated(Law(), uncertainty="sensors", draws=60) for _ in range(2)]
+def test_draws_of_the_check_alone_are_fresh(batches):
+    result = evaluated(Law(), uncertainty="sensors", draws=60)
     alone = [seeds[0] for seeds in batches if len(seeds) == 1]
     needed_draws = plausible_successes(60, 60, ALONE, RISK)
-    assert len({*alone} - {*results[0].draw_seeds}) == len(alone) == 2 * needed_draws > 0
+    assert len({*alone} - {*result.draw_seeds}) == len(alone) == needed_draws > 0
 
 
 def test_failed_recording_keeps_the_payload_of_one_draw():
@@ -231,17 +226,16 @@ def test_dense_check_finds_an_island_of_failures(uncertainty):
     assert result.details.feasible[0] == (0.0, result.payload)
 
 
-def test_seed_moves_the_payloads_of_the_scan_and_their_order_is_secret():
-    orders = []
+def test_seed_moves_the_payloads_of_the_scan():
+    grids = []
     for seed in (0, 0, 1):
         scanned = []
         evaluated(
             Dropping(lambda payload, scanned=scanned: scanned.append(payload) or payload > 9),
             seed=seed,
         )
-        orders.append(scanned[0])
-    assert np.any(orders[0] != orders[1])
-    first, same, other = np.sort(orders)
+        grids.append(scanned[0])
+    first, same, other = grids
     assert_array_equal(first, same)
     assert np.all(first[1:-1] != other[1:-1])
     assert (other[0], other[-1]) == (0, 20)
@@ -306,7 +300,7 @@ class Slow(Law):
 @pytest.fixture
 def clock(monkeypatch):
     clock = Clock()
-    monkeypatch.setattr(adapters, "time", clock)
+    monkeypatch.setattr(timing, "time", clock)
     return clock
 
 
@@ -328,17 +322,3 @@ def test_episode_without_actions_to_time_raises(clock):
         time_actions(
             Slow(clock), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.01}
         )
-
-
-def test_late_action_is_replaced_by_the_last_one(clock):
-    def sleeping(observation):
-        steps.append(1)
-        clock.sleep(0.01 if len(steps) == WARM_UP + 3 else 0.0)
-        return np.full(6, float(len(steps)))
-
-    steps = []
-    policy = RealTime(sleeping, 0.005)
-    policy.reset(())
-    actions = [policy.predict(np.zeros((1, 3)))[0][0, 0] for _ in range(WARM_UP + 4)]
-    assert actions[WARM_UP:] == [WARM_UP + 1, WARM_UP + 2, WARM_UP + 2, WARM_UP + 4]
-    assert PolicyFactory(lambda: RealTime(Law(), 0.002)).stochastic

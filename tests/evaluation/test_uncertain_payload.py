@@ -272,7 +272,7 @@ def test_payloads_share_the_parameters_of_a_draw():
     assert_array_equal(pose, observer.pose[5])
 
 
-def test_batch_size_and_secret_order_do_not_change_the_result(monkeypatch):
+def test_batch_size_does_not_change_the_result(monkeypatch):
     default = searched()
     monkeypatch.setattr(batch_module, "BATCH", 100)
     searched.cache_clear()
