@@ -12,7 +12,6 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 VARIABLES = (
     *(
-        "CABLEBOT_SANDBOX",
         "COLUMNS",
         "LINES",
         "NO_COLOR",

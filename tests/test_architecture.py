@@ -120,7 +120,7 @@ def test_package_imports_only_those_before_it(package):
 @pytest.mark.parametrize(
     ("package", "rooms"),
     [
-        ("isolation", {"benchmark", "report", "cli"}),
+        ("isolation", {"benchmark", "cli"}),
         ("identification", {"hardware", "plotting", "reality", "cli"}),
     ],
 )
@@ -179,8 +179,6 @@ print("cablebot_gym.evaluation" in sys.modules)
 CLOCKS = {"time", "timeit", "sched"}
 REAL_TIME = {
     "clock.py": "a test that waits for another process or thread",
-    "attacks/cheats.py": "policies that are slow",
-    "attacks/process_cheats.py": "policies that hang",
 }
 """Files of the tests that use real time, with the reason."""
 

@@ -247,23 +247,16 @@ class ProcessOptions(Options):
         typer.Option(
             "--isolate/--no-isolate",
             help=(
-                "Run the policy in a process of its own, which gets only observations and tasks. The default "
-                "isolates every policy that is not shipped with this project, and every one with a wrapper. "
-                "--no-isolate trusts the policy, and marks its result."
+                "Run the policy in a process of its own, which gets only observations and tasks, behind bubblewrap "
+                "where that is installed. The default isolates every policy that is not shipped with this project, and "
+                "every one with a wrapper. --no-isolate trusts the policy, and marks its result."
             ),
             show_default=False,
         ),
     ] = None
-    sandbox: Annotated[
-        bool,
-        typer.Option(
-            "--sandbox",
-            help="Run the isolated policy in a sandbox without network, other processes, and most files.",
-        ),
-    ] = False
     deadline: Annotated[
         float | None,
-        "Deadline of a call of the isolated policy [s of processor time]. The default is 60.",
+        "Deadline of an answer of the isolated policy [s of processor time]. The default is 300.",
     ] = None
 
     def isolates(self, name: str, wrappers: Sequence[str] = ()) -> bool:
@@ -382,20 +375,15 @@ def loaded_policy(
     it.
 
     Raises:
-        ValueError: if the policy cannot be loaded, or if there is a deadline or a sandbox for a
-            policy that is not isolated.
+        ValueError: if the policy cannot be loaded, or if there is a deadline for a policy that is
+            not isolated.
     """
     from cablebot_gym.isolation import IsolatedPolicy
     from cablebot_gym.policies import load
 
     if process.isolates(name, wrappers):
         limits = {} if process.deadline is None else {"deadline": process.deadline}
-        isolated = IsolatedPolicy(name, robot, sandbox=process.sandbox, wrappers=wrappers, **limits)
-        return isolated.loaded
-    if process.sandbox:
-        raise ValueError(
-            "--sandbox needs --isolate: only the process of an isolated policy can have one"
-        )
+        return IsolatedPolicy(name, robot, wrappers=wrappers, **limits).loaded
     if process.deadline is not None:
         raise ValueError(
             "--deadline needs --isolate: only the process of an isolated policy can be ended"

@@ -57,6 +57,10 @@ DEPENDENT = (
 """End of an error about a policy. Gets the difference that shows it."""
 
 
+_FOREIGN: dict[str, None] = {}
+"""Names of the policies that are neither shipped nor isolated and have run in this process."""
+
+
 class Row(NamedTuple):
     """One episode."""
 
@@ -200,10 +204,9 @@ def derived_seeds(sequence: np.random.SeedSequence, count: int) -> list[int]:
 class Batch:
     """Rolls out payloads and draws with one policy in vector environments.
 
-    The judge's task is read once, before the policy is loaded, and the policy receives copies. The
-    judge and the limits are bound when their modules are imported. That protects against mistakes:
-    a policy in this process can read and change everything. Only
-    :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy` stops a policy that wants to cheat.
+    The judge's task is read once, before the policy is loaded, and the policy receives copies of
+    tasks and robot. That protects against mistakes: a policy in this process can change everything,
+    one in an :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy` nothing.
 
     Args:
         policy: a loaded policy, an object with ``predict``, a callable ``observation -> action``, a
@@ -217,8 +220,6 @@ class Batch:
     Raises:
         ValueError: if the policy does not fit the conditions.
     """
-
-    _judge = Judge  # bound here: a policy in this process can replace the name in the module
 
     def __init__(
         self,
@@ -240,8 +241,13 @@ class Batch:
         self.task: Task = self.tasks[0]
         """Task of the first motion."""
         robot = deepcopy(conditions.robot)
+        self.foreign_before = tuple(_FOREIGN)
+        """Names of the policies that are neither shipped nor isolated and ran in this process
+        before."""
         self.policy: LoadedPolicy = load(policy, robot, name=name, wrappers=wrappers)
         """The policy."""
+        if not (self.policy.shipped or self.policy.isolated):
+            _FOREIGN[self.policy.name] = None
         self._check_policy()
         random = conditions.uncertainty.random or self.policy.declarations.stochastic
         self.random = random or conditions.keywords.get("initial_error_range") is not None
@@ -344,7 +350,7 @@ class Batch:
         for indices in groups:
             env = self._make(len(indices), **changes)
             self._last_rows = len(indices)
-            judge = self._judge(self.conditions.criterion, self.task.robot.cables, len(indices))
+            judge = Judge(self.conditions.criterion, self.task.robot.cables, len(indices))
             group = [rows[index] for index in indices.tolist()]
             observation, info = self._start(env, judge, group)
             if observer is not None:
@@ -487,9 +493,6 @@ def run_episodes(
         cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
             finite actions.
     """
-    # Bound before the policy can replace them.
-    step_env = env.step
-    observe = judge.observe
     policy.reset(lambda: deepcopy(env.tasks))
     state = None
     start = np.ones(env.num_envs, np.bool_)
@@ -511,8 +514,8 @@ def run_episodes(
             time=step / env.settings.control_frequency,
             ignored=over,
         )
-        next_observation, reward, ended, _, info = step_env(action)
-        observe(info, ended)
+        next_observation, reward, ended, _, info = env.step(action)
+        judge.observe(info, ended)
         if observer is not None:
             observer.step(next_observation, reward, info, ~over)
         # a policy keeps the last sensible observation of a terminated episode

@@ -110,26 +110,11 @@ class PolicySpec:
         return self.kind == "installed" and not self.estimators
 
     @property
-    def own(self) -> bool:
-        """Whether it is the name of a policy of this project alone, and not of another installed
-        package."""
-        return self.installed and is_own(self.points[0])
-
-    @property
     def shipped(self) -> bool:
         """Whether this project ships all the code that the name stands for: the policy, and the
         estimators in front of it."""
         is_own_policy = self.kind == "installed" and is_own(self.points[0])
         return is_own_policy and all(is_own(point) for point in self.estimators)
-
-    @property
-    def held(self) -> bool:
-        """Whether this project holds the policy to its declaration ``unsaturated_actions``.
-
-        False stands for every other policy, also of other packages, whose declaration is taken on
-        trust.
-        """
-        return self.own and bool(self.points[0].load().unsaturated_actions)
 
     def entry(self) -> PolicyEntry | None:
         """The entry of the installed policy, imported; None if there is none.
@@ -257,13 +242,12 @@ def load(
         spec = PolicySpec.parse(policy)
         target, subject, beside = _make(spec, robot)
         estimators = spec.estimators
-        held = spec.held and not wrappers
         shipped = spec.shipped and not wrappers
     else:
         subject = f"policy {name or name_of(policy)!r}"
         beside = None
         estimators = ()
-        held = shipped = False
+        shipped = False
         if isinstance(policy, type):
             target = _call(policy, robot, subject)
         else:
@@ -272,14 +256,14 @@ def load(
     made = target = behind_wrappers(target, robot, subject, wrappers, beside)
     for estimator in reversed(estimators):
         made = estimator.load()(robot, made)
+    name = name or name_of(policy)
     note = getattr(target, "note", "")
     if note:
-        say(note)
+        say(name, note)
     return LoadedPolicy(
         policy=made,
-        name=name or name_of(policy),
+        name=name,
         declarations=declarations(made),
-        held=held,
         shipped=shipped,
         wrappers=tuple(getattr(target, "wrappers", ())),
         notes=(note,) if note else (),

@@ -16,6 +16,7 @@ from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, 
 from cablebot_gym.benchmark.records import compute
 from cablebot_gym.bounds.best_known import MESH_TOLERANCE
 from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.isolation.process import has_bubblewrap
 from cablebot_gym.policies import PolicyEntry, load_policy
 from cablebot_gym.robots import find_robot
 from cablebot_gym.utils import code_hash
@@ -99,7 +100,9 @@ def test_policy_of_a_cell_has_a_process_of_its_own(module, request):
     request.getfixturevalue("inline")
     here = compute(coarse).result
     assert isolated.pop("fallbacks") != here.pop("fallbacks") == os.getpid()
-    assert isolated == here
+    assert isolated.pop("isolated")
+    assert isolated.pop("bubblewrap") == has_bubblewrap()
+    assert isolated == {name: here[name] for name in isolated}
 
 
 @pytest.mark.usefixtures("inline")

@@ -208,7 +208,7 @@ def test_statistics_beside_the_file_are_used_and_said(trained, tmp_path, caplog)
         policy = load_policy(str(file), PLANAR)
         assert policy.wrappers == ("normalised_observation", str(pkl))
         assert (
-            f"note: policy file {str(file)!r} gets observations normalised by {str(pkl)!r}"
+            f"note of policy {str(file)!r}: its observations are normalised by {pkl.name!r}"
             in caplog.text
         )
         assert_allclose(
