@@ -12,7 +12,6 @@ from hypothesis import HealthCheck, settings
 
 VARIABLES = (
     *(
-        "CABLEBOT_SANDBOX",
         "COLUMNS",
         "LINES",
         "NO_COLOR",

@@ -68,7 +68,6 @@ not."""
 PUBLIC_MODULES = (
     "cablebot_gym.benchmark.cells",
     "cablebot_gym.benchmark.engine",
-    "cablebot_gym.benchmark.entries",
     "cablebot_gym.benchmark.leaderboard",
     "cablebot_gym.benchmark.ray_backend",
     "cablebot_gym.benchmark.records",
@@ -95,7 +94,6 @@ PUBLIC_MODULES = (
     "cablebot_gym.evaluation.rollout",
     "cablebot_gym.evaluation.search",
     "cablebot_gym.evaluation.timing",
-    "cablebot_gym.isolation.deadlines",
     "cablebot_gym.isolation.isolated",
     "cablebot_gym.kinematics",
     "cablebot_gym.measurement",

@@ -16,6 +16,7 @@ from typing import Any
 from page_blocks import readme_table
 
 from cablebot_baselines.paper.page import tally
+from cablebot_gym.benchmark.cells import PolicyCell, SurveyCell
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import (
     Column,
@@ -41,9 +42,7 @@ def paper() -> str:
 
 
 def _of_leaderboard(results: Results) -> dict[str, Any]:
-    if results.board is None:
-        raise ValueError("docs/leaderboard has no board: run the suite ranked")
-    boards = leaderboards(results.records, results.authors)
+    boards = leaderboards(results.records)
     env_ids = list(dict.fromkeys(board.env_id for board in boards))
     spatial = _circle(boards, "CableBot-Spatial-v0")
     hardware = {}
@@ -54,10 +53,12 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
     unknown = hardware["CableBot-Spatial-v0"]
     carrying = [score.cell.policy for score in entries if score.payload is not None]
     (draws,) = {score.cell.draws for score in entries}
+    cells = [record.cell for record in results.records]
+    policies = {cell.policy for cell in cells if isinstance(cell, PolicyCell)}
+    motions = max(len(cell.parts) for cell in cells if isinstance(cell, SurveyCell))
     return {
-        "version": results.board.version,
-        "policies": len(results.board.policies),
-        "motions": results.board.motions,
+        "policies": len(policies),
+        "motions": motions,
         "environments": len(env_ids),
         "table": readme_table(results).partition("\n\n")[2].strip(),
         "fl_known": _payload(spatial, "fl"),

@@ -7,9 +7,8 @@ A block stands between two comments, so that the page is plain Markdown, on the 
 
 NAME is ``leaderboard`` (the best policy of each kind), ``main table`` (of the present policies),
 ``measurement`` (payload lost by sensors and errors), ``errors`` (payload with each error alone),
-``library`` (the real robots), ``library payloads`` (payloads of laws on them), ``budgets`` (of an
-entry's processor time), a table of ``cablebot list``, or a script in ``examples/``, with its output
-if the name ends in ``and output``.
+``library`` (the real robots), ``library payloads`` (payloads of laws on them), a table of
+``cablebot list``, or a script in ``examples/``, with its output if the name ends in ``and output``.
 
 python scripts/page_blocks.py
 """
@@ -33,7 +32,6 @@ from cablebot_gym.benchmark.tables import heading, motion_title
 from cablebot_gym.bounds.robot_check import MotionCheck, RobotCheck, check_model, check_motion
 from cablebot_gym.cli.listing import tables
 from cablebot_gym.cli.robot import motion_report, report
-from cablebot_gym.isolation.deadlines import BUDGET, DEADLINE, TOTAL
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import ELASTIC, find_robot, library
 
@@ -49,7 +47,6 @@ PAGES = (
     "docs/measurement.md",
     "docs/robots.md",
     "docs/uncertainty.md",
-    "docs/submit.md",
 )
 """Pages with blocks."""
 
@@ -66,7 +63,7 @@ KINDS = {"classical": "control law", "learned": "learned", "optimal": "trajector
 def readme_table(results: Results) -> str:
     """Sentence and table: the best policy of each kind in each environment, by the first column of
     the leaderboard."""
-    boards = leaderboards(results.records, results.authors)
+    boards = leaderboards(results.records)
     first = boards[0].columns[0]
     motion = motion_title(first, boards[0].motions(first))
     boards_of: dict[str, list[Leaderboard]] = {}
@@ -162,14 +159,6 @@ def block(name: str) -> str:
     if name == "leaderboard":
         return readme_table(
             Results.from_json((ROOT / "docs/leaderboard/results.json").read_text(encoding="utf-8"))
-        )
-    if name == "budgets":
-        return (
-            "* **Budgets.** Processor time of the policy and of all processes that it starts, however "
-            f"busy the machine is: {DEADLINE:g} s for a\n"
-            f"  call, {TOTAL * DEADLINE / 3600:g} h for a cell, and {BUDGET / 3600:g} h for all cells "
-            "of an entry together. When an entry has used its budget, its\n"
-            "  remaining cells are errors, which count as zero. A resumed run continues the sum.\n"
         )
     if name == "library":
         return library_pages()

@@ -1,6 +1,6 @@
 """A policy in the process of the tests, in place of one in a process of its own."""
 
-from cablebot_gym.policies import PolicyFactory, RealTime, load_policy
+from cablebot_gym.policies import load_policy
 from cablebot_gym.policies.protocol import declarations
 
 
@@ -8,10 +8,8 @@ class InlinePolicy:
     """Has what the cells of a benchmark use of an
     :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy`."""
 
-    def __init__(self, spec, robot, *, real_time=None):
+    def __init__(self, spec, robot):
         self._policy = load_policy(spec, robot)
-        if real_time is not None:
-            self._policy = PolicyFactory(lambda: RealTime(load_policy(spec, robot), real_time))
         self.unsaturated_actions, self.stochastic, _ = declarations(self._policy)
 
     def __getattr__(self, name):

@@ -123,7 +123,7 @@ def test_only_these_rooms_know_the_isolation():
         for name in FILES
         if any(imported.startswith("cablebot_gym.isolation") for imported, _ in imports(name))
     }
-    rooms = {"isolation", "benchmark", "report", "cli"}
+    rooms = {"isolation", "benchmark", "cli"}
     assert {name.split(".")[1] for name in importers} == rooms
 
 
@@ -173,8 +173,6 @@ print("cablebot_gym.evaluation" in sys.modules)
 CLOCKS = {"time", "timeit", "sched"}
 REAL_TIME = {
     "clock.py": "a test that waits for another process or thread",
-    "attacks/cheats.py": "policies that are slow",
-    "attacks/process_cheats.py": "policies that hang",
 }
 """Files of the tests that use real time, with the reason."""
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 import json
 import platform
 import re
-from collections.abc import Mapping
-from contextlib import nullcontext, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from types import MappingProxyType
@@ -18,13 +18,11 @@ import numpy as np
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.evaluation.batch import Batch, Row
-from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.evaluation.survey import motion_seeds, survey
 from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.isolation import IsolatedPolicy
-from cablebot_gym.policies import PolicySpec
+from cablebot_gym.policies import PolicySpec, load
 from cablebot_gym.robots import ELASTIC, Robot, find_robot, library
 from cablebot_gym.task import ErrorBounds, payload_model_text, to_jsonable
 from cablebot_gym.trajectories import find_trajectory
@@ -36,7 +34,7 @@ DEFAULT_ERROR_BOUNDS = MappingProxyType(to_jsonable(ErrorBounds()))
 
 _STORED = (
     *("payload", "total_mass", "resolution", "violation", "scan_ended", "assured", "stochastic"),
-    *("draws", "declared", "feasible", "failures"),
+    *("draws", "declared", "feasible", "failures", "isolated", "bubblewrap"),
 )
 """Data of a :class:`~cablebot_gym.evaluation.result.DLCCResult` in the result of a cell."""
 
@@ -139,14 +137,11 @@ class PolicyCell(Setting):
     uncertainty: str | None = None
     """Name of an uncertainty; None for none."""
     draws: int = 1
-    """Number of fresh draws that confirm the payload; 1 without uncertainty, except in real
-    time."""
+    """Number of fresh draws that confirm the payload; 1 without uncertainty."""
     probability: float = 0.95
     """Required success rate over the draws."""
     seed: int = 0
     """Evaluation seed."""
-    real_time: bool = False
-    """Whether an action that comes after its control period is replaced by the last one."""
     resolution: float | None = None
     """Payload resolution of the search [kg]; None for the evaluator's default."""
     payload_max: float | None = None
@@ -186,17 +181,18 @@ class PolicyCell(Setting):
         return self.env_options() | search | {"draws": draws}
 
     def compute(self) -> dict[str, Any]:
-        """The payload, its limiting violation, and the details of the search. The policy runs in a
-        process of its own.
+        """The payload, its limiting violation, and the details of the search. A policy that is not
+        shipped runs in a process of its own.
 
         The paper criterion applies to policies that declare ``unsaturated_actions``; for others the
         result says ``applicable: False``. ``declared`` marks policies that this project does not
         hold to their declaration.
         """
-        with self._isolated() as policy:
-            if self.criterion == "paper" and not policy.unsaturated_actions:
+        with policy_process(self) as policy:
+            loaded = load(policy, self.robot)
+            if self.criterion == "paper" and not loaded.declarations.unsaturated_actions:
                 return {"applicable": False, "payload": None, "total_mass": None}
-            result = evaluate_dlcc(policy, self.env_id, name=self.policy, **self.options())
+            result = evaluate_dlcc(loaded, self.env_id, name=self.policy, **self.options())
         largest_action = np.abs(result.rollout.arrays["commanded_action"]).max()
         data = result.to_dict()
         return {name: data[name] for name in _STORED} | {
@@ -204,32 +200,6 @@ class PolicyCell(Setting):
             "saturated": bool(largest_action > 1 - 1e-9),
             "fallbacks": result.details.fallbacks,
         }
-
-    def success_rate(self, payload: float, draws: int, seed: int) -> float:
-        """Fraction of fresh draws in which the policy carries a payload.
-
-        Args:
-            payload: nominal payload [kg].
-            draws: number of draws.
-            seed: seed of the draws.
-
-        Raises:
-            PolicyError: if the policy carries the payload less often alone than with other
-                episodes.
-        """
-        conditions = Conditions.of(
-            self.env_id, criterion=self.criterion, draws=draws, seed=seed, **self.env_options()
-        )
-        with self._isolated() as policy:
-            batch = Batch(policy, conditions)
-            verdicts = batch.run([Row(payload, draw_seed) for draw_seed in batch.seeds])
-            carried = sum(verdict.carried for verdict in verdicts)
-            batch.check_alone(payload, carried)
-        return carried / draws
-
-    def _isolated(self) -> IsolatedPolicy:
-        period = 1 / self.control_frequency
-        return IsolatedPolicy(self.policy, self.robot, real_time=period if self.real_time else None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,17 +232,13 @@ class SurveyCell(PolicyCell):
         )
 
     def compute(self) -> dict[str, Any]:
-        """The payload and the limiting violation of each motion.
-
-        A policy of this project runs in this process.
-        """
+        """The payload and the limiting violation of each motion."""
         kind = self.robot.kind
         motions = [find_trajectory(dict(part.trajectory), kind) for part in self.parts]
         names = ("criterion", "seed")
         options = self.env_options() | {name: getattr(self, name) for name in names}
         del options["trajectory"]
-        is_shipped = PolicySpec.parse(self.policy).shipped and not self.real_time
-        with nullcontext(self.policy) if is_shipped else self._isolated() as policy:
+        with policy_process(self) as policy:
             result = survey(
                 policy, self.env_id, motions, robots=self.draws, name=self.policy, **options
             )
@@ -345,17 +311,13 @@ class TimingCell(Setting):
         """The result of :func:`cablebot_gym.evaluation.timing.time_actions`, and the processor of
         this machine.
 
-        A policy of this project runs in this process. ``exchange`` marks others, whose times
-        include the exchange with the process of the policy.
+        ``exchange`` marks policies that are not shipped, whose times include the exchange with
+        their process.
         """
-        is_own = PolicySpec.parse(self.policy).own
-        with (
-            nullcontext(self.policy)
-            if is_own
-            else IsolatedPolicy(self.policy, self.robot) as policy
-        ):
+        with policy_process(self) as policy:
             times = time_actions(policy, self.env_id, **self.env_options())
-        return asdict(times) | {"exchange": not is_own, "processor": processor()}
+        is_shipped = PolicySpec.parse(self.policy).shipped
+        return asdict(times) | {"exchange": not is_shipped, "processor": processor()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -433,6 +395,17 @@ def cell_from_dict(data: Mapping[str, Any]) -> Cell:
     fields = dict(data)
     kind = _KINDS[fields.pop("kind")]
     return kind(**fields)
+
+
+@contextmanager
+def policy_process(cell: PolicyCell | TimingCell) -> Iterator[str | IsolatedPolicy]:
+    """The name of the policy of a cell if it is shipped, else the policy in a process of its own,
+    which ends with the context."""
+    if PolicySpec.parse(cell.policy).shipped:
+        yield cell.policy
+        return
+    with IsolatedPolicy(cell.policy, cell.robot) as policy:
+        yield policy
 
 
 def processor() -> str:

@@ -12,8 +12,6 @@ from typing import Any
 from cablebot_gym.benchmark.cells import Cell, DrawnCell, PolicyCell, SurveyCell, TimingCell
 from cablebot_gym.benchmark.records import Record, compute, failed_record
 from cablebot_gym.benchmark.store import Store
-from cablebot_gym.isolation.deadlines import BUDGET
-from cablebot_gym.policies.entry import is_entry
 from cablebot_gym.utils import workers as processes
 
 _AFTER_BEST_KNOWN = 1e9
@@ -94,26 +92,21 @@ def run_cells(
 
     Cells with the longest computations start first, to balance the workers. Computing times are
     measured last, one after the other in this process.
-
-    The cells of an entry that has used its budget of processor time get an error in place of a
-    computation. It is not stored: the next run sums the time of the stored records again.
     """
     done = {}
     pending = []
-    used: dict[str, float] = {}
     for key, cell in cells.items():
         record = store.find(cell)
         if record is None:
             pending.append(cell)
         else:
             done[key] = record
-            _charge(record, used)
     jobs: list[Job] = []
     timings: list[Job] = []
     for cell in sorted(pending, key=_cost, reverse=True):
         job = Job(
             key=cell.key,
-            compute=partial(_within_budget, cell, used),
+            compute=partial(compute, cell),
             kind=(type(cell), cell.env_id),
         )
         if isinstance(cell, TimingCell):
@@ -127,7 +120,6 @@ def run_cells(
         elif record.source != cells[key].source:
             reason = "a worker computed it with different code; install the same version of the code on every machine"
             record = failed_record(cells[key], reason)
-        _charge(record, used)
         store.add(record)
         done[key] = record
         progress(len(done), len(cells))
@@ -142,25 +134,6 @@ def _computed(
     died = (processes.WorkerDied,)
     yield from run_jobs(jobs, backend, say=say, returned=died)
     yield from run_jobs(timings, local(1), say=say, returned=died)
-
-
-def _charge(record: Record, used: dict[str, float]) -> None:
-    """Adds the processor time of a record [s] to that of its entry."""
-    cell = record.cell
-    if isinstance(cell, PolicyCell | TimingCell) and is_entry(cell.policy):
-        used[cell.policy] = used.get(cell.policy, 0.0) + record.processor_seconds
-
-
-def _within_budget(cell: Cell, used: Mapping[str, float]) -> Record:
-    """The record of a cell, or an error if its entry has used its budget.
-
-    The processor times of the entries ``used`` [s] are those at the start of the job: a job is
-    pickled when a worker gets it.
-    """
-    if isinstance(cell, PolicyCell | TimingCell) and used.get(cell.policy, 0.0) >= BUDGET:
-        budget = f"its budget of {BUDGET / 3600:g} h of processor time"
-        return failed_record(cell, f"entry {cell.policy} used {budget}")
-    return compute(cell)
 
 
 def _cost(cell: Cell) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
@@ -13,7 +13,6 @@ import numpy as np
 from rich.markdown import Markdown
 
 from cablebot_gym.benchmark import tables
-from cablebot_gym.benchmark.board import Board, normalised_value
 from cablebot_gym.benchmark.cells import PolicyCell, canonical
 from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.ranking import CONFIDENCE
@@ -28,52 +27,18 @@ from cablebot_gym.benchmark.scores import (
     payload_maps,
     scores,
 )
-from cablebot_gym.benchmark.suites import find_suite, surveyed_motions
+from cablebot_gym.benchmark.suites import find_suite
 from cablebot_gym.benchmark.yardstick import PROBABILITY
-from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.evaluation.survey import ROBOTS
-from cablebot_gym.isolation.installed import public_entry
-from cablebot_gym.policies.entry import LONGEST_NAME
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import results_console
-from cablebot_gym.utils.foreign import foreign_json, foreign_line, foreign_list, foreign_object
+from cablebot_gym.utils.foreign import foreign_json, foreign_list, foreign_object
 
 _INTRODUCTION = """# Leaderboard
 
 Payload [kg] that a policy carries (DLCC), and its fraction of the best known payload. Rows are sorted by the first
 column; the [definitions](#definitions) are at the end.
 """
-
-
-CARD_FIELDS = ("authors", "licence", "compute", "data", "seeds")
-"""Fields of the card of an entry that the page shows."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class EntryNote:
-    """An entry of others: its card in short, and whether it is verified."""
-
-    policy: str
-    """Name of the policy in the table."""
-    package: str | None
-    """Requirement for pip of its package; None if the entry has its files."""
-    authors: str
-    """Authors."""
-    licence: str
-    """Licence."""
-    compute: str
-    """Compute for training and tuning."""
-    data: str
-    """Data and motions for training and tuning."""
-    seeds: str
-    """Seeds of the training."""
-    status: str
-    """``verified``, or ``unverified`` with a reason."""
-
-    @property
-    def verified(self) -> bool:
-        """Whether the entry was rerun in a sandbox and its claims hold."""
-        return self.status == "verified"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,76 +51,9 @@ class Results:
     """Command that computes the results."""
     records: Sequence[Record]
     """Records of all cells."""
-    board: Board | None = None
-    """Board with the hidden motions; None for a suite without."""
-    entries: Sequence[EntryNote] = ()
-    """Policies that are entries of others."""
-
-    @property
-    def authors(self) -> dict[str, str]:
-        """Authors of the entries by policy."""
-        return {entry.policy: entry.authors for entry in self.entries}
-
-    @property
-    def due(self) -> list[str]:
-        """Environments of the board without any result, sorted: a board of hours can be published
-        one environment at a time."""
-        if self.board is None:
-            return []
-        present = {record.cell.env_id for record in self.records}
-        return sorted(self.board.entries.keys() - present)
-
-    def check_board(self, value: str | None = None) -> None:
-        """Checks the commitment of the board, that on every environment of the results each
-        committed policy has all its motions and no others, and that every cell has the evaluation
-        seed of the board. :attr:`due` names the environments of the commitment that are missing.
-
-        Args:
-            value: the public value as its source publishes it; None for that of the results.
-
-        Raises:
-            ValueError: if they are not.
-        """
-        board = self.board
-        if board is None:
-            raise ValueError("the results have no board with hidden motions")
-        board.check_started()
-        if value is not None and normalised_value(value) != board.beacon_value:
-            raise ValueError(
-                f"board {board.version!r} has the public value {board.beacon_value!r}, "
-                f"not {normalised_value(value)!r}"
-            )
-        evaluation_seed = board.evaluation_seed
-        seeds: dict[tuple[str, str], set[int]] = {}
-        for record in self.records:
-            if not isinstance(record.cell, PolicyCell):
-                continue
-            cell = record.cell
-            motions = seeds.setdefault((cell.env_id, cell.policy), set())
-            motions.update(np.atleast_1d(cell.trajectory.get("seed", [])).tolist())
-            if cell.seed != evaluation_seed:
-                raise ValueError(
-                    f"the evaluation seed of {cell.policy} on {cell.env_id} is not that of board "
-                    f"{board.version!r}"
-                )
-        committed = set()
-        for env_id in board.entries.keys() - self.due:
-            committed |= {(env_id, policy) for policy in board.entries[env_id]}
-        absent = committed ^ seeds.keys()
-        if absent:
-            differ = ", ".join(f"{policy} on {env_id}" for env_id, policy in sorted(absent))
-            raise ValueError(f"board {board.version!r} and its results differ in {differ}")
-        for env_id, policy in committed:
-            hidden = board.seeds(env_id, board.motions)
-            count = surveyed_motions(policy, env_id, len(hidden))
-            if public_entry(policy) is None:
-                # Such as a policy that has been replaced since: the first motions, as many as ranks
-                # need.
-                count = max(len(seeds[env_id, policy]), RANKED_MOTIONS)
-            if seeds[env_id, policy] != set(hidden[:count]):
-                raise ValueError(
-                    f"the motions of {policy} on {env_id} are not those of board {board.version!r}"
-                )
+    seed_text: str | None = None
+    """Public text from which the hidden motions and the evaluation seed follow; None for a suite
+    without hidden motions."""
 
     def to_json(self) -> str:
         """The results as JSON, one cell per line. Equal results give identical bytes."""
@@ -171,21 +69,16 @@ class Results:
                 "seconds": round(record.seconds, 3),
                 "final": record.final,
             }
-            if record.processor_seconds:
-                entry["processor_seconds"] = round(record.processor_seconds, 3)
             if entry["cell"]["kind"] == "policy":
                 score = scored[record.cell.key]
                 entry |= {"best_known": score.best_known, "score": score.score}
             lines.append(json.dumps(entry, ensure_ascii=False, allow_nan=False))
-        board = None if self.board is None else asdict(self.board)
         head: dict[str, Any] = {
             "suite": self.suite,
             "command": self.command,
-            "board": board,
+            "seed_text": self.seed_text,
             "versions": versions,
         }
-        if self.entries:
-            head["entries"] = [asdict(entry) for entry in self.entries]
         fields = [
             f" {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}"
             for name, value in head.items()
@@ -212,18 +105,12 @@ class Results:
                 fields = foreign_object("a cell", cell)
                 index = whole("versions", fields["versions"], most=len(versions) - 1)
                 records.append(record_from_dict(fields | {"versions": versions[index]}))
-            board = data["board"]
-            if board is not None:
-                board = Board(**foreign_object("the board", board))
-            entries = []
-            for entry in foreign_list("entries", data.get("entries", [])):
-                entries.append(EntryNote(**foreign_object("an entry", entry)))
+            seed_text = data["seed_text"]
             return cls(
-                suite=foreign_line("suite", data["suite"], LONGEST_NAME),
+                suite=str(data["suite"]),
                 command=str(data["command"]),
                 records=records,
-                board=board,
-                entries=entries,
+                seed_text=None if seed_text is None else str(seed_text),
             )
         except KeyError as error:
             raise ValueError(f"the key {error} is missing") from error
@@ -235,16 +122,16 @@ def markdown(results: Results) -> str:
     """The leaderboard page: a table for each environment, payload maps, best known payloads and
     notes."""
     records = results.records
-    boards = leaderboards(records, results.authors)
+    boards = leaderboards(records)
     main = [board for board in boards if board.is_main]
     second = [board for board in boards if not board.is_main]
-    text = _INTRODUCTION + _absent_text(results, boards)
+    text = _INTRODUCTION
     if main:
         text += f"\n## Robots that are not exactly known\n\n{_main_text(main)}"
-    text += _boards_text(main, results.entries, has_main=True)
+    text += _boards_text(main, has_main=True)
     if main and second:
         text += "\n## Robots that are exactly known, and single motions\n"
-    text += _boards_text(second, results.entries, has_main=bool(main))
+    text += _boards_text(second, has_main=bool(main))
     library = library_tables(records)
     if library:
         text += "\n## Real robots\n\n"
@@ -257,7 +144,6 @@ def markdown(results: Results) -> str:
     )
     text += _maps_text(records)
     text += errors_text(records, "##")
-    text += _section("Entries", _entry_rows(results.entries))
     text += _section("Best known payloads", _best_known_rows(best_known_payloads(records).values()))
     text += _section(
         "What can be hoped for on robots that are not exactly known",
@@ -265,8 +151,8 @@ def markdown(results: Results) -> str:
         "Fractions of the best known payload, see the [yardsticks](#yardsticks).\n\n",
     )
     text += _notes_text(records, boards)
-    if results.board is not None and results.board.beacon_value is not None:
-        text += _board_text(results.board)
+    if results.seed_text is not None:
+        text += _hidden_text(results.seed_text)
     return f"{text}\n{_definitions(records)}\n{_origin(results)}"
 
 
@@ -289,29 +175,11 @@ the [yardsticks](#yardsticks).
 """
 
 
-def _absent_text(results: Results, boards: Sequence[Leaderboard]) -> str:
-    """The environments without a board, and those of the commitment that are not computed."""
-    if results.board is None:
-        return ""
-    due = results.due
-    present = {board.env_id for board in boards}.union(due)
-    others = [env_id for env_id in ENV_IDS if env_id not in present]
-    text = ""
-    if due:
-        text += f"\nCommitted, not computed yet: {_codes(due)}.\n"
-    if others:
-        text += f"\nNo board yet: {_codes(others)}.\n"
-    return text
-
-
-def _boards_text(
-    boards: Sequence[Leaderboard], entries: Sequence[EntryNote], *, has_main: bool
-) -> str:
+def _boards_text(boards: Sequence[Leaderboard], *, has_main: bool) -> str:
     """The tables under headings; with main tables, those have a common heading each."""
-    unverified = {entry.policy for entry in entries if not entry.verified}
     text = ""
     for board in boards:
-        rows = tables.leaderboard_rows(board, unverified)
+        rows = tables.leaderboard_rows(board)
         level = "###" if has_main else "##"
         title = board.env_id
         if has_main and not board.is_main:
@@ -401,26 +269,16 @@ def library_tables(records: Sequence[Record]) -> str:
     return "\n".join(map(_table, tables.library_rows(records)))
 
 
-def _board_text(board: Board) -> str:
+def _hidden_text(seed_text: str) -> str:
     return f"""
-## Board {board.version}
+## Hidden motions
 
-The held-out motions of each environment, {board.motions} at most, were hidden. They and the evaluation seed
-follow by SHA-256 from the lines *public value*, *salt* and *commitment*; the run draws nothing.
-The commitment is the SHA-256 of the salt, the name and date of the public value, the number of
-motions, the policies of each environment, and the hashes of their code and weights.
+The hidden motions of each environment and the evaluation seed follow by SHA-256 from the text
+`{json.dumps(seed_text, ensure_ascii=False)}`.
 
-* public value: {_escaped(board.beacon)}, from {board.beacon_date} on
-* its value: {_escaped(str(board.beacon_value))}
-* commitment: `{board.commitment}`
-* salt: `{board.salt}`
-
-If the commitment was published before that date, nobody could choose motions or seed, and neither
-they nor the policies were changed afterwards. A value that the authors of the board make themselves,
-such as the hash of a commit, shows less: they could make several and keep one. Compare the value with
-its source: the commitment does not contain it. `cablebot benchmark --verify FOLDER` recomputes
-commitment, motions and seed, and confirms payloads with fresh draws. docs/leaderboard.md says what
-this does not show.
+If the text was fixed after the policies, none of them was made for these motions. It does not show that
+this is the only text that was tried, or that the payloads were computed: `cablebot benchmark --check N`
+computes random rows again.
 """
 
 
@@ -471,17 +329,6 @@ def _best_known_note(group: Sequence[BestKnown]) -> str:
     if len(payloads) < len(group):
         note += f"; {len(group) - len(payloads)} without a verified payload"
     return note
-
-
-def _entry_rows(entries: Sequence[EntryNote]) -> list[list[str]]:
-    head = ("policy", "package", "authors", "licence", "training compute", "training data")
-    rows = [[*head, "seeds", "status"]]
-    for entry in entries:
-        texts = []
-        for name in (*CARD_FIELDS, "status"):
-            texts.append(" ".join(_escaped(getattr(entry, name)).split()))
-        rows.append([f"`{entry.policy}`", _escaped(entry.package or "–"), *texts])
-    return rows
 
 
 def print_page(page: str) -> None:

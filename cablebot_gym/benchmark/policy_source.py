@@ -8,7 +8,6 @@ from pathlib import Path
 
 from cablebot_gym.isolation.installed import public_entry
 from cablebot_gym.policies import FILE_ENTRY_POINT_GROUP, PolicySpec
-from cablebot_gym.policies.entry import read_entry
 from cablebot_gym.policies.sb3 import statistics_beside
 from cablebot_gym.utils.code_hash import module_file
 from cablebot_gym.utils.imports import split_name
@@ -18,8 +17,7 @@ from cablebot_gym.utils.imports import split_name
 def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     """Modules and data files of a policy, given its name as on the command line.
 
-    For an entry of others, these are its files, none of which is looked for as a module here. For a
-    policy file, these are the modules of all installed loaders, the file itself and the statistics
+    For a policy file, these are the modules of all installed loaders, the file itself and the statistics
     beside it. Of a module outside a package, the data files are those next to it with a suffix or a
     name that its source contains, such as ``.npz``.
     """
@@ -30,8 +28,6 @@ def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     path = Path(policy)
     if spec.kind == "unknown":
         return (), ()
-    if spec.kind == "entry":
-        return (), read_entry(path).paths(path)
     if spec.kind == "file":
         loaders = {point.module for point in entry_points(group=FILE_ENTRY_POINT_GROUP)}
         statistics = statistics_beside(path)
@@ -44,10 +40,10 @@ def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
         if entry is not None and entry.files is not None:
             return (module,), entry.files
     source = module_file(module)
-    return (module,), () if source is None else _data_files(source, in_package(module))
+    return (module,), () if source is None else _data_files(source, _in_package(module))
 
 
-def in_package(module: str) -> bool:
+def _in_package(module: str) -> bool:
     """Whether a module has the folder of its file for itself and for other modules of its
     package."""
     path = module_file(module)

@@ -85,9 +85,7 @@ def _student(count: int) -> float:
     return float(t.ppf((1 + CONFIDENCE) / 2, count - 1))
 
 
-def ranks(
-    fractions: Mapping[str, Array], authors: Mapping[str, str] | None = None
-) -> dict[str, int]:
+def ranks(fractions: Mapping[str, Array]) -> dict[str, int]:
     """Ranks of policies, in the order of decreasing mean fractions.
 
     The rank of a policy is 1 plus the number of groups with a better policy. All comparisons of a
@@ -96,16 +94,14 @@ def ranks(
 
     Args:
         fractions: fractions of the same motions by policy, each (motions,); NaN for the motions
-            that a policy has not run.
-        authors: authors by policy; policies without one count alone. The policies of one author
-            count once, as do policies with equal fractions.
+            that a policy has not run. Policies with equal fractions count once.
     """
     names = sorted(fractions, key=lambda name: (-np.nanmean(fractions[name]), name))
     if not names:
         return {}
     values = np.stack([fractions[name] for name in names])
     better = better_policies(values)
-    labels = _labels(names, values, authors or {})
+    labels = _labels(names, values)
     policy_ranks: dict[str, int] = {}
     least = len(names)
     # From the last row up, so that a rank is at most that of the row below.
@@ -150,16 +146,14 @@ def better_policies(values: Array) -> NDArray[np.bool_]:
     return better
 
 
-def _labels(names: Sequence[str], values: Array, authors: Mapping[str, str]) -> list[str]:
-    """Group of each policy: its author, or the first policy with equal fractions."""
+def _labels(names: Sequence[str], values: Array) -> list[str]:
+    """Group of each policy: the first policy with equal fractions."""
     labels: list[str] = []
     for index, name in enumerate(names):
         above = values[:index]
         is_same = (above == values[index]) | np.isnan(above + values[index])
         equal_policies = np.flatnonzero(is_same.all(axis=1))
-        if name in authors:
-            labels.append(f"author {authors[name]}")
-        elif len(equal_policies):
+        if len(equal_policies):
             labels.append(labels[equal_policies[0]])
         else:
             labels.append(name)

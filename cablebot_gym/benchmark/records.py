@@ -16,7 +16,6 @@ from cablebot_gym.benchmark.cells import (
 )
 from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.evaluation.constraints import KINDS
-from cablebot_gym.isolation.deadlines import Deadlines
 from cablebot_gym.utils.checks import choice, number
 from cablebot_gym.utils.foreign import foreign_list, foreign_object
 
@@ -41,8 +40,6 @@ class Record:
     """JSON-able result, or an ``error`` message if the computation failed. It is reproducible."""
     seconds: float
     """Wall time of the computation [s]."""
-    processor_seconds: float = 0.0
-    """Processor time of the isolated policy [s]."""
     final: bool = True
     """Whether a retry gives the same result. False if a package, a file or memory was missing or a
     process died."""
@@ -57,7 +54,6 @@ def compute(cell: Cell) -> Record:
     """Computes a cell. An exception becomes the error of the record; it does not stop the
     benchmark."""
     start = time.perf_counter()
-    used = Deadlines.total
     final = True
     try:
         result = json.loads(canonical(cell.compute()))
@@ -70,7 +66,6 @@ def compute(cell: Cell) -> Record:
         versions=versions(),
         result=result,
         seconds=time.perf_counter() - start,
-        processor_seconds=Deadlines.total - used,
         final=final,
     )
 
@@ -124,14 +119,12 @@ def record_from_dict(data: Any) -> Record:
             for name in ("time", "lead"):
                 if limit.get(name) is not None:
                     number(name, limit[name], least=0)
-    used = fields.get("processor_seconds", 0.0)
     record = Record(
         cell=cell_from_dict(foreign_object("the conditions of a cell", fields["cell"])),
         source=str(fields["source"]),
         versions=foreign_object("versions", fields["versions"]),
         result=result,
         seconds=number("seconds", fields["seconds"], least=0, unit="s"),
-        processor_seconds=number("processor_seconds", used, least=0, unit="s"),
         final=fields.get("final", True) is True,
     )
     single_records([record])  # raises if the result of a survey is not that of its motions

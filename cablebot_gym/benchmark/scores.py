@@ -122,8 +122,6 @@ class Column:
     """DLCC criterion: ``task`` or ``paper``."""
     draws: int = 1
     """Number of draws that confirm the payload."""
-    real_time: bool = False
-    """Whether late actions are replaced by the last one."""
     is_family: bool = False
     """Whether the motions are random ones of a family."""
 
@@ -143,7 +141,6 @@ class Column:
             uncertainty=cell.uncertainty,
             criterion=cell.criterion,
             draws=cell.draws,
-            real_time=cell.real_time,
             is_family="seed" in cell.trajectory,
         )
 
@@ -209,16 +206,10 @@ def overall(boards: Sequence[Leaderboard]) -> dict[str, tuple[tuple[str, ...], F
     return fractions
 
 
-def leaderboards(
-    records: Sequence[Record], authors: Mapping[str, str] | None = None
-) -> list[Leaderboard]:
+def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
     """The tables in the order of the records, first the main table of an environment. Cells with
     varied parameters, which belong to maps, cells with one error alone, and cells of other robots
     than those of the environments are omitted.
-
-    Args:
-        records: records of the cells.
-        authors: authors of the entries by policy; None if there are no entries.
     """
     groups: dict[str, dict[bool, list[Score]]] = {}
     for score in scores(records):
@@ -237,7 +228,7 @@ def leaderboards(
         for group in tables.values():
             if group:  # the first table of an environment has the computing times
                 times = timings.pop(env_id, {})
-                boards.append(_leaderboard(env_id, group, times, authors or {}))
+                boards.append(_leaderboard(env_id, group, times))
     return boards
 
 
@@ -405,7 +396,6 @@ def _leaderboard(
     env_id: str,
     group: Sequence[Score],
     timings: Mapping[str, Mapping[str, Any]],
-    authors: Mapping[str, str],
 ) -> Leaderboard:
     entries = _entries(group)
     motions: dict[Column, int] = {}
@@ -428,7 +418,7 @@ def _leaderboard(
         means[policy] = float(np.nanmean(values))
     policy_ranks: dict[str, int] = {}
     if motions[first_column] >= RANKED_MOTIONS:
-        policy_ranks = ranks(fractions, authors)
+        policy_ranks = ranks(fractions)
     return Leaderboard(
         env_id=env_id,
         columns=tuple(columns),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import hmac
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -29,8 +28,6 @@ class Store:
         say: called with one sentence for each unusable file.
         any_source: whether to accept results of different code for cells without a result of the
             current code.
-        key: secret key of the checksums, so that nobody else can rewrite a file; empty for
-            checksums without a key, which find damage only.
     """
 
     def __init__(
@@ -39,12 +36,10 @@ class Store:
         *,
         say: Callable[[str], None],
         any_source: bool = False,
-        key: str = "",
     ) -> None:
         self._folder = out / FOLDER
         self._say = say
         self._any_source = any_source
-        self._key = key
         self.foreign = 0
         """Number of requested cells that have only results of different code."""
 
@@ -74,16 +69,10 @@ class Store:
             "versions": dict(record.versions),
             "result": dict(record.result),
             "seconds": round(record.seconds, 3),
-            "processor_seconds": round(record.processor_seconds, 3),
         }
-        data["checksum"] = self._checksum(data)
+        data["checksum"] = _hash(data)
         text = json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         atomic_write_text(self._path(record.cell, record.source), text)
-
-    def _checksum(self, data: dict[str, Any]) -> str:
-        if not self._key:
-            return _hash(data)
-        return hmac.new(self._key.encode(), canonical(data).encode(), "sha256").hexdigest()
 
     def _path(self, cell: Cell, source: str) -> Path:
         return self._folder / f"{cell.stem}-{_hash(cell.to_dict())[:12]}-{source}.json"
@@ -95,7 +84,7 @@ class Store:
             data = foreign_object("a record", foreign_json(read_text(path)))
             checksum = data.pop("checksum")
             record = record_from_dict(data)
-            if (checksum, record.cell.key) == (self._checksum(data), cell.key):
+            if (checksum, record.cell.key) == (_hash(data), cell.key):
                 return record
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             pass

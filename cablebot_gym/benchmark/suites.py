@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from importlib.resources import files
 from itertools import chain, product
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cablebot_gym.benchmark.board import Board
 from cablebot_gym.benchmark.cells import (
     BestKnownCell,
     Cell,
@@ -23,23 +21,18 @@ from cablebot_gym.benchmark.cells import (
 )
 from cablebot_gym.benchmark.maps import AXES, AnyCell
 from cablebot_gym.benchmark.scores import RANKED_MOTIONS
+from cablebot_gym.benchmark.seeds import hidden_seeds
 from cablebot_gym.benchmark.yardstick import drawn_cells
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot, fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
-from cablebot_gym.evaluation.statistics import fewest_draws
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.isolation.installed import public_entries, public_entry
-from cablebot_gym.policies.entry import is_entry, read_entry
 from cablebot_gym.policies.protocol import PolicyError
 from cablebot_gym.robots import ELASTIC, find_robot, library
 from cablebot_gym.task import find_error_bounds, to_jsonable
 from cablebot_gym.trajectories import TRAJECTORIES, held_out_seeds
 from cablebot_gym.uncertainty import ERROR_SEPARATOR, find_uncertainty
 from cablebot_gym.utils.checks import choice
-
-REAL_TIME_DRAWS = fewest_draws(0.95, 0.95)
-"""Number of repeats of each episode in real time without uncertainty: computing times differ
-between runs."""
 
 OWN_RESOLUTION = 1e-3
 """Payload resolution in blocks with the motion ``library``, as a fraction of the end of the robot's
@@ -59,7 +52,7 @@ class Block:
     """Whether to include policies whose entry is marked as slow."""
     motion: str = "circle"
     """Motion: ``circle``, the circle between dwells; ``paper``, the circle as printed, for the
-    paper's robots; ``loop``, held-out motions; ``hidden``, the hidden motions of a board; or
+    paper's robots; ``loop``, held-out motions; ``hidden``, those that follow from a seed text; or
     ``library``, the robots of the library that fit the environment, each with its own motion, error
     bounds and payload range."""
     motions: int = 1
@@ -126,7 +119,7 @@ class Suite:
 
     @property
     def hidden(self) -> int:
-        """Number of hidden motions of each environment. They need a board."""
+        """Number of hidden motions of each environment. They need a seed text."""
         return max((block.motions for block in self.blocks if block.motion == "hidden"), default=0)
 
 
@@ -169,8 +162,8 @@ def find_env_ids(suite: Suite, env_ids: Sequence[str]) -> tuple[str, ...]:
 def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """The names of the policies to evaluate on each environment.
 
-    An installed policy and an entry are evaluated on the environments that they support; a policy
-    file or a ``package.module:factory`` on all environments.
+    An installed policy is evaluated on the environments that it supports; a policy file or a
+    ``package.module:factory`` on all environments.
 
     Args:
         names: policy names as on the command line; empty for all installed policies.
@@ -186,8 +179,6 @@ def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tup
     supported: dict[str, tuple[str, ...]] = {}
     for name, entry in entries.items():
         supported[name] = tuple(env_ids) if entry is None else entry.env_ids
-        if names and is_entry(name):
-            supported[name] = read_entry(Path(name)).env_ids
     for name in names:
         fitting = [env_id for env_id in env_ids if env_id in supported[name]]
         if not fitting:
@@ -229,8 +220,7 @@ def suite_cells(
     policies: Mapping[str, tuple[str, ...]],
     *,
     seed: int = 0,
-    board: Board | None = None,
-    real_time: bool = False,
+    seed_text: str | None = None,
 ) -> dict[str, Cell]:
     """The cells by key, grouped by environment; the best known payloads of an environment come
     first.
@@ -239,8 +229,7 @@ def suite_cells(
         suite: the suite.
         policies: names of the policies by environment, from :func:`find_policies`.
         seed: evaluation seed.
-        board: board with the hidden motions; None for suites without.
-        real_time: whether late actions are replaced by the last one.
+        seed_text: public text from which the hidden motions follow; None for suites without.
     """
     cells: list[Cell] = []
     asked = list(dict.fromkeys(chain.from_iterable(policies.values())))
@@ -250,36 +239,36 @@ def suite_cells(
         blocks = [block for block in suite.blocks if block.axis != absent_parameter]
         if suite.best_known:
             for block in blocks:
-                cells += _best_known_cells(block, env_id, board)
+                cells += _best_known_cells(block, env_id, seed_text)
             for block in blocks:
-                cells += _drawn_cells(block, env_id, board, seed)
+                cells += _drawn_cells(block, env_id, seed_text, seed)
         for block in blocks:
             if not block.env_ids:
-                cells += _policy_cells(block, env_id, names, board, seed, real_time)
+                cells += _policy_cells(block, env_id, names, seed_text, seed)
             elif env_id in block.env_ids:
-                cells += _policy_cells(block, env_id, asked, board, seed, real_time)
+                cells += _policy_cells(block, env_id, asked, seed_text, seed)
         if suite.timing:
-            (circle,) = _tasks(env_id, Block(motion="circle"), board)
+            (circle,) = _tasks(env_id, Block(motion="circle"), seed_text)
             cells += [TimingCell(env_id=env_id, policy=name, **circle) for name in names]
     return {cell.key: cell for cell in cells}
 
 
-def _best_known_cells(block: Block, env_id: str, board: Board | None) -> list[BestKnownCell]:
+def _best_known_cells(block: Block, env_id: str, seed_text: str | None) -> list[BestKnownCell]:
     """Cells of the best known payloads of a block."""
     if not block.is_nominal:
         return []
     cells: list[BestKnownCell] = []
-    for task in _tasks(env_id, block, board):
+    for task in _tasks(env_id, block, seed_text):
         cells += _varied(block, BestKnownCell(env_id=env_id, **task))
     return cells
 
 
-def _drawn_cells(block: Block, env_id: str, board: Board | None, seed: int) -> list[DrawnCell]:
+def _drawn_cells(block: Block, env_id: str, seed_text: str | None, seed: int) -> list[DrawnCell]:
     """Cells of the yardstick of a survey under uncertainty."""
     uncertainty = block.conditions.get("uncertainty")
     if not block.survey or uncertainty is None:
         return []
-    motions = [BestKnownCell(env_id=env_id, **task) for task in _tasks(env_id, block, board)]
+    motions = [BestKnownCell(env_id=env_id, **task) for task in _tasks(env_id, block, seed_text)]
     return drawn_cells(motions, uncertainty, seed)
 
 
@@ -287,19 +276,18 @@ def _policy_cells(
     block: Block,
     env_id: str,
     names: Sequence[str],
-    board: Board | None,
+    seed_text: str | None,
     seed: int,
-    real_time: bool,
 ) -> list[PolicyCell]:
     included = _included(block, names)
     cells: list[PolicyCell] = []
     if block.survey:
         for name, conditions in product(included, block.combinations(env_id)):
-            motions = _survey_motions(block, env_id, name, board)
+            motions = _survey_motions(block, env_id, name, seed_text)
             data = {"env_id": env_id, "policy": name, **motions, "seed": seed}
-            cells.append(SurveyCell(**merged(data, conditions), real_time=real_time))
+            cells.append(SurveyCell(**merged(data, conditions)))
         return cells
-    tasks = _tasks(env_id, block, board)
+    tasks = _tasks(env_id, block, seed_text)
     for task, name, conditions in product(tasks, included, block.combinations(env_id)):
         data = merged({"env_id": env_id, "policy": name, **task}, conditions)
         if block.one_at_a_time and data["uncertainty"] is None:
@@ -308,17 +296,16 @@ def _policy_cells(
             payload_range = find_robot(task["robot_name"]).defaults.payload_range
             if payload_range is not None:
                 data["resolution"] = OWN_RESOLUTION * payload_range[1]
-        cell = PolicyCell(seed=seed, real_time=real_time, **data)
-        if real_time:
-            cell = replace(cell, draws=max(cell.draws, REAL_TIME_DRAWS))
-        cells += _varied(block, cell)
+        cells += _varied(block, PolicyCell(seed=seed, **data))
     return cells
 
 
-def _survey_motions(block: Block, env_id: str, policy: str, board: Board | None) -> dict[str, Any]:
+def _survey_motions(
+    block: Block, env_id: str, policy: str, seed_text: str | None
+) -> dict[str, Any]:
     """The task of a policy as fields of a survey: its motions in one trajectory with a list of
     seeds."""
-    tasks = _tasks(env_id, block, board)[: surveyed_motions(policy, env_id, block.motions)]
+    tasks = _tasks(env_id, block, seed_text)[: surveyed_motions(policy, env_id, block.motions)]
     seeds = [task["trajectory"]["seed"] for task in tasks]
     return tasks[0] | {"trajectory": tasks[0]["trajectory"] | {"seed": seeds}}
 
@@ -364,7 +351,7 @@ def _varied(block: Block, cell: AnyCell) -> list[AnyCell]:
     return [axis.with_value(cell, value) for value in block.values]
 
 
-def _tasks(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any]]:
+def _tasks(env_id: str, block: Block, seed_text: str | None) -> list[dict[str, Any]]:
     """Tasks of a block as fields of cells: the motion, and in ``library`` blocks also the robot and
     the error bounds."""
     if block.motion == "library":
@@ -372,7 +359,8 @@ def _tasks(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any
         return [_own_task(name) for name in names if fitting_env_id(name) == env_id]
     bounds = to_jsonable(find_error_bounds(None, find_robot(env_robot(env_id))))
     return [
-        {"trajectory": motion, "error_bounds": bounds} for motion in _motions(env_id, block, board)
+        {"trajectory": motion, "error_bounds": bounds}
+        for motion in _motions(env_id, block, seed_text)
     ]
 
 
@@ -388,7 +376,7 @@ def _own_task(name: str) -> dict[str, Any]:
     }
 
 
-def _motions(env_id: str, block: Block, board: Board | None) -> list[dict[str, Any]]:
+def _motions(env_id: str, block: Block, seed_text: str | None) -> list[dict[str, Any]]:
     kind = find_robot(env_robot(env_id)).kind
     if block.motion in ("circle", "paper"):
         name = f"{block.motion}-{kind}"
@@ -396,12 +384,13 @@ def _motions(env_id: str, block: Block, board: Board | None) -> list[dict[str, A
     seeds: Sequence[int]
     if block.motion != "hidden":
         seeds = held_out_seeds(block.motions)
-    elif board is None:
+    elif seed_text is None:
         raise ValueError(
-            "hidden motions need a board: commit one first, with the option --commit VERSION"
+            "hidden motions need a public text: add --seed-text TEXT, such as the headline of a day "
+            "after the policies are final"
         )
     else:
-        seeds = board.seeds(env_id, block.motions)[: hidden_motions(env_id, block.motions)]
+        seeds = hidden_seeds(seed_text, env_id, hidden_motions(env_id, block.motions))
     return [{"name": f"loop-{kind}", "seed": seed} for seed in seeds]
 
 

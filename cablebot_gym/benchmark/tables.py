@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from statistics import median
 from typing import Any
@@ -27,8 +27,6 @@ def heading(column: scores.Column) -> str:
     words = [payload_model_text(column.payload_known, column.model_payload_factor)]
     if column.uncertainty:
         words.append(column.uncertainty)
-    if column.real_time:
-        words.append("real time")
     if column.draws > 1:
         unit = "robots" if column.is_main else "draws"
         words.append(f"{column.draws} {unit}")
@@ -99,21 +97,17 @@ def timing_text(timing: Mapping[str, Any] | None) -> str:
     return text
 
 
-def policy_text(policy: str, unverified: Collection[str] = ()) -> str:
+def policy_text(policy: str) -> str:
     """Name of a policy as code, with its marks. One that is not installed any more has none of its
     own."""
     text = f"`{policy}`"
-    if policy in unverified:
-        text += ", unverified"
     entry = public_entry(policy)
     if entry is not None and entry.known_robot:
         text += ", known robot"
     return text
 
 
-def leaderboard_rows(
-    leaderboard: scores.Leaderboard, unverified: Collection[str] = ()
-) -> list[list[str]]:
+def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
     """Head and rows of a table: one row per policy, with its rank if there are ranks, and its
     computing time."""
     ranks = leaderboard.ranks
@@ -125,7 +119,7 @@ def leaderboard_rows(
         head.append("median, p99 [ms], late, start [s]")
     rows = [head]
     for policy in leaderboard.policies:
-        row = [policy_text(policy, unverified)]
+        row = [policy_text(policy)]
         for column in leaderboard.columns:
             row.append(entry_text(leaderboard, policy, column))
         if ranks:

@@ -42,8 +42,6 @@ COMMANDS = {
     "Run benchmarks": {
         "benchmark": "cablebot_gym.cli.benchmark:benchmark",
         "report": "cablebot_gym.cli.report:report",
-        "submit": "cablebot_gym.cli.submit:submit",
-        "verify": "cablebot_gym.cli.verify:verify",
     },
     "Inspect the installation": {
         "list": "cablebot_gym.cli.listing:list_",
@@ -106,8 +104,8 @@ app = typer.Typer(
         "  0    success, whatever the payload is\n"
         "  1    failure: a policy raised an error, a file could not be written,\n"
         "       a benchmark cell failed, a best known payload was not verified,\n"
-        "       an entry was refused, doctor found a fault, or a robot\n"
-        "       was refused or does not carry its payload\n"
+        "       doctor found a fault, or a robot was refused or does not carry its\n"
+        "       payload\n"
         "  2    invalid input, or a folder that is not writable\n"
         "  130  interrupted"
     ),

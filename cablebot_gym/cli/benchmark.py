@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import secrets
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
 
-from cablebot_gym.cli.board import (
-    BoardOptions,
-    check_board_options,
-    commit_board,
-    started_board,
-)
-from cablebot_gym.cli.options import NoSandbox, Workers, choose_sandbox, split_names
+from cablebot_gym.cli.options import Workers, counted, split_names
 from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.console import command_line, progress, say
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cablebot_gym.benchmark.board import Board
     from cablebot_gym.benchmark.cells import Cell
     from cablebot_gym.benchmark.engine import Backend
     from cablebot_gym.benchmark.leaderboard import Results
@@ -31,6 +23,9 @@ if TYPE_CHECKING:
 
 MARKDOWN, JSON = "leaderboard.md", "results.json"
 """Names of the files in the results folder."""
+
+_MOST_NAMED = 10
+"""Largest number of rows that a check names."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,27 +47,11 @@ class CellOptions(Options):
         str | None,
         "Environment ids, separated by commas. The default is those of the suite.",
     ] = None
-    entries: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder of entries of others, which run in a sandbox, as further policies.",
-        ),
+    seed_text: Annotated[
+        str | None,
+        "Public text that determines the hidden motions of the suite ranked, and all noise and draws of every "
+        "suite. Choose it after the policies are final, such as a headline of the day.",
     ] = None
-    no_sandbox: NoSandbox = False
-    seed: Annotated[
-        int | None,
-        "Evaluation seed, to repeat a run. The default is drawn once and stored in the folder; that of a "
-        "board follows from its public value.",
-    ] = None
-    real_time: Annotated[
-        bool,
-        typer.Option(
-            "--real-time",
-            help="Replace an action that is later than one control period by the last. The payloads then depend on the "
-            "machine and on its load.",
-        ),
-    ] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,46 +98,39 @@ class OutputOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class VerificationOptions(Options):
-    """Fresh draws for stored results."""
+class CheckOptions(Options):
+    """Check of stored results."""
 
-    title: ClassVar[str] = "Verification"
+    title: ClassVar[str] = "Check"
 
-    verify: Annotated[
-        Path | None,
+    check: Annotated[
+        int | None,
         typer.Option(
-            metavar="FOLDER",
-            help="Confirm uncertain payloads of stored results with fresh draws and stop. With --policies and --ids, "
-            "compute these rows again.",
+            metavar="N",
+            help="Check the results in the folder --out and stop: every row of their suite is there, and N random "
+            "rows, best known payloads among them, have the same payloads when they are computed again.",
         ),
     ] = None
-    cells: Annotated[
-        int,
-        "Number of cells, and of motions of surveys, that --verify confirms.",
-    ] = 20
-    draws: Annotated[int, "Number of fresh draws of --verify."] = 1024
 
 
 def benchmark(
     selection: CellOptions,
     computing: ComputingOptions,
     output: OutputOptions,
-    board_options: BoardOptions,
-    verification: VerificationOptions,
+    checking: CheckOptions,
 ) -> None:
     """Score policies by their payload over the best known payload, on held-out motions and the
     paper's circle.
 
-    The suite ranked makes a leaderboard. Its main number: on each hidden motion, the largest
+    The suite ranked makes the leaderboard. Its main number: on each hidden motion, the largest
     payload that several random robots all carry, as a fraction of the best known payload, on the
     mean over the motions.
 
-    Every policy runs in a process of its own, except for policies of this project in surveys: all
-    hidden motions in one cell. Each finished cell is stored as a file in the results
-    folder. The same command resumes an interrupted benchmark. It computes only cells that are
-    missing, damaged or computed with different code: that of this package, or of the package or
-    folder of the policy. The exit status is 1 if a payload could not be computed, if an entry is
-    invalid, or if --verify finds a broken promise.
+    A policy that is not shipped with this project runs in a process of its own. Each finished cell
+    is stored as a file in the results folder. The same command resumes an interrupted benchmark. It
+    computes only cells that are missing, damaged or computed with different code: that of this
+    package or of the policy. The exit status is 1 if a payload could not be computed, or if --check
+    finds a difference.
 
     Examples:
 
@@ -168,80 +140,56 @@ def benchmark(
 
     cablebot benchmark --suite library --out robots
 
-    cablebot benchmark --suite ranked --out board --entries entries --commit 2027-1
-    --beacon "NIST beacon 2.0 pulse at 2027-01-04T12:00Z" --beacon-date 2027-01-04T12:00Z
+    cablebot benchmark --suite ranked --seed-text "A headline of 4 January 2027" --out board
 
-    cablebot benchmark --suite ranked --out board --entries entries --beacon-value 8F3C…
-
-    cablebot benchmark --verify board --cells 20 --draws 1024
-
-    cablebot benchmark --verify board --policies fl --ids CableBot-Planar-v0
+    cablebot benchmark --check 20 --out board
     """
-    from cablebot_gym.benchmark.board import run_seed
     from cablebot_gym.benchmark.cells import TimingCell
-    from cablebot_gym.benchmark.entries import invalid_note, note, status
     from cablebot_gym.benchmark.leaderboard import Results
+    from cablebot_gym.benchmark.seeds import evaluation_seed
     from cablebot_gym.benchmark.store import FOLDER
     from cablebot_gym.benchmark.suites import find_suite, suite_cells
     from cablebot_gym.benchmark.tables import failures
     from cablebot_gym.utils.files import check_writable_dir
 
     backend = _backend(computing.workers, computing.ray)
-    if verification.verify is not None:
-        value = board_options.beacon_value
-        return _verify(verification.verify, backend, verification, selection, value)
+    if checking.check is not None:
+        return _check(output.out, checking.check, backend)
     suite = find_suite(selection.suite)
-    check_board_options(board_options, suite)
-    policies, submitted, invalid = _policies(selection)
-    names = sorted({name for supported in policies.values() for name in supported})
+    policies = _policies(selection)
     out = output.out
     check_writable_dir(out / FOLDER)
-    if board_options.commit is not None:
-        return commit_board(board_options, policies, suite.hidden, out)
-    board = None
-    if suite.hidden:
-        chooses_results = computing.any_source or selection.seed is not None
-        board = started_board(board_options, names, out, chooses_results=chooses_results)
-    store = _store(output, computing, board)
-    if board is None:
-        seed = run_seed(out, selection.seed)
-    else:
-        seed = board.evaluation_seed
-    cells = suite_cells(suite, policies, seed=seed, board=board, real_time=selection.real_time)
-    typed = _typed(selection, output, board)
+    store = _store(output, computing)
+    seed = evaluation_seed(selection.seed_text)
+    cells = suite_cells(suite, policies, seed=seed, seed_text=selection.seed_text)
+    typed = _typed(selection, output)
     resume = command_line(
         "benchmark",
         **typed,
         workers=computing.workers,
         ray=computing.ray,
         any_source=computing.any_source,
-        seed=selection.seed,
     )
     records = computed(cells, store, out, backend, resume)
-    if board is not None:
-        board.check_policies(names)  # files may have changed during the run
     if store.foreign:
         use = "they are computed again (--any-source reuses them)"
         if computing.any_source:
             use = "they are reused"
         say(f"{store.foreign} cells exist only with results of different code: {use}")
-    notes = [note(Path(name), status(Path(name), records)) for name in submitted]
-    notes += [invalid_note(name, reason) for name, reason in invalid.items()]
     results = Results(
         suite=selection.suite,
         command=command_line("benchmark", **typed),
         records=records,
-        board=board,
-        entries=notes,
+        seed_text=selection.seed_text,
     )
     _write(results, output)
     payloads = [record for record in records if not isinstance(record.cell, TimingCell)]
-    if invalid or failures(payloads):
+    if failures(payloads):
         raise typer.Exit(1)
 
 
-def _store(output: OutputOptions, computing: ComputingOptions, board: Board | None) -> Store:
-    """The finished cells; those of a board have checksums with its salt as the key.
+def _store(output: OutputOptions, computing: ComputingOptions) -> Store:
+    """The finished cells.
 
     Raises:
         ValueError: if results or leaderboard cannot be written.
@@ -251,60 +199,34 @@ def _store(output: OutputOptions, computing: ComputingOptions, board: Board | No
 
     for path in output.files:
         check_writable_file(path)
-    key = ""
-    if board is not None and board.salt is not None:
-        key = board.salt
-    return Store(output.out, say=say, any_source=computing.any_source, key=key)
+    return Store(output.out, say=say, any_source=computing.any_source)
 
 
-def _policies(
-    selection: CellOptions,
-) -> tuple[dict[str, tuple[str, ...]], list[str], dict[str, str]]:
-    """Names of the policies by environment, those that are entries of others, and the reasons of
-    invalid entries."""
-    from cablebot_gym.benchmark.entries import find_entries
+def _policies(selection: CellOptions) -> dict[str, tuple[str, ...]]:
+    """Names of the policies by environment."""
     from cablebot_gym.benchmark.suites import (
         check_evaluated,
         find_env_ids,
         find_policies,
         find_suite,
     )
-    from cablebot_gym.isolation.installed import public_entries
 
     suite = find_suite(selection.suite)
     env_ids = find_env_ids(suite, split_names(selection.ids))
-    names = split_names(selection.policies)
-    submitted: list[str] = []
-    invalid: dict[str, str] = {}
-    if selection.entries is not None:
-        choose_sandbox(selection.no_sandbox)
-        valid, invalid = find_entries(selection.entries)
-        for name, reason in invalid.items():
-            say(f"entry {name} is invalid and left out: {reason}")
-        for name, entry in valid.items():
-            if set(entry.env_ids) & set(env_ids):
-                submitted.append(name)
-        names = [*(names or public_entries()), *submitted]
-    policies = find_policies(names, env_ids)
+    policies = find_policies(split_names(selection.policies), env_ids)
     check_evaluated(suite, policies)
-    return policies, submitted, invalid
+    return policies
 
 
-def _typed(selection: CellOptions, output: OutputOptions, board: Board | None) -> dict[str, Any]:
+def _typed(selection: CellOptions, output: OutputOptions) -> dict[str, Any]:
     """The options that determine the results, for their command line."""
-    beacon_value = None
-    if board is not None:
-        beacon_value = board.beacon_value
     return {
         "suite": selection.suite,
         "policies": selection.policies,
-        "entries": selection.entries,
-        "no_sandbox": selection.no_sandbox,
         "ids": selection.ids,
         "out": output.out,
         "page": output.page,
-        "beacon_value": beacon_value,
-        "real_time": selection.real_time,
+        "seed_text": selection.seed_text,
     }
 
 
@@ -381,65 +303,40 @@ def read_results(folder: Path) -> Results:
     return results
 
 
-def _verify(
-    folder: Path,
-    backend: Backend,
-    verification: VerificationOptions,
-    selection: CellOptions,
-    beacon_value: str | None,
-) -> None:
-    """Checks the board. Prints promised payloads with their success rate in fresh draws, or the
-    rows of chosen policies, computed again."""
-    from cablebot_gym.benchmark.verification import broken, confirm, outcome
+def _check(folder: Path, count: int, backend: Backend) -> None:
+    """Prints how the results in a folder differ from their suite, and random rows that are computed
+    again without plans and payloads of the cache folder."""
+    import os
+    from tempfile import TemporaryDirectory
+
+    from cablebot_gym.benchmark.check import compare_rows, recompute
     from cablebot_gym.utils.checks import whole
+    from cablebot_gym.utils.files import CACHE_VARIABLE
 
     results = read_results(folder)
-    cells = whole("cells", verification.cells, least=1)
-    draws = whole("draws", verification.draws, least=1)
-    if results.board is not None:
-        results.check_board(beacon_value)
-        board = results.board
-        print(
-            f"board {board.version}: salt and policies match the commitment; motions and "
-            "evaluation seed follow from it and from"
-        )
-        print(f"{board.beacon}, {board.beacon_value}: compare this value with its source")
-        if results.due:
-            print(f"committed, without results: {', '.join(results.due)}")
-    if selection.policies is not None:
-        return _reproduce(results, selection, backend)
-    seed = selection.seed
-    if seed is None:
-        seed = secrets.randbits(128)
-    confirmations = []
-    with progress("confirming", "cells") as step:
-        for confirmation in confirm(
-            results.records, backend, cells=cells, draws=draws, seed=seed, say=say
-        ):
-            confirmations.append(confirmation)
-            print(confirmation)
-            step(len(confirmations), 2 * cells)
-    print(f"{outcome(confirmations)} in {draws} fresh draws (--seed {seed})")
-    sentence = broken(confirmations)
-    if sentence:
-        say(sentence)
-        raise typer.Exit(1)
-
-
-def _reproduce(results: Results, selection: CellOptions, backend: Backend) -> None:
-    """Prints stored payloads of policies and the payloads of the same cells, computed again."""
-    from cablebot_gym.benchmark.verification import reproduce
-
-    names = split_names(selection.policies)
-    env_ids = split_names(selection.ids)
+    count = whole("--check", count, least=1)
+    rows = compare_rows(results)
+    for name in rows.not_installed:
+        print(f"not checked, because it is not installed: {name}")
+    for title, cells in (("missing", rows.missing), ("not in the suite", rows.unexpected)):
+        for cell in cells[:_MOST_NAMED]:
+            print(f"{title}: {cell.stem}")
+        if cells:
+            print(f"{title}: {counted(len(cells), 'row')}")
     different = 0
-    for reproduction in reproduce(results.records, names, env_ids, backend, say=say):
-        print(reproduction)
-        different += not reproduction.equal
-    if different:
-        say(f"{different} payloads differ from the stored ones by more than the resolution")
+    with progress("computing", "rows") as step, TemporaryDirectory() as cache:
+        os.environ[CACHE_VARIABLE] = cache
+        for finished, row in enumerate(recompute(results.records, count, backend, say=say), 1):
+            print(row)
+            different += not row.is_equal
+            step(finished, count)
+    if rows.missing or rows.unexpected or different:
+        say(
+            f"the check failed: {counted(len(rows.missing), 'row')} missing, {len(rows.unexpected)} "
+            f"not in the suite, {different} with another payload"
+        )
         raise typer.Exit(1)
-    print("all payloads are those of the results")
+    print("all rows of the suite are there, and the computed ones have the stored payloads")
 
 
 def _backend(workers: int | None, ray: str | None) -> Backend:

@@ -156,7 +156,7 @@ def print_payload_comparison(comparison: PayloadComparison) -> None:
             payload = ""
     print_table(_title(lightest), rows)
     _print_notes(all_metrics)
-    _note_unprotected(lightest)
+    _note_not_isolated(lightest)
 
 
 def _columns(comparison: Comparison) -> list[tuple[str, str, float]]:
@@ -186,13 +186,13 @@ def print_comparison(comparison: Comparison) -> None:
             changes.append(f"{name.replace('_', ' ')} {change}")
         print(f"{metrics.policy} against {reference.policy}: {', '.join(changes)}")
     _print_notes(comparison.metrics)
-    _note_unprotected(comparison)
+    _note_not_isolated(comparison)
 
 
-def _note_unprotected(comparison: Comparison) -> None:
+def _note_not_isolated(comparison: Comparison) -> None:
     """Prints a note about policies that could change the evaluation."""
-    if comparison.unprotected:
-        print(f"not isolated: {', '.join(comparison.unprotected)}: {options.NOT_ISOLATED}")
+    if comparison.not_isolated:
+        print(f"not isolated: {', '.join(comparison.not_isolated)}: {options.NOT_ISOLATED}")
 
 
 def _title(comparison: Comparison, payload: str = "") -> str:

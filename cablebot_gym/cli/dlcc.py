@@ -230,8 +230,7 @@ def _title(result: DLCCResult) -> str:
         words.append("stochastic policy")
     if not result.ranked:
         words.append("unranked")
-    if not result.protected:
-        words.append("not isolated")
+    words += result.trust
     return ", ".join(words)
 
 
@@ -275,7 +274,7 @@ def _notes(results: list[DLCCResult]) -> list[str]:
         )
     if not score.ranked:
         notes.append("unranked: a bisection tries few payloads and can miss a failure between them")
-    if not score.protected:
+    if not (score.isolated or details.shipped):
         notes.append(f"not isolated: {options.NOT_ISOLATED}")
     if score.assured is not None:
         if any(result.payload is not None for result in results):

@@ -70,9 +70,6 @@ Workers = Annotated[
     int | None,
     typer.Option("--workers", help="Number of worker processes. The default is one per core."),
 ]
-NoSandbox = Annotated[
-    bool, typer.Option("--no-sandbox", help="Run entries without a sandbox. They stay unverified.")
-]
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON.")]
 
 SEED_BITS = 53
@@ -257,23 +254,16 @@ class ProcessOptions(Options):
         typer.Option(
             "--isolate/--no-isolate",
             help=(
-                "Run the policy in a process of its own, which gets only observations and tasks. The default "
-                "isolates every policy that is not shipped with this project, and every one with a wrapper. "
-                "--no-isolate trusts the policy, and marks its result."
+                "Run the policy in a process of its own, which gets only observations and tasks, behind bubblewrap "
+                "where that is installed. The default isolates every policy that is not shipped with this project, and "
+                "every one with a wrapper. --no-isolate trusts the policy, and marks its result."
             ),
             show_default=False,
         ),
     ] = None
-    sandbox: Annotated[
-        bool,
-        typer.Option(
-            "--sandbox",
-            help="Run the isolated policy in a sandbox without network, other processes, and most files.",
-        ),
-    ] = False
     deadline: Annotated[
         float | None,
-        "Deadline of a call of the isolated policy [s of processor time]. The default is 60.",
+        "Deadline of an answer of the isolated policy [s of processor time]. The default is 300.",
     ] = None
 
     def isolates(self, name: str, wrappers: Sequence[str] = ()) -> bool:
@@ -392,20 +382,15 @@ def loaded_policy(
     it.
 
     Raises:
-        ValueError: if the policy cannot be loaded, or if there is a deadline or a sandbox for a
-            policy that is not isolated.
+        ValueError: if the policy cannot be loaded, or if there is a deadline for a policy that is
+            not isolated.
     """
     from cablebot_gym.isolation import IsolatedPolicy
     from cablebot_gym.policies import load
 
     if process.isolates(name, wrappers):
         limits = {} if process.deadline is None else {"deadline": process.deadline}
-        isolated = IsolatedPolicy(name, robot, sandbox=process.sandbox, wrappers=wrappers, **limits)
-        return isolated.loaded
-    if process.sandbox:
-        raise ValueError(
-            "--sandbox needs --isolate: only the process of an isolated policy can have one"
-        )
+        return IsolatedPolicy(name, robot, wrappers=wrappers, **limits).loaded
     if process.deadline is not None:
         raise ValueError(
             "--deadline needs --isolate: only the process of an isolated policy can be ended"
@@ -438,24 +423,6 @@ def loaded_policies(
         layers = () if is_installed else wrappers
         policies.append(loaded_policy(name, robot, wrappers=layers, process=process))
     return policies
-
-
-def choose_sandbox(no_sandbox: bool) -> None:
-    """Checks the sandbox of entries, or makes this process and its workers run entries without one.
-
-    Raises:
-        ValueError: if there is no sandbox, and it is not declined.
-    """
-    from cablebot_gym.isolation import sandbox
-
-    if no_sandbox:
-        return sandbox.opt_out()
-    try:
-        sandbox.check_sandbox()
-    except ValueError as error:
-        raise ValueError(
-            f"{error}. --no-sandbox runs entries without one, and trusts them"
-        ) from None
 
 
 def split_names(text: str | None) -> list[str]:

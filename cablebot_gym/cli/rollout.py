@@ -59,7 +59,7 @@ def rollout(
     outcome = "carried"
     if not verdict.carried:
         outcome = f"not carried: {verdict.violation}"
-    if not loaded.protected:
+    if not (loaded.isolated or loaded.shipped):
         outcome += ", not isolated"
     if record.reason:
         outcome += f" (ended early: {record.reason})"

@@ -57,6 +57,10 @@ DEPENDENT = (
 """End of an error about a policy. Gets the difference that shows it."""
 
 
+_FOREIGN: dict[str, None] = {}
+"""Names of the policies that are neither shipped nor isolated and have run in this process."""
+
+
 class Row(NamedTuple):
     """One episode."""
 
@@ -187,6 +191,11 @@ def draw_seeds(seed: int, draws: int) -> list[int]:
     return [seed] if draws == 1 else derived_seeds(np.random.SeedSequence(seed), draws)
 
 
+def fresh_sequence(seed: int) -> np.random.SeedSequence:
+    """Seed sequence of the draws that confirm a payload and belong to no other part of a search."""
+    return np.random.SeedSequence(seed, spawn_key=(5,))
+
+
 def derived_seeds(sequence: np.random.SeedSequence, count: int) -> list[int]:
     """Seeds of 53 bits from a seed sequence."""
     return [int(word) >> 11 for word in sequence.generate_state(count, np.uint64)]
@@ -195,10 +204,9 @@ def derived_seeds(sequence: np.random.SeedSequence, count: int) -> list[int]:
 class Batch:
     """Rolls out payloads and draws with one policy in vector environments.
 
-    The judge's task is read once, before the policy is loaded, and the policy receives copies. The
-    judge and the limits are bound when their modules are imported. That protects against mistakes:
-    a policy in this process can read and change everything. Only
-    :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy` stops a policy that wants to cheat.
+    The judge's task is read once, before the policy is loaded, and the policy receives copies of
+    tasks and robot. That protects against mistakes: a policy in this process can change everything,
+    one in an :class:`~cablebot_gym.isolation.isolated.IsolatedPolicy` nothing.
 
     Args:
         policy: a loaded policy, an object with ``predict``, a callable ``observation -> action``, a
@@ -212,8 +220,6 @@ class Batch:
     Raises:
         ValueError: if the policy does not fit the conditions.
     """
-
-    _judge = Judge  # bound here: a policy in this process can replace the name in the module
 
     def __init__(
         self,
@@ -235,8 +241,13 @@ class Batch:
         self.task: Task = self.tasks[0]
         """Task of the first motion."""
         robot = deepcopy(conditions.robot)
+        self.foreign_before = tuple(_FOREIGN)
+        """Names of the policies that are neither shipped nor isolated and ran in this process
+        before."""
         self.policy: LoadedPolicy = load(policy, robot, name=name, wrappers=wrappers)
         """The policy."""
+        if not (self.policy.shipped or self.policy.isolated):
+            _FOREIGN[self.policy.name] = None
         self._check_policy()
         random = conditions.uncertainty.random or self.policy.declarations.stochastic
         self.random = random or conditions.keywords.get("initial_error_range") is not None
@@ -311,24 +322,21 @@ class Batch:
         observer: Observer | None = None,
         count: StepCount | None = None,
         full_motion: bool = False,
-        order: NDArray[np.int64] | None = None,
         refinement: int = 1,
     ) -> list[Verdict]:
-        """Rolls out episodes, in a secret random order unless somebody observes them.
+        """Rolls out episodes.
 
         Args:
             rows: payload and seed of each episode.
             observer: receives the steps of the rows in their order.
             count: counts the finished or skipped control steps.
             full_motion: whether to simulate an episode to the end of the motion after a violation.
-            order: permutation of the rows; None for a secret one.
             refinement: factor of the number of physics steps in a control period.
 
         Returns:
             One verdict for each row.
         """
-        if order is None:
-            order = np.arange(len(rows)) if observer is not None else secret_order(len(rows))
+        order = np.arange(len(rows))
         groups = [order]
         if observer is None and len(rows) > 2 * BATCH:
             # a group ends with its longest motion
@@ -342,7 +350,7 @@ class Batch:
         for indices in groups:
             env = self._make(len(indices), **changes)
             self._last_rows = len(indices)
-            judge = self._judge(self.conditions.criterion, self.task.robot.cables, len(indices))
+            judge = Judge(self.conditions.criterion, self.task.robot.cables, len(indices))
             group = [rows[index] for index in indices.tolist()]
             observation, info = self._start(env, judge, group)
             if observer is not None:
@@ -391,8 +399,7 @@ class Batch:
         return observation, info
 
     def check_alone(self, payload: float, carried: int, count: StepCount | None = None) -> None:
-        """Tries a payload in fresh draws with secret seeds, one batch each, until enough of them
-        carry it.
+        """Tries a payload in fresh draws, one batch each, until enough of them carry it.
 
         A policy that averages noise over the rows of a batch carries more there than alone.
 
@@ -412,8 +419,8 @@ class Batch:
     def try_alone(
         self, payload: float, draws: int, required: int, count: StepCount | None = None
     ) -> Trial:
-        """Tries a payload in fresh draws with secret seeds, each alone in its batch, so that an
-        isolated policy has a fresh process for each.
+        """Tries a payload in fresh draws, each alone in its batch, so that an isolated policy has a
+        fresh process for each.
 
         Args:
             payload: nominal payload [kg].
@@ -426,7 +433,7 @@ class Batch:
         """
         verdicts: list[Verdict] = []
         carried = 0
-        seeds = derived_seeds(np.random.SeedSequence(), draws)
+        seeds = derived_seeds(fresh_sequence(self.conditions.seed), draws)
         for seed in seeds:
             if carried == required or len(verdicts) - carried > draws - required:
                 break
@@ -460,12 +467,6 @@ def _threads(rows: int) -> int:
     return cores()
 
 
-def secret_order(count: int) -> NDArray[np.int64]:
-    """A random permutation from the entropy of the operating system, so that a row does not tell
-    its payload."""
-    return np.random.default_rng().permutation(count)
-
-
 def run_episodes(
     env: CableBotVectorEnv,
     policy: LoadedPolicy,
@@ -492,9 +493,6 @@ def run_episodes(
         cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
             finite actions.
     """
-    # Bound before the policy can replace them.
-    step_env = env.step
-    observe = judge.observe
     policy.reset(lambda: deepcopy(env.tasks))
     state = None
     start = np.ones(env.num_envs, np.bool_)
@@ -516,8 +514,8 @@ def run_episodes(
             time=step / env.settings.control_frequency,
             ignored=over,
         )
-        next_observation, reward, ended, _, info = step_env(action)
-        observe(info, ended)
+        next_observation, reward, ended, _, info = env.step(action)
+        judge.observe(info, ended)
         if observer is not None:
             observer.step(next_observation, reward, info, ~over)
         # a policy keeps the last sensible observation of a terminated episode

@@ -62,9 +62,10 @@ class PolicyMetrics:
 
     policy: str
     """Name of the policy."""
-    protected: bool
-    """Whether it could not change the evaluation: it was isolated, or it has only code of this
-    project."""
+    isolated: bool
+    """Whether it ran in a process of its own."""
+    shipped: bool
+    """Whether it has only code of this project."""
     mean_error: Array
     """Position error, mean over time [m]."""
     rms_error: Array
@@ -123,7 +124,7 @@ class PolicyMetrics:
 QUANTITIES = tuple(
     item.name
     for item in fields(PolicyMetrics)
-    if item.name not in ("policy", "protected", "carried", "ended", "error", "rotation")
+    if item.name not in ("policy", "isolated", "shipped", "carried", "ended", "error", "rotation")
 )
 """Quantities of :class:`PolicyMetrics` that have an estimate."""
 
@@ -152,9 +153,14 @@ class Comparison:
     """Public task of the episodes."""
 
     @property
-    def unprotected(self) -> tuple[str, ...]:
-        """Names of the policies that could change the evaluation."""
-        return tuple(metrics.policy for metrics in self.metrics if not metrics.protected)
+    def not_isolated(self) -> tuple[str, ...]:
+        """Names of the policies that are neither isolated nor shipped, and could change the
+        evaluation."""
+        names = []
+        for metrics in self.metrics:
+            if not (metrics.isolated or metrics.shipped):
+                names.append(metrics.policy)
+        return tuple(names)
 
     @property
     def draws(self) -> int:
@@ -192,7 +198,8 @@ class Comparison:
             policies.append(
                 {
                     "policy": metrics.policy,
-                    "protected": metrics.protected,
+                    "isolated": metrics.isolated,
+                    "shipped": metrics.shipped,
                     "estimates": {name: vars(metrics.estimate(name)) for name in QUANTITIES},
                     "reductions": reductions,
                     "per_draw": values,
@@ -233,8 +240,8 @@ class Comparison:
                 f"{metrics.policy}: error {1e3 * mean.mean:.3g} mm mean{change}, "
                 f"{1e3 * largest.mean:.3g} mm max; carried in {metrics.carried.mean():.0%}"
             )
-        if self.unprotected:
-            lines.append(f"not isolated: {', '.join(self.unprotected)}")
+        if self.not_isolated:
+            lines.append(f"not isolated: {', '.join(self.not_isolated)}")
         return "\n".join(lines)
 
 
@@ -423,7 +430,8 @@ def _metrics(
     )
     return PolicyMetrics(
         policy=policy.name,
-        protected=policy.protected,
+        isolated=policy.isolated,
+        shipped=policy.shipped,
         mean_error=filled.mean(axis=0),
         rms_error=np.sqrt((filled**2).mean(axis=0)),
         max_error=np.where(ended, np.maximum(peak, final), peak),

@@ -123,15 +123,7 @@ class Verdict:
     """Largest tension of any cable at a physics step [N]; 0 before the first step."""
 
 
-class Sealed(type):
-    """Type of classes whose methods cannot be replaced by assignment, as a policy in the same
-    process could do."""
-
-    def __setattr__(cls, name: str, value: Any) -> None:
-        raise TypeError(f"{cls.__name__}.{name} cannot be replaced: derive a class from it")
-
-
-class Judge(metaclass=Sealed):
+class Judge:
     """Checks N episodes step by step. It stores the first violations and the extremes, but no time
     series.
 

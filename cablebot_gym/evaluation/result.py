@@ -51,10 +51,15 @@ class Details:
     shipped: bool
     """Whether the policy has only code of this project: it is given by the name of one of its
     policies, without wrappers."""
+    bubblewrap: bool
+    """Whether the process of an isolated policy ran behind bubblewrap, without network and without
+    writing files."""
+    foreign_before: tuple[str, ...]
+    """Names of the policies that are neither shipped nor isolated and ran in this process before. They
+    could have changed this evaluation."""
     declared: bool
     """Whether only the policy itself says that its actions are not saturated (paper criterion). A
-    test of this project holds its own laws to it, if they are given by their names. Objects always
-    count as declared."""
+    test holds shipped policies to it."""
     wrappers: tuple[str, ...]
     """Names of the wrappers of the policy, the innermost first."""
     environment: dict[str, Any]
@@ -68,6 +73,7 @@ class Details:
         data = {item.name: getattr(self, item.name) for item in fields(self) if item.repr}
         for name in ("feasible", "success"):
             data[name] = [list(pair) for pair in data[name]]
+        data["foreign_before"] = list(data["foreign_before"])
         wrappers = list(data.pop("wrappers"))
         return data | ({"wrappers": wrappers} if wrappers else {})
 
@@ -134,12 +140,6 @@ class DLCCResult:
         return self.failed_payload is None
 
     @property
-    def protected(self) -> bool:
-        """Whether the policy could not change the evaluation: it was isolated, or it has only code
-        of this project."""
-        return self.isolated or self.details.shipped
-
-    @property
     def score(self) -> float:
         """Score [kg]: the payload, or 0 if the policy fails unloaded."""
         return self.payload or 0.0
@@ -164,6 +164,19 @@ class DLCCResult:
         if self.violation is None:
             return f"none up to {self.details.payload_max:g} kg"
         return str(self.violation)
+
+    @property
+    def trust(self) -> list[str]:
+        """What a reader should know about the process of the evaluation; empty for a shipped policy
+        in a process in which no other policies ran."""
+        words = []
+        if self.isolated:
+            words.append("isolated" if self.details.bubblewrap else "isolated without bubblewrap")
+        elif not self.details.shipped:
+            words.append("not isolated")
+        if self.details.foreign_before:
+            words.append(f"after {', '.join(self.details.foreign_before)} in this process")
+        return words
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data: the score, the conditions and the details, without the episode."""
@@ -208,8 +221,7 @@ class DLCCResult:
             words.append(f"behind {', '.join(self.details.wrappers)}")
         if not self.ranked:
             words.append("unranked (bisection)")
-        if not self.protected:
-            words.append("not isolated")
+        words += self.trust
         text = f"{', '.join(words)}: {self._payload_text()}"
         if self.assured is not None:
             text += f" ({self.assurance})"

@@ -3,9 +3,8 @@ confirm.
 
 An episode is carried (:class:`~cablebot_gym.evaluation.constraints.Verdict`), a payload is carried
 if enough of its draws are (``Search._bracket``). What is random follows from the seed of the
-conditions: grid and refined payloads, payloads of the dense check, repeated episodes, seeds of the
-draws. The order of a batch, the seeds of draws that are tried alone, and the episodes beside a
-repeated one come from the operating system: no policy can foresee them.
+conditions, which an isolated policy does not know: grid and refined payloads, payloads of the dense
+check, repeated episodes and those beside them, and the seeds of all draws.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from cablebot_gym.evaluation.batch import (
     StepCount,
     Trial,
     derived_seeds,
-    secret_order,
+    fresh_sequence,
 )
 from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.evaluation.repetition import first_difference
@@ -208,10 +207,7 @@ class Search:
     def _scan(self) -> None:
         """Tries the payloads of the grid, and chooses the episodes to repeat."""
         self._scan_rows = _rows(self._grid, self._scan_seeds)
-        self._scan_order = secret_order(len(self._scan_rows))
-        self._scan_verdicts = self._batch.run(
-            self._scan_rows, count=self._count, order=self._scan_order
-        )
+        self._scan_verdicts = self._batch.run(self._scan_rows, count=self._count)
         self._scan_trials = _trials(self._grid, self._scan_seeds, self._scan_verdicts)
         has_other_draws = self._is_scan and self._is_drawn
         if not has_other_draws:  # the scan has the draws of the confirmation
@@ -331,11 +327,10 @@ class Search:
         Raises:
             PolicyError: if they differ.
         """
-        draws = secret_order(self._batch.draws)[:REPEATED_DRAWS].tolist()
+        draws = self._rng.permutation(self._batch.draws)[:REPEATED_DRAWS].tolist()
         repeated = [Row(trial.payload, trial.seeds[draw]) for draw in draws]
-        rng = np.random.default_rng()
-        payloads = rng.uniform(0.0, self._grid[-1], len(draws)).tolist()
-        seeds = derived_seeds(np.random.SeedSequence(), len(draws))
+        payloads = self._rng.uniform(0.0, self._grid[-1], len(draws)).tolist()
+        seeds = derived_seeds(fresh_sequence(self._batch.conditions.seed), len(draws))
         others = list(map(Row, payloads, seeds))
         verdicts = self._batch.run(repeated + others, count=self._count)
         before = [trial.verdicts[draw] for draw in draws]
@@ -488,7 +483,7 @@ class Search:
         """Compares episodes with their repetitions.
 
         Raises:
-            PolicyError: if they differ. Further runs of the scan in its order tell the reason.
+            PolicyError: if they differ. Further runs of the scan tell the reason.
         """
         bounds = self._batch.conditions.error_bounds
         difference = first_difference(first, repeated, bounds)
@@ -496,7 +491,7 @@ class Search:
             return
         reason = DEPENDENT
         for _ in range(DIAGNOSES):
-            verdicts = self._batch.run(self._scan_rows, count=self._count, order=self._scan_order)
+            verdicts = self._batch.run(self._scan_rows, count=self._count)
             if first_difference(self._scan_verdicts, verdicts, bounds) is not None:
                 reason = _NOT_REPRODUCIBLE
                 break

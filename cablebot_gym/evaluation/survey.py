@@ -22,7 +22,7 @@ from cablebot_gym.evaluation.batch import (
     Trial,
     derived_seeds,
     draw_seeds,
-    secret_order,
+    fresh_sequence,
 )
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Verdict, Violation
@@ -374,8 +374,8 @@ class _Search:
             closest.append(len(rows) + closest_to(kind, motion.below.verdicts))
             rows += [Row(motion.below.payload, seed, motion.index) for seed in motion.below.seeds]
             verdicts += motion.below.verdicts
-        order = [closest[index] for index in secret_order(len(closest))[: REPEATED // 2]]
-        order += secret_order(len(rows)).tolist()
+        order = self._rng.permutation(closest)[: REPEATED // 2].tolist()
+        order += self._rng.permutation(len(rows)).tolist()
         chosen = list(dict.fromkeys(order))[:REPEATED]
         return [rows[index] for index in chosen], [verdicts[index] for index in chosen]
 
@@ -405,12 +405,11 @@ class _Search:
         Raises:
             PolicyError: if unloaded robots fail.
         """
-        rng = np.random.default_rng()
         while True:
             carrying = [motion for motion in self._motions if motion.below is not None]
             if not carrying:
                 return
-            chosen = rng.integers(len(carrying), size=STOCHASTIC_ALONE)
+            chosen = self._rng.integers(len(carrying), size=STOCHASTIC_ALONE)
             if self._are_carried_alone([carrying[index] for index in chosen]):
                 return
             self._reduce(carrying)
@@ -441,7 +440,7 @@ class _Search:
 
     def _are_carried_alone(self, motions: Sequence[_Motion]) -> bool:
         """Whether fresh robots carry the payloads of motions, each alone in its batch."""
-        seeds = derived_seeds(np.random.SeedSequence(), len(motions))
+        seeds = derived_seeds(fresh_sequence(self._batch.conditions.seed), len(motions))
         for motion, seed in zip(motions, seeds, strict=True):
             assert motion.below is not None
             row = Row(motion.below.payload, seed, motion.index)

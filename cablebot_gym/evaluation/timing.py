@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import time
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,8 +10,50 @@ import numpy as np
 
 from cablebot_gym.evaluation.batch import Batch, Row
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.policies.adapters import WARM_UP, RealTime
+from cablebot_gym.kinematics import Array
+from cablebot_gym.policies.protocol import Policy, declarations, name_of, reset_policy
+from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
+
+WARM_UP = 10
+"""Number of first actions that belong to the start: libraries load and code is compiled there."""
+
+
+class TimedPolicy:
+    """A policy whose actions are timed. The clock is that of this process.
+
+    Args:
+        policy: the policy.
+    """
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+        self.name = name_of(policy)
+        self.unsaturated_actions, self.stochastic, self.measurement = declarations(policy)
+        self.times: list[float] = []
+        """Times of the actions of the present episode [s]."""
+        self.reset_time = 0.0
+        """Time of the last reset [s]."""
+
+    def reset(self, tasks: tuple[Task, ...]) -> None:
+        """Resets the policy."""
+        self.times = []
+        start = time.perf_counter()
+        reset_policy(self._policy, self.name, lambda: tasks)
+        self.reset_time = time.perf_counter() - start
+
+    def predict(
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Any]:
+        """Action of the policy."""
+        start = time.perf_counter()
+        action, state = self._policy.predict(observation, state, episode_start, deterministic)
+        self.times.append(time.perf_counter() - start)
+        return action, state
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,9 +68,8 @@ class ActionTimes:
     missed: float
     """Fraction of the actions that take longer than the control period."""
     start: float
-    """Time of the reset and of the first :data:`~cablebot_gym.policies.adapters.WARM_UP` actions
-    together, in which policies plan or compile code [s]. The other values are those of the later
-    actions."""
+    """Time of the reset and of the first :data:`WARM_UP` actions together, in which policies plan or
+    compile code [s]. The other values are those of the later actions."""
     period: float
     """Control period [s]."""
 
@@ -47,12 +88,12 @@ def time_actions(
 
     Raises:
         ValueError: if an argument is invalid, or if the environment terminates the episode within
-            the first :data:`~cablebot_gym.policies.adapters.WARM_UP` actions.
+            the first :data:`WARM_UP` actions.
         cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
             finite actions.
     """
     batch = Batch(policy, Conditions.of(env_id, draws=1, **conditions))
-    timed = RealTime(batch.policy.policy, math.inf)
+    timed = TimedPolicy(batch.policy.policy)
     batch.policy = replace(batch.policy, policy=timed)
     payload = number("payload", payload, least=0, unit="kg")
     batch.run([Row(payload, batch.conditions.seed)], full_motion=True)

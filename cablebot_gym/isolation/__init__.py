@@ -1,4 +1,4 @@
-"""Policies in processes of their own, and the sandbox of policies of others."""
+"""Policies in processes of their own, with a deadline."""
 
 from cablebot_gym.isolation.isolated import IsolatedPolicy
 

@@ -8,9 +8,8 @@ from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
-from cablebot_gym.isolation.deadlines import DEADLINE, START_UP
-from cablebot_gym.isolation.isolated import IsolatedPolicy, parse_json, search_path
-from cablebot_gym.isolation.process import PolicyProcess, plain
+from cablebot_gym.isolation.isolated import DEADLINE, IsolatedPolicy
+from cablebot_gym.isolation.process import PolicyProcess, parse_json, plain, search_path
 from cablebot_gym.isolation.server import ANSWER, DESCRIBE
 from cablebot_gym.policies.protocol import PolicyEntry
 from cablebot_gym.policies.spec import PolicySpec, policy_names
@@ -46,13 +45,10 @@ def public_entry(name: str) -> PolicyEntry | None:
     spec = PolicySpec.parse(name)
     if spec.estimators:
         entry = public_entry(spec.target)
-        if entry is None:
-            return None
-        # The tests hold the target alone to its declaration, not behind an estimator.
-        return replace(entry, name=name, unsaturated_actions=False)
+        return None if entry is None else replace(entry, name=name)
     if not spec.installed:
         return None
-    if spec.own:
+    if spec.shipped:
         # A policy of another package can have the same name. The first entry point is that of this
         # project; only this one may be imported here.
         return replace(spec, points=spec.points[:1]).entry()
@@ -67,22 +63,16 @@ def _entry_from_own_process(name: str) -> PolicyEntry:
     """The entry of a policy of another package, which a process of its own imports.
 
     Raises:
-        queue.Empty: if the process does not reply before the deadline.
+        DeadlineError: if the process does not reply before the deadline.
         EndedError: if the process ends, or if its reply cannot be read.
         KeyError: if the reply lacks a value.
         TypeError: if a value of the reply is of a wrong type.
         ValueError: if the package cannot be imported, or if the reply is no JSON object.
     """
-    # No sandbox: the user has installed the package and runs its code anyway. The process only keeps
-    # this code away from the evaluation.
     process = PolicyProcess()
     try:
-        kind, body = process.exchange(
-            DESCRIBE,
-            pickle.dumps((name, search_path())),
-            largest=0,  # no actions in the reply; its text has a limit of its own
-            seconds=START_UP * DEADLINE,
-        )
+        request = pickle.dumps((name, search_path()))
+        kind, body = process.exchange(DESCRIBE, request, 0, DEADLINE)
     finally:
         process.end()
     description = parse_json(body)

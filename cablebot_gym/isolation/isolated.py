@@ -3,14 +3,10 @@ actions."""
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import pickle
-import queue
 import struct
-import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,51 +14,61 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.isolation.deadlines import DEADLINE, Deadlines
-from cablebot_gym.isolation.process import EndedError, PolicyProcess, ProcessorTimeError, plain
-from cablebot_gym.isolation.sandbox import opted_out, prepare_sandbox
-from cablebot_gym.isolation.server import ANSWER, FAILURE, INVALID, LOAD, PREDICT, RESET
+from cablebot_gym.isolation.process import (
+    DeadlineError,
+    EndedError,
+    PolicyProcess,
+    parse_json,
+    plain,
+    search_path,
+)
+from cablebot_gym.isolation.server import (
+    ANSWER,
+    END,
+    ENDED,
+    FAILURE,
+    INVALID,
+    LOAD,
+    PREDICT,
+    RESET,
+    START,
+)
 from cablebot_gym.policies.protocol import Array, LoadedPolicy, PolicyError, declarations, say
-from cablebot_gym.policies.spec import PolicySpec, as_robot
+from cablebot_gym.policies.spec import POLICY_SUFFIXES, PolicySpec, as_robot
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
+from cablebot_gym.utils.checks import number
+
+DEADLINE = 300.0
+"""Default deadline of an answer of a policy [s of processor time]. An answer is loading, a reset, or
+the actions of one control step of all episodes of a batch."""
 
 
 class IsolatedPolicy:
-    """A policy in a process of its own, with a fresh process for each batch of episodes.
+    """A policy in a process of its own, with a fresh one for each batch of episodes.
 
-    The process gets the nominal robot, observations and public tasks, some environment variables,
-    and a folder of its own for temporary files. It knows neither the environment nor the
-    evaluation. Its working directory is that of this process, so that files given by relative paths
-    are found.
+    The process gets the nominal robot, observations and public tasks, and some environment
+    variables. Home, working folder, cache and folder for temporary files are empty and its own. It
+    knows neither the environment nor the evaluation. Relative names of files are those of this
+    process.
 
     Every misbehaviour of the policy is a :class:`~cablebot_gym.policies.protocol.PolicyError`: an
     exception, an end of its process, no answer before the deadline, invalid actions or invalid
-    data. The process is then ended, and on Linux all processes that have inherited its memory
-    limit, so all that it has started unless it changes that limit. Other processes and files of the
-    same user are protected from the policy only in a sandbox.
+    data. The process is then ended, on Linux with all processes that it has started. Behind
+    bubblewrap it has no network, sees no other process, and can read but not write the files of
+    the machine; elsewhere it has the rights of its user.
 
     Args:
         name: name of the policy, as on the command line.
         robot: nominal robot.
-        deadline: largest processor time of a call [s]; > 0. Loading, reset and first call for a
-            batch together may take :data:`~cablebot_gym.isolation.deadlines.START_UP` times as
-            long, and all calls for all batches :data:`~cablebot_gym.isolation.deadlines.TOTAL`
-            times. The elapsed time may be :data:`~cablebot_gym.isolation.deadlines.WAITING` times
-            as long, that of all calls
-            :data:`~cablebot_gym.isolation.deadlines.WAITING_FOR_ALL` times.
-        real_time: control period after which an action is replaced by the last one of its episode
-            [s]; None for no limit. The process of the policy measures the time, so it has to be
-            honest. See :class:`~cablebot_gym.policies.adapters.RealTime`.
+        deadline: largest processor time of an answer [s]; > 0. The elapsed time may be
+            :data:`~cablebot_gym.isolation.process.WAITING` times as long.
         wrappers: names of the wrappers of the training, the innermost first, see
             :data:`~cablebot_gym.policies.wrappers.Wrapper`. They run in the process of the policy.
-        sandbox: whether the process runs in a sandbox without network, other processes, and most
-            files, see :func:`~cablebot_gym.isolation.sandbox.sandboxed`. Entries of others always
-            do, unless :func:`~cablebot_gym.isolation.sandbox.opt_out` was called.
 
     Raises:
-        ValueError: if the name is unknown or the policy cannot be loaded, if a wrapper is given by
-            an object, or if there is no sandbox.
+        ValueError: if the name is unknown or the policy cannot be loaded, or if a wrapper is given
+            by an object.
         PolicyError: if the process of the policy ends or does not answer while the policy is
             loaded.
     """
@@ -73,14 +79,13 @@ class IsolatedPolicy:
         robot: Robot | str,
         *,
         deadline: float = DEADLINE,
-        real_time: float | None = None,
         wrappers: Sequence[str | Path] = (),
-        sandbox: bool = False,
     ) -> None:
         self.name = name
         self._process: PolicyProcess | None = None
-        self._fresh = False
-        self._deadlines = Deadlines(deadline)
+        self._is_fresh = False
+        self._in_batch = False
+        self._deadline = number("deadline", deadline, above=0, unit="s")
         self._spec = PolicySpec.parse(name)
         robot = as_robot(robot)
         self._cables = robot.cables
@@ -88,13 +93,13 @@ class IsolatedPolicy:
             raise ValueError(
                 "an isolated policy takes the names of its wrappers, such as file.py:name: its process imports them"
             )
-        wrapper_names = tuple(map(str, wrappers))
-        self._sandboxed_names: tuple[str, ...] | None = None
-        if sandbox or (self._spec.kind == "entry" and not opted_out()):
-            prepare_sandbox(robot)
-            self._sandboxed_names = (self._spec.target, *wrapper_names)
-        self._load = pickle.dumps((name, robot, search_path(), real_time, wrapper_names))
+        _compile(robot)
+        wrapper_names = tuple(_absolute(str(wrapper)) for wrapper in wrappers)
+        self._target = _absolute(self._spec.target)
+        loaded_name = name.removesuffix(self._spec.target) + self._target
+        self._load = pickle.dumps((loaded_name, robot, search_path(), wrapper_names))
         described = self._start()
+        self._forks = described.get("forks") is True
         declared = declarations(SimpleNamespace(**described))
         self.unsaturated_actions = declared.unsaturated_actions
         self.stochastic = declared.stochastic
@@ -104,7 +109,7 @@ class IsolatedPolicy:
         policy."""
         self._notes = _texts(described.get("notes"))
         for note in self._notes:
-            say(note)
+            say(name, note)
         self.fallbacks: float | None = 0.0 if described.get("fallbacks") is True else None
         """Number of fallbacks that the policy has counted; None if it does not count them."""
 
@@ -115,9 +120,9 @@ class IsolatedPolicy:
             policy=self,
             name=self.name,
             declarations=declarations(self),
-            held=self._spec.held and not self.wrappers,
             shipped=self._spec.shipped and not self.wrappers,
             isolated=True,
+            bubblewrap=self.bubblewrap,
             wrappers=self.wrappers,
             notes=self._notes,
         )
@@ -135,9 +140,7 @@ class IsolatedPolicy:
             request = pickle.dumps((tuple(tasks),))
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise ValueError(f"the tasks cannot be passed to another process: {error}") from error
-        if self._process is None or not self._fresh:
-            self._start()
-        self._fresh = False
+        self._start_batch()
         self._ask(RESET, request)
 
     def predict(
@@ -159,14 +162,12 @@ class IsolatedPolicy:
         starts = (
             np.zeros(len(rows), np.bool_) if episode_start is None else np.atleast_1d(episode_start)
         )
-        if self._process is None:
-            self._start()
-        self._fresh = False
+        if not self._in_batch:
+            self._start_batch()
         size = 8 * len(rows) * self._cables
         reply = self._ask(PREDICT, pickle.dumps((rows, starts, state is None), 5), size + 8)
         if len(reply) != size + 8:
             raise self._failed("its process sent invalid data")
-        self._deadlines.finish_start_up()
         (fallbacks,) = struct.unpack("<d", reply[size:])
         if self.fallbacks is not None and math.isfinite(fallbacks) and fallbacks >= 0:
             self.fallbacks = fallbacks
@@ -176,6 +177,7 @@ class IsolatedPolicy:
     def close(self) -> None:
         """Ends the process of the policy and all processes that it has started. The next call
         starts a new one."""
+        self._in_batch = False
         if self._process is not None:
             self._process.end()
             self._process = None
@@ -190,39 +192,44 @@ class IsolatedPolicy:
         """Starts a process in place of the present one, loads the policy and returns its
         description."""
         self.close()
-        self._process = PolicyProcess(self._sandboxed_names)
-        self._deadlines.start_process()
-        self._fresh = True  # it has only loaded the policy
+        self._process = PolicyProcess()
+        self.bubblewrap = self._process.is_behind_bubblewrap
+        """Whether the process runs behind bubblewrap."""
+        self._is_fresh = True  # it has only loaded the policy
         described = parse_json(self._ask(LOAD, self._load))
         if not isinstance(described, dict):
             raise self._failed("its process sent invalid data")
         return described
+
+    def _start_batch(self) -> None:
+        """Gives the next batch a process that has only loaded the policy: a fork of the present one,
+        or a new one if it cannot be forked."""
+        if self._process is not None and self._in_batch and self._forks:
+            self._ask(END, b"")
+        if self._process is None or not (self._is_fresh or self._forks):
+            self._start()
+        if self._forks:
+            self._ask(START, pickle.dumps(()))
+        self._in_batch = True
+        self._is_fresh = False
 
     def _ask(self, kind: int, request: bytes, largest: int = 0) -> bytes:
         """Body of the answer to a request, see
         :meth:`~cablebot_gym.isolation.process.PolicyProcess.exchange`."""
         process = self._process
         assert process is not None
-        limits = self._deadlines.remaining()
-        started = time.monotonic()
         try:
-            reply_kind, body = process.exchange(
-                kind, request, largest, limits.elapsed, limits.processor
-            )
-        except queue.Empty:
-            raise self._failed(f"it did not answer within {limits.elapsed_words}") from None
-        except ProcessorTimeError:
-            raise self._failed(f"it used more than {limits.processor_words}") from None
-        except EndedError as error:
+            reply_kind, body = process.exchange(kind, request, largest, self._deadline)
+        except (DeadlineError, EndedError) as error:
             raise self._failed(str(error)) from None
         except BaseException:  # an interrupt
             self.close()
             raise
-        finally:  # the time of a policy that fails counts too
-            self._deadlines.wait(time.monotonic() - started, process.processor_time())
-        if reply_kind == ANSWER:
+        if reply_kind == ANSWER or (reply_kind == ENDED and kind == END):
             return body
         content = parse_json(body)
+        if reply_kind == ENDED and isinstance(content, int):
+            raise self._failed(str(process.ended(content)))
         if (
             reply_kind not in (FAILURE, INVALID)
             or not isinstance(content, dict)
@@ -233,7 +240,7 @@ class IsolatedPolicy:
         index = content.get("index")
         if reply_kind == INVALID:
             self.close()
-            raise ValueError(cause)
+            raise ValueError(cause.replace(self._target, self._spec.target))
         raise self._failed(cause, index if isinstance(index, int) else None)
 
     def _failed(self, cause: str, index: int | None = None) -> PolicyError:
@@ -242,17 +249,25 @@ class IsolatedPolicy:
         return PolicyError.of(self.name, cause, index)
 
 
-def search_path() -> list[str]:
-    """Search path of modules for another process."""
-    return [folder or os.getcwd() for folder in sys.path]
+def _absolute(name: str) -> str:
+    """A name whose file, if it has one, is given by its absolute path: the process of the policy has
+    another working folder."""
+    file, _, attribute = name.rpartition(":")
+    if file.endswith(".py"):
+        return f"{os.path.abspath(file)}:{attribute}"
+    if name.endswith((*POLICY_SUFFIXES, ".pkl", ".py")):
+        return os.path.abspath(name)
+    return name
 
 
-def parse_json(body: bytes) -> Any:
-    """JSON data of a reply; None if it is invalid."""
-    try:
-        return json.loads(body)
-    except (ValueError, RecursionError):
-        return None
+def _compile(robot: Robot) -> None:
+    """Compiles and stores the equations of a robot, which the processes of its policies call and
+    could not store."""
+    # numba takes a second, which other commands save
+    from cablebot_gym.physics.inverse import inverse_dynamics
+
+    pose = np.zeros(robot.coordinates)
+    inverse_dynamics(robot, 1.0, pose, pose, pose)
 
 
 def _texts(value: Any) -> tuple[str, ...]:

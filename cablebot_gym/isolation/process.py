@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import json
 import os
 import queue
 import shutil
@@ -13,15 +13,13 @@ import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import IO
 
-from cablebot_gym.isolation.deadlines import ProcessorTime
-from cablebot_gym.isolation.sandbox import sandboxed
-from cablebot_gym.isolation.server import FOLDER, memory_limit, receive_frame, send_frame
-from cablebot_gym.isolation.system_calls import filter_descriptor
+from cablebot_gym.isolation.server import make_folders, receive_frame, send_frame
+from cablebot_gym.utils.files import CACHE_VARIABLE
 from cablebot_gym.utils.workers import GRACE
 
 TEXT = 16_384
@@ -36,54 +34,29 @@ _LINE = 1200
 SAMPLING = 0.5
 """Time between two samples of the processor time [s]."""
 
+WAITING = 10
+"""Largest elapsed time of an answer, in units of its deadline of processor time. It ends policies that
+sleep, and is long enough for a busy machine."""
+
 _SWEEPS = 20
 """Largest number of searches for processes that a policy has started: they may start others
 meanwhile."""
 
-_ENVIRONMENT = {
-    *(
-        "PATH",
-        "HOME",
-        "USER",
-        "LANG",
-        "LANGUAGE",
-        "TZ",
-        "LD_LIBRARY_PATH",
-        "DYLD_LIBRARY_PATH",
-        "VIRTUAL_ENV",
-    ),
-    *(
-        "CONDA_PREFIX",
-        "XDG_CACHE_HOME",
-        "CABLEBOT_CACHE",
-        "SYSTEMROOT",
-        "WINDIR",
-        "COMSPEC",
-        "PATHEXT",
-    ),
-    *("USERPROFILE", "APPDATA", "LOCALAPPDATA", "PROGRAMDATA", "NUMBER_OF_PROCESSORS"),
-}
-_ENVIRONMENT_PREFIXES = (
-    *(
-        "LC_",
-        "PYTHON",
-        "COVERAGE_",
-        "NUMBA_",
-        "OMP_",
-        "OPENBLAS_",
-        "MKL_",
-        "KMP_",
-        "VECLIB_",
-        "NUMEXPR_",
-    ),
-    *("TORCH", "PYTORCH_", "CUDA_", "NVIDIA_", "HIP_", "ROCR_"),
+_VARIABLES = (
+    *("PATH", "LANG", "LANGUAGE", "TZ", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH"),
+    *("VIRTUAL_ENV", "CONDA_PREFIX", "SYSTEMROOT", "WINDIR", "COMSPEC", "PATHEXT"),
 )
+_PREFIXES = ("LC_", "PYTHON", "COVERAGE_", "NUMBA_", "TORCH", "PYTORCH_", "CUDA_", "NVIDIA_")
 """Environment variables of this process that the policy gets, by name and by the beginning of their
 name."""
 
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+"""Environment variables of numerical libraries with their number of threads. It is one, because a
+process with several threads cannot be forked."""
 
-class ProcessorTimeError(Exception):
-    """A policy has used more processor time than it may."""
+
+class DeadlineError(Exception):
+    """A policy has not answered before its deadline. The message is the cause as a clause."""
 
 
 class EndedError(Exception):
@@ -91,48 +64,49 @@ class EndedError(Exception):
     clause."""
 
 
+@cache
+def has_bubblewrap() -> bool:
+    """Whether bubblewrap is installed and may create namespaces."""
+    if shutil.which("bwrap") is None:
+        return False
+    return subprocess.run([*_BUBBLEWRAP, "--", "true"], capture_output=True).returncode == 0
+
+
+_BUBBLEWRAP = (
+    *("bwrap", "--unshare-all", "--die-with-parent", "--cap-drop", "ALL"),
+    *("--ro-bind", "/", "/", "--dev", "/dev", "--proc", "/proc"),
+    *("--ro-bind", "/proc/sys", "/proc/sys"),  # the administrator may write there
+)
+"""Beginning of a command that sees neither network nor other processes, and writes no file."""
+
+
 class PolicyProcess:
-    """A process, the thread that talks to it, and the thread that drains its standard error.
+    """A process with an empty home, working folder and cache of its own, behind bubblewrap where that
+    is installed; the thread that talks to it, and the thread that drains its standard error."""
 
-    Args:
-        sandboxed_names: names of the policy and of its wrappers for which the process is put into a
-            sandbox; None for no sandbox.
-    """
-
-    def __init__(self, sandboxed_names: Sequence[str] | None = None) -> None:
-        folder = tempfile.mkdtemp(prefix=FOLDER)
-        environment = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        environment |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
-        for name, value in os.environ.items():
-            if name.upper() in _ENVIRONMENT or name.startswith(_ENVIRONMENT_PREFIXES):
-                environment.setdefault(name, value)
+    def __init__(self) -> None:
+        folder = Path(tempfile.mkdtemp(prefix="cablebot-policy-"))
         command = [
-            sys.executable,
-            "-P",
-            "-c",
+            *(sys.executable, "-P", "-c"),
             "from cablebot_gym.isolation.server import main; main()",
         ]
-        self._sandboxed = sandboxed_names is not None
-        passed: tuple[int, ...] = ()
+        self.is_behind_bubblewrap = has_bubblewrap()
+        if self.is_behind_bubblewrap:
+            command = [*_BUBBLEWRAP, "--bind", str(folder), str(folder), "--", *command]
         pipe = subprocess.PIPE
-        with ExitStack() as stack:
-            if sandboxed_names is not None:
-                descriptor = stack.enter_context(filter_descriptor())
-                passed = (descriptor,)
-                command = sandboxed(command, sandboxed_names, Path(folder), descriptor)
-            self._popen = subprocess.Popen(
-                command,
-                stdin=pipe,
-                stdout=pipe,
-                stderr=pipe,
-                env=environment,
-                start_new_session=True,
-                pass_fds=passed,
-            )
+        environment = _environment(folder)
+        self._popen = subprocess.Popen(
+            command,
+            stdin=pipe,
+            stdout=pipe,
+            stderr=pipe,
+            env=environment,
+            cwd=folder / "work",
+            start_new_session=True,
+        )
         self._requests: queue.SimpleQueue[_Request | None] = queue.SimpleQueue()
         self._replies: queue.SimpleQueue[tuple[int, bytes] | None] = queue.SimpleQueue()
         self._stderr = bytearray()
-        self._processor_time = ProcessorTime()
         self._drainer = threading.Thread(
             target=_drain, args=(self._popen.stderr, self._stderr), daemon=True
         )
@@ -146,75 +120,88 @@ class PolicyProcess:
         """Ends the process; also called when the object is collected and when the interpreter
         exits."""
 
-    def exchange(
-        self,
-        kind: int,
-        body: bytes,
-        largest: int,
-        seconds: float,
-        processor: float = math.inf,
-    ) -> tuple[int, bytes]:
+    def exchange(self, kind: int, body: bytes, largest: int, deadline: float) -> tuple[int, bytes]:
         """Kind and body of the reply to a request. The body has at most ``largest`` or :data:`TEXT`
         bytes.
 
+        Args:
+            kind: kind of the request.
+            body: its body.
+            largest: largest length of the reply [bytes].
+            deadline: largest processor time of the answer [s].
+
         Raises:
-            queue.Empty: if there is no reply within ``seconds``.
-            ProcessorTimeError: if the policy uses more than ``processor`` seconds of processor
-                time. Nothing is measured if they are infinite.
+            DeadlineError: if the policy uses more processor time, or :data:`WAITING` times as much
+                elapsed time.
             EndedError: if the process has ended, or if the reply is invalid.
         """
         self._requests.put((kind, body, max(largest, TEXT)))
-        reply = self._reply(seconds, processor)
+        reply = self._reply(deadline)
         if reply is not None:
             return reply
         try:
             status = self._popen.wait(GRACE)  # the pipe closes shortly before the process ends
         except subprocess.TimeoutExpired:
             raise EndedError("its process closed its pipe or sent invalid data") from None
-        if self._sandboxed and status > 128:  # as shells report a signal
+        if self.is_behind_bubblewrap and status > 128:  # as shells report a signal
             status = 128 - status
+        self._drainer.join(GRACE)  # the last bytes of standard error
+        raise self.ended(status)
+
+    def ended(self, status: int) -> EndedError:
+        """The error of a process that has ended with an exit status, which is negative for a
+        signal."""
         cause = f"its process ended with exit status {status}"
         if status < 0:
             with suppress(ValueError):
                 cause = f"its process was ended by {signal.Signals(-status).name}"
-        self._drainer.join(GRACE)  # the last bytes of standard error
         last_line = plain(bytes(self._stderr).decode(errors="replace").strip().rpartition("\n")[2])
         if last_line:
             cause += f"; the last line of its standard error is {last_line!r}"
-        raise EndedError(cause)
+        return EndedError(cause)
 
-    def processor_time(self) -> float:
-        """Processor time of the policy since the last question [s], rounded to its samples; 0 where
-        it cannot be measured."""
-        return self._processor_time.report()
-
-    def _reply(self, seconds: float, processor: float) -> tuple[int, bytes] | None:
+    def _reply(self, deadline: float) -> tuple[int, bytes] | None:
         """The next reply, with samples of the processor time while it is awaited."""
         start = time.monotonic()
+        first_sample = None
         while True:
-            reply = None
-            is_late = True
-            remaining = max(start + seconds - time.monotonic(), 0.0)
             with suppress(queue.Empty):
-                reply = self._replies.get(timeout=min(remaining, SAMPLING))
-                is_late = False
-            now = time.monotonic()
-            # calls can be short, so most of them are between two samples
-            is_due = now - start >= SAMPLING or self._processor_time.is_due(now, SAMPLING)
-            if is_due and not math.isinf(processor):
-                self._processor_time.sample(now, processor_time_of(self._popen.pid))
-                # a part of it may be that of the short calls since the last sample
-                possible = (now - start) * (os.cpu_count() or 1)
-                if min(self._processor_time.unreported, possible) > processor:
-                    raise ProcessorTimeError
-            if not is_late:
-                return reply
-            if now - start >= seconds:
-                raise queue.Empty
+                return self._replies.get(timeout=SAMPLING)
+            used = processor_time(self._popen.pid)
+            if first_sample is None:
+                first_sample = used
+            if used - first_sample > deadline:
+                raise DeadlineError(f"it used more than {deadline:g} s of processor time")
+            if time.monotonic() - start > WAITING * deadline:
+                raise DeadlineError(f"it did not answer within {WAITING * deadline:g} s")
 
 
 _Request = tuple[int, bytes, int]
 """Kind and body of a request, and the largest length of the body of its reply [bytes]."""
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    """Environment variables of a policy's process, with home, working folder, temporary files and
+    cache in a folder. It reads the compiled code of this process, and writes its own into its
+    cache: a policy must not replace code that later runs execute."""
+    # numba takes a second, which other commands save
+    from cablebot_gym.physics.code_cache import SHARED_CODE, code_folders
+
+    environment = {}
+    for name, value in os.environ.items():
+        if name.upper() in _VARIABLES or name.startswith(_PREFIXES):
+            environment[name] = value
+    environment.pop("NUMBA_CACHE_DIR", None)
+    environment |= make_folders(folder) | dict.fromkeys(_THREADS, "1")
+    environment["PYTHONPATH"] = os.pathsep.join(search_path())
+    environment[CACHE_VARIABLE] = str(folder / "cache")
+    environment[SHARED_CODE] = os.pathsep.join(map(str, code_folders()))
+    return environment
+
+
+def search_path() -> list[str]:
+    """Search path of modules for another process, which has another working folder."""
+    return [os.path.abspath(folder) for folder in sys.path]
 
 
 def _talk(
@@ -244,26 +231,25 @@ def _drain(pipe: IO[bytes], tail: bytearray) -> None:
 
 def _end(
     popen: subprocess.Popen[bytes],
-    folder: str,
+    folder: Path,
     requests: queue.SimpleQueue[_Request | None],
     threads: list[threading.Thread],
 ) -> None:
-    """Ends a process, its process group and, on Linux, every other process that has inherited its
-    limit of memory."""
+    """Ends a process, all processes below it (Linux), and its process group."""
     requests.put(None)
+    for _ in range(_SWEEPS):
+        below = _processes(popen.pid).keys() - {popen.pid}
+        for number in below:
+            with suppress(OSError):
+                os.kill(number, signal.SIGKILL)
+        if not below:
+            break
     with suppress(OSError):
         popen.kill()
     if hasattr(os, "killpg"):
         with suppress(OSError):
             os.killpg(popen.pid, signal.SIGKILL)
     popen.wait()
-    for _ in range(_SWEEPS):
-        started = _processes_of(popen.pid)
-        for number in started:
-            with suppress(OSError):
-                os.kill(number, signal.SIGKILL)
-        if not started:
-            break
     for thread in threads:
         thread.join(1.0)
     if not any(thread.is_alive() for thread in threads):
@@ -274,52 +260,48 @@ def _end(
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def _processes_of(number: int) -> list[int]:
-    """Numbers of the processes that have the limit of memory of the policy's process with a number
-    (Linux).
-
-    A process group would miss those in a session of their own.
-    """
-    if not sys.platform.startswith("linux"):
-        return []
-    processes = []
-    limit = f" {memory_limit(number)} "
-    for path in Path("/proc").glob("[0-9]*/limits"):
-        with suppress(OSError):
-            if limit in path.read_text(encoding="ascii"):
-                processes.append(int(path.parent.name))
-    return processes
-
-
-def processor_time_of(number: int) -> float:
-    """Processor time of the policy's process with a number [s]: its own, that of all processes
-    below it, and that of those which have left it but have its limit of memory (Linux; 0
-    elsewhere). Ended processes count if their parent has waited for them."""
-    if not sys.platform.startswith("linux"):
-        return 0.0
+def _processes(root: int) -> dict[int, int]:
+    """Processor time of a process and of every running one below it, by their numbers [ticks]
+    (Linux; empty elsewhere). The time of an ended process is that of the parent that waited for
+    it."""
     times: dict[int, int] = {}
     children: dict[int, list[int]] = {}
+    if not sys.platform.startswith("linux"):
+        return times
     for path in Path("/proc").glob("[0-9]*/stat"):
-        # a process can end meanwhile
-        with suppress(OSError, ValueError, IndexError):
+        with suppress(OSError, ValueError, IndexError):  # a process can end meanwhile
             # the name of the program, in parentheses, can hold spaces and parentheses
-            fields = path.read_bytes().rpartition(b")")[2].split()
+            state, parent, *fields = path.read_bytes().rpartition(b")")[2].split()
+            if state == b"Z":
+                continue
             process = int(path.parent.name)
-            parent = int(fields[1])
-            times[process] = sum(map(int, fields[11:15]))  # user and system, own and of children
-            children.setdefault(parent, []).append(process)
-    counted: set[int] = set()
-    waiting = [number, *_processes_of(number)]
+            times[process] = sum(map(int, fields[9:13]))  # user and system, own and of children
+            children.setdefault(int(parent), []).append(process)
+    found: dict[int, int] = {}
+    waiting = [root]
     while waiting:
         process = waiting.pop()
-        if process not in counted:
-            counted.add(process)
+        if process in times and process not in found:
+            found[process] = times[process]
             waiting += children.get(process, [])
-    ticks = sum(times.get(process, 0) for process in counted)
-    return ticks / os.sysconf("SC_CLK_TCK")
+    return found
+
+
+def processor_time(root: int) -> float:
+    """Processor time of a process and of all that it has started [s]; 0 outside Linux."""
+    ticks = sum(_processes(root).values())
+    return ticks / os.sysconf("SC_CLK_TCK") if ticks else 0.0
 
 
 def plain(text: object) -> str:
     """A text of a policy in one line of printable characters."""
     printable = "".join(character if character.isprintable() else " " for character in str(text))
     return " ".join(printable.split())[:_LINE]
+
+
+def parse_json(body: bytes) -> object:
+    """JSON data of a reply; None if it is invalid."""
+    try:
+        return json.loads(body)
+    except (ValueError, RecursionError):
+        return None

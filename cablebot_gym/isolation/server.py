@@ -1,11 +1,16 @@
 """The process of an isolated policy, which :mod:`cablebot_gym.isolation.process` starts.
 
+It imports and loads the policy once. Each batch of episodes gets a fork of it, so the policy
+remembers nothing of earlier batches, and a batch does not pay for imports. A process with several
+threads is not forked: it serves a single batch.
+
 Requests and replies are frames: :data:`HEADER` and a body. The judge pickles its requests. Replies
 are numbers or JSON, because the judge must never unpickle what a policy can have written.
 """
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
 import os
@@ -15,33 +20,36 @@ import signal
 import struct
 import sys
 import tempfile
-import threading
-import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import IO, Any
 
-from cablebot_gym.policies.adapters import PolicyFactory, RealTime
-from cablebot_gym.policies.entry import entry_spec
 from cablebot_gym.policies.protocol import PolicyError, declarations, predicted, reset_policy
 from cablebot_gym.policies.spec import PolicySpec, load
 from cablebot_gym.utils.user_code import raised
 
 HEADER = struct.Struct("<BQ")
 """Header of a frame: kind, number of bytes of the body."""
-LOAD, RESET, PREDICT, DESCRIBE = range(4)
-"""Kinds of requests."""
-ANSWER, FAILURE, INVALID = range(3)
-"""Kinds of replies: a result; JSON of an error of the policy; JSON of a policy that cannot be
-loaded."""
-FOLDER = "cablebot-policy-"
-"""Beginning of the name of the folder for temporary files."""
+
+LOAD, START, RESET, PREDICT, END, DESCRIBE = range(6)
+"""Kinds of requests. ``START`` and ``END`` enclose a batch of a process that forks."""
+
+ANSWER, FAILURE, INVALID, ENDED = range(4)
+"""Kinds of replies: a result; JSON of an error of the policy; JSON of a policy that cannot be loaded;
+JSON of the exit code of the process of a batch."""
+
+_LARGEST_ERROR = 4000
+"""Largest number of characters of an error."""
 
 _MEMORY_FRACTION = 0.5
 """Fraction of the machine's memory that the process may allocate (Linux)."""
 
 _WATCH_PERIOD = 1.0
-"""Time between two checks whether the parent process is alive [s]."""
+"""Time between two checks whether the judge is alive [s]."""
+
+_SUBREAPER = 36
+"""Option of ``prctl``: processes that lose their parent become children of this process (Linux)."""
 
 
 def send_frame(pipe: IO[bytes], kind: int, body: bytes) -> None:
@@ -77,36 +85,36 @@ def receive_frame(pipe: IO[bytes], largest: float = math.inf) -> tuple[int, byte
     return kind, body
 
 
+def make_folders(folder: Path) -> dict[str, str]:
+    """Makes an empty home, working folder and folder for temporary files in a folder, and returns
+    the environment variables that name them."""
+    for name in ("home", "work", "tmp"):
+        (folder / name).mkdir()
+    variables = dict.fromkeys(("HOME", "USERPROFILE"), str(folder / "home"))
+    return variables | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder / "tmp"))
+
+
 class _Server:
     """A policy and its state."""
 
-    def load(
-        self,
-        name: str,
-        robot: Any,
-        path: list[str],
-        real_time: float | None = None,
-        wrappers: tuple[str, ...] = (),
-    ) -> bytes:
-        """Loads the policy, for real time if there is a control period, and returns its
-        declarations as JSON."""
+    def load(self, name: str, robot: Any, path: list[str], wrappers: tuple[str, ...] = ()) -> bytes:
+        """Loads the policy and returns its declarations as JSON."""
         sys.path[:] = path
-        target = PolicySpec.parse(name).target
-        name = name.removesuffix(target) + entry_spec(target)
         loaded = load(name, robot, wrappers=wrappers)
         self._policy = loaded.policy
         self._cables = robot.cables
         self._state = None
-        if real_time is not None:
-            self._policy = PolicyFactory(
-                lambda: RealTime(load(name, robot, wrappers=wrappers).policy, real_time)
-            )
         described = declarations(self._policy)._asdict() | {
             "notes": loaded.notes,
             "wrappers": loaded.wrappers,
             "fallbacks": hasattr(self._policy, "fallbacks"),
+            "forks": _can_fork(),
         }
         return json.dumps(described).encode()
+
+    def start(self) -> bytes:
+        """Starts a batch."""
+        return b""
 
     def reset(self, tasks: Any) -> bytes:
         """Resets the policy."""
@@ -144,7 +152,7 @@ class _Server:
 
 
 def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
-    """Answers requests.
+    """Answers requests, those of a batch in a fork.
 
     Raises:
         OSError: if a pipe is closed.
@@ -152,29 +160,72 @@ def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
     server = _Server()
     methods: dict[int, Callable[..., bytes]] = {
         LOAD: server.load,
+        START: server.start,
         RESET: server.reset,
         PREDICT: server.predict,
         DESCRIBE: server.describe,
     }
     while True:
         kind, request = receive_frame(requests)
+        if kind == END:
+            os._exit(0)  # threads of the policy may still run
+        if kind == START:
+            folder = Path(tempfile.mkdtemp())
+            exit_code = _fork(folder)
+            if exit_code is not None:
+                shutil.rmtree(folder, ignore_errors=True)
+                send_frame(replies, ENDED, json.dumps(exit_code).encode())
+                continue
         try:
             body = methods[kind](*pickle.loads(request))
         except BaseException as error:
-            failure = FAILURE
-            text = raised(error)
-            index = None
-            if isinstance(error, PolicyError):
-                text = error.cause
-                index = error.index
-            elif kind == LOAD and isinstance(error, (ValueError, ImportError)):
-                failure = INVALID
-                text = str(error)
-            send_frame(
-                replies, failure, json.dumps({"error": text[:4000], "index": index}).encode()
-            )
+            failure, description = _described(error, is_loading=kind == LOAD)
+            send_frame(replies, failure, description)
         else:
             send_frame(replies, ANSWER, body)
+
+
+def _described(error: BaseException, *, is_loading: bool) -> tuple[int, bytes]:
+    """Kind and body of the reply for an error."""
+    failure = FAILURE
+    text = raised(error)
+    index = None
+    if isinstance(error, PolicyError):
+        text = error.cause
+        index = error.index
+    elif is_loading and isinstance(error, (ValueError, ImportError)):
+        failure = INVALID
+        text = str(error)
+    return failure, json.dumps({"error": text[:_LARGEST_ERROR], "index": index}).encode()
+
+
+def _can_fork() -> bool:
+    """Whether a fork of this process works like it: a fork has no other threads."""
+    return sys.platform == "linux" and len(os.listdir("/proc/self/task")) == 1
+
+
+def _fork(folder: Path) -> int | None:
+    """Forks this process. In the fork it returns None, with home, working folder and temporary files
+    in a folder. Here it waits for the fork, and returns its exit code, which is negative for a
+    signal. If the judge ends meanwhile, it ends the whole group of processes."""
+    judge = os.getppid()
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})
+    child = os.fork()
+    if child == 0:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGCHLD})
+        os.environ.update(make_folders(folder))
+        os.chdir(folder / "work")
+        tempfile.tempdir = None
+        return None
+    while True:
+        signal.sigtimedwait({signal.SIGCHLD}, _WATCH_PERIOD)
+        if os.getppid() != judge:
+            os.killpg(0, signal.SIGKILL)
+        ended = -1
+        while ended != 0:  # also processes that the policy has left
+            ended, status = os.waitpid(-1, os.WNOHANG)
+            if ended == child:
+                return os.waitstatus_to_exitcode(status)
 
 
 def main() -> None:
@@ -185,59 +236,20 @@ def main() -> None:
     null = os.open(os.devnull, os.O_RDWR)
     os.dup2(null, 0)
     os.dup2(null, 1)
-    _limit_resources()
-    # the policy may change the environment variables
-    parent = os.getppid()
-    folder = tempfile.gettempdir()
-    threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
-    with suppress(OSError):  # the parent process is gone, or the policy has closed the pipes
+    if sys.platform == "linux":
+        _prepare_linux()
+    with suppress(OSError):  # the judge is gone, or the policy has closed the pipes
         serve(requests, replies)
-    _remove(folder)
     os._exit(0)  # threads of the policy may still run
 
 
-def _limit_resources() -> None:
-    """Limits the memory, so that a policy that allocates without end fails before other processes
-    do."""
-    if not sys.platform.startswith("linux"):
-        return
+def _prepare_linux() -> None:
+    """Makes this process the parent of all that the policy leaves behind, and limits the memory, so
+    that a policy that allocates without end fails before other processes do."""
     import resource
 
-    memory = memory_limit(os.getpid())
+    ctypes.CDLL(None).prctl(_SUBREAPER, 1, 0, 0, 0)
+    memory = int(_MEMORY_FRACTION * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     with suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
-        with open("/proc/self/oom_score_adj", "w", encoding="ascii") as file:
-            file.write("1000")
-
-
-def memory_limit(number: int) -> int:
-    """Limit of the memory of the policy's process with a number [bytes] (Linux).
-
-    It differs between processes. A process inherits it, whatever its environment and session, so it
-    tells which processes a policy has started.
-    """
-    import resource
-
-    limit = int(_MEMORY_FRACTION * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
-    if hard != resource.RLIM_INFINITY:
-        limit = min(limit, hard)
-    return limit - number
-
-
-def _end_with(parent: int, folder: str) -> None:
-    """Ends the process and its children when the parent process has ended, and removes the
-    temporary files."""
-    while os.getppid() == parent:
-        time.sleep(_WATCH_PERIOD)
-    _remove(folder)
-    if hasattr(os, "killpg"):
-        os.killpg(0, signal.SIGKILL)
-    os._exit(1)
-
-
-def _remove(folder: str) -> None:
-    """Removes the folder for temporary files, which the parent process does if it is alive."""
-    if os.path.basename(folder).startswith(FOLDER):
-        shutil.rmtree(folder, ignore_errors=True)

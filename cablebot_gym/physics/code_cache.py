@@ -32,6 +32,10 @@ from cablebot_gym.utils.files import atomic_write, cache_folder, is_writable_dir
 
 PACKAGE = "cablebot_gym"
 
+SHARED_CODE = "CABLEBOT_SHARED_CODE"
+"""Environment variable with folders that compiled code is read from. New code is then written to the
+cache folder only."""
+
 REMEDY = "set NUMBA_CACHE_DIR to a writable folder"
 """Advice where compiled code cannot be stored."""
 
@@ -116,6 +120,9 @@ class CodeCache(_Cache):
 
 def code_folders() -> list[Path]:
     """Folders that compiled code is read from. It is written to the last one."""
+    shared = os.environ.get(SHARED_CODE)
+    if shared:
+        return [*map(Path, shared.split(os.pathsep)), cache_folder() / "compiled"]
     named = str(config.CACHE_DIR)
     return list(_folders(named, cache_folder()))
 

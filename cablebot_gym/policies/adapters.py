@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -23,9 +22,6 @@ from cablebot_gym.policies.protocol import (
 from cablebot_gym.policies.wrappers import Coroutine, Stack
 from cablebot_gym.task import Task
 from cablebot_gym.utils.user_code import raised
-
-WARM_UP = 10
-"""Number of first actions that are never late: libraries load and code is compiled there."""
 
 
 def as_policy(policy: Any) -> Policy:
@@ -187,54 +183,6 @@ class OpenLoop:
         step = state or 0
         action = self._actions[step]
         return np.broadcast_to(action, (*observation.shape[:-1], len(action))), step + 1
-
-
-class RealTime:
-    """A policy for one episode whose late actions are replaced by the last one, as a real-time
-    controller would.
-
-    ``PolicyFactory(lambda: RealTime(make_policy(), period))`` times the actions of each episode one
-    by one. The times differ between runs, so the policy is stochastic. The clock is that of the
-    policy's process, which can change it: the times hold for honest policies only.
-
-    Args:
-        policy: a policy or a callable ``observation -> action``.
-        period: control period [s]; infinite if no action is late.
-    """
-
-    def __init__(self, policy: Any, period: float) -> None:
-        self._policy, self._period = as_policy(policy), period
-        self.name = name_of(policy)
-        self.unsaturated_actions, _, self.measurement = declarations(self._policy)
-        self.stochastic = True
-        self.times: list[float] = []
-        """Times of the actions of the present episode [s]."""
-        self.reset_time = 0.0
-        """Time of the last reset [s]."""
-        self._last_action: Array = np.zeros(0)
-
-    def reset(self, tasks: tuple[Task, ...]) -> None:
-        """Resets the policy."""
-        self.times = []
-        start = time.perf_counter()
-        reset_policy(self._policy, self.name, lambda: tasks)
-        self.reset_time = time.perf_counter() - start
-
-    def predict(
-        self,
-        observation: Array,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[Array, Any]:
-        """Action of the policy, or its last one if it is late. The first :data:`WARM_UP` actions
-        are never late."""
-        start = time.perf_counter()
-        action, state = self._policy.predict(observation, state, episode_start, deterministic)
-        self.times.append(time.perf_counter() - start)
-        if len(self.times) <= WARM_UP or self.times[-1] <= self._period:
-            self._last_action = action
-        return self._last_action, state
 
 
 class NormalisedPolicy:

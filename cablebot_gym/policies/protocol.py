@@ -74,15 +74,18 @@ class PolicyEntry:
     """Whether it computes for seconds at the start of each new motion. Surveys of many motions have
     fewer of them then."""
     unsaturated_actions: bool = False
-    """Whether a test of this project holds the policy to its declaration ``unsaturated_actions``.
-    The paper criterion marks the results of other policies as declared, also of policies of other
-    packages."""
+    """Whether the policy declares ``unsaturated_actions``. A test holds the policies of this project
+    to it; the paper criterion marks the results of others as declared."""
     known_robot: bool = False
     """Whether the policy is for a robot that is exactly known: it fails unloaded on some robots of
     ``hardware`` whose payload is unknown."""
     files: tuple[Path, ...] | None = None
     """Data files that the policy reads, such as weights. Benchmark results depend on their content.
     None stands for all files in the folder of the policy's module."""
+
+
+LONGEST_NOTE = 200
+"""Largest number of characters of a note of a policy."""
 
 
 class PolicyError(RuntimeError):
@@ -176,24 +179,17 @@ class LoadedPolicy:
     """Name in results and messages."""
     declarations: Declarations
     """What the policy declares about itself."""
-    held: bool = False
-    """Whether a test of this project holds the policy to its declaration
-    ``unsaturated_actions``."""
     shipped: bool = False
     """Whether it has only code of this project, see
     :attr:`cablebot_gym.policies.spec.PolicySpec.shipped`."""
     isolated: bool = False
-    """Whether it runs in a process of its own, where it cannot change the evaluation."""
+    """Whether it runs in a process of its own."""
+    bubblewrap: bool = False
+    """Whether this process runs behind bubblewrap, without network and without writing files."""
     wrappers: tuple[str, ...] = ()
     """Names of the wrappers of the training, the innermost first."""
     notes: tuple[str, ...] = ()
     """Sentences for the user, about wrappers that were added without being named."""
-
-    @property
-    def protected(self) -> bool:
-        """Whether it cannot change its evaluation: it is isolated, or has only code of this
-        project."""
-        return self.isolated or self.shipped
 
     @property
     def fallbacks(self) -> float | None:
@@ -375,6 +371,6 @@ def name_of(policy: Any) -> str:
 
 
 @cache
-def say(note: str) -> None:
-    """Logs a note once in a process; without a handler it goes to standard error."""
-    logging.getLogger("cablebot_gym").warning("note: %s", note)
+def say(name: str, note: str) -> None:
+    """Logs a note of a policy once in a process; without a handler it goes to standard error."""
+    logging.getLogger("cablebot_gym").warning("note of policy %r: %s", name, note[:LONGEST_NOTE])

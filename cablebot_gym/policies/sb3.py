@@ -110,10 +110,10 @@ def behind_wrappers(
         training = model.get_vec_normalize_env()
         if training is not None and not stack.normalises:
             stack = Stack([*wrappers, statistics("VecNormalize", pickle.dumps(training))], robot)
-            note = f"{subject} gets observations normalised by the VecNormalize of its training environment"
+            note = "its observations are normalised by the VecNormalize of its training environment"
         elif beside is not None and not stack.normalises:
             stack = Stack([*wrappers, beside], robot)
-            note = f"{subject} gets observations normalised by {str(beside)!r}, which was found beside it"
+            note = f"its observations are normalised by {beside.name!r}, which was found beside it"
         normalised = _check_spaces(model, subject, stack)
     if normalised and not stack.wrappers:
         return NormalisedPolicy(policy, stack.layout)

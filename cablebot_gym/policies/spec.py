@@ -18,7 +18,6 @@ from typing import Any, Literal, cast
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.policies.adapters import as_policy
-from cablebot_gym.policies.entry import CARD, POLICY_SUFFIXES
 from cablebot_gym.policies.options import (
     parse_options,
     split_options,
@@ -66,9 +65,12 @@ another kind. It raises a ValueError with an explanation if the file is of its k
 or made for another robot."""
 
 
-Kind = Literal["entry", "installed", "file", "factory", "unknown"]
-"""Kind of a policy's name: folder of an entry with its card; name of an installed policy, also with
-options; ``.zip`` file; ``package.module:factory`` or ``file.py:factory``."""
+POLICY_SUFFIXES = (".zip",)
+"""Suffixes of policy files."""
+
+Kind = Literal["installed", "file", "factory", "unknown"]
+"""Kind of a policy's name: name of an installed policy, also with options; ``.zip`` file;
+``package.module:factory`` or ``file.py:factory``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,9 +105,7 @@ class PolicySpec:
         installed_name, options = split_options(target)
         points = _own_first(entry_points(group=ENTRY_POINT_GROUP, name=installed_name))
         kind: Kind = "unknown"
-        if Path(target, CARD).is_file():
-            kind = "entry"
-        elif points:
+        if points:
             kind = "installed"
         elif target.endswith(POLICY_SUFFIXES):
             kind = "file"
@@ -126,26 +126,11 @@ class PolicySpec:
         return self.kind == "installed" and not self.estimators
 
     @property
-    def own(self) -> bool:
-        """Whether it is the name of a policy of this project alone, and not of another installed
-        package."""
-        return self.installed and is_own(self.points[0])
-
-    @property
     def shipped(self) -> bool:
         """Whether this project ships all the code that the name stands for: the policy, and the
         estimators in front of it."""
         is_own_policy = self.kind == "installed" and is_own(self.points[0])
         return is_own_policy and all(is_own(point) for point in self.estimators)
-
-    @property
-    def held(self) -> bool:
-        """Whether this project holds the policy to its declaration ``unsaturated_actions``.
-
-        False stands for every other policy, also of other packages, whose declaration is taken on
-        trust.
-        """
-        return self.own and bool(self.points[0].load().unsaturated_actions)
 
     def entry(self) -> PolicyEntry | None:
         """The entry of the installed policy, imported; None if there is none.
@@ -276,13 +261,12 @@ def load(
         spec = PolicySpec.parse(policy)
         target, subject, beside = _make(spec, robot)
         estimators = spec.estimators
-        held = spec.held and not wrappers
         shipped = spec.shipped and not wrappers
     else:
         subject = f"policy {name or name_of(policy)!r}"
         beside = None
         estimators = ()
-        held = shipped = False
+        shipped = False
         if isinstance(policy, type):
             target = _call(policy, robot, subject)
         else:
@@ -291,14 +275,14 @@ def load(
     made = target = behind_wrappers(target, robot, subject, wrappers, beside)
     for estimator in reversed(estimators):
         made = estimator.load()(robot, made)
+    name = name or name_of(policy)
     note = getattr(target, "note", "")
     if note:
-        say(note)
+        say(name, note)
     return LoadedPolicy(
         policy=made,
-        name=name or name_of(policy),
+        name=name,
         declarations=declarations(made),
-        held=held,
         shipped=shipped,
         wrappers=tuple(getattr(target, "wrappers", ())),
         notes=(note,) if note else (),
@@ -325,11 +309,6 @@ def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
     """The target of a name without wrappers, the subject of messages, and a file of statistics
     beside it."""
     name, subject = spec.target, f"policy {spec.target!r}"
-    if spec.kind == "entry":
-        raise ValueError(
-            f"entry {name!r} runs in a process of its own only: `cablebot dlcc` does it without "
-            "--no-isolate, and IsolatedPolicy in Python"
-        )
     entry = spec.entry()
     if entry is not None:
         return _from_entry(entry, robot, spec.options), subject, None
@@ -342,7 +321,7 @@ def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
     forms = (
         "a learned bundle or an SB3 file ending in .zip, file.py:factory, or package.module:factory"
     )
-    check_not_a_file("policy", name, f"{forms}, or the folder of an entry with its card")
+    check_not_a_file("policy", name, forms)
     raise unknown_name_error("policy", name, policy_entries(), f", {forms}")
 
 

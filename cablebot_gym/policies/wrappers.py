@@ -380,7 +380,7 @@ class NamedWrapper:
                 return cls(name=name, wrap=normalised_observation, forms=(VECTOR,))
             try:
                 if name.endswith(".pkl"):
-                    return statistics(name, foreign_bytes(Path(name), links=True))
+                    return statistics(name, foreign_bytes(Path(name)))
                 wrap = import_object(name)
             except OSError as error:
                 raise ValueError(f"cannot read wrapper {name!r}: {error.strerror}") from error

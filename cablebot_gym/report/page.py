@@ -99,10 +99,7 @@ def page_data(
     for reference in scores.best_known_payloads(records).values():
         if not varied_fields(reference.cell):
             references.append(reference)
-    authors: dict[str, str] = {}
-    for source in sources:
-        authors |= source.authors
-    boards = scores.leaderboards(records, authors)
+    boards = scores.leaderboards(records)
     rows = []
     last_boards = {board.env_id: board for board in boards}
     for board in boards:

@@ -11,15 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, policy_process
 from cablebot_gym.bounds.best_known import cached_best_known
 from cablebot_gym.evaluation.batch import Batch, Row, draw_seeds
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
-from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies import PolicySpec
 from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.rendering.moment import ball_radius
 from cablebot_gym.rendering.projection import attached_points
@@ -109,15 +107,13 @@ def replays(cell: PolicyCell, dlcc: float | None) -> list[Replay]:
         cablebot_gym.policies.protocol.PolicyError: if the policy raises an exception or returns an
             invalid action.
     """
-    policy: Any = cell.policy
-    if PolicySpec.parse(policy).kind == "entry":
-        policy = IsolatedPolicy(policy, cell.robot)
     conditions = Conditions.of(cell.env_id, draws=1, **cell.env_options())
-    batch = Batch(policy, conditions)
     seed = draw_seeds(cell.seed, cell.draws)[0]
     rows = [Row(payload, seed) for payload in _payloads(dlcc)]
     recorder = Recorder(range(len(rows)), _RECORDED)
-    verdicts = batch.run(rows, observer=recorder, full_motion=True)
+    with policy_process(cell) as policy:
+        batch = Batch(policy, conditions)
+        verdicts = batch.run(rows, observer=recorder, full_motion=True)
     return [compress(rollout) for rollout in recorder.rollouts(verdicts)]
 
 

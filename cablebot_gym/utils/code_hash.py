@@ -36,17 +36,6 @@ def source_hash(*modules: str, data: tuple[Path, ...] = ()) -> str:
     return digest.hexdigest()[:16]
 
 
-def file_digest(*modules: str, data: tuple[Path, ...] = ()) -> str:
-    """SHA-256 of the bytes of the files that :func:`source_hash` depends on, comments and
-    docstrings included."""
-    digest = hashlib.sha256()
-    for name, path in sorted(source_files(*modules).items()):
-        digest.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
-    contents = [f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n" for path in data]
-    digest.update("".join(sorted(contents)).encode())
-    return digest.hexdigest()
-
-
 def source_files(*modules: str) -> dict[str, Path]:
     """Files by name of the modules, of their imports from their own packages and from
     ``cablebot_gym``."""

@@ -42,7 +42,7 @@ def read_cached(path: Path, decode: Callable[[bytes], _Value]) -> _Value | None:
     if not os.path.exists(path):
         return None
     try:
-        return decode(foreign_bytes(path, links=True))
+        return decode(foreign_bytes(path))
     except Exception as error:
         _LOGGER.warning(
             "%s is damaged (%s); it is ignored, and its content is computed again", path, error
@@ -55,12 +55,12 @@ JSON_FORM = "a .json file on the command line, and its data in Python"
 
 
 def read_text(path: Path) -> str:
-    """The text of a file that a person gives by its path, which may be a link.
+    """The text of a file that a person gives by its path.
 
     Raises:
         OSError, ValueError: see :func:`~cablebot_gym.utils.foreign.foreign_text`.
     """
-    return foreign_text(path, links=True)
+    return foreign_text(path)
 
 
 def check_not_a_file(kind: str, name: object, forms: str) -> None:

@@ -42,4 +42,4 @@ def table(rows: Iterable[Sequence[str]]) -> str:
 def all_leaderboards() -> tuple[Leaderboard, ...]:
     """The tables of the stored leaderboard."""
     results = Results.from_json(RESULTS.read_text(encoding="utf-8"))
-    return tuple(leaderboards(results.records, results.authors))
+    return tuple(leaderboards(results.records))

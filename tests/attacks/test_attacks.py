@@ -1,167 +1,138 @@
-"""The attack suite: every policy is refused, harmless or marked, in a process of its
-own."""
+"""Twelve attacks, each in a process of its own beside the honest law: they are refused, or gain
+nothing. docs/attacks.md has the same table."""
 
-import json
 import re
+import shutil
 import sys
-from dataclasses import replace
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
-from attacks.suite import (
-    ALONE,
-    ATTACKS,
-    ENV_ID,
-    FOLDER,
-    LESS,
-    SANDBOX,
-    SANDBOXED,
-    SCORED,
-    cheats,
-    page,
-    policy_name,
-    process_cheats,
-    run,
-    survey_suite,
+from attacks import cheats
+from numba.core import config
+
+from cablebot_gym.evaluation import PolicyError, evaluate_dlcc
+from cablebot_gym.isolation import IsolatedPolicy
+from cablebot_gym.isolation.process import has_bubblewrap
+from cablebot_gym.physics.code_cache import code_folders
+from cablebot_gym.robots import SPATIAL
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc"),
+]
+
+FOLDER = Path(__file__).parent
+PAGE = FOLDER.parents[1] / "docs" / "attacks.md"
+RESOLUTION = 0.01
+SEED = 7
+"""Evaluation seed. A policy does not know it, and tries the default, 0."""
+
+HONEST = "payload of the honest law"
+AT_MOST = "at most the payload of the honest law"
+ROWS = "depends on the other episodes of its batch"
+
+
+@dataclass(frozen=True)
+class Attack:
+    """A policy of cheats.py and its outcome."""
+
+    name: str
+    outcome: str
+    """What the payload is, or words of the error."""
+    uncertainty: str | None = None
+    """Name of an uncertainty of cheats.py."""
+    draws: int | None = None
+
+    @property
+    def is_refused(self):
+        return self.outcome not in (HONEST, AT_MOST)
+
+
+ATTACKS = (
+    Attack("batch_mean", ROWS, "NOISE", draws=64),
+    Attack("row_median", AT_MOST, "LIGHT_NOISE", draws=64),
+    Attack("known_seed", HONEST, "NOISE", draws=1),
+    Attack("module_memory", HONEST),
+    Attack("file_memory", HONEST),
+    Attack("wide_bounds", HONEST),
+    Attack("bribed_judge", HONEST),
+    Attack("replaced_code", HONEST),
+    Attack("noisy", "is not reproducible"),
+    Attack("hangs", "it used more than 2 s of processor time"),
+    Attack("daemon", HONEST),
+    Attack("ends", "its process ended with exit status 0"),
 )
 
-from cablebot_gym.benchmark.records import compute
-from cablebot_gym.evaluation import survey
-from cablebot_gym.evaluation.evaluator import evaluate_dlcc
-from cablebot_gym.isolation.sandbox import sandbox_problem
-from cablebot_gym.policies import PolicyError
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the policies use signals and fork")
+@pytest.fixture(autouse=True)
+def _search_path(monkeypatch):
+    monkeypatch.syspath_prepend(FOLDER)
 
 
-def descendants():
-    """Processes that policies of this suite have left."""
-    pids = set()
+@cache
+def payload_of(name, uncertainty, draws, deadline=60.0):
+    """Payload of a policy [kg]; 0 if it fails unloaded."""
+    with IsolatedPolicy(f"cheats:{name}", SPATIAL, deadline=deadline) as policy:
+        result = evaluate_dlcc(
+            policy,
+            "CableBot-Spatial-v0",
+            payload_max=10.0,
+            resolution=RESOLUTION,
+            seed=SEED,
+            uncertainty=None if uncertainty is None else getattr(cheats, uncertainty),
+            draws=draws,
+        )
+    return result.score
+
+
+def left_behind():
+    """Processes of the policy ``daemon``."""
+    found = set()
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
-            pids |= {path.parent.name} if b"time.sleep(600)" in path.read_bytes() else set()
+            if f"time.sleep({cheats.SLEEP})".encode() in path.read_bytes():
+                found.add(path.parent.name)
         except OSError:
             continue
-    return pids
+    return found
 
 
-@pytest.mark.slow
+@pytest.fixture
+def compiled(tmp_path, monkeypatch):
+    """A copy of the folder of compiled code, which is the one that this process uses."""
+    folder = tmp_path / "cablebot_gym"
+    shutil.copytree(code_folders()[-1], folder)
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    assert code_folders()[-1] == folder
+    return folder
+
+
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack.name)
-def test_attack_on_an_isolated_evaluation(attack):
-    before = descendants()
-    status, out, err = run(attack.name, attack.options)
-    assert status == attack.status, err
-    assert descendants() <= before
-    assert "Traceback" not in err
-    if attack.status:
-        assert out == ""
-        message = err.splitlines()[-1]
-        assert message.startswith(f"cablebot: policy '{policy_name(attack.name)}'")
-        assert attack.now in message
-        assert len(message) < 2000
-        return
-    (result,) = json.loads(out)
-    if attack.now == SCORED:
-        assert result["stochastic"] or result["declared"]
-        return
-    (honest,) = json.loads(run("Law", attack.options)[1])
-    payload = result["payload"] or 0.0
-    expected = honest["payload"] or 0.0
-    tolerance = result["resolution"] + honest["resolution"]
-    least, most = expected, expected
-    if attack.now == LESS:
-        least, most = 0.0, expected / 2
-    if attack.now == ALONE:  # random seeds move the payload of the honest policy
-        least, most = 0.0, expected + 0.03
-    assert least - tolerance <= payload <= most + tolerance
+def test_attack_is_refused_or_gains_nothing(attack, compiled):
+    if attack.name == "replaced_code" and not has_bubblewrap():
+        pytest.skip("a bare process can replace the files of its user")
+    conditions = attack.uncertainty, attack.draws
+    before = {path.name: path.read_bytes() for path in compiled.iterdir()}
+    if attack.is_refused:
+        pattern = rf"^policy 'cheats:{attack.name}'.*{re.escape(attack.outcome)}"
+        with pytest.raises(PolicyError, match=pattern):
+            payload_of(attack.name, *conditions, deadline=2.0)
+    else:
+        payload = payload_of(attack.name, *conditions)
+        expected = payload_of("Honest", *conditions)
+        assert payload <= expected + 3 * RESOLUTION
+        if attack.outcome == HONEST:
+            assert payload >= expected - 3 * RESOLUTION
+    assert left_behind() == set()
+    for name, content in before.items():
+        assert (compiled / name).read_bytes() == content
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("attack", survey_suite.SURVEY_ATTACKS, ids=lambda attack: attack.name)
-def test_attack_on_a_survey(attack, monkeypatch):
-    """A tenth of the repeated episodes of deterministic policies suffices to refuse them."""
-    monkeypatch.chdir(FOLDER)
-    monkeypatch.setattr(survey, "REPEATED", 6)
-    honest = survey_suite.unprotected("Honest").mean()
-    assert honest == pytest.approx(survey_suite.HONEST, abs=survey_suite.TOLERANCE)
-    unprotected = survey_suite.unprotected(attack.name).mean()
-    tolerance = survey_suite.TOLERANCE + attack.scatter
-    assert unprotected == pytest.approx(attack.unprotected, abs=tolerance)
-    record = compute(replace(survey_suite.CELL, policy=f"survey_cheats:{attack.name}"))
-    if attack.error:
-        assert attack.error in record.error
-        return
-    assert record.error is None
-    payload = np.mean(record.result["payloads"])
-    assert payload <= honest + survey_suite.TOLERANCE
-    if attack.now != survey_suite.AT_MOST:
-        assert payload >= honest - survey_suite.TOLERANCE
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sandbox_problem() != "", reason=sandbox_problem())
-@pytest.mark.parametrize("attack", SANDBOXED, ids=lambda attack: attack.name)
-def test_attack_on_the_operating_system_fails_in_a_sandbox(attack):
-    """Without a sandbox it succeeds, so the attack is one."""
-    status, _, err = run(attack.name)
-    assert status == attack.status, err
-    assert attack.now in err, err
-    status, out, err = run(attack.name, SANDBOX)
-    assert status == 0, err
-    assert json.loads(out)[0]["payload"] == pytest.approx(
-        json.loads(run("Law")[1])[0]["payload"], abs=0.02
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sandbox_problem() != "", reason=sandbox_problem())
-@pytest.mark.parametrize("name", ["hidden_daemon", "kills_itself"])
-def test_ends_of_processes_are_the_same_in_a_sandbox(name):
-    (attack,) = (candidate for candidate in ATTACKS if candidate.name == name)
-    before = descendants()
-    status, _, err = run(name, SANDBOX)
-    assert status == attack.status, err
-    assert attack.status == 0 or attack.now in err, err
-    assert descendants() <= before
-
-
-@pytest.mark.parametrize(
-    "attack", [attack for attack in ATTACKS if attack.fast], ids=lambda attack: attack.name
-)
-def test_attack_on_an_evaluation_in_this_process(attack, monkeypatch):
-    monkeypatch.chdir(FOLDER)
-    settings = {"trajectory": {"name": "dwell-spatial", "duration": 0.05}, "resolution": 0.01}
-    if attack.options:
-        settings |= {"uncertainty": cheats.NOISE, "draws": 64}
-    if attack.status:
-        with pytest.raises(
-            PolicyError, match=rf"^policy '{policy_name(attack.name)}'.*{re.escape(attack.now)}"
-        ):
-            evaluate_dlcc(policy_name(attack.name), ENV_ID, **settings)
-        return
-    result = evaluate_dlcc(policy_name(attack.name), ENV_ID, **settings)
-    honest = evaluate_dlcc("cheats:Law", ENV_ID, **settings)
-    assert result.payload == honest.payload
-    assert result.violation == honest.violation
-    assert result.details.margins == honest.details.margins
-
-
-def test_every_policy_is_in_the_suite_and_on_the_page():
-    policies = set()
-    for module in (cheats, process_cheats):
-        for name, value in vars(module).items():
-            is_here = getattr(value, "__module__", "") in ("cheats", "process_cheats")
-            if callable(value) and is_here and name.islower() and value.__doc__:
-                policies.add(name)
-    assert policies - {
-        "policy",
-        "model_payload",
-        "filtered",
-        "thresholded",
-        "_better_after",
-        "_folder",
-    } == {attack.name for attack in ATTACKS + SANDBOXED}
-    assert (FOLDER.parents[1] / "docs" / "attacks.md").read_text(encoding="utf-8") == page(), (
-        "run python tests/attacks/suite.py > docs/attacks.md"
-    )
+def test_page_has_the_attacks():
+    text = PAGE.read_text(encoding="utf-8")
+    for attack in ATTACKS:
+        what = " ".join(getattr(cheats, attack.name).__doc__.split())
+        outcome = f"error: {attack.outcome}" if attack.is_refused else attack.outcome
+        assert re.search(rf"\| {re.escape(what)} \| .+ \| {re.escape(outcome)} \|", text), what

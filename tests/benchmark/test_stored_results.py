@@ -9,13 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell
-from cablebot_gym.benchmark.engine import local
+from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, SurveyCell
+from cablebot_gym.benchmark.check import compare_rows
 from cablebot_gym.benchmark.leaderboard import Results, markdown
 from cablebot_gym.benchmark.records import compute
-from cablebot_gym.benchmark.scores import leaderboards, payload_maps
-from cablebot_gym.benchmark.suites import find_policies, find_suite, suite_cells
-from cablebot_gym.benchmark.verification import broken, confirm
+from cablebot_gym.benchmark.scores import RANKED_MOTIONS, leaderboards, payload_maps
+from cablebot_gym.benchmark.seeds import evaluation_seed, hidden_seeds
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.report.page import merge_records
 
@@ -52,22 +51,11 @@ def test_results_have_the_cells_of_their_suite(results, name):
     """The only errors are missed deadlines. Policies that are not installed any more, or not for an
     environment any more, are left out where the suite does not name their environments."""
     stored = results[name]
-    suite = find_suite(stored.suite)
-    policy_records = records_of(stored, PolicyCell)
-    (seed,) = {record.cell.seed for record in policy_records}
-    policies = sorted({record.cell.policy for record in policy_records} & policy_entries().keys())
-    supported = {policy: policy_entries()[policy].env_ids for policy in policies}
-    env_ids = [env_id for env_id in suite.env_ids if env_id not in stored.due]
-    policies = [policy for policy in policies if set(supported[policy]) & set(env_ids)]
-    cells = suite_cells(suite, find_policies(policies, env_ids), seed=seed, board=stored.board)
-    kept = []
-    for record in stored.records:
-        policy = getattr(record.cell, "policy", None)
-        env_id = record.cell.env_id
-        is_named = any(env_id in block.env_ids for block in suite.blocks)
-        if policy is None or is_named or env_id in supported.get(policy, ()):
-            kept.append(record.cell.key)
-    assert sorted(kept) == sorted(cells)
+    rows = compare_rows(stored)
+    assert rows.missing == ()
+    supported = {name: entry.env_ids for name, entry in policy_entries().items()}
+    for cell in rows.unexpected:
+        assert cell.env_id not in supported[cell.policy]
     for record in stored.records:
         assert record.error is None or "did not answer within" in record.error
     for record in records_of(stored, BestKnownCell):
@@ -95,18 +83,16 @@ def test_leaderboards_and_maps_leave_out_real_robots(results):
     assert payload_maps(records) == []
 
 
-@pytest.mark.slow
-def test_uncertain_payloads_are_carried_in_fresh_draws(results):
-    confirmations = list(
-        confirm(results["leaderboard"].records, local(2), cells=2, draws=256, seed=23, say=print)
-    )
-    surveyed = [confirmation for confirmation in confirmations if confirmation.is_surveyed]
-    assert broken(surveyed) == ""
-    assert [
-        str(confirmation)
-        for confirmation in confirmations
-        if confirmation not in surveyed and confirmation.success_rate < 0.93
-    ] == []
+def test_seeds_of_the_leaderboard_follow_from_its_text(results):
+    leaderboard = results["leaderboard"]
+    assert leaderboard.suite == "ranked"
+    seed = evaluation_seed(leaderboard.seed_text)
+    assert {record.cell.seed for record in records_of(leaderboard, PolicyCell)} == {seed}
+    for record in records_of(leaderboard, SurveyCell):
+        motions = record.cell.trajectory["seed"]
+        assert len(motions) >= RANKED_MOTIONS
+        seeds = hidden_seeds(leaderboard.seed_text, record.cell.env_id, len(motions))
+        assert list(motions) == seeds
 
 
 @pytest.mark.slow

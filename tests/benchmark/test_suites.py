@@ -14,6 +14,7 @@ from cablebot_gym.benchmark.cells import (
     canonical,
 )
 from cablebot_gym.benchmark.policy_source import policy_source
+from cablebot_gym.benchmark.seeds import hidden_seeds
 from cablebot_gym.benchmark.suites import (
     QUICK_ENV_IDS,
     SUITES,
@@ -21,6 +22,7 @@ from cablebot_gym.benchmark.suites import (
     find_env_ids,
     find_policies,
     find_suite,
+    hidden_motions,
     suite_cells,
 )
 from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot
@@ -31,19 +33,13 @@ from cablebot_gym.uncertainty import find_uncertainty
 
 PLANAR = "CableBot-Planar-v0"
 SPATIAL = "CableBot-Spatial-v0"
-
-
-class AnyBoard:
-    """Stands for a board."""
-
-    def seeds(self, env_id, count):
-        return list(range(2**50, 2**50 + count))
+TEXT = "A headline of 4 January 2027"
 
 
 def cells_of(name, names=()):
     """All cells of a suite, with the usual policies or those given."""
     suite = find_suite(name)
-    return list(suite_cells(suite, find_policies(names, suite.env_ids), board=AnyBoard()).values())
+    return list(suite_cells(suite, find_policies(names, suite.env_ids), seed_text=TEXT).values())
 
 
 def policy_cells(name, names=()):
@@ -98,7 +94,13 @@ def test_suite_has_every_fast_policy_on_its_held_out_motions(name):
         evaluated.add((cell.env_id, cell.policy))
         seeds |= {part.trajectory.get("seed") for part in parts(cell)}
     assert evaluated == fast
-    held_out = held_out_seeds(3) if name == "standard" else AnyBoard().seeds("", 100)
+    held_out = set(held_out_seeds(3))
+    if name == "ranked":
+        held_out = {
+            seed
+            for env_id in env_ids
+            for seed in hidden_seeds(TEXT, env_id, hidden_motions(env_id, 100))
+        }
     assert seeds == {None, *held_out}
     timed = {(cell.env_id, cell.policy) for cell in cells_of(name) if isinstance(cell, TimingCell)}
     assert timed >= fast
@@ -151,15 +153,6 @@ def test_suite_that_evaluates_none_of_the_policies_names_those_that_it_does(suit
 
 def test_errors_are_evaluated_for_slow_policies_too():
     assert {cell.policy for cell in policy_cells("errors", ["nmpc"])} == {"nmpc"}
-
-
-def test_real_time_repeats_every_episode():
-    suite = find_suite("standard")
-    some = suite_cells(suite, {PLANAR: ("fl",)}, real_time=True).values()
-    drawn = {
-        (cell.uncertainty, cell.options()["draws"]) for cell in some if isinstance(cell, PolicyCell)
-    }
-    assert drawn == {(None, 59), ("hardware", 512), ("table6", 512)}
 
 
 def test_policies_are_assigned_to_their_environments():

@@ -1,11 +1,9 @@
 """``cablebot benchmark``: files, resume, interrupts and failing policies. Bad input is in
 test_commands."""
 
-import hashlib
 import json
 import sys
 from dataclasses import replace
-from datetime import UTC, datetime
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -13,7 +11,7 @@ import pytest
 from cli.conftest import read_json
 
 from cablebot_gym.benchmark import suites
-from cablebot_gym.benchmark.cells import PolicyCell, canonical
+from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.records import compute
 from cablebot_gym.benchmark.suites import Block, Suite
 from cablebot_gym.cli import app as cli
@@ -24,11 +22,8 @@ CHANGES = {"payload_max": 4.0}
 BLOCKS = (Block(conditions={"payload_known": [True, False], **CHANGES}),)
 TINY = Suite(name="tiny", summary="circle", env_ids=(PLANAR,), blocks=BLOCKS)
 TIMED = replace(TINY, name="timed", blocks=(Block(conditions=CHANGES),), timing=True)
-DRAWN = {"payload_known": False, "uncertainty": "sensors", "draws": 64}
-BEACON = ("--beacon", "drand quicknet round 7", "--beacon-date", "2027-01-04T12:00Z")
-VALUE = ("--beacon-value", "8F3C02")
 MOTIONS = Block(motion="hidden", motions=2, conditions=CHANGES)
-HIDDEN = replace(TINY, name="hidden", blocks=(MOTIONS, Block(conditions=CHANGES | DRAWN)))
+HIDDEN = replace(TINY, name="hidden", blocks=(MOTIONS,))
 
 
 @pytest.fixture
@@ -86,19 +81,23 @@ def test_files_table_and_json_have_the_same_numbers(benchmark, best, tmp_path):
     assert benchmark("--json").out == (ended.folder / "results.json").read_text()
 
 
-def test_row_of_stored_results_is_computed_again(benchmark, best, cablebot):
+def test_check_finds_a_changed_payload_and_a_missing_row(benchmark, best, cablebot, cache):
+    benchmark()
     path = benchmark().folder / "results.json"
-    verify = f"benchmark --verify {path} --policies fl --ids {PLANAR} --workers 1"
-    same = cablebot(verify)
+    check = f"benchmark --check 3 --out {path.parent} --workers 1"
+    same = cablebot(check)
     assert same.status == 0
-    assert same.out.count("stored") == 2
-    assert "all payloads are those of the results" in same.out
+    assert same.out.count("equal: ") == 3
+    assert "all rows of the suite are there" in same.out
     results = read_json(path)
     results["cells"][-1]["result"]["payload"] += 0.1
+    del results["cells"][-2]
     path.write_text(json.dumps(results))
-    assert cablebot(verify).status == 1
-    message = cablebot(verify.replace("fl", "robust")).message(2)
-    assert "no cells of robust" in message
+    changed = cablebot(check)
+    assert changed.status == 1
+    assert "1 row missing, 0 not in the suite, 1 with another payload" in " ".join(
+        changed.err.split()
+    )
 
 
 def test_second_run_computes_nothing_and_gives_the_same_bytes(benchmark, best, monkeypatch):
@@ -177,76 +176,17 @@ def test_folder_in_place_of_a_file_is_found_before_the_work(benchmark, best, tmp
     best.assert_not_called()
 
 
-@pytest.fixture
-def clock(monkeypatch):
-    """Sets the time of the command to a day of January 2027; it is the first at the start."""
-
-    def set_day(day):
-        now = datetime(2027, 1, day, tzinfo=UTC)
-        monkeypatch.setattr("cablebot_gym.benchmark.board.utc_now", lambda: now)
-
-    set_day(1)
-    return set_day
+def test_hidden_suite_needs_a_seed_text(benchmark, best):
+    ended = benchmark(suite="hidden")
+    assert ended.status == 2
+    assert "add --seed-text TEXT" in " ".join(ended.err.split())
+    best.assert_not_called()
 
 
-def test_hidden_suite_needs_a_commitment_and_its_public_value(benchmark, best, clock):
-    def refused(*options, policies="fl", suite="hidden"):
-        ended = benchmark(*options, suite=suite, policies=policies)
-        assert ended.status == 2
-        best.assert_not_called()
-        return " ".join(ended.err.split())
-
-    assert "--commit VERSION" in refused(*VALUE)
-    assert '--beacon "drand quicknet round 12345678"' in refused("--commit", "2027-1")
-    assert "belong to --commit VERSION" in refused(*BEACON)
-    assert "exclude each other" in refused("--commit", "2027-1", *BEACON, *VALUE)
-    assert "add --suite ranked" in refused(*VALUE, suite="tiny")
-    clock(5)
-    assert "is not in the future" in refused("--commit", "2027-1", *BEACON)
-    clock(1)
-    committed = benchmark("--commit", "2027-1", *BEACON, suite="hidden")
-    assert committed.status == 0
-    assert "drand quicknet round 7" in committed.out
-    salt = read_json(committed.folder / "secret.json")["salt"]
-    assert salt not in committed.out + (committed.folder / "board.json").read_text()
-    assert "committed without the present adaptive" in refused(*VALUE, policies="fl,adaptive")
-    for option in (("--seed", 1), ("--any-source",)):
-        assert "accepts neither --seed nor --any-source" in refused(*option, *VALUE)
-    assert "start the board then" in refused(*VALUE)
-    clock(5)
-    assert "add --beacon-value TEXT" in refused()
-
-
-@pytest.mark.slow
-def test_board_is_run_published_and_verified(benchmark, best, cablebot, clock):
-    committed = benchmark("--commit", "1", *BEACON, suite="hidden")
-    salt = read_json(committed.folder / "secret.json")["salt"]
-    clock(5)
-    ended = benchmark(*VALUE, suite="hidden")
+def test_seed_text_is_stored_and_shown(benchmark, best):
+    ended = benchmark("--seed-text", "a headline", suite="hidden")
     assert ended.status == 0
-    assert not (ended.folder / "run.json").exists()
+    assert read_json(ended.folder / "results.json")["seed_text"] == "a headline"
     page = (ended.folder / "leaderboard.md").read_text()
-    for text in ("## Board 1", salt, "8f3c02", "drand quicknet round 7"):
-        assert text in page
-    assert benchmark(suite="hidden").out == ended.out
-    for path in (ended.folder / "cells").glob("*circle*"):
-        cell = read_json(path)
-        del cell["checksum"]
-        cell["checksum"] = hashlib.sha256(canonical(cell).encode()).hexdigest()
-        path.write_text(json.dumps(cell))
-    resumed = benchmark(suite="hidden")
-    assert "is damaged; its cell is computed again" in " ".join(resumed.err.split())
-    verify = f"benchmark --verify {ended.folder} --draws 64 --workers 1"
-    good = cablebot(verify, *VALUE)
-    assert good.status == 0
-    assert good.out.count("promised") == 1
-    assert "salt and policies match the commitment" in good.out
-    assert "has the public value" in cablebot(f"{verify} --beacon-value 8f3c03").message(2)
-    path = ended.folder / "results.json"
-    results = read_json(path)
-    (drawn,) = (cell for cell in results["cells"] if cell["cell"].get("uncertainty"))
-    drawn["result"]["payload"] += 1.0
-    path.write_text(json.dumps(results))
-    bad = cablebot(verify)
-    assert bad.status == 1
-    assert "0 of 1 payloads keep their promise" in bad.out
+    assert '`"a headline"`' in page
+    assert "--seed-text 'a headline'" in page

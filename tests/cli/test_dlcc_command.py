@@ -7,6 +7,7 @@ import pytest
 from cli.conftest import LOST, names, read_json
 
 from cablebot_gym.evaluation.constraints import Violation
+from cablebot_gym.isolation.process import has_bubblewrap
 from cablebot_gym.robots import library
 
 PLANAR = "CableBot-Planar-v0"
@@ -160,6 +161,7 @@ def test_isolated_policy_gives_the_same_result(cablebot):
     (isolated,) = cablebot(f"{same} --isolate --deadline 30").data
     (shared,) = cablebot(same).data
     assert (isolated.pop("isolated"), shared.pop("isolated")) == (True, False)
+    assert (isolated.pop("bubblewrap"), shared.pop("bubblewrap")) == (has_bubblewrap(), False)
     assert isolated == shared
 
 

@@ -9,18 +9,14 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from attacks.hostile_entries import BRACKETS, HUGE, sparse
 from clock import HANG
 
-from cablebot_gym.benchmark.board import read_board, run_seed
 from cablebot_gym.benchmark.cells import PolicyCell
-from cablebot_gym.benchmark.entries import CLAIMS, read_claims
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.cli.benchmark import read_results
 from cablebot_gym.cli.options import _read_data
 from cablebot_gym.measurement import find_measurement
 from cablebot_gym.policies import load_policy
-from cablebot_gym.policies.entry import read_entry
 from cablebot_gym.report.recording import _read as read_episodes
 from cablebot_gym.robots import PLANAR, find_robot
 from cablebot_gym.trajectories import find_trajectory
@@ -29,6 +25,14 @@ from cablebot_gym.utils.user_code import sentence_of_user_code
 from cablebot_gym.utils.workers import _portable
 
 ROOT = Path(__file__).parents[2]
+
+HUGE = "1" + "0" * 400
+"""A number beyond the largest float."""
+
+BRACKETS = "[" * 200_000 + "]" * 200_000
+"""JSON that a recursive reader cannot read."""
+
+
 MOTION = """
 from cablebot_gym.trajectories import Reference
 class Lost:
@@ -49,14 +53,6 @@ def of_training(path):
     return read_yaml("CableBot-Planar-v0", path)
 
 
-def card(path):
-    return read_entry(path.rename(path.with_name("entry.json")).parent)
-
-
-def claims(path):
-    return read_claims(path.rename(path.with_name(CLAIMS)).parent)
-
-
 SQUARE = (ROOT / "examples" / "square.toml").read_text()
 READERS = {
     "robot.toml": (find_robot, SQUARE),
@@ -65,8 +61,6 @@ READERS = {
     "way.csv": (lambda path: find_trajectory(str(path), "planar"), "t,x,y\n0,0,0\n1,0.1,0\n"),
     "train.yaml": (of_training, "default: {n_envs: 3}\n"),
     "results.json": (read_results, "{}"),
-    "card.json": (card, "{}"),
-    "claim.json": (claims, "{}"),
 }
 
 
@@ -117,8 +111,6 @@ def option(path):
 RECORD = json.dumps({"cell": CELL.to_dict(), "source": CELL.source, "result": {"payload": 1}})
 ALL_READERS = READERS | {
     "motion.json": (option, '{"name": "circle-planar", "duration": 1}'),
-    "run.json": (lambda path: run_seed(path.parent), '{"seed": 1}'),
-    "board.json": (lambda path: read_board(path.parent), '{"motions": 1}'),
     "cell.json": (cell, RECORD),
     "episode.json": (read_episodes, '[{"payload": 1}]'),
     "state.json": (training, '{"timesteps": 1}'),
@@ -131,6 +123,12 @@ HOSTILE = {
     "huge number": lambda path, text: path.write_text(re.sub(r"\d+(\.\d+)?|^{}$", HUGE, text)),
     "list": lambda path, text: path.write_text("[]"),
 }
+
+
+def sparse(path):
+    """Makes a file of 200 GiB that takes no space on the disk."""
+    path.touch()
+    os.truncate(path, 200 << 30)
 
 
 @pytest.fixture

@@ -3,20 +3,19 @@ themselves."""
 
 import numpy as np
 import pytest
-from attacks.suite import cheats
+from attacks import cheats
 from clock import Clock
 from evaluation.conftest import Dropping
 from numpy.testing import assert_array_equal
 
 from cablebot_baselines.classical import FeedbackLinearization
-from cablebot_gym.envs import limits
-from cablebot_gym.evaluation import PolicyError, batch, evaluate_dlcc, time_actions
+from cablebot_gym.evaluation import PolicyError, batch, evaluate_dlcc, time_actions, timing
 from cablebot_gym.evaluation.batch import ALONE, RISK, STOCHASTIC_ALONE, Batch
 from cablebot_gym.evaluation.search import FINER, REPEATED_DRAWS, SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
 from cablebot_gym.isolation import IsolatedPolicy
-from cablebot_gym.policies import PolicyFactory, RealTime, adapters
+from cablebot_gym.policies import PolicyFactory
 from cablebot_gym.robots import SPATIAL, find_robot
 
 SPATIAL_ID = "CableBot-Spatial-v0"
@@ -43,8 +42,18 @@ def evaluated(policy, **keywords):
 # --- random actions and the check alone -------------------------------------------------------------------------------
 
 
+class DeclaredNoise(Law):
+    """Adds 2 % of noise, and declares it."""
+
+    stochastic = True
+
+    def act(self, observation):
+        action = super().act(observation)
+        return action * np.random.default_rng().normal(1, 0.02, action.shape)
+
+
 def test_declared_stochastic_policy_is_scored_over_repeats():
-    result = evaluated(cheats.declared_noise(SPATIAL), draws=60)
+    result = evaluated(DeclaredNoise(), draws=60)
     assert result.details.stochastic
     assert result.draws == 60
     assert result.assured
@@ -129,26 +138,27 @@ def test_stochastic_policy_that_takes_a_seed_raises(where):
 # --- one process ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["cached_motors", "false_limits", "other_judge"])
-def test_evaluation_after_a_contaminating_policy_keeps_its_payload(name, monkeypatch):
-    robot = find_robot("spatial")
-    expected = evaluated("fl").payload
-    for function in ("within_bound", "is_taut", "is_held", "is_unsaturated"):
-        monkeypatch.setattr(limits, function, getattr(limits, function))
-    monkeypatch.setattr(batch, "Judge", batch.Judge)
-    motors = robot.motors
-    try:
-        result = evaluated(getattr(cheats, name)(robot))
-        assert evaluated("fl").payload == expected
-    finally:
-        object.__setattr__(robot, "motors", motors)
-    assert not result.isolated
-    assert "not isolated" in str(result)
+def test_policy_gets_copies_of_tasks_and_robot():
+    result = evaluated(cheats.wide_bounds(find_robot("spatial")))
+    honest = evaluated(Law())
+    assert result.payload == honest.payload
+    assert result.details.margins == honest.details.margins
 
 
-def test_method_of_the_judge_cannot_be_replaced():
-    with pytest.raises(TypeError, match=r"Judge.verdict cannot be replaced"):
-        batch.Judge.verdict = None
+def test_result_tells_which_foreign_policies_ran_before(monkeypatch):
+    monkeypatch.setattr(batch, "_FOREIGN", {})
+    first = evaluated("fl")
+    assert first.details.foreign_before == ()
+    assert first.trust == []
+    mine = evaluated(Law(), name="mine")
+    assert mine.trust == ["not isolated"]
+    with IsolatedPolicy("fl", SPATIAL) as policy:
+        isolated = evaluated(policy)
+    later = evaluated("fl")
+    for result in (isolated, later):
+        assert result.details.foreign_before == ("mine",)
+        assert result.to_dict()["foreign_before"] == ["mine"]
+        assert "after mine in this process" in str(result)
 
 
 def test_policy_of_this_project_runs_in_the_process_of_the_evaluation():
@@ -175,11 +185,11 @@ def batches(monkeypatch):
     return seeds_of_batches
 
 
-def test_draws_of_the_check_alone_are_fresh_and_secret(batches):
-    results = [evaluated(Law(), uncertainty="sensors", draws=60) for _ in range(2)]
+def test_draws_of_the_check_alone_are_fresh(batches):
+    result = evaluated(Law(), uncertainty="sensors", draws=60)
     alone = [seeds[0] for seeds in batches if len(seeds) == 1]
     needed_draws = plausible_successes(60, 60, ALONE, RISK)
-    assert len({*alone} - {*results[0].draw_seeds}) == len(alone) == 2 * needed_draws > 0
+    assert len({*alone} - {*result.draw_seeds}) == len(alone) == needed_draws > 0
 
 
 def test_failed_recording_keeps_the_payload_of_one_draw():
@@ -231,17 +241,16 @@ def test_dense_check_finds_an_island_of_failures(uncertainty):
     assert result.details.feasible[0] == (0.0, result.payload)
 
 
-def test_seed_moves_the_payloads_of_the_scan_and_their_order_is_secret():
-    orders = []
+def test_seed_moves_the_payloads_of_the_scan():
+    grids = []
     for seed in (0, 0, 1):
         scanned = []
         evaluated(
             Dropping(lambda payload, scanned=scanned: scanned.append(payload) or payload > 9),
             seed=seed,
         )
-        orders.append(scanned[0])
-    assert np.any(orders[0] != orders[1])
-    first, same, other = np.sort(orders)
+        grids.append(scanned[0])
+    first, same, other = grids
     assert_array_equal(first, same)
     assert np.all(first[1:-1] != other[1:-1])
     assert (other[0], other[-1]) == (0, 20)
@@ -306,7 +315,7 @@ class Slow(Law):
 @pytest.fixture
 def clock(monkeypatch):
     clock = Clock()
-    monkeypatch.setattr(adapters, "time", clock)
+    monkeypatch.setattr(timing, "time", clock)
     return clock
 
 
@@ -328,17 +337,3 @@ def test_episode_without_actions_to_time_raises(clock):
         time_actions(
             Slow(clock), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.01}
         )
-
-
-def test_late_action_is_replaced_by_the_last_one(clock):
-    def sleeping(observation):
-        steps.append(1)
-        clock.sleep(0.01 if len(steps) == WARM_UP + 3 else 0.0)
-        return np.full(6, float(len(steps)))
-
-    steps = []
-    policy = RealTime(sleeping, 0.005)
-    policy.reset(())
-    actions = [policy.predict(np.zeros((1, 3)))[0][0, 0] for _ in range(WARM_UP + 4)]
-    assert actions[WARM_UP:] == [WARM_UP + 1, WARM_UP + 2, WARM_UP + 2, WARM_UP + 4]
-    assert PolicyFactory(lambda: RealTime(Law(), 0.002)).stochastic

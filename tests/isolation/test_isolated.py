@@ -2,15 +2,12 @@
 tests/attacks."""
 
 import gc
-import itertools
 import json
 import os
 import queue
-import re
 import signal
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,11 +16,11 @@ import numpy as np
 import pytest
 from clock import HANG, Clock, wait_until
 
-from cablebot_gym.isolation import IsolatedPolicy, isolated, process
-from cablebot_gym.isolation.deadlines import TOTAL, WAITING_FOR_ALL, Deadlines, ProcessorTime
-from cablebot_gym.isolation.process import ProcessorTimeError, processor_time_of
-from cablebot_gym.isolation.server import ANSWER, LOAD
-from cablebot_gym.policies import PolicyError
+from cablebot_gym.isolation import IsolatedPolicy, process
+from cablebot_gym.isolation.process import DeadlineError, PolicyProcess, processor_time
+from cablebot_gym.isolation.server import ANSWER
+from cablebot_gym.physics.code_cache import code_folders
+from cablebot_gym.policies.protocol import say
 from cablebot_gym.robots import SPATIAL
 
 MODULE = """
@@ -31,7 +28,8 @@ import json, os, subprocess, sys, tempfile, threading, time
 from pathlib import Path
 import numpy as np
 
-weight = float(Path("weight.txt").read_text()) if Path("weight.txt").exists() else 0.0
+weight = float(Path(__file__).with_name("weight.txt").read_text())
+here = Path(__file__).parent
 calls = []
 
 class Policy:
@@ -48,7 +46,7 @@ class leaves(Policy):
     def value(self, observation, state):
         for options in ({}, {"start_new_session": True}, {"start_new_session": True, "env": {}}):
             child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], **options)
-            with open("pids", "a") as file:
+            with open(here / "pids", "a") as file:
                 print(child.pid, os.getpid(), tempfile.gettempdir(), file=file)
         return 0.0
 
@@ -57,12 +55,27 @@ class negative(counts):
 
 class hangs(Policy):
     def value(self, observation, state):
-        Path("pids").write_text(f"{os.getpid()} {os.getppid()} {tempfile.gettempdir()}")
+        (here / "pids").write_text(f"{os.getpid()} {os.getppid()} {tempfile.gettempdir()}")
         while True: pass
 
 class lists(Policy):
     def reset(self, tasks):
-        Path("seen").write_text(json.dumps([dict(os.environ), sys.argv, sorted(vars(tasks[0])), os.getcwd()]))
+        places = [Path.home(), Path.cwd(), Path(tempfile.gettempdir())]
+        empty = [not any(path.iterdir()) for path in places]
+        for path in places: (path / "left").touch()
+        data = [dict(os.environ), sys.argv, sorted(vars(tasks[0])), empty, list(map(str, places))]
+        (here / "seen").write_text(json.dumps(data))
+
+class threads(counts):
+    def __init__(self, robot):
+        super().__init__(robot)
+        threading.Thread(target=threading.Event().wait, daemon=True).start()
+
+class stores(Policy):
+    def reset(self, tasks):
+        from cablebot_gym.physics.code_cache import code_folders
+        code_folders()[-1].mkdir(parents=True)
+        (code_folders()[-1] / "replaced.nbc").touch()
 
 def missing(robot): return Path("missing").read_text()
 """
@@ -73,10 +86,28 @@ def spec(tmp_path, monkeypatch):
     """Name of a policy of a module in the working directory, which is found as on the command
     line."""
     (tmp_path / "mine.py").write_text(MODULE)
+    (tmp_path / "weight.txt").write_text("0.5")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", ["", *sys.path])
+    monkeypatch.setattr(sys, "path", [os.path.relpath(tmp_path), *sys.path])
     yield lambda name: f"mine:{name}"
     sys.modules.pop("mine", None)
+
+
+BUBBLEWRAP = pytest.mark.skipif(not process.has_bubblewrap(), reason="bubblewrap is missing")
+
+
+@pytest.fixture(params=[False, pytest.param(True, marks=BUBBLEWRAP)], ids=["bare", "bubblewrap"])
+def behind_bubblewrap(request, monkeypatch):
+    """Whether the processes of policies are behind bubblewrap."""
+    monkeypatch.setattr(process, "has_bubblewrap", lambda: request.param)
+    return request.param
+
+
+@pytest.fixture
+def bare(monkeypatch):
+    """The processes of policies are not behind bubblewrap, and can write into the folder of their
+    module."""
+    monkeypatch.setattr(process, "has_bubblewrap", lambda: False)
 
 
 @pytest.fixture(scope="module")
@@ -97,10 +128,12 @@ def alive(pid):
         return False
 
 
-def test_every_batch_gets_a_fresh_process(spec, env):
-    Path("weight.txt").write_text("0.5", encoding="ascii")
+@pytest.mark.parametrize("name", ["counts", "threads"])
+def test_every_batch_gets_a_fresh_process(spec, env, behind_bubblewrap, name):
+    """Also a policy with threads, whose process is not forked."""
     observation = np.zeros((5, 3))
-    with IsolatedPolicy(spec("counts"), SPATIAL) as policy:
+    with IsolatedPolicy(spec(name), SPATIAL) as policy:
+        assert policy.bubblewrap == behind_bubblewrap
         assert (policy.stochastic, policy.fallbacks) == (True, 0.0)
         for _ in range(2):
             policy.reset(env.tasks)
@@ -110,23 +143,73 @@ def test_every_batch_gets_a_fresh_process(spec, env):
             assert policy.predict(observation, None)[0][0, 0] == 30.5
         assert policy.predict(observation[0])[0].shape == (6,)
         assert policy.fallbacks == 3
+
+
+def test_invalid_number_of_fallbacks_is_dropped(spec):
     with IsolatedPolicy(spec("negative"), SPATIAL) as policy:
-        policy.predict(observation)
+        policy.predict(np.zeros((5, 3)))
         assert policy.fallbacks == 0
 
 
-def test_process_gets_tasks_and_few_environment_variables(spec, env, monkeypatch):
+def test_policy_is_loaded_once_for_all_batches(spec, env, monkeypatch):
+    """Importing and loading a model takes seconds of processor time."""
+    processes = []
+    start = PolicyProcess.__init__
+    monkeypatch.setattr(
+        PolicyProcess, "__init__", lambda self: processes.append(self) or start(self)
+    )
+    with IsolatedPolicy(spec("counts"), SPATIAL) as policy:
+        for _ in range(3):
+            policy.reset(env.tasks)
+            policy.predict(np.zeros((5, 3)))
+    assert len(processes) == 1
+
+
+@pytest.mark.usefixtures("bare")
+def test_process_gets_tasks_few_variables_and_empty_folders(spec, env, monkeypatch):
     monkeypatch.setenv("MY_SECRET_SEED", "7")
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    monkeypatch.setenv("NUMBA_DEBUG_CACHE", "0")
     with IsolatedPolicy(spec("lists"), SPATIAL) as policy:
-        policy.reset(env.tasks)
-    variables, arguments, task, folder = json.loads(Path("seen").read_text())
+        for _ in range(2):  # what a batch leaves is not there in the next
+            policy.reset(env.tasks)
+            variables, arguments, task, is_empty, folders = json.loads(Path("seen").read_text())
+            assert is_empty == [True] * 3
     assert "MY_SECRET_SEED" not in variables
-    assert variables["OMP_NUM_THREADS"] == "1"
+    assert variables["NUMBA_DEBUG_CACHE"] == "0"
     assert arguments == ["-c"]
-    assert folder == os.getcwd()
-    assert not Path(variables["TMPDIR"]).exists()
     assert not any("seed" in name or name == "payload" for name in task)
+    assert str(Path.home()) not in folders
+    assert os.getcwd() not in folders
+    assert not any(Path(folder).exists() for folder in folders)
+
+
+def test_process_stores_compiled_code_in_a_cache_of_its_own(spec, env, behind_bubblewrap):
+    """A policy once replaced the code that later runs execute."""
+    with IsolatedPolicy(spec("stores"), SPATIAL) as policy:
+        policy.reset(env.tasks)
+    assert not any((folder / "replaced.nbc").exists() for folder in code_folders())
+
+
+@BUBBLEWRAP
+def test_process_behind_bubblewrap_writes_no_file_and_has_no_network(spec, env):
+    Path("writes.py").write_text(
+        "import socket\nfrom pathlib import Path\nimport numpy as np\n"
+        "class Writes:\n"
+        "    def reset(self, tasks):\n"
+        f"        try: Path({os.getcwd()!r}, 'left').touch()\n"
+        "        except OSError: pass\n"
+        "        assert [name for _, name in socket.if_nameindex()] == ['lo']\n"
+        "    def predict(self, observation, *_, **__):\n"
+        "        return np.zeros((len(observation), 6)), None\n"
+    )
+    with IsolatedPolicy("writes.py", SPATIAL) as policy:
+        policy.reset(env.tasks)
+    assert not Path("left").exists()
+
+
+def test_note_is_short_and_names_its_policy(caplog, tmp_path):
+    say("mine", "x" * 1000)
+    assert f"note of policy 'mine': {'x' * 200}\n" in caplog.text
 
 
 def test_policy_that_cannot_be_loaded_gives_the_usual_error(spec):
@@ -136,6 +219,7 @@ def test_policy_that_cannot_be_loaded_gives_the_usual_error(spec):
             spec("missing"),
             r"policy 'mine:missing': the factory raised FileNotFoundError.*\(mine.py, line",
         ),
+        ("mine.py:missing", r"policy 'mine.py:missing': the factory raised FileNotFoundError"),
     ):
         with pytest.raises(ValueError, match=message):
             IsolatedPolicy(name, SPATIAL)
@@ -152,6 +236,7 @@ def test_tasks_that_cannot_be_pickled_are_rejected():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("bare")
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
 def test_processes_of_a_policy_end_when_it_is_collected(spec):
     policy = IsolatedPolicy(spec("leaves"), SPATIAL)
@@ -168,85 +253,10 @@ def test_processes_of_a_policy_end_when_it_is_collected(spec):
     assert not folder.exists()
 
 
-class Timed:
-    """Stands for the process of a policy, whose answers take the given times.
-
-    A computing policy uses a processor, and a sleeping one none.
-    """
-
-    def __init__(self, clock, times, *, computes):
-        self.clock, self.times = clock, times
-        self.processors = 1.0 if computes else 0.0
-
-    def exchange(self, kind, body, largest, seconds, processor):
-        needed = next(self.times)
-        self.used = self.processors * min(needed, seconds)
-        self.clock.sleep(min(needed, seconds))
-        if self.used > processor:
-            raise ProcessorTimeError
-        if needed > seconds:
-            raise queue.Empty
-        return ANSWER, b"{}" if kind == LOAD else bytes(largest)
-
-    def processor_time(self):
-        return self.used
-
-    def end(self):
-        pass
-
-
-def ask_for_batches(count, deadline):
-    policy = IsolatedPolicy("any", SPATIAL, deadline=deadline)
-    for _ in range(count):
-        policy.reset(())
-        policy.predict(np.zeros(3))
-        policy.predict(np.zeros(3))
-
-
-START = "loading, reset() and the first call"
-COMPUTES_TOO_LONG = f"used more than 10 s of processor time, the deadline of {START}"
-LATE = [
-    ({"load": 11.0}, True, COMPUTES_TOO_LONG),
-    ({"load": 4.0, "reset": 4.0, "first": 3.0}, True, COMPUTES_TOO_LONG),
-    ({"second": 1.5}, True, "used more than 1 s of processor time, the deadline of a call"),
-    # Each batch has a fresh process, but not a fresh budget.
-    (
-        {"load": 9.0, "reset": 0.5, "first": 0.4, "second": 0.9},
-        True,
-        "used more than 60 s of processor time, the deadline of all calls together",
-    ),
-    ({"load": 101.0}, False, f"did not answer within 100 s, 10 times the deadline of {START}"),
-    ({"second": 10.1}, False, "did not answer within 10 s, 10 times the deadline of a call"),
-    (
-        {"load": 27.0, "second": 2.9},
-        False,
-        "did not answer within 120 s, 2 times the deadline of all calls together",
-    ),
-]
-
-
-@pytest.mark.parametrize(("times", "computes", "message"), LATE)
-def test_policy_that_computes_or_sleeps_for_too_long_raises(monkeypatch, times, computes, message):
-    clock = Clock()
-    needed = itertools.cycle(
-        [times.get(call, 0.0) for call in ("load", "reset", "first", "second")]
-    )
-    monkeypatch.setattr(isolated, "time", clock)
-    monkeypatch.setattr(
-        isolated, "PolicyProcess", lambda names: Timed(clock, needed, computes=computes)
-    )
-    total = Deadlines.total
-    with pytest.raises(PolicyError, match=re.escape(f"it {message}")):
-        ask_for_batches(100, deadline=1.0)
-    assert clock.now <= WAITING_FOR_ALL * TOTAL
-    # also that of the call that fails
-    assert Deadlines.total - total == pytest.approx(clock.now if computes else 0.0)
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_processor_time_of_ended_and_running_children_counts():
     burn = "import time\nwhile time.process_time() < 0.3: pass\n"
-    before = processor_time_of(os.getpid())
+    before = processor_time(os.getpid())
     subprocess.run([sys.executable, "-c", burn], check=True)
     running = subprocess.Popen(
         [sys.executable, "-c", burn + "print(flush=True); input()"],
@@ -255,53 +265,54 @@ def test_processor_time_of_ended_and_running_children_counts():
         start_new_session=True,
     )
     running.stdout.readline()
-    assert processor_time_of(os.getpid()) - before >= 0.55
+    assert processor_time(os.getpid()) - before >= 0.55
     running.communicate(b"\n")
 
 
-@pytest.mark.parametrize("is_endless", [False, True])
-def test_processor_time_is_sampled_while_an_answer_is_awaited(monkeypatch, is_endless):
-    """Between samples short calls cost nothing; a long one is stopped before it answers."""
+class Replies:
+    """Stands for the replies of a process that answers after a time [s]."""
+
+    def __init__(self, clock, needed):
+        self.clock, self.needed = clock, needed
+
+    def get(self, timeout):
+        if self.clock.now + timeout < self.needed:
+            self.clock.sleep(timeout)
+            raise queue.Empty
+        return ANSWER, b""
+
+
+@pytest.mark.parametrize(
+    ("processors", "needed", "message"),
+    [
+        (4.0, 1.4, None),
+        (4.0, 3.0, "it used more than 5 s of processor time"),
+        (0.0, 49.0, None),
+        (0.0, 60.0, "it did not answer within 50 s"),
+    ],
+)
+def test_deadline_ends_policies_that_compute_or_sleep(monkeypatch, processors, needed, message):
+    """Four processes at once use their time together."""
     clock = Clock()
-    waits = []
-
-    class Replies:
-        def get(self, timeout):
-            clock.sleep(timeout if is_endless else 0.1)
-            waits.append(clock.now)
-            if is_endless:
-                raise queue.Empty
-            return ANSWER, b""
-
-    samples = []
-
-    def sampled(number):
-        samples.append(clock.now)
-        return clock.now
-
     monkeypatch.setattr(process, "time", clock)
-    monkeypatch.setattr(process, "processor_time_of", sampled)
-    awaited = SimpleNamespace(
-        _replies=Replies(), _processor_time=ProcessorTime(), _popen=SimpleNamespace(pid=1)
-    )
-    reply = partial(process.PolicyProcess._reply, awaited, 100.0, 2.0)
-    if is_endless:
-        with pytest.raises(ProcessorTimeError):
-            reply()
-        assert clock.now == 2.0 + process.SAMPLING
+    monkeypatch.setattr(process, "processor_time", lambda number: 7.0 + processors * clock.now)
+    awaited = SimpleNamespace(_replies=Replies(clock, needed), _popen=SimpleNamespace(pid=1))
+    if message is None:
+        assert PolicyProcess._reply(awaited, 5.0) == (ANSWER, b"")
         return
-    for _ in range(20):
-        assert reply() == (ANSWER, b"")
-        awaited._processor_time.report()
-    assert len(samples) == 4
+    with pytest.raises(DeadlineError, match=message):
+        PolicyProcess._reply(awaited, 5.0)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("bare")
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL], ids=lambda sent: sent.name)
 def test_policy_that_hangs_ends_with_the_evaluation(spec, sent):
     code = "import sys; sys.path[:0] = ['']; import numpy as np\n" + (
-        "from cablebot_gym.isolation import IsolatedPolicy\nfrom cablebot_gym.robots import SPATIAL\n"
+        "from cablebot_gym.isolation import IsolatedPolicy, process\n"
+        "from cablebot_gym.robots import SPATIAL\n"
+        "process.has_bubblewrap = lambda: False\n"
         "IsolatedPolicy('mine:hangs', SPATIAL).predict(np.zeros((1, 3)))"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
@@ -310,9 +321,7 @@ def test_policy_that_hangs_ends_with_the_evaluation(spec, sent):
             parent.poll() is not None or (Path("pids").exists() and Path("pids").stat().st_size > 0)
         )
     )
-    pid, seen, folder = Path("pids").read_text(encoding="ascii").split()
-    assert int(seen) == parent.pid
+    pid, server, _ = Path("pids").read_text(encoding="ascii").split()
     parent.send_signal(sent)
     parent.wait(HANG)
-    wait_until(lambda: not alive(int(pid)))
-    assert not Path(folder).exists()
+    wait_until(lambda: not alive(int(pid)) and not alive(int(server)))

@@ -166,7 +166,7 @@ def test_statistics_beside_the_file_are_used_and_said(trained, tmp_path, caplog)
         normalize.save(pkl)
         policy = load_policy(file, PLANAR)
         assert policy.wrappers == ("normalised_observation", str(pkl))
-        note = f"note: policy file {file!r} gets observations normalised by {str(pkl)!r}"
+        note = f"note of policy {file!r}: its observations are normalised by {pkl.name!r}"
         assert note in caplog.text
         assert_allclose(policy.predict(raw_observation)[0], expected)
     pkl.unlink()

@@ -42,7 +42,6 @@ PAGES = (
 
 FOUND = {
     "VecNormalize": "faq",
-    "submit": "faq",
     "8 cables": "faq",
     "custom robot": "faq",
     "Ctrl-C": "faq",

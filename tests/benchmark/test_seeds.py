@@ -1,0 +1,44 @@
+"""Hidden motions and the evaluation seed follow from a public text."""
+
+import hashlib
+
+import pytest
+
+from cablebot_gym.benchmark.seeds import evaluation_seed, hidden_seeds
+from cablebot_gym.benchmark.suites import Block, Suite, suite_cells
+from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
+
+PLANAR = "CableBot-Planar-v0"
+SPATIAL = "CableBot-Spatial-v0"
+TEXT = "A headline of 4 January 2027"
+HIDDEN = Suite(
+    name="s",
+    summary="",
+    env_ids=(PLANAR,),
+    blocks=(Block(motion="hidden", motions=20),),
+    best_known=False,
+)
+
+
+def test_seeds_are_the_hashes_that_the_documentation_gives():
+    digest = hashlib.sha256(TEXT.encode()).hexdigest()
+    seed = hashlib.sha256(f"{digest}:evaluation".encode()).digest()[:16]
+    assert evaluation_seed(TEXT) == int.from_bytes(seed)
+    motion = int.from_bytes(hashlib.sha256(f"{digest}:{PLANAR}:1".encode()).digest())
+    expected = FIRST_HELD_OUT_SEED + motion % (2**53 - FIRST_HELD_OUT_SEED)
+    assert hidden_seeds(TEXT, PLANAR, 2)[1] == expected
+
+
+def test_hidden_motions_depend_on_text_and_environment():
+    seeds = hidden_seeds(TEXT, PLANAR, 20)
+    others = hidden_seeds(TEXT, SPATIAL, 20) + hidden_seeds(f"{TEXT}.", PLANAR, 20)
+    assert len({*seeds, *others}) == 60
+    assert all(FIRST_HELD_OUT_SEED <= seed < 2**53 for seed in seeds)
+    cells = suite_cells(HIDDEN, {PLANAR: ("fl",)}, seed=2**127, seed_text=TEXT)
+    assert [cell.trajectory["seed"] for cell in cells.values()] == seeds
+    assert {cell.seed for cell in cells.values()} == {2**127}
+
+
+def test_hidden_motions_without_a_text_raise():
+    with pytest.raises(ValueError, match="add --seed-text TEXT"):
+        suite_cells(HIDDEN, {PLANAR: ("fl",)})
