@@ -196,7 +196,7 @@ def test_name_that_loads_no_policy_is_explained(module, name, message):
 )
 def test_options_of_a_name_are_arguments_of_the_law(name, gains, minimum_tension):
     spec = PolicySpec.parse(name)
-    assert (spec.kind, spec.own, spec.target) == ("installed", True, name)
+    assert (spec.kind, spec.shipped, spec.target) == ("installed", True, name)
     law = load_policy(name, PLANAR)
     assert (law.outer.gains, law.minimum_tension) == (gains, minimum_tension)
     assert load(f"ekf+{name}", PLANAR).name == f"ekf+{name}"
@@ -256,10 +256,11 @@ def test_policy_is_loaded_once():
     or wrappers there."""
     loaded = load("ekf+fl", PLANAR, wrappers=["normalised_observation"])
     again = load(loaded, SPATIAL, name="mine")
-    assert (again.policy, again.name, again.shipped) == (loaded.policy, "mine", True)
+    assert (again.policy, again.name, again.shipped) == (loaded.policy, "mine", False)
     assert again.wrappers == ("normalised_observation",)
     assert again.declarations.measurement == "winches"
-    assert not load(loaded.policy, PLANAR).shipped
+    shipped = load(load("fl", PLANAR), PLANAR)
+    assert (shipped.shipped, load(shipped.policy, PLANAR).shipped) == (True, False)
     with pytest.raises(ValueError, match="is loaded already"):
         load(loaded, PLANAR, wrappers=["mine.py:wrap"])
 
