@@ -43,7 +43,9 @@ def test_payloads_and_start_errors_are_uniform_and_independent():
     for column in drawn.T:
         assert stats.kstest(column, stats.uniform(-1, 2).cdf).pvalue > 1e-3
     assert np.abs(np.corrcoef(drawn.T) - np.eye(5)).max() < 0.2
-    assert env.reset(options={"payload": 7.0})[1]["payload"].tolist() == [7.0] * 400
+    given = {"payload": 7.0, "initial_error": 0.0}
+    assert env.reset(options=given)[1]["payload"].tolist() == [7.0] * 400
+    assert not np.ptp(env.pose, axis=0).any()
 
 
 @dataclass(frozen=True)

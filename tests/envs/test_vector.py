@@ -195,6 +195,8 @@ FOR_ALL = {
 LATER = {
     "trajectory": lambda robot: {"name": f"line-{robot.kind}", "duration": 0.5},
     "uncertainty": ["hardware", None, {"delay": 7}],
+    "payload": [1.5, 2.0, 0.75],
+    "initial_error": lambda robot: 3e-4 * np.arange(3.0 * robot.coordinates).reshape(3, -1),
 }
 
 

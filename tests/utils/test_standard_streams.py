@@ -1,6 +1,7 @@
 """Standard streams of all kinds: a command ends without a traceback, and its results are not
 lost."""
 
+import errno
 import io
 import json
 import subprocess
@@ -148,6 +149,16 @@ def test_full_pipe_that_does_not_block_gets_everything(monkeypatch):
     with io.BufferedWriter(_Output(raw, None)) as stream:
         stream.write(b"1.911 kg")
     assert raw.written == b"1.911 kg"
+
+
+def test_results_of_a_full_disk_go_to_the_other_stream():
+    fallback = io.BytesIO()
+    output = _Output(Raw(4, OSError(errno.ENOSPC, "No space left on device")), fallback)
+    with io.BufferedWriter(output) as stream:
+        stream.write(b"1.911 kg")
+        stream.flush()
+        assert fallback.getvalue() == b"1 kg"
+        assert output.problem == "No space left on device"
 
 
 def test_characters_without_an_encoding_stay_valid_json():
