@@ -176,10 +176,12 @@ def test_results_are_copies(count):
     env.step(action)
     check_equal(results, before)
     results[0][:] = 99.0
+    env.truth["base_anchors"][:] = 99.0
     twin.reset(seed=0)
     twin.step(action.copy())
     action[:] = 0.0
     check_equal(env.step(action), twin.step(action))
+    check_equal(env.truth, twin.truth)
 
 
 @two_ids

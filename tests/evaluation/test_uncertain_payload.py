@@ -138,6 +138,7 @@ def test_plausible_successes_agree_with_scipy(draws):
 def test_required_fraction_of_too_few_draws_is_rounded_up():
     # 0.95 · 20 is 19 to the last bit or just above.
     assert required_successes(20, 0.95, 0.95) == (19, False)
+    assert required_successes(30, 0.95, 0.95) == (29, False)
     assert required_successes(7, 1e-15, 0.95)[0] == 1
 
 
