@@ -45,7 +45,7 @@ def test_every_setting_makes_another_plan(monkeypatch):
         {"trajectory": find_trajectory({"name": "line-planar", "duration": 0.41}, 2)},
         {
             "trajectory": PointToPoint(
-                name="line-planar", start=(-0.1, -0.09), end=(0.1, 0.16), duration=0.4
+                name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.16), duration=0.4
             )
         },
         {"error_bounds": ErrorBounds(position=0.011)},
