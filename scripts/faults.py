@@ -140,8 +140,8 @@ def red_tests(faults: list[Fault], folder: Path) -> list[str]:
     return [line for line in lines if line.startswith(("FAILED", "ERROR"))] or lines
 
 
-def run_faults(faults: list[Fault], folders: list[Path]) -> list[str]:
-    """Outcome of each fault, in the order of the faults."""
+def run_faults(faults: list[Fault], folders: list[Path]) -> dict[Fault, str]:
+    """Outcome of each fault. Each copy of the code has one fault at a time."""
     free: queue.Queue[Path] = queue.Queue()
     for folder in folders:
         free.put(folder)
@@ -154,23 +154,31 @@ def run_faults(faults: list[Fault], folders: list[Path]) -> list[str]:
             free.put(folder)
 
     start = time.monotonic()
+    outcomes: dict[Fault, str] = {}
     with ThreadPoolExecutor(len(folders)) as pool:
-        futures = [pool.submit(run, fault) for fault in faults]
-        for done, _ in enumerate(as_completed(futures), 1):
+        futures = {pool.submit(run, fault): fault for fault in faults}
+        for future in as_completed(futures):
+            fault = futures[future]
+            outcomes[fault] = future.result()
+            print_row(fault, outcomes[fault])
+            done = len(outcomes)
             left = (time.monotonic() - start) / done * (len(faults) - done)
             print(f"{done} of {len(faults)}, {left / 60:.1f} min left", file=sys.stderr)
-    return [future.result() for future in futures]
+    return outcomes
 
 
-def report(faults: list[Fault], outcomes: list[str]) -> None:
-    """Prints one row a fault and the number of caught ones by room."""
+def print_row(fault: Fault, outcome: str) -> None:
+    """Prints one fault."""
+    print(f"{outcome:8}  {fault.file}: {fault.faulty}  [{fault.test}]", flush=True)
+
+
+def print_summary(outcomes: dict[Fault, str]) -> None:
+    """Prints the number of faults that are caught by room."""
     total: Counter[str] = Counter()
     caught: Counter[str] = Counter()
-    for fault, outcome in zip(faults, outcomes, strict=True):
-        print(f"{outcome:8}  {fault.file}: {fault.faulty}  [{fault.test}]")
+    for fault, outcome in outcomes.items():
         total[fault.room] += 1
         caught[fault.room] += outcome == "caught"
-    print()
     for room in sorted(total):
         print(f"{room}: {caught[room]} of {total[room]} caught")
     print(f"all: {caught.total()} of {total.total()} caught")
@@ -187,8 +195,11 @@ def main() -> int:
     for fault in read_faults():
         if any(text in fault.file or text in fault.test for text in options.only):
             faults.append(fault)
+    if not faults:
+        parser.error(f"no fault has one of {', '.join(options.only)} in its file or test")
     if options.list:
-        report(faults, ["listed"] * len(faults))
+        for fault in faults:
+            print_row(fault, "listed")
         return 0
     with tempfile.TemporaryDirectory() as temporary:
         folders = [Path(temporary, str(job)) for job in range(options.jobs)]
@@ -201,8 +212,8 @@ def main() -> int:
             print("these tests fail without a fault:", *red, sep="\n")
             return 1
         outcomes = run_faults(faults, folders)
-    report(faults, outcomes)
-    return 0 if set(outcomes) == {"caught"} else 1
+    print_summary(outcomes)
+    return 0 if set(outcomes.values()) == {"caught"} else 1
 
 
 if __name__ == "__main__":
