@@ -142,7 +142,7 @@ def test_results_are_copies(count):
     env.step(action)
     check_equal(results, before)
     results[0][:] = 99.0
-    env.truth["motor_strength"][...] = 99.0
+    env.truth["base_anchors"][:] = 99.0
     twin.reset(seed=0)
     twin.step(action.copy())
     action[:] = 0.0
