@@ -16,7 +16,6 @@ from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.policies import PolicyError, load, load_policy
-from cablebot_gym.policies.wrappers import StandIn
 from cablebot_gym.robots import PLANAR
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -211,29 +210,6 @@ def test_frozen_statistics_of_gymnasium_are_applied():
     policy = Inner(read=lambda observation: seen.append(observation) or observation)
     load(policy, PLANAR, wrappers=[normalize]).policy.predict(np.ones((2, LAYOUT.size)))
     assert_allclose(seen[0], np.tile((1 - mean) / 2, (2, 1)), rtol=1e-5)
-
-
-# --- nothing but the stand-in -----------------------------------------------------------------------------------------
-
-
-def test_wrapper_finds_only_the_stand_in():
-    envs, tasks = [], []
-
-    class Looks(vector.TransformAction):
-        def __init__(self, env):
-            super().__init__(env, lambda action: action)
-
-        def reset(self, **keywords):
-            envs.append(self.unwrapped)
-            tasks.append(self.unwrapped.tasks[0])
-            return super().reset(**keywords)
-
-    record_rollout("fl", PLANAR_ID, payload=1.375, payload_known=False, wrappers=[Looks])
-    assert type(envs[0]) is StandIn
-    assert not {"simulation", "settings", "truth", "payload", "seeds", "streams"} & set(
-        vars(envs[0])
-    )
-    assert 1.375 not in [value for value in vars(tasks[0]).values() if isinstance(value, float)]
 
 
 MODULE = """
