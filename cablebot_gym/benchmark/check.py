@@ -106,20 +106,8 @@ class Recomputed:
     none."""
     computed: tuple[float | None, ...]
     """The same, computed again."""
-    tolerances: tuple[float, ...]
-    """Largest differences of equal values: rounding differs between machines."""
-
-    @property
-    def is_equal(self) -> bool:
-        """Whether all values are equal up to their tolerances."""
-        pairs = zip(self.stored, self.computed, self.tolerances, strict=True)
-        for stored, computed, tolerance in pairs:
-            if stored is None or computed is None:
-                if stored != computed:
-                    return False
-            elif abs(stored - computed) > tolerance:
-                return False
-        return True
+    is_equal: bool
+    """Whether all of them are equal up to the resolution: rounding differs between machines."""
 
     def __str__(self) -> str:
         outcome = "equal" if self.is_equal else "DIFFERENT"
@@ -165,18 +153,25 @@ def _sample(records: Mapping[str, Record], count: int) -> dict[str, Record]:
 
 
 def _compared(stored: Record, computed: Record) -> Recomputed:
-    tolerances = []
-    for single in single_records([stored]):
-        if isinstance(single.cell, PolicyCell):
-            tolerances.append(single.result.get("resolution") or 0.0)
-        else:
-            tolerances.append(BEST_KNOWN_TOLERANCE * (_value(single.result) or 0.0))
+    before = single_records([stored])
+    after = single_records([computed])
     return Recomputed(
         cell=stored.cell,
-        stored=tuple(_value(single.result) for single in single_records([stored])),
-        computed=tuple(_value(single.result) for single in single_records([computed])),
-        tolerances=tuple(tolerances),
+        stored=tuple(_value(record.result) for record in before),
+        computed=tuple(_value(record.result) for record in after),
+        is_equal=all(map(_are_equal, before, after)),
     )
+
+
+def _are_equal(stored: Record, computed: Record) -> bool:
+    expected = _value(stored.result)
+    value = _value(computed.result)
+    if expected is None or value is None:
+        return expected == value
+    tolerance = BEST_KNOWN_TOLERANCE * expected
+    if isinstance(stored.cell, PolicyCell):
+        tolerance = stored.result["resolution"]
+    return abs(value - expected) <= tolerance
 
 
 def _value(result: Mapping[str, Any]) -> float | None:

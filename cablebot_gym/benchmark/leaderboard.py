@@ -90,9 +90,6 @@ class Results:
     def from_json(cls, text: str) -> Results:
         """The results whose :meth:`to_json` returned ``text``.
 
-        The text may come from strangers: its types and numbers are checked, see
-        :func:`~cablebot_gym.utils.foreign.foreign_json`.
-
         Raises:
             ValueError: if the text is something else.
         """

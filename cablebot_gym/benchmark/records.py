@@ -15,15 +15,8 @@ from cablebot_gym.benchmark.cells import (
     cell_from_dict,
 )
 from cablebot_gym.evaluation.batch import versions
-from cablebot_gym.evaluation.constraints import KINDS
-from cablebot_gym.utils.checks import choice, number
-from cablebot_gym.utils.foreign import foreign_list, foreign_object
-
-LARGEST_PAYLOAD = 1e6
-"""Largest payload of stored results [kg], far above that of any crane."""
-
-LARGEST_RATIO = 10.0
-"""Largest stored ratio of the payload of a random robot to that of the exactly known one."""
+from cablebot_gym.utils.checks import number
+from cablebot_gym.utils.foreign import foreign_object
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,32 +91,17 @@ def failed_record(cell: Cell, reason: str) -> Record:
 
 
 def record_from_dict(data: Any) -> Record:
-    """A stored record, which may come from strangers.
+    """A stored record.
 
     Raises:
         KeyError, TypeError, ValueError: if ``data`` are something else.
     """
     fields = foreign_object("a record", data)
-    result = foreign_object("a result", fields["result"])
-    payloads = foreign_list("payloads", result.get("payloads", []))
-    for payload in (result.get("payload"), *payloads):
-        if payload is not None and isinstance(payload, int | float):
-            number("payload", payload, least=0, most=LARGEST_PAYLOAD, unit="kg")
-    if result.get("ratio") is not None:
-        number("ratio", result["ratio"], least=0, most=LARGEST_RATIO)
-    violations = foreign_list("violations", result.get("violations", []))
-    for violation in (result.get("violation"), *violations):
-        if violation is not None:
-            limit = foreign_object("a violation", violation)
-            choice("kind of violation", str(limit.get("kind")), KINDS)
-            for name in ("time", "lead"):
-                if limit.get(name) is not None:
-                    number(name, limit[name], least=0)
     record = Record(
         cell=cell_from_dict(foreign_object("the conditions of a cell", fields["cell"])),
         source=str(fields["source"]),
         versions=foreign_object("versions", fields["versions"]),
-        result=result,
+        result=foreign_object("a result", fields["result"]),
         seconds=number("seconds", fields["seconds"], least=0, unit="s"),
         final=fields.get("final", True) is True,
     )

@@ -45,24 +45,6 @@ def first_difference(
     return None
 
 
-def closest_to(kind: str, verdicts: Sequence[Verdict]) -> int:
-    """Index of the carried episode that came closest to a violation of a kind.
-
-    Args:
-        kind: one of :data:`~cablebot_gym.evaluation.constraints.KINDS`.
-        verdicts: outcomes of carried episodes.
-    """
-    if kind == "slack":
-        return int(np.argmin([verdict.least_tension for verdict in verdicts]))
-    if kind == "overload":
-        return int(np.argmax([verdict.largest_tension for verdict in verdicts]))
-    if kind == "torque":
-        return int(np.argmax([max(verdict.peak_action) for verdict in verdicts]))
-    if kind == "rotation":
-        return int(np.argmax([verdict.rotation_peak for verdict in verdicts]))
-    return int(np.argmax([verdict.position_peak for verdict in verdicts]))
-
-
 def _end(verdict: Verdict) -> tuple[str, float | None] | None:
     """Kind and time of the violation; None without one."""
     if verdict.violation is None:

@@ -27,7 +27,7 @@ from cablebot_gym.evaluation.batch import (
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Verdict, Violation
 from cablebot_gym.evaluation.evaluator import default_payload_max
-from cablebot_gym.evaluation.repetition import closest_to, first_difference
+from cablebot_gym.evaluation.repetition import first_difference
 from cablebot_gym.evaluation.search import SCAN_POINTS, scan_grid
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import PolicyError
@@ -356,27 +356,15 @@ class _Search:
             motion.fail(trial, [robot])
 
     def _repeated_episodes(self) -> tuple[list[Row], list[Verdict]]:
-        """The carried episodes that are repeated: at most one half are the robots that came closest
-        to the next violation of their motion, the others are random.
-
-        These robots bound the payloads. A policy that helped them only, by what it sees of other
-        robots, would gain the most with the fewest episodes that differ.
-        """
+        """The carried episodes that are repeated, chosen at random."""
         rows: list[Row] = []
         verdicts: list[Verdict] = []
-        closest = []
         for motion in self._motions:
-            if motion.below is None:
-                continue
-            kind = "position"
-            if motion.above is not None and motion.above.violation is not None:
-                kind = motion.above.violation.kind
-            closest.append(len(rows) + closest_to(kind, motion.below.verdicts))
-            rows += [Row(motion.below.payload, seed, motion.index) for seed in motion.below.seeds]
-            verdicts += motion.below.verdicts
-        order = self._rng.permutation(closest)[: REPEATED // 2].tolist()
-        order += self._rng.permutation(len(rows)).tolist()
-        chosen = list(dict.fromkeys(order))[:REPEATED]
+            if motion.below is not None:
+                for seed in motion.below.seeds:
+                    rows.append(Row(motion.below.payload, seed, motion.index))
+                verdicts += motion.below.verdicts
+        chosen = self._rng.permutation(len(rows))[:REPEATED].tolist()
         return [rows[index] for index in chosen], [verdicts[index] for index in chosen]
 
     def _repeat(self) -> None:

@@ -16,7 +16,6 @@ import weakref
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import IO
 
 from cablebot_gym.isolation.server import make_folders, receive_frame, send_frame
 from cablebot_gym.utils.files import CACHE_VARIABLE
@@ -26,7 +25,7 @@ TEXT = 16_384
 """Largest length of a reply that is not an array of actions [bytes]."""
 
 _STDERR = 4096
-"""Number of last bytes of standard error that are kept."""
+"""Number of last bytes of standard error in which the last line is looked for."""
 
 _LINE = 1200
 """Number of characters of a text of the policy that messages repeat."""
@@ -82,7 +81,7 @@ _BUBBLEWRAP = (
 
 class PolicyProcess:
     """A process with an empty home, working folder and cache of its own, behind bubblewrap where that
-    is installed; the thread that talks to it, and the thread that drains its standard error."""
+    is installed, and the thread that talks to it."""
 
     def __init__(self) -> None:
         folder = Path(tempfile.mkdtemp(prefix="cablebot-policy-"))
@@ -93,30 +92,25 @@ class PolicyProcess:
         self.is_behind_bubblewrap = has_bubblewrap()
         if self.is_behind_bubblewrap:
             command = [*_BUBBLEWRAP, "--bind", str(folder), str(folder), "--", *command]
-        pipe = subprocess.PIPE
         environment = _environment(folder)
-        self._popen = subprocess.Popen(
-            command,
-            stdin=pipe,
-            stdout=pipe,
-            stderr=pipe,
-            env=environment,
-            cwd=folder / "work",
-            start_new_session=True,
-        )
+        self._stderr = folder / "stderr"
+        with self._stderr.open("wb") as stderr:
+            self._popen = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=stderr,
+                env=environment,
+                cwd=folder / "work",
+                start_new_session=True,
+            )
         self._requests: queue.SimpleQueue[_Request | None] = queue.SimpleQueue()
         self._replies: queue.SimpleQueue[tuple[int, bytes] | None] = queue.SimpleQueue()
-        self._stderr = bytearray()
-        self._drainer = threading.Thread(
-            target=_drain, args=(self._popen.stderr, self._stderr), daemon=True
-        )
         talker = threading.Thread(
             target=_talk, args=(self._popen, self._requests, self._replies), daemon=True
         )
-        threads = [talker, self._drainer]
-        for thread in threads:
-            thread.start()
-        self.end = weakref.finalize(self, _end, self._popen, folder, self._requests, threads)
+        talker.start()
+        self.end = weakref.finalize(self, _end, self._popen, folder, self._requests, talker)
         """Ends the process; also called when the object is collected and when the interpreter
         exits."""
 
@@ -145,7 +139,6 @@ class PolicyProcess:
             raise EndedError("its process closed its pipe or sent invalid data") from None
         if self.is_behind_bubblewrap and status > 128:  # as shells report a signal
             status = 128 - status
-        self._drainer.join(GRACE)  # the last bytes of standard error
         raise self.ended(status)
 
     def ended(self, status: int) -> EndedError:
@@ -155,7 +148,8 @@ class PolicyProcess:
         if status < 0:
             with suppress(ValueError):
                 cause = f"its process was ended by {signal.Signals(-status).name}"
-        last_line = plain(bytes(self._stderr).decode(errors="replace").strip().rpartition("\n")[2])
+        text = self._stderr.read_bytes()[-_STDERR:].decode(errors="replace")
+        last_line = plain(text.strip().rpartition("\n")[2])
         if last_line:
             cause += f"; the last line of its standard error is {last_line!r}"
         return EndedError(cause)
@@ -221,19 +215,11 @@ def _talk(
         replies.put(reply)
 
 
-def _drain(pipe: IO[bytes], tail: bytearray) -> None:
-    """Thread that reads standard error and keeps its last bytes."""
-    with suppress(OSError, ValueError):
-        for part in iter(lambda: os.read(pipe.fileno(), 1 << 16), b""):
-            tail += part
-            del tail[:-_STDERR]
-
-
 def _end(
     popen: subprocess.Popen[bytes],
     folder: Path,
     requests: queue.SimpleQueue[_Request | None],
-    threads: list[threading.Thread],
+    talker: threading.Thread,
 ) -> None:
     """Ends a process, all processes below it (Linux), and its process group."""
     requests.put(None)
@@ -250,10 +236,9 @@ def _end(
         with suppress(OSError):
             os.killpg(popen.pid, signal.SIGKILL)
     popen.wait()
-    for thread in threads:
-        thread.join(1.0)
-    if not any(thread.is_alive() for thread in threads):
-        for pipe in (popen.stdin, popen.stdout, popen.stderr):
+    talker.join(1.0)
+    if not talker.is_alive():
+        for pipe in (popen.stdin, popen.stdout):
             assert pipe is not None
             with suppress(OSError):  # closing writes the rest of a request
                 pipe.close()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import logging
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -35,8 +34,7 @@ class Policy(Protocol):
       requests more torque than the motors have. The paper criterion applies to such policies only.
     * ``stochastic = True`` declares that equal observations may give different actions, also with
       ``deterministic``. Other policies must give equal episodes when they are repeated, in any
-      order of the batch. A policy that takes a seed must not declare it, see
-      :func:`check_seeded`.
+      order of the batch.
     * ``measurement = "winches"`` declares that the policy reads the sensors of winches, in an
       environment with this kind of :class:`~cablebot_gym.measurement.Measurement`. Other policies
       read pose and velocity.
@@ -134,38 +132,6 @@ def declarations(policy: Any) -> Declarations:
         stochastic=bool(getattr(policy, "stochastic", False)),
         measurement=str(getattr(policy, "measurement", POSE.kind)),
     )
-
-
-def check_seeded(policy: Any, subject: str, factory: Callable[..., Any] | None = None) -> None:
-    """Refuses the declaration ``stochastic`` of a policy that takes a seed.
-
-    Its actions can be repeated, so its episodes can be compared with repetitions, which a random
-    policy escapes. It takes a seed if it has an attribute ``seed``, such as the models of
-    Stable-Baselines3, or if its ``reset`` or its factory has such a parameter.
-
-    Args:
-        policy: a policy, or a callable ``observation -> action``.
-        subject: subject of the message, such as ``policy 'mine'``.
-        factory: function or class that has made it; None if it is not known.
-
-    Raises:
-        ValueError: if it declares ``stochastic`` and takes a seed.
-    """
-    if not declarations(policy).stochastic:
-        return
-    functions = [factory, getattr(policy, "reset", None), getattr(policy, "_factory", None)]
-    takes_seed = hasattr(policy, "seed")
-    for function in functions:
-        if not callable(function):
-            continue
-        with suppress(TypeError, ValueError):  # some callables of C have no signature
-            takes_seed |= "seed" in inspect.signature(function).parameters
-    if takes_seed:
-        raise ValueError(
-            f"{subject} declares stochastic = True, but takes a seed, so its actions can be "
-            "repeated. Fix the seed, restart its random numbers in reset() and leave stochastic "
-            "out; a model of Stable-Baselines3 acts with deterministic=True"
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

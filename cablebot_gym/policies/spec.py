@@ -29,7 +29,6 @@ from cablebot_gym.policies.protocol import (
     Policy,
     PolicyEntry,
     PolicyError,
-    check_seeded,
     declarations,
     name_of,
     say,
@@ -246,8 +245,8 @@ def load(
 
     Raises:
         TypeError: if the object is neither a policy nor a callable.
-        ValueError: if the policy cannot be made, or does not fit the robot, if it declares
-            ``stochastic`` although it takes a seed, or if a loaded policy gets wrappers.
+        ValueError: if the policy cannot be made, or does not fit the robot, or if a
+            loaded policy gets wrappers.
         PolicyError: if the code of the policy tries to end the process.
     """
     loaded = getattr(policy, "loaded", policy)
@@ -270,7 +269,6 @@ def load(
         if isinstance(policy, type):
             target = _call(policy, robot, subject)
         else:
-            check_seeded(policy, subject)
             target = as_policy(policy)
     made = target = behind_wrappers(target, robot, subject, wrappers, beside)
     for estimator in reversed(estimators):
@@ -363,7 +361,6 @@ def _call(factory: Callable[..., Any], robot: Robot, subject: str) -> Policy:
         raise
     except BaseException as error:
         raise _failure(error, subject, raised(error, "the factory raised")) from error
-    check_seeded(created, subject, factory)
     try:
         return as_policy(created)
     except TypeError as error:

@@ -54,19 +54,10 @@ def test_record_is_read_as_it_was_written(store, messages, tmp_path):
     assert files(tmp_path)[0].name.startswith("planar-fl-payload-known-task-circle-planar-")
 
 
-def truncate(path):
-    path.write_text(path.read_text()[:100])
-
-
-def change_number(path):
-    path.write_text(path.read_text().replace("0.333", "0.433"))
-
-
-@pytest.mark.parametrize("damage", [truncate, change_number])
-def test_damaged_file_is_reported_and_replaced(store, messages, tmp_path, damage):
+def test_damaged_file_is_reported_and_replaced(store, messages, tmp_path):
     store.add(record())
     (path,) = files(tmp_path)
-    damage(path)
+    path.write_text(path.read_text()[:100])
     assert store.find(CELL) is None
     assert messages == [f"{path} is damaged; its cell is computed again"]
     store.add(record())

@@ -3,13 +3,11 @@
 import json
 import os
 import re
-import signal
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from clock import HANG
 
 from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.store import Store
@@ -25,13 +23,6 @@ from cablebot_gym.utils.user_code import sentence_of_user_code
 from cablebot_gym.utils.workers import _portable
 
 ROOT = Path(__file__).parents[2]
-
-HUGE = "1" + "0" * 400
-"""A number beyond the largest float."""
-
-BRACKETS = "[" * 200_000 + "]" * 200_000
-"""JSON that a recursive reader cannot read."""
-
 
 MOTION = """
 from cablebot_gym.trajectories import Reference
@@ -108,55 +99,35 @@ def option(path):
     return _read_data(SimpleNamespace(name="trajectory"), str(path))
 
 
-RECORD = json.dumps({"cell": CELL.to_dict(), "source": CELL.source, "result": {"payload": 1}})
-ALL_READERS = READERS | {
-    "motion.json": (option, '{"name": "circle-planar", "duration": 1}'),
-    "cell.json": (cell, RECORD),
-    "episode.json": (read_episodes, '[{"payload": 1}]'),
-    "state.json": (training, '{"timesteps": 1}'),
-    "statistics.pkl": (lambda path: load_policy("fl", PLANAR, wrappers=[path]), "1"),
+ALL_READERS = {name: read for name, (read, _) in READERS.items()} | {
+    "motion.json": option,
+    "cell.json": cell,
+    "episode.json": read_episodes,
+    "state.json": training,
+    "statistics.pkl": lambda path: load_policy("fl", PLANAR, wrappers=[path]),
 }
-HOSTILE = {
-    "pipe": lambda path, text: os.mkfifo(path),
-    "sparse": lambda path, text: sparse(path),
-    "brackets": lambda path, text: path.write_text(BRACKETS),
-    "huge number": lambda path, text: path.write_text(re.sub(r"\d+(\.\d+)?|^{}$", HUGE, text)),
-    "list": lambda path, text: path.write_text("[]"),
+UNREADABLE = {
+    "pipe": os.mkfifo,
+    "large": lambda path: path.touch() or os.truncate(path, 200 << 30),  # takes no space
+    "brackets": lambda path: path.write_text("[" * 200_000 + "]" * 200_000),
 }
-
-
-def sparse(path):
-    """Makes a file of 200 GiB that takes no space on the disk."""
-    path.touch()
-    os.truncate(path, 200 << 30)
-
-
-@pytest.fixture
-def _alarm():
-    """A reader that waits for the other end of a pipe would wait for ever."""
-    signal.signal(signal.SIGALRM, lambda *_: pytest.fail("the reader waits"))
-    signal.alarm(int(HANG))
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes have names on POSIX")
-@pytest.mark.usefixtures("_alarm")
-@pytest.mark.parametrize("hostile", HOSTILE)
+@pytest.mark.parametrize("kind", UNREADABLE)
 @pytest.mark.parametrize("name", ALL_READERS)
-def test_reader_refuses_a_hostile_file_in_one_sentence(tmp_path, name, hostile):
-    """A reader of stored results returns none, and computes them again. Training checks numbers."""
-    read, text = ALL_READERS[name]
+def test_reader_refuses_an_unreadable_file_in_one_sentence(tmp_path, name, kind):
+    """A reader of a pipe would wait for ever. One of stored results returns none, and computes them
+    again."""
     path = tmp_path / "folder" / name
     path.parent.mkdir()
-    HOSTILE[hostile](path, text)
-    result = outcome(read, path)
+    UNREADABLE[kind](path)
+    result = outcome(ALL_READERS[name], path)
     if name in ("cell.json", "episode.json"):
         assert not result
-    elif (name, hostile) != ("train.yaml", "huge number"):
-        assert isinstance(result, str)
-        assert len(result) <= 1000
+        return
+    assert isinstance(result, str)
+    assert len(result) <= 1000
 
 
 @pytest.mark.parametrize("name", ["thing.yaml", "folder"])

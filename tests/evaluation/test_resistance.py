@@ -15,7 +15,6 @@ from cablebot_gym.evaluation.search import FINER, REPEATED_DRAWS, SCAN_POINTS, S
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
 from cablebot_gym.isolation import IsolatedPolicy
-from cablebot_gym.policies import PolicyFactory
 from cablebot_gym.robots import SPATIAL, find_robot
 
 SPATIAL_ID = "CableBot-Spatial-v0"
@@ -115,24 +114,6 @@ class Counts(Law):
 def test_policy_that_acts_differently_in_the_repeated_batch_raises():
     with pytest.raises(PolicyError, match="depends on the other"):
         evaluated(Counts(), uncertainty="sensors", draws=60)
-
-
-@pytest.mark.parametrize("where", ["attribute", "reset", "factory"])
-def test_stochastic_policy_that_takes_a_seed_raises(where):
-    class Seeded(Law):
-        stochastic = True
-
-    if where == "attribute":
-        Seeded.seed = 0
-    if where == "reset":
-        Seeded.reset = lambda self, tasks, seed=None: None
-
-    def make(seed=0):
-        return Seeded()
-
-    policy = Seeded() if where != "factory" else PolicyFactory(make)
-    with pytest.raises(ValueError, match=r"takes a seed.* Fix the seed.* leave stochastic out"):
-        evaluated(policy)
 
 
 # --- one process ------------------------------------------------------------------------------------------------------

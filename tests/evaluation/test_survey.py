@@ -88,25 +88,6 @@ def test_policy_that_needs_other_rows_is_refused():
         survey(SharesRows(find_robot("planar")), PLANAR, 2 * MOTIONS)
 
 
-def test_robot_closest_to_the_next_violation_of_each_motion_is_repeated(monkeypatch):
-    batches = []
-    run = Batch.run
-
-    def recorded(batch, rows, **options):
-        batches.append(rows)
-        return run(batch, rows, **options)
-
-    monkeypatch.setattr(Batch, "run", recorded)
-    monkeypatch.setattr(survey_module, "REPEATED", 4)
-    result = survey("adaptive", PLANAR, MOTIONS, robots=4, **SENSORS)
-    repeated = {row.seed for row in batches[-1]}
-    assert len(batches[-1]) == len(repeated) == 4
-    for motion in result.motions:
-        assert motion.violation.kind == "slack"
-        tensions = [verdict.least_tension for verdict in motion.below.verdicts]
-        assert motion.below.seeds[np.argmin(tensions)] in repeated
-
-
 def test_stochastic_policy_has_the_payload_that_it_carries_alone(monkeypatch):
     monkeypatch.setattr(survey_module, "STOCHASTIC_ALONE", 4)
     policy = FeedbackLinearization(find_robot("planar"))

@@ -14,7 +14,6 @@ from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.policies import PolicyError, load_policy
-from cablebot_gym.policies.wrappers import StandIn
 from cablebot_gym.robots import PLANAR
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -171,27 +170,6 @@ def test_error_in_a_wrapper_names_its_line_and_payload(wrapper, key):
 def test_invalid_wrapper_is_refused_before_the_first_episode(wrappers, message):
     with pytest.raises(ValueError, match=message):
         load_policy("fl", PLANAR_ID, wrappers=wrappers)
-
-
-# --- nothing but the stand-in -----------------------------------------------------------------------------------------
-
-
-def test_wrapper_finds_only_the_stand_in():
-    found = []
-
-    class Looks(vector.TransformAction):
-        def __init__(self, env):
-            super().__init__(env, lambda action: action)
-
-        def reset(self, **keywords):
-            found.append(self.unwrapped)
-            return super().reset(**keywords)
-
-    record_rollout("fl", PLANAR_ID, payload=1.375, payload_known=False, wrappers=[Looks], **SHORT)
-    assert type(found[0]) is StandIn
-    hidden = {"simulation", "settings", "truth", "payload", "seeds", "streams"}
-    assert not hidden & set(vars(found[0]))
-    assert 1.375 not in vars(found[0].tasks[0]).values()
 
 
 MODULE = """
