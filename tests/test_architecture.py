@@ -51,10 +51,18 @@ ORDER = (
 """Packages and modules of cablebot_gym; each may import itself and those before it."""
 
 
+PACKAGES = {
+    "cablebot_gym": ROOT,
+    "cablebot_baselines": ROOT / "baselines",
+    "cablebot_reproduction": ROOT / "reproduction",
+}
+"""Folder of each package."""
+
+
 def source_files():
-    """Files of both packages by module."""
+    """Files of all packages by module."""
     files = {}
-    for root, package in ((ROOT, "cablebot_gym"), (ROOT / "baselines", "cablebot_baselines")):
+    for package, root in PACKAGES.items():
         for path in (root / package).rglob("*.py"):
             name = ".".join(path.relative_to(root).with_suffix("").parts)
             files[name.removesuffix(".__init__")] = path
@@ -66,7 +74,7 @@ FILES = source_files()
 
 @cache
 def imports(module):
-    """Modules of both packages that a module imports anywhere in its code, with the name that it
+    """Modules of all packages that a module imports anywhere in its code, with the name that it
     takes from each."""
     imported = []
     for node in ast.walk(ast.parse(FILES[module].read_text(encoding="utf-8"))):
@@ -139,13 +147,24 @@ def test_every_package_is_in_the_order():
     assert {name.split(".")[1] for name in FILES if name.startswith("cablebot_gym.")} == set(ORDER)
 
 
-def test_baselines_import_only_public_names():
-    """They are written as another package would write them."""
-    for module in (name for name in FILES if name.startswith("cablebot_baselines")):
+def test_other_packages_import_only_public_names():
+    """They are written as those of other people would be."""
+    for module in FILES:
+        package = module.split(".")[0]
         for imported, name in imports(module):
+            if package == "cablebot_gym" or imported.startswith(package):
+                continue
+            assert not name.startswith("_"), f"{module} imports {name} from {imported}"
             if imported.startswith("cablebot_gym."):
                 assert imported in cablebot_gym.PUBLIC_MODULES, f"{module} imports {imported}"
-                assert not name.startswith("_"), f"{module} imports {name} from {imported}"
+
+
+def test_no_package_imports_the_reproduction():
+    """It is installed by those who need it."""
+    for module in FILES:
+        if not module.startswith("cablebot_reproduction"):
+            for imported, _ in imports(module):
+                assert not imported.startswith("cablebot_reproduction"), module
 
 
 def test_names_of_the_package_are_those_of_their_modules():
