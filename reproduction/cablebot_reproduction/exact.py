@@ -1,96 +1,107 @@
-"""Largest payloads without simulation under a chosen interpretation.
+"""Largest payloads without simulation.
 
-The rigid robots use exact tracking. The flexible robot uses the state space of §3.3 of the paper
-(Eqs. 23–25).
+The rigid robots use exact tracking. The robot with joint springs uses the state space of §3.3 of
+the paper (Eqs. 23–25).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
-from cablebot_gym.bounds.closed_form import GRID, ExactPayload, exact_payload
+from cablebot_gym.bounds.closed_form import GRID, exact_payload
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
+from cablebot_gym.plotting.figures import TorqueProfile
 from cablebot_gym.robots import Robot
-from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
-from cablebot_reproduction.interpretation import Interpretation
+from cablebot_reproduction.robots import line_speed, paper_circle
 
 COARSE = 100.0
 """Number of instants per second, each evaluated from both sides, for an exact payload accurate to
 0.01 kg [Hz]."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Profile:
-    """Torques along the reference and their limits under an interpretation."""
-
-    times: Array
-    """Instants, shape (K,) [s]."""
-    torques: Array
-    """Torques τ, shape (K, m) [N·m]."""
-    lower: Array
-    """Lower torque limits U⁻, shape (K, m) [N·m]."""
-    upper: Array
-    """Upper torque limits U⁺, shape (K, m) [N·m]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class LargestPayload:
+class LargestPayload(NamedTuple):
     """A largest payload and its limiting motor."""
 
     payload: float
-    """Mass added to the platform [kg]. A negative value is the excess mass of the platform alone;
-    -inf if no mass is feasible."""
+    """Mass added to the platform [kg]. A negative value is the excess mass of the platform
+    alone."""
     motor: int | None
-    """Motor whose torque or tension reaches its limit, counted from 1; None if no limit exists."""
+    """Motor whose torque or tension reaches its limit, counted from 1."""
     time: float | None
     """Time of the violation [s]."""
 
 
-def paper_circle(robot: Robot) -> Trajectory:
-    """Circle of the paper for a robot (Tables 1 and 3)."""
-    name = "paper-spatial"
-    if robot.planar:
-        name = "paper-planar"
-    return find_trajectory(name, robot.coordinates)
+def exact_limit(
+    robot: Robot,
+    line: str = "physical",
+    *,
+    minimum_tension: float = textbook.MINIMUM_TENSION,
+    alpha: str = "least",
+) -> LargestPayload:
+    """The largest payload of exact tracking with a rigid transmission.
 
-
-def exact_profile(interpretation: Interpretation, robot: Robot, payload: float) -> Profile:
-    """Torques of exact tracking with a rigid transmission."""
-    times = _times(robot)
-    motion = paper_circle(robot)(times)
-    mass = robot.mass + payload
-    tensions = _tensions(interpretation, robot, mass, motion)
-    torques = textbook.required_torques(robot, tensions, *_state(motion))
-    lower, upper = _rigid_limits(interpretation, robot, motion)
-    return Profile(times=times, torques=torques, lower=lower, upper=upper)
-
-
-def exact_limit(interpretation: Interpretation, robot: Robot) -> LargestPayload:
-    """The largest payload of exact tracking with a rigid transmission."""
-    if robot.planar and interpretation.alpha == "constant":
-        return _largest_of_constant_alpha(interpretation, robot)
-    bound = exact_bound(interpretation, robot)
-    return LargestPayload(
-        payload=bound.payload,
-        motor=bound.motor,
-        time=bound.time,
+    Args:
+        robot: rigid robot.
+        line: one of :data:`~cablebot_reproduction.robots.LINES`.
+        minimum_tension: T_min of a planar robot [N].
+        alpha: α of Eq. 11 of a planar robot: the smallest value at each instant (``least``), or the
+            smallest constant (``constant``) that keeps T_min.
+    """
+    if robot.planar and alpha == "constant":
+        return _limit_of_constant_alpha(robot, line, minimum_tension)
+    if not robot.planar:
+        minimum_tension = 0.0
+    exact = exact_payload(
+        robot,
+        paper_circle(robot),
+        line_speed=line_speed(line, robot),
+        minimum_tension=minimum_tension,
     )
+    return LargestPayload(exact.payload, exact.motor, exact.time)
 
 
-def exact_bound(interpretation: Interpretation, robot: Robot, **keywords: Any) -> ExactPayload:
-    """:func:`~cablebot_gym.bounds.closed_form.exact_payload` on the circle of the paper."""
-    circle = paper_circle(robot)
-    keywords["line_speed"] = interpretation.line_speed(robot)
-    if robot.planar:
-        keywords["minimum_tension"] = interpretation.minimum_tension
-    return exact_payload(robot, circle, **keywords)
+def _limit_of_constant_alpha(robot: Robot, line: str, minimum: float) -> LargestPayload:
+    """Bisection with the tensions ``T = M T_p + α N`` (Eq. 11). The torque reserve of the motors is
+    concave in the mass M, but not affine."""
+    times = _times(robot)
+    state = _state(robot, times)
+    pose, velocity, acceleration = state
+    structure = textbook.jacobian(robot, pose)
+    inverse = np.linalg.pinv(np.swapaxes(structure, -1, -2))
+    particular = -np.einsum("kic,kc->ki", inverse, acceleration)
+    null = np.cross(structure[..., 0], structure[..., 1])
+    sign = np.sign(null.sum(axis=-1, keepdims=True))
+    null = null * sign / np.linalg.norm(null, axis=-1, keepdims=True)
+    pulley_torques = textbook.required_torques(robot, np.zeros_like(null), *state)
+    speed = line_speed(line, robot) * textbook.pulley_speed(robot, pose, velocity)
+    lower, upper = textbook.torque_limits(robot, speed)
+
+    def overload(mass: float) -> Array:
+        alpha = ((minimum - mass * particular) / null).max()
+        tensions = mass * particular + alpha * null
+        torques = pulley_torques + robot.pulley_radius * tensions
+        return np.maximum(torques - upper, lower - torques)
+
+    step = 0.05 * robot.mass
+    low, high = 0.0, step
+    while overload(high).max() <= 0:
+        low, high = high, high + step
+    while high - low > 1e-9:
+        middle = (low + high) / 2
+        if overload(middle).max() <= 0:
+            low = middle
+        else:
+            high = middle
+    k, motor = np.unravel_index(np.argmax(overload(high)), null.shape)
+    return LargestPayload(low - robot.mass, int(motor) + 1, _rounded(times[k]))
 
 
-def state_space_profile(interpretation: Interpretation, robot: Robot, payload: float) -> Profile:
+def state_space_profile(
+    robot: Robot, payload: float, *, line: str = "physical", eq24: str = "corrected"
+) -> TorqueProfile:
     """Torques of Eq. 22 with joint springs, by the paper's own state space.
 
     The platform is on the reference (Eq. 23). Eq. 24 gives the motor angles, starting from β̈′ =
@@ -98,45 +109,69 @@ def state_space_profile(interpretation: Interpretation, robot: Robot, payload: f
 
         β̈′ = (κ + K (β − β′)) / J′,   κ = r T + J β̈.
 
-    The paper prints the divisor 1 + J′, but the units require J′. Eq. 22 gives the torques τ = κ +
-    J′ β̈′. This oscillation has no damping, so a jump of κ excites a permanent oscillation. The
-    paper may have computed its figures in this way, but no physical robot moves like this: by Eq.
-    4, Eq. 24 corresponds to τ = κ, and with τ from Eq. 22, β̈′ cancels and no differential equation
-    remains (docs/errata.md).
+    The paper prints the divisor 1 + J′ (``eq24="verbatim"``), but the units require J′. Eq. 22
+    gives the torques τ = κ + J′ β̈′. This oscillation has no damping, so a jump of κ excites a
+    permanent oscillation. The paper may have computed its figures in this way, but no physical
+    robot moves like this: by Eq. 4, Eq. 24 corresponds to τ = κ, and with τ from Eq. 22, β̈′ cancels
+    and no differential equation remains.
 
     The solution is exact for κ + K β that is linear between the instants.
     """
     times = _times(robot)
+    pose, velocity, acceleration = _state(robot, times)
     mass = robot.mass + payload
-    torques, speeds = _state_space(interpretation, robot, mass, times)
-    lower, upper = textbook.torque_limits(robot, speeds)
-    return Profile(times=times, torques=torques, lower=lower, upper=upper)
-
-
-def state_space_limit(interpretation: Interpretation, robot: Robot) -> LargestPayload:
-    """The largest payload of :func:`state_space_profile`. The torques are affine in the payload."""
-    unloaded = state_space_profile(interpretation, robot, 0.0)
-    loaded = state_space_profile(interpretation, robot, 1.0)
-    unloaded_reserve = reserve(unloaded)
-    loss = unloaded_reserve - reserve(loaded)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        payloads = unloaded_reserve / loss
-    payloads = np.where(loss > 0, payloads, np.inf)
-    smallest = np.argmin(payloads)
-    payload = payloads.flat[smallest]
-    k, motor, _ = np.unravel_index(smallest, payloads.shape)
-    return LargestPayload(
-        payload=float(payload),
-        motor=int(motor) + 1,
-        time=_rounded(unloaded.times[k]),
+    required = textbook.inverse_dynamics(robot, mass, pose, velocity, acceleration)
+    kappa = required.torques
+    divisor = eq24_divisor(robot, eq24)
+    rest_angle = textbook.pulley_angle(robot, pose) + kappa / robot.stiffness
+    angle, speed = _oscillation(rest_angle, np.sqrt(robot.stiffness / divisor), times)
+    stiffness = robot.motor_inertia * robot.stiffness / divisor
+    torques = kappa + stiffness * (rest_angle - angle)
+    if line not in ("physical", "reversed"):
+        speed = required.speeds
+    lower, upper = textbook.torque_limits(robot, line_speed(line, robot) * speed)
+    return TorqueProfile(
+        times=times,
+        torques=torques,
+        lower=lower,
+        upper=upper,
+        end=1.0,
+        name="required torque",
     )
 
 
-def reserve(profile: Profile) -> Array:
+def state_space_limit(
+    robot: Robot, line: str = "physical", *, eq24: str = "corrected"
+) -> LargestPayload:
+    """The largest payload of :func:`state_space_profile`. The torques are affine in the payload."""
+    unloaded = state_space_profile(robot, 0.0, line=line, eq24=eq24)
+    unloaded_reserve = reserve(unloaded)
+    loss = unloaded_reserve - reserve(state_space_profile(robot, 1.0, line=line, eq24=eq24))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        payloads = np.where(loss > 0, unloaded_reserve / loss, np.inf)
+    k, motor, _ = np.unravel_index(np.argmin(payloads), payloads.shape)
+    return LargestPayload(float(payloads.min()), int(motor) + 1, _rounded(unloaded.times[k]))
+
+
+def reserve(profile: TorqueProfile) -> Array:
     """Distances of the torques to the upper and to the lower limit, (K, m, 2) [N·m]."""
     above = profile.upper - profile.torques
     below = profile.torques - profile.lower
     return np.stack([above, below], axis=-1)
+
+
+def eq24_divisor(robot: Robot, eq24: str = "corrected") -> Array:
+    """J′, or 1 + J′ as printed, (m,)."""
+    if eq24 == "verbatim":
+        return 1.0 + robot.motor_inertia
+    return robot.motor_inertia
+
+
+def exact_torques(robot: Robot) -> Array:
+    """Torques of exact tracking with a rigid transmission at the instants of
+    :func:`state_space_profile`, (K, m) [N·m]."""
+    state = _state(robot, _times(robot))
+    return textbook.inverse_dynamics(robot, robot.mass, *state).torques
 
 
 def _times(robot: Robot) -> Array:
@@ -144,136 +179,14 @@ def _times(robot: Robot) -> Array:
     from both sides."""
     duration = paper_circle(robot).duration
     middle = round(GRID * duration / 2)
-    count = 2 * middle
-    spacing = duration / count
-    grid = np.arange(count) * spacing
-    after_jump = grid[middle] + 1e-9 * duration
-    return np.insert(grid, middle + 1, after_jump)
+    grid = np.arange(2 * middle) * (duration / (2 * middle))
+    return np.insert(grid, middle + 1, grid[middle] + 1e-9 * duration)
 
 
-def _state(motion: Reference) -> tuple[Array, Array, Array]:
-    """Pose, velocity and acceleration, each (K, n): the arguments of the inverse dynamics."""
+def _state(robot: Robot, times: Array) -> tuple[Array, Array, Array]:
+    """Pose, velocity and acceleration on the circle, each (K, n)."""
+    motion = paper_circle(robot)(times)
     return motion.position, motion.velocity, motion.acceleration
-
-
-def _rigid_limits(
-    interpretation: Interpretation, robot: Robot, motion: Reference
-) -> tuple[Array, Array]:
-    """Torque limits with a rigid transmission, each (K, m) [N·m]."""
-    speed = textbook.pulley_speed(robot, motion.position, motion.velocity)
-    line_speed = interpretation.line_speed(robot) * speed
-    return textbook.torque_limits(robot, line_speed)
-
-
-def _tensions(
-    interpretation: Interpretation, robot: Robot, mass: float, motion: Reference
-) -> Array:
-    """Tensions of exact tracking, shape (K, m) [N]; a planar robot uses the interpretation of α."""
-    minimum = interpretation.minimum_tension
-    if robot.planar and interpretation.alpha == "constant":
-        tensions = _ConstantAlpha(robot, motion, minimum)
-        return tensions(mass)
-    return textbook.required_tensions(robot, mass, *_state(motion), minimum=minimum)
-
-
-class _ConstantAlpha:
-    """Planar tensions ``T = M T_p + α N`` (Eq. 11) with the smallest constant α that keeps T_min at
-    all instants."""
-
-    def __init__(self, robot: Robot, motion: Reference, minimum: float) -> None:
-        structure = textbook.jacobian(robot, motion.position)
-        transposed = np.swapaxes(structure, -1, -2)
-        inverse = np.linalg.pinv(transposed)
-        self._particular = -np.einsum("kic,kc->ki", inverse, motion.acceleration)
-        x_column = structure[..., 0]
-        y_column = structure[..., 1]
-        null = np.cross(x_column, y_column)
-        length = np.linalg.norm(null, axis=-1, keepdims=True)
-        total = null.sum(axis=-1, keepdims=True)
-        self._null = null * np.sign(total) / length
-        self._minimum = minimum
-
-    def __call__(self, mass: float) -> Array:
-        """Tensions T of a total mass, shape (K, 3) [N]."""
-        tensions = mass * self._particular
-        needed_alpha = (self._minimum - tensions) / self._null
-        alpha = needed_alpha.max()
-        return np.asarray(tensions + alpha * self._null)
-
-
-def _largest_of_constant_alpha(interpretation: Interpretation, robot: Robot) -> LargestPayload:
-    """Bisection for a constant α. The torque reserve of the motors is concave in the mass, but not
-    affine."""
-    times = _times(robot)
-    motion = paper_circle(robot)(times)
-    tensions = _ConstantAlpha(robot, motion, interpretation.minimum_tension)
-    shape = (len(times), robot.cables)
-    slack = np.zeros(shape)
-    pulley_torques = textbook.required_torques(robot, slack, *_state(motion))
-    lower, upper = _rigid_limits(interpretation, robot, motion)
-
-    def overload(mass: float) -> Array:
-        cable_torques = robot.pulley_radius * tensions(mass)
-        torques = pulley_torques + cable_torques
-        return np.maximum(torques - upper, lower - torques)
-
-    def is_feasible(mass: float) -> bool:
-        excess = overload(mass)
-        return bool(excess.max() <= 0)
-
-    largest_mass = 10 * robot.mass
-    grid = np.linspace(0.0, largest_mass, 201)
-    masses = grid[1:].tolist()
-    for high in masses:
-        if not is_feasible(high):
-            break
-    else:
-        return LargestPayload(payload=np.inf, motor=None, time=None)
-    index = masses.index(high)
-    if index == 0:
-        return LargestPayload(payload=-np.inf, motor=None, time=None)
-    low = masses[index - 1]
-    while high - low > 1e-9:
-        middle = (low + high) / 2
-        if is_feasible(middle):
-            low = middle
-        else:
-            high = middle
-    excess = overload(high)
-    largest = np.argmax(excess)
-    k, motor = np.unravel_index(largest, shape)
-    return LargestPayload(
-        payload=low - robot.mass,
-        motor=int(motor) + 1,
-        time=_rounded(times[k]),
-    )
-
-
-def _state_space(
-    interpretation: Interpretation, robot: Robot, mass: float, times: Array
-) -> tuple[Array, Array]:
-    """Torques, and speeds for the torque-speed line of the interpretation, each of shape (K, m)."""
-    motion = paper_circle(robot)(times)
-    state = _state(motion)
-    tensions = textbook.required_tensions(robot, mass, *state)
-    kappa = textbook.required_torques(robot, tensions, *state)
-    pulley_angle = textbook.pulley_angle(robot, motion.position)
-    rest_angle = pulley_angle + kappa / robot.stiffness
-    divisor = eq24_divisor(interpretation, robot)
-    frequency = np.sqrt(robot.stiffness / divisor)
-    angle, speed = _oscillation(rest_angle, frequency, times)
-    effective_stiffness = robot.motor_inertia * robot.stiffness / divisor
-    torques = kappa + effective_stiffness * (rest_angle - angle)
-    if interpretation.line not in ("physical", "reversed"):
-        speed = textbook.pulley_speed(robot, motion.position, motion.velocity)
-    return torques, interpretation.line_speed(robot) * speed
-
-
-def eq24_divisor(interpretation: Interpretation, robot: Robot) -> Array:
-    """J′, or 1 + J′ as printed, (m,)."""
-    if interpretation.eq24 == "verbatim":
-        return 1.0 + robot.motor_inertia
-    return robot.motor_inertia
 
 
 def _oscillation(goal: Array, frequency: Array, times: Array) -> tuple[Array, Array]:
@@ -283,17 +196,13 @@ def _oscillation(goal: Array, frequency: Array, times: Array) -> tuple[Array, Ar
     speed = np.zeros_like(goal)
     angle[0] = goal[0]
     for k, step in enumerate(np.diff(times)):
-        next_goal = goal[k + 1]
-        rate = (next_goal - goal[k]) / step
+        rate = (goal[k + 1] - goal[k]) / step
         offset = angle[k] - goal[k]
         drift = speed[k] - rate
-        phase = frequency * step
-        cosine = np.cos(phase)
-        sine = np.sin(phase)
-        sine_part = drift / frequency * sine
-        angle[k + 1] = next_goal + offset * cosine + sine_part
-        sine_rate = offset * frequency * sine
-        speed[k + 1] = rate - sine_rate + drift * cosine
+        cosine = np.cos(frequency * step)
+        sine = np.sin(frequency * step)
+        angle[k + 1] = goal[k + 1] + offset * cosine + drift / frequency * sine
+        speed[k + 1] = rate - offset * frequency * sine + drift * cosine
     return angle, speed
 
 

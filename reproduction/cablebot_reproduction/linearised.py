@@ -16,6 +16,7 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.plant import Plant
 from cablebot_gym.robots import Motors, Robot
+from cablebot_reproduction.simulation import CONTROL_FREQUENCY
 
 _TURN = 0.05
 """Maximum phase advance of the fastest mode per physics step [rad], small enough for RK4 to add no
@@ -39,42 +40,28 @@ def unsaturated_actions(robot: Robot) -> Robot:
     return robot.replace(motors=motors)
 
 
-def growth_rate(law: Any, robot: Robot, *, control_frequency: float = 500.0) -> float:
+def growth_rate(law: Any, robot: Robot, *, control_frequency: float = CONTROL_FREQUENCY) -> float:
     """max Re(log z / h) of the loop sampled with a zero-order hold, linearised at rest at home
     [1/s].
 
-    The state is (X, Ẋ, β′, β̇′) and the motor speeds of the previous sample, which a law may store.
-    Cables transmit compression. The linearisation uses central differences over one control period
-    of the plant.
+    The state is (X, Ẋ, β′, β̇′). Cables transmit compression. The linearisation uses central
+    differences over one control period of the plant.
 
     Args:
-        law: control law built for the robot.
+        law: control law without memory, built for the robot.
         robot: flexible robot with the motors of :func:`unsaturated_actions`.
         control_frequency: 1/h [Hz].
     """
     period = 1 / control_frequency
-    plant_state = _rest(robot)
-    past_speed = np.zeros(robot.cables)
-    rest_state = np.concatenate([plant_state, past_speed])
+    rest_state = _rest(robot)
     steps = np.full(len(rest_state), _DIFFERENCE)
-    states = _neighbours(rest_state, steps)
-    plant = _plant_at(robot, states)
-    motor_speed = plant.motor_speed.copy()
-    past_speeds = states[:, -robot.cables :]
-    # The observation has a time of 0, so the previous sample was at the time -period.
-    ages = np.full(len(states), period)
-    memory = np.column_stack([past_speeds, ages])
-    observation = _observation(robot, plant)
-    action, _ = law.predict(observation, state=memory)
+    plant = _plant_at(robot, _neighbours(rest_state, steps))
+    action, _ = law.predict(_observation(robot, plant))
     plant.set_action(action)
     _advance(plant, robot, period)
-    plant_states = _state(plant)
-    next_states = np.concatenate([plant_states, motor_speed], axis=1)
-    transition = _central_difference(next_states, steps)
-    eigenvalues = np.linalg.eigvals(transition)
-    largest_factor = np.abs(eigenvalues).max()
-    rate = np.log(largest_factor) / period
-    return float(rate)
+    transition = _central_difference(_state(plant), steps)
+    largest_factor = np.abs(np.linalg.eigvals(transition)).max()
+    return float(np.log(largest_factor) / period)
 
 
 def controllable_states(robot: Robot) -> int:
@@ -86,71 +73,54 @@ def controllable_states(robot: Robot) -> int:
     influence of the units.
     """
     robot = unsaturated_actions(robot)
-    minimum = textbook.MINIMUM_TENSION
-    torque = textbook.static_torque(robot, robot.mass, robot.home, minimum=minimum)
-    rest_action = torque / robot.stall_torque
+    torque = textbook.static_torque(robot, robot.mass, robot.home)
     rest_state = _rest(robot)
     size = len(rest_state)
-    rest_values = np.concatenate([rest_state, rest_action])
+    rest_values = np.concatenate([rest_state, torque / robot.stall_torque])
     steps = np.full(len(rest_values), _DIFFERENCE)
     steps[size:] /= robot.stall_torque.max()
     values = _neighbours(rest_values, steps)
     plant = _plant_at(robot, values)
-    torque_actions = values[:, size:]
     speed_slope = robot.speed_slope / robot.stall_torque
-    speed_actions = speed_slope * plant.motor_speed
-    plant.set_action(torque_actions + speed_actions)
+    plant.set_action(values[:, size:] + speed_slope * plant.motor_speed)
     _advance(plant, robot, _SAMPLING)
     response = _central_difference(_state(plant), steps)
     transition, reached = np.split(response, [size], axis=1)
     powers = [reached]
-    count = size // robot.cables
-    for _ in range(1, count):
-        reached = transition @ reached
-        powers.append(reached)
+    while len(powers) < size // robot.cables:
+        powers.append(transition @ powers[-1])
     controllability = np.concatenate(powers, axis=1)
-    column_scales = np.linalg.norm(controllability, axis=0)
-    controllability /= column_scales
-    magnitudes = np.abs(controllability)
-    row_scales = magnitudes.max(axis=1, keepdims=True)
-    controllability /= row_scales
-    rank = np.linalg.matrix_rank(controllability, tol=1e-6)
-    return int(rank)
+    controllability /= np.linalg.norm(controllability, axis=0)
+    controllability /= np.abs(controllability).max(axis=1, keepdims=True)
+    return int(np.linalg.matrix_rank(controllability, tol=1e-6))
 
 
 def _neighbours(values: Array, steps: Array) -> Array:
     """Values with one entry each increased and then decreased by its step, (2 N, N)."""
     changes = np.diag(steps)
-    above = values + changes
-    below = values - changes
-    return np.concatenate([above, below])
+    return np.concatenate([values + changes, values - changes])
 
 
 def _central_difference(results: Array, steps: Array) -> Array:
     """Derivatives of results, (M, N), at the :func:`_neighbours` of values, (2 N, M)."""
     above, below = np.split(results, 2)
-    difference = above - below
-    derivatives: Array = difference.T / (2 * steps)
+    derivatives: Array = (above - below).T / (2 * steps)
     return derivatives
 
 
 def _rest(robot: Robot) -> Array:
     """State (X, Ẋ, β′, β̇′) at rest at home."""
-    minimum = textbook.MINIMUM_TENSION
-    angle = textbook.static_motor_angle(robot, robot.mass, robot.home, minimum=minimum)
+    angle = textbook.static_motor_angle(robot, robot.mass, robot.home)
     velocity = np.zeros(robot.coordinates)
-    speed = np.zeros(robot.cables)
-    return np.concatenate([robot.home, velocity, angle, speed])
+    return np.concatenate([robot.home, velocity, angle, np.zeros(robot.cables)])
 
 
 def _plant_at(robot: Robot, states: Array) -> Plant:
     """A plant in states that begin with (X, Ẋ, β′, β̇′), shape (B, ...)."""
     n, m = robot.coordinates, robot.cables
-    ends = np.cumsum([n, n, m, m])
-    pose, velocity, angle, speed, _ = np.split(states, ends, axis=1)
-    count = len(states)
-    plant = Plant(robot, count, cable="bilateral")
-    indices = np.arange(count)
+    pose, velocity, angle, speed, _ = np.split(states, np.cumsum([n, n, m, m]), axis=1)
+    plant = Plant(robot, len(states), cable="bilateral")
+    indices = np.arange(len(states))
     plant.set_state(indices, pose, velocity)
     plant.set_motors(indices, angle, speed)
     return plant
@@ -164,8 +134,7 @@ def _state(plant: Plant) -> Array:
 def _observation(robot: Robot, plant: Plant) -> Array:
     """Observation of a plant whose reference is the home pose."""
     layout = observation_layout(robot)
-    count = len(plant.pose)
-    observation = np.zeros((count, layout.size))
+    observation = np.zeros((len(plant.pose), layout.size))
     blocks = layout.split(observation)
     blocks["pose"][:] = plant.pose
     blocks["velocity"][:] = plant.velocity
@@ -178,10 +147,7 @@ def _observation(robot: Robot, plant: Plant) -> Array:
 def _advance(plant: Plant, robot: Robot, period: float) -> None:
     """Advances the plant by one control period in steps that are short enough not to damp the
     springs."""
-    frequency = textbook.highest_frequency(robot)
-    phase = period * frequency
-    substeps = math.ceil(phase / _TURN)
-    step = period / substeps
+    substeps = math.ceil(period * textbook.highest_frequency(robot) / _TURN)
     references = np.zeros((1, 1, robot.coordinates))
     ends = np.zeros(1, np.int64)
-    plant.advance(references, ends, substeps=substeps, step=step)
+    plant.advance(references, ends, substeps=substeps, step=period / substeps)

@@ -20,19 +20,16 @@ In both forms "q̇" is the motor speed β̇, because otherwise k₂ = τ_s/ω_n 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cablebot_gym.bounds.closed_form import control_instants
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
-from cablebot_gym.trajectories import Reference, Trajectory
-from cablebot_gym.utils.checks import number
-from cablebot_reproduction.runs import CONTROL_FREQUENCY
+from cablebot_gym.trajectories import Trajectory
+from cablebot_reproduction.simulation import CONTROL_FREQUENCY
 
 TOLERANCE = 1e-6
 """Largest difference between m_load and m_e at convergence (7b) [kg]."""
@@ -48,27 +45,21 @@ class LoadIteration:
     loads: tuple[float, ...]
     """All guesses m_e in order [kg]; the first one is the argument ``guess``."""
     payload: float
-    """``C m_e`` of the last guess [kg], the result if the iteration converged (step 7b); ``inf`` if
-    no motor torque depends on the load."""
+    """``C m_e`` of the last guess [kg], the result if the iteration converged (step 7b)."""
     converged: bool
-    """Whether the last guess and ``payload`` differ by at most :data:`TOLERANCE`. False after
-    :data:`MOST_GUESSES` guesses without convergence, or if the next guess would make the total mass
-    zero or negative because the motion is too fast for any payload."""
-    motor: int | None
-    """Motor with the smallest coefficient at the last guess, counted from 1; None if no torque
-    depends on the load."""
-    time: float | None
-    """Control instant of the smallest coefficient [s]; None if no torque depends on the load."""
+    """Whether the last guess and ``payload`` differ by at most :data:`TOLERANCE`."""
+    motor: int
+    """Motor with the smallest coefficient at the last guess, counted from 1."""
 
 
 def load_coefficient(
-    robot: Robot, full: ArrayLike, empty: ArrayLike, speed: ArrayLike, *, corrected: bool
+    robot: Robot, full: Array, empty: Array, speed: Array, *, corrected: bool
 ) -> Array:
     """``(C_a)_i`` of Eq. 37, shape (..., m): largest load of each motor as a multiple of the
     guessed load.
 
-    The printed form is the absolute value of Eq. 38. The coefficient is ``inf`` if the torque does
-    not depend on the load.
+    The printed form is the absolute value of Eq. 38. The corrected coefficient is ``inf`` if the
+    torque does not depend on the load.
 
     Args:
         robot: robot with these motors.
@@ -77,19 +68,14 @@ def load_coefficient(
         speed: β̇, motor speeds, shape (..., m) [rad/s].
         corrected: whether to use the corrected form instead of the printed one.
     """
-    full = np.asarray(full, float)
-    empty = np.asarray(empty, float)
     lower, upper = textbook.torque_limits(robot, speed)
     difference = full - empty
-    direction, start = difference, empty
-    if not corrected:
-        direction, start = full, full
-    reserve = np.where(direction >= 0, upper, lower) - start
     with np.errstate(divide="ignore", invalid="ignore"):
-        coefficient = np.where(difference == 0, np.inf, reserve / difference)
-    if corrected:
-        return coefficient
-    return np.abs(coefficient)
+        if corrected:
+            reserve = np.where(difference >= 0, upper, lower) - empty
+            return np.where(difference == 0, np.inf, reserve / difference)
+        reserve = np.where(full >= 0, upper, lower) - full
+        return np.abs(reserve / difference)
 
 
 def iterate_load(
@@ -99,14 +85,9 @@ def iterate_load(
     guess: float,
     corrected: bool,
     minimum_tension: float = 0.0,
-    line_speed: ArrayLike = 1.0,
 ) -> LoadIteration:
-    """Runs the eight steps of the paper for exact tracking. The average of ``C m_e`` and m_e is the
-    next guess (7a).
-
-    Only motor torques and upper bounds of the payload count. If these limit the robot, the
-    corrected form agrees with :func:`~cablebot_gym.bounds.closed_form.exact_payload`. The minimum
-    tensions of a planar robot have kinks over the load, so the iteration may not converge.
+    """Runs the eight steps of the paper for exact tracking of a motion with a positive payload. The
+    average of ``C m_e`` and m_e is the next guess (7a).
 
     Args:
         robot: robot with a rigid transmission.
@@ -114,40 +95,24 @@ def iterate_load(
         guess: first guess m_e [kg]; > 0.
         corrected: whether to use the corrected form instead of the printed one.
         minimum_tension: lower tension bound [N]; only a planar robot uses it.
-        line_speed: factor of the pulley speed in the torque-speed line, as for exact tracking.
-
-    Raises:
-        ValueError: if the guess is invalid, or if no tensions produce the motion.
     """
-    guess = number("guess", guess, above=0, unit="kg")
-    times, reference = control_instants(robot, trajectory, CONTROL_FREQUENCY)
-    pulley_speed = textbook.pulley_speed(robot, reference.position, reference.velocity)
-    speed = np.asarray(line_speed, float) * pulley_speed
-    empty = _torques(robot, 0.0, reference, minimum_tension)
-    loads: list[float] = []
-    while True:
-        loads.append(guess)
-        # Steps 5 and 6. The probe load must differ from zero. A torque that a negative load removes
-        # equals the torque that the corresponding positive load adds.
-        probe = math.copysign(max(abs(guess), TOLERANCE), guess)
-        change = _torques(robot, probe, reference, minimum_tension) - empty
-        full = empty + math.copysign(1.0, probe) * change
-        coefficient = load_coefficient(robot, full, empty, speed, corrected=corrected)
-        k, motor = np.unravel_index(np.argmin(coefficient), coefficient.shape)  # Eq. 38 and 39
-        payload = float(coefficient[k, motor]) * abs(probe)
-        if not math.isfinite(payload):
-            return LoadIteration(tuple(loads), payload, converged=True, motor=None, time=None)
-        converged = abs(payload - guess) <= TOLERANCE
-        next_guess = (guess + payload) / 2
-        if converged or len(loads) == MOST_GUESSES or next_guess <= -robot.mass:
-            return LoadIteration(
-                tuple(loads), payload, converged, motor=int(motor) + 1, time=float(times[k])
-            )
-        guess = next_guess
-
-
-def _torques(robot: Robot, load: float, reference: Reference, minimum: float) -> Array:
-    """Torques of exact tracking with a load, shape (K, m) [N·m]."""
+    _, reference = control_instants(robot, trajectory, CONTROL_FREQUENCY)
     motion = (reference.position, reference.velocity, reference.acceleration)
-    tensions = textbook.required_tensions(robot, robot.mass + load, *motion, minimum=minimum)
-    return textbook.required_torques(robot, tensions, *motion)
+
+    def required(load: float) -> textbook.InverseDynamics:
+        mass = robot.mass + load
+        return textbook.inverse_dynamics(robot, mass, *motion, minimum=minimum_tension)
+
+    empty = required(0.0)
+    loads = [guess]
+    while True:
+        full = required(loads[-1])
+        coefficient = load_coefficient(
+            robot, full.torques, empty.torques, empty.speeds, corrected=corrected
+        )
+        _, motor = np.unravel_index(np.argmin(coefficient), coefficient.shape)  # Eqs. 38 and 39
+        payload = float(coefficient.min()) * loads[-1]
+        converged = abs(payload - loads[-1]) <= TOLERANCE
+        if converged or len(loads) == MOST_GUESSES:
+            return LoadIteration(tuple(loads), payload, converged, int(motor) + 1)
+        loads.append((loads[-1] + payload) / 2)

@@ -1,37 +1,64 @@
-"""Texts of numbers and options, and the command of a finding."""
+"""Texts of numbers, and templates of sentences with numbers of a run."""
 
 from __future__ import annotations
 
-import math
+import re
+from collections.abc import Mapping
 
-from cablebot_gym.utils.console import command_line
-from cablebot_reproduction.interpretation import AS_PRINTED, Interpretation, Source
-from cablebot_reproduction.part import Number
-from cablebot_reproduction.published import load_table
+from cablebot_reproduction.outcome import Number
 
+ABOUT = 0.05
+"""Largest relative difference between our number and a published one that counts as reproduced."""
 
-def command(interpretation: Interpretation, *only: str) -> str:
-    """Command that runs these parts, or all parts if no name is given, under an interpretation."""
-    return command_line("reproduce", only=list(only), **interpretation.changed())
+PUBLISHED = {"planar_payload_kg": 2.2, "spatial_payload_kg": 2.56, "flexible_payload_kg": 1.4}
+"""The load capacities of §5.2 [kg]. The motor that saturates first is always motor 2."""
 
+_UNITS = {"mm": "mm", "mrad": "mrad", "N": "N", "Nm": "N·m", "s": "s"}
+"""Unit of a number by the end of its name."""
 
-OPTIONS = load_table("options.toml")
-"""Options of an interpretation in the order of the command: ``help``, and short ``texts`` of the
-choices."""
-
-
-def option_text(name: str, value: object, source: Source | None = None) -> str:
-    """Short text of a chosen option. ``source`` selects the value of "as-printed"; None lists the
-    values of both sections."""
-    if name == "minimum_tension":
-        return f"T_min = {float(str(value)):g} N"
-    if value == "as-printed" and source is not None:
-        value = f"{AS_PRINTED[name][source]:g}"
-    text: str = OPTIONS[name]["texts"].get(str(value), f"{name.replace('_', ' ')} = {value}")
-    return text.format(**AS_PRINTED.get(name, {}))
-
+_FIELD = re.compile(r"{([^{}:]+):?([^{}]*)}")
+"""A field of a template: the name of a number, and its form."""
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def within(ours: float, published: float) -> bool:
+    """Whether our number reproduces a published number."""
+    return abs(ours - published) <= ABOUT * abs(published)
+
+
+def fill(template: str, numbers: Mapping[str, Number]) -> str:
+    """A sentence with numbers of the run.
+
+    ``{fig10.time_s}`` is a number with the unit that its name ends with,
+    ``{fig9.sum_reduction_1e-2:%}`` a number in another unit, and ``{fig10.payload_kg:vs 2.2}`` a
+    payload with its difference from a published one.
+
+    Raises:
+        KeyError: if the run did not compute a number.
+    """
+
+    def text(field: re.Match[str]) -> str:
+        name, form = field.groups()
+        return _number_text(numbers[name], name.rpartition("_")[2], form)
+
+    return _FIELD.sub(text, template)
+
+
+def _number_text(value: Number, unit: str, form: str) -> str:
+    """Text of a number whose name ends with a unit, see :func:`fill`."""
+    if unit == "kg":
+        text = kilograms(value)
+        if not form:
+            return text
+        ratio = float(value or 0.0) / float(form.removeprefix("vs "))
+        difference = f"{round(100 * (ratio - 1)):+d} %".replace("+0 %", "0 %")
+        return f"{text} ({difference.replace('-', '−')})"
+    if isinstance(value, str):
+        return value.replace("-", "−")
+    if form == "%":
+        value = 100 * float(value or 0.0)
+    return f"{as_text(value, 3)} {form or _UNITS.get(unit, '')}".strip()
 
 
 def as_text(value: Number, digits: int = 4) -> str:
@@ -39,16 +66,12 @@ def as_text(value: Number, digits: int = 4) -> str:
     None."""
     if value is None:
         return "–"
-    if value is True:
-        return "yes"
-    if value is False:
-        return "no"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, str):
         return value
     if isinstance(value, int):
         return f"{value:d}".replace("-", "−")
-    if not math.isfinite(value):
-        return {math.inf: "∞", -math.inf: "−∞"}.get(value, "–")
     mantissa, _, power = f"{value:.{digits}g}".partition("e")
     mantissa = mantissa.replace("-", "−")
     if not power:
@@ -56,19 +79,9 @@ def as_text(value: Number, digits: int = 4) -> str:
     return f"{mantissa} · 10{str(int(power)).translate(_RAISED)}"
 
 
-def kilograms(value: float | None) -> str:
+def kilograms(value: Number) -> str:
     """Text of a payload; None if the robot fails unloaded."""
-    if value is None or value == -math.inf:
+    if not isinstance(value, float):
         return "fails unloaded"
-    text = as_text(value, 3)
-    if 1e-3 <= abs(value) < 1e3:
-        text = f"{value:#.3g}".rstrip(".")
-    return f"{text.replace('-', '−')} kg"
-
-
-def relative_difference(ours: float, published: float) -> str:
-    """Relative difference between our number and a published number in percent."""
-    text = f"{100 * (ours / published - 1):+.0f} %".replace("-", "−")
-    if text in ("+0 %", "−0 %"):
-        return "0 %"
-    return text
+    text = f"{value:#.3g}".rstrip(".").replace("-", "−")
+    return f"{text} kg"

@@ -1,270 +1,232 @@
-"""Figs. 10 to 13: the rigid robots at the largest payload that saturates no motor."""
+"""Figs. 10 to 15: the robots at the largest payload that saturates no motor."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_gym.plotting.figures import new_figure, path_panels, torques_height
-from cablebot_gym.robots import Robot
+import numpy as np
+
+from cablebot_baselines.classical import FeedbackLinearization, FourthOrder, MotorPD
+from cablebot_gym.evaluation import DLCCResult
+from cablebot_gym.evaluation.rollout import Rollout
+from cablebot_gym.kinematics import Array
+from cablebot_gym.plotting.figures import (
+    TravelledPath,
+    add_legend,
+    draw_plane,
+    mark_bound,
+    new_figure,
+    path_panels,
+    set_title,
+    torques_height,
+)
+from cablebot_gym.robots import PLANAR, Robot
 from cablebot_gym.task import ErrorBounds
-from cablebot_gym.utils.palette import GREY, VERMILLION
-from cablebot_reproduction.exact import exact_limit, exact_profile, paper_circle
-from cablebot_reproduction.interpretation import Interpretation
-from cablebot_reproduction.judgement import Judgement, Run, verdict
-from cablebot_reproduction.part import Jobs, Outcome, Results, job
-from cablebot_reproduction.parts import profiles
-from cablebot_reproduction.parts.interpretations import evidence_of_combinations
-from cablebot_reproduction.parts.plotting import add_title
-from cablebot_reproduction.parts.profiles import PayloadSummary
-from cablebot_reproduction.published import LOADS, MOTORS, within
-from cablebot_reproduction.runs import closed_loop, largest_payload
+from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
+from cablebot_reproduction.exact import exact_limit, state_space_limit, state_space_profile
+from cablebot_reproduction.outcome import Numbers, Outcome
+from cablebot_reproduction.profiles import (
+    PayloadSummary,
+    draw_torques,
+    first_saturation,
+    path_numbers,
+    payload_table,
+    simulated_profile,
+    travelled,
+)
+from cablebot_reproduction.robots import flexible_robot, paper_circle, spatial_robot
+from cablebot_reproduction.simulation import (
+    composite,
+    episode,
+    eq22,
+    largest_payload,
+    peak_error_mm,
+)
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, FigureBase
 
-_PATH_HEIGHT = 4.9
-"""Figure height with space for a legend of three lines [inch]."""
+RIGID = spatial_robot()
+FLEXIBLE = flexible_robot()
+WITH_FRICTION = flexible_robot(motor_damping=float(RIGID.damping[0]))
+"""The robot of §5.2.3 with the damping of Table 4 at its motors, for which the paper prints no
+value."""
 
-_METHODS = {
-    "": ("paper", "closed loop, paper criterion"),
-    "task_": ("task", "closed loop, task criterion"),
-    "payload_unknown_": ("payload_unknown", "closed loop, task criterion, payload unknown"),
+_FAR = 4.0
+"""Upper end of an error axis of Fig. 14 as a multiple of the bound, so that small errors remain
+visible."""
+
+
+_LOOPS: dict[str, tuple[str, dict[str, Any], str]] = {
+    "": ("paper criterion", {"criterion": "paper"}, BLUE),
+    "task_": ("task criterion", {"criterion": "task"}, VERMILLION),
+    "payload_unknown_": (
+        "task criterion, payload unknown",
+        {"criterion": "task", "payload_known": False},
+        GREY,
+    ),
 }
-"""Job and text of each closed loop, by the prefix of its numbers."""
+"""Text, conditions and colour of each closed loop of a rigid robot, by the prefix of its numbers."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rigid:
-    """One of the rigid robots."""
-
-    kind: Literal["planar", "spatial"]
-    """Planar or spatial."""
-
-    @property
-    def name(self) -> str:
-        """Name for a title."""
-        return f"{self.kind.capitalize()} robot"
-
-    def robot(self, interpretation: Interpretation) -> Robot:
-        """The robot of §5.2."""
-        return interpretation.planar if self.kind == "planar" else interpretation.spatial("payload")
-
-    def closed_loop_possible(self, interpretation: Interpretation) -> bool:
-        """Whether the interpretation allows a closed loop. A constant α is not a feedback law."""
-        if self.kind == "planar" and interpretation.alpha == "constant":
-            return False
-        return interpretation.closed_loop_possible
-
-    def jobs(self, interpretation: Interpretation) -> Jobs:
-        """Largest payloads and an unloaded episode, which is drawn if the robot fails unloaded."""
-        robot = self.robot(interpretation)
-        jobs = {"exact": job(exact_limit, interpretation=interpretation, robot=robot)}
-        if not self.closed_loop_possible(interpretation):
-            return jobs
-        law: Any = FeedbackLinearization
-        if self.kind == "planar":
-            law = partial(FeedbackLinearization, minimum_tension=interpretation.minimum_tension)
-        loop = {
-            "env_id": f"CableBot-{self.kind.capitalize()}-v0",
-            "law": law,
-            "robot": interpretation.closed_loop_robot(robot),
-        }
-        payload = partial(job, largest_payload, **loop, name="fl")
-        jobs["paper"] = payload(criterion="paper")
-        jobs["task"] = payload(criterion="task")
-        jobs["payload_unknown"] = payload(criterion="task", payload_known=False)
-        jobs["empty"] = job(closed_loop, **loop)
-        return jobs
-
-    def torques(self, interpretation: Interpretation, results: Results) -> Outcome:
-        """Numbers of Figs. 10 and 12."""
-        robot = self.robot(interpretation)
-        exact = PayloadSummary.computed(results["exact"])
-        is_simulated = self.closed_loop_possible(interpretation)
-        numbers = exact.numbers(interpretation, robot)
-        numbers |= exact.numbers(interpretation, robot, "exact_")
-        numbers["simulated"] = is_simulated
-        rows = {"exact tracking": (robot, exact)}
-        if is_simulated:
-            for prefix, (name, method) in _METHODS.items():
-                summary = PayloadSummary.simulated(results[name])
-                numbers |= summary.numbers(interpretation, robot, prefix)
-                rows[method] = robot, summary
-        table = profiles.payload_table(f"Largest payloads of the {self.kind} robot.", rows)
-        return Outcome(numbers=numbers, tables=(table,))
-
-    def draw_torques(self, interpretation: Interpretation, results: Results) -> Figure:
-        """Figs. 10 and 12."""
-        robot = self.robot(interpretation)
-        figure = new_figure(torques_height(robot.cables))
-        end_reason: list[str] = []
-        if self.closed_loop_possible(interpretation):
-            summary = PayloadSummary.simulated(results["paper"])
-            shown = _shown(results)
-            profile = profiles.simulated_profile(
-                interpretation.closed_loop_robot(robot), shown.arrays
-            )
-            end_reason = shown.end_reason
-            description = (
-                "in closed loop with fl, paper criterion: |a| ≤ 1 at every control instant"
-            )
-        else:
-            summary = PayloadSummary.computed(results["exact"])
-            profile = profiles.computed_profile(
-                exact_profile(interpretation, robot, summary.payload or 0.0)
-            )
-            description = "exact tracking, no closed loop"
-        profiles.draw_panels(figure, profile, profiles.first_saturation(profile, summary))
-        add_title(
-            figure,
-            interpretation,
-            f"{self.name}, {description}",
-            summary.sentence(robot),
-            *end_reason,
-        )
-        return figure
-
-    def path(self, interpretation: Interpretation, results: Results) -> Outcome:
-        """Numbers of Figs. 11 and 13."""
-        if not self.closed_loop_possible(interpretation):
-            return Outcome(numbers=profiles.NO_PATH)
-        shown = _shown(results)
-        numbers = profiles.path_numbers(shown)
-        if self.kind == "spatial":
-            _, rotation = shown.peaks
-            numbers["peak_rotation_mrad"] = 1e3 * rotation
-            numbers["rotation_bound_mrad"] = 1e3 * ErrorBounds().rotation
-        return Outcome(numbers=numbers)
-
-    def draw_path(self, interpretation: Interpretation, results: Results) -> Figure:
-        """Figs. 11 and 13."""
-        robot, bounds = self.robot(interpretation), ErrorBounds()
-        if self.closed_loop_possible(interpretation):
-            shown = _shown(results)
-            summary = PayloadSummary.simulated(results["paper"])
-            title = [
-                f"{self.name} in closed loop with fl",
-                f"blue: {summary.sentence(robot)}",
-                *shown.end_reason,
-            ]
-            label = f"{summary.payload or 0.0:.3f} kg, payload known, paper criterion"
-            paths = [profiles.travelled(shown.arrays, name=label)]
-            for key, color, known in (
-                ("task", VERMILLION, "known"),
-                ("payload_unknown", GREY, "unknown"),
-            ):
-                task = PayloadSummary.simulated(results[key])
-                if task.payload is not None:
-                    label = (
-                        f"{task.payload:.3f} kg, payload {known}, task criterion: {task.violation}"
-                    )
-                    paths.append(
-                        profiles.travelled(results[key].rollout.arrays, name=label, color=color)
-                    )
-        else:
-            title = [
-                f"{self.name}, exact tracking, no closed loop",
-                "the path equals the reference by assumption",
-            ]
-            paths = [profiles.on_reference(paper_circle(robot), name="exact tracking")]
-        figure = new_figure(_PATH_HEIGHT)
-        rotation = bounds.rotation if self.kind == "spatial" else None
-        path_panels(figure, paper_circle(robot), paths, position=bounds.position, rotation=rotation)
-        add_title(figure, interpretation, *title)
-        return figure
+def fig10() -> Outcome:
+    """Torques of the planar robot."""
+    return _rigid_torques(PLANAR, "Planar")
 
 
-def _shown(results: Results) -> profiles.Shown:
-    return profiles.Shown(result=results["paper"], empty=results["empty"])
+def fig11() -> Outcome:
+    """Path of the planar robot."""
+    return _rigid_path(PLANAR, "Planar", rotation=None)
 
 
-PLANAR = Rigid(kind="planar")
-SPATIAL = Rigid(kind="spatial")
+def fig12() -> Outcome:
+    """Torques of the spatial robot."""
+    return _rigid_torques(RIGID, "Spatial")
 
 
-# --- verdicts ---------------------------------------------------------------------------------------------------------
-
-_PLANAR_OPTIONS = ("line", "planar_apex", "minimum_tension", "alpha")
-_SPATIAL_OPTIONS = ("line", "platform_mass", "triangles", "sides", "pulleys")
-
-
-@verdict("5.2.1.payload", "fig10", options=("payload", *_PLANAR_OPTIONS))
-def planar_payload(run: Run) -> Judgement:
-    """The planar robot carries the published payload."""
-    payload = run.payload("fig10.counted_kg")
-    evidence = (
-        run.sentence_if("fig10.simulated", "Added load in closed loop: {fig10.payload_kg}."),
-        "Added load by exact tracking: {fig10.exact_payload_kg}.",
-        "Total mass of platform and load by exact tracking: {fig10.exact_total_mass_kg:vs 5.2.1.payload}.",
-        *evidence_of_combinations(run, "planar"),
-        "Largest added load over all orientations of the triangle: {scan.planar_best_added_kg}.",
-    )
-    return Judgement(payload, within(payload, LOADS["planar"]), evidence)
+def fig13() -> Outcome:
+    """Path of the spatial robot."""
+    return _rigid_path(RIGID, "Spatial", rotation=ErrorBounds().rotation)
 
 
-@verdict("5.2.2.payload", "fig12", options=("payload", *_SPATIAL_OPTIONS))
-def spatial_payload(run: Run) -> Judgement:
-    """The spatial robot carries the published payload."""
-    payload = run.payload("fig12.counted_kg")
-    evidence = (
-        run.sentence_if("fig12.simulated", "Added load in closed loop: {fig12.payload_kg}."),
-        "Added load by exact tracking: {fig12.exact_payload_kg}.",
-        *evidence_of_combinations(run, "spatial"),
-        "The payload alone does not identify the geometry: {scan.hits} of {scan.geometries} tested geometries also "
-        "give it, {scan.hits_second_motor} of them with motor 2 as the limiting motor. Payloads reach "
-        "{scan.largest_kg}.",
-    )
-    return Judgement(payload, within(payload, LOADS["spatial"]), evidence)
+def _rigid_torques(robot: Robot, name: str) -> Outcome:
+    exact = PayloadSummary.computed(robot, exact_limit(robot))
+    numbers = exact.numbers("exact_")
+    rows = {"exact tracking": exact}
+    for prefix, (text, conditions, _) in _LOOPS.items():
+        result = largest_payload(FeedbackLinearization, robot, **conditions)
+        found = PayloadSummary.simulated(result)
+        numbers |= found.numbers(prefix)
+        rows[f"closed loop, {text}"] = found
+    figure = new_figure(torques_height(robot.cables))
+    _draw_result(figure, robot, _paper(robot), f"{name} robot in closed loop with fl")
+    table = payload_table(f"Largest payloads of the {name.lower()} robot", rows)
+    return Outcome(numbers=numbers, tables=(table,), figure=figure)
 
 
-@verdict("5.2.3.rigid", "fig12", options=("payload", *_SPATIAL_OPTIONS))
-def repeated_spatial_payload(run: Run) -> Judgement:
-    """The same, repeated in §5.2.3."""
-    payload = run.payload("fig12.counted_kg")
-    evidence = ("See §5.2.2: load capacity of the spatial robot.",)
-    return Judgement(payload, within(payload, LOADS["spatial"]), evidence)
+def _paper(robot: Robot) -> DLCCResult:
+    """Feedback linearization under the paper criterion."""
+    return largest_payload(FeedbackLinearization, robot, criterion="paper")
 
 
-@verdict("5.2.1.motor", "fig10", options=_PLANAR_OPTIONS)
-def planar_motor(run: Run) -> Judgement:
-    """The published motor of the planar robot saturates first."""
-    return _first_motor(run, "fig10", MOTORS["planar"])
+def _draw_result(figure: FigureBase, robot: Robot, result: DLCCResult, name: str) -> None:
+    """Draws the torques at the largest payload under the paper criterion."""
+    found = PayloadSummary.simulated(result)
+    profile = simulated_profile(robot, result.rollout.arrays)
+    draw_torques(figure, profile, first_saturation(profile, found))
+    criterion = "paper criterion: |a| ≤ 1 at every control instant"
+    set_title(figure, f"{name}, {criterion}", found.sentence())
 
 
-@verdict("5.2.2.motor", "fig12", options=_SPATIAL_OPTIONS)
-def spatial_motor(run: Run) -> Judgement:
-    """The published motor of the spatial robot saturates first."""
-    return _first_motor(run, "fig12", MOTORS["spatial"])
+def _rigid_path(robot: Robot, name: str, *, rotation: float | None) -> Outcome:
+    paths = []
+    for text, conditions, color in _LOOPS.values():
+        result = largest_payload(FeedbackLinearization, robot, **conditions)
+        label = f"{result.payload:.3f} kg, {text}"
+        paths.append(travelled(result.rollout.arrays, name=label, color=color))
+    figure = new_figure(4.9)
+    bound = ErrorBounds().position
+    path_panels(figure, paper_circle(robot), paths, position=bound, rotation=rotation)
+    sentence = PayloadSummary.simulated(_paper(robot)).sentence()
+    set_title(figure, f"{name} robot in closed loop with fl", f"blue: {sentence}")
+    return Outcome(numbers=path_numbers(_paper(robot)), figure=figure)
 
 
-def _first_motor(run: Run, figure: str, published: float) -> Judgement:
-    motor = run.number(f"{figure}.motor")
-    evidence = (
-        "Paper criterion.",
-        f"Exact tracking: motor {{{figure}.exact_motor}} at {{{figure}.exact_time_s}}.",
-    )
-    if run.payload(f"{figure}.payload_kg") < 0:  # the robot fails unloaded
-        return Judgement(None, False, evidence)
-    text = f"motor {{{figure}.motor}} at {{{figure}.time_s}}"
-    return Judgement(motor, motor == published, evidence, text)
+def fig14() -> Outcome:
+    """Path and other coordinates of the robot with joint springs."""
+    fourth_order = largest_payload(FourthOrder, FLEXIBLE, criterion="paper")
+    printed = episode(eq22, FLEXIBLE)
+    damped = episode(eq22, WITH_FRICTION)
+    found = PayloadSummary.simulated(fourth_order)
+    paths = []
+    for name, run, color in (
+        (f"fourth order, {found.payload_kg:.3f} kg", fourth_order.rollout, BLUE),
+        ("Eq. 22 as printed, 0 kg", printed, VERMILLION),
+        ("Eq. 22, motors with friction 0.01 N·m·s/rad, 0 kg", damped, GREY),
+    ):
+        paths.append(travelled(run.arrays, name=name, color=color))
+    numbers = path_numbers(fourth_order)
+    numbers["peak_z_mm"] = 1e3 * np.abs(_errors(paths[0])[:, 2]).max()
+    numbers |= _eq22_numbers("eq22_", printed) | _eq22_numbers("eq22_friction_", damped)
+    figure = _draw_coordinates(paths)
+    set_title(figure, "Robot with joint springs in closed loop", f"blue: {found.sentence()}")
+    return Outcome(numbers=numbers, figure=figure)
 
 
-@verdict("5.2.1.path", "fig11", unit="mm", options=_PLANAR_OPTIONS)
-def planar_path(run: Run) -> Judgement:
-    """The planar path stays within R."""
-    evidence = ("Bound 10 mm.", "Largest payload of the law, which knows it: {fig11.payload_kg}.")
-    return Judgement(run.number("fig11.peak_error_mm"), run.number("fig11.within"), evidence)
+def _eq22_numbers(prefix: str, loop: Rollout) -> Numbers:
+    """Numbers of an episode of the law of the paper."""
+    arrays = loop.arrays
+    outside = arrays["time"][arrays["tracking_error_peak"] > ErrorBounds().position]
+    return {
+        f"{prefix}peak_error_mm": peak_error_mm(loop),
+        f"{prefix}within": not loop.reason and not outside.size,
+        f"{prefix}leaves_s": float(outside[0]) if outside.size else None,
+        f"{prefix}slack": arrays["slack"].any(),
+        f"{prefix}peak_action": np.abs(arrays["commanded_action"]).max(),
+    }
 
 
-@verdict("5.2.2.path", "fig13", unit="mm", options=_SPATIAL_OPTIONS)
-def spatial_path(run: Run) -> Judgement:
-    """The spatial path stays within R."""
-    evidence = (
-        "Bound 10 mm.",
-        "Largest payload of the law, which knows it: {fig13.payload_kg}.",
-        "Largest rotation error: {fig13.peak_rotation_mrad}; the paper defines no bound for it.",
-    )
-    return Judgement(run.number("fig13.peak_error_mm"), run.number("fig13.within"), evidence)
+def _errors(path: TravelledPath) -> Array:
+    """Pose minus reference, shape (K, n)."""
+    return np.asarray(path.pose - paper_circle(FLEXIBLE)(path.times).position)
+
+
+def _draw_coordinates(paths: list[TravelledPath]) -> Figure:
+    """Draws the plane, and the errors of the other coordinates with their bounds."""
+    bounds = ErrorBounds()
+    figure = new_figure(6.4)
+    grid = figure.add_gridspec(4, 2, width_ratios=[1, 1.15])
+    plane = figure.add_subplot(grid[:, 0])
+    draw_plane(plane, paper_circle(FLEXIBLE), paths, bounds.position)
+    for row, name in enumerate(("z", "ψ", "θ", "φ")):
+        axes = figure.add_subplot(grid[row, 1])
+        bound, unit = bounds.rotation, "mrad"
+        if name == "z":
+            bound, unit = bounds.position, "mm"
+        for path in paths:
+            axes.plot(path.times, 1e3 * _errors(path)[:, 2 + row], **path.line)
+        mark_bound(axes, bound, unit, side="left")
+        axes.axhline(-1e3 * bound, color="black", linewidth=1.0)
+        limit = 1e3 * _FAR * bound
+        axes.set(ylabel=f"{name} error\n[{unit}]", xlim=(0, 1), ylim=(-limit, limit))
+        axes.tick_params(labelbottom=name == "φ")
+    axes.set_xlabel("time [s]")
+    add_legend(figure, plane)
+    return figure
+
+
+def fig15() -> Outcome:
+    """Torques of the robot with joint springs."""
+    exact = PayloadSummary.computed(RIGID, exact_limit(RIGID))
+    space = PayloadSummary.computed(FLEXIBLE, state_space_limit(FLEXIBLE))
+    fourth_order = largest_payload(FourthOrder, FLEXIBLE, criterion="paper")
+    paper = partial(largest_payload, criterion="paper")
+    simulated = {
+        "rigid_": ("rigid, fl", _paper(RIGID)),
+        "": ("fourth order", fourth_order),
+        "motor_pd_": ("motor-pd", paper(MotorPD, FLEXIBLE)),
+        "composite_": ("composite", paper(composite, FLEXIBLE)),
+        "eq22_": ("Eq. 22 as printed", paper(eq22, FLEXIBLE)),
+        "eq22_friction_": ("Eq. 22, motor friction of Table 4", paper(eq22, WITH_FRICTION)),
+        "task_": ("fourth order", largest_payload(FourthOrder, FLEXIBLE, criterion="task")),
+    }
+    numbers = space.numbers("state_space_") | exact.numbers("rigid_exact_")
+    rows = {"rigid, exact tracking": exact, "state space of Eqs. 23–25": space}
+    for prefix, (law, result) in simulated.items():
+        found = PayloadSummary.simulated(result)
+        numbers |= found.numbers(prefix)
+        rows[f"{law}, {result.criterion} criterion"] = found
+    numbers["drop_fraction"] = 1 - numbers["payload_kg"] / numbers["rigid_payload_kg"]
+    payload = numbers["state_space_payload_kg"]
+    numbers["state_space_drop_fraction"] = 1 - payload / numbers["rigid_exact_payload_kg"]
+    figure = new_figure(2 * torques_height(FLEXIBLE.cables))
+    above, below = figure.subfigures(2, 1, squeeze=False)[:, 0]
+    name = "Robot with joint springs, fourth-order law in closed loop"
+    _draw_result(above, FLEXIBLE, fourth_order, name)
+    profile = state_space_profile(FLEXIBLE, payload)
+    draw_torques(below, profile, first_saturation(profile, space))
+    title = "Robot with joint springs, state space of Eqs. 23–25, no closed loop"
+    set_title(below, title, space.sentence())
+    table = payload_table("Largest payloads with and without joint springs", rows)
+    return Outcome(numbers=numbers, tables=(table,), figure=figure)
