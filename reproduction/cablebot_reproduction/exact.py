@@ -96,7 +96,7 @@ def _limit_of_constant_alpha(robot: Robot, line: str, minimum: float) -> Largest
         else:
             high = middle
     k, motor = np.unravel_index(np.argmax(overload(high)), null.shape)
-    return LargestPayload(low - robot.mass, int(motor) + 1, _rounded(times[k]))
+    return LargestPayload(low - robot.mass, int(motor) + 1, round(float(times[k]), 7))
 
 
 def state_space_profile(
@@ -150,7 +150,7 @@ def state_space_limit(
     with np.errstate(divide="ignore", invalid="ignore"):
         payloads = np.where(loss > 0, unloaded_reserve / loss, np.inf)
     k, motor, _ = np.unravel_index(np.argmin(payloads), payloads.shape)
-    return LargestPayload(float(payloads.min()), int(motor) + 1, _rounded(unloaded.times[k]))
+    return LargestPayload(float(payloads.min()), int(motor) + 1, round(float(unloaded.times[k]), 7))
 
 
 def reserve(profile: TorqueProfile) -> Array:
@@ -204,7 +204,3 @@ def _oscillation(goal: Array, frequency: Array, times: Array) -> tuple[Array, Ar
         angle[k + 1] = goal[k + 1] + offset * cosine + drift / frequency * sine
         speed[k + 1] = rate - offset * frequency * sine + drift * cosine
     return angle, speed
-
-
-def _rounded(time: float) -> float:
-    return round(float(time), 7)

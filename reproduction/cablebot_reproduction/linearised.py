@@ -25,9 +25,6 @@ damping."""
 _DIFFERENCE = 1e-6
 """Half step of the central differences."""
 
-_SAMPLING = 0.02
-"""Sampling period for the controllability [s]; the platform moves within a few periods."""
-
 _BEYOND = 1e6
 """Factor of the motor torques for motors that never saturate."""
 
@@ -53,82 +50,27 @@ def growth_rate(law: Any, robot: Robot, *, control_frequency: float = CONTROL_FR
         control_frequency: 1/h [Hz].
     """
     period = 1 / control_frequency
-    rest_state = _rest(robot)
-    steps = np.full(len(rest_state), _DIFFERENCE)
-    plant = _plant_at(robot, _neighbours(rest_state, steps))
-    action, _ = law.predict(_observation(robot, plant))
-    plant.set_action(action)
-    _advance(plant, robot, period)
-    transition = _central_difference(_state(plant), steps)
-    largest_factor = np.abs(np.linalg.eigvals(transition)).max()
-    return float(np.log(largest_factor) / period)
-
-
-def controllable_states(robot: Robot) -> int:
-    """Rank of the controllability matrix of a flexible robot's plant, sampled and linearised at
-    rest at home.
-
-    With m inputs and 2 (n + m) states, [B, AB, …] up to the fourth power is square if n = m. Each
-    column is divided by its norm and each row by its largest absolute entry, which removes the
-    influence of the units.
-    """
-    robot = unsaturated_actions(robot)
-    torque = textbook.static_torque(robot, robot.mass, robot.home)
-    rest_state = _rest(robot)
-    size = len(rest_state)
-    rest_values = np.concatenate([rest_state, torque / robot.stall_torque])
-    steps = np.full(len(rest_values), _DIFFERENCE)
-    steps[size:] /= robot.stall_torque.max()
-    values = _neighbours(rest_values, steps)
-    plant = _plant_at(robot, values)
-    speed_slope = robot.speed_slope / robot.stall_torque
-    plant.set_action(values[:, size:] + speed_slope * plant.motor_speed)
-    _advance(plant, robot, _SAMPLING)
-    response = _central_difference(_state(plant), steps)
-    transition, reached = np.split(response, [size], axis=1)
-    powers = [reached]
-    while len(powers) < size // robot.cables:
-        powers.append(transition @ powers[-1])
-    controllability = np.concatenate(powers, axis=1)
-    controllability /= np.linalg.norm(controllability, axis=0)
-    controllability /= np.abs(controllability).max(axis=1, keepdims=True)
-    return int(np.linalg.matrix_rank(controllability, tol=1e-6))
-
-
-def _neighbours(values: Array, steps: Array) -> Array:
-    """Values with one entry each increased and then decreased by its step, (2 N, N)."""
-    changes = np.diag(steps)
-    return np.concatenate([values + changes, values - changes])
-
-
-def _central_difference(results: Array, steps: Array) -> Array:
-    """Derivatives of results, (M, N), at the :func:`_neighbours` of values, (2 N, M)."""
-    above, below = np.split(results, 2)
-    derivatives: Array = (above - below).T / (2 * steps)
-    return derivatives
-
-
-def _rest(robot: Robot) -> Array:
-    """State (X, Ẋ, β′, β̇′) at rest at home."""
-    angle = textbook.static_motor_angle(robot, robot.mass, robot.home)
-    velocity = np.zeros(robot.coordinates)
-    return np.concatenate([robot.home, velocity, angle, np.zeros(robot.cables)])
-
-
-def _plant_at(robot: Robot, states: Array) -> Plant:
-    """A plant in states that begin with (X, Ẋ, β′, β̇′), shape (B, ...)."""
     n, m = robot.coordinates, robot.cables
-    pose, velocity, angle, speed, _ = np.split(states, np.cumsum([n, n, m, m]), axis=1)
+    rest_angle = textbook.static_motor_angle(robot, robot.mass, robot.home)
+    rest = np.concatenate([robot.home, np.zeros(n), rest_angle, np.zeros(m)])
+    changes = _DIFFERENCE * np.eye(len(rest))
+    states = np.concatenate([rest + changes, rest - changes])
+    pose, velocity, angle, speed = np.split(states, np.cumsum([n, n, m]), axis=1)
     plant = Plant(robot, len(states), cable="bilateral")
     indices = np.arange(len(states))
     plant.set_state(indices, pose, velocity)
     plant.set_motors(indices, angle, speed)
-    return plant
-
-
-def _state(plant: Plant) -> Array:
+    action, _ = law.predict(_observation(robot, plant))
+    plant.set_action(action)
+    # Steps that are short enough not to damp the springs.
+    substeps = math.ceil(period * textbook.highest_frequency(robot) / _TURN)
+    ends = np.zeros(1, np.int64)
+    plant.advance(np.zeros((1, 1, n)), ends, substeps=substeps, step=period / substeps)
     state = (plant.pose, plant.velocity, plant.motor_angle, plant.motor_speed)
-    return np.concatenate(state, axis=1)
+    above, below = np.split(np.concatenate(state, axis=1), 2)
+    transition = (above - below).T / (2 * _DIFFERENCE)
+    largest_factor = np.abs(np.linalg.eigvals(transition)).max()
+    return float(np.log(largest_factor) / period)
 
 
 def _observation(robot: Robot, plant: Plant) -> Array:
@@ -142,12 +84,3 @@ def _observation(robot: Robot, plant: Plant) -> Array:
     blocks["motor_angle"][:] = plant.motor_angle
     blocks["motor_speed"][:] = plant.motor_speed
     return observation
-
-
-def _advance(plant: Plant, robot: Robot, period: float) -> None:
-    """Advances the plant by one control period in steps that are short enough not to damp the
-    springs."""
-    substeps = math.ceil(period * textbook.highest_frequency(robot) / _TURN)
-    references = np.zeros((1, 1, robot.coordinates))
-    ends = np.zeros(1, np.int64)
-    plant.advance(references, ends, substeps=substeps, step=period / substeps)

@@ -19,6 +19,7 @@ from cablebot_reproduction.exact import (
     state_space_limit,
     state_space_profile,
 )
+from cablebot_reproduction.fourth_order import FourthOrder
 from cablebot_reproduction.parts import robust
 from cablebot_reproduction.simulation import FeedForward, composite, episode
 
@@ -138,17 +139,4 @@ def test_errors_grow_at_the_rate_of_the_linearised_loop():
     growth = np.log(error[150:200].max() / error[50:100].max()) / 0.2
     assert growth == pytest.approx(rate, rel=0.1)
     assert -2 < linearised.growth_rate(composite(robot), robot) < -1  # the slow pole: −1.6
-
-
-def test_fewer_motors_control_fewer_states_in_four_samples(monkeypatch):
-    """[B, AB, A²B, A³B] has four columns for each independent motor."""
-    mixing = np.random.default_rng(1).standard_normal((6, 3))
-    common = mixing @ np.linalg.pinv(mixing)
-
-    class Shared(linearised.Plant):
-        def set_action(self, action):
-            nominal = action.mean(axis=0)
-            super().set_action(nominal + (action - nominal) @ common)
-
-    monkeypatch.setattr(linearised, "Plant", Shared)
-    assert linearised.controllable_states(robots.FLEXIBLE_OF_4) == 12
+    assert -18 < linearised.growth_rate(FourthOrder(robot), robot) < -12  # two poles at −15

@@ -131,7 +131,6 @@ def eq11():
     s = RADIUS * turning(RUBBING)[0].T
     force = np.array([3.0, -4.0])
     null = np.linalg.svd(s)[2][2]
-    assert np.all(null * np.sign(null[0]) > 0)  # α raises every torque at once
     another = s + 0.1 * np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     torques, printed = (s.T @ solve(a @ a.T, force) for a in (s, another))
     yield force, s @ (torques + 7.0 * null), s @ printed
@@ -358,12 +357,10 @@ def eq41():
 
 
 def tables():
-    """Friction of Table 4 on the planar robot, mass and inertia of Table 4, Table 5 and Table 6."""
+    """Friction of Table 4 on the planar robot, inertia of Table 4, Table 5 and Table 6."""
     robots = [with_transmission(PLANAR, damping=damping) for damping in (0.0, 0.01)]
     loads = [exact_payload(robot, PLANAR_CIRCLE) for robot in robots]
     assert loads[0].payload - loads[1].payload == pytest.approx(0.12, abs=0.01)
-    heavier = exact_payload(SPATIAL.replace(mass=11.0), CIRCLE)
-    assert heavier.total_mass == pytest.approx(exact_payload(SPATIAL, CIRCLE).total_mass)
     corners = 2 * 0.148 / math.sqrt(3)
     assert 11 * corners**2 == pytest.approx(0.32, abs=0.005)
     assert SPATIAL.inertia[2] == 1.16 == sum(SPATIAL.inertia[:2])

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_baselines.classical import FeedbackLinearization, FourthOrder
+from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_baselines.classical.outer_loop import PAPER_GAINS
 from cablebot_gym.evaluation import Comparison
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, Robot
 from cablebot_gym.trajectories import find_trajectory
+from cablebot_reproduction.fourth_order import FourthOrder
 from cablebot_reproduction.outcome import Number, Numbers, Outcome, Table
 from cablebot_reproduction.profiles import limiting_violation, violation_text
 from cablebot_reproduction.robots import flexible_robot, paper_circle, spatial_robot
@@ -107,20 +108,17 @@ def claims() -> Outcome:
 def _payload_rows(kind: str, robot: Robot, numbers: Numbers) -> list[tuple[Number, ...]]:
     """Rows of the table of payloads; adds the payloads to the numbers."""
     rows: list[tuple[Number, ...]] = []
-    loops = {
-        "closed_loop": ("fl", FeedbackLinearization, True),
-        "payload_unknown": ("fl", FeedbackLinearization, False),
-        "open_loop": ("open loop", FeedForward, True),
+    loops: dict[str, tuple[str, Law, dict[str, Any]]] = {
+        "closed_loop": ("fl", FeedbackLinearization, {}),
+        "payload_unknown": ("fl", FeedbackLinearization, {"payload_known": False}),
+        "open_loop": ("open loop", FeedForward, {}),
     }
     for criterion, suffix in (("task", ""), ("paper", "_paper")):
-        for number, (name, law, known) in loops.items():
-            conditions: dict[str, Any] = {"criterion": criterion}
-            if not known:
-                conditions["payload_known"] = False
-            result = largest_payload(law, robot, **conditions)
+        for number, (name, law, options) in loops.items():
+            result = largest_payload(law, robot, criterion=criterion, **options)
             numbers[f"{number}_{kind}{suffix}_kg"] = result.payload
             violation = violation_text(limiting_violation(result))
-            rows.append((kind, name, known, criterion, result.payload, violation))
+            rows.append((kind, name, not options, criterion, result.payload, violation))
     return rows
 
 

@@ -10,7 +10,8 @@ from cablebot_baselines.classical.outer_loop import PAPER_GAINS
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR
-from cablebot_reproduction.linearised import controllable_states, growth_rate, unsaturated_actions
+from cablebot_reproduction.fourth_order import FourthOrder
+from cablebot_reproduction.linearised import growth_rate, unsaturated_actions
 from cablebot_reproduction.load_iteration import iterate_load
 from cablebot_reproduction.outcome import Number, Numbers, Outcome, Table
 from cablebot_reproduction.robots import (
@@ -103,6 +104,7 @@ def eq22() -> Outcome:
     solution = solve_continuous_lyapunov(printed.T, -np.eye(2))
     poles = [np.roots([1.0, kd, kp]).real.max() for kp, kd in PAPER_GAINS.values()]
     robot = FLEXIBLE_OF_4
+    slope = FourthOrder(robot).torque_slope(np.asarray(robot.mass), robot.home)
     numbers: Numbers = {
         "slowest_pole": max(poles),
         "max_growth_K2": eq22_growth(stiffness=2.0),
@@ -111,7 +113,8 @@ def eq22() -> Outcome:
         "friction_needed": np.interp(0.0, -np.array(damped), FRICTIONS),
         "friction_rule": damping * float(robot.motor_inertia[0]),
         "lyapunov_printed_definite": np.linalg.eigvalsh(solution).min() > 0,
-        "controllable_states": controllable_states(robot),
+        # The torques enter the fourth derivative of each coordinate through this matrix.
+        "controllable_states": 4 * np.linalg.matrix_rank(slope),
         "states": 2 * (robot.coordinates + robot.cables),
         "free_coordinates": robot.coordinates + robot.cables,
     }

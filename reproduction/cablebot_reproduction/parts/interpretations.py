@@ -6,10 +6,11 @@ from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Any
 
-from cablebot_baselines.classical import FeedbackLinearization, FourthOrder, MotorPD
+from cablebot_baselines.classical import FeedbackLinearization, MotorPD
 from cablebot_gym.robots import PLANAR, Robot
 from cablebot_gym.trajectories import find_trajectory
 from cablebot_reproduction.exact import LargestPayload, exact_limit, state_space_limit
+from cablebot_reproduction.fourth_order import FourthOrder
 from cablebot_reproduction.outcome import Number, Numbers, Outcome, Table
 from cablebot_reproduction.profiles import limiting_violation, saturated_motor, violation_text
 from cablebot_reproduction.robots import (

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cablebot_baselines.classical import FeedbackLinearization, FourthOrder, MotorPD
+from cablebot_baselines.classical import FeedbackLinearization, MotorPD
 from cablebot_gym.evaluation import DLCCResult
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
@@ -25,6 +25,7 @@ from cablebot_gym.robots import PLANAR, Robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
 from cablebot_reproduction.exact import exact_limit, state_space_limit, state_space_profile
+from cablebot_reproduction.fourth_order import FourthOrder
 from cablebot_reproduction.outcome import Numbers, Outcome
 from cablebot_reproduction.profiles import (
     PayloadSummary,
