@@ -66,8 +66,8 @@ def exact_limit(
 def _limit_of_constant_alpha(robot: Robot, line: str, minimum: float) -> LargestPayload:
     """Bisection with the tensions ``T = M T_p + α N`` (Eq. 11). The torque reserve of the motors is
     concave in the mass M, but not affine."""
-    times = _times(robot)
-    state = _state(robot, times)
+    times = instants(robot)
+    state = circle_state(robot, times)
     pose, velocity, acceleration = state
     structure = textbook.jacobian(robot, pose)
     inverse = np.linalg.pinv(np.swapaxes(structure, -1, -2))
@@ -117,8 +117,8 @@ def state_space_profile(
 
     The solution is exact for κ + K β that is linear between the instants.
     """
-    times = _times(robot)
-    pose, velocity, acceleration = _state(robot, times)
+    times = instants(robot)
+    pose, velocity, acceleration = circle_state(robot, times)
     mass = robot.mass + payload
     required = textbook.inverse_dynamics(robot, mass, pose, velocity, acceleration)
     kappa = required.torques
@@ -170,11 +170,11 @@ def eq24_divisor(robot: Robot, eq24: str = "corrected") -> Array:
 def exact_torques(robot: Robot) -> Array:
     """Torques of exact tracking with a rigid transmission at the instants of
     :func:`state_space_profile`, (K, m) [N·m]."""
-    state = _state(robot, _times(robot))
+    state = circle_state(robot, instants(robot))
     return textbook.inverse_dynamics(robot, robot.mass, *state).torques
 
 
-def _times(robot: Robot) -> Array:
+def instants(robot: Robot) -> Array:
     """Instants of the whole motion. The middle, where the acceleration of the circle jumps, appears
     from both sides."""
     duration = paper_circle(robot).duration
@@ -183,7 +183,7 @@ def _times(robot: Robot) -> Array:
     return np.insert(grid, middle + 1, grid[middle] + 1e-9 * duration)
 
 
-def _state(robot: Robot, times: Array) -> tuple[Array, Array, Array]:
+def circle_state(robot: Robot, times: Array) -> tuple[Array, Array, Array]:
     """Pose, velocity and acceleration on the circle, each (K, n)."""
     motion = paper_circle(robot)(times)
     return motion.position, motion.velocity, motion.acceleration

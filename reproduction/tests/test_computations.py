@@ -12,9 +12,9 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
 from cablebot_reproduction import linearised, robots
 from cablebot_reproduction.exact import (
-    _state,
-    _times,
+    circle_state,
     exact_limit,
+    instants,
     reserve,
     state_space_limit,
     state_space_profile,
@@ -30,8 +30,8 @@ FLEXIBLE = robots.flexible_robot()
 def test_constant_alpha_touches_a_limit(line):
     """The tensions are the least ones at the instant that needs the largest α."""
     limit = exact_limit(PLANAR, line, minimum_tension=3.0, alpha="constant")
-    times = _times(PLANAR)
-    state = _state(PLANAR, times)
+    times = instants(PLANAR)
+    state = circle_state(PLANAR, times)
     structure = textbook.jacobian(PLANAR, state[0])
     null = np.cross(structure[..., 0], structure[..., 1])
     null /= np.linalg.norm(null, axis=1, keepdims=True) * np.sign(null[0, 0])
