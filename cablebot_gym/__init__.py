@@ -136,11 +136,9 @@ PUBLIC_MODULES = (
     "cablebot_gym.trajectories.spline",
     "cablebot_gym.uncertainty",
     "cablebot_gym.utils.checks",
-    "cablebot_gym.utils.code_hash",
     "cablebot_gym.utils.console",
     "cablebot_gym.utils.files",
     "cablebot_gym.utils.palette",
-    "cablebot_gym.utils.workers",
     "cablebot_gym.video.recording",
 )
 """Modules with further public names, for packages that add controllers. All others are internal."""

@@ -47,7 +47,7 @@ extensions = [
     "generate",
     "sphinx.ext.apidoc",
 ]
-exclude_patterns = ["parts", "leaderboard", "maps", "paper-maps", "reproduction/*.html"]
+exclude_patterns = ["parts", "leaderboard", "maps", "paper-maps"]
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
@@ -80,7 +80,6 @@ apidoc_modules = [
     {
         "path": "../baselines/cablebot_baselines",
         "destination": "generated/api/baselines",
-        "exclude_patterns": ["**/paper/*"],
     },
 ]
 

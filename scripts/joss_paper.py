@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import Template
@@ -15,7 +15,6 @@ from typing import Any
 
 from page_blocks import readme_table
 
-from cablebot_baselines.paper.page import tally
 from cablebot_gym.benchmark.cells import PolicyCell, SurveyCell
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import (
@@ -35,7 +34,7 @@ def paper() -> str:
         (ROOT / "docs" / "leaderboard" / "results.json").read_text(encoding="utf-8")
     )
     reproduction = json.loads(
-        (ROOT / "docs" / "reproduction" / "results.json").read_text(encoding="utf-8")
+        (ROOT / "reproduction" / "docs" / "results.json").read_text(encoding="utf-8")
     )
     template = (ROOT / "paper" / "template.md").read_text(encoding="utf-8")
     return Template(template).substitute(_of_leaderboard(results), **_of_reproduction(reproduction))
@@ -74,19 +73,24 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
 
 def _of_reproduction(stored: dict[str, Any]) -> dict[str, str]:
     rows = {row["key"]: row for row in stored["rows"]}
-    kinds = defaultdict(list)
+    verdicts = defaultdict(Counter)
     for row in rows.values():
-        kinds[row["kind"]].append(row)
+        verdicts[row["kind"]][row["verdict"]] += 1
     planar = rows["5.2.1.payload"]
     spatial = rows["5.2.2.payload"]
     return {
-        "results": tally(kinds["result"]),
-        "claims": tally(kinds["claim"]),
+        "results": _tally(verdicts["result"]),
+        "claims": _tally(verdicts["claim"]),
         "planar_printed": planar["printed"],
         "planar_ours": planar["ours"],
         "spatial_printed": spatial["printed"],
         "spatial_ours": spatial["ours"],
     }
+
+
+def _tally(counts: Counter[str]) -> str:
+    verdicts = ("reproduced", "not reproduced", "undecided")
+    return "; ".join(f"{counts[verdict]} {verdict}" for verdict in verdicts if counts[verdict])
 
 
 def _circle(boards: Sequence[Leaderboard], env_id: str, **conditions: Any) -> list[Score]:

@@ -46,14 +46,19 @@ ORDER = (
 """Packages and modules of cablebot_gym; each may import itself and those before it."""
 
 
+PACKAGES = {
+    "cablebot_gym": ROOT,
+    "cablebot_baselines": ROOT / "baselines",
+    "cablebot_reproduction": ROOT / "reproduction",
+    "cablebot_winches": ROOT / "winches",
+}
+"""Folder of each package."""
+
+
 def source_files():
     """Files of all packages by module."""
     files = {}
-    for root, package in (
-        (ROOT, "cablebot_gym"),
-        (ROOT / "baselines", "cablebot_baselines"),
-        (ROOT / "winches", "cablebot_winches"),
-    ):
+    for package, root in PACKAGES.items():
         for path in (root / package).rglob("*.py"):
             name = ".".join(path.relative_to(root).with_suffix("").parts)
             files[name.removesuffix(".__init__")] = path
@@ -131,15 +136,26 @@ def test_every_package_is_in_the_order():
     assert {name.split(".")[1] for name in FILES if name.startswith("cablebot_gym.")} == set(ORDER)
 
 
-@pytest.mark.parametrize("package", ["cablebot_baselines", "cablebot_winches"])
-def test_other_packages_import_only_public_names(package):
-    """They are written as another package would write them."""
+def test_other_packages_import_only_public_names():
+    """They are written as those of other people would be."""
     public = {"cablebot_gym", *cablebot_gym.PUBLIC_MODULES}
-    for module in (name for name in FILES if name.startswith(package)):
+    for module in FILES:
+        package = module.split(".")[0]
         for imported, name in imports(module):
-            if imported.partition(".")[0] != package:
+            if package == "cablebot_gym" or imported.startswith(package):
+                continue
+            assert not name.startswith("_"), f"{module} imports {name} from {imported}"
+            if imported.startswith("cablebot_gym"):
                 assert imported in public, f"{module} imports {imported}"
-                assert not name.startswith("_"), f"{module} imports {name} from {imported}"
+
+
+@pytest.mark.parametrize("package", ["cablebot_reproduction", "cablebot_winches"])
+def test_only_a_distribution_itself_imports_its_package(package):
+    """It is installed by those who need it."""
+    for module in FILES:
+        if not module.startswith(package):
+            for imported, _ in imports(module):
+                assert not imported.startswith(package), module
 
 
 def test_names_of_the_package_are_those_of_their_modules():

@@ -1,7 +1,6 @@
 """Every cache on disk: a damaged file counts as absent, one line names it, and a good file replaces
 it."""
 
-import json
 import logging
 from collections.abc import Callable
 from functools import partial
@@ -9,8 +8,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from cablebot_baselines.paper.engine import RESULTS, _Output
-from cablebot_baselines.paper.interpretation import Interpretation
 from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.store import Store
@@ -126,26 +123,12 @@ def episodes_of_a_report(folder, monkeypatch):
     return use
 
 
-def results_of_the_paper(folder, _):
-    def use():
-        output = _Output(Interpretation(), folder, alone=False)
-        is_missing = not output._numbers
-        if is_missing:
-            data = output._head | {"numbers": {"fig1.number": 1.0}, "parts": []}
-            folder.mkdir(exist_ok=True)
-            (folder / RESULTS).write_text(json.dumps(data), encoding="utf-8")
-        return is_missing
-
-    return use
-
-
 CACHES = {
     "compiled code": compiled_code,
     "plan": partial(cached, library._read_plan, library._plan_bytes, MOTION),
     "best known payload": partial(cached, best_known._read, best_known._bytes, BEST),
     "benchmark cell": benchmark_cell,
     "episodes of a report": episodes_of_a_report,
-    "results of the paper": results_of_the_paper,
 }
 
 DAMAGES = {

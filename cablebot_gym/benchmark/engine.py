@@ -1,5 +1,4 @@
-"""Runs jobs on local processes or on a Ray cluster: cells of the benchmark, and computations of the
-reproduction."""
+"""Runs jobs, such as the cells of the benchmark, on local processes or on a Ray cluster."""
 
 from __future__ import annotations
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from typing import get_args, get_type_hints
 
 from cablebot_baselines.learned.policy import LearnedPolicy
@@ -10,7 +9,6 @@ from cablebot_baselines.learned.shipped import SHIPPED
 from cablebot_gym.benchmark.tables import column_titles, entry_text, timing_text
 from cablebot_gym.policies import PolicyEntry, policy_entries
 from cablebot_gym.policies.options import option_parameters
-from generate.errata import mentioned
 from generate.pages import Pages, all_leaderboards, table
 
 
@@ -45,14 +43,6 @@ def page(entry: PolicyEntry) -> str:
     text += "## How it works\n\n"
     if entry.name in SHIPPED:
         text += f"Training, learning curves and held-out motions: [{entry.name}](/learned.md#{entry.name}).\n\n"
-    documents = [
-        entry.summary,
-        str(inspect.getdoc(inspect.getmodule(policy))),
-        str(inspect.getdoc(policy)),
-    ]
-    errata = mentioned("\n".join(documents))
-    if errata:
-        text += f"Misprints of the paper's equations below: {errata}.\n\n"
     text += f"Module: {{py:mod}}`{policy.__module__}`.\n\n"
     return (
         text

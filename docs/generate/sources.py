@@ -18,7 +18,8 @@ REPORT = (
     "the payload versus R, duration and K.</p>\n\n"
 )
 
-_TOP_FILE = re.compile(r"^\[.*\]\(\.\./(\w+\.md|\w+/README\.md)\)\.?$", re.MULTILINE)
+_FILE = re.compile(r"^\[.*\]\((\.\./[\w/]+\.md)\)\.?$", re.MULTILINE)
+_FIGURE = re.compile(r"\]\((\w+\.svg)\)")
 _CELL = re.compile(r"(?<=\| )`[\w-]+`(?:, `[\w-]+`)*(?= \|)")
 _CODE = re.compile(r"`([\w-]+)`")
 _OBJECT = re.compile(r"(?<![}`\w])`(cablebot_(?:gym|baselines)(?:\.\w+)+)`(?!`)")
@@ -32,8 +33,7 @@ def setup(app: Sphinx) -> None:
 def adapt(app: Sphinx, name: str, source: list[str]) -> None:
     """Adapts the text of a Markdown page, in place.
 
-    * A paragraph that is only a link to a file at the top of the repository, or to the README of
-      another distribution, is replaced by that file.
+    * A paragraph that is only a link to a file outside of this folder is replaced by that file.
     * Names of environments and policies in the cells of tables link to their pages.
     * Full names of objects of this project, such as ``cablebot_gym.task.Task``, link to the API
       reference.
@@ -43,16 +43,18 @@ def adapt(app: Sphinx, name: str, source: list[str]) -> None:
     if not str(app.env.doc2path(name)).endswith(".md"):
         return
 
-    def top_file(match: re.Match[str]) -> str:
-        path = DOCS.parent / match[1]
+    def file(match: re.Match[str]) -> str:
+        path = DOCS / match[1]
         app.env.note_dependency(path, docname=name)
-        text = path.read_text(encoding="utf-8").partition("\n")[2]  # the page has its own title
-        if path.parent == DOCS.parent:
-            return text.replace("](docs/", "](")
-        text = text.replace("](../README.md)", "](index.md)")
-        return text.replace("](docs/", f"](generated/{path.parent.name}/")
+        _, _, text = path.read_text(encoding="utf-8").partition("\n")  # the page has its own title
+        folder, _, _ = match[1].rpartition("/")
+        text = _FIGURE.sub(rf"]({folder}/\1)", text)
+        if path.parent.name == "winches":
+            text = text.replace("](../README.md)", "](index.md)")
+            return text.replace("](docs/", "](generated/winches/")
+        return text.replace("](docs/", "](")
 
-    text = _TOP_FILE.sub(top_file, source[0]).replace("](../LEADERBOARD.md)", "](/leaderboard.md)")
+    text = _FILE.sub(file, source[0]).replace("](../LEADERBOARD.md)", "](/leaderboard.md)")
     text = _CELL.sub(lambda cell: _CODE.sub(_linked, cell[0]), text)
     text = _OBJECT.sub(r"{py:obj}`~\1`", text)
     if name == "index":

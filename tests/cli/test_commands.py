@@ -1,7 +1,6 @@
 """All commands, those of installed packages included: help, exit status, bad input, interrupts and
 progress."""
 
-import json
 import os
 import re
 import shlex
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from cli.conftest import names, read_json
+from cli.conftest import names
 from clock import HANG, Clock, wait_until
 
 from cablebot_gym.cli import app as cli
@@ -104,7 +103,6 @@ MISTAKES = {
     TRAIN + "run --algo dqn": "choose one of ppo, sac, tqc, gradient",
     TRAIN + "run --evaluation [1]": "--evaluation must be a JSON object",
     f"best-known {PLANAR} --position-bound 0.01": "position",
-    "reproduce --only fig4": "unknown part 'fig4'",
 }
 
 
@@ -119,7 +117,6 @@ def test_bad_input_ends_with_status_2_one_line_and_no_file(cablebot, tmp_path, t
     ("module", "extra", "typed"),
     [
         ("matplotlib", "plot", FL + "--out results"),
-        ("matplotlib", "plot", "reproduce --only fig1 --out results"),
         ("casadi", "optimal", f"best-known {PLANAR}"),
         ("pygame", "render", f"video {PLANAR} video.gif {POLICY}"),
         ("ray", "ray", "benchmark --policies fl --ray local"),
@@ -236,29 +233,14 @@ def is_alive(group):
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_interrupt_keeps_results_and_leaves_no_process(tmp_path):
-    typed = ("reproduce", "--only", "fig3,scan", "--workers", "2", "--out", str(tmp_path))
+    typed = ("benchmark", "--policies", "fl", "--workers", "2", "--out", str(tmp_path))
     command = [sys.executable, "-c", START + "c.main()", *typed]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, start_new_session=True, **pipes)
-    wait_until((tmp_path / "fig3.svg").exists)
+    wait_until(lambda: list(tmp_path.glob("cells/*.json")))
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     _, err = process.communicate(timeout=HANG)
     assert process.returncode == 130, err
     assert "Traceback" not in err
-    assert "--only scan" in " ".join(err.split())
+    assert "Resume with: cablebot benchmark" in " ".join(err.split())
     wait_until(lambda: not is_alive(process.pid))
-
-
-# --- reproduce --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_reproduction_writes_its_files_and_takes_its_options(cablebot, tmp_path):
-    out = tmp_path / "out"
-    line = f"reproduce --only fig1 --out {out} --workers 1 --json"
-    for row in json.loads(cablebot(line + " --planar-apex left --minimum-tension 2").out):
-        assert "key" in row
-    expected = {"results.json", "reproduction.md", "reproduction.html", "fig1.png", "fig1.svg"}
-    assert set(names(out)) == expected
-    choices = read_json(out / "results.json")["interpretation"]
-    assert (choices["planar_apex"], choices["minimum_tension"]) == ("left", 2.0)

@@ -1,0 +1,1 @@
+"""The figures, numbers and claims of the paper, computed again: ``cablebot reproduce``."""
