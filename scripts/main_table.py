@@ -2,7 +2,7 @@
 
     python scripts/main_table.py --workers 2
 
-A board ranks the policies that were committed to it. This table has those of today, on the same
+The leaderboard ranks the policies of its time. This table has those of today, on the same
 motions and robots, beside what the board has. Finished cells are kept in the folder ``--out``, so
 that the same command resumes. ``docs/main-table/results.json`` keeps the results.
 """

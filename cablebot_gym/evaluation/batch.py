@@ -61,6 +61,12 @@ _FOREIGN: dict[str, None] = {}
 """Names of the policies that are neither shipped nor isolated and have run in this process."""
 
 
+def foreign_policies() -> tuple[str, ...]:
+    """Names of the policies that are neither shipped nor isolated and have run in this process: they
+    could have changed every later evaluation."""
+    return tuple(_FOREIGN)
+
+
 class Row(NamedTuple):
     """One episode."""
 
@@ -241,7 +247,7 @@ class Batch:
         self.task: Task = self.tasks[0]
         """Task of the first motion."""
         robot = deepcopy(conditions.robot)
-        self.foreign_before = tuple(_FOREIGN)
+        self.foreign_before = foreign_policies()
         """Names of the policies that are neither shipped nor isolated and ran in this process
         before."""
         self.policy: LoadedPolicy = load(policy, robot, name=name, wrappers=wrappers)

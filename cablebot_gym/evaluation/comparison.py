@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_gym.envs import described
-from cablebot_gym.evaluation.batch import Batch, Progress, Row, StepCount, versions
+from cablebot_gym.evaluation.batch import (
+    Batch,
+    Progress,
+    Row,
+    StepCount,
+    foreign_policies,
+    versions,
+)
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import interval
@@ -145,6 +152,9 @@ class Comparison:
     isolated: bool
     """Whether each policy ran in a process of its own. Otherwise one could change the evaluation of
     all, and every later one of this process."""
+    foreign_before: tuple[str, ...]
+    """Names of the policies that are neither shipped nor isolated and ran in this process before. They
+    could have changed this comparison."""
     metrics: tuple[PolicyMetrics, ...] = field(repr=False)
     """Metrics of the policies, in the order of the arguments."""
     environment: dict[str, Any]
@@ -212,6 +222,7 @@ class Comparison:
             "draws": self.draws,
             "draw_seeds": list(self.draw_seeds),
             "isolated": self.isolated,
+            "foreign_before": list(self.foreign_before),
             "error_bounds": vars(self.conditions.error_bounds),
             "environment": self.environment,
             "versions": versions(),
@@ -242,6 +253,8 @@ class Comparison:
             )
         if self.not_isolated:
             lines.append(f"not isolated: {', '.join(self.not_isolated)}")
+        if self.foreign_before:
+            lines.append(f"after {', '.join(self.foreign_before)} in this process")
         return "\n".join(lines)
 
 
@@ -319,6 +332,7 @@ def compare_policies(
     shared = Conditions.of(env_id, **conditions)
     metrics = []
     isolated = True
+    foreign_before = foreign_policies()
     with chosen_progress(progress, "comparing") as step:
         count = StepCount(step, 0)
         for policy, label, layers in zip(policies, labels, wrappers_of, strict=True):
@@ -335,6 +349,7 @@ def compare_policies(
         payload=payload,
         draw_seeds=tuple(batch.seeds),
         isolated=isolated,
+        foreign_before=foreign_before,
         metrics=tuple(metrics),
         environment=batch.environment(),
         task=batch.task,
