@@ -11,7 +11,7 @@ Run it: python examples/train_in_a_minute.py [FOLDER]
 import sys
 from pathlib import Path
 
-from cablebot_baselines.learned.gradient_run import train_gradient
+from cablebot_baselines.learned.planner_run import train_gradient
 from cablebot_gym import evaluate_dlcc
 
 ENV_ID = "CableBot-Planar-v0"

@@ -121,7 +121,7 @@ class Card:
     """Number of parameters of the network."""
     motions: Mapping[str, Any]
     """Training motions: ``motions`` of
-    :func:`~cablebot_baselines.learned.gradient_run.make_gradient_config`."""
+    :func:`~cablebot_baselines.learned.planner_run.make_gradient_config`."""
     evaluation: Mapping[str, Any]
     """Keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc` during
     training."""

@@ -8,7 +8,7 @@ import train_shipped as script
 from cards.card import read_cards
 from cards.making import Protocol
 
-from cablebot_baselines.learned.gradient_run import ALGORITHM, make_gradient_config
+from cablebot_baselines.learned.planner_run import ALGORITHM, make_gradient_config
 from cablebot_baselines.learned.runs import BEST, LAST, read_yaml
 from cablebot_baselines.learned.shipped import SHIPPED
 from cablebot_gym import ENV_IDS

@@ -15,7 +15,7 @@ from steering import tasks_of
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
-from cablebot_baselines.learned.gradient_run import VALIDATION, make_gradient_config, train_gradient
+from cablebot_baselines.learned.planner_run import VALIDATION, make_gradient_config, train_gradient
 from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_baselines.learned.runs import (
     BEST,

@@ -7,7 +7,7 @@ from driving import drive
 
 from cablebot_baselines.classical.observer_law import ObserverLaw, observed_gains
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.gradient_run import train_gradient
+from cablebot_baselines.learned.planner_run import train_gradient
 from cablebot_baselines.learned.network import zero_network
 from cablebot_baselines.learned.planner import (
     Planning,

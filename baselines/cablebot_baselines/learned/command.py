@@ -85,7 +85,7 @@ def train(
 
     cablebot train CableBot-Planar-v0 --algo gradient --out runs/planar
     """
-    from cablebot_baselines.learned.gradient_run import ALGORITHM
+    from cablebot_baselines.learned.planner_run import ALGORITHM
     from cablebot_baselines.learned.runs import Interrupted, TrainingResult
     from cablebot_baselines.learned.training import find_trainer
 
