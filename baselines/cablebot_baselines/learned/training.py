@@ -138,14 +138,14 @@ def train(
 
 def find_trainer(algorithm: str) -> Callable[..., runs.TrainingResult]:
     """The function that trains with an algorithm: :func:`train` or
-    :func:`~cablebot_baselines.learned.planner_run.train_gradient`.
+    :func:`~cablebot_baselines.learned.planner_run.train_planner`.
 
     Raises:
         ValueError: if the algorithm is unknown.
     """
     choice("algorithm", algorithm, (*ALGORITHMS, planner_run.ALGORITHM))
     if algorithm == planner_run.ALGORITHM:
-        return planner_run.train_gradient
+        return planner_run.train_planner
     return partial(train, algorithm=algorithm)
 
 
