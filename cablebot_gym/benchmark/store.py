@@ -26,38 +26,21 @@ class Store:
     Args:
         out: folder of the benchmark's results. The files are in its subfolder ``cells``.
         say: called with one sentence for each unusable file.
-        any_source: whether to accept results of different code for cells without a result of the
-            current code.
     """
 
-    def __init__(
-        self,
-        out: Path,
-        *,
-        say: Callable[[str], None],
-        any_source: bool = False,
-    ) -> None:
+    def __init__(self, out: Path, *, say: Callable[[str], None]) -> None:
         self._folder = out / FOLDER
         self._say = say
-        self._any_source = any_source
-        self.foreign = 0
-        """Number of requested cells that have only results of different code."""
 
     def find(self, cell: Cell) -> Record | None:
         """The record of a cell; None if it is missing, broken or computed by different code."""
         current = self._path(cell, cell.source)
-        if current.exists():
-            record = self._read(current, cell)
-            if record is not None and record.source == cell.source:
-                return record
-        foreign = set(self._folder.glob(self._path(cell, "*").name)) - {current}
-        self.foreign += bool(foreign)
-        if self._any_source:
-            for path in sorted(foreign, key=lambda path: path.stat().st_mtime, reverse=True):
-                record = self._read(path, cell)
-                if record is not None:
-                    return record
-        return None
+        if not current.exists():
+            return None
+        record = self._read(current, cell)
+        if record is None or record.source != cell.source:
+            return None
+        return record
 
     def add(self, record: Record) -> None:
         """Writes a record if it is final."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -54,55 +54,19 @@ class CellOptions(Options):
     ] = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class ComputingOptions(Options):
-    """Where the cells are computed."""
-
-    title: ClassVar[str] = "Computing"
-
-    workers: Workers = None
+def benchmark(
+    selection: CellOptions,
+    workers: Workers = None,
     ray: Annotated[
         str | None,
         typer.Option(
             metavar="ADDRESS",
             help="Run on a Ray cluster: its address, auto, or local. Requires the extra ray.",
         ),
-    ] = None
-    any_source: Annotated[
-        bool,
-        typer.Option(
-            "--any-source", help="Reuse finished cells that were computed with different code."
-        ),
-    ] = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class OutputOptions(Options):
-    """Files of the results."""
-
-    title: ClassVar[str] = "Results"
-
+    ] = None,
     out: Annotated[Path, "Results folder, for the tables and all finished cells."] = Path(
         "benchmark"
-    )
-    page: Annotated[
-        Path | None,
-        f"File of the leaderboard. The default is {MARKDOWN} in the results folder.",
-    ] = None
-    as_json: Annotated[bool, typer.Option("--json", help=f"Print the content of {JSON}.")] = False
-
-    @property
-    def files(self) -> tuple[Path, Path]:
-        """Files of the results and of the leaderboard."""
-        return self.out / JSON, self.page or self.out / MARKDOWN
-
-
-@dataclass(frozen=True, kw_only=True)
-class CheckOptions(Options):
-    """Check of stored results."""
-
-    title: ClassVar[str] = "Check"
-
+    ),
     check: Annotated[
         int | None,
         typer.Option(
@@ -110,14 +74,7 @@ class CheckOptions(Options):
             help="Check the results in the folder --out and stop: every row of their suite is there, and N random "
             "rows, best known payloads among them, have the same payloads when they are computed again.",
         ),
-    ] = None
-
-
-def benchmark(
-    selection: CellOptions,
-    computing: ComputingOptions,
-    output: OutputOptions,
-    checking: CheckOptions,
+    ] = None,
 ) -> None:
     """Score policies by their payload over the best known payload, on held-out motions and the
     paper's circle.
@@ -144,62 +101,62 @@ def benchmark(
 
     cablebot benchmark --check 20 --out board
     """
-    from cablebot_gym.benchmark.cells import TimingCell
+    backend = _backend(workers, ray)
+    if check is not None:
+        _check(out, check, backend)
+        return
+    resume = {"workers": workers, "ray": ray}
+    results = _results(selection, out, backend, resume)
+    _write(results, out)
+    if _has_failures(results):
+        raise typer.Exit(1)
+
+
+def _results(
+    selection: CellOptions, out: Path, backend: Backend, resume: Mapping[str, Any]
+) -> Results:
+    """The results of a suite, with the finished cells in a folder.
+
+    Args:
+        selection: what is computed.
+        out: results folder.
+        backend: see :mod:`cablebot_gym.benchmark.engine`.
+        resume: further options of the command that resumes the computation.
+
+    Raises:
+        ValueError: if a name is unknown, or the results cannot be written.
+    """
     from cablebot_gym.benchmark.leaderboard import Results
     from cablebot_gym.benchmark.seeds import evaluation_seed
-    from cablebot_gym.benchmark.store import FOLDER
+    from cablebot_gym.benchmark.store import FOLDER, Store
     from cablebot_gym.benchmark.suites import find_suite, suite_cells
-    from cablebot_gym.benchmark.tables import failures
-    from cablebot_gym.utils.files import check_writable_dir
+    from cablebot_gym.utils.files import check_writable_dir, check_writable_file
 
-    backend = _backend(computing.workers, computing.ray)
-    if checking.check is not None:
-        return _check(output.out, checking.check, backend)
     suite = find_suite(selection.suite)
     policies = _policies(selection)
-    out = output.out
     check_writable_dir(out / FOLDER)
-    store = _store(output, computing)
+    for name in (JSON, MARKDOWN):
+        check_writable_file(out / name)
     seed = evaluation_seed(selection.seed_text)
     cells = suite_cells(suite, policies, seed=seed, seed_text=selection.seed_text)
-    typed = _typed(selection, output)
-    resume = command_line(
-        "benchmark",
-        **typed,
-        workers=computing.workers,
-        ray=computing.ray,
-        any_source=computing.any_source,
-    )
-    records = computed(cells, store, out, backend, resume)
-    if store.foreign:
-        use = "they are computed again (--any-source reuses them)"
-        if computing.any_source:
-            use = "they are reused"
-        say(f"{store.foreign} cells exist only with results of different code: {use}")
-    results = Results(
+    store = Store(out, say=say)
+    typed = asdict(selection) | {"out": out}
+    records = computed(cells, store, out, backend, command_line("benchmark", **typed, **resume))
+    return Results(
         suite=selection.suite,
         command=command_line("benchmark", **typed),
         records=records,
         seed_text=selection.seed_text,
     )
-    _write(results, output)
-    payloads = [record for record in records if not isinstance(record.cell, TimingCell)]
-    if failures(payloads):
-        raise typer.Exit(1)
 
 
-def _store(output: OutputOptions, computing: ComputingOptions) -> Store:
-    """The finished cells.
+def _has_failures(results: Results) -> bool:
+    """Whether a payload could not be computed."""
+    from cablebot_gym.benchmark.cells import TimingCell
+    from cablebot_gym.benchmark.tables import failures
 
-    Raises:
-        ValueError: if results or leaderboard cannot be written.
-    """
-    from cablebot_gym.benchmark.store import Store
-    from cablebot_gym.utils.files import check_writable_file
-
-    for path in output.files:
-        check_writable_file(path)
-    return Store(output.out, say=say, any_source=computing.any_source)
+    payloads = [record for record in results.records if not isinstance(record.cell, TimingCell)]
+    return bool(failures(payloads))
 
 
 def _policies(selection: CellOptions) -> dict[str, tuple[str, ...]]:
@@ -218,31 +175,16 @@ def _policies(selection: CellOptions) -> dict[str, tuple[str, ...]]:
     return policies
 
 
-def _typed(selection: CellOptions, output: OutputOptions) -> dict[str, Any]:
-    """The options that determine the results, for their command line."""
-    return {
-        "suite": selection.suite,
-        "policies": selection.policies,
-        "ids": selection.ids,
-        "out": output.out,
-        "page": output.page,
-        "seed_text": selection.seed_text,
-    }
-
-
-def _write(results: Results, output: OutputOptions) -> None:
-    """Writes and prints results and leaderboard."""
+def _write(results: Results, out: Path) -> None:
+    """Writes results and leaderboard, and prints the leaderboard."""
     from cablebot_gym.benchmark.leaderboard import markdown, print_page
     from cablebot_gym.utils.files import atomic_write_text
 
-    contents = (results.to_json(), markdown(results))
-    for path, content in zip(output.files, contents, strict=True):
-        atomic_write_text(path, content)
-    say("wrote " + ", ".join(map(str, output.files)))
-    if output.as_json:
-        print(contents[0], end="")
-    else:
-        print_page(contents[1])
+    page = markdown(results)
+    atomic_write_text(out / JSON, results.to_json())
+    atomic_write_text(out / MARKDOWN, page)
+    say(f"wrote {out / JSON}, {out / MARKDOWN}")
+    print_page(page)
 
 
 def computed(

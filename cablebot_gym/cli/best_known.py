@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import typer
 
 from cablebot_gym.cli.options import FittingEnvId, Json, TaskOptions, fitting_id, robot_of
@@ -14,9 +12,6 @@ def best_known(
     *,
     env_id: FittingEnvId = None,
     task: TaskOptions,
-    cache: Annotated[
-        bool, "Whether to store the result on disk, and to read a stored result."
-    ] = True,
     as_json: Json = False,
 ) -> None:
     """Compute the best known payload of an environment by trajectory optimisation.
@@ -33,7 +28,7 @@ def best_known(
     env_id = fitting_id(env_id, task.robot)
     robot_of(env_id, task)
     with activity() as say:
-        result = find_best_known(env_id, cache=cache, progress=say, **task.keywords())
+        result = find_best_known(env_id, progress=say, **task.keywords())
     print(result.to_json() if as_json else result)
     if not result.verified:
         raise typer.Exit(1)

@@ -51,15 +51,15 @@ def compare(
         ),
     ],
     episode: options.EpisodeOptions,
-    payload: options.Payload = None,
-    payloads: Annotated[
+    payload: Annotated[
         str | None,
-        "Several payloads instead of --payload: FIRST:LAST:STEP, such as 0:9:0.5, or 0,1,2 [kg].",
+        "Payload [kg], or several: FIRST:LAST:STEP, such as 0:9:0.5, or 0,1,2. The default is the least one of the "
+        "robot's payload range, else 0.",
     ] = None,
     draws: options.Draws = None,
     out: Annotated[Path | None, "Folder for comparison.json and comparison.png."] = None,
     as_json: options.Json = False,
-    process: options.ProcessOptions,
+    isolate: options.Isolate = None,
 ) -> None:
     """Compare the errors, torques and margins of several policies over the same draws, with one or
     more payloads.
@@ -68,7 +68,7 @@ def compare(
 
     cablebot compare CableBot-Spatial-v0 --policies fl,robust --uncertainty table6 --payload 1 --out results
 
-    cablebot compare CableBot-Spatial-v0 --policies fl,robust,adaptive --payloads 0:9:0.5 --out results
+    cablebot compare CableBot-Spatial-v0 --policies fl,robust,adaptive --payload 0:9:0.5 --out results
     """
     from cablebot_gym.evaluation.comparison import (
         PayloadComparison,
@@ -78,22 +78,20 @@ def compare(
 
     env_id = options.fitting_id(env_id, episode.robot)
     options.check_figure_folder(out, "comparison.json", "comparison.png")
-    if payload is not None and payloads is not None:
-        raise ValueError("--payload and --payloads exclude each other: give one of them")
-    grid = [] if payloads is None else payload_grid(payloads)
+    payloads = None if payload is None else payload_grid(payload)
     names = options.split_names(policies)
     robot = options.robot_of(env_id, episode)
-    loaded = options.loaded_policies(names, robot, episode.wrappers, process)
+    loaded = options.loaded_policies(names, robot, episode.wrappers, isolate=isolate)
     has_isolated = any(policy.isolated for policy in loaded)
     episode = options.with_seed(episode, is_secret=has_isolated)
     common: dict[str, Any] = {"draws": draws, "progress": True, **episode.keywords()}
     comparison: Comparison | PayloadComparison
-    if payloads is not None:
-        comparison = compare_over_payloads(loaded, env_id, payloads=grid, **common)
+    if payloads is None:
+        payloads = [options.payload_or_least(None, robot)]
+    if len(payloads) == 1:
+        comparison = compare_policies(loaded, env_id, payload=payloads[0], **common)
     else:
-        if payload is None:
-            payload = robot.defaults.payload(0.0)
-        comparison = compare_policies(loaded, env_id, payload=payload, **common)
+        comparison = compare_over_payloads(loaded, env_id, payloads=payloads, **common)
     if out is not None:
         _write(comparison, out)
     if as_json:
@@ -116,10 +114,10 @@ def _write(comparison: Comparison | PayloadComparison, folder: Path) -> None:
 
 
 def payload_grid(text: str) -> list[float]:
-    """Payloads from ``--payloads`` [kg].
+    """Payloads from ``--payload`` of ``compare`` [kg].
 
     Raises:
-        ValueError: if the text is neither FIRST:LAST:STEP nor a list of numbers, or has more than
+        ValueError: if the text is neither a list of numbers nor FIRST:LAST:STEP, or has more than
             1000 payloads.
     """
     is_range = ":" in text
@@ -135,7 +133,7 @@ def payload_grid(text: str) -> list[float]:
             count = int((high - low) / step + 1e-6) + 1
             return [round(low + index * step, 9) for index in range(count)]
     raise ValueError(
-        f"--payloads must be FIRST:LAST:STEP, such as 0:9:0.5, or a list such as 0,1,2, not {text!r}"
+        f"--payload must be a number, a list such as 0,1,2, or FIRST:LAST:STEP, such as 0:9:0.5, not {text!r}"
     )
 
 

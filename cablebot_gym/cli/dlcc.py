@@ -58,29 +58,25 @@ class SearchOptions(Options):
         "result is unranked.",
     ] = SearchChoice.scan
     draws: options.Draws = None
-    probability: Annotated[float, "Required success probability of the payload over the draws."] = (
-        0.95
-    )
-    confidence: Annotated[
-        float,
-        "Confidence of the payload over the draws, which is a lower tolerance bound.",
+    probability: Annotated[
+        float, "Required success probability of the payload over the draws, with 95 % confidence."
     ] = 0.95
 
 
 def dlcc(
     *,
     env_id: options.FittingEnvId = None,
-    policy: options.PolicyName,
+    policy: options.PolicyNames,
     out: Annotated[Path | None, "Folder for result.json and figures."] = None,
     as_json: options.Json = False,
     episode: options.EpisodeOptions,
     search: SearchOptions,
-    process: options.ProcessOptions,
+    isolate: options.Isolate = None,
 ) -> None:
     """Find the largest payload that a policy carries along a trajectory (DLCC).
 
-    Prints the payload, the limiting violation beyond it, and the margins at that payload. --policy
-    may name several policies, separated by commas. Their files are then in one folder each.
+    Prints the payload, the limiting violation beyond it, and the margins at that payload. The files
+    of several policies are in one folder each.
 
     Examples:
 
@@ -95,14 +91,12 @@ def dlcc(
     folders = {name: _folder(out, name, names) for name in names}
     for folder in folders.values():
         options.check_figure_folder(folder, "result.json")
-    has_isolated = any(process.isolates(name, episode.wrappers) for name in names)
+    has_isolated = any(options.isolates(name, episode.wrappers, isolate) for name in names)
     episode = options.with_seed(episode, is_secret=has_isolated)
     robot = options.robot_of(env_id, episode)
     policies = []
     for name in names:
-        policies.append(
-            options.loaded_policy(name, robot, wrappers=episode.wrappers, process=process)
-        )
+        policies.append(options.loaded_policy(name, robot, episode.wrappers, isolate=isolate))
     data: list[dict[str, Any]] = []
     for loaded in policies:
         results = _results(loaded, env_id, episode, search)

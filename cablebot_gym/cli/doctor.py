@@ -11,32 +11,23 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, entry_points, requires, version
 from pathlib import Path
-from typing import Annotated
 
 import gymnasium as gym
 import numpy as np
 import typer
 
 from cablebot_gym.cli.app import COMMAND_GROUP
-from cablebot_gym.cli.options import split_names
 from cablebot_gym.envs import ENV_IDS, env_robot
-from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics.code_cache import REMEDY, code_folders, is_damaged, is_temporary
-from cablebot_gym.physics.forward import forward_kinematics
-from cablebot_gym.physics.inlining import FEW_ITEMS
-from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.textbook import (
     allocated_minimum,
-    central_tensions,
     holding_torque,
-    least_action_tensions,
     normalised_action,
     static_torque,
 )
 from cablebot_gym.policies import ENTRY_POINT_GROUP, FILE_ENTRY_POINT_GROUP, PolicyEntry
 from cablebot_gym.robots import find_robot
 from cablebot_gym.task import Task
-from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.console import results_console
 from cablebot_gym.utils.files import CACHE_VARIABLE, cache_folder, is_writable_dir
 
@@ -202,28 +193,6 @@ def _fault(name: str, error: Exception) -> Finding:
     return Finding(name=name, ok=False, text=f"{type(error).__name__}: {error}")
 
 
-def compile_code(env_ids: Iterable[str]) -> Iterator[Finding]:
-    """Compiles what environments, evaluations and policies of these ids use, by using it."""
-    for env_id in env_ids:
-        yield _run_test(f"compiled code of {env_id}", partial(_use_all, env_id))
-
-
-def _use_all(env_id: str) -> str:
-    """Makes a step of one robot and of a batch, and calls the functions that policies call."""
-    for env in (gym.make(env_id), gym.make_vec(env_id, num_envs=2)):
-        env.reset(seed=0)
-        env.step(env.action_space.sample())
-        env.close()
-    robot = find_robot(env_robot(env_id))
-    home = np.array(robot.home)
-    rest = np.zeros(robot.coordinates)
-    enough = np.tile(home, (FEW_ITEMS + 1, 1))  # the first items are computed without compilation
-    for distribute in (least_action_tensions, central_tensions):
-        inverse_dynamics(robot, robot.mass, enough, rest, rest, distribute=distribute)
-    forward_kinematics(robot, cable_lengths(robot.base, robot.platform, home, robot.swivel), home)
-    return f"in {code_folders()[-1]}"
-
-
 def _statics_test(env_id: str) -> str:
     """Applies the static torques of the textbook equations to the compiled plant, which must then
     stay at rest.
@@ -266,28 +235,12 @@ def print_findings(findings: Iterable[Finding]) -> bool:
     return all_ok
 
 
-def doctor(
-    compile_ids: Annotated[
-        str,
-        typer.Option(
-            "--compile",
-            help="Environment ids separated by commas, or all: only compile their code, for example when a container "
-            "image is built.",
-        ),
-    ] = "",
-) -> None:
+def doctor() -> None:
     """Check installed packages, folders, policies and the simulated physics.
 
     The exit status is 1 if a check fails.
 
-    Examples:
-
-    cablebot doctor
-
-    cablebot doctor --compile CableBot-Spatial-v0,CableBot-Planar-v0
+    Example: cablebot doctor
     """
-    env_ids = ENV_IDS if compile_ids == "all" else split_names(compile_ids)
-    for env_id in env_ids:
-        choice("--compile", env_id, ENV_IDS)
-    if not print_findings(compile_code(env_ids) if compile_ids else examine()):
+    if not print_findings(examine()):
         raise typer.Exit(1)

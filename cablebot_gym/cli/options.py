@@ -38,12 +38,14 @@ FittingEnvId = Annotated[
 ]
 """The id of a command without another argument, for :func:`fitting_id`."""
 
-_POLICY = typer.Option(
-    "--policy",
-    help="Name of an installed policy, a .zip file (bundle or SB3 model), package.module:factory, or file.py:factory.",
+_POLICY = (
+    "Name of an installed policy, a .zip file (bundle or SB3 model), package.module:factory, or "
+    "file.py:factory"
 )
-PolicyName = Annotated[str, _POLICY]
-PolicyNameOrNone = Annotated[str | None, _POLICY]
+PolicyName = Annotated[str, typer.Option("--policy", help=f"{_POLICY}.")]
+PolicyNames = Annotated[
+    str, typer.Option("--policy", help=f"{_POLICY}; or several, separated by commas.")
+]
 Payload = Annotated[
     float | None,
     typer.Option(
@@ -64,6 +66,18 @@ Draws = Annotated[
         "--draws",
         help="Number of sampled episodes of each policy and payload. The default is 512 if the uncertainty is random "
         "or the policy is stochastic, else 1.",
+    ),
+]
+Isolate = Annotated[
+    bool | None,
+    typer.Option(
+        "--isolate/--no-isolate",
+        help=(
+            "Run the policy in a process of its own, which gets only observations and tasks, behind bubblewrap "
+            "where that is installed. The default isolates every policy that is not shipped with this project, and "
+            "every one with a wrapper. --no-isolate trusts the policy, and marks its result."
+        ),
+        show_default=False,
     ),
 ]
 Workers = Annotated[
@@ -168,7 +182,7 @@ class TaskOptions(Options):
         the wrappers of the policy."""
         keywords: dict[str, Any] = {"error_bounds": self.error_bounds}
         for item in fields(self):
-            if item.name not in ("position_bound", "rotation_bound", "wrapper", "normalize"):
+            if item.name not in ("position_bound", "rotation_bound", "wrapper"):
                 keywords[item.name] = getattr(self, item.name)
         return keywords
 
@@ -213,12 +227,8 @@ class EpisodeOptions(TaskOptions):
     wrapper: Annotated[
         list[str] | None,
         "Wrapper of the policy's training, file.py:name or package.module:name; again for each further one, "
-        "the innermost first. Installed policies of --policies take none.",
-    ] = None
-    normalize: Annotated[
-        str | None,
-        "File with the statistics of Stable-Baselines3's VecNormalize, the outermost wrapper. The default is "
-        "vecnormalize.pkl beside a .zip file.",
+        "the innermost first. The last one may be a file with the statistics of Stable-Baselines3's VecNormalize; its "
+        "default is vecnormalize.pkl beside a .zip file. Installed policies take no wrapper.",
     ] = None
     seed: Annotated[
         int | None,
@@ -229,10 +239,7 @@ class EpisodeOptions(TaskOptions):
     @property
     def wrappers(self) -> list[str]:
         """Wrappers of the training of the policy, the innermost first."""
-        layers = list(self.wrapper or [])
-        if self.normalize:
-            layers.append(self.normalize)
-        return layers
+        return self.wrapper or []
 
     def keywords(self) -> dict[str, Any]:
         """Keywords of an evaluation, with the default seed 0."""
@@ -241,38 +248,6 @@ class EpisodeOptions(TaskOptions):
         if self.measurement is None:  # the sensors of the robot
             del keywords["measurement"]
         return keywords
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProcessOptions(Options):
-    """The process of the policy."""
-
-    title: ClassVar[str] = "Process of the policy"
-
-    isolate: Annotated[
-        bool | None,
-        typer.Option(
-            "--isolate/--no-isolate",
-            help=(
-                "Run the policy in a process of its own, which gets only observations and tasks, behind bubblewrap "
-                "where that is installed. The default isolates every policy that is not shipped with this project, and "
-                "every one with a wrapper. --no-isolate trusts the policy, and marks its result."
-            ),
-            show_default=False,
-        ),
-    ] = None
-    deadline: Annotated[
-        float | None,
-        "Deadline of an answer of the isolated policy [s of processor time]. The default is 300.",
-    ] = None
-
-    def isolates(self, name: str, wrappers: Sequence[str] = ()) -> bool:
-        """Whether a policy with a name and its wrappers runs in a process of its own."""
-        from cablebot_gym.policies import PolicySpec
-
-        if self.isolate is not None:
-            return self.isolate
-        return bool(wrappers) or not PolicySpec.parse(name).shipped
 
 
 def fitting_id(env_id: str | None, robot: str | None) -> str:
@@ -345,6 +320,13 @@ def robot_of(env_id: str, task: TaskOptions) -> Robot:
     return robot
 
 
+def payload_or_least(payload: float | None, robot: Robot) -> float:
+    """The payload, or the least one of the robot's payload range if there is none [kg]."""
+    if payload is None:
+        return robot.defaults.payload(0.0)
+    return payload
+
+
 def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
     """Prints the largest speeds and accelerations of a motion through waypoints, which its file
     does not show."""
@@ -371,57 +353,53 @@ def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
     say(f"{motion.name}: {span}; {', '.join(texts)}")
 
 
+def isolates(name: str, wrappers: Sequence[str], isolate: bool | None) -> bool:
+    """Whether ``--isolate`` puts a policy with a name and its wrappers in a process of its own."""
+    from cablebot_gym.policies import PolicySpec
+
+    if isolate is not None:
+        return isolate
+    return bool(wrappers) or not PolicySpec.parse(name).shipped
+
+
 def loaded_policy(
-    name: str,
-    robot: Robot,
-    *,
-    wrappers: Sequence[str] = (),
-    process: ProcessOptions = ProcessOptions(),
+    name: str, robot: Robot, wrappers: Sequence[str] = (), *, isolate: bool | None
 ) -> LoadedPolicy:
-    """The policy with a name, made for a robot, in a process of its own where the options ask for
+    """The policy with a name, made for a robot, in a process of its own where ``--isolate`` asks for
     it.
 
     Raises:
-        ValueError: if the policy cannot be loaded, or if there is a deadline for a policy that is
-            not isolated.
+        ValueError: if the policy cannot be loaded.
     """
     from cablebot_gym.isolation import IsolatedPolicy
     from cablebot_gym.policies import load
 
-    if process.isolates(name, wrappers):
-        limits = {} if process.deadline is None else {"deadline": process.deadline}
-        return IsolatedPolicy(name, robot, wrappers=wrappers, **limits).loaded
-    if process.deadline is not None:
-        raise ValueError(
-            "--deadline needs --isolate: only the process of an isolated policy can be ended"
-        )
+    if isolates(name, wrappers, isolate):
+        return IsolatedPolicy(name, robot, wrappers=wrappers).loaded
     return load(name, robot, wrappers=wrappers)
 
 
 def loaded_policies(
-    names: list[str],
-    robot: Robot,
-    wrappers: Sequence[str],
-    process: ProcessOptions = ProcessOptions(isolate=False),
+    names: list[str], robot: Robot, wrappers: Sequence[str], *, isolate: bool | None
 ) -> list[LoadedPolicy]:
-    """The policies with these names, made for a robot, by default in this process. The wrappers
-    apply to those that are not installed.
+    """The policies with these names, made for a robot. The wrappers apply to those that are not
+    installed.
 
     Raises:
-        ValueError: if a policy cannot be loaded, or if there are wrappers and only installed
-            policies.
+        ValueError: if there is no policy, if one cannot be loaded, or if there are wrappers and only
+            installed policies.
     """
     from cablebot_gym.policies import PolicySpec
 
+    if not names:
+        raise ValueError("name at least one policy, such as fl")
     installed = [PolicySpec.parse(name).installed for name in names]
     if wrappers and all(installed):
-        raise ValueError(
-            f"--wrapper and --normalize do not apply to installed policies, such as {names[0]}"
-        )
+        raise ValueError(f"--wrapper does not apply to installed policies, such as {names[0]}")
     policies = []
     for name, is_installed in zip(names, installed, strict=True):
         layers = () if is_installed else wrappers
-        policies.append(loaded_policy(name, robot, wrappers=layers, process=process))
+        policies.append(loaded_policy(name, robot, layers, isolate=isolate))
     return policies
 
 

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cablebot_gym.cli.options import EnvId, EpisodeOptions
-from cablebot_gym.cli.video import PictureOptions, print_verdicts, record_episodes
+from cablebot_gym.cli.options import EnvId, EpisodeOptions, Payload, payload_or_least, robot_of
+from cablebot_gym.cli.video import Size, pixels, print_verdicts, record_episodes
 from cablebot_gym.utils.console import say
+
+if TYPE_CHECKING:
+    from cablebot_gym.video.recording import Episode
 
 
 def picture(
     env_id: EnvId,
     out: Annotated[Path, typer.Argument(help="File to write, ending in .png, .jpg or .webp.")],
-    pictures: PictureOptions,
     episode: EpisodeOptions,
+    policy: Annotated[
+        str | None,
+        "Policy as for `dlcc`, or several, separated by commas. The default shows the start pose.",
+    ] = None,
+    payload: Payload = None,
+    size: Size = None,
     time: Annotated[
         float | None,
         "Time of the picture [s]. The default is the end, with the whole path.",
@@ -31,15 +39,34 @@ def picture(
 
     cablebot picture CableBot-Spatial-v0 start.png
 
-    cablebot picture CableBot-Spatial-v0 both.png --policies fl,trajopt --payload 6 --time 1.1 --size 480x360
+    cablebot picture CableBot-Spatial-v0 both.png --policy fl,trajopt --payload 6 --time 1.1 --size 480x360
     """
     from cablebot_gym.video.recording import check_picture, write_picture
 
-    size = pictures.pixels
+    width_and_height = pixels(size)
     check_picture(out, time)
-    start = pictures.policy is None and pictures.policies is None
-    episodes = record_episodes(env_id, pictures, episode, start=start)
-    write_picture(out, episodes, time=0.0 if start and time is None else time, size=size)
-    if not start:
+    if policy is not None:
+        episodes = record_episodes(env_id, policy, payload, episode)
+    else:
+        episodes = [_at_rest(env_id, payload, episode)]
+        if time is None:
+            time = 0.0
+    write_picture(out, episodes, time=time, size=width_and_height)
+    if policy is not None:
         print_verdicts(episodes)
     say(f"wrote {out}")
+
+
+def _at_rest(env_id: str, payload: float | None, episode: EpisodeOptions) -> Episode:
+    """An episode without torques, for its start."""
+    import numpy as np
+
+    from cablebot_gym.envs import described
+    from cablebot_gym.evaluation.rollout import record_rollout
+    from cablebot_gym.rendering.painter import import_pygame
+
+    import_pygame()
+    robot = robot_of(env_id, episode)
+    keywords = episode.keywords() | {"payload": payload_or_least(payload, robot)}
+    rollout = record_rollout(lambda observation: np.zeros(robot.cables), env_id, **keywords)
+    return described(env_id, robot.name), rollout

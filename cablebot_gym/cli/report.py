@@ -14,6 +14,9 @@ from cablebot_gym.utils.console import progress, say
 if TYPE_CHECKING:
     from cablebot_gym.report.recording import ReplayResult
 
+TITLE = "Payloads of cable robots"
+"""Title of the page."""
+
 
 def report(
     results: Annotated[
@@ -24,7 +27,6 @@ def report(
         ),
     ],
     out: Annotated[Path, "File of the page, ending in .html."] = Path("report.html"),
-    title: Annotated[str, "Title of the page."] = "Payloads of cable robots",
     episodes: Annotated[
         bool,
         typer.Option(
@@ -43,7 +45,7 @@ def report(
 
     cablebot report results --out report.html
 
-    cablebot report results maps --title "My controller" --workers 8 --out report.html
+    cablebot report results maps --workers 8 --out report.html
     """
     from cablebot_gym.cli.benchmark import read_results
     from cablebot_gym.report.page import html, merge_records, replay_queries
@@ -68,7 +70,7 @@ def report(
             for key, replay in record_all(queries, folder, workers=processes, say=say):
                 replays[key] = replay
                 step(len(replays), len(queries))
-    page = html(title, sources, replays)
+    page = html(TITLE, sources, replays)
     atomic_write_text(out, page)
     failures = Counter(replay for replay in replays.values() if isinstance(replay, str))
     for reason, count in failures.items():

@@ -8,11 +8,12 @@ from typing import Annotated
 from cablebot_gym.cli.options import (
     EpisodeOptions,
     FittingEnvId,
+    Isolate,
     Payload,
     PolicyName,
-    ProcessOptions,
     fitting_id,
     loaded_policy,
+    payload_or_least,
     robot_of,
 )
 
@@ -25,7 +26,7 @@ def rollout(
     episode: EpisodeOptions,
     payload: Payload = None,
     criterion: Annotated[str, "Success criterion: task or paper."] = "task",
-    process: ProcessOptions,
+    isolate: Isolate = None,
 ) -> None:
     """Run one episode of a policy and record every control step in a file.
 
@@ -43,9 +44,8 @@ def rollout(
     check_writable_file(out)
     env_id = fitting_id(env_id, episode.robot)
     robot = robot_of(env_id, episode)
-    if payload is None:
-        payload = robot.defaults.payload(0.0)
-    loaded = loaded_policy(policy, robot, wrappers=episode.wrappers, process=process)
+    payload = payload_or_least(payload, robot)
+    loaded = loaded_policy(policy, robot, episode.wrappers, isolate=isolate)
     record = record_rollout(
         loaded,
         env_id,

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
-from cablebot_gym.cli.options import EpisodeOptions, FittingEnvId, command_again, fitting_id
-from cablebot_gym.cli.video import PictureOptions, Speed, record_episodes
+from cablebot_gym.cli.options import (
+    EpisodeOptions,
+    FittingEnvId,
+    Payload,
+    PolicyNames,
+    command_again,
+    fitting_id,
+)
+from cablebot_gym.cli.video import Speed, record_episodes
 from cablebot_gym.video import SPEED
 
 
 def watch(
     *,
     env_id: FittingEnvId = None,
-    pictures: PictureOptions,
+    policy: PolicyNames,
     episode: EpisodeOptions,
+    payload: Payload = None,
     speed: Speed = SPEED,
 ) -> None:
     """Show an episode in a window, in a loop.
@@ -28,18 +34,18 @@ def watch(
     from cablebot_gym.video.recording import check_speed, play
 
     env_id = fitting_id(env_id, episode.robot)
-    size = pictures.pixels
     check_speed(speed)
-    episodes = record_episodes(env_id, pictures, episode)
+    episodes = record_episodes(env_id, policy, payload, episode)
     try:
-        play(episodes, speed=speed, size=size)
+        play(episodes, speed=speed)
     except NoDisplayError as error:
         alternative = command_again(
             "video",
             env_id,
             "video.gif",
             episode=episode,
-            **asdict(pictures),
+            policy=policy,
+            payload=payload,
             speed=None if speed == SPEED else speed,
         )
         raise ValueError(

@@ -205,7 +205,7 @@ def _check_spaces(model: Any, subject: str, stack: Stack) -> bool:
     elif not stack.normalises and _exceeds(getattr(model, "_last_obs", None), inputs):
         raise ValueError(
             f"{subject} was trained behind VecNormalize or a wrapper like it, because its last observation of the "
-            "training exceeds its observation space. Add the statistics of VecNormalize: --normalize FILE, or "
+            "training exceeds its observation space. Add the statistics of VecNormalize: --wrapper FILE, or "
             "wrappers=[FILE] in Python"
         )
     if not difference:
@@ -213,7 +213,7 @@ def _check_spaces(model: Any, subject: str, stack: Stack) -> bool:
     behind = f" Behind {', '.join(stack.names)} it has {_spaces(stack)}." if stack.wrappers else ""
     raise ValueError(
         f"{subject} does not fit robot {robot.name!r}: {difference}. The robot has {_spaces(Stack((), robot))}."
-        f"{behind} Name the wrappers of the training, the innermost first: --wrapper file.py:name and --normalize "
+        f"{behind} Name the wrappers of the training, the innermost first: --wrapper file.py:name and --wrapper "
         "FILE, or wrappers=[…] in Python"
     )
 

@@ -126,19 +126,6 @@ def toys(tmp_path, monkeypatch):
     sys.modules.pop("cli_toys", None)
 
 
-@pytest.fixture
-def no_work(monkeypatch):
-    """Fails the test when anything is evaluated or recorded."""
-    for name in (
-        "evaluator.evaluate_dlcc",
-        "comparison.compare_policies",
-        "rollout.record_rollout",
-    ):
-        monkeypatch.setattr(
-            f"cablebot_gym.evaluation.{name}", lambda *_, **__: pytest.fail("found after the work")
-        )
-
-
 def names(folder):
     """Names of the files in a folder."""
     return sorted(path.name for path in folder.iterdir())

@@ -25,10 +25,10 @@ def test_options_reach_the_search(cablebot, monkeypatch):
     result = SimpleNamespace(verified=True, to_json=lambda: '{"payload": 1.0}')
     find = Mock(return_value=result)
     monkeypatch.setattr(best_known, "find_best_known", find)
-    options = "--rotation-bound 30 --control-frequency 250 --trajectory line-spatial --no-cache"
+    options = "--rotation-bound 30 --control-frequency 250 --trajectory line-spatial"
     line = f"best-known {SPATIAL} --robot spatial --json {options}"
     assert cablebot(line).data == {"payload": 1.0}
-    keywords = {"trajectory": "line-spatial", "error_bounds": {"rotation": 0.03}, "cache": False}
+    keywords = {"trajectory": "line-spatial", "error_bounds": {"rotation": 0.03}}
     keywords |= {"control_frequency": 250.0, "robot": "spatial"}
     find.assert_called_once_with(SPATIAL, progress=ANY, **keywords)
     result.verified = False
@@ -38,10 +38,9 @@ def test_options_reach_the_search(cablebot, monkeypatch):
 @pytest.mark.slow
 def test_result_is_printed_cached_and_verified(cablebot, cache, monkeypatch):
     line = f"{LINE} --position-bound 20 --control-frequency 250"
-    text = cablebot(line, "--no-cache").out
+    text = cablebot(line).out
     for words in ("best known payload", "kg", "20 mm", "verified by replays"):
         assert words in text
-    assert not cache.exists()
     computed = cablebot(line, "--json").data
     assert computed["verified"] is True
     assert computed["total_mass"] == computed["payload"] + 1.0

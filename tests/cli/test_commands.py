@@ -70,47 +70,85 @@ def test_commands_of_the_readme_are_valid():
 
 ROLLOUT = f"rollout {PLANAR} {POLICY} --out "
 FL = f"dlcc {SPATIAL} {POLICY} "
+PAIR = f"compare {PLANAR} --policies fl,robust "
+EXPORT = "robot export cogiro --out "
 TRAIN = f"train {PLANAR} --out "
-MISTAKES = {
-    "nosuch": "nosuch",
-    "robot": "Missing command. The commands are ",
-    "robot nosuch": "robot check",
-    f"dlcc CableBot-Cubic-v0 {POLICY}": "choose one of CableBot-Planar-v0, CableBot-Spatial-v0",
-    f"dlcc {SPATIAL} --policy lqr": "unknown policy 'lqr'; choose one of ",
-    f"dlcc {SPATIAL} --policy os:nosuch": "'os' has no attribute 'nosuch'",
-    FL + "--trajectory spiral": "unknown trajectory 'spiral'; choose one of circle-spatial",
-    FL + "--trajectory {": "--trajectory is not valid JSON",
-    FL + "--payload-max -1": "payload-max",
-    FL + "--deadline 30": "--deadline needs --isolate",
-    FL + "--isolate --deadline 0": "--deadline must",
-    FL + "--uncertainty table6 --draws 2.5": "--draws",
-    FL + "--out file/below": "cannot write to folder",
-    f"compare {SPATIAL}": "--policies",
-    ROLLOUT.replace("--out", ""): "--out",
-    ROLLOUT + "file/run.csv": "cannot write to folder",
-    f"watch {PLANAR}": "give either --policy with one name, or --policies with several",
-    f"video {PLANAR} video.gif {POLICY} --size 100000x100000": "",
-    f"video {PLANAR} video.mp4 {POLICY} --size large": "such as 640x480, not 'large'",
-    f"video {PLANAR} video.mp4 {POLICY} --size 641x481": "even number",
-    f"video {PLANAR} video.mp4 {POLICY} --speed nan": "speed must",
-    f"video {PLANAR} video.avi {POLICY}": "end in .mp4 or .gif",
-    f"picture {PLANAR} a.gif {POLICY}": "has to end in .png or .jpg or .webp",
-    f"picture {PLANAR} a.png {POLICY} --time -1": "--time must be a finite number at least 0 s",
-    f"picture {PLANAR} a.png {POLICY} --time 9": "--time must be at most 1.6 s",
-    "benchmark --suite huge": "unknown suite 'huge'; choose one of smoke, standard, ranked, full",
-    "benchmark --ray auto --workers 1": "--workers and --ray exclude each other",
-    TRAIN + "file/below": "",
-    TRAIN + "run --algo dqn": "choose one of ppo, sac, tqc, gradient",
-    TRAIN + "run --evaluation [1]": "--evaluation must be a JSON object",
-    f"best-known {PLANAR} --position-bound 0.01": "position",
-}
+ERRORS = (
+    ("nosuch", 2, "nosuch"),
+    ("robot", 2, "Missing command. The commands are "),
+    ("robot nosuch", 2, "robot check"),
+    ("dlcc --policy fl", 2, "give an environment id, one of"),
+    (f"dlcc CableBot-Cubic-v0 {POLICY}", 2, "choose one of CableBot-Planar-v0, CableBot-Spatial"),
+    (f"dlcc {SPATIAL} --policy lqr", 2, "unknown policy 'lqr'; choose one of "),
+    (f"dlcc {SPATIAL} --policy os:nosuch", 2, "'os' has no attribute 'nosuch'"),
+    (FL + "--trajectory spiral", 2, "unknown trajectory 'spiral'; choose one of circle-spatial"),
+    (FL + "--trajectory {", 2, "--trajectory is not valid JSON"),
+    (FL + "--payload-max -1", 2, "payload-max"),
+    (FL + "--uncertainty table6 --draws 2.5", 2, "--draws"),
+    (FL + "--out file/below", 2, "cannot write to folder"),
+    (f"compare {SPATIAL}", 2, "--policies"),
+    (f"compare {SPATIAL} --policies ,", 2, "name at least one policy, such as fl"),
+    (PAIR + "--wrapper x.pkl", 2, "--wrapper does not apply to installed policies, such as fl"),
+    (PAIR + "--payload ''", 2, "--payload must be a number, a list such as 0,1,2, or FIRST:"),
+    (PAIR + "--payload 0:9", 2, "not '0:9'"),
+    (PAIR + "--payload 0:9:0", 2, "not '0:9:0'"),
+    (PAIR + "--payload 9:0:1", 2, "not '9:0:1'"),
+    (PAIR + "--payload 0:1e9:1", 2, "not '0:1e9:1'"),
+    (PAIR + "--payload a,b", 2, "not 'a,b'"),
+    (PAIR + "--payload 2,1", 2, "payloads must"),
+    ("rollout --policy no --robot ttk4900 --out run.csv", 2, "unknown policy 'no'"),
+    (ROLLOUT.replace("--out", ""), 2, "--out"),
+    (ROLLOUT + "file/run.csv", 2, "cannot write to folder"),
+    (ROLLOUT + "folder.csv", 2, "it is a folder"),
+    (ROLLOUT + "run", 2, "must end in .npz or .csv"),
+    (ROLLOUT + "run.csv.gz", 2, "must end in .npz or .csv"),
+    (ROLLOUT + "run.NPZ", 2, "must end in .npz or .csv"),
+    (f"watch {PLANAR}", 2, "Missing option '--policy'"),
+    (f"video {PLANAR} video.gif {POLICY} --size 100000x100000", 2, ""),
+    (f"video {PLANAR} video.mp4 {POLICY} --size large", 2, "such as 640x480, not 'large'"),
+    (f"video {PLANAR} video.mp4 {POLICY} --size 641x481", 2, "even number"),
+    (f"video {PLANAR} video.mp4 {POLICY} --speed nan", 2, "speed must"),
+    (f"video {PLANAR} video.avi {POLICY}", 2, "end in .mp4 or .gif"),
+    (f"picture {PLANAR} a.gif {POLICY}", 2, "has to end in .png or .jpg or .webp"),
+    (
+        f"picture {PLANAR} a.png {POLICY} --time -1",
+        2,
+        "--time must be a finite number at least 0 s",
+    ),
+    (f"picture {PLANAR} a.png {POLICY} --time 9", 2, "--time must be at most 1.6 s"),
+    (
+        "benchmark --suite huge",
+        2,
+        "unknown suite 'huge'; choose one of smoke, standard, ranked, full",
+    ),
+    ("benchmark --suite ranked --policies fl", 2, "add --seed-text TEXT"),
+    ("benchmark --ray auto --workers 1", 2, "--workers and --ray exclude each other"),
+    ("benchmark --policies fl --out .", 2, "it is a folder"),
+    ("report file", 2, "'file' does not hold benchmark results"),
+    ("report . --out page.pdf", 2, "--out must end in .html"),
+    ("robot check cogyro", 2, "did you mean 'cogiro'"),
+    ("robot check cogiro --out my.txt", 2, "must end in .svg"),
+    (EXPORT.replace("--out", ""), 2, "--out cogiro.xml"),
+    (EXPORT + "my.toml", 2, "--out must end in .xml, not 'my.toml'"),
+    (EXPORT + "my.xml --payload -1", 2, "at least 0 kg"),
+    (EXPORT + "my.xml --json", 2, "No such option: --json. Example: cablebot robot export"),
+    (EXPORT.replace("cogiro", "cogyro") + "my.xml", 2, "did you mean 'cogiro'"),
+    (TRAIN + "file/below", 2, ""),
+    (TRAIN + "run --algo dqn", 2, "choose one of ppo, sac, tqc, gradient"),
+    (TRAIN + "run --evaluation [1]", 2, "--evaluation must be a JSON object"),
+    (f"best-known {PLANAR} --position-bound 0.01", 2, "position"),
+)
+"""What is typed, the exit status, and words of the message."""
 
 
-@pytest.mark.parametrize(("typed", "message"), MISTAKES.items())
-def test_bad_input_ends_with_status_2_one_line_and_no_file(cablebot, tmp_path, typed, message):
-    (tmp_path / "work" / "file").write_text("kept")
-    assert message in cablebot(typed).message(2)
-    assert names(tmp_path / "work") == ["file"]
+@pytest.mark.parametrize(("typed", "status", "words"), ERRORS, ids=[row[0] for row in ERRORS])
+def test_error_ends_with_its_status_one_line_and_no_file(cablebot, tmp_path, typed, status, words):
+    work = tmp_path / "work"
+    (work / "file").write_text("{}")
+    for folder in ("folder.csv", "results.json"):
+        (work / folder).mkdir()
+    assert words in cablebot(typed).message(status)
+    assert names(work) == ["file", "folder.csv", "results.json"]
 
 
 @pytest.mark.parametrize(
@@ -186,7 +224,7 @@ def test_command_line_is_quoted_and_complete():
         "payload_unknown": True,
         "out": Path("my runs"),
     }
-    options |= {"seed": 0, "isolate": False, "deadline": None, "only": ["a", "b"]}
+    options |= {"seed": 0, "isolate": False, "out_of": None, "only": ["a", "b"]}
     assert console.command_line("dlcc", "ID", **options) == (
         """cablebot dlcc ID --trajectory '{"name": "line-planar"}' --payload-unknown --out 'my runs' --seed 0 """
         "--only a --only b"

@@ -1,7 +1,6 @@
 """``cablebot doctor``."""
 
 import hashlib
-import os
 import re
 import subprocess
 import sys
@@ -13,8 +12,6 @@ from cablebot_gym import ENV_IDS
 from cablebot_gym.cli import doctor
 from cablebot_gym.cli.doctor import Finding, examine
 from cablebot_gym.policies import ENTRY_POINT_GROUP
-
-PLANAR = "CableBot-Planar-v0"
 
 
 @pytest.fixture
@@ -135,31 +132,6 @@ def test_read_only_folder_without_compiled_code_is_a_fault(monkeypatch, tmp_path
     assert "set NUMBA_CACHE_DIR" in finding.text
     (finding,) = doctor._plans()
     assert "set CABLEBOT_CACHE" in finding.text
-
-
-def test_unknown_id_to_compile_is_refused(cablebot):
-    message = cablebot("doctor --compile CableBot-Cubic-v0").message(2)
-    assert "unknown --compile 'CableBot-Cubic-v0'" in message
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("env_id", [PLANAR, "CableBot-Point-v0"])
-def test_compiled_id_needs_no_compilation_afterwards(tmp_path, env_id):
-    """Excludes code that only laws of redundant cables use, which would be compiled at each start
-    of a container."""
-    compiled = tmp_path / "compiled"
-    folders = {"NUMBA_CACHE_DIR": str(compiled), "CABLEBOT_CACHE": str(tmp_path / "plans")}
-
-    def run(line):
-        command = [sys.executable, "-m", "cablebot_gym.cli.app", *line.split()]
-        options = {"capture_output": True, "text": True, "check": True}
-        return subprocess.run(command, env=os.environ | folders, **options)
-
-    run(f"doctor --compile {env_id}")
-    before = sorted((compiled / "cablebot_gym").iterdir())
-    ended = run(f"dlcc {env_id} --policy fl --resolution 0.5 --payload-max 3")
-    assert "compiling" not in ended.stderr
-    assert sorted((compiled / "cablebot_gym").iterdir()) == before
 
 
 @pytest.mark.parametrize(("good", "status"), [(True, 0), (None, 0), (False, 1)])

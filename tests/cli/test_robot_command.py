@@ -116,7 +116,7 @@ def test_impossible_robot_is_refused_with_its_remedy(cablebot, edited, name, old
     assert remedy in ended.err
 
 
-def test_command_finds_the_id_by_the_robot(cablebot):
+def test_robot_has_its_id():
     for name, kind in (
         ("cogiro", "Spatial"),
         ("stadium-camera", "Point"),
@@ -127,14 +127,6 @@ def test_command_finds_the_id_by_the_robot(cablebot):
         assert fitting_env_id(name) == f"CableBot-{kind}-v0"
     robots = {env_id: find_robot(name) for env_id, name in ENV_ROBOTS.items()}
     assert {env_id: (robot.kind, robot.flexible) for env_id, robot in robots.items()} == ENV_KINDS
-    assert "give an environment id, one of" in cablebot("dlcc --policy fl").message(2)
-    unknown = cablebot("rollout --policy no --robot ttk4900 --out run.csv").message(2)
-    assert "unknown policy 'no'" in unknown
-
-
-def test_unknown_robot_and_format_are_invalid_input(cablebot):
-    assert "did you mean 'cogiro'" in cablebot("robot check cogyro").message(2)
-    assert "must end in .svg" in cablebot("robot check cogiro --out my.txt").message(2)
 
 
 def test_export_writes_mjcf_and_notes(cablebot, tmp_path):
@@ -155,17 +147,3 @@ def test_keyframe_is_only_of_robots_held_at_home(cablebot, edited, tmp_path):
     path = tmp_path / "robot.xml"
     assert cablebot("robot export", two_cables, "--out", path).status == 0
     assert ElementTree.fromstring(path.read_text()).find("keyframe") is None
-
-
-@pytest.mark.parametrize(
-    ("arguments", "remedy"),
-    [
-        ("cogiro", "--out cogiro.xml"),
-        ("cogiro --out my.toml", "--out must end in .xml, not 'my.toml'"),
-        ("cogiro --out my.xml --payload -1", "at least 0 kg"),
-        ("cogiro --out my.xml --json", "No such option: --json. Example: cablebot robot export"),
-        ("cogyro --out my.xml", "did you mean 'cogiro'"),
-    ],
-)
-def test_invalid_export_says_what_to_type(cablebot, arguments, remedy):
-    assert remedy in cablebot(f"robot export {arguments}").message(2)

@@ -19,15 +19,6 @@ def test_rollout_records_the_payload_motion_and_frequency(cablebot, tmp_path):
         assert_array_equal(file["payload"], 0.5)
 
 
-@pytest.mark.usefixtures("no_work")
-def test_unwritable_file_is_refused_before_the_work(cablebot, tmp_path):
-    rollout = f"rollout {PLANAR} --policy fl --out"
-    for name in ("run", "run.csv.gz", "run.NPZ"):
-        assert "must end in .npz or .csv" in cablebot(rollout, tmp_path / name).message(2)
-    (tmp_path / "run.csv").mkdir()
-    assert "it is a folder" in cablebot(rollout, tmp_path / "run.csv").message(2)
-
-
 def test_options_reach_the_episode(cablebot, tmp_path):
     def run(options):
         path = tmp_path / "run.npz"

@@ -1,6 +1,8 @@
 """How the evaluation resists careless and cheating policies. tests/attacks has the policies
 themselves."""
 
+import copy
+
 import numpy as np
 import pytest
 from attacks import cheats
@@ -15,7 +17,7 @@ from cablebot_gym.evaluation.search import FINER, REPEATED_DRAWS, SCAN_POINTS, S
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
 from cablebot_gym.isolation import IsolatedPolicy
-from cablebot_gym.robots import SPATIAL, find_robot
+from cablebot_gym.robots import SPATIAL
 
 SPATIAL_ID = "CableBot-Spatial-v0"
 HANG = {"name": "dwell-spatial", "duration": 0.05}
@@ -120,7 +122,7 @@ def test_policy_that_acts_differently_in_the_repeated_batch_raises():
 
 
 def test_policy_gets_copies_of_tasks_and_robot():
-    result = evaluated(cheats.wide_bounds(find_robot("spatial")))
+    result = evaluated(cheats.wide_bounds(copy.deepcopy(SPATIAL)))
     honest = evaluated(Law())
     assert result.payload == honest.payload
     assert result.details.margins == honest.details.margins

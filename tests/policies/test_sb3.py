@@ -197,7 +197,7 @@ def test_model_without_its_statistics_is_refused(trained, tmp_path):
     model.learn(64)
     model.save(tmp_path / "best.zip")
     with pytest.raises(
-        ValueError, match=r"was trained behind VecNormalize or a wrapper like it.*--normalize FILE"
+        ValueError, match=r"was trained behind VecNormalize or a wrapper like it.*--wrapper FILE"
     ):
         load_policy(str(tmp_path / "best.zip"), PLANAR)
     assert "normalised_observation" in load(model, PLANAR).wrappers
@@ -222,7 +222,7 @@ def test_wrapped_spaces_decide_whether_a_model_fits(trained, tmp_path):
     for fewer, message in (
         (
             [],
-            r"the model reads 62 numbers and returns 3 numbers. .*--wrapper file.py:name and --normalize FILE",
+            r"the model reads 62 numbers and returns 3 numbers. .*--wrapper file.py:name and --wrapper FILE",
         ),
         (
             wrappers[1:3],
