@@ -1,7 +1,7 @@
 """Trains and evaluates the shipped learned policies with several seeds; writes weights, cards and
 docs/learned.md.
 
-    python scripts/train_shipped.py --policy apg-loops --id CableBot-Spatial-v0
+    python scripts/train_shipped.py --policy planner --id CableBot-Planar-v0
 
 Runs are kept in folders ``NAME-KIND-SEED`` under ``--runs``, evaluations in the folder ``judged``
 next to them. The same command resumes after an interrupt. ``--page`` updates the best known
@@ -261,7 +261,7 @@ def check_run(folder: Path, shipped: Shipped, env_id: str, seed: int) -> None:
         ValueError: if not; the message says what to do.
     """
     card = Bundle.load(folder / LAST).card
-    config = read_yaml(env_id, Path(shipped.config or shipped.algorithm))
+    config = read_yaml(env_id, Path(shipped.algorithm))
     expected = {
         "env_id": env_id,
         "algorithm": shipped.algorithm,
@@ -290,7 +290,6 @@ def _train(name: str, env_id: str, seed: int, folder: Path, quiet: bool) -> str:
         "out": folder,
         "seed": seed,
         "resume": (folder / STATE).is_file(),
-        "config": shipped.config and Path(shipped.config),
     }
     try:
         if quiet:

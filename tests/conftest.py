@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+from contextlib import nullcontext
 
 import pytest
 
@@ -38,9 +39,9 @@ def interrupted_solver(monkeypatch):
 def inline(monkeypatch):
     """The cells of a benchmark load their policies in this process: starts of processes are most of
     their time."""
-    from inline import InlinePolicy
-
-    monkeypatch.setattr("cablebot_gym.benchmark.cells.IsolatedPolicy", InlinePolicy)
+    monkeypatch.setattr(
+        "cablebot_gym.benchmark.cells.policy_process", lambda cell: nullcontext(cell.policy)
+    )
 
 
 @pytest.fixture(scope="session")

@@ -72,11 +72,6 @@ def record_a_video(printed, folder):
         assert video.n_frames > 20
 
 
-def train_in_a_minute(printed, folder):
-    fl, learned = numbers(PAYLOAD, printed)
-    assert learned > 1.4 * fl
-
-
 def train_with_sb3(printed, folder):
     assert numbers(PAYLOAD, printed)[-1] > 1.9
 
@@ -97,7 +92,6 @@ SLOW = (
     many_at_once,
     what_if_it_is_heavier,
     record_a_video,
-    train_in_a_minute,
     train_with_sb3,
     paper_figure,
 )

@@ -61,6 +61,8 @@ class Block:
     """Whether the block has each error of its uncertainty alone, and none, beside all of them."""
     survey: bool = False
     """Whether all motions of a policy are one cell, a survey."""
+    surveyed: int | None = None
+    """Largest number of motions in a survey, the first ones; None for all."""
     axis: str | None = None
     """Name of the varied parameter, see :data:`~cablebot_gym.benchmark.maps.AXES`; None for none.
     Rigid robots have no joint stiffness, and flexible ones no varied pulley friction."""
@@ -305,7 +307,8 @@ def _survey_motions(
 ) -> dict[str, Any]:
     """The task of a policy as fields of a survey: its motions in one trajectory with a list of
     seeds."""
-    tasks = _tasks(env_id, block, seed_text)[: surveyed_motions(policy, env_id, block.motions)]
+    count = surveyed_motions(policy, env_id, block.surveyed or block.motions)
+    tasks = _tasks(env_id, block, seed_text)[:count]
     seeds = [task["trajectory"]["seed"] for task in tasks]
     return tasks[0] | {"trajectory": tasks[0]["trajectory"] | {"seed": seeds}}
 

@@ -2,7 +2,7 @@
 
 It imports and loads the policy once. Each batch of episodes gets a fork of it, so the policy
 remembers nothing of earlier batches, and a batch does not pay for imports. A process with several
-threads is not forked: it serves a single batch.
+threads or of a stochastic policy is not forked: it serves a single batch.
 
 Requests and replies are frames: :data:`HEADER` and a body. The judge pickles its requests. Replies
 are numbers or JSON, because the judge must never unpickle what a policy can have written.
@@ -104,11 +104,13 @@ class _Server:
         self._policy = loaded.policy
         self._cables = robot.cables
         self._state = None
-        described = declarations(self._policy)._asdict() | {
+        declared = declarations(self._policy)
+        described = declared._asdict() | {
             "notes": loaded.notes,
             "wrappers": loaded.wrappers,
             "fallbacks": hasattr(self._policy, "fallbacks"),
-            "forks": _can_fork(),
+            # forks would repeat the random numbers
+            "forks": _can_fork() and not declared.stochastic,
         }
         return json.dumps(described).encode()
 

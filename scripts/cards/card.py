@@ -48,7 +48,6 @@ KNOWN, UNKNOWN = Condition(), Condition(payload_known=False)
 
 CONDITIONS = {
     "ppo-circle": (KNOWN, UNKNOWN),
-    "apg-loops": (KNOWN, UNKNOWN),
     "planner": (KNOWN, UNKNOWN),
 }
 """Conditions of the evaluation of each shipped policy; the first one selects the shipped seed."""
@@ -62,7 +61,7 @@ class SeedRun:
     command: str
     """Command line that repeats the training, without ``--out``."""
     timesteps: int
-    """PPO: number of actions over all environments. APG: number of evaluations of the objective."""
+    """``ppo``: number of actions over all environments. ``planner``: number of steps of Adam."""
     wall_s: float
     """Wall time [s]."""
     threads: int
@@ -105,8 +104,6 @@ class Card:
     env_id: str
     algorithm: str
     """Name of the algorithm, as for ``cablebot train --algo``."""
-    config: str | None
-    """Name of the file of hyperparameters; None for the algorithm's default file."""
     command: str
     """Command line that makes weights and card."""
     base: Mapping[str, Any]
@@ -121,7 +118,7 @@ class Card:
     """Number of parameters of the network."""
     motions: Mapping[str, Any]
     """Training motions: ``motions`` of
-    :func:`~cablebot_baselines.learned.gradient_run.make_gradient_config`."""
+    :func:`~cablebot_baselines.learned.planner_run.make_planner_config`."""
     evaluation: Mapping[str, Any]
     """Keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc` during
     training."""

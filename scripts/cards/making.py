@@ -166,7 +166,6 @@ def _evaluated_card(
         policy=shipped.name,
         env_id=env_id,
         algorithm=shipped.algorithm,
-        config=shipped.config,
         command="",
         base=asdict(bundle.base) if bundle.base else {},
         base_text=base_text(bundle.base, env_id) if bundle.base else PLANNER_BASE,
@@ -347,22 +346,16 @@ def base_text(base: Base, env_id: str) -> str:
     """Describes a base law with all its gains."""
     robot = find_robot(env_robot(env_id))
     law: Any = base.make(robot)
-    inner = getattr(law, "law", law)
     if base.law == "motor-pd":
-        frequency = base.frequency or _default(MotorPD, "frequency")
-        gains = f"ω = {frequency:g} rad/s, ζ = {_default(MotorPD, 'damping_ratio'):g}"
+        gains = f"ω = {_default(MotorPD, 'frequency'):g} rad/s, ζ = {_default(MotorPD, 'damping_ratio'):g}"
     else:
-        stiffness, damping = inner.outer.gains
+        stiffness, damping = law.outer.gains
         gains = f"K_P = {stiffness:g} 1/s², K_D = {damping:g} 1/s"
         if base.law == "composite":
             gains += f", K_v ≤ {_default(Composite, 'spring_damping'):g} √(K J′)"
     text = f"`{base.law}` with {gains}"
     if robot.planar:
         text += f", minimum tension {law.minimum_tension:g} N"
-    if base.estimates_payload:
-        text += f", payload estimator with prior weight {base.estimator_prior_weight:g} s"
-    if base.allocates:
-        text += ", allocation of the available motor torques"
     return text
 
 

@@ -21,11 +21,11 @@ _HEAD = """# Learned policies
 The folder `baselines/cablebot_baselines/learned/weights/` contains the shipped learned policies. Their names work with
 `cablebot dlcc --policy NAME` and `cablebot benchmark`. The files contain plain arrays; loading them needs neither torch
 nor unpickling. `python scripts/train_shipped.py` trains and evaluates the policies and writes the weights, the cards
-and this page. APG means analytic policy gradient: training by gradients through the inverse dynamics.
+and this page.
 
-A learned policy steers a classical law, the base law: its network shifts the law's reference, or adds to the law's
-actions. Each policy was trained with several seeds, and the table includes all of them. The shipped seed is the one
-with the median payload in training, so that it is typical and not the luckiest.
+A learned policy steers a classical law, the base law: its network shifts the law's reference, or plans the acceleration
+that the law realises. Each policy was trained with several seeds, and the table includes all of them. The shipped seed
+is the one with the median payload in training, so that it is typical and not the luckiest.
 
 * Payloads are dynamic load carrying capacities (DLCC) in kg on the circle between dwells by the task criterion, as on
   the [leaderboard](../LEADERBOARD.md){drawn}.
@@ -215,10 +215,10 @@ def _details(card: Card) -> str:
 
 
 def _steering(action_mapping: Mapping[str, Any]) -> str:
-    units = {"action_period": " s", "preview": " s"}
+    units = {"action_period": " s"}
     words = [action_mapping["kind"]]
     for name, value in action_mapping.items():
-        if name != "kind" and (value or name != "preview"):
+        if name != "kind":
             numbers = value if isinstance(value, (list, tuple)) else [value]
             text = " and ".join(f"{number:g}" for number in numbers)
             words.append(f"{name} {text}{units.get(name, '')}")

@@ -22,13 +22,8 @@ STEP = 11
 NOISE = {"sensors": {"position": 2e-3, "rotation": 2e-3, "velocity": 0.1, "rotation_rate": 0.1}}
 """Uncertainty of the attacks on sensor noise. The honest law fails unloaded under it."""
 
-LIGHT_NOISE = {
-    "sensors": {"position": 4e-4, "rotation": 4e-4, "velocity": 0.02, "rotation_rate": 0.02}
-}
-"""Uncertainty of an attack that declares random actions."""
-
-GIVES_UP = 4.29
-"""Payload above which this attack gives up [kg]: alone it carries it in two of three draws."""
+STEP_OF_SCAN = 10.0 / 63
+"""Distance between payloads of a scan in equal steps [kg]."""
 
 
 class Honest(FeedbackLinearization):
@@ -49,16 +44,6 @@ class Honest(FeedbackLinearization):
         """The observation that the law gets."""
         return observation
 
-    def filtered(self, observation, merge):
-        """The observation with the measurements of all rows of one payload merged."""
-        payloads = np.array([task.model_payload for task in self.tasks])
-        columns = np.arange(observation.shape[1])
-        for payload in set(payloads):
-            for name in ("pose", "velocity"):
-                block = np.ix_(payloads == payload, columns[self._layout.slices()[name]])
-                observation[block] = merge(observation[block], axis=0)
-        return observation
-
 
 # --- leaks between episodes ------------------------------------------------------------------------
 
@@ -68,22 +53,13 @@ class batch_mean(Honest):
     which has less noise"""
 
     def sees(self, observation):
-        return self.filtered(observation, np.mean)
-
-
-class row_median(Honest):
-    """takes the median of its measurements over the rows of one payload, gives up above a payload
-    that it carries alone in most draws, and declares random actions"""
-
-    stochastic = True
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        action, state = super().predict(observation, state)
         payloads = np.array([task.model_payload for task in self.tasks])
-        return np.where((payloads > GIVES_UP)[:, None], 0.0, action), state
-
-    def sees(self, observation):
-        return self.filtered(observation, np.median)
+        columns = np.arange(observation.shape[1])
+        for payload in set(payloads):
+            for name in ("pose", "velocity"):
+                block = np.ix_(payloads == payload, columns[self._layout.slices()[name]])
+                observation[block] = observation[block].mean(axis=0)
+        return observation
 
 
 class known_seed(Honest):
@@ -198,6 +174,15 @@ class replaced_code(Honest):
 
 
 # --- episodes -------------------------------------------------------------------------------------
+
+
+class islands(Honest):
+    """acts only near the payloads of a scan in equal steps"""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        action, state = super().predict(observation, state)
+        steps = np.array([task.model_payload for task in self.tasks]) / STEP_OF_SCAN
+        return np.where((abs(steps - np.round(steps)) < 0.02)[:, None], action, 0.0), state
 
 
 class noisy(Honest):

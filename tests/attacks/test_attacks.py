@@ -52,13 +52,13 @@ class Attack:
 
 ATTACKS = (
     Attack("batch_mean", ROWS, "NOISE", draws=64),
-    Attack("row_median", AT_MOST, "LIGHT_NOISE", draws=64),
     Attack("known_seed", HONEST, "NOISE", draws=1),
     Attack("module_memory", HONEST),
     Attack("file_memory", HONEST),
     Attack("wide_bounds", HONEST),
     Attack("bribed_judge", HONEST),
     Attack("replaced_code", HONEST),
+    Attack("islands", AT_MOST),
     Attack("noisy", "is not reproducible"),
     Attack("hangs", "it used more than 2 s of processor time"),
     Attack("daemon", HONEST),

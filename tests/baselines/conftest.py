@@ -25,7 +25,7 @@ def runs(tmp_path):
     from shipping import PAYLOADS, save_run  # needs torch
 
     for seed in PAYLOADS:
-        save_run(tmp_path / "runs" / f"apg-loops-planar-{seed}", seed)
+        save_run(tmp_path / "runs" / f"planner-planar-{seed}", seed)
     return tmp_path / "runs"
 
 
@@ -56,6 +56,8 @@ def computed(monkeypatch):
             for seed in cell.trajectory["seed"]:
                 if cell.policy == "fl":
                     payloads.append(2.0)
+                elif payload is None:
+                    payloads.append(None)
                 elif seed % 2:
                     payloads.append(payload + 1.0)
                 else:

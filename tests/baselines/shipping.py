@@ -8,7 +8,9 @@ import train_shipped as script
 from cards.card import read_cards
 from cards.making import Protocol
 
-from cablebot_baselines.learned.gradient_run import ALGORITHM, make_gradient_config
+from cablebot_baselines.learned.bundle import Bundle
+from cablebot_baselines.learned.planner import Planning
+from cablebot_baselines.learned.planner_run import ALGORITHM
 from cablebot_baselines.learned.runs import BEST, LAST, read_yaml
 from cablebot_baselines.learned.shipped import SHIPPED
 from cablebot_gym import ENV_IDS
@@ -16,8 +18,7 @@ from cablebot_gym.benchmark.cells import BestKnownCell
 
 ROOT = Path(__file__).parents[2]
 PLANAR_ID, SPATIAL_ID, FLEX_PLANAR_ID = ENV_IDS[:3]
-APG_CIRCLE = replace(SHIPPED["apg-loops"], config="gradient")
-"""A policy for the circle."""
+PLANNER = SHIPPED["planner"]
 
 BEST_KNOWN = {
     BestKnownCell(env_id=PLANAR_ID, trajectory=trajectory).motion_key: payload
@@ -37,14 +38,13 @@ in PAYLOADS."""
 
 
 def save_run(folder, seed=0, env_id=PLANAR_ID, **changes):
-    """Writes a finished run of ``apg-loops`` whose network outputs nearly zero; ``changes`` are of
+    """Writes a finished run of ``planner`` whose network outputs nearly zero; ``changes`` are of
     its card."""
-    plain = read_yaml(env_id, Path("gradient"))
-    untrained = make_gradient_config(env_id, plain).untrained
-    network = untrained.network
-    network.biases[0][:] = 1e-9 * seed
+    plain = read_yaml(env_id, Path(ALGORITHM))
+    untrained = Bundle.of_planning(env_id, Planning())
+    untrained.network.biases[0][:] = 1e-9 * seed
     card = {
-        "command": f"cablebot train {env_id} --algo gradient --config gradient --seed {seed} --threads 1",
+        "command": f"cablebot train {env_id} --algo planner --seed {seed} --threads 1",
         "env_id": env_id,
         "algorithm": ALGORITHM,
         "config": json.loads(json.dumps(plain)),
@@ -78,13 +78,13 @@ def survey_result(payloads):
 
 
 def ship(runs, weights):
-    """Ships ``apg-loops`` on the planar robot and returns its card."""
+    """Ships ``planner`` on the planar robot and returns its card."""
     script.ship_all(
-        [(APG_CIRCLE, PLANAR_ID)],
+        [(PLANNER, PLANAR_ID)],
         seeds=5,
         runs=runs,
         weights=weights,
-        protocol=Protocol(held_out=4),
+        protocol=Protocol(held_out=4, searched=0),
     )
     (card,) = read_cards(weights)
     return card

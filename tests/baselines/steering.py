@@ -13,7 +13,7 @@ from cablebot_baselines.learned.steering import (
     Steering,
 )
 from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
-from cablebot_gym.envs.observation import PREVIEWS, observation_layout, preview_name
+from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import find_robot
 
@@ -23,31 +23,18 @@ PERIOD = 1 / 500
 
 FEATURES = (
     "pose",
-    "shift",
-    "shift_velocity",
     "actions",
     "error",
     "time_since_start",
-    "rbf_progress",
+    "time_to_go_decays",
     "model_payload",
 )
 
 CASES = {
-    "planar shift": (PLANAR_ID, Base(gains=(2000.0, 90.0)), Shift(action_period=0.02), FEATURES),
-    "preview": (
-        SPATIAL_ID,
-        Base(estimates_payload=True, allocates=True),
-        Shift(action_period=0.014, degree=4, preview=0.1, fraction=0.5),
-        FEATURES,
-    ),
-    "springs": (
-        FLEX_SPATIAL_ID,
-        Base(law="composite", estimates_payload=True),
-        Shift(degree=4),
-        FEATURES,
-    ),
+    "rigid": (PLANAR_ID, Base(gains=(2000.0, 90.0)), Shift(action_period=0.02)),
+    "springs": (FLEX_SPATIAL_ID, Base(law="composite"), Shift(degree=4)),
 }
-"""Environment, base law, action mapping and features."""
+"""Environment, base law and action mapping."""
 
 
 def steering_of(env_id=PLANAR_ID, base=None, action_mapping=None, features=FEATURES):
@@ -70,14 +57,14 @@ def network_of(steering, *, scale=1.0, hidden=(8,), seed=1):
     )
 
 
-def bundle_of(case="planar shift", **network):
-    env_id, base, action_mapping, features = CASES[case]
+def bundle_of(case="rigid", **network):
+    env_id, base, action_mapping = CASES[case]
     return Bundle(
         env_id=env_id,
         base=base,
         action_mapping=action_mapping,
-        features=features,
-        network=network_of(steering_of(env_id, base, action_mapping, features), **network),
+        features=FEATURES,
+        network=network_of(steering_of(env_id, base, action_mapping), **network),
         card={"seed": 1, "note": "é"},
     )
 
@@ -119,8 +106,6 @@ def line(robot, start, speed, times):
     blocks = layout.split(rows)
     blocks["reference_pose"][:] = start + speed * np.asarray(times)[:, None]
     blocks["reference_velocity"][:] = speed
-    for ahead in PREVIEWS:
-        blocks[preview_name(ahead)][:] = speed * ahead
     return rows
 
 

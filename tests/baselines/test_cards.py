@@ -11,10 +11,10 @@ from cards.making import Protocol, base_text, make_card, with_best_known
 from cards.page import card_markdown
 from cards.statistics import iqm, iqm_interval, median_seed
 from shipping import (
-    APG_CIRCLE,
     BEST_KNOWN,
     FLEX_PLANAR_ID,
     PLANAR_ID,
+    PLANNER,
     save_run,
     ship,
     survey_result,
@@ -67,12 +67,13 @@ def test_card_and_weights_are_those_of_the_median_seed(runs, computed, tmp_path)
     assert card.summary(0).iqm == pytest.approx(mean)
     loops = [(loop.seed, loop.law_payload, loop.best_known) for loop in card.held_out]
     assert loops == [(10_000 + index, 2.0, 4.0) for index in range(3)] + [(10_003, 2.0, None)]
-    assert [run.held_out for run in card.seeds] == [(), (), (), (), (1.6, 3.6, 1.6, 3.6)]
-    shipped = (weights / "apg-loops-planar.zip").read_bytes()
+    assert card.seeds[1].held_out == (None,) * 4
+    assert card.seeds[4].held_out == (1.6, 3.6, 1.6, 3.6)
+    shipped = (weights / "planner-planar.zip").read_bytes()
     assert card.shipped_seed == 4
-    assert shipped == (runs / "apg-loops-planar-4" / BEST).read_bytes()
+    assert shipped == (runs / "planner-planar-4" / BEST).read_bytes()
     assert card.sha256 == hashlib.sha256(shipped).hexdigest()
-    text = (weights / "apg-loops-planar.json").read_text()
+    text = (weights / "planner-planar.json").read_text()
     assert Card.from_json(text).to_json() == text == card.to_json()
 
 
@@ -81,8 +82,7 @@ SEARCHED = {10_003: (2.0, True), 10_004: (5.0, True), 10_005: (6.0, False)}
 
 
 def test_best_known_payloads_of_held_out_loops_are_searched(runs):
-    motions = {"motions": {"loops": 2}}
-    folders = [save_run(runs / f"loops-{seed}", seed, config=motions) for seed in range(5)]
+    folders = sorted(runs.iterdir())
     seeds = []
 
     def record(cell):
@@ -100,7 +100,7 @@ def test_best_known_payloads_of_held_out_loops_are_searched(runs):
     def make(count):
         seeds.clear()
         card, _ = make_card(
-            APG_CIRCLE,
+            PLANNER,
             PLANAR_ID,
             folders,
             evaluate=lambda cells: [record(cell) for cell in cells.values()],
@@ -117,12 +117,17 @@ def test_best_known_payloads_of_held_out_loops_are_searched(runs):
     assert with_best_known(card, BEST_KNOWN) == card
     assert make(4).held_out[4].best_known is None
     assert seeds == [10_003]
+    seeds.clear()
+    circle = {"motions": {"named": ["circle-planar"]}}
+    folders = [save_run(runs / f"circle-{seed}", seed, config=circle) for seed in range(5)]
+    card = make(6)  # for the circle alone
+    assert not seeds
+    assert card.evaluated_runs == [card.shipped]
 
 
 @pytest.mark.parametrize(("env_id", "law"), [(PLANAR_ID, "fl"), (FLEX_PLANAR_ID, "motor-pd")])
-@pytest.mark.parametrize("estimates_payload", [False, True])
-def test_base_law_is_described_with_the_tension_that_it_allocates(env_id, law, estimates_payload):
-    base = Base(law=law, estimates_payload=estimates_payload)
+def test_base_law_is_described_with_the_tension_that_it_allocates(env_id, law):
+    base = Base(law=law)
     usual = base.make(find_robot(env_robot(env_id))).minimum_tension
     for minimum_tension, expected in ((None, usual), (usual + 2, usual + 2)):
         text = base_text(replace(base, minimum_tension=minimum_tension), env_id)
@@ -132,13 +137,11 @@ def test_base_law_is_described_with_the_tension_that_it_allocates(env_id, law, e
 def test_random_loops_of_an_earlier_family_are_named_and_keep_their_best_known_payloads(
     runs, computed, tmp_path
 ):
-    card = ship(runs, tmp_path / "weights")
-    motions = {"loops": 3}
-    card = replace(card, motions=motions)
+    card = replace(ship(runs, tmp_path / "weights"), motions={"loops": 3})
     earlier = replace(card, loop_durations=(9.9, *card.loop_durations[1:]))
     assert "earlier family" not in card_markdown([card])
     page = card_markdown([card, earlier])
-    assert "slower and all smooth: `apg-loops` (Planar).\n\n" in page
+    assert "slower and all smooth: `planner` (Planar).\n\n" in page
     assert page.count("random loops of an earlier family, training seeds 0 to 2,") == 1
     larger = {key: 2 * payload for key, payload in BEST_KNOWN.items()}
     assert with_best_known(card, larger).held_out[0].best_known == 8.0

@@ -1,5 +1,10 @@
 """The network that plans accelerations, and its training by gradients through the motions."""
 
+import json
+import shutil
+import signal
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
@@ -7,7 +12,6 @@ from driving import drive
 
 from cablebot_baselines.classical.observer_law import ObserverLaw, observed_gains
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.gradient_run import train_gradient
 from cablebot_baselines.learned.network import zero_network
 from cablebot_baselines.learned.planner import (
     Planning,
@@ -16,11 +20,30 @@ from cablebot_baselines.learned.planner import (
     confined,
     input_count,
 )
+from cablebot_baselines.learned.planner_run import (
+    VALIDATION,
+    make_planner_config,
+    train_planner,
+)
 from cablebot_baselines.learned.policy import make_policy
-from cablebot_baselines.learned.runs import LAST
+from cablebot_baselines.learned.runs import (
+    LAST,
+    Interrupted,
+    TrainingResult,
+    read_yaml,
+    shortest_dwell,
+)
+from cablebot_gym.cli import app as cli
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.robots import find_robot
-from cablebot_gym.trajectories import find_trajectory
+from cablebot_gym.trajectories import (
+    DWELL,
+    FIRST_HELD_OUT_SEED,
+    RandomLoop,
+    find_trajectory,
+)
+
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 PLANAR = find_robot("planar")
 PLANAR_ID = "CableBot-Planar-v0"
@@ -145,59 +168,125 @@ def test_stored_planning_network_acts_as_before(tmp_path):
         make_policy(stored, find_robot("spatial"))
 
 
-def test_run_of_a_planning_network_writes_its_policy(tmp_path):
-    plain = {
-        "motions": {"named": ["circle-planar"]},
-        "steering": {"kind": "planning"},
-        "rounds": 1,
-        "iterations": 2,
-        "batch": 2,
-        "hidden": [4],
-        "evaluation": {"resolution": 1.0, "payload_max": 2.0},
-    }
-    config = tmp_path / "small.yaml"
-    config.write_text(yaml.safe_dump({PLANAR_ID: plain}))
-    result = train_gradient(PLANAR_ID, out=tmp_path / "run", config=config)
-    bundle = Bundle.load(result.out / LAST)
+SMALL = {
+    "motions": {"named": [{"name": "line-planar", "duration": 0.5}]},
+    "rounds": 2,
+    "iterations": 2,
+    "batch": 2,
+    "hidden": [4],
+    "evaluation": {"control_frequency": 100, "resolution": 1.0, "payload_max": 1.0},
+}
+HELD_OUT = {"name": "loop-planar", "seed": FIRST_HELD_OUT_SEED}
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    path = tmp_path_factory.mktemp("configs") / "small.yaml"
+    path.write_text(yaml.safe_dump({PLANAR_ID: SMALL}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, config):
+    """A finished run."""
+    return train_planner(PLANAR_ID, out=tmp_path_factory.mktemp("runs") / "run", config=config)
+
+
+def test_run_writes_its_policy(finished):
+    bundle = Bundle.load(finished.out / LAST)
     assert bundle.action_mapping == Planning()
     assert bundle.card["payload_by_equations_kg"] > 0
+    assert bundle.card["dwell"] == DWELL
     assert len(bundle.network.biases[0]) == 4
 
 
-def trained(rounds, *, resumed_after=None, **settings):
+def test_interrupted_run_resumes_to_the_same_weights(
+    finished, tmp_path, config, capsys, monkeypatch
+):
+    out = tmp_path / "run"
+    signals = [signal.SIGTERM]
+
+    def stop(done, total, text):
+        if text.startswith("round 2") and signals:
+            signal.raise_signal(signals.pop())
+
+    with pytest.raises(Interrupted):
+        train_planner(PLANAR_ID, out=out, config=config, progress=stop)
+    assert not (out / LAST).exists()
+    assert len(TrainingResult.load(out).evaluations) == 1
+    command = ["cablebot", "train", PLANAR_ID, "--out", str(out), "--resume", "--json"]
+    monkeypatch.setattr("sys.argv", command)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert not ended.value.code
+    assert len(json.loads(capsys.readouterr().out)["evaluations"]) == 2
+    resumed, expected = (Bundle.load(folder / LAST).network for folder in (out, finished.out))
+    for weights, expected_weights in zip(resumed.weights, expected.weights, strict=True):
+        assert np.array_equal(weights, expected_weights)
+
+
+def test_damaged_checkpoint_is_rejected(finished, tmp_path):
+    out = shutil.copytree(finished.out, tmp_path / "run")
+    (TrainingResult.load(out).checkpoint / "training.npz").write_bytes(b"damaged")
+    with pytest.raises(ValueError, match="no file was changed"):
+        train_planner(PLANAR_ID, out=out, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"motions": "circle"}, "motions"),
+        ({"motions": {"loops": VALIDATION[0] + 1}}, "loops"),
+        ({"motions": {"named": [HELD_OUT]}}, "reserved for evaluation"),
+        ({"tensoin_margin": 3.0}, "tensoin_margin"),
+        ({"planning": {"wal": 0.9}}, "wal"),
+    ],
+)
+def test_invalid_configuration_is_rejected(changes, message):
+    with pytest.raises(ValueError, match=message):
+        make_planner_config(PLANAR_ID, SMALL | changes)
+
+
+def test_validation_loops_differ_from_training_loops():
+    line = {"name": "line-planar", "duration": 2.0}
+    motions = {"loops": 2, "named": ["paper-planar", line]}
+    config = make_planner_config(PLANAR_ID, SMALL | {"motions": motions})
+    *training, paper, named = config.trajectories
+    assert [loop.motion.seed for loop in training] == [0, 1]
+    assert paper.name == "paper-planar"
+    assert (named.name, named.motion.duration) == ("line-planar", 2.0)
+    assert [loop.motion.seed for loop in config.validation] == list(VALIDATION)
+
+
+@pytest.mark.parametrize("env_id", [PLANAR_ID, "CableBot-Spatial-v0"])
+def test_shipped_configuration_uses_training_motions_only(env_id):
+    config = make_planner_config(env_id, read_yaml(env_id, Path("planner")))
+    assert shortest_dwell(config.trajectories) == DWELL
+    motions = [trajectory.motion for trajectory in config.trajectories]
+    seeds = {motion.seed for motion in motions if isinstance(motion, RandomLoop)}
+    assert seeds == set(range(400))
+    assert seeds.isdisjoint(VALIDATION)
+    assert max(VALIDATION) < FIRST_HELD_OUT_SEED
+
+
+def trained(**settings):
     from cablebot_baselines.learned.planner_training import PlannerSettings, PlannerTraining
 
-    def make():
-        return PlannerTraining(
-            robot=PLANAR,
-            trajectories=loops(6),
-            planning=Planning(),
-            settings=PlannerSettings(rounds=rounds, **settings),
-        )
-
-    training = make()
-    for index in range(rounds):
-        training.round(index)
-        if index == resumed_after:
-            arrays = {name: np.array(values) for name, values in training.state().items()}
-            training = make()
-            training.restore(arrays)
+    training = PlannerTraining(
+        robot=PLANAR,
+        trajectories=loops(6),
+        planning=Planning(),
+        settings=PlannerSettings(rounds=1, **settings),
+    )
+    training.round(0)
     return training
-
-
-def test_training_that_was_resumed_gives_the_same_network():
-    settings = {"iterations": 3, "batch": 4, "hidden": (8,)}
-    whole = trained(2, **settings).network
-    resumed = trained(2, resumed_after=0, **settings).network
-    for expected, found in zip(whole.weights, resumed.weights, strict=True):
-        assert np.array_equal(expected, found)
 
 
 @pytest.mark.slow
 def test_trained_network_carries_more_than_exact_tracking_on_random_robots():
-    training = trained(1, iterations=250, batch=24, error_margin=0.18)
+    training = trained(iterations=250, batch=24, error_margin=0.18)
     motion = loops(1)[0]
-    exact = trained(1, iterations=1, batch=1).payloads[0]
+    exact = trained(iterations=1, batch=1).payloads[0]
     policy = PlanningPolicy(PLANAR, training.network, Planning())
     payloads = np.repeat([0.0, 1.1 * exact], 8)
     assert training.payloads[0] > 1.1 * exact

@@ -15,7 +15,7 @@ from cards.card import CONDITIONS, LEAST_SEEDS, read_cards
 from cards.making import read_best_known, with_best_known
 from cards.page import card_markdown
 from cards.statistics import median_seed
-from shipping import APG_CIRCLE, PLANAR_ID, ROOT, save_run, script, ship
+from shipping import PLANAR_ID, PLANNER, ROOT, save_run, script, ship
 from stable_baselines3 import PPO
 from test_training import run as train
 
@@ -33,11 +33,11 @@ CARDS = {card.stem: card for card in read_cards()}
 
 def test_invalid_requests_are_rejected_before_the_work(runs, computed, tmp_path):
     with pytest.raises(ValueError, match="--seeds must be at least 5"):
-        script.ship_all([(APG_CIRCLE, PLANAR_ID)], seeds=4, runs=tmp_path / "none")
+        script.ship_all([(PLANNER, PLANAR_ID)], seeds=4, runs=tmp_path / "none")
     assert not (tmp_path / "none").exists()
-    save_run(runs / "apg-loops-planar-2", 2, config={"motions": {"loops": 2}})
+    save_run(runs / "planner-planar-2", 2, config={"motions": {"loops": 2}})
     with pytest.raises(
-        ValueError, match="another config than the present apg-loops: remove the folder"
+        ValueError, match="another config than the present planner: remove the folder"
     ):
         ship(runs, tmp_path / "weights")
     assert not computed
@@ -88,7 +88,7 @@ import sys
 sys.modules["torch"] = sys.modules["stable_baselines3"] = None
 from cablebot_baselines.learned.shipped import load_shipped
 from cablebot_gym.robots import PLANAR
-load_shipped("apg-loops", PLANAR)
+load_shipped("planner", PLANAR)
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
@@ -104,12 +104,11 @@ def test_card_belongs_to_its_weights(name):
     assert len(card.seeds) >= LEAST_SEEDS
     assert card.shipped_seed == median_seed({run.seed: run.in_training for run in card.seeds})
     assert card.algorithm == shipped.algorithm
-    assert card.config == shipped.config
     assert bundle.env_id == card.env_id
     assert bundle.card["seed"] == card.shipped_seed
     assert bundle.card["dwell"] == card.dwell > 0
     assert card.conditions == CONDITIONS[card.policy]
-    assert bundle.card["config"] == read_yaml(card.env_id, Path(card.config or card.algorithm))
+    assert bundle.card["config"] == read_yaml(card.env_id, Path(card.algorithm))
     for loop in card.held_out:
         assert loop.seed >= FIRST_HELD_OUT_SEED
 

@@ -8,9 +8,7 @@ import sys
 from importlib.metadata import EntryPoint
 
 import pytest
-from inline import InlinePolicy
 
-from cablebot_gym.benchmark import cells
 from cablebot_gym.benchmark import policy_source as policy_sources
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, cell_from_dict
 from cablebot_gym.benchmark.records import compute
@@ -79,12 +77,9 @@ UNCERTAIN = {"uncertainty", "draws", "probability"}
 @pytest.fixture(scope="module")
 def default_payload():
     """Payload of the usual cell."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cells, "IsolatedPolicy", InlinePolicy)
-        return compute(FL).result["payload"]
+    return compute(FL).result["payload"]
 
 
-@pytest.mark.usefixtures("inline")
 @pytest.mark.parametrize(
     "name", sorted(set(OTHERS) - UNCERTAIN - {"env_id", "robot_name", "criterion"})
 )
@@ -105,7 +100,6 @@ def test_policy_of_a_cell_has_a_process_of_its_own(module, request):
     assert isolated == {name: here[name] for name in isolated}
 
 
-@pytest.mark.usefixtures("inline")
 def test_robot_name_reaches_plant_and_policy():
     klaus = find_robot("gch-klaus")
     kind = "planar-platform"
@@ -129,7 +123,6 @@ def test_robot_name_reaches_plant_and_policy():
     ]
 
 
-@pytest.mark.usefixtures("inline")
 def test_draws_and_probability_reach_the_evaluation():
     draws = {"uncertainty": "table6", "draws": 20, "probability": 0.5, "seed": 2**127}
     cell = changed(resolution=0.1, **draws)

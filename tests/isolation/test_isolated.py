@@ -33,7 +33,7 @@ here = Path(__file__).parent
 calls = []
 
 class Policy:
-    stochastic, fallbacks = True, 3
+    fallbacks = 3
     def __init__(self, robot): self.cables = robot.cables
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         calls.append(None)
@@ -65,6 +65,10 @@ class lists(Policy):
         for path in places: (path / "left").touch()
         data = [dict(os.environ), sys.argv, sorted(vars(tasks[0])), empty, list(map(str, places))]
         (here / "seen").write_text(json.dumps(data))
+
+class draws(Policy):
+    stochastic, generator = True, np.random.default_rng()
+    def value(self, observation, state): return self.generator.random()
 
 class threads(counts):
     def __init__(self, robot):
@@ -134,7 +138,7 @@ def test_every_batch_gets_a_fresh_process(spec, env, behind_bubblewrap, name):
     observation = np.zeros((5, 3))
     with IsolatedPolicy(spec(name), SPATIAL) as policy:
         assert policy.bubblewrap == behind_bubblewrap
-        assert (policy.stochastic, policy.fallbacks) == (True, 0.0)
+        assert policy.fallbacks == 0.0
         for _ in range(2):
             policy.reset(env.tasks)
             action, state = policy.predict(observation)
@@ -143,6 +147,17 @@ def test_every_batch_gets_a_fresh_process(spec, env, behind_bubblewrap, name):
             assert policy.predict(observation, None)[0][0, 0] == 30.5
         assert policy.predict(observation[0])[0].shape == (6,)
         assert policy.fallbacks == 3
+
+
+def test_stochastic_policy_draws_other_numbers_in_each_batch(spec, env):
+    """Forks of one process would repeat them."""
+    drawn = set()
+    with IsolatedPolicy(spec("draws"), SPATIAL) as policy:
+        assert policy.stochastic
+        for _ in range(2):
+            policy.reset(env.tasks)
+            drawn.add(policy.predict(np.zeros((5, 3)))[0][0, 0])
+    assert len(drawn) == 2
 
 
 def test_invalid_number_of_fallbacks_is_dropped(spec):

@@ -8,9 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from oracles.plants import QUAD, ROUGH, UNEQUAL, each_of, random_motion
 from oracles.platforms import CRANE
-from scipy.linalg import null_space
 from scipy.optimize import linprog
-from scipy.special import logsumexp
 
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
@@ -49,25 +47,6 @@ def test_tensions_are_the_least_of_a_linear_program(x, y, fx, fy, minimum, robot
     assert_allclose(-structure.T @ tensions, load, rtol=0, atol=1e-10)
     assert tensions.min() >= minimum
     assert tensions.sum() == pytest.approx(best.fun, rel=1e-7, abs=1e-7)
-
-
-@settings(max_examples=40, derandomize=True)
-@given(coordinate, coordinate, force, force, st.sampled_from([0.5, 5.0]))
-def test_smooth_tensions_are_a_soft_maximum(x, y, fx, fy, softness):
-    """By another way: least-norm tensions, and a soft maximum of what each cable needs of the null
-    space."""
-    structure = textbook.jacobian(PLANAR, [x, y])
-    load = np.array([fx, fy])
-    minimum = 5.0
-    assume(least_by_linear_program(structure, load, minimum, np.ones(3)).status == 0)
-    null = null_space(structure.T)[:, 0]
-    null = null / null.sum()
-    norm = -np.linalg.pinv(structure.T) @ load
-    expected = norm + softness * logsumexp((minimum - norm) / null / softness) * null
-    least = textbook.tension_distribution(structure, load, minimum)
-    smooth = textbook.smooth_tension_distribution(structure, least, minimum, softness)
-    assert_allclose(smooth, expected, rtol=0, atol=1e-8)
-    assert smooth.min() >= minimum
 
 
 @each_of(PLANAR, QUAD)

@@ -318,7 +318,7 @@ def test_recipe_computes_the_number(opened, row, payload):
 def test_map_has_its_numbers(opened, tmp_path):
     cells = [
         AXES["position"].with_value(policy(name), bound)
-        for name in ("fl", "apg-loops")
+        for name in ("fl", "adaptive")
         for bound in (0.005, 0.01)
     ]
     file = tmp_path / "maps.html"

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cablebot_baselines.classical.adaptive import Adaptive
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flexible import Composite, MotorPD
 from cablebot_baselines.classical.law import ClassicalLaw
@@ -26,37 +25,20 @@ class Base:
     """Name of the law: ``fl``, ``composite`` or ``motor-pd``."""
     gains: tuple[float, float] | None = None
     """Gains (K_P, K_D) of ``fl`` and ``composite`` [1/s², 1/s]; None for the paper's gains."""
-    frequency: float | None = None
-    """Natural frequency of the motor loop of ``motor-pd`` [rad/s]; None for its default."""
     minimum_tension: float | None = None
     """Least tension that the law allocates with more cables than coordinates [N]; None for the
     law's default."""
-    estimates_payload: bool = False
-    """Whether the law estimates the payload, see
-    :class:`~cablebot_baselines.classical.adaptive.Adaptive`."""
-    estimator_prior_weight: float = 0.01
-    """Weight of the model's mass in the payload estimate [s]."""
-    allocates: bool = False
-    """Whether a law that estimates the payload also allocates the available motor torques, see
-    ``Adaptive``."""
 
     def __post_init__(self) -> None:
         choice("base law", self.law, _LAWS)
-        for name, laws in (("gains", ("fl", "composite")), ("frequency", ("motor-pd",))):
-            if getattr(self, name) is not None and self.law not in laws:
-                raise ValueError(
-                    f"base law {self.law!r} has no {name}: leave it out, or choose {' or '.join(laws)}"
-                )
-        if self.gains is not None:
-            gains = numbers("gains", self.gains, shapes=[(2,)], above=0.0)
-            object.__setattr__(self, "gains", tuple(gains.tolist()))
-        for name in ("estimates_payload", "allocates"):
-            if not isinstance(getattr(self, name), bool):
-                raise ValueError(f"{name} must be True or False, not {getattr(self, name)!r}")
-        if self.allocates and not self.estimates_payload:
+        if self.gains is None:
+            return
+        if self.law == "motor-pd":
             raise ValueError(
-                "allocates requires estimates_payload: set estimates_payload to True too"
+                "base law 'motor-pd' has no gains: leave it out, or choose fl or composite"
             )
+        gains = numbers("gains", self.gains, shapes=[(2,)], above=0.0)
+        object.__setattr__(self, "gains", tuple(gains.tolist()))
 
     def make(self, robot: Robot) -> ClassicalLaw:
         """Creates the law for a nominal robot.
@@ -64,12 +46,7 @@ class Base:
         Raises:
             ValueError: if the law does not support the robot, or rejects a parameter.
         """
-        law = _LAWS[self.law](robot, self)
-        if not self.estimates_payload:
-            return law
-        return Adaptive(
-            law, estimator_prior_weight=self.estimator_prior_weight, allocation=self.allocates
-        )
+        return _LAWS[self.law](robot, self)
 
 
 def default_base(robot: Robot) -> Base:
@@ -87,11 +64,6 @@ def find_base(base: Base | str | Mapping[str, Any]) -> Base:
     return record("base", Base, {"law": base} if isinstance(base, str) else base)
 
 
-def _motor_pd(robot: Robot, base: Base) -> MotorPD:
-    frequency = {} if base.frequency is None else {"frequency": base.frequency}
-    return MotorPD(robot, minimum_tension=base.minimum_tension, **frequency)
-
-
 _LAWS: dict[str, Callable[[Robot, Base], ClassicalLaw]] = {
     "fl": lambda robot, base: FeedbackLinearization(
         robot, gains=base.gains or "paper", minimum_tension=base.minimum_tension
@@ -99,5 +71,5 @@ _LAWS: dict[str, Callable[[Robot, Base], ClassicalLaw]] = {
     "composite": lambda robot, base: Composite(
         robot, gains=base.gains or "paper", minimum_tension=base.minimum_tension
     ),
-    "motor-pd": _motor_pd,
+    "motor-pd": lambda robot, base: MotorPD(robot, minimum_tension=base.minimum_tension),
 }

@@ -130,7 +130,7 @@ class Bundle:
         mapping = self.action_mapping
         network = zero_network(self.network.inputs, self.network.outputs)
         if isinstance(mapping, Shift):
-            mapping = replace(mapping, action_period=SETTLING_PERIOD, preview=0.0)
+            mapping = replace(mapping, action_period=SETTLING_PERIOD)
         return replace(
             self, action_mapping=mapping, network=network, card={"note": "the base law alone"}
         )

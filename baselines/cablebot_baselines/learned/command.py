@@ -18,7 +18,7 @@ Out = Annotated[
 ]
 Algo = Annotated[
     str | None,
-    typer.Option(help="ppo, sac, tqc or gradient (analytic policy gradient, APG). Default: ppo."),
+    typer.Option(help="ppo, sac, tqc or planner (a network plans accelerations). Default: ppo."),
 ]
 Config = Annotated[
     Path | None,
@@ -83,9 +83,9 @@ def train(
 
     cablebot train CableBot-Spatial-v0 --out runs/spatial --resume
 
-    cablebot train CableBot-Planar-v0 --algo gradient --out runs/planar
+    cablebot train CableBot-Planar-v0 --algo planner --out runs/planar
     """
-    from cablebot_baselines.learned.gradient_run import ALGORITHM
+    from cablebot_baselines.learned.planner_run import ALGORITHM
     from cablebot_baselines.learned.runs import Interrupted, TrainingResult
     from cablebot_baselines.learned.training import find_trainer
 
@@ -102,7 +102,7 @@ def train(
     if algo == ALGORITHM and options:
         option = next(iter(options)).replace("_", "-")
         raise ValueError(
-            f"--{option} is for ppo, sac and tqc: for gradient, set it in the --config file"
+            f"--{option} is for ppo, sac and tqc: for planner, set it in the --config file"
         )
     options |= {"config": config, "seed": seed, "threads": threads, "resume": resume}
     say = notes_console().print

@@ -41,7 +41,6 @@ def required_actuation(
     mass: Tensor,
     *,
     minimum: float = 0.0,
-    softness: float = 0.0,
 ) -> RequiredActuation:
     """Tensions and actions that a motion with a given mass requires.
 
@@ -51,13 +50,9 @@ def required_actuation(
             tensors (B, n).
         mass: mass of platform and payload [kg], (B,).
         minimum: least tension with more cables than coordinates [N].
-        softness: smoothing of a planar robot's tensions [N], see
-            :func:`~cablebot_gym.physics.textbook.platform.smooth_tension_distribution`; 0 for none.
     """
     robot = joint_equivalent(robot)
-    tensions_and_torques = partial(
-        _tensions_and_torques, robot, mass=mass, minimum=minimum, softness=softness
-    )
+    tensions_and_torques = partial(_tensions_and_torques, robot, mass=mass, minimum=minimum)
     tensions, torque = tensions_and_torques(motion[:3])
     pose, velocity, acceleration = map(_objects, motion[:3])
     speed = _tensor(textbook.pulley_speed(robot, pose, velocity))
@@ -81,7 +76,7 @@ def required_actuation(
 
 
 def _tensions_and_torques(
-    robot: Robot, motion: Sequence[Tensor], mass: Tensor, minimum: float, softness: float
+    robot: Robot, motion: Sequence[Tensor], mass: Tensor, minimum: float
 ) -> tuple[Tensor, Tensor]:
     """Tensions T from ``−Sᵀ T = D Ẍ + h`` (Eq. 16), and torques r T + J β̈ + c β̇ (of the springs
     if flexible)."""
@@ -105,10 +100,6 @@ def _tensions_and_torques(
         if robot.maximum_tension != math.inf:  # as the central tensions of the textbook
             slope = torch.maximum(slope, (1 - offset) / robot.maximum_tension)
         tensions = _central_tensions(structure, load, slope, offset, minimum)
-    if softness:
-        sharp = _objects(tensions)
-        smooth = textbook.smooth_tension_distribution(jacobian, sharp, minimum, softness)
-        tensions = _tensor(smooth)
     torques = textbook.required_torques(robot, _objects(tensions), pose, velocity, acceleration)
     return tensions, _tensor(torques)
 

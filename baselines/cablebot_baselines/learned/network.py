@@ -10,18 +10,6 @@ import numpy as np
 from cablebot_baselines.classical.law import Array
 from cablebot_gym.utils.checks import choice
 
-
-def _ball(values: Array) -> Array:
-    """Squashes the first (at most three) numbers as one vector, x/√(1 + |x|²), and each other
-    number on its own."""
-    square = values**2
-    position = square[..., :3]
-    position[:] = np.sum(position, axis=-1, keepdims=True)
-    length = np.sqrt(1 + square)
-    squashed: Array = values / length
-    return squashed
-
-
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": np.tanh,
     "relu": lambda values: np.maximum(values, 0.0),
@@ -31,10 +19,8 @@ ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
 SQUASHES: dict[str, Callable[[Array], Array]] = {
     "none": lambda values: values,
     "tanh": np.tanh,
-    "ball": _ball,
 }
-"""Functions after the last layer, by name; ``ball`` keeps a position within the unit ball, and
-angles within ±1."""
+"""Functions after the last layer, by name."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

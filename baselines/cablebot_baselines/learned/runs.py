@@ -129,7 +129,7 @@ class TrainingResult:
     payload_ceiling: float | None = None
     """Largest payload of the curriculum at present [kg]; None without a curriculum."""
     rounds: int = 0
-    """Number of finished rounds of the analytic policy gradient."""
+    """Number of finished rounds of ``planner``."""
 
     @classmethod
     def load(cls, out: Path) -> TrainingResult:

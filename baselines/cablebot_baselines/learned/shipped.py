@@ -22,12 +22,10 @@ class Shipped(PolicyEntry):
 
     algorithm: str
     """Name for ``cablebot train --algo``."""
-    config: str | None = None
-    """Name of the file of hyperparameters; None for the algorithm's default file."""
 
 
 def stem(name: str, env_id: str) -> str:
-    """Name of a policy's files without their suffix, such as ``apg-loops-flexspatial``."""
+    """Name of a policy's files without their suffix, such as ``planner-planar``."""
     return f"{name}-{short_id(env_id).lower()}"
 
 
@@ -69,8 +67,7 @@ def _shipped(name: str) -> Shipped:
 
 
 PPO_CIRCLE = _shipped("ppo-circle")
-APG_LOOPS = _shipped("apg-loops")
 PLANNER = _shipped("planner")
 
-SHIPPED = {entry.name: entry for entry in (PPO_CIRCLE, APG_LOOPS, PLANNER)}
+SHIPPED = {entry.name: entry for entry in (PPO_CIRCLE, PLANNER)}
 """Shipped policies by name."""

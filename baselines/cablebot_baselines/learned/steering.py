@@ -18,8 +18,8 @@ from scipy.interpolate import BSpline
 from cablebot_baselines.classical.law import Array
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.learned.base import Base
-from cablebot_baselines.learned.features import check_features, feature_values
-from cablebot_gym.envs.observation import PREVIEWS, Blocks, observation_layout, preview_name
+from cablebot_baselines.learned.features import check_features, decays
+from cablebot_gym.envs.observation import Blocks, observation_layout
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.utils.checks import choice, mapping, number, record, whole
@@ -47,11 +47,6 @@ class Shift:
     shifted motion starts at rest where the robot is. A spline stays in the convex hull of its
     control points, so that the shift never exceeds the error bounds.
 
-    With a ``preview``, the spline replaces the reference: each control point is the reference at
-    this time ahead, plus the action. The motion's acceleration is then continuous where the
-    reference's acceleration jumps. However, the spline cuts corners, which can exceed the error
-    bounds.
-
     Raises:
         ValueError: if a number is out of its range.
     """
@@ -65,8 +60,6 @@ class Shift:
     degree: int = 3
     """Degree of the spline, 2 to 5. Torques depend on its second derivative, with joint springs on
     its fourth."""
-    preview: float = 0.0
-    """Preview time of the reference [s]: 0, or one of the observation's previews."""
 
     def __post_init__(self) -> None:
         period = number(
@@ -74,14 +67,9 @@ class Shift:
         )
         fraction = number("fraction", self.fraction, above=0.0, most=1.0)
         degree = whole("degree", self.degree, least=2, most=5)
-        preview = number("preview", self.preview, unit="s")
         object.__setattr__(self, "action_period", period)
         object.__setattr__(self, "fraction", fraction)
         object.__setattr__(self, "degree", degree)
-        object.__setattr__(self, "preview", preview)
-        if preview not in (0.0, *PREVIEWS):
-            previews = ", ".join(map(str, PREVIEWS))
-            raise ValueError(f"preview must be one of 0, {previews} s, not {preview!r}")
 
     def actions(self, robot: Robot) -> int:
         """Size of an action."""
@@ -157,9 +145,6 @@ class Memory:
     actions: Array
     """Last actions, oldest first, (..., memory_length, size). Before the first action, those of a
     shift to the start pose."""
-    anchors: Array
-    """Origins of the control points of a shift with a preview, (..., memory_length, n); otherwise
-    empty."""
     step: NDArray[np.int64]
     """Number of control instants since the episode's start, (...)."""
     law: Any
@@ -203,14 +188,10 @@ class Steering:
         periods = round(self.action_mapping.action_period / period)
         self.periods = max(1, periods)
         """Number of control periods per action."""
-        self._prepare_spline(error_bounds)
-
-    def _prepare_spline(self, error_bounds: ErrorBounds) -> None:
-        """Weights of the control points at each phase of an action period."""
         shift = self.action_mapping
-        period = self._period
         self._bounds = shift.bounds(error_bounds, self.robot)
         action_period = self.periods * period
+        # Weights of the control points at each phase of an action period.
         phases = np.arange(self.periods) * period
         now = shift.weights(phases, action_period)
         after = shift.weights(phases + period, action_period)
@@ -221,9 +202,8 @@ class Steering:
         self._mean = speed_change / period
         # When an action is due, the oldest control point is about to be dropped, and the newest
         # has zero weight.
-        self._present = now[:, :2].copy()
-        before_drop = now[0, :2]
-        self._present[0] = np.roll(before_drop, 1, axis=-1)
+        self._present = now.copy()
+        self._present[0] = np.roll(now[0], 1, axis=-1)
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Reads the error bounds, the control frequency and the start poses of the tasks.
@@ -265,31 +245,17 @@ class Steering:
     def reset_memory(self, blocks: Blocks, memory: Memory | None, episode_start: Any) -> Memory:
         """Resets the memory of the episodes that start."""
         batch = blocks["pose"].shape[:-1]
-        action_mapping = self.action_mapping
         starts = first_steps(memory, episode_start, batch)
         if memory is not None and not np.any(starts):
             return memory
-        length = action_mapping.memory_length
-        coordinates = self.robot.coordinates
-        actions = np.zeros((*batch, length, self.actions))
-        anchors = np.zeros((*batch, 0, coordinates))
+        actions = np.zeros((*batch, self.action_mapping.memory_length, self.actions))
         start_action = self._start / self._bounds
         actions += np.expand_dims(start_action, -2)
-        if action_mapping.preview:
-            reference = blocks["reference_pose"]
-            anchors = np.repeat(reference[..., None, :], length, axis=-2)
         if memory is None:
-            step = np.zeros(batch, np.int64)
-            return Memory(
-                actions=actions,
-                anchors=anchors,
-                step=step,
-                law=None,
-            )
+            return Memory(actions=actions, step=np.zeros(batch, np.int64), law=None)
         rows = starts[..., None, None]
         return Memory(
             actions=np.where(rows, actions, memory.actions),
-            anchors=np.where(rows, anchors, memory.anchors),
             step=np.where(starts, 0, memory.step),
             law=memory.law,
         )
@@ -301,26 +267,18 @@ class Steering:
     def observe(self, blocks: Blocks, memory: Memory) -> Array:
         """The observation of a learner before its action, (..., features)."""
         time = memory.step * self._period
-        derived = {"time_since_start": time[..., None]}
-        shift, rate = self._present_shift(blocks, memory)
         # The oldest action no longer affects the spline.
         actions = memory.actions[..., 1:, :]
-        derived["actions"] = actions.reshape(*memory.step.shape, -1)
-        derived["shift"] = shift / self._bounds
-        change_per_action = rate * self.periods * self._period
-        derived["shift_velocity"] = change_per_action / self._bounds
-        derived["error"] = blocks["reference_pose"] + shift - blocks["pose"]
-        return feature_values(self.features, blocks, derived)
-
-    def _present_shift(self, blocks: Blocks, memory: Memory) -> tuple[Array, Array]:
-        """Shift of the reference and its rate, each (..., n)."""
         phase = memory.step % self.periods
-        weights = self._present[phase]
-        spline = self._spline(weights, memory)
-        anchored = bool(self.action_mapping.preview)
-        shift = spline[..., 0, :] - anchored * blocks["reference_pose"]
-        rate = spline[..., 1, :] - anchored * blocks["reference_velocity"]
-        return shift, rate
+        shift = self._spline(self._present[phase], memory)[..., 0, :]
+        values = {
+            **blocks,
+            "time_since_start": decays(time[..., None]),
+            "time_to_go_decays": decays(blocks["time_to_go"]),
+            "actions": actions.reshape(*memory.step.shape, -1),
+            "error": blocks["reference_pose"] + shift - blocks["pose"],
+        }
+        return np.concatenate([values[name] for name in self.features], axis=-1)
 
     def respond(
         self, blocks: Blocks, action: Array, memory: Memory, episode_start: Any = None
@@ -330,27 +288,14 @@ class Steering:
         due = self.due(memory)
         if np.any(due):
             rows = due[..., None, None]
-            memory = self._with_action(blocks, action, memory, rows)
+            actions = _appended(memory.actions, self._clipped(action), rows)
+            memory = replace(memory, actions=actions)
         if memory.law is None:
             episode_start = None
         shifted = self._shifted_reference(blocks, memory)
         applied, law = self.law.respond(shifted, memory.law, episode_start)
         memory = replace(memory, step=memory.step + 1, law=law)
         return applied, memory
-
-    def _with_action(
-        self, blocks: Blocks, action: Array, memory: Memory, due: NDArray[np.bool_]
-    ) -> Memory:
-        """The memory with another action, and its anchor, in the episodes that are due."""
-        clipped = self._clipped(action)
-        actions = _appended(memory.actions, clipped, due)
-        anchors = memory.anchors
-        preview = self.action_mapping.preview
-        if preview:
-            change = blocks[preview_name(preview)]
-            ahead = blocks["reference_pose"] + change
-            anchors = _appended(anchors, ahead, due)
-        return replace(memory, actions=actions, anchors=anchors)
 
     def _clipped(self, action: Array) -> Array:
         """Clips an action to ±1, and its position to the unit ball."""
@@ -365,8 +310,6 @@ class Steering:
         """Spline (..., orders, n) from weights (..., orders, memory_length) and the control
         points."""
         points = memory.actions * self._bounds
-        if self.action_mapping.preview:
-            points = points + memory.anchors
         result: Array = weights @ points
         return result
 
@@ -382,10 +325,7 @@ class Steering:
         for order, name in enumerate(DERIVATIVES):
             block = f"reference_{name}"
             if block in blocks:
-                origin: Array | float = 0.0
-                if not self.action_mapping.preview:
-                    origin = blocks[block]
-                shifted[block] = motion[..., order, :] + origin
+                shifted[block] = motion[..., order, :] + blocks[block]
         return shifted
 
 

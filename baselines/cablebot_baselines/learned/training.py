@@ -32,7 +32,7 @@ except ImportError as error:
         "training needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name
     ) from error
 
-from cablebot_baselines.learned import gradient_run, runs
+from cablebot_baselines.learned import planner_run, runs
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.config import ALGORITHMS, Config, algorithm_class, make_config
 from cablebot_baselines.learned.export import network_from_sb3
@@ -138,14 +138,14 @@ def train(
 
 def find_trainer(algorithm: str) -> Callable[..., runs.TrainingResult]:
     """The function that trains with an algorithm: :func:`train` or
-    :func:`~cablebot_baselines.learned.gradient_run.train_gradient`.
+    :func:`~cablebot_baselines.learned.planner_run.train_planner`.
 
     Raises:
         ValueError: if the algorithm is unknown.
     """
-    choice("algorithm", algorithm, (*ALGORITHMS, gradient_run.ALGORITHM))
-    if algorithm == gradient_run.ALGORITHM:
-        return gradient_run.train_gradient
+    choice("algorithm", algorithm, (*ALGORITHMS, planner_run.ALGORITHM))
+    if algorithm == planner_run.ALGORITHM:
+        return planner_run.train_planner
     return partial(train, algorithm=algorithm)
 
 

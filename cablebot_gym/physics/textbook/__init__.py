@@ -56,7 +56,6 @@ from cablebot_gym.physics.textbook.platform import (
     pulley_acceleration,
     pulley_angle,
     pulley_speed,
-    smooth_tension_distribution,
     tension_distribution,
 )
 from cablebot_gym.physics.textbook.small_motion import (
@@ -111,7 +110,6 @@ __all__ = [
     "required_torques",
     "rest_angles",
     "smooth_magnitude",
-    "smooth_tension_distribution",
     "spring_drive",
     "static_motor_angle",
     "static_torque",

@@ -229,29 +229,3 @@ def tension_distribution(
             "no positive tensions give this force: the pose is outside the polygon of the base anchors"
         )
     return minimum + np.maximum(best, 0.0)
-
-
-def smooth_tension_distribution(
-    structure: Array, least: Array, minimum: float, softness: float
-) -> Array:
-    """Smooth tensions of three planar cables; those of :func:`tension_distribution` have kinks.
-
-    Let N > 0 be the null vector of Sᵀ with sum 1. ``T + α N`` balances the same force for all α.
-    Let α_i be the value that lifts cable i to the minimum tension. The largest α_i gives the
-    smallest tensions. This function uses ``softness · log Σ exp(α_i/softness)`` instead. No tension
-    is below the minimum. The sum of the tensions exceeds the smallest sum by at most ``softness ·
-    log 3``.
-
-    Args:
-        structure: S, shape (..., 3, 2).
-        least: the smallest tensions T, shape (..., 3) [N].
-        minimum: minimum tension [N].
-        softness: smoothing of α [N]; > 0.
-    """
-    (ax, ay), (bx, by), (cx, cy) = np.moveaxis(structure, (-2, -1), (0, 1))
-    null = np.stack([bx * cy - cx * by, cx * ay - ax * cy, ax * by - bx * ay], axis=-1)
-    null = null / null.sum(axis=-1, keepdims=True)
-    lifts = np.exp((minimum - least) / null / softness)
-    total_lift = lifts.sum(axis=-1, keepdims=True)
-    soft: Array = least + softness * np.log(total_lift) * null
-    return soft

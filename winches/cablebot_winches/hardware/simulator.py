@@ -26,7 +26,6 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import choice, whole
-from cablebot_gym.utils.workers import GRACE
 from cablebot_winches.hardware.odrive import (
     CLOSED_LOOP_CONTROL,
     IDLE,
@@ -48,6 +47,9 @@ SPEED_GAIN = 0.2
 
 INTEGRATOR_RATE = 10.0
 """Rate of the integrators of the simulated speed controllers [1/s]."""
+
+GRACE = 5.0
+"""Time that the process of the boards has to end [s]."""
 
 FaultKind = Literal["drop", "garble", "nan", "delay", "error", "silence"]
 

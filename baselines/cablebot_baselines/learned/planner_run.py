@@ -1,5 +1,4 @@
-"""Training runs by analytic policy gradient (APG): configuration, checkpoints after each round,
-best policy."""
+"""Training runs of a planning network: configuration, checkpoints after each round, best policy."""
 
 from __future__ import annotations
 
@@ -11,12 +10,9 @@ from typing import Any
 import numpy as np
 
 from cablebot_baselines.learned import runs
-from cablebot_baselines.learned.base import find_base
-from cablebot_baselines.learned.bundle import Bundle, find_mapping
-from cablebot_baselines.learned.gradient import GradientSettings, GradientTraining
+from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.planner import Planning
 from cablebot_baselines.learned.planner_training import PlannerSettings, PlannerTraining
-from cablebot_baselines.learned.steering import Shift, Steering
 from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.robots import Robot, find_robot
@@ -27,89 +23,63 @@ from cablebot_gym.trajectories import (
     Trajectory,
     find_trajectory,
 )
-from cablebot_gym.utils.checks import mapping, whole
+from cablebot_gym.utils.checks import mapping, record, whole
 
-ALGORITHM = "gradient"
+ALGORITHM = "planner"
 """Name for ``cablebot train --algo``."""
 
 VALIDATION = TRAINING_SEEDS[-8:]
 """Seeds of the random loops that select the best round of a run; they are never trained on."""
 
-_SETUP = ("motions", "steering", "evaluation")
+_SETUP = ("motions", "planning", "evaluation")
 """Keys of each configuration besides the fields of the settings."""
 
 _ARRAYS = "training.npz"
 
 
 @dataclass(frozen=True, kw_only=True)
-class GradientConfig:
+class PlannerConfig:
     """A checked configuration."""
 
     trajectories: tuple[Trajectory, ...]
     """Training motions."""
     validation: tuple[Trajectory, ...]
     """Motions that select the best round."""
-    untrained: Bundle
-    """The policy with a network of output zero."""
-    settings: GradientSettings | PlannerSettings
+    planning: Planning
+    """Meaning of the network's outputs."""
+    settings: PlannerSettings
     """Hyperparameters of the optimisation."""
     evaluation: Mapping[str, Any]
     """Keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc`."""
 
 
-def make_gradient_config(env_id: str, plain: Mapping[str, Any]) -> GradientConfig:
+def make_planner_config(env_id: str, plain: Mapping[str, Any]) -> PlannerConfig:
     """Checks ``plain``, the content of a configuration file for an environment.
 
-    The keys are ``motions``, ``steering``, ``evaluation``, and for steering of kind planning the
-    fields of :class:`PlannerSettings`; for steering of kind shift ``base``, ``features`` and the
-    fields of :class:`GradientSettings`. ``motions`` is a mapping with one or both of these keys;
-    the default is the default motion of the environment:
+    The keys are ``motions``, ``planning`` with fields of :class:`Planning`, ``evaluation``, and the
+    fields of :class:`PlannerSettings`. ``motions`` is a mapping with one or both of these keys; the
+    default is the default motion of the environment:
 
     * ``loops``: a number N, for the random loops with training seeds 0 to N − 1.
     * ``named``: a list of trajectories for :func:`cablebot_gym.trajectories.names.find_trajectory`.
 
     Raises:
-        ValueError: if a key is unknown or missing, or a value is invalid.
+        ValueError: if a key is unknown, or a value is invalid.
     """
     robot = find_robot(env_robot(env_id))
-    if "steering" not in plain:
-        raise ValueError("hyperparameters: steering must be given")
-    action_mapping = find_mapping(plain["steering"])
-    plans = isinstance(action_mapping, Planning)
-    kind: type[PlannerSettings] | type[GradientSettings]
-    kind, parts = (PlannerSettings, ()) if plans else (GradientSettings, ("base", "features"))
-    optimisation = [item.name for item in fields(kind)]
-    mapping("hyperparameters", plain, [*_SETUP, *parts, *optimisation])
-    if missing := [name for name in parts if name not in plain]:
-        raise ValueError(f"hyperparameters: {', '.join(missing)} must be given")
+    optimisation = [item.name for item in fields(PlannerSettings)]
+    mapping("hyperparameters", plain, [*_SETUP, *optimisation])
     settings = {name: plain[name] for name in optimisation if name in plain}
-    for name, value in settings.items():
-        settings[name] = tuple(value) if isinstance(value, list) else value
+    if isinstance(settings.get("hidden"), list):
+        settings["hidden"] = tuple(settings["hidden"])
     trajectories, validation = _motions(plain.get("motions"), robot)
-    return GradientConfig(
+    return PlannerConfig(
         trajectories=trajectories,
         validation=validation,
-        untrained=_untrained(env_id, robot, plain, action_mapping),
-        settings=kind(**settings),
+        planning=record("planning", Planning, plain.get("planning", {})),
+        settings=PlannerSettings(**settings),
         evaluation=dict(plain.get("evaluation", {})),
     )
-
-
-def _untrained(
-    env_id: str,
-    robot: Robot,
-    plain: Mapping[str, Any],
-    action_mapping: Shift | Planning,
-) -> Bundle:
-    if isinstance(action_mapping, Planning):
-        return Bundle.of_planning(env_id, action_mapping)
-    steering = Steering(
-        robot,
-        base=find_base(plain["base"]),
-        action_mapping=action_mapping,
-        features=plain["features"],
-    )
-    return Bundle.of_steering(env_id, steering)
 
 
 def _motions(value: Any, robot: Robot) -> tuple[tuple[Trajectory, ...], tuple[Trajectory, ...]]:
@@ -145,7 +115,7 @@ def _loops(seeds: Sequence[int], robot: Robot) -> tuple[Trajectory, ...]:
     )
 
 
-def train_gradient(
+def train_planner(
     env_id: str,
     *,
     out: Path,
@@ -156,7 +126,7 @@ def train_gradient(
     progress: runs.Progress | None = None,
     say: runs.Say | None = None,
 ) -> runs.TrainingResult:
-    """Trains a policy by analytic policy gradient (APG).
+    """Trains a planning network, see :mod:`cablebot_baselines.learned.planner_training`.
 
     The same seed and number of threads on the same machine give the same weights, also if the run
     was resumed.
@@ -164,12 +134,11 @@ def train_gradient(
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         out: folder of the run.
-        config: YAML file, or the name of a shipped one; None for ``gradient``.
-        seed: seed of the initial weights; None for 0.
+        config: YAML file; None for the shipped one.
+        seed: seed of the initial weights and of all random numbers; None for 0.
         resume: whether to resume the run in ``out`` after its last finished round.
         threads: number of torch's threads; None for 1.
-        progress: function called with the evaluations of the objective so far, their largest
-            number, and a text.
+        progress: function called with the steps of Adam so far, their total, and a text.
         say: function called with messages for the user.
 
     Raises:
@@ -180,16 +149,22 @@ def train_gradient(
     """
     options = {"algorithm": ALGORITHM, "config": config, "seed": seed, "threads": threads}
     state = runs.open_run(out, env_id, options, resume=resume)
-    checked = make_gradient_config(env_id, state.settings["config"])
+    checked = make_planner_config(env_id, state.settings["config"])
     with runs.torch_threads(state.settings["threads"]):
-        training = _make_training(checked, state.settings["seed"])
+        training = PlannerTraining(
+            robot=find_robot(env_robot(env_id)),
+            trajectories=checked.trajectories,
+            planning=checked.planning,
+            seed=state.settings["seed"],
+            settings=checked.settings,
+        )
         if resume:
             # The file is opened here because np.load does not close a damaged file that it opened.
             with runs.checkpoint_errors(out), (state.checkpoint / _ARRAYS).open("rb") as file:
                 training.restore(np.load(file, allow_pickle=False))
         run = runs.Run(
             state,
-            checked.untrained,
+            Bundle.of_planning(env_id, checked.planning),
             total=checked.settings.iterations * training.rounds,
             evaluation=checked.evaluation,
             trained_on=checked.trajectories,
@@ -202,33 +177,7 @@ def train_gradient(
     return state
 
 
-def _make_training(config: GradientConfig, seed: int) -> GradientTraining | PlannerTraining:
-    untrained = config.untrained
-    robot = find_robot(env_robot(untrained.env_id))
-    match untrained.action_mapping, config.settings:
-        case Planning() as planning, PlannerSettings() as settings:
-            return PlannerTraining(
-                robot=robot,
-                trajectories=config.trajectories,
-                planning=planning,
-                seed=seed,
-                settings=settings,
-            )
-        case Shift() as shift, GradientSettings() as settings:
-            steering = untrained.steering(robot)
-            return GradientTraining(
-                robot=robot,
-                trajectories=config.trajectories,
-                action_mapping=shift,
-                features=steering.features,
-                seed=seed,
-                settings=settings,
-                minimum_tension=steering.law.minimum_tension,
-            )
-    raise AssertionError("the settings belong to another kind of steering")
-
-
-def _train(run: runs.Run, training: GradientTraining | PlannerTraining, resume: bool) -> None:
+def _train(run: runs.Run, training: PlannerTraining, resume: bool) -> None:
     """Trains to the end.
 
     Raises:
