@@ -363,6 +363,10 @@ def print_page(page: str) -> None:
     results_console().print(Markdown(text))
 
 
+def _codes(names: Sequence[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
+
+
 def _escaped(text: str) -> str:
     """A text, such as the error of a policy, without any meaning as Markdown or HTML."""
     return re.sub(r"([\\`*_~#&<>|\[\]])", r"\\\1", text)
