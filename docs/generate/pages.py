@@ -10,8 +10,6 @@ from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import Leaderboard, leaderboards
 
 RESULTS = Path(__file__).parents[1] / "leaderboard" / "results.json"
-MAPS = Path(__file__).parents[1] / "maps" / "results.json"
-PAPER_MAPS = Path(__file__).parents[1] / "paper-maps" / "results.json"
 
 
 class Pages:

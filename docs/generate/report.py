@@ -9,7 +9,7 @@ from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.report.page import html, replay_queries
 from cablebot_gym.report.replay import replays
-from generate.pages import MAPS, PAPER_MAPS, RESULTS
+from generate.pages import RESULTS
 
 RECORDED = ("fl", "ppo-circle", "composite", "motor-pd")
 """Policies with recorded episodes on the circle, payload known."""
@@ -17,11 +17,9 @@ RECORDED = ("fl", "ppo-circle", "composite", "motor-pd")
 
 def write(folder: Path) -> None:
     """Writes ``report.html`` into a folder."""
-    sources = [
-        Results.from_json(path.read_text(encoding="utf-8")) for path in (RESULTS, MAPS, PAPER_MAPS)
-    ]
+    results = Results.from_json(RESULTS.read_text(encoding="utf-8"))
     recorded = {}
-    for key, (cell, payload) in replay_queries(sources[0].records).items():
+    for key, (cell, payload) in replay_queries(results.records).items():
         if not isinstance(cell, PolicyCell) or cell.policy not in RECORDED:
             continue
         on_circle = str(cell.trajectory["name"]).startswith("circle-")
@@ -33,5 +31,5 @@ def write(folder: Path) -> None:
         ):
             recorded[key] = replays(cell, payload)
     folder.mkdir(parents=True, exist_ok=True)
-    page = html("cablebot_gym leaderboard", sources, recorded)
+    page = html("cablebot_gym leaderboard", [results], recorded)
     (folder / "report.html").write_text(page, encoding="utf-8")
