@@ -8,21 +8,15 @@ from __future__ import annotations
 import argparse
 import json
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from string import Template
 from typing import Any
 
 from page_blocks import readme_table
 
-from cablebot_gym.benchmark.cells import PolicyCell, SurveyCell
 from cablebot_gym.benchmark.leaderboard import Results
-from cablebot_gym.benchmark.scores import (
-    Column,
-    Leaderboard,
-    Score,
-    leaderboards,
-)
+from cablebot_gym.benchmark.scores import Column, Leaderboard, leaderboards
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / "paper" / "paper.md"
@@ -42,32 +36,19 @@ def paper() -> str:
 
 def _of_leaderboard(results: Results) -> dict[str, Any]:
     boards = leaderboards(results.records)
-    env_ids = list(dict.fromkeys(board.env_id for board in boards))
-    spatial = _circle(boards, "CableBot-Spatial-v0")
-    hardware = {}
-    entries = []
-    for env_id in env_ids:
-        hardware[env_id] = _circle(boards, env_id, payload_known=False, uncertainty="hardware")
-        entries += hardware[env_id]
-    unknown = hardware["CableBot-Spatial-v0"]
-    carrying = [score.cell.policy for score in entries if score.payload is not None]
-    (draws,) = {score.cell.draws for score in entries}
-    cells = [record.cell for record in results.records]
-    policies = {cell.policy for cell in cells if isinstance(cell, PolicyCell)}
-    motions = max(len(cell.parts) for cell in cells if isinstance(cell, SurveyCell))
+    main = [board for board in boards if board.is_main]
+    spatial = main[0]
+    policies = {policy for board in main for policy in board.policies}
     return {
         "policies": len(policies),
-        "motions": motions,
-        "environments": len(env_ids),
+        "motions": spatial.motions(spatial.columns[0]),
         "table": readme_table(results).partition("\n\n")[2].strip(),
-        "fl_known": _payload(spatial, "fl"),
-        "fl_unknown": _payload(unknown, "fl"),
-        "adaptive_unknown": _payload(unknown, "adaptive"),
-        "draws": draws,
-        "tried": len(entries),
-        "carry": len(carrying),
-        "trajopt": carrying.count("trajopt"),
-        "hardware": _largest(hardware),
+        "fl_known": _circle(boards, "fl"),
+        "fl_unknown": _circle(boards, "fl", payload_known=False, uncertainty="hardware"),
+        "robots": spatial.columns[0].draws,
+        "best": f"`{spatial.policies[0]}`",
+        "best_fraction": _fraction(spatial, spatial.policies[0]),
+        "adaptive_fraction": _fraction(spatial, "adaptive"),
     }
 
 
@@ -93,32 +74,23 @@ def _tally(counts: Counter[str]) -> str:
     return "; ".join(f"{counts[verdict]} {verdict}" for verdict in verdicts if counts[verdict])
 
 
-def _circle(boards: Sequence[Leaderboard], env_id: str, **conditions: Any) -> list[Score]:
-    """Scores of the policies of an environment on the circle, under conditions of a
+def _circle(boards: Sequence[Leaderboard], policy: str, **conditions: Any) -> str:
+    """Payload of a policy of the spatial robot on the circle, under conditions of a
     :class:`Column`."""
-    circle_scores: list[Score] = []
     for board in boards:
-        for (_, column), scores in board.entries.items():
-            required = Column(motion=column.motion, draws=column.draws, **conditions)
-            is_circle = column.motion.startswith("circle-")
-            if board.env_id == env_id and column == required and is_circle:
-                circle_scores += scores
-    return circle_scores
+        for (name, column), scores in board.entries.items():
+            required = Column(motion="circle-spatial", draws=column.draws, **conditions)
+            if (board.env_id, name, column) == ("CableBot-Spatial-v0", policy, required):
+                if scores[0].payload is None:
+                    return "no payload, not even the platform"
+                return f"{scores[0].payload_text} kg"
+    raise ValueError(f"no row of {policy!r} on the circle")
 
 
-def _payload(scores: Sequence[Score], policy: str) -> str:
-    (score,) = (score for score in scores if score.cell.policy == policy)
-    if score.payload is None:
-        return "no payload, not even the platform"
-    return f"{score.payload_text} kg"
-
-
-def _largest(tables: Mapping[str, Sequence[Score]]) -> str:
-    texts = []
-    for env_id, scores in tables.items():
-        best = max(scores, key=lambda score: score.payload or 0.0)
-        texts.append(f"{best.payload_text} kg (`{env_id}`, `{best.cell.policy}`)")
-    return ", ".join(texts[:-1]) + f" and {texts[-1]}"
+def _fraction(board: Leaderboard, policy: str) -> str:
+    fraction = board.fraction(policy, board.columns[0])
+    assert fraction is not None
+    return f"{fraction.mean:.0%}"
 
 
 def main() -> None:

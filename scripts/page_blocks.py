@@ -5,7 +5,7 @@ A block stands between two comments, so that the page is plain Markdown, on the 
     <!-- NAME: written by scripts/page_blocks.py -->
     <!-- end of NAME -->
 
-NAME is ``leaderboard`` (the best policy of each kind), ``main table`` (of the present policies),
+NAME is ``leaderboard`` (the best policy of each kind), ``main tables`` (of the leaderboard, in short),
 ``measurement`` (payload lost by sensors and errors), ``errors`` (payload with each error alone),
 ``library`` (the real robots), ``library payloads`` (payloads of laws on them), a table of
 ``cablebot list``, or a script in ``examples/``, with its output if the name ends in ``and output``.
@@ -22,18 +22,26 @@ import subprocess
 import sys
 from pathlib import Path
 
-import main_table
 import measure_winches
+import numpy as np
 from markdown_table import markdown_table
 
-from cablebot_gym.benchmark.leaderboard import Results, errors_text, library_tables
-from cablebot_gym.benchmark.scores import Column, Leaderboard, best_known_payloads, leaderboards
-from cablebot_gym.benchmark.tables import heading, motion_title
+from cablebot_gym.benchmark.leaderboard import (
+    Results,
+    errors_text,
+    library_tables,
+    origins_text,
+)
+from cablebot_gym.benchmark.scores import Leaderboard, best_known_payloads, leaderboards
+from cablebot_gym.benchmark.tables import entry_text, heading, motion_title, timing_text
+from cablebot_gym.benchmark.yardstick import yardsticks
+from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.bounds.robot_check import MotionCheck, RobotCheck, check_model, check_motion
 from cablebot_gym.cli.listing import tables
 from cablebot_gym.cli.robot import motion_report, report
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import ELASTIC, find_robot, library
+from cablebot_gym.trajectories import find_trajectory
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -61,65 +69,80 @@ KINDS = {"classical": "control law", "learned": "learned", "optimal": "trajector
 
 
 def readme_table(results: Results) -> str:
-    """Sentence and table: the best policy of each kind in each environment, by the first column of
+    """Sentence and table: the best policy of each kind in each environment, by the main tables of
     the leaderboard."""
-    boards = leaderboards(results.records)
-    first = boards[0].columns[0]
-    motion = motion_title(first, boards[0].motions(first))
-    boards_of: dict[str, list[Leaderboard]] = {}
+    boards = [board for board in leaderboards(results.records) if board.is_main]
+    rows = [["environment", *KINDS.values()]]
     for board in boards:
-        boards_of.setdefault(board.env_id, []).append(board)
-    rows = [["environment", *KINDS.values(), "best known on the circle"]]
-    for env_id, boards_of_env in boards_of.items():
-        row = [f"`{env_id}`", *(_best(boards_of_env, kind) for kind in KINDS)]
-        columns = len(row)
-        for known in best_known_payloads(results.records).values():
-            on_circle = str(known.cell.trajectory["name"]).startswith("circle-")
-            if known.cell.env_id == env_id and on_circle and known.payload:
-                row.append(f"{known.payload:.2f} kg")
-        if len(row) == columns:
-            row.append("–")
-        rows.append(row)
-    reference = "best known payload"
-    if boards[0].is_main:
-        reference = "payload that can be hoped for"
-    text = f"The best policy of each kind: mean fraction of the {reference}\n({motion}, {heading(first)}),\n"
-    text += "and its payload on the circle with an exactly known robot.\n\n"
+        rows.append([f"`{board.env_id}`", *(_best(board, kind) for kind in KINDS)])
+    column = boards[0].columns[0]
+    conditions = f"{motion_title(column, boards[0].motions(column))}, {heading(column)}"
+    text = "The best policy of each kind: mean fraction of the payload that can be hoped for\n"
+    text += f"({conditions}).\n{origins_text(results.records).lstrip()}\n"
     return text + markdown_table(rows)
 
 
-def _best(boards: list[Leaderboard], kind: str) -> str:
-    """The best policy of a kind in the first of the tables of an environment, with its fraction, its
-    payload on the circle, and its ties."""
-    board = boards[0]
+def _best(board: Leaderboard, kind: str) -> str:
+    """The best policy of a kind in a table, with its fraction and its ties."""
     entries = policy_entries()
-    # By decreasing fraction. A board may have policies that are not installed any more.
-    installed = [policy for policy in board.policies if policy in entries]
-    policies = [policy for policy in installed if entries[policy].kind == kind]
+    policies = [policy for policy in board.policies if entries[policy].kind == kind]
     if not policies:
         return "–"
     policy = policies[0]
     fraction = board.fraction(policy, board.columns[0])
     if fraction is None or fraction.mean <= 0:
         return "–"
-    text = f"`{policy}` {fraction.mean:.0%}"
-    for table in boards:
-        for (name, column), entry in table.entries.items():
-            if name == policy and _circle(column):
-                text += f", {entry[0].payload_text}"
-                if entry[0].payload is not None:
-                    text += " kg"
     ties = []
     for follower in policies[1:]:
-        if policy in board.ranks and board.ranks.get(follower) == board.ranks[policy]:
+        if board.ranks[follower] == board.ranks[policy]:
             ties.append(f"`{follower}`")
+    text = f"`{policy}` {fraction.mean:.0%}"
     if ties:
         text += f" (tied with {', '.join(ties)})"
     return text
 
 
-def _circle(column: Column) -> bool:
-    return column == Column(motion=column.motion) and column.motion.startswith("circle-")
+def main_tables(results: Results) -> str:
+    """The main tables without the laws for known robots, and the payload of exact tracking."""
+    entries = policy_entries()
+    text = ""
+    for board in leaderboards(results.records):
+        if not board.is_main:
+            continue
+        column = board.columns[0]
+        rows = [["policy", "kind", "fraction", "median, p99 [ms], late, start [s]"]]
+        for name in board.policies:
+            if not entries[name].known_robot:
+                times = timing_text(board.timings.get(name))
+                rows.append(
+                    [f"`{name}`", entries[name].kind, entry_text(board, name, column), times]
+                )
+        tracked = exact_tracking(results, board)
+        rows.append(["exact tracking, robot known", "–", f"{tracked:.1%}", "–"])
+        text += f"\n### {board.env_id}\n\n{markdown_table(rows, right=2)}"
+    return text + "\n"
+
+
+def exact_tracking(results: Results, board: Leaderboard) -> float:
+    """The payload with which motors of a known robot track the motions of a main table exactly, as
+    a mean fraction of what a planner could hope for."""
+    column = board.columns[0]
+    entry = max((board.entries[name, column] for name in board.policies), key=len)
+    yardstick = yardsticks(results.records)[board.env_id, str(column.uncertainty)]
+    best_known = best_known_payloads(results.records)
+    fractions = []
+    for score in entry:
+        hoped = best_known[score.cell.motion_key].payload
+        if hoped:
+            robot = score.cell.robot
+            motion = find_trajectory(dict(score.cell.trajectory), robot.kind)
+            fractions.append(exact_payload(robot, motion).payload / hoped)
+    return float(np.mean(fractions)) / yardstick.quantile
+
+
+def stored(folder: str) -> Results:
+    """The results in a folder of ``docs/``."""
+    return Results.from_json((ROOT / "docs" / folder / "results.json").read_text(encoding="utf-8"))
 
 
 def library_pages() -> str:
@@ -157,21 +180,15 @@ def block(name: str) -> str:
         KeyError: if no block has this name.
     """
     if name == "leaderboard":
-        return readme_table(
-            Results.from_json((ROOT / "docs/leaderboard/results.json").read_text(encoding="utf-8"))
-        )
+        return readme_table(stored("leaderboard"))
     if name == "library":
         return library_pages()
     if name == "library payloads":
-        stored = (ROOT / "docs/library/results.json").read_text(encoding="utf-8")
-        return f"\n{library_tables(Results.from_json(stored).records)}\n"
+        return f"\n{library_tables(stored('library').records)}\n"
     if name == "errors":
-        stored = (ROOT / "docs/errors/results.json").read_text(encoding="utf-8")
-        return errors_text(Results.from_json(stored).records, "###") + "\n"
-    if name == "main table":
-        return main_table.table(
-            main_table.read(main_table.BOARD), main_table.read(main_table.RESULTS)
-        )
+        return errors_text(stored("errors").records, "###") + "\n"
+    if name == "main tables":
+        return main_tables(stored("leaderboard"))
     if name == "measurement":
         return measure_winches.table(
             json.loads((measure_winches.FOLDER / "results.json").read_text(encoding="utf-8"))

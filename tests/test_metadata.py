@@ -20,7 +20,7 @@ def test_oldest_tested_versions_are_the_lower_bounds():
         bounds[name] = (version + ".0.0").split(".")[:3]
     pins = re.findall(
         r"^([\w-]+)==(\S+)$",
-        (ROOT / "constraints-oldest.txt").read_text(encoding="utf-8"),
+        (ROOT / "constraints/oldest.txt").read_text(encoding="utf-8"),
         re.MULTILINE,
     )
     tested = {name: version.split(".") for name, version in pins}

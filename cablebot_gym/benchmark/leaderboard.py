@@ -27,15 +27,13 @@ from cablebot_gym.benchmark.scores import (
 )
 from cablebot_gym.benchmark.suites import find_suite
 from cablebot_gym.benchmark.yardstick import PROBABILITY
-from cablebot_gym.evaluation.survey import ROBOTS
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import results_console
 from cablebot_gym.utils.foreign import foreign_json, foreign_list, foreign_object
 
 _INTRODUCTION = """# Leaderboard
 
-Payload [kg] that a policy carries (DLCC), and its fraction of the best known payload. Rows are sorted by the first
-column; the [definitions](#definitions) are at the end.
+Payload [kg] that a policy carries (DLCC), and its fraction of the best known payload: [definitions](#definitions).
 """
 
 
@@ -121,27 +119,25 @@ def markdown(results: Results) -> str:
     second = [board for board in boards if not board.is_main]
     text = _INTRODUCTION
     if main:
-        text += f"\n## Robots that are not exactly known\n\n{_main_text(main)}"
+        text += (
+            f"\n## Robots that are not exactly known\n\n{_main_text(main)}{origins_text(records)}"
+        )
     text += _boards_text(main, has_main=True)
     if main and second:
         text += "\n## Robots that are exactly known, and single motions\n"
+        text += _absent_text(main, second)
     text += _boards_text(second, has_main=bool(main))
     library = library_tables(records)
     if library:
         text += "\n## Real robots\n\n"
         text += f"Each robot has its own motion, error bounds and payload range.\n\n{library}"
-    text += _section("All environments", tables.overall_rows(main or second))
-    text += _section(
-        "Limiting violations",
-        tables.violation_rows(main or second),
-        "Number of held-out motions by the first violation beyond the payload.\n\n",
-    )
     text += errors_text(records, "##")
-    text += _section("Best known payloads", _best_known_rows(best_known_payloads(records).values()))
+    if not main:
+        references = best_known_payloads(records).values()
+        text += _section("Best known payloads", _best_known_rows(references))
     text += _section(
-        "What can be hoped for on robots that are not exactly known",
+        "What can be hoped for, as a fraction of the best known payload",
         tables.yardstick_rows(records),
-        "Fractions of the best known payload, see the [yardsticks](#yardsticks).\n\n",
     )
     text += _notes_text(records, boards)
     if results.seed_text is not None:
@@ -149,11 +145,11 @@ def markdown(results: Results) -> str:
     return f"{text}\n{_definitions(records)}\n{_origin(results)}"
 
 
-def _section(title: str, rows: Sequence[Sequence[str]], introduction: str = "") -> str:
+def _section(title: str, rows: Sequence[Sequence[str]]) -> str:
     """A table under a heading; empty if it has a head only."""
     if len(rows) < 2:
         return ""
-    return f"\n## {title}\n\n{introduction}{_table(rows)}"
+    return f"\n## {title}\n\n{_table(rows)}"
 
 
 def _main_text(boards: Sequence[Leaderboard]) -> str:
@@ -161,11 +157,39 @@ def _main_text(boards: Sequence[Leaderboard]) -> str:
     column = boards[0].columns[0]
     robots = column.draws
     probability = robots / (robots + 1)
-    return f"""On each motion, the payload is the largest one that all {robots} robots carry which are drawn for it
-(`{column.uncertainty}`), so a further random robot carries it with a probability of {probability:.0%}. An entry is the
-mean over the motions of this payload, as a fraction of what a planner can hope for that knows each of these robots, see
-the [yardsticks](#yardsticks).
+    drawn = f"{robots} random robots carry (`{column.uncertainty}`)"
+    return f"""On each motion, the payload is the largest one that {drawn}. A further one carries it
+with a probability of {probability:.0%}. An entry is the mean of this payload over the motions, as a fraction of what a
+planner can hope for that knows each robot, see the [yardsticks](#yardsticks).
 """
+
+
+def origins_text(records: Sequence[Record]) -> str:
+    """Which policies have rows of which :func:`_versions`; empty if there is only one set."""
+    sets = _versions(records)
+    if len(sets) == 1:
+        return ""
+    common = _common(sets)
+    sentences = []
+    for versions in sets:
+        policies = set()
+        for record in records:
+            if isinstance(record.cell, PolicyCell) and record.versions == versions:
+                policies.add(record.cell.policy)
+        words = [f"{name} {version}" for name, version in versions.items() if name not in common]
+        text = ", ".join(words)
+        sentences.append(f"{text[:1].upper()}{text[1:]}: {_codes(sorted(policies))}.")
+    return "\n" + "\n".join(sentences) + "\n"
+
+
+def _common(sets: Sequence[Mapping[str, str]]) -> dict[str, str]:
+    """The versions that several sets agree on."""
+    first, *others = sets
+    common = {}
+    for name, version in first.items():
+        if all(versions.get(name) == version for versions in others):
+            common[name] = version
+    return common
 
 
 def _boards_text(boards: Sequence[Leaderboard], *, has_main: bool) -> str:
@@ -179,6 +203,15 @@ def _boards_text(boards: Sequence[Leaderboard], *, has_main: bool) -> str:
             title += ", exactly known"
         text += f"\n{level} {title}\n\n{_table(rows)}"
     return text
+
+
+def _absent_text(main: Sequence[Leaderboard], second: Sequence[Leaderboard]) -> str:
+    """Which policies have rows in the main tables only; empty if there are none."""
+    names = {policy for board in main for policy in board.policies}
+    names -= {policy for board in second for policy in board.policies}
+    if not names:
+        return ""
+    return f"\nNot evaluated here: {_codes(sorted(names))}.\n"
 
 
 def errors_text(records: Sequence[Record], heading: str) -> str:
@@ -196,8 +229,8 @@ def _notes_text(records: Sequence[Record], boards: Sequence[Leaderboard]) -> str
     processors = set()
     for board in boards:
         processors |= {str(timing["processor"]) for timing in board.timings.values()}
-    for processor in sorted(processors):
-        notes.append(f"computing times were measured on: {processor}")
+    if processors:
+        notes.append(f"computing times were measured on: {', '.join(sorted(processors))}")
     if not notes:
         return ""
     return "\n## Notes\n\n" + "".join(f"* {note}\n" for note in notes)
@@ -213,8 +246,6 @@ def _definitions(records: Sequence[Record]) -> str:
         bounds=_bounds_text(cells),
         probability=cells[0].probability,
         confidence=CONFIDENCE,
-        robots=ROBOTS,
-        share=ROBOTS / (ROBOTS + 1),
         ranked=RANKED_MOTIONS,
         quantile=PROBABILITY,
     )
@@ -236,14 +267,12 @@ def _bounds_text(cells: Sequence[PolicyCell]) -> str:
 
 
 def _origin(results: Results) -> str:
-    """Suite, command and versions of the results."""
-    sets = []
-    for versions in _versions(results.records):
-        sets.append(", ".join(f"{name} {version}" for name, version in versions.items()))
+    """Suite, command and versions that all results have."""
+    common = _common(_versions(results.records))
+    versions = ", ".join(f"{name} {version}" for name, version in common.items())
     summary = find_suite(results.suite).summary
     return (
-        f"Suite `{results.suite}` ({summary}), computed by `{results.command}` "
-        f"with {'; '.join(sets)}.\n"
+        f"Suite `{results.suite}` ({summary}), computed by `{results.command}` with {versions}.\n"
     )
 
 
@@ -258,10 +287,8 @@ def _hidden_text(seed_text: str) -> str:
 
 The hidden motions of each environment and the evaluation seed follow by SHA-256 from the text
 `{json.dumps(seed_text, ensure_ascii=False)}`.
-
-If the text was fixed after the policies, none of them was made for these motions. It does not show that
-this is the only text that was tried, or that the payloads were computed: `cablebot benchmark --check N`
-computes random rows again.
+If it was fixed after the policies, none of them was made for these motions. That no other text was tried, and
+that the payloads were computed, it does not show: `cablebot benchmark --check N` computes random rows again.
 """
 
 

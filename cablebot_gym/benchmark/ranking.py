@@ -34,20 +34,14 @@ class Fraction:
     """Minimum over the motions."""
 
 
-def fraction(strata: Sequence[Array]) -> Fraction:
-    """Mean fraction and its interval over motions that are drawn independently in each stratum.
+def fraction(fractions: Array) -> Fraction:
+    """Mean fraction and its interval.
 
     Args:
-        strata: fractions of the motions of each environment, ≥ 0.
+        fractions: fractions of the motions, ≥ 0.
     """
-    means = np.array([values.mean() for values in strata])
-    lows, highs = np.transpose([_interval(values) for values in strata])
-    mean = float(means.mean())
-    worst = min(values.min() for values in strata)
-    # Distances of independent intervals add as squares (Zou and Donner 2008).
-    below = math.hypot(*means - lows) / len(strata)
-    above = math.hypot(*highs - means) / len(strata)
-    return Fraction(mean=mean, low=mean - below, high=mean + above, worst=float(worst))
+    low, high = _interval(fractions)
+    return Fraction(mean=float(fractions.mean()), low=low, high=high, worst=float(fractions.min()))
 
 
 def _interval(fractions: Array) -> tuple[float, float]:

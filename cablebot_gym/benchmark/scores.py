@@ -180,28 +180,7 @@ class Leaderboard:
         values = _values(self.entries.get((policy, column), ()))
         if values is None:
             return None
-        return fraction([values])
-
-
-def overall(boards: Sequence[Leaderboard]) -> dict[str, tuple[tuple[str, ...], Fraction]]:
-    """Environments and fraction in the first columns of all policies that several ranked
-    environments have.
-
-    Args:
-        boards: tables of one kind: main tables, or second tables.
-    """
-    strata: dict[str, dict[str, Array]] = {}
-    for board in boards:
-        for policy in board.ranks:
-            values = _values(board.entries[policy, board.columns[0]])
-            if values is not None:
-                strata.setdefault(policy, {})[board.env_id] = values
-    fractions = {}
-    for policy, by_environment in strata.items():
-        if len(by_environment) > 1:
-            mean = fraction(list(by_environment.values()))
-            fractions[policy] = (tuple(by_environment), mean)
-    return fractions
+        return fraction(values)
 
 
 def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:

@@ -60,6 +60,8 @@ class Block:
     """Whether the block has each error of its uncertainty alone, and none, beside all of them."""
     survey: bool = False
     """Whether all motions of a policy are one cell, a survey."""
+    surveyed: int | None = None
+    """Largest number of motions in a survey, the first ones; None for all."""
     conditions: Mapping[str, Any] = field(default_factory=dict)
     """Further fields of the policies' cells. A nested mapping changes only the values that it names.
     A list makes one cell for each of its values."""
@@ -293,7 +295,8 @@ def _survey_motions(
 ) -> dict[str, Any]:
     """The task of a policy as fields of a survey: its motions in one trajectory with a list of
     seeds."""
-    tasks = _tasks(env_id, block, seed_text)[: surveyed_motions(policy, env_id, block.motions)]
+    count = surveyed_motions(policy, env_id, block.surveyed or block.motions)
+    tasks = _tasks(env_id, block, seed_text)[:count]
     seeds = [task["trajectory"]["seed"] for task in tasks]
     return tasks[0] | {"trajectory": tasks[0]["trajectory"] | {"seed": seeds}}
 

@@ -13,7 +13,7 @@ from cablebot_gym.benchmark.cells import Cell, PolicyCell, TimingCell, canonical
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.yardstick import PROBABILITY, yardsticks
 from cablebot_gym.bounds.robot_check import check_motion, two_digits
-from cablebot_gym.evaluation.constraints import KINDS, Violation
+from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.isolation.installed import public_entry
 from cablebot_gym.robots import KIND_TEXTS, Kind, find_robot
 from cablebot_gym.task import payload_model_text
@@ -126,42 +126,6 @@ def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
         if timings:
             row.append(timing_text(timings.get(policy)))
         rows.append(row)
-    return rows
-
-
-def overall_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
-    """Head and rows of the table of the policies that several ranked environments have. ``boards``
-    are tables of one kind."""
-    policies = sorted(scores.overall(boards).items(), key=lambda item: -item[1][1].mean)
-    rows = [["policy", "environments", "mean fraction"]]
-    for policy, (env_ids, fraction) in policies:
-        interval = f"{fraction.mean:.1%} [{fraction.low:.1%}, {fraction.high:.1%}]"
-        rows.append([policy, str(len(env_ids)), interval])
-    return rows
-
-
-def violation_rows(boards: Sequence[scores.Leaderboard]) -> list[list[str]]:
-    """Head and rows of the table of limiting violations over the motions of ranked environments.
-    ``boards`` are tables of one kind."""
-    rows = [["environment", "policy", *KINDS, "error", "when, median [% of the motion]"]]
-    for board in boards:
-        for policy in board.ranks:
-            counts = dict.fromkeys((*KINDS, "error"), 0)
-            fractions = []
-            leads = []
-            for score in board.entries[policy, board.columns[0]]:
-                counts["error"] += score.error is not None
-                violation = limiting_violation(score)
-                if violation is not None:
-                    counts[violation["kind"]] += 1
-                    fractions.append(violation["fraction"])
-                    if violation.get("lead") is not None:
-                        leads.append(violation["lead"])
-            numbers = [str(count) for count in counts.values()]
-            when = f"{100 * median(fractions):.0f}" if fractions else "–"
-            if leads:
-                when += f", near its limit for {median(leads):.3f} s"
-            rows.append([board.env_id, policy, *numbers, when])
     return rows
 
 

@@ -13,7 +13,10 @@ from cablebot_gym.policies import policy_entries
 
 DOCS = Path(__file__).parents[1]
 
-REPORT = '<p><a href="report.html">The leaderboard as a page to sort and filter</a>, with recorded episodes.</p>\n\n'
+REPORT = (
+    '<p><a href="report.html">The leaderboard as a page to sort and filter</a>, with recorded '
+    "episodes.</p>\n\n"
+)
 
 _FILE = re.compile(r"^\[.*\]\((\.\./[\w/]+\.md)\)\.?$", re.MULTILINE)
 _FIGURE = re.compile(r"\]\((\w+\.svg)\)")

@@ -1,7 +1,7 @@
 # /// script
 # dependencies = ["cablebot-gym[sb3]", "rl_zoo3"]
 # [tool.clients]
-# constraints = "constraints-clients.txt"
+# constraints = "constraints/clients.txt"
 # ///
 """RL Baselines3 Zoo trains with the configurations that ship with the package."""
 

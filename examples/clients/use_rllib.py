@@ -1,7 +1,7 @@
 # /// script
 # dependencies = ["cablebot-gym", "torch", "ray[rllib]"]
 # [tool.clients]
-# constraints = "constraints-clients.txt"
+# constraints = "constraints/clients.txt"
 # ///
 """RLlib: PPO; keywords of the environment are its env_config."""
 

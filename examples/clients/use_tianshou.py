@@ -1,7 +1,7 @@
 # /// script
 # dependencies = ["cablebot-gym", "tianshou[eval]>=2"]
 # [tool.clients]
-# constraints = "constraints-clients.txt"
+# constraints = "constraints/clients.txt"
 # ///
 """Tianshou 2: PPO by the high-level interface."""
 

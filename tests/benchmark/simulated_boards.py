@@ -1,12 +1,6 @@
-"""Boards of simulated policies: how often intervals cover the mean, and orders are false.
-
-``python tests/benchmark/simulated_boards.py > docs/ranking.md`` writes the page.
-"""
+"""Boards of simulated policies: how often intervals cover the mean, and orders are false."""
 
 from __future__ import annotations
-
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -65,75 +59,6 @@ BEST_PAYLOAD = 6.0
 
 FEWER_MOTIONS = 20
 """Number of motions of half of the policies of a board of surveys."""
-
-PAGE = """# How sure are intervals and ranks
-
-A board has a random sample of motions. Its numbers are means over this sample, so another sample gives other numbers.
-This page simulates many boards with known truth. `python tests/benchmark/simulated_boards.py` computes it.
-
-## Payloads of surveys
-
-The payload of a motion is the largest one that all {robots} random robots carry. A further random robot carries it with
-a probability of at least 95 %, whatever the distribution over robots is: exactly 95 % without ties, and more with ties
-or where the motion has no payload because a robot fails unloaded.
-
-| largest payload of a random robot | a further robot carries it, or it is 0 | it is 0 | less than 85 % carry it |
-|---|---:|---:|---:|
-{promises}
-{surveyed_motions:,} simulated motions for each row. The probability holds on the mean over motions only: on some
-motions all {robots} robots are stronger than most (last column).
-
-The interval of the mean of payload over best payload covers its expected value over motions and robots, because each
-motion has its own robots: their scatter is part of the scatter over motions.
-
-| largest payload of a random robot | motions | covered | mean too low | mean too high |
-|---|---:|---:|---:|---:|
-{surveyed_coverage}
-Difficulties of motions differ by ± 15 %. {surveyed_boards:,} simulated boards for each row.
-
-Twelve equal policies that meet the same motions and robots are seldom ordered, also if six of them have only the first
-{fewer} motions. At most 5 % of the boards may have an order.
-
-| robots that fail unloaded | noise of a policy on each robot | false boards |
-|---:|---:|---:|
-{surveyed_orders}
-The fractions of the robots of a motion scatter by ± 0.05. {order_boards:,} simulated boards of 100 motions for each
-row.
-
-## Intervals
-
-An interval of the mean fraction combines two parts: the mid-P interval of the rate of motions that the policy carries,
-and Student's interval of the mean over these motions. It allows for failures that the board has not seen. Where a
-policy never fails, it is therefore wider than necessary, and covers more often than it states.
-
-| fractions of a policy | motions | covered | mean too low | mean too high |
-|---|---:|---:|---:|---:|
-{coverage}
-*Mean too low*: the interval lies below the true mean. {boards:,} simulated boards for each row.
-
-## Orders of equal policies
-
-All policies of a board are equal by construction: the same difficulty of each motion, and independent noise and
-failures. A board is false if its simultaneous comparisons put any policy before another. At most 5 % may be.
-
-| policies | motions | fail on | false boards |
-|---:|---:|---:|---:|
-{orders}
-{order_boards:,} simulated boards for each row.
-
-## Yardstick under uncertainty
-
-The yardstick is the 5 % quantile of the ratios of drawn to nominal best known payloads. Its interval has order
-statistics as ends, so it needs no distribution.
-
-| ratios | motions × draws | covered | quantile too low | quantile too high | half width |
-|---|---:|---:|---:|---:|---:|
-{yardsticks}
-*Quantile too low*: the interval lies below the true quantile. {boards:,} simulated boards for each row.
-"""
-
-DOCUMENT = Path(__file__).parents[2] / "docs" / "ranking.md"
-"""The page in the documentation."""
 
 
 def _with_weak_robots(random, size, factor):
@@ -200,7 +125,7 @@ def coverage(draw, motions, boards, truth_motions=TRUTH, seed=1):
     truth = draw(random, truth_motions).mean()
     below = above = 0
     for _ in range(boards):
-        interval = fraction([draw(random, motions)])
+        interval = fraction(draw(random, motions))
         below += interval.high < truth
         above += interval.low > truth
     return 1 - (below + above) / boards, below / boards, above / boards
@@ -252,85 +177,3 @@ def yardstick_coverage(family, motions, boards, seed=3):
         above += interval.low > truth
         width += (interval.high - interval.low) / 2
     return 1 - (below + above) / boards, below / boards, above / boards, width / boards
-
-
-def page(boards=4000, order_boards=4000, surveyed_boards=20_000, motions=200_000):
-    """The page with all tables."""
-    return PAGE.format(
-        promises=_promise_rows(motions),
-        surveyed_coverage=_surveyed_coverage_rows(surveyed_boards),
-        surveyed_orders=_surveyed_order_rows(order_boards),
-        coverage=_coverage_rows(boards),
-        orders=_order_rows(order_boards),
-        yardsticks=_yardstick_rows(boards),
-        boards=boards,
-        order_boards=order_boards,
-        surveyed_boards=surveyed_boards,
-        surveyed_motions=motions,
-        robots=ROBOTS,
-        fewer=FEWER_MOTIONS,
-    )
-
-
-def _promise_rows(motions):
-    text = ""
-    for family in CAPACITIES:
-        carried, empty, misses = promise(family, motions)
-        text += f"| {family} | {carried:.2%} | {empty:.1%} | {misses:.1%} |\n"
-    return text
-
-
-def _surveyed_coverage_rows(boards):
-    text = ""
-    for motions in MOTIONS:
-        for family in CAPACITIES:
-            draw = partial(surveyed_fractions, family)
-            rates = coverage(draw, motions, boards, truth_motions=SURVEYED_TRUTH)
-            text += _coverage_row(family, motions, rates)
-    return text
-
-
-def _yardstick_rows(boards):
-    text = ""
-    for motions in YARDSTICK_MOTIONS:
-        for family in RATIOS:
-            rates = yardstick_coverage(family, motions, boards)
-            texts = " | ".join(f"{rate:.1%}" for rate in rates)
-            text += f"| {family} | {motions} × {DRAWS} | {texts} |\n"
-    return text
-
-
-def _surveyed_order_rows(boards):
-    text = ""
-    for failing in (0.0, 0.002, 0.02):
-        for noise in (0.01, 0.05):
-            false = false_surveys(failing, noise, boards)
-            text += f"| {failing:.1%} | ± {noise:g} | {false:.1%} |\n"
-    return text
-
-
-def _coverage_rows(boards):
-    text = ""
-    for motions in MOTIONS:
-        for family, draw in FAMILIES.items():
-            text += _coverage_row(family, motions, coverage(draw, motions, boards))
-    return text
-
-
-def _coverage_row(family, motions, rates):
-    texts = " | ".join(f"{rate:.1%}" for rate in rates)
-    return f"| {family} | {motions} | {texts} |\n"
-
-
-def _order_rows(boards):
-    text = ""
-    for policies, rates in FAILURES.items():
-        for motions in MOTIONS:
-            for rate in rates:
-                false = false_boards(policies, motions, rate, boards)
-                text += f"| {policies} | {motions} | {rate:.0%} | {false:.1%} |\n"
-    return text
-
-
-if __name__ == "__main__":
-    print(page(), end="")

@@ -51,7 +51,7 @@ def test_mid_p_interval_of_all_and_of_half_of_the_draws():
 
 
 def test_motions_that_nobody_carries_leave_a_bounded_interval():
-    interval = fraction([np.zeros(100)])
+    interval = fraction(np.zeros(100))
     assert interval.low == interval.mean == 0.0
     assert interval.high == pytest.approx(1 - 0.05 ** (1 / 100))
 

@@ -13,18 +13,15 @@ from cablebot_gym.benchmark.cells import (
     SurveyCell,
     TimingCell,
 )
-from cablebot_gym.benchmark.leaderboard import Results, markdown, print_page
-from cablebot_gym.benchmark.ranking import fraction
+from cablebot_gym.benchmark.leaderboard import Results, markdown, origins_text, print_page
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.scores import (
     RANKED_MOTIONS,
     error_tables,
     leaderboards,
-    overall,
     scores,
 )
 from cablebot_gym.benchmark.tables import error_rows
-from cablebot_gym.trajectories import find_trajectory
 
 PLANAR = "CableBot-Planar-v0"
 CIRCLE = {"name": "circle-planar"}
@@ -211,9 +208,8 @@ def test_survey_under_uncertainty_is_the_main_table():
     assert main.fraction("b", main.columns[0]).worst == 0.0
     assert (main.is_main, second.is_main, second.policies) == (True, False, ("b",))
     page = page_of(records)
-    assert page.index("19 robots carry") < page.index(f"{PLANAR}, exactly known")
+    assert page.index("19 random robots carry") < page.index(f"{PLANAR}, exactly known")
     assert f"| {PLANAR} | hardware | 20 | 80.0% [0.0%, 80.0%] | 80.0% | 0 |" in page
-    assert f"| {PLANAR} | loop-planar | 1.000 |" in page  # one row for all motions
     read = Results.from_json(Results(suite="smoke", command="", records=records).to_json())
     assert page_of(read.records) == page
 
@@ -285,32 +281,6 @@ def test_error_on_one_motion_counts_as_zero_and_is_named():
     assert text.endswith("worst 0%; errors: 1")
 
 
-def test_interval_is_stratified_by_environment():
-    random = np.random.default_rng(0)
-    noisy = fraction([random.uniform(0, 1, 20), random.uniform(0, 1, 20)])
-    alone = fraction([random.uniform(0, 1, 20)])
-    # The motions of environments are independent.
-    assert 0.5 < (noisy.high - noisy.low) / (alone.high - alone.low) < 0.9
-
-
-def test_limiting_violations_are_counted_with_their_median_time():
-    """The circles and loops of this table differ in duration: times are fractions of each motion."""
-    records = family({"a": np.full(RANKED_MOTIONS, 0.5)})
-    duration = find_trajectory(LOOPS[0], "planar").duration
-    violation = {"kind": "slack", "time": duration / 4}
-    records[RANKED_MOTIONS] = carries("a", 0.5, LOOPS[0], {"violation": violation})
-    (line,) = [line for line in page_of(records).splitlines() if "| 25 |" in line]
-    assert [cell.strip() for cell in line.split("|")[2:-1]] == ["a", *"0100000", "25"]
-
-
-def test_overall_fraction_needs_several_environments():
-    values = np.full(20, 0.5)
-    flexible = family({"a": values}, env_id="CableBot-FlexPlanar-v0")
-    averages = overall(leaderboards([*family({"a": values, "b": values}), *flexible]))
-    assert list(averages) == ["a"]
-    assert averages["a"][0] == (PLANAR, "CableBot-FlexPlanar-v0")
-
-
 # --- page, CSV and JSON -----------------------------------------------------------------------------------------------
 
 TIMING = {
@@ -359,6 +329,21 @@ def test_page_has_all_results_and_notes():
         "* computing times were measured on: some processor",
     ):
         assert text in page
+
+
+def test_page_names_the_policies_of_each_set_of_versions():
+    """Excludes a table in which rows of two boards look alike."""
+    earlier = {"python": "3.11", "rows": "of board 1"}
+    later = {"python": "3.11", "rows": "after board 1"}
+    records = [
+        replace(best(2.0), versions=earlier),
+        *(replace(old, versions=earlier) for old in family({"fl": [0.5] * 20})),
+        replace(carries("robust", 1.0), versions=later),
+    ]
+    text = origins_text(records)
+    assert text == "\nRows of board 1: `fl`.\nRows after board 1: `robust`.\n"
+    assert page_of(records).endswith("with python 3.11.\n")
+    assert origins_text(records[:-1]) == ""
 
 
 def test_page_and_terminal_have_the_numbers_of_the_json(capsys):

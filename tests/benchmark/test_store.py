@@ -71,6 +71,13 @@ def test_results_of_other_code_are_kept_and_not_used(store, messages, tmp_path):
     assert messages == []
 
 
+def test_renamed_record_of_other_code_is_not_used(store, tmp_path):
+    store.add(record())
+    (path,) = files(tmp_path)
+    path.write_text(path.read_text().replace(CELL.source, "a" * 16))
+    assert store.find(CELL) is None
+
+
 # --- runs -------------------------------------------------------------------------------------------------------------
 
 
