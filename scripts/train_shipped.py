@@ -5,8 +5,8 @@ docs/learned.md.
 
 Runs are kept in folders ``NAME-KIND-SEED`` under ``--runs``, evaluations in the folder ``judged``
 next to them. The same command resumes after an interrupt. ``--page`` updates the best known
-payloads of the existing cards from the leaderboard, and renders docs/learned.md and
-docs/learned.png. Needs the extras ``sb3`` and ``plot``.
+payloads of the existing cards from the leaderboard, and renders docs/learned.md. Needs the extra
+``sb3``.
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, Card, read_cards
-from cards.figure import draw_curves
+from cards.card import HELD_OUT, LEAST_SEEDS, Card, read_cards
 from cards.making import (
     STANDARD,
     Evaluate,
@@ -50,7 +49,6 @@ from cablebot_gym.benchmark.cells import Cell
 from cablebot_gym.benchmark.engine import local, run_cells
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.store import Store
-from cablebot_gym.plotting.figures import DPI, import_matplotlib
 from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.console import notes_console, progress
 from cablebot_gym.utils.files import atomic_write, atomic_write_text, check_writable_dir
@@ -70,7 +68,7 @@ EVALUATIONS = "judged"
 LARGEST = 500_000
 """Largest size of a shipped file [bytes]."""
 
-PAGE, FIGURE = "learned.md", "learned.png"
+PAGE = "learned.md"
 
 _EPISODE_STATE = (
     "_last_obs",
@@ -88,7 +86,6 @@ def main() -> None:
     """Command line; errors exit with status 2, an interrupt with status 130."""
     arguments = _parser().parse_args()
     try:
-        import_matplotlib()
         policies = list(SHIPPED.values())
         if arguments.policy:
             policies = [SHIPPED[choice("learned policy", arguments.policy, SHIPPED)]]
@@ -99,7 +96,6 @@ def main() -> None:
                 seeds=arguments.seeds,
                 runs=arguments.runs,
                 protocol=Protocol(
-                    draws=arguments.draws,
                     held_out=arguments.held_out,
                     searched=arguments.searched,
                 ),
@@ -130,11 +126,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--runs", type=Path, default=Path("runs"), help="folder of the runs (default: %(default)s)"
     )
-    add_number("--draws", DRAWS, "fresh draws that confirm a payload under uncertainty")
     add_number("--held-out", HELD_OUT, "number of held-out motions")
     add_number("--searched", HELD_OUT, "number of these with a search for the best known payload")
     add_number("--jobs", 1, "number of parallel trainings or evaluations")
-    parser.add_argument("--page", action="store_true", help="only render page and figure again")
+    parser.add_argument("--page", action="store_true", help="only render the page again")
     return parser
 
 
@@ -187,11 +182,9 @@ def ship_all(
         raise ValueError(
             f"--seeds must be at least {LEAST_SEEDS} for a meaningful interval, not {seeds}"
         )
-    if protocol.draws < 1 or protocol.held_out < 1 or protocol.searched < 0:
-        text = "--draws and --held-out must be at least 1, --searched at least 0"
-        raise ValueError(
-            f"{text}, not {protocol.draws}, {protocol.held_out} and {protocol.searched}"
-        )
+    if protocol.held_out < 1 or protocol.searched < 0:
+        text = "--held-out must be at least 1, --searched at least 0"
+        raise ValueError(f"{text}, not {protocol.held_out} and {protocol.searched}")
     check_workers(jobs)
     check_writable_dir(runs / EVALUATIONS)
     check_writable_dir(weights)
@@ -213,7 +206,7 @@ def ship_all(
 def _command(shipped: Shipped, env_id: str, seeds: int, protocol: Protocol) -> str:
     """Command line that makes a card."""
     command = f"python scripts/train_shipped.py --policy {shipped.name} --id {env_id}"
-    command += f" --seeds {seeds} --draws {protocol.draws} --held-out {protocol.held_out}"
+    command += f" --seeds {seeds} --held-out {protocol.held_out}"
     if protocol.searched != HELD_OUT:
         command += f" --searched {protocol.searched}"
     return command
@@ -378,11 +371,10 @@ def sb3_model(best: Path) -> bytes | None:
 
 
 def write_page() -> None:
-    """Updates the best known payloads of all cards, and renders page and figure.
+    """Updates the best known payloads of all cards, and renders the page.
 
     Raises:
         ValueError: if there is no card, or one is damaged.
-        ImportError: if matplotlib is missing.
     """
     cards = read_cards()
     if not cards:
@@ -394,10 +386,8 @@ def write_page() -> None:
         cards[index] = with_best_known(card, best_known)
         if cards[index] != card:
             cards[index].save(WEIGHTS)
-    text, figure = card_markdown(cards), draw_curves(cards)
-    atomic_write_text(DOCS / PAGE, text)
-    atomic_write(DOCS / FIGURE, lambda path: figure.savefig(path, dpi=DPI, format="png"))
-    _errors.print(f"wrote {PAGE} and {FIGURE} from {len(cards)} cards")
+    atomic_write_text(DOCS / PAGE, card_markdown(cards))
+    _errors.print(f"wrote {PAGE} from {len(cards)} cards")
 
 
 if __name__ == "__main__":
