@@ -1,7 +1,7 @@
 """Trains and evaluates the shipped learned policies with several seeds; writes weights, cards and
 docs/learned.md.
 
-    python scripts/train_shipped.py --policy planner --id CableBot-Planar-v0
+    python scripts/train_shipped.py --policy planner
 
 Runs are kept in folders ``NAME-KIND-SEED`` under ``--runs``, evaluations in the folder ``judged``
 next to them. The same command resumes after an interrupt. ``--page`` updates the best known
@@ -23,7 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cards.card import HELD_OUT, LEAST_SEEDS, Card, read_cards
+from cards.card import LEAST_SEEDS, Card, read_cards
 from cards.making import (
     STANDARD,
     Evaluate,
@@ -89,18 +89,9 @@ def main() -> None:
         policies = list(SHIPPED.values())
         if arguments.policy:
             policies = [SHIPPED[choice("learned policy", arguments.policy, SHIPPED)]]
-        pairs = select_pairs(policies, arguments.env_id)
+        pairs = [(policy, env_id) for policy in policies for env_id in policy.env_ids]
         if not arguments.page:
-            ship_all(
-                pairs,
-                seeds=arguments.seeds,
-                runs=arguments.runs,
-                protocol=Protocol(
-                    held_out=arguments.held_out,
-                    searched=arguments.searched,
-                ),
-                jobs=arguments.jobs,
-            )
+            ship_all(pairs, seeds=arguments.seeds, runs=arguments.runs, jobs=arguments.jobs)
         write_page()
     except (ValueError, ImportError, OSError, RuntimeError) as error:
         _errors.print(f"error: {error}")
@@ -112,46 +103,12 @@ def main() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
-
-    def add_number(option: str, default: int, text: str) -> None:
-        parser.add_argument(
-            option, type=int, default=default, help=f"{text} (default: %(default)s)"
-        )
-
     parser.add_argument("--policy", help=f"{', '.join(SHIPPED)} (default: all)")
-    parser.add_argument(
-        "--id", dest="env_id", help="environment, such as CableBot-Spatial-v0 (default: all)"
-    )
-    add_number("--seeds", LEAST_SEEDS, "number of training seeds, from 0 on")
-    parser.add_argument(
-        "--runs", type=Path, default=Path("runs"), help="folder of the runs (default: %(default)s)"
-    )
-    add_number("--held-out", HELD_OUT, "number of held-out motions")
-    add_number("--searched", HELD_OUT, "number of these with a search for the best known payload")
-    add_number("--jobs", 1, "number of parallel trainings or evaluations")
+    parser.add_argument("--seeds", type=int, default=LEAST_SEEDS, help="number of training seeds")
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of the runs")
+    parser.add_argument("--jobs", type=int, default=1, help="parallel trainings or evaluations")
     parser.add_argument("--page", action="store_true", help="only render the page again")
     return parser
-
-
-def select_pairs(policies: Sequence[Shipped], env_id: str | None) -> list[tuple[Shipped, str]]:
-    """Selects pairs of a policy and an environment.
-
-    Raises:
-        ValueError: if none of the policies is shipped for the environment.
-    """
-    pairs = []
-    for policy in policies:
-        for shipped_id in policy.env_ids:
-            if env_id in (None, shipped_id):
-                pairs.append((policy, shipped_id))
-    if not pairs:
-        available = "; ".join(
-            f"{policy.name} for {', '.join(policy.env_ids)}" for policy in policies
-        )
-        raise ValueError(
-            f"--id {env_id}: no shipped policy for this environment. Available: {available}"
-        )
-    return pairs
 
 
 def ship_all(
@@ -182,9 +139,6 @@ def ship_all(
         raise ValueError(
             f"--seeds must be at least {LEAST_SEEDS} for a meaningful interval, not {seeds}"
         )
-    if protocol.held_out < 1 or protocol.searched < 0:
-        text = "--held-out must be at least 1, --searched at least 0"
-        raise ValueError(f"{text}, not {protocol.held_out} and {protocol.searched}")
     check_workers(jobs)
     check_writable_dir(runs / EVALUATIONS)
     check_writable_dir(weights)
@@ -197,19 +151,10 @@ def ship_all(
             [run_folder(runs, shipped, env_id, seed) for seed in range(seeds)],
             evaluate=_make_evaluate(stem(shipped.name, env_id), runs, jobs),
             best_known=best_known,
-            command=_command(shipped, env_id, seeds, protocol),
+            command=f"python scripts/train_shipped.py --policy {shipped.name} --seeds {seeds}",
             protocol=protocol,
         )
         _write_files(card, best, weights)
-
-
-def _command(shipped: Shipped, env_id: str, seeds: int, protocol: Protocol) -> str:
-    """Command line that makes a card."""
-    command = f"python scripts/train_shipped.py --policy {shipped.name} --id {env_id}"
-    command += f" --seeds {seeds} --held-out {protocol.held_out}"
-    if protocol.searched != HELD_OUT:
-        command += f" --searched {protocol.searched}"
-    return command
 
 
 def run_folder(runs: Path, shipped: Shipped, env_id: str, seed: int) -> Path:
