@@ -1,12 +1,12 @@
 """Trains and evaluates the shipped learned policies with several seeds; writes weights, cards and
 docs/learned.md.
 
-    python scripts/train_shipped.py --policy planner --id CableBot-Planar-v0
+    python scripts/train_shipped.py --policy planner
 
 Runs are kept in folders ``NAME-KIND-SEED`` under ``--runs``, evaluations in the folder ``judged``
 next to them. The same command resumes after an interrupt. ``--page`` updates the best known
-payloads of the existing cards from the leaderboard, and renders docs/learned.md and
-docs/learned.png. Needs the extras ``sb3`` and ``plot``.
+payloads of the existing cards from the leaderboard, and renders docs/learned.md. Needs the extra
+``sb3``.
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cards.card import DRAWS, HELD_OUT, LEAST_SEEDS, Card, read_cards
-from cards.figure import draw_curves
+from cards.card import LEAST_SEEDS, Card, read_cards
 from cards.making import (
     STANDARD,
     Evaluate,
@@ -50,7 +49,6 @@ from cablebot_gym.benchmark.cells import Cell
 from cablebot_gym.benchmark.engine import local, run_cells
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.store import Store
-from cablebot_gym.plotting.figures import DPI, import_matplotlib
 from cablebot_gym.utils.checks import choice
 from cablebot_gym.utils.console import notes_console, progress
 from cablebot_gym.utils.files import atomic_write, atomic_write_text, check_writable_dir
@@ -70,7 +68,7 @@ EVALUATIONS = "judged"
 LARGEST = 500_000
 """Largest size of a shipped file [bytes]."""
 
-PAGE, FIGURE = "learned.md", "learned.png"
+PAGE = "learned.md"
 
 _EPISODE_STATE = (
     "_last_obs",
@@ -88,23 +86,12 @@ def main() -> None:
     """Command line; errors exit with status 2, an interrupt with status 130."""
     arguments = _parser().parse_args()
     try:
-        import_matplotlib()
         policies = list(SHIPPED.values())
         if arguments.policy:
             policies = [SHIPPED[choice("learned policy", arguments.policy, SHIPPED)]]
-        pairs = select_pairs(policies, arguments.env_id)
+        pairs = [(policy, env_id) for policy in policies for env_id in policy.env_ids]
         if not arguments.page:
-            ship_all(
-                pairs,
-                seeds=arguments.seeds,
-                runs=arguments.runs,
-                protocol=Protocol(
-                    draws=arguments.draws,
-                    held_out=arguments.held_out,
-                    searched=arguments.searched,
-                ),
-                jobs=arguments.jobs,
-            )
+            ship_all(pairs, seeds=arguments.seeds, runs=arguments.runs, jobs=arguments.jobs)
         write_page()
     except (ValueError, ImportError, OSError, RuntimeError) as error:
         _errors.print(f"error: {error}")
@@ -116,47 +103,12 @@ def main() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
-
-    def add_number(option: str, default: int, text: str) -> None:
-        parser.add_argument(
-            option, type=int, default=default, help=f"{text} (default: %(default)s)"
-        )
-
     parser.add_argument("--policy", help=f"{', '.join(SHIPPED)} (default: all)")
-    parser.add_argument(
-        "--id", dest="env_id", help="environment, such as CableBot-Spatial-v0 (default: all)"
-    )
-    add_number("--seeds", LEAST_SEEDS, "number of training seeds, from 0 on")
-    parser.add_argument(
-        "--runs", type=Path, default=Path("runs"), help="folder of the runs (default: %(default)s)"
-    )
-    add_number("--draws", DRAWS, "fresh draws that confirm a payload under uncertainty")
-    add_number("--held-out", HELD_OUT, "number of held-out motions")
-    add_number("--searched", HELD_OUT, "number of these with a search for the best known payload")
-    add_number("--jobs", 1, "number of parallel trainings or evaluations")
-    parser.add_argument("--page", action="store_true", help="only render page and figure again")
+    parser.add_argument("--seeds", type=int, default=LEAST_SEEDS, help="number of training seeds")
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of the runs")
+    parser.add_argument("--jobs", type=int, default=1, help="parallel trainings or evaluations")
+    parser.add_argument("--page", action="store_true", help="only render the page again")
     return parser
-
-
-def select_pairs(policies: Sequence[Shipped], env_id: str | None) -> list[tuple[Shipped, str]]:
-    """Selects pairs of a policy and an environment.
-
-    Raises:
-        ValueError: if none of the policies is shipped for the environment.
-    """
-    pairs = []
-    for policy in policies:
-        for shipped_id in policy.env_ids:
-            if env_id in (None, shipped_id):
-                pairs.append((policy, shipped_id))
-    if not pairs:
-        available = "; ".join(
-            f"{policy.name} for {', '.join(policy.env_ids)}" for policy in policies
-        )
-        raise ValueError(
-            f"--id {env_id}: no shipped policy for this environment. Available: {available}"
-        )
-    return pairs
 
 
 def ship_all(
@@ -187,11 +139,6 @@ def ship_all(
         raise ValueError(
             f"--seeds must be at least {LEAST_SEEDS} for a meaningful interval, not {seeds}"
         )
-    if protocol.draws < 1 or protocol.held_out < 1 or protocol.searched < 0:
-        text = "--draws and --held-out must be at least 1, --searched at least 0"
-        raise ValueError(
-            f"{text}, not {protocol.draws}, {protocol.held_out} and {protocol.searched}"
-        )
     check_workers(jobs)
     check_writable_dir(runs / EVALUATIONS)
     check_writable_dir(weights)
@@ -204,19 +151,10 @@ def ship_all(
             [run_folder(runs, shipped, env_id, seed) for seed in range(seeds)],
             evaluate=_make_evaluate(stem(shipped.name, env_id), runs, jobs),
             best_known=best_known,
-            command=_command(shipped, env_id, seeds, protocol),
+            command=f"python scripts/train_shipped.py --policy {shipped.name} --seeds {seeds}",
             protocol=protocol,
         )
         _write_files(card, best, weights)
-
-
-def _command(shipped: Shipped, env_id: str, seeds: int, protocol: Protocol) -> str:
-    """Command line that makes a card."""
-    command = f"python scripts/train_shipped.py --policy {shipped.name} --id {env_id}"
-    command += f" --seeds {seeds} --draws {protocol.draws} --held-out {protocol.held_out}"
-    if protocol.searched != HELD_OUT:
-        command += f" --searched {protocol.searched}"
-    return command
 
 
 def run_folder(runs: Path, shipped: Shipped, env_id: str, seed: int) -> Path:
@@ -378,11 +316,10 @@ def sb3_model(best: Path) -> bytes | None:
 
 
 def write_page() -> None:
-    """Updates the best known payloads of all cards, and renders page and figure.
+    """Updates the best known payloads of all cards, and renders the page.
 
     Raises:
         ValueError: if there is no card, or one is damaged.
-        ImportError: if matplotlib is missing.
     """
     cards = read_cards()
     if not cards:
@@ -394,10 +331,8 @@ def write_page() -> None:
         cards[index] = with_best_known(card, best_known)
         if cards[index] != card:
             cards[index].save(WEIGHTS)
-    text, figure = card_markdown(cards), draw_curves(cards)
-    atomic_write_text(DOCS / PAGE, text)
-    atomic_write(DOCS / FIGURE, lambda path: figure.savefig(path, dpi=DPI, format="png"))
-    _errors.print(f"wrote {PAGE} and {FIGURE} from {len(cards)} cards")
+    atomic_write_text(DOCS / PAGE, card_markdown(cards))
+    _errors.print(f"wrote {PAGE} from {len(cards)} cards")
 
 
 if __name__ == "__main__":

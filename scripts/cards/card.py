@@ -12,7 +12,6 @@ from typing import Any
 from cablebot_baselines.learned.runs import rank
 from cablebot_baselines.learned.shipped import SHIPPED, WEIGHTS, stem
 from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
-from cablebot_gym.evaluation.batch import DEFAULT_DRAWS
 from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import TRAINING_SEEDS, find_trajectory
 from cablebot_gym.utils.files import atomic_write_text
@@ -20,12 +19,6 @@ from cards.statistics import iqm, iqm_interval, scores
 
 LEAST_SEEDS = 5
 """Minimum number of training seeds of a card."""
-
-DRAWS = DEFAULT_DRAWS
-"""Number of fresh draws that confirm a payload under an uncertainty."""
-
-PROBABILITY = 0.95
-"""Required success rate under an uncertainty."""
 
 HELD_OUT = 20
 """Number of held-out motions."""
@@ -40,8 +33,6 @@ class Condition:
 
     payload_known: bool = True
     """Whether the policy's model contains the payload."""
-    uncertainty: str | None = None
-    """Name of an uncertainty model, sampled in each draw; None for no uncertainty."""
 
 
 KNOWN, UNKNOWN = Condition(), Condition(payload_known=False)
@@ -126,10 +117,6 @@ class Card:
     """Whether the training used a planner's motions."""
     conditions: tuple[Condition, ...]
     """Conditions of the evaluation."""
-    draws: int
-    """Number of fresh draws that confirm a payload under an uncertainty."""
-    probability: float
-    """Required success rate under an uncertainty."""
     shipped_seed: int
     """Training seed with the median payload in training."""
     sha256: str
@@ -143,7 +130,7 @@ class Card:
     law_payloads: tuple[float | None, ...]
     """DLCC of this law under each condition [kg]."""
     best_known: float | None
-    """Best known payload on the circle without uncertainty [kg]; None if the leaderboard has
+    """Best known payload on the circle [kg]; None if the leaderboard has
     none."""
     seeds: tuple[SeedRun, ...]
     """Training runs, one for each seed."""
@@ -279,7 +266,7 @@ class Summary:
 
 def summarize(payloads: Sequence[float]) -> Summary:
     """Summarises payloads over training seeds [kg]."""
-    low, high = iqm_interval([payloads])
+    low, high = iqm_interval(payloads)
     return Summary(iqm=float(iqm(payloads)), low=low, high=high, median=median(payloads))
 
 

@@ -25,10 +25,8 @@ from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import held_out_seeds
 from cards.card import (
     CONDITIONS,
-    DRAWS,
     HELD_OUT,
     KNOWN,
-    PROBABILITY,
     Card,
     Condition,
     HeldOut,
@@ -54,8 +52,6 @@ def reference_law(env_id: str) -> str:
 class Protocol:
     """Sizes of the evaluation of a card."""
 
-    draws: int = DRAWS
-    """Number of fresh draws that confirm a payload under an uncertainty."""
     held_out: int = HELD_OUT
     """Number of held-out motions."""
     searched: int = HELD_OUT
@@ -126,7 +122,7 @@ def make_card(
     base = runs[0].parent / f"{stem(shipped.name, env_id)}-base.zip"
     bundle.base_alone.save(base)
     laws = (str(base), reference_law(env_id))
-    card = _evaluated_card(shipped, bundle, policies, laws, records, evaluate, protocol)
+    card = _evaluated_card(shipped, bundle, policies, laws, records, evaluate)
     card = _with_held_out(replace(card, command=command), policies, protocol.held_out, evaluate)
     if protocol.searched and has_loops(card.motions):
         count = min(protocol.searched, protocol.held_out)
@@ -141,7 +137,6 @@ def _evaluated_card(
     laws: tuple[str, str],
     records: Sequence[Mapping[str, Any]],
     evaluate: Evaluate,
-    protocol: Protocol,
 ) -> Card:
     """The card without held-out motions, best known payloads and command.
 
@@ -152,12 +147,11 @@ def _evaluated_card(
         laws: the base law alone and the reference law.
         records: training records of the runs.
         evaluate: function that computes cells.
-        protocol: sizes of the evaluation.
     """
     env_id = bundle.env_id
     law = laws[1]
     conditions = CONDITIONS[shipped.name]
-    cells = [_cell(law, env_id, condition, protocol) for condition in conditions]
+    cells = [_cell(law, env_id, condition) for condition in conditions]
     names = [*map(str, policies.values()), *laws]
     *payloads, base_payloads, law_payloads = _payload_rows(names, cells, evaluate)
     seed_runs = tuple(map(_seed_run, records, payloads))
@@ -178,8 +172,6 @@ def _evaluated_card(
         dwell=min(record["dwell"] for record in records),
         loop_durations=loop_durations(env_id),
         conditions=conditions,
-        draws=protocol.draws,
-        probability=PROBABILITY,
         shipped_seed=shipped_seed,
         sha256=hashlib.sha256(policies[shipped_seed].read_bytes()).hexdigest(),
         base_in_training=records[0]["base_payload_kg"],
@@ -289,20 +281,12 @@ def _loop(env_id: str, seed: int | Sequence[int]) -> dict[str, Any]:
     return {"name": f"loop-{find_robot(env_robot(env_id)).kind}", "seed": seed}
 
 
-def _cell(
-    policy: str,
-    env_id: str,
-    condition: Condition,
-    protocol: Protocol = STANDARD,
-) -> PolicyCell:
+def _cell(policy: str, env_id: str, condition: Condition) -> PolicyCell:
     return PolicyCell(
         env_id=env_id,
         trajectory={"name": _default_motion(env_id)},
         policy=policy,
         payload_known=condition.payload_known,
-        uncertainty=condition.uncertainty,
-        draws=protocol.draws if condition.uncertainty else 1,
-        probability=PROBABILITY,
     )
 
 

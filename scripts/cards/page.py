@@ -7,14 +7,11 @@ from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
 
-import numpy as np
-
 from cablebot_baselines.learned.shipped import SHIPPED, short_id
-from cablebot_gym.benchmark.scores import Column
-from cablebot_gym.benchmark.tables import heading
+from cablebot_gym.task import payload_model_text
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
-from cards.card import Card, Condition, SeedRun, Summary, has_loops, summarize
-from cards.statistics import CONFIDENCE, RESAMPLES, iqm, iqm_interval, scores
+from cards.card import Card, SeedRun, Summary, has_loops, summarize
+from cards.statistics import CONFIDENCE, RESAMPLES, scores
 
 _HEAD = """# Learned policies
 
@@ -28,14 +25,12 @@ that the law realises. Each policy was trained with several seeds, and the table
 is the one with the median payload in training, so that it is typical and not the luckiest.
 
 * Payloads are dynamic load carrying capacities (DLCC) in kg on the circle between dwells by the task criterion, as on
-  the [leaderboard](../LEADERBOARD.md){drawn}.
-  A policy that fails unloaded counts as 0.
+  the [leaderboard](../LEADERBOARD.md). A policy that fails unloaded counts as 0.
 * IQM is the interquartile mean over the training seeds. The brackets contain its {confidence:.0%} interval from
-  {resamples} resamples of a stratified bootstrap; the strata are the environments.
+  {resamples} resamples of a bootstrap.
 * "base alone" is the base law without the network. "law" is one of the laws in
   `baselines/cablebot_baselines/classical/`.
-* The best known payload is that of the leaderboard without uncertainty. It is a lower bound of the largest possible
-  payload.
+* The best known payload is that of the leaderboard. It is a lower bound of the largest possible payload.
 * Held-out motions have seeds from {held_out} on. They were not used in training or to select a seed or a round. The
   first column counts the motions on which the policy has a larger DLCC than the law, both under the first condition.
   The second column is the median fraction of the best known payload, and the number of motions with one. For policies
@@ -72,15 +67,7 @@ def card_markdown(cards: Sequence[Card]) -> str:
     Args:
         cards: cards in the order of the page, at least one.
     """
-    drawn = ""
-    for card in cards:
-        conditions = [condition for condition in card.conditions if condition.uncertainty]
-        if conditions:
-            names = dict.fromkeys(f"`{condition.uncertainty}`" for condition in conditions)
-            drawn = f".\n  Under {', '.join(names)} they are lower tolerance bounds: with 95% "
-            drawn += f"confidence,\n  {card.probability:.0%} of the episodes succeed, by {card.draws} fresh draws"
     text = _HEAD.format(
-        drawn=drawn,
         confidence=CONFIDENCE,
         resamples=RESAMPLES,
         held_out=FIRST_HELD_OUT_SEED,
@@ -90,7 +77,6 @@ def card_markdown(cards: Sequence[Card]) -> str:
     for card in cards:
         rows += _rows(card)
     text += _table(rows, left_columns=3)
-    text += "\n![Payload versus wall time during training](learned.png)\n"
     for name in dict.fromkeys(card.policy for card in cards):
         text += _section([card for card in cards if card.policy == name])
     return text
@@ -122,12 +108,12 @@ def _rows(card: Card) -> list[list[str]]:
         summary = card.summary(index)
         rows.append(
             [
-                _title(card, condition),
+                payload_model_text(condition.payload_known),
                 count,
                 *_iqm_cells(summary),
                 _kg(card.base_payloads[index]),
                 f"`{card.law}` {_kg(card.law_payloads[index])}",
-                _of_best_known(card, condition, summary),
+                _of_best_known(card, summary),
             ]
         )
     time = _time(median(run.wall_s for run in card.seeds))
@@ -135,9 +121,8 @@ def _rows(card: Card) -> list[list[str]]:
     return [named, *(["", "", *row, "", "", ""] for row in rows[1:])]
 
 
-def _of_best_known(card: Card, condition: Condition, summary: Summary) -> str:
-    """No fraction under uncertainty: the best known payload is that of the nominal robot."""
-    if condition.uncertainty or not card.best_known:
+def _of_best_known(card: Card, summary: Summary) -> str:
+    if not card.best_known:
         return "–"
     return f"{summary.iqm / card.best_known:.0%} of {card.best_known:.2f}"
 
@@ -171,17 +156,6 @@ def _section(cards: Sequence[Card]) -> str:
     name = cards[0].policy
     text = f"\n## `{name}`\n\n{_sentence(SHIPPED[name].summary)}.\n\n```sh\n"
     text += "".join(f"{card.command}\n" for card in cards) + "```\n"
-    fractions = []
-    for card in cards:
-        if card.best_known:
-            fractions.append(np.array(card.payloads(0)) / card.best_known)
-    if 1 < len(fractions) == len(cards):
-        low, high = iqm_interval(fractions)
-        mean = float(iqm(np.concatenate(fractions)))
-        condition = _title(cards[0], cards[0].conditions[0])
-        text += f"\nOver its {len(cards)} environments ({condition}), "
-        text += "the IQM of the fraction of the best known payload "
-        text += f"is {mean:.1%} [{low:.1%}, {high:.1%}].\n"
     return text + "".join(map(_details, cards))
 
 
@@ -205,7 +179,7 @@ def _details(card: Card) -> str:
         text += "training. Its inputs are the features, normalised with the bundle's `mean` and `scale` and clipped at "
         text += "±10.\n"
     text += f"* Versions: {'; '.join(versions)}\n\n"
-    conditions = [_title(card, condition) for condition in card.conditions]
+    conditions = [payload_model_text(condition.payload_known) for condition in card.conditions]
     rows = [["seed", "steps", "wall time", "in training", *conditions, "held-out", ""]]
     for run in card.seeds:
         numbers = [_kg(run.in_training), *map(_kg, run.payloads), _held_out(card, run)]
@@ -237,19 +211,6 @@ def _trained_on(card: Card) -> str:
             motion = json.dumps(motion)
         words.append(f"`{motion}`")
     return ", ".join(words)
-
-
-def _title(card: Card, condition: Condition) -> str:
-    return heading(
-        Column(
-            motion="",
-            payload_known=condition.payload_known,
-            model_payload_factor=1.0,
-            uncertainty=condition.uncertainty,
-            criterion="task",
-            draws=card.draws if condition.uncertainty else 1,
-        ),
-    )
 
 
 def _kg(payload: float | None) -> str:

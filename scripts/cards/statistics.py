@@ -25,26 +25,19 @@ def iqm(values: ArrayLike) -> Array:
     return mean
 
 
-def iqm_interval(
-    strata: Sequence[ArrayLike], *, confidence: float = CONFIDENCE
-) -> tuple[float, float]:
-    """Percentile bootstrap interval (low, high) of the interquartile mean over all values.
+def iqm_interval(values: ArrayLike, *, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Percentile bootstrap interval (low, high) of the interquartile mean.
 
     Args:
-        strata: values of each task, (seeds,); resampling is within each task.
+        values: values, (seeds,).
         confidence: confidence level.
     """
-    drawn = []
-    for stratum_index, values in enumerate(np.asarray(stratum, float) for stratum in strata):
-        # NumPy guarantees reproducibility across versions for raw bits only.
-        bits = np.random.Philox(np.random.SeedSequence([0, stratum_index])).random_raw(
-            RESAMPLES * len(values)
-        )
-        index = ((bits >> np.uint64(11)) * 2.0**-53 * len(values)).astype(int)
-        drawn.append(values[index.reshape(RESAMPLES, len(values))])
-    ends = np.quantile(
-        iqm(np.concatenate(drawn, axis=1)), [(1 - confidence) / 2, (1 + confidence) / 2]
-    )
+    values = np.asarray(values, float)
+    # NumPy guarantees reproducibility across versions for raw bits only.
+    bits = np.random.Philox(np.random.SeedSequence([0, 0])).random_raw(RESAMPLES * len(values))
+    index = ((bits >> np.uint64(11)) * 2.0**-53 * len(values)).astype(int)
+    resampled = values[index.reshape(RESAMPLES, len(values))]
+    ends = np.quantile(iqm(resampled), [(1 - confidence) / 2, (1 + confidence) / 2])
     return float(ends[0]), float(ends[1])
 
 
