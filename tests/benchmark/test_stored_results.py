@@ -16,7 +16,7 @@ from cablebot_gym.policies import policy_entries
 from cablebot_gym.report.page import merge_records
 
 ROOT = Path(__file__).parents[2]
-LATER = {"adaptive", "nmpc", "observing", "planner", "trajopt"}
+LATER = {"adaptive", "nmpc", "observing", "trajopt"}
 """Policies that were computed after the board, and on its main table only."""
 
 
@@ -123,7 +123,6 @@ def test_best_known_payload_is_reproduced(results):
 
 
 OTHERS = {
-    "learned.md",
     "attacks.md",
     "changelog.md",
     "motions.md",

@@ -27,7 +27,6 @@ PAGES = (
         "policies",
         "dlcc",
         "leaderboard",
-        "learned",
         "errata",
         "commands",
     ),
@@ -116,7 +115,7 @@ def test_code_fits_on_a_laptop(opened, page):
     assert opened(f"{page}.html").eval_on_selector_all("article pre", wide) == []
 
 
-@pytest.mark.parametrize("page", ["dlcc", "reproduction", "learned", "index"])
+@pytest.mark.parametrize("page", ["dlcc", "reproduction", "index"])
 def test_figures_follow_the_theme(opened, page):
     filters = "all => [...new Set(all.map(one => getComputedStyle(one).filter))]"
     light = opened(f"{page}.html", scheme="light").eval_on_selector_all("article img", filters)
