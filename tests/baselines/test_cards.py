@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cards.card import Card
-from cards.making import Protocol, base_text, make_card, with_best_known
+from cards.making import base_text, make_card, with_best_known
 from cards.page import card_markdown
 from cards.statistics import iqm, iqm_interval, median_seed
 from shipping import (
@@ -17,13 +17,12 @@ from shipping import (
     PLANNER,
     save_run,
     ship,
-    survey_result,
 )
 
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.runs import BEST
-from cablebot_gym.benchmark.cells import BestKnownCell, SurveyCell
-from cablebot_gym.benchmark.records import Record
+from cablebot_gym.benchmark import engine
+from cablebot_gym.benchmark.cells import BestKnownCell
 from cablebot_gym.envs import env_robot
 from cablebot_gym.robots import find_robot
 
@@ -56,10 +55,13 @@ def test_card_and_weights_are_those_of_the_median_seed(runs, computed, tmp_path)
     assert card.best_known == 2.875
     mean = (2.0 + 2.4 + 2.6) / 3  # failing unloaded counts as 0
     assert card.summary(0).iqm == pytest.approx(mean)
-    loops = [(loop.seed, loop.law_payload, loop.best_known) for loop in card.held_out]
-    assert loops == [(10_000 + index, 2.0, 4.0) for index in range(3)] + [(10_003, 2.0, None)]
-    assert card.seeds[1].held_out == (None,) * 4
-    assert card.seeds[4].held_out == (1.6, 3.6, 1.6, 3.6)
+    assert [loop.seed for loop in card.held_out] == list(range(10_000, 10_007))
+    # The law carries 2 kg on the fifth; the next search is not verified; the last is not searched.
+    best_known = [loop.best_known for loop in card.held_out]
+    assert best_known == [4.0, 4.0, 4.0, 5.0, 2.0, None, None]
+    assert with_best_known(card, BEST_KNOWN) == card
+    assert card.seeds[1].held_out == (None,) * 7
+    assert card.seeds[4].held_out[:4] == (1.6, 3.6, 1.6, 3.6)
     shipped = (weights / "planner-planar.zip").read_bytes()
     assert card.shipped_seed == 4
     assert shipped == (runs / "planner-planar-4" / BEST).read_bytes()
@@ -68,52 +70,19 @@ def test_card_and_weights_are_those_of_the_median_seed(runs, computed, tmp_path)
     assert Card.from_json(text).to_json() == text == card.to_json()
 
 
-SEARCHED = {10_003: (2.0, True), 10_004: (5.0, True), 10_005: (6.0, False)}
-"""Payload that the search finds for the loop of each seed [kg], and whether it is verified."""
-
-
-def test_best_known_payloads_of_held_out_loops_are_searched(runs):
-    folders = sorted(runs.iterdir())
-    seeds = []
-
-    def record(cell):
-        result = {"payload": 4.0}
-        is_final = isinstance(cell, BestKnownCell)
-        if is_final:
-            seed = cell.trajectory["seed"]
-            seeds.append(seed)
-            payload, verified = SEARCHED[seed]
-            result = {"payload": payload, "verified": verified, "found": True}
-        elif isinstance(cell, SurveyCell):
-            result = survey_result([4.0] * len(cell.parts))
-        return Record(cell=cell, source="", versions={}, result=result, seconds=0.0, final=is_final)
-
-    def make(count):
-        seeds.clear()
-        card, _ = make_card(
-            PLANNER,
-            PLANAR_ID,
-            folders,
-            evaluate=lambda cells: [record(cell) for cell in cells.values()],
-            best_known=BEST_KNOWN,
-            command="",
-            protocol=Protocol(held_out=6, searched=count),
-        )
-        return card
-
-    card = make(6)
-    assert seeds == [10_003, 10_004, 10_005]
-    # The policies carry 4 kg on the fourth; the search of the last is not verified.
-    assert [loop.best_known for loop in card.held_out[3:]] == [4.0, 5.0, None]
-    assert with_best_known(card, BEST_KNOWN) == card
-    assert make(4).held_out[4].best_known is None
-    assert seeds == [10_003]
-    seeds.clear()
+def test_policy_for_the_circle_is_evaluated_on_other_motions_with_its_shipped_seed(runs, computed):
     circle = {"motions": {"named": ["circle-planar"]}}
     folders = [save_run(runs / f"circle-{seed}", seed, config=circle) for seed in range(5)]
-    card = make(6)  # for the circle alone
-    assert not seeds
+    card, _ = make_card(
+        PLANNER,
+        PLANAR_ID,
+        folders,
+        evaluate=lambda cells: [engine.compute(cell) for cell in cells.values()],
+        best_known=BEST_KNOWN,
+        command="",
+    )
     assert card.evaluated_runs == [card.shipped]
+    assert not any(isinstance(cell, BestKnownCell) for cell in computed)
 
 
 @pytest.mark.parametrize(("env_id", "law"), [(PLANAR_ID, "fl"), (FLEX_PLANAR_ID, "motor-pd")])

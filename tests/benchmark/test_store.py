@@ -71,6 +71,13 @@ def test_results_of_other_code_are_kept_and_not_used(store, messages, tmp_path):
     assert messages == []
 
 
+def test_renamed_record_of_other_code_is_not_used(store, tmp_path):
+    store.add(record())
+    (path,) = files(tmp_path)
+    path.write_text(path.read_text().replace(CELL.source, "a" * 16))
+    assert store.find(CELL) is None
+
+
 # --- runs -------------------------------------------------------------------------------------------------------------
 
 
@@ -91,22 +98,6 @@ def run(store, outcomes=None, cells=(CELL, OTHER), progress=lambda *step: None):
             yield key, outcome
 
     return run_cells({cell.key: cell for cell in cells}, store, backend, progress, print), computed
-
-
-def test_finished_cells_are_not_computed_again(store):
-    steps = []
-    records, computed = run(store)
-    assert computed == [CELL, OTHER]
-    records_again, computed = run(store, progress=lambda *step: steps.append(step))
-    assert computed == []
-    assert steps == [(2, 2)]
-    assert [record.result for record in records_again] == [record.result for record in records]
-
-
-def test_interrupt_keeps_finished_cells(store):
-    with pytest.raises(KeyboardInterrupt):
-        run(store, {"robust": KeyboardInterrupt()})
-    assert run(store)[1] == [OTHER]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, SurveyCell
 from cablebot_gym.benchmark.check import compare_rows
 from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.records import compute
-from cablebot_gym.benchmark.scores import RANKED_MOTIONS, leaderboards, payload_maps
+from cablebot_gym.benchmark.scores import RANKED_MOTIONS, leaderboards
 from cablebot_gym.benchmark.seeds import evaluation_seed, hidden_seeds
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.report.page import merge_records
@@ -72,11 +72,10 @@ def test_report_has_the_fractions_of_the_leaderboard(results):
     assert fractions(merge_records([stored])) == fractions(stored.records)
 
 
-def test_leaderboards_and_maps_leave_out_real_robots(results):
+def test_leaderboards_leave_out_real_robots(results):
     """Cells of one environment id and motion once were motions of one robot."""
     records = results["library"].records
     assert leaderboards(records) == []
-    assert payload_maps(records) == []
 
 
 def test_seeds_of_the_leaderboard_follow_from_its_text(results):

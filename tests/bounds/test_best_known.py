@@ -12,7 +12,7 @@ from oracles.collocation import largest_payload
 from cablebot_gym.bounds import best_known, exact_payload
 from cablebot_gym.bounds.best_known import cached_best_known, find_best_known
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.planning import Infeasible, MotionProgram
+from cablebot_gym.planning import Infeasible, Margins, MotionProgram
 from cablebot_gym.planning.motion import RIGID_DEGREE
 from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, Motors
@@ -83,6 +83,14 @@ def test_replay_verifies_the_actions(line):
 
 
 @pytest.mark.usefixtures("quick")
+def test_best_known_total_mass_is_that_of_a_heavier_robot(line):
+    robot = PLANAR.replace(mass=PLANAR.mass + 0.5)
+    heavier = find_best_known(PLANAR_ID, robot=robot, trajectory=LINE, cache=False)
+    assert heavier.payload == pytest.approx(line.payload - 0.5, rel=0.01)
+    assert heavier.total_mass == pytest.approx(line.total_mass, rel=0.01)
+
+
+@pytest.mark.usefixtures("quick")
 def test_best_known_payload_keeps_the_maximum_tension(line):
     robot = PLANAR.replace(maximum_tension=20.0)
     limited = find_best_known(PLANAR_ID, robot=robot, trajectory=LINE, cache=False)
@@ -91,6 +99,19 @@ def test_best_known_payload_keeps_the_maximum_tension(line):
     verdict = replay(limited.payload, limited.actions, robot=robot)
     assert verdict.carried
     assert verdict.largest_tension > 19.0
+
+
+@pytest.mark.parametrize("failed", [0, 1])
+def test_each_replay_has_to_verify(monkeypatch, line, failed):
+    """The best motion is returned, as not verified, if none passes the replays."""
+    replays = list(line.replays)
+    replays[failed] = dataclasses.replace(replays[failed], violation="cable 1 is slack")
+    found = best_known._Verified(
+        motion=line.motion, actions=line.actions, margins=Margins(), replays=tuple(replays)
+    )
+    monkeypatch.setattr(best_known._Case, "_refine", lambda *_: ([(20, line.motion)], None))
+    monkeypatch.setattr(best_known._Case, "_verify", lambda *_: found)
+    assert not best_known._case(PLANAR_ID, trajectory=LINE).solve(lambda _: None).verified
 
 
 def test_replay_has_to_hold_at_finer_steps_too(monkeypatch, line):

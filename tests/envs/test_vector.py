@@ -287,6 +287,17 @@ def test_each_environment_is_truncated_after_its_motion():
     assert np.flatnonzero(ends[:, 1]).tolist() == [19, 25]
 
 
+def test_reset_mask_keeps_the_automatic_resets_of_others():
+    env = make_vector(PLANAR, 2, autoreset_mode="NextStep", max_episode_steps=2)
+    env.reset(seed=0)
+    actions = np.full((2, 3), 0.1)
+    env.step(actions)
+    assert env.step(actions)[3].all()
+    env.reset(options={"reset_mask": np.array([True, False])})
+    ends = [env.step(actions)[3].tolist() for _ in range(3)]
+    assert ends == [[False, False], [True, False], [False, True]]
+
+
 # --- for other libraries ------------------------------------------------------------------------------------------
 
 

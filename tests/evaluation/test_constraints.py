@@ -285,12 +285,14 @@ def test_judge_reads_the_task_only_at_the_reset():
 
 
 def test_bounds_of_the_reset_option_reach_the_monitor():
+    """In its episode only, which also leaves no violation to the next one."""
     env = DLCCMonitor(gym.make(IDS["planar"]))
     short = {"trajectory": {"name": "line-planar", "duration": 0.4, "dwell": 0.0}}
     narrow = {"error_bounds": {"position": 1e-5}}
     for options, carried in ((narrow, False), ({}, True)):
         verdict = play(env, FeedbackLinearization(PLANAR), short | options)
         assert verdict.carried is carried
+        assert (verdict.violation is None) is carried
 
 
 @pytest.mark.parametrize(("kind", "criterion"), [("planar", "task"), ("spatial", "paper")])

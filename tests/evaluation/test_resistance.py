@@ -2,6 +2,7 @@
 themselves."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,11 +14,14 @@ from numpy.testing import assert_array_equal
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.evaluation import PolicyError, batch, evaluate_dlcc, time_actions, timing
 from cablebot_gym.evaluation.batch import ALONE, RISK, STOCHASTIC_ALONE, Batch
+from cablebot_gym.evaluation.constraints import Verdict, Violation
+from cablebot_gym.evaluation.repetition import first_difference
 from cablebot_gym.evaluation.search import FINER, REPEATED_DRAWS, SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.robots import SPATIAL
+from cablebot_gym.task import ErrorBounds
 
 SPATIAL_ID = "CableBot-Spatial-v0"
 HANG = {"name": "dwell-spatial", "duration": 0.05}
@@ -116,6 +120,37 @@ class Counts(Law):
 def test_policy_that_acts_differently_in_the_repeated_batch_raises():
     with pytest.raises(PolicyError, match="depends on the other"):
         evaluated(Counts(), uncertainty="sensors", draws=60)
+
+
+CARRIED = Verdict(
+    carried=True,
+    violation=None,
+    payload=1.0,
+    peak_action=(0.5, 0.5),
+    position_peak=0.005,
+    rotation_peak=0.01,
+    least_tension=5.0,
+    largest_tension=20.0,
+)
+SLACK = replace(
+    CARRIED, carried=False, violation=Violation(kind="slack", index=1, time=0.1, excess=None)
+)
+
+
+@pytest.mark.parametrize(
+    ("original", "change"),
+    [
+        (CARRIED, {"position_peak": 0.00501}),
+        (CARRIED, {"rotation_peak": 0.0101}),
+        (CARRIED, {"peak_action": (0.5, 0.501)}),
+        (SLACK, {"violation": replace(SLACK.violation, time=0.102)}),
+    ],
+)
+def test_repetition_with_another_value_is_a_difference(original, change):
+    """Excludes a comparison of one motor only, or of kinds of violations without their times."""
+    bounds = ErrorBounds(position=0.01, rotation=0.02)
+    assert first_difference([original], [original], bounds) is None
+    assert first_difference([original], [replace(original, **change)], bounds) is not None
 
 
 # --- one process ------------------------------------------------------------------------------------------------------

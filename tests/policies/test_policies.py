@@ -4,6 +4,7 @@ import signal
 import sys
 import zipfile
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import gymnasium as gym
@@ -33,6 +34,7 @@ from cablebot_gym.policies import (
 )
 from cablebot_gym.policies.adapters import CallablePolicy
 from cablebot_gym.policies.protocol import BatchItemError, reset_policy
+from cablebot_gym.policies.spec import ESTIMATOR_ENTRY_POINT_GROUP
 from cablebot_gym.robots import PLANAR, ROBOTS, SPATIAL, find_robot
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -53,8 +55,8 @@ class Point:
 
     value, dist = "other:load", SimpleNamespace(name="other")
 
-    def __init__(self, entry):
-        self.name = getattr(entry, "name", "other")
+    def __init__(self, entry, name="other"):
+        self.name = getattr(entry, "name", name)
         self.load = lambda: entry
 
 
@@ -220,6 +222,19 @@ def test_options_of_a_name_are_arguments_of_the_law(name, gains, minimum_tension
 def test_invalid_option_raises_with_the_valid_ones(name, message):
     with pytest.raises(ValueError, match=message):
         load_policy(name, PLANAR)
+
+
+def test_first_estimator_is_in_front_of_the_second(points):
+    class Behind(Constant):
+        def __init__(self, name, robot, policy):
+            super().__init__(robot)
+            self.order = [name, *getattr(policy, "order", [])]
+
+    def point(name):
+        return Point(partial(Behind, name), name)
+
+    points[ESTIMATOR_ENTRY_POINT_GROUP] = [point("first"), point("second")]
+    assert load_policy("first+second+fl", PLANAR).order == ["first", "second"]
 
 
 def test_entry_that_is_named_by_its_module_refuses_other_kinds_of_robots():
