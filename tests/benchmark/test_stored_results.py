@@ -90,7 +90,7 @@ def test_seeds_of_the_leaderboard_follow_from_its_text(results):
         assert list(motions) == seeds
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("index", range(10))
 def test_cheapest_payloads_of_the_leaderboard_are_reproduced(results, index):
     carried = [
@@ -104,7 +104,7 @@ def test_cheapest_payloads_of_the_leaderboard_are_reproduced(results, index):
     assert result["payload"] == pytest.approx(stored["payload"], abs=stored["resolution"])
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_best_known_payload_is_reproduced(results):
     for record in records_of(results["leaderboard"], BestKnownCell):
         cell = record.cell
