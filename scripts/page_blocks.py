@@ -1,4 +1,5 @@
-"""Writes the blocks of the hand-written pages that come from the code or from stored results.
+"""Writes LEADERBOARD.md, and the blocks of the hand-written pages that come from the code or from
+stored results.
 
 A block stands between two comments, so that the page is plain Markdown, on the site and on a forge:
 
@@ -30,6 +31,7 @@ from cablebot_gym.benchmark.leaderboard import (
     Results,
     errors_text,
     library_tables,
+    markdown,
     origins_text,
 )
 from cablebot_gym.benchmark.scores import Leaderboard, best_known_payloads, leaderboards
@@ -221,8 +223,10 @@ def blocks(text: str) -> dict[str, str]:
 
 
 def main() -> None:
-    """Writes the blocks of all pages."""
+    """Writes the leaderboard and the blocks of all pages."""
     argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0]).parse_args()
+    leaderboard = markdown(stored("leaderboard"))
+    (ROOT / "LEADERBOARD.md").write_text(leaderboard, encoding="utf-8")
     for page in PAGES:
         path = ROOT / page
         text = path.read_text(encoding="utf-8")

@@ -80,7 +80,7 @@ def check_commands() -> None:
     program = Path(sys.executable).with_name("cablebot")
     for arguments in (
         ("--help",),
-        ("list", "--json"),
+        ("list",),
         *((name, "--help") for name in names[:2]),
         ("unknown",),
     ):

@@ -14,7 +14,6 @@ from rich.markdown import Markdown
 
 from cablebot_gym.benchmark import tables
 from cablebot_gym.benchmark.cells import PolicyCell, canonical
-from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.ranking import CONFIDENCE
 from cablebot_gym.benchmark.records import Record, record_from_dict
 from cablebot_gym.benchmark.scores import (
@@ -24,7 +23,6 @@ from cablebot_gym.benchmark.scores import (
     best_known_payloads,
     error_tables,
     leaderboards,
-    payload_maps,
     scores,
 )
 from cablebot_gym.benchmark.suites import find_suite
@@ -114,8 +112,7 @@ class Results:
 
 
 def markdown(results: Results) -> str:
-    """The leaderboard page: a table for each environment, payload maps, best known payloads and
-    notes."""
+    """The leaderboard page: a table for each environment, best known payloads and notes."""
     records = results.records
     boards = leaderboards(records)
     main = [board for board in boards if board.is_main]
@@ -134,7 +131,6 @@ def markdown(results: Results) -> str:
     if library:
         text += "\n## Real robots\n\n"
         text += f"Each robot has its own motion, error bounds and payload range.\n\n{library}"
-    text += _maps_text(records)
     text += errors_text(records, "##")
     if not main:
         references = best_known_payloads(records).values()
@@ -218,16 +214,6 @@ def _absent_text(main: Sequence[Leaderboard], second: Sequence[Leaderboard]) -> 
     return f"\nNot evaluated here: {_codes(sorted(names))}.\n"
 
 
-def _maps_text(records: Sequence[Record]) -> str:
-    text = ""
-    for payload_map in payload_maps(records):
-        text += f"\n## {tables.map_title(payload_map)}\n\n{_table(tables.map_rows(payload_map))}"
-        note = tables.map_note(payload_map)
-        if note:
-            text += f"\n{note}\n"
-    return text
-
-
 def errors_text(records: Sequence[Record], heading: str) -> str:
     """The error tables under headings of a level, such as ``##``."""
     text = ""
@@ -253,7 +239,7 @@ def _notes_text(records: Sequence[Record], boards: Sequence[Leaderboard]) -> str
 def _definitions(records: Sequence[Record]) -> str:
     """Definitions with the error bounds and the probability of the records."""
     cells = [score.cell for score in scores(records)]
-    standard = [cell for cell in cells if cell.robot_name is None and not varied_fields(cell)]
+    standard = [cell for cell in cells if cell.robot_name is None]
     cells = standard or cells[:1]
     path = files("cablebot_gym.benchmark") / "leaderboard_definitions.md"
     return path.read_text(encoding="utf-8").format(

@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, canonical
-from cablebot_gym.benchmark.maps import AXES, Axis, varied_fields
 from cablebot_gym.benchmark.ranking import Fraction, fraction, ranks
 from cablebot_gym.benchmark.records import Record, single_records
 from cablebot_gym.benchmark.yardstick import Yardstick, yardsticks
 from cablebot_gym.kinematics import Array
-from cablebot_gym.task import payload_model_text
 from cablebot_gym.uncertainty import ERROR_SEPARATOR
 
 RANKED_MOTIONS = 20
@@ -187,14 +185,13 @@ class Leaderboard:
 
 def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
     """The tables in the order of the records, first the main table of an environment. Cells with
-    varied parameters, which belong to maps, cells with one error alone, and cells of other robots
-    than those of the environments are omitted.
+    one error alone, and cells of other robots than those of the environments are omitted.
     """
     groups: dict[str, dict[bool, list[Score]]] = {}
     for score in scores(records):
         cell = score.cell
         is_one_error = ERROR_SEPARATOR in (cell.uncertainty or "")
-        if cell.robot_name is None and not is_one_error and not varied_fields(cell):
+        if cell.robot_name is None and not is_one_error:
             tables = groups.setdefault(cell.env_id, {True: [], False: []})
             tables[Column.of(cell).is_main].append(score)
     timings: dict[str, dict[str, Mapping[str, Any]]] = {}
@@ -241,8 +238,7 @@ def error_tables(records: Sequence[Record]) -> list[ErrorTable]:
     of which there is an error alone."""
     singles = []
     for score in scores(records):
-        is_task = score.cell.robot_name is None and score.cell.criterion == "task"
-        if is_task and not varied_fields(score.cell):
+        if score.cell.robot_name is None and score.cell.criterion == "task":
             singles.append(score)
     groups: dict[tuple[str, str, bool, str], dict[str, dict[str, Score]]] = {}
     for score in singles:
@@ -281,94 +277,6 @@ def error_tables(records: Sequence[Record]) -> list[ErrorTable]:
 def _place(cell: PolicyCell) -> tuple[str, str, bool]:
     """Environment, motion and whether the payload is known."""
     return cell.env_id, canonical(dict(cell.trajectory)), cell.payload_known
-
-
-@dataclass(frozen=True, kw_only=True)
-class PayloadMap:
-    """DLCC of policies on one motion of one environment with known payload, as a function of one
-    task parameter."""
-
-    env_id: str
-    """Environment id."""
-    motion: str
-    """Name of the motion."""
-    axis: Axis
-    """Varied parameter."""
-    constants: tuple[str, ...]
-    """Labels and values of other varied parameters, which are constant in the map."""
-    values: tuple[float, ...]
-    """Values of the parameter, SI, ascending."""
-    best_known: tuple[float | None, ...]
-    """Best known payload at each value [kg]; None where there is none."""
-    policies: Mapping[str, tuple[Score | None, ...]]
-    """Scores by policy, one for each value; None where the policy was not evaluated."""
-
-
-def payload_maps(records: Sequence[Record]) -> list[PayloadMap]:
-    """The maps of the records: one for each environment, axis and set of constants with at least
-    one varied cell."""
-    groups: dict[str, dict[tuple[Axis, str, tuple[str, ...]], list[Score]]] = {}
-    for score in scores(records):
-        if _is_on_maps(score.cell):
-            maps = groups.setdefault(score.cell.env_id, {})
-            motion = str(score.cell.trajectory["name"])
-            for axis in AXES.values():
-                constants = axis.constants(score.cell)
-                if constants is not None:
-                    maps.setdefault((axis, motion, constants), []).append(score)
-    references = best_known_payloads(records)
-    order = list(AXES.values())
-    payload_maps = []
-    for env_id, maps in groups.items():
-        for key in sorted(maps, key=lambda key: order.index(key[0])):
-            axis, motion, constants = key
-            group = maps[key]
-            if any(axis.varies(score.cell) for score in group):
-                payload_maps.append(_map(env_id, motion, axis, constants, group, references))
-    return payload_maps
-
-
-def _is_on_maps(cell: PolicyCell) -> bool:
-    """Whether a cell has the conditions of the maps: known payload, no uncertainty, task
-    criterion."""
-    is_nominal = cell.uncertainty is None and cell.criterion == "task"
-    is_known = cell.payload_model == payload_model_text(True)
-    return cell.robot_name is None and is_nominal and is_known
-
-
-def _map(
-    env_id: str,
-    motion: str,
-    axis: Axis,
-    constants: tuple[str, ...],
-    group: Sequence[Score],
-    references: Mapping[str, BestKnown],
-) -> PayloadMap:
-    group = sorted(group, key=lambda score: axis.varies(score.cell))
-    by_value: dict[float, dict[str, Score]] = {}
-    names: dict[str, bool] = {}
-    for score in group:
-        cell = score.cell
-        by_value.setdefault(axis.value(cell), {})[cell.policy] = score
-        names[cell.policy] = names.get(cell.policy, False) or axis.varies(cell)
-    values = tuple(sorted(by_value))
-    best_known = []
-    for value in values:
-        any_score = next(iter(by_value[value].values()))
-        best_known.append(_best_known_payload(any_score.cell, references))
-    policies = {}
-    for name, is_varied in names.items():
-        if is_varied:
-            policies[name] = tuple(by_value[value].get(name) for value in values)
-    return PayloadMap(
-        env_id=env_id,
-        motion=motion,
-        axis=axis,
-        constants=constants,
-        values=values,
-        best_known=tuple(best_known),
-        policies=policies,
-    )
 
 
 def _leaderboard(

@@ -19,11 +19,10 @@ from cablebot_gym.benchmark.cells import (
     TimingCell,
     merged,
 )
-from cablebot_gym.benchmark.maps import AXES, AnyCell
 from cablebot_gym.benchmark.scores import RANKED_MOTIONS
 from cablebot_gym.benchmark.seeds import hidden_seeds
 from cablebot_gym.benchmark.yardstick import drawn_cells
-from cablebot_gym.envs import FLEXIBLE_ENV_IDS, PAPER_ENV_IDS, env_robot, fitting_env_id
+from cablebot_gym.envs import PAPER_ENV_IDS, env_robot, fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.isolation.installed import public_entries, public_entry
@@ -63,11 +62,6 @@ class Block:
     """Whether all motions of a policy are one cell, a survey."""
     surveyed: int | None = None
     """Largest number of motions in a survey, the first ones; None for all."""
-    axis: str | None = None
-    """Name of the varied parameter, see :data:`~cablebot_gym.benchmark.maps.AXES`; None for none.
-    Rigid robots have no joint stiffness, and flexible ones no varied pulley friction."""
-    values: Sequence[float] = ()
-    """Values of the varied parameter, SI."""
     conditions: Mapping[str, Any] = field(default_factory=dict)
     """Further fields of the policies' cells. A nested mapping changes only the values that it names.
     A list makes one cell for each of its values."""
@@ -236,15 +230,12 @@ def suite_cells(
     cells: list[Cell] = []
     asked = list(dict.fromkeys(chain.from_iterable(policies.values())))
     for env_id, names in policies.items():
-        # Rigid robots have no joint stiffness; flexible ones have no varied pulley friction.
-        absent_parameter = "damping" if env_id in FLEXIBLE_ENV_IDS else "stiffness"
-        blocks = [block for block in suite.blocks if block.axis != absent_parameter]
         if suite.best_known:
-            for block in blocks:
+            for block in suite.blocks:
                 cells += _best_known_cells(block, env_id, seed_text)
-            for block in blocks:
+            for block in suite.blocks:
                 cells += _drawn_cells(block, env_id, seed_text, seed)
-        for block in blocks:
+        for block in suite.blocks:
             if not block.env_ids:
                 cells += _policy_cells(block, env_id, names, seed_text, seed)
             elif env_id in block.env_ids:
@@ -259,10 +250,7 @@ def _best_known_cells(block: Block, env_id: str, seed_text: str | None) -> list[
     """Cells of the best known payloads of a block."""
     if not block.is_nominal:
         return []
-    cells: list[BestKnownCell] = []
-    for task in _tasks(env_id, block, seed_text):
-        cells += _varied(block, BestKnownCell(env_id=env_id, **task))
-    return cells
+    return [BestKnownCell(env_id=env_id, **task) for task in _tasks(env_id, block, seed_text)]
 
 
 def _drawn_cells(block: Block, env_id: str, seed_text: str | None, seed: int) -> list[DrawnCell]:
@@ -298,7 +286,7 @@ def _policy_cells(
             payload_range = find_robot(task["robot_name"]).defaults.payload_range
             if payload_range is not None:
                 data["resolution"] = OWN_RESOLUTION * payload_range[1]
-        cells += _varied(block, PolicyCell(seed=seed, **data))
+        cells.append(PolicyCell(seed=seed, **data))
     return cells
 
 
@@ -344,14 +332,6 @@ def _included(block: Block, names: Sequence[str]) -> list[str]:
         if name in names and (block.slow or not is_slow):
             included.append(name)
     return included
-
-
-def _varied(block: Block, cell: AnyCell) -> list[AnyCell]:
-    """The cell at every value of the block's axis; the cell alone if the block has no axis."""
-    if block.axis is None:
-        return [cell]
-    axis = AXES[block.axis]
-    return [axis.with_value(cell, value) for value in block.values]
 
 
 def _tasks(env_id: str, block: Block, seed_text: str | None) -> list[dict[str, Any]]:

@@ -10,7 +10,6 @@ from typing import Any
 
 from cablebot_gym.benchmark import scores
 from cablebot_gym.benchmark.cells import Cell, PolicyCell, TimingCell, canonical
-from cablebot_gym.benchmark.maps import varied_texts
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.yardstick import PROBABILITY, yardsticks
 from cablebot_gym.bounds.robot_check import check_motion, two_digits
@@ -148,28 +147,6 @@ def _duration(trajectory: str, kind: Kind) -> float:
     return find_trajectory(json.loads(trajectory), kind).duration
 
 
-def map_title(payload_map: scores.PayloadMap) -> str:
-    """Title of the table of a map."""
-    motion = motion_title(scores.Column(motion=payload_map.motion), 1)
-    conditions = ", ".join([payload_map.env_id, motion, "payload known", *payload_map.constants])
-    return f"{conditions}: payload by {payload_map.axis.label}"
-
-
-def map_rows(payload_map: scores.PayloadMap) -> list[list[str]]:
-    """The table of a map: a row of parameter values, a row of best known payloads, if any, and one
-    row per policy."""
-    axis = payload_map.axis
-    rows = [["", *(f"{value * axis.scale:g}" for value in payload_map.values)]]
-    if any(payload is not None for payload in payload_map.best_known):
-        row = ["best known payload"]
-        for payload in payload_map.best_known:
-            row.append("–" if payload is None else f"{payload:.2f}")
-        rows.append(row)
-    for policy, entries in payload_map.policies.items():
-        rows.append([policy, *map(_map_entry, entries)])
-    return rows
-
-
 def error_title(table: scores.ErrorTable) -> str:
     """Title of an error table."""
     motion = motion_title(scores.Column(motion=json.loads(table.motion)["name"]), 1)
@@ -194,32 +171,6 @@ def error_rows(table: scores.ErrorTable) -> list[list[str]]:
     return rows
 
 
-def map_note(payload_map: scores.PayloadMap) -> str:
-    """One sentence on the cases with saturated motors; empty if the results do not contain them."""
-    saturated = []
-    for entries in payload_map.policies.values():
-        for score in entries:
-            if score is not None and score.payload is not None and "saturated" in score.result:
-                saturated.append(score.result["saturated"])
-    if not saturated:
-        return ""
-    return f"A motor saturates in {sum(saturated)} of {len(saturated)} feasible cases."
-
-
-def _map_entry(score: scores.Score | None) -> str:
-    """Payload and fraction; without a best known payload, the payload with more digits and its
-    limiting violation."""
-    if score is None:
-        return "–"
-    if score.error is None and score.score is not None:
-        return f"{score.payload_text}, {score.score:.0%}"
-    violation = score.result.get("violation") or {}
-    payload = _payload(score)
-    if violation.get("time") is None:
-        return payload
-    return f"{payload}, {violation['kind']} {violation['time']:.2f} s"
-
-
 def _payload(score: scores.Score) -> str:
     """Payload with more digits than ``payload_text``."""
     if score.error is not None:
@@ -236,7 +187,7 @@ def _digits(payload: float) -> str:
 
 
 def task_title(cell: Cell) -> str:
-    """The motion of a cell and the parameters that are not at their defaults."""
+    """The motion of a cell, after its robot if it has one of its own."""
     motion = str(cell.trajectory["name"])
     if "seed" in cell.trajectory:
         motion += f" {cell.trajectory['seed']}"
@@ -249,10 +200,9 @@ def family_title(cell: Cell) -> str:
 
 
 def _title(cell: Cell, motion: str) -> str:
-    words = [motion, *varied_texts(cell)]
-    if cell.robot_name is not None:
-        words.insert(0, cell.robot_name)
-    return ", ".join(words)
+    if cell.robot_name is None:
+        return motion
+    return f"{cell.robot_name}, {motion}"
 
 
 def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:

@@ -51,7 +51,7 @@ def yardstick(ratios: Sequence[float | None]) -> Yardstick:
 
     The interval has order statistics as its ends, so it covers the quantile of any distribution with
     a probability of at least 95 %. A normal distribution would give half its width, but covers only
-    40 to 80 % where the ratios are skewed or some motions are hard, see ``docs/ranking.md``.
+    40 to 80 % where the ratios are skewed or some motions are hard.
 
     Args:
         ratios: ratio of each draw; None where no payload is verified.

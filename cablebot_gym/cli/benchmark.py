@@ -37,7 +37,7 @@ class CellOptions(Options):
     suite: Annotated[
         str,
         "Suite: smoke (minutes), standard (45 minutes on two cores), ranked (the leaderboard, hours), full "
-        "(hours), maps, paper-maps or library (an hour).",
+        "(hours) or library (an hour).",
     ] = "smoke"
     policies: Annotated[
         str | None,

@@ -5,18 +5,15 @@ from __future__ import annotations
 
 import platform
 import re
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, entry_points, requires, version
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import typer
 
-from cablebot_gym.cli.app import COMMAND_GROUP
 from cablebot_gym.envs import ENV_IDS, env_robot
 from cablebot_gym.physics.code_cache import REMEDY, code_folders, is_damaged, is_temporary
 from cablebot_gym.physics.textbook import (
@@ -25,7 +22,7 @@ from cablebot_gym.physics.textbook import (
     normalised_action,
     static_torque,
 )
-from cablebot_gym.policies import ENTRY_POINT_GROUP, FILE_ENTRY_POINT_GROUP, PolicyEntry
+from cablebot_gym.policies import ENTRY_POINT_GROUP, PolicyEntry
 from cablebot_gym.robots import find_robot
 from cablebot_gym.task import Task
 from cablebot_gym.utils.console import results_console
@@ -67,7 +64,6 @@ def examine() -> Iterator[Finding]:
         "packages": _packages,
         "compiled code": _compiled_code,
         "plans and best known payloads": _plans,
-        "hidden packages": _hidden_packages,
         "policies": _policies,
     }
     for name, check in checks.items():
@@ -142,19 +138,6 @@ def _plans() -> Iterator[Finding]:
     if not is_usable:
         text += f" is not writable, so every process computes its content again: set {CACHE_VARIABLE} to another folder"
     yield Finding(name="plans and best known payloads", ok=is_usable, text=text)
-
-
-def _hidden_packages() -> Iterator[Finding]:
-    """One finding for each package of entry points that another folder with the same name hides."""
-    groups = (COMMAND_GROUP, ENTRY_POINT_GROUP, FILE_ENTRY_POINT_GROUP)
-    for package in sorted(
-        {point.module.partition(".")[0] for group in groups for point in entry_points(group=group)}
-    ):
-        candidates = dict.fromkeys(Path(entry, package).resolve() for entry in sys.path)
-        folders = [folder for folder in candidates if (folder / "__init__.py").is_file()]
-        if len(folders) > 1:
-            text = f"{folders[0]} hides {folders[1]}. Rename the first folder, or work in another directory."
-            yield Finding(name=f"package {package}", ok=False, text=text)
 
 
 def _policies() -> Iterator[Finding]:

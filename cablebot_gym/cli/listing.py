@@ -10,7 +10,6 @@ from importlib.resources import files
 from itertools import pairwise
 from typing import Any
 
-from cablebot_gym.cli.options import Json
 from cablebot_gym.utils.console import print_table
 
 _WIDTH = 110
@@ -22,17 +21,14 @@ _UNITS: dict[str, dict[str, str]] = tomllib.loads(
 """Unit of each field of trajectories and uncertainties that has one."""
 
 
-def list_(as_json: Json = False) -> None:
+def list_() -> None:
     """List environments, robots, trajectories, uncertainties and installed policies.
 
     The tables of trajectories and uncertainties show the fields and default values of
     `--trajectory` and `--uncertainty` as JSON.
 
-    Example: cablebot list --json
+    Example: cablebot list
     """
-    if as_json:
-        print(json.dumps(_data(), indent=2))
-        return
     from rich import box
 
     for _, title, rows in tables():
@@ -46,59 +42,6 @@ def list_(as_json: Json = False) -> None:
             pad_edge=False,
         )
         print()
-
-
-def _data() -> dict[str, Any]:
-    """The lists as JSON-able data."""
-    from cablebot_gym.envs import ENV_IDS
-    from cablebot_gym.policies import policy_entries
-    from cablebot_gym.robots import robot_names
-    from cablebot_gym.trajectories import TRAJECTORIES, trajectory_names
-    from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES
-
-    return {
-        "env_ids": list(ENV_IDS),
-        "robots": [_robot_entry(name) for name in robot_names()],
-        "trajectories": trajectory_names(),
-        "trajectory_fields": {
-            name: _trajectory_fields(make()) for name, make in TRAJECTORIES.items()
-        },
-        "uncertainties": list(UNCERTAINTIES),
-        "uncertainty_fields": {name: _uncertainty_fields(name) for name in UNCERTAINTIES},
-        "uncertain_parameters": list(PARAMETERS),
-        "uncertain_parameter_units": {
-            name: parameter.unit for name, parameter in PARAMETERS.items()
-        },
-        "policies": [
-            {
-                "name": item.name,
-                "kind": item.kind,
-                "env_ids": list(item.env_ids),
-                "known_robot": item.known_robot,
-            }
-            for item in policy_entries().values()
-        ],
-    }
-
-
-def _robot_entry(name: str) -> dict[str, Any]:
-    """A robot as JSON-able data. The values of the paper's robots cite its tables in the code."""
-    from cablebot_gym.robots import find_robot
-
-    robot = find_robot(name)
-    assumed = [field for field, source in robot.sources.items() if source.startswith("assumed")]
-    return {
-        "name": name,
-        "kind": robot.kind,
-        "cables": robot.cables,
-        "coordinates": robot.coordinates,
-        "transmission": robot.springs,
-        "origin": "library" if robot.sources else "paper",
-        "documented": len(robot.sources) - len(assumed),
-        "assumed": assumed,
-        "sources": dict(robot.sources),
-        "ranges": dict(robot.ranges),
-    }
 
 
 def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
@@ -201,15 +144,16 @@ def _environment_rows() -> list[list[str]]:
 
 
 def _robot_rows() -> list[list[str]]:
-    from cablebot_gym.robots import robot_names
+    from cablebot_gym.robots import find_robot, robot_names
 
     rows = [["name", "kind", "cables", "transmission", "values with a source"]]
-    for entry in map(_robot_entry, robot_names()):
-        values = "the paper"
-        if entry["sources"]:
-            values = f"{entry['documented']} of {len(entry['sources'])}"
-        row = [entry["name"], entry["kind"], str(entry["cables"]), entry["transmission"], values]
-        rows.append(row)
+    for name in robot_names():
+        robot = find_robot(name)
+        values = "the paper"  # in the code, which cites its tables
+        if robot.sources:
+            assumed = [text for text in robot.sources.values() if text.startswith("assumed")]
+            values = f"{len(robot.sources) - len(assumed)} of {len(robot.sources)}"
+        rows.append([name, robot.kind, str(robot.cables), robot.springs, values])
     return rows
 
 

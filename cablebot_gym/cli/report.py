@@ -35,7 +35,7 @@ def report(
     ] = True,
     workers: Workers = None,
 ) -> None:
-    """Write benchmark results as one HTML page with leaderboard, maps and an episode of every cell.
+    """Write benchmark results as one HTML page with leaderboard and an episode of every cell.
 
     The page works offline. Recording an episode takes a second or two, and longer for policies that
     plan. Recordings are stored in the folder `episodes` beside the results. The same command
@@ -45,7 +45,7 @@ def report(
 
     cablebot report results --out report.html
 
-    cablebot report results maps --workers 8 --out report.html
+    cablebot report results robots --workers 8 --out report.html
     """
     from cablebot_gym.cli.benchmark import read_results
     from cablebot_gym.report.page import html, merge_records, replay_queries

@@ -17,7 +17,6 @@ import numpy as np
 from cablebot_gym.benchmark import scores
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, canonical
 from cablebot_gym.benchmark.leaderboard import Results
-from cablebot_gym.benchmark.maps import varied_fields
 from cablebot_gym.benchmark.records import Record, single_records
 from cablebot_gym.benchmark.tables import (
     best_known_text,
@@ -95,10 +94,7 @@ def page_data(
     indices = {}
     for score in shown_scores(records):
         indices[score.cell.key] = cells.add_score(score)
-    references = []
-    for reference in scores.best_known_payloads(records).values():
-        if not varied_fields(reference.cell):
-            references.append(reference)
+    references = list(scores.best_known_payloads(records).values())
     boards = scores.leaderboards(records)
     rows = []
     last_boards = {board.env_id: board for board in boards}
@@ -115,7 +111,6 @@ def page_data(
         "motions": list(cells.motions.values()),
         "limits": _limits(boards),
         "errors": _errors(records),
-        "maps": [_map(payload_map) for payload_map in scores.payload_maps(records)],
         "notes": _notes(sources, records),
         "rate": RATE,
         "levels": LEVELS,
@@ -461,27 +456,6 @@ def _errors(records: Sequence[Record]) -> list[dict[str, Any]]:
     return figures
 
 
-def _map(payload_map: scores.PayloadMap) -> dict[str, Any]:
-    """Payloads of all policies over the varied condition; 0 if a policy fails unloaded."""
-    policies = []
-    for policy, entry in payload_map.policies.items():
-        payloads: list[float | None] = []
-        for score in entry:
-            if score is None or score.error is not None:
-                payloads.append(None)
-            else:
-                payloads.append(score.payload or 0.0)
-        policies.append({"name": policy, "values": payloads})
-    axis = payload_map.axis
-    return {
-        "id": payload_map.env_id,
-        "label": ", ".join([*payload_map.constants, axis.label]),
-        "x": [round(value * axis.scale, 9) for value in payload_map.values],
-        "best_known": list(payload_map.best_known),
-        "policies": policies,
-    }
-
-
 def _notes(sources: Sequence[Results], records: Sequence[Record]) -> list[dict[str, Any]]:
     """Titles and lines of the notes below the tables."""
     commands = [f"suite {source.suite}: {source.command}" for source in sources]
@@ -507,10 +481,7 @@ def shown_scores(records: Sequence[Record]) -> list[scores.Score]:
 
 
 def replay_queries(records: Sequence[Record]) -> dict[str, tuple[Cell, float | None]]:
-    """The cells whose episodes the page shows, with their DLCC [kg], by key.
-
-    The best known payload of a map has no row and therefore no episode.
-    """
+    """The cells whose episodes the page shows, with their DLCC [kg], by key."""
     queries: dict[str, tuple[Cell, float | None]] = {}
     for score in shown_scores(records):
         if score.error is None and _applicable(score):
@@ -519,7 +490,6 @@ def replay_queries(records: Sequence[Record]) -> dict[str, tuple[Cell, float | N
     for reference in scores.best_known_payloads(records).values():
         family = (reference.cell.env_id, str(reference.cell.trajectory["name"]))
         motions[family] = motions.get(family, 0) + 1
-        is_shown = motions[family] <= SHOWN_MOTIONS and not varied_fields(reference.cell)
-        if is_shown and "error" not in reference.result:
+        if motions[family] <= SHOWN_MOTIONS and "error" not in reference.result:
             queries[reference.cell.key] = (reference.cell, reference.result.get("payload"))
     return queries

@@ -154,7 +154,7 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
     # of the circles (35 and 16 m/s²). Loops in space start low, where motors hold more at
     # rest than the cables carry along the motion: this payload measures the dynamics. For the same
     # reason they are level on average and their reach in depth and tilt is small, in which the
-    # tensions at rest change fast. scripts/motion_family.py measures all of this.
+    # tensions at rest change fast.
     "loop-planar": _between_dwells(
         RandomLoop,
         name="loop-planar",

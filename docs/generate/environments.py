@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -19,6 +20,9 @@ from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import trajectory_names
 from generate.pages import Pages, all_leaderboards, table
+
+EQUATIONS = Path(__file__).parents[1] / "equations.md"
+"""Sections of the equations of platforms, joints, motors and cables."""
 
 PICTURED = 0.3, 0.5
 """Fraction of the motion at which the picture is taken, and of the payload that the policy carries
@@ -95,11 +99,22 @@ def _equations(robot: Robot) -> str:
         "Symbols and equation numbers are the paper's, with corrected misprints; "
         "each number links to its correction.\n"
     )
-    files = {"Platform": robot.kind, "Joints": robot.joints, "Motors": "motors", "Cables": "cables"}
+    page = EQUATIONS.read_text(encoding="utf-8").replace("](errata.md", "](/errata.md")
+    sections = dict(section.split("\n", 1) for section in page.split("\n## "))
+    headings = {
+        "Platform": robot.kind,
+        "Joints": robot.joints,
+        "Motors": "motors",
+        "Cables": "cables",
+    }
     if robot.elastic:
-        files = {"Platform": robot.kind, "Motors": "motors", "Cables": "elastic"}
-    for title, file in files.items():
-        text += f"\n### {title}\n\n```{{include}} /parts/{file}.md\n```\n"
+        sections = dict(
+            section.split("\n", 1)
+            for section in EQUATIONS.read_text(encoding="utf-8").split("\n## ")
+        )
+    headings = {"Platform": robot.kind, "Motors": "motors", "Cables": "elastic"}
+    for title, name in headings.items():
+        text += f"\n### {title}\n\n{sections[name].strip()}\n"
     readable = "Readable code: {py:mod}`cablebot_gym.physics.textbook`."
     return f"{text}\n{readable} Compiled code: `cablebot_gym/physics/kernel.py`."
 

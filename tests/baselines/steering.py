@@ -1,5 +1,6 @@
 """Steered laws, networks and observations for the tests of learned policies."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import gymnasium as gym
@@ -13,13 +14,10 @@ from cablebot_baselines.learned.steering import (
     Steering,
 )
 from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
-from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import find_robot
 
-PLANAR_ID, SPATIAL_ID, FLEX_PLANAR_ID, FLEX_SPATIAL_ID = PAPER_ENV_IDS
-
-PERIOD = 1 / 500
+PLANAR_ID, SPATIAL_ID, _, FLEX_SPATIAL_ID = PAPER_ENV_IDS
 
 FEATURES = (
     "pose",
@@ -29,12 +27,6 @@ FEATURES = (
     "time_to_go_decays",
     "model_payload",
 )
-
-CASES = {
-    "rigid": (PLANAR_ID, Base(gains=(2000.0, 90.0)), Shift(action_period=0.02)),
-    "springs": (FLEX_SPATIAL_ID, Base(law="composite"), Shift(degree=4)),
-}
-"""Environment, base law and action mapping."""
 
 
 def steering_of(env_id=PLANAR_ID, base=None, action_mapping=None, features=FEATURES):
@@ -57,16 +49,15 @@ def network_of(steering, *, scale=1.0, hidden=(8,), seed=1):
     )
 
 
-def bundle_of(case="rigid", **network):
-    env_id, base, action_mapping = CASES[case]
-    return Bundle(
-        env_id=env_id,
-        base=base,
-        action_mapping=action_mapping,
-        features=FEATURES,
-        network=network_of(steering_of(env_id, base, action_mapping), **network),
-        card={"seed": 1, "note": "é"},
-    )
+def bundle_of(base=None, action_mapping=None, env_id=PLANAR_ID, **network):
+    steering = steering_of(env_id, base, action_mapping)
+    bundle = Bundle.of_steering(env_id, steering, network_of(steering, **network))
+    return replace(bundle, card={"seed": 1, "note": "é"})
+
+
+def springs(**shift):
+    """A policy of a flexible robot."""
+    return bundle_of(Base(law="composite"), Shift(degree=4, **shift), FLEX_SPATIAL_ID)
 
 
 def observations(env_id, steps, envs=4):
@@ -88,25 +79,14 @@ def tasks_of(env_id, **keywords):
     return env.unwrapped.tasks
 
 
-def run(policy, rows, starts=None):
-    """Actions of a policy for observations (steps, …, size); ``starts`` (steps, …) marks the starts
-    of episodes."""
+def run(policy, rows):
+    """Actions of a policy for observations (steps, …, size)."""
     state = None
     actions = []
-    for step, observation in enumerate(rows):
-        action, state = policy.predict(observation, state, None if starts is None else starts[step])
+    for observation in rows:
+        action, state = policy.predict(observation, state)
         actions.append(action)
     return np.array(actions)
-
-
-def line(robot, start, speed, times):
-    """Observations (steps, size) of a reference with constant velocity."""
-    layout = observation_layout(robot)
-    rows = np.zeros((len(times), layout.size))
-    blocks = layout.split(rows)
-    blocks["reference_pose"][:] = start + speed * np.asarray(times)[:, None]
-    blocks["reference_velocity"][:] = speed
-    return rows
 
 
 def steer(steering, rows, actions):

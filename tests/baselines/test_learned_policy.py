@@ -12,6 +12,7 @@ from steering import (
     bundle_of,
     observations,
     run,
+    springs,
     steering_of,
     tasks_of,
 )
@@ -41,8 +42,7 @@ def saved(tmp_path):
 
 
 def test_motion_of_a_base_alone_is_the_task_soon():
-    slow = Shift(action_period=1.0, degree=4)
-    bundle = dataclasses.replace(bundle_of("springs"), action_mapping=slow)
+    bundle = springs(action_period=1.0)
     alone = LearnedPolicy(bundle.base_alone, FLEX_SPATIAL)
     law = bundle.base.make(FLEX_SPATIAL)
     rows, tasks = observations(bundle.env_id, 300)
@@ -53,7 +53,7 @@ def test_motion_of_a_base_alone_is_the_task_soon():
 
 def test_zero_network_equals_the_base_law():
     """Of the planar robot, which starts on its reference."""
-    bundle = bundle_of("rigid", scale=0.0)
+    bundle = bundle_of(scale=0.0)
     robot = find_robot(env_robot(bundle.env_id))
     rows, tasks = observations(bundle.env_id, 30)
     policy = LearnedPolicy(bundle, robot)
@@ -61,7 +61,7 @@ def test_zero_network_equals_the_base_law():
     policy.reset(tasks)
     law.reset(tasks)
     assert_array_equal(run(policy, rows), run(law, rows))
-    other = LearnedPolicy(bundle_of("rigid"), robot)
+    other = LearnedPolicy(bundle_of(), robot)
     assert np.any(run(other, rows) != run(law, rows))
 
 
@@ -73,7 +73,7 @@ def test_tasks_of_a_batch_have_the_same_error_bounds():
 
 
 def test_saved_bundle_equals_the_bundle(tmp_path):
-    bundle = bundle_of("springs")
+    bundle = springs()
     path = tmp_path / "made" / "bundle.zip"
     bundle.save(path)
     loaded = Bundle.load(path)

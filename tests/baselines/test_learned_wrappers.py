@@ -321,31 +321,6 @@ def test_invalid_actions_and_steps_outside_an_episode_raise():
         batch("shift", 2).reset(options={"error_bounds": {"position": 0.02}})
 
 
-STEERED = {"base": "fl", "steering": "shift", "features": ["error"]}
-
-
-CURRICULUM = (PayloadCurriculum, {"heaviest": 1.0})
-
-
-@pytest.mark.parametrize(
-    ("wrappers", "message"),
-    [
-        ([], "must be Steered"),
-        ([(Steered, STEERED), CURRICULUM], "Steered must be outermost"),
-        ([(Steered, STEERED | {"action_period": 1})], "Steered: .*unexpected .*'action_period'"),
-        ([(DLCCMonitor, {}), (Steered, STEERED)], "DLCCMonitor has no vector form"),
-        (
-            [(PayloadCurriculum, {"heaviest": 1.0, "start": 2.0}), (Steered, STEERED)],
-            "start must be .*at most 1 kg",
-        ),
-        ([(Steered, STEERED | {"base": "lqr"})], "unknown base law 'lqr'"),
-    ],
-)
-def test_invalid_wrappers_and_arguments_raise(wrappers, message):
-    with pytest.raises(ValueError, match=message):
-        make_steered_vec(PLANAR_ID, 2, wrappers=wrappers)
-
-
 def test_seed_of_a_batch_repeats_its_draws():
     def draws(seed):
         env = batch("shift", 3, seed=seed)
@@ -355,15 +330,32 @@ def test_seed_of_a_batch_repeats_its_draws():
     assert not set(draws(3)) & set(draws(9))
 
 
+STEERED = {"base": "fl", "steering": "shift", "features": ["error"]}
+CURRICULUM = (PayloadCurriculum, {"heaviest": 1.0})
+
+
+def made(*wrappers):
+    return make_steered_vec(PLANAR_ID, 2, wrappers=wrappers)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
+        (made, "must be Steered"),
+        (lambda: made((Steered, STEERED), CURRICULUM), "Steered must be outermost"),
+        (lambda: made((Steered, STEERED | {"action_period": 1})), "unexpected .*'action_period'"),
+        (lambda: made((DLCCMonitor, {}), (Steered, STEERED)), "DLCCMonitor has no vector form"),
+        (
+            lambda: made((PayloadCurriculum, {"heaviest": 1.0, "start": 2.0}), (Steered, STEERED)),
+            "start must be .*at most 1 kg",
+        ),
+        (lambda: made((Steered, STEERED | {"base": "lqr"})), "unknown base law 'lqr'"),
         (lambda: PayloadCurriculum(gym.make("CartPole-v1"), heaviest=1.0), r"gym\.make"),
         (lambda: SteeredVector(gym.make(PLANAR_ID), **STEERED), r"gym\.make_vec"),
         (lambda: PayloadCurriculumVector(gym.make_vec(PLANAR_ID), heaviest=1.0), "DISABLED"),
         (lambda: Steered(gym.make(PLANAR_ID, normalised_observation=True), **STEERED), "leave out"),
     ],
 )
-def test_other_environments_raise(call, message):
+def test_invalid_wrappers_and_environments_raise(call, message):
     with pytest.raises((TypeError, ValueError), match=message):
         call()

@@ -5,21 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from steering import (
-    PERIOD,
-    PLANAR_ID,
-    SPATIAL_ID,
-    line,
-    steer,
-    steering_of,
-    tasks_of,
-)
+from steering import PLANAR_ID, SPATIAL_ID, steer, steering_of, tasks_of
 
 from cablebot_baselines.learned.steering import Shift
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import SPATIAL
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import find_trajectory
+
+PERIOD = 1 / 500
 
 
 @pytest.mark.parametrize("degree", [2, 3, 4, 5])
@@ -83,13 +77,16 @@ def test_learner_and_law_get_the_shift_of_the_present_instant(degree):
     steps = 60
     steering = steering_of(SPATIAL_ID, action_mapping=action_mapping, features=("error", "actions"))
     actions = np.random.default_rng(degree).uniform(-0.5, 0.5, (steps, 6))
-    rows = line(SPATIAL, np.full(6, 0.1), np.linspace(-1, 1, 6), np.arange(steps) * PERIOD)
     layout = observation_layout(SPATIAL)
-    layout.split(rows)["pose"][:] = np.random.default_rng(0).normal(size=(steps, 6))
+    rows = np.zeros((steps, layout.size))
+    blocks = layout.split(rows)
+    speed = np.linspace(-1, 1, 6)
+    blocks["reference_pose"][:] = speed * np.arange(steps)[:, None] * PERIOD
+    blocks["reference_velocity"][:] = speed
+    blocks["pose"][:] = np.random.default_rng(0).normal(size=(steps, 6))
     law_blocks, learner = steer(steering, rows, actions)
     error, past = np.split(learner, [6], axis=1)
-    pose = layout.split(rows)["pose"]
-    assert_allclose(error, law_blocks["reference_pose"] - pose, atol=1e-13)
+    assert_allclose(error, law_blocks["reference_pose"] - blocks["pose"], atol=1e-13)
     mean = np.diff(law_blocks["reference_velocity"], axis=0) / PERIOD
     assert_allclose(law_blocks["reference_acceleration"][:-1], mean, atol=1e-9)
     decisions = actions[::5].copy()

@@ -304,9 +304,9 @@ def test_interrupted_command_keeps_its_results_and_resumes(tmp_path, monkeypatch
     assert signal.getsignal(signal.SIGTERM) is handler
     assert 256 <= stopped.timesteps < 640
     assert stopped.evaluations[0].timesteps == 128
-    code, printed = command("--resume", "--timesteps", stopped.timesteps + 128, "--json")
+    code, printed = command("--resume", "--timesteps", stopped.timesteps + 128)
     assert code == 0
-    assert json.loads(printed.out)["timesteps"] == stopped.timesteps + 128
+    assert TrainingResult.load(out).timesteps == stopped.timesteps + 128
     assert TrainingResult.load(out).evaluations[: len(stopped.evaluations)] == stopped.evaluations
 
 

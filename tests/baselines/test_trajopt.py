@@ -8,7 +8,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from driving import drive, keeps_limits
-from numpy.testing import assert_allclose
 
 pytest.importorskip("casadi")
 
@@ -136,41 +135,6 @@ def test_infeasible_plan_is_tried_once(monkeypatch, caplog):
     policy.reset([gym.make(PLANAR_ID).unwrapped.task])
     assert policy.fallbacks == 1
     planner.assert_called_once()
-
-
-# --- batches ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.usefixtures("exact_plans_only")
-def test_each_environment_tracks_the_plan_of_its_own_task():
-    """Also after a start in one of them, the estimator forgets the last payload in that one
-    only."""
-    motions = [LINE, LINE | {"duration": 0.5}]
-    singles = [
-        gym.make(PLANAR_ID, trajectory=motion, payload=2.0, payload_known=False)
-        for motion in motions
-    ]
-    observed = np.array([env.reset(seed=0)[0] for env in singles])
-    tasks = [env.unwrapped.task for env in singles]
-    batch, *alone = (TrajOpt(PLANAR) for _ in range(3))
-    for policy, known in ((batch, tasks), (alone[0], tasks[:1]), (alone[1], tasks[1:])):
-        policy.reset(known)
-    start_action = alone[0].predict(observed[0])[0]
-    state = None
-    states = [None, None]
-    for step in range(20):
-        start = np.array([step in (0, 10), step == 0])
-        if step == 10:
-            observed[0] = singles[0].reset(seed=0)[0]
-        together, state = batch.predict(observed, state, start)
-        for index in range(2):
-            action, states[index] = alone[index].predict(
-                observed[index], states[index], start[index]
-            )
-            assert_allclose(together[index], action, atol=1e-9)
-            observed[index] = singles[index].step(action)[0]
-        if step == 10:
-            assert_allclose(together[0], start_action, atol=1e-9)
 
 
 # --- invalid input ----------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Scores, ranks, tables, maps and the page against numbers worked out by hand."""
+"""Scores, ranks, tables and the page against numbers worked out by hand."""
 
 import json
 from dataclasses import replace
@@ -14,13 +14,11 @@ from cablebot_gym.benchmark.cells import (
     TimingCell,
 )
 from cablebot_gym.benchmark.leaderboard import Results, markdown, origins_text, print_page
-from cablebot_gym.benchmark.maps import AXES
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.scores import (
     RANKED_MOTIONS,
     error_tables,
     leaderboards,
-    payload_maps,
     scores,
 )
 from cablebot_gym.benchmark.tables import error_rows
@@ -281,39 +279,6 @@ def test_error_on_one_motion_counts_as_zero_and_is_named():
     text = row(page_of(some), "b")[0]
     assert text.startswith("25.0%")
     assert text.endswith("worst 0%; errors: 1")
-
-
-# --- maps -------------------------------------------------------------------------------------------------------------
-
-
-def on_axis(name, value, payload):
-    """Best known payload and that of ``fl`` with one parameter changed."""
-    best_known = AXES[name].with_value(BestKnownCell(env_id=PLANAR, trajectory=CIRCLE), value)
-    policy = AXES[name].with_value(PolicyCell(env_id=PLANAR, trajectory=CIRCLE, policy="fl"), value)
-    return [record(best_known, payload=2 * payload, verified=True), record(policy, payload=payload)]
-
-
-def test_map_contains_the_default_cell():
-    records = [
-        *on_axis("position", 0.02, 1.5),
-        best(2.0),
-        carries("fl", 1.0),
-        carries("trajopt", 1.9),
-    ]
-    on_axes = [*records, *on_axis("bounds", 0.02, 1.75), *on_axis("duration", 2.0, 3.0)]
-    by_position, by_bounds, by_duration = payload_maps(on_axes)
-    assert payloads(by_bounds.policies["fl"]) == [1.0, 1.75]
-    assert by_position.values == (0.01, 0.02)
-    assert by_position.best_known == (2.0, 3.0)
-    assert list(by_position.policies) == ["fl"]
-    assert payloads(by_position.policies["fl"]) == [1.0, 1.5]
-    assert by_duration.values == (1.0, 2.0)
-    assert by_duration.best_known == (2.0, 6.0)
-
-
-def test_leaderboard_leaves_out_the_cells_of_maps():
-    (board,) = leaderboards([*on_axis("position", 0.02, 1.5), best(2.0), carries("fl", 1.0)])
-    assert payloads(board.entries["fl", board.columns[0]]) == [1.0]
 
 
 # --- page, CSV and JSON -----------------------------------------------------------------------------------------------

@@ -2,8 +2,6 @@
 
 import hashlib
 
-import pytest
-
 from cablebot_gym.benchmark.seeds import evaluation_seed, hidden_seeds
 from cablebot_gym.benchmark.suites import Block, Suite, suite_cells
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
@@ -37,8 +35,3 @@ def test_hidden_motions_depend_on_text_and_environment():
     cells = suite_cells(HIDDEN, {PLANAR: ("fl",)}, seed=2**127, seed_text=TEXT)
     assert [cell.trajectory["seed"] for cell in cells.values()] == seeds
     assert {cell.seed for cell in cells.values()} == {2**127}
-
-
-def test_hidden_motions_without_a_text_raise():
-    with pytest.raises(ValueError, match="add --seed-text TEXT"):
-        suite_cells(HIDDEN, {PLANAR: ("fl",)})

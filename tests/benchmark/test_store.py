@@ -100,22 +100,6 @@ def run(store, outcomes=None, cells=(CELL, OTHER), progress=lambda *step: None):
     return run_cells({cell.key: cell for cell in cells}, store, backend, progress, print), computed
 
 
-def test_finished_cells_are_not_computed_again(store):
-    steps = []
-    records, computed = run(store)
-    assert computed == [CELL, OTHER]
-    records_again, computed = run(store, progress=lambda *step: steps.append(step))
-    assert computed == []
-    assert steps == [(2, 2)]
-    assert [record.result for record in records_again] == [record.result for record in records]
-
-
-def test_interrupt_keeps_finished_cells(store):
-    with pytest.raises(KeyboardInterrupt):
-        run(store, {"robust": KeyboardInterrupt()})
-    assert run(store)[1] == [OTHER]
-
-
 @pytest.mark.parametrize(
     ("outcome", "message"),
     [

@@ -13,7 +13,6 @@ TOYS = """
 import os
 import signal
 import sys
-import time
 import numpy as np
 from cablebot_baselines.classical import FeedbackLinearization
 
@@ -31,18 +30,6 @@ class raises(Toy):
 class exits(Toy):
     def eleventh(self, action):
         sys.exit(0)
-
-class ends(Toy):
-    def eleventh(self, action):
-        os._exit(0)
-
-class killed(Toy):
-    def eleventh(self, action):
-        os.kill(os.getpid(), signal.SIGKILL)
-
-class hangs(Toy):
-    def eleventh(self, action):
-        time.sleep(60)
 
 class nan(Toy):
     def eleventh(self, action):

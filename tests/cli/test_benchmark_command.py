@@ -15,7 +15,6 @@ from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.records import compute
 from cablebot_gym.benchmark.suites import Block, Suite
 from cablebot_gym.cli import app as cli
-from cablebot_gym.isolation import IsolatedPolicy
 
 PLANAR = "CableBot-Planar-v0"
 CHANGES = {"payload_max": 4.0}
@@ -37,9 +36,9 @@ def best(monkeypatch):
 
 
 @pytest.fixture
-def isolated_benchmark(monkeypatch, cablebot, tmp_path):
-    """Runs the command in this process on a tiny suite, with one worker: this process. Policies are
-    isolated."""
+def benchmark(monkeypatch, cablebot, tmp_path, inline):
+    """Runs the command in this process on a tiny suite, with one worker and policies in this process
+    too."""
     known = {suite.name: suite for suite in (TINY, TIMED, HIDDEN)}
     monkeypatch.setattr(suites, "SUITES", known | suites.SUITES)
     out = tmp_path / "out"
@@ -50,12 +49,6 @@ def isolated_benchmark(monkeypatch, cablebot, tmp_path):
         return SimpleNamespace(status=ended.status, out=ended.out, err=ended.err, folder=out)
 
     return run
-
-
-@pytest.fixture
-def benchmark(isolated_benchmark, inline):
-    """The same with policies in this process."""
-    return isolated_benchmark
 
 
 def scores(ended):
@@ -109,16 +102,9 @@ def test_second_run_computes_nothing_and_gives_the_same_bytes(benchmark, best, m
     best.assert_called_once()
 
 
-CAUSES = {
-    "ends": "its process ended with exit status 0",
-    "killed": "its process was ended by SIGKILL",
-    "hangs": "it did not answer within 10 s",
-}
-"""Why each toy policy whose process ends or hangs fails."""
-
-
-def check_failures(ended, toys, causes):
-    """Each of the policies loses its own cells, and ``fl`` none."""
+def test_policy_that_fails_costs_its_own_cells_only(benchmark, best, toys):
+    causes = {"raises": "it raised RuntimeError", "exits": "it raised SystemExit: 0"}
+    ended = benchmark(policies=",".join([*map(toys, causes), "fl"]))
     assert ended.status == 1
     score_of = scores(ended)
     for name, cause in causes.items():
@@ -126,19 +112,6 @@ def check_failures(ended, toys, causes):
         assert cause in ended.out
     assert score_of["fl", True] > 0.5
     assert "failed" in ended.out
-
-
-def test_policy_that_fails_costs_its_own_cells_only(benchmark, best, toys):
-    causes = {"raises": "it raised RuntimeError", "exits": "it raised SystemExit: 0"}
-    check_failures(benchmark(policies=",".join([*map(toys, causes), "fl"])), toys, causes)
-
-
-@pytest.mark.slow
-def test_policy_whose_process_fails_costs_its_own_cells_only(
-    isolated_benchmark, best, toys, monkeypatch
-):
-    monkeypatch.setitem(IsolatedPolicy.__init__.__kwdefaults__, "deadline", 1.0)
-    check_failures(isolated_benchmark(policies=",".join([*map(toys, CAUSES), "fl"])), toys, CAUSES)
 
 
 def test_failed_timing_is_a_note_and_costs_no_exit_status(benchmark, best, monkeypatch):

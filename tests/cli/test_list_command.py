@@ -7,64 +7,45 @@ from collections import defaultdict
 import pytest
 
 from cablebot_gym import ENV_IDS
+from cablebot_gym.cli.listing import _trajectory_fields, _uncertainty_fields
 from cablebot_gym.envs import env_robot
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import find_robot, robot_names
 from cablebot_gym.trajectories import TRAJECTORIES, find_trajectory, trajectory_names
 from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES, find_uncertainty
 
-
-@pytest.fixture
-def data(cablebot):
-    return cablebot("list --json").data
-
-
-NAMES = {
-    "env_ids": ENV_IDS,
-    "robots": robot_names(),
-    "trajectories": trajectory_names(),
-    "uncertainties": UNCERTAINTIES,
-    "uncertain_parameters": PARAMETERS,
-    "policies": policy_entries(),
-}
+NAMES = (
+    *(ENV_IDS, robot_names(), trajectory_names(), UNCERTAINTIES, PARAMETERS, policy_entries()),
+    {parameter.unit for parameter in PARAMETERS.values()},
+)
 
 
-def test_json_and_text_have_every_name_and_unit(cablebot, data):
+def test_list_has_every_name_and_unit(cablebot):
     words = set(cablebot("list").out.replace("(", " ").split())
-    for key, names in NAMES.items():
-        listed = [item["name"] if isinstance(item, dict) else item for item in data[key]]
-        assert listed == list(names)
+    for names in NAMES:
         assert set(names) <= words
-    law = {
-        "name": "flex-eq22",
-        "kind": "classical",
-        "env_ids": ["CableBot-FlexSpatial-v0"],
-        "known_robot": True,
-    }
-    assert law in data["policies"]
-    assert {parameter.unit for parameter in PARAMETERS.values()} <= words
 
 
-def test_listed_defaults_make_the_named_trajectory(data):
-    for name, entries in data["trajectory_fields"].items():
-        defaults = {key: entry["default"] for key, entry in entries.items()}
-        named = TRAJECTORIES[name]()
-        assert find_trajectory({"name": name, **defaults}, named.coordinates) == named
+@pytest.mark.parametrize("name", TRAJECTORIES)
+def test_listed_defaults_make_the_named_trajectory(name):
+    named = TRAJECTORIES[name]()
+    defaults = {key: entry["default"] for key, entry in _trajectory_fields(named).items()}
+    assert find_trajectory({"name": name, **defaults}, named.coordinates) == named
 
 
-def test_listed_fields_make_the_named_uncertainty(data):
-    for name, entries in data["uncertainty_fields"].items():
-        for env_id in ENV_IDS:
-            values = defaultdict(dict)
-            for entry in entries:
-                if env_id in entry["env_ids"]:
-                    group, _, key = entry["field"].partition(".")
-                    if key:
-                        values[group][key] = entry["value"]
-                    else:
-                        values[group] = entry["value"]
-            robot = find_robot(env_robot(env_id))
-            assert find_uncertainty(dict(values), robot) == find_uncertainty(name, robot)
+@pytest.mark.parametrize("name", UNCERTAINTIES)
+def test_listed_fields_make_the_named_uncertainty(name):
+    for env_id in ENV_IDS:
+        values = defaultdict(dict)
+        for entry in _uncertainty_fields(name):
+            if env_id in entry["env_ids"]:
+                group, _, key = entry["field"].partition(".")
+                if key:
+                    values[group][key] = entry["value"]
+                else:
+                    values[group] = entry["value"]
+        robot = find_robot(env_robot(env_id))
+        assert find_uncertainty(dict(values), robot) == find_uncertainty(name, robot)
 
 
 def test_file_in_the_current_folder_hides_no_package(tmp_path):

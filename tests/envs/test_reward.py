@@ -170,7 +170,7 @@ def test_termination_violates():
 
 
 def test_default_weights_satisfy_the_proof():
-    """The conditions that docs/your-own/reward.md names."""
+    """The conditions that docs/your-own/policy.md names."""
     inside, position, rotation, saturation, violation = (
         DEFAULT_WEIGHTS[name] for name in REWARD_TERMS
     )

@@ -54,7 +54,6 @@ Evaluation = Annotated[
     ),
 ]
 Threads = Annotated[int | None, typer.Option(help="Number of torch's threads. Default: 1.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the evaluations as JSON.")]
 
 
 def train(
@@ -69,7 +68,6 @@ def train(
     checkpoint_every: CheckpointEvery = None,
     evaluation: Evaluation = None,
     threads: Threads = None,
-    as_json: Json = False,
 ) -> None:
     """Train a learned policy and write the one with the largest DLCC to best.zip.
 
@@ -108,7 +106,7 @@ def train(
         again = command_line("train", env_id, out=out, resume=True)
         say(f"stopped after {stop.timesteps} timesteps; to resume: {again}")
         raise
-    print(json.dumps(result.to_dict(), indent=2) if as_json else result)
+    print(result)
 
 
 def _evaluation(text: str | None) -> dict[str, Any] | None:

@@ -142,10 +142,6 @@ class TrainingResult:
             data["evaluations"] = [Evaluation(**item) for item in data["evaluations"]]
             return cls(out=out, **data)
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able data."""
-        return asdict(self) | {"out": str(self.out)}
-
     @property
     def best(self) -> Evaluation | None:
         """Evaluation of ``best.zip``; None if there is none yet."""

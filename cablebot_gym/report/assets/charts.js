@@ -29,16 +29,13 @@ function ticks(low, high, count) {
   return values;
 }
 
-/* options: x (numbers), series ([{name, values, note, style, plain}]; a value may be null; style is a style index, by default
-   the index of the series), label, range ([low, high] of y), bounds ([y]), tube ([low, high]), log (logarithmic x axis),
-   points (mark the samples), event (x of a vertical line, or null). Returns {node, moveCursor(x)}. */
+/* options: x (numbers), series ([{name, values, note, plain}]), label, range ([low, high] of y), bounds ([y]), tube ([low, high]),
+   event (x of a vertical line, or null). Returns {node, moveCursor(x)}. */
 function lineChart(options) {
   const width = 520, height = 230, left = 46, right = 10, top = 8, bottom = 26;
-  const { x, series } = options, scale = options.log ? Math.log : (value) => value;
-  const first = scale(x[0]), span = scale(x[x.length - 1]) - first || 1;
-  const known = series.flatMap((line) => line.values).filter((value) => value !== null);
-  const low = options.range?.[0] ?? Math.min(...known), high = (options.range?.[1] ?? Math.max(...known)) || 1;
-  const across = (value) => left + (scale(value) - first) / span * (width - left - right);
+  const { x, series } = options, first = x[0], span = x[x.length - 1] - first || 1;
+  const [low, high] = options.range;
+  const across = (value) => left + (value - first) / span * (width - left - right);
   const down = (value) => height - bottom - (value - low) / (high - low) * (height - top - bottom);
 
   const picture = drawing("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": options.label });
@@ -48,7 +45,7 @@ function lineChart(options) {
     picture.append(drawing("line", { class: "grid", x1: left, x2: width - right, y1: down(value), y2: down(value) }),
       drawing("text", { x: left - 5, y: down(value) + 4, "text-anchor": "end" }, String(value)));
   }
-  for (const value of options.log || options.points ? x : ticks(x[0], x[x.length - 1], 6)) {
+  for (const value of ticks(x[0], x[x.length - 1], 6)) {
     picture.append(drawing("line", { class: "grid", x1: across(value), x2: across(value), y1: top, y2: height - bottom }),
       drawing("text", { x: across(value), y: height - bottom + 16, "text-anchor": "middle" }, String(value)));
   }
@@ -56,18 +53,11 @@ function lineChart(options) {
   for (const bound of options.bounds ?? []) picture.append(drawing("line", { class: "bound", x1: left, x2: width - right, y1: down(bound), y2: down(bound) }));
   if (typeof options.event === "number") picture.append(drawing("line", { class: "bound", x1: across(options.event), x2: across(options.event), y1: top, y2: height - bottom }));
   series.forEach((line, number) => {
-    const style = strokeStyle(line, number);
-    let path = "", pen = "M";
-    line.values.forEach((value, index) => {
-      if (value === null) { pen = "M"; return; }
-      path += `${pen}${across(x[index]).toFixed(1)} ${down(Math.max(low, Math.min(high, value))).toFixed(1)}`;
-      pen = "L";
-      if (options.points) picture.append(drawing("circle", { cx: across(x[index]), cy: down(value), r: 3, fill: style.stroke }));
-    });
-    picture.append(drawing("path", { class: "curve", d: path, ...style }));
+    const points = line.values.map((value, index) => `${across(x[index]).toFixed(1)} ${down(Math.max(low, Math.min(high, value))).toFixed(1)}`);
+    picture.append(drawing("path", { class: "curve", d: `M${points.join("L")}`, ...strokeStyle(line, number) }));
   });
   const cursor = drawing("line", { class: "cursor", x1: left, x2: left, y1: top, y2: height - bottom });
-  if (!options.points) picture.append(cursor);
+  picture.append(cursor);
 
   const node = element("div");
   node.append(picture);
@@ -92,6 +82,5 @@ function lineChart(options) {
 
 function strokeStyle(line, number) {
   if (line.plain) return { stroke: "currentColor", "stroke-dasharray": "" };
-  const style = line.style ?? number;
-  return { stroke: COLOURS[style % COLOURS.length], "stroke-dasharray": DASHES[style % DASHES.length] };
+  return { stroke: COLOURS[number % COLOURS.length], "stroke-dasharray": DASHES[number % DASHES.length] };
 }

@@ -1,4 +1,4 @@
-// Connects the leaderboard, the episode view and the maps. Selecting a row of the leaderboard opens its episode.
+// Connects the leaderboard and the episode view. Selecting a row of the leaderboard opens its episode.
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const find = (id) => document.getElementById(id);
@@ -171,46 +171,6 @@ find("time").addEventListener("input", () => { stop(); moveTo(Number(find("time"
 find("motion").addEventListener("change", openCell);
 scene = makeScene(find("scene"));
 
-// ------------------------------------------------------------------------------------------------------------- maps
-
-function drawMaps() {
-  const body = find("maps-body");
-  if (!data.maps.length) {
-    body.append(element("p", { text: "These results contain no payload maps. To add them, run cablebot benchmark --suite maps --out maps, then cablebot report RESULTS maps." }));
-    return;
-  }
-  const names = [...new Set(data.maps.flatMap((map) => map.policies.map((policy) => policy.name)))];
-  for (const id of new Set(data.maps.map((map) => map.id))) {
-    body.append(element("h3", { text: id }));
-    const grid = element("div", { class: "charts" });
-    for (const map of data.maps.filter((other) => other.id === id)) {
-      const figure = element("figure");
-      const best = { name: "best known payload", values: map.best_known, plain: true };
-      const policies = map.policies.map((policy) => ({ ...policy, style: names.indexOf(policy.name) }));  // the same in all maps
-      const series = [...(map.best_known.some((value) => value !== null) ? [best] : []), ...policies];
-      figure.append(element("figcaption", { text: `Payload [kg] versus ${map.label}` }),
-        lineChart({ x: map.x, series, points: true, log: map.x[0] > 0, range: [0, 1.05 * Math.max(0.1, ...series.flatMap((line) => line.values.filter((value) => value !== null)))], label: `Payload versus ${map.label}, ${id}` }).node,
-        mapTable(map, series));
-      grid.append(figure);
-    }
-    body.append(grid);
-  }
-}
-
-function mapTable(map, series) {
-  const details = element("details"), table = element("table"), head = element("tr"), box = element("div", { class: "wide" });
-  head.append(element("th", { scope: "col", text: map.label }), ...map.x.map((value) => element("th", { scope: "col", class: "number", text: String(value) })));
-  table.append(head);
-  for (const line of series) {
-    const row = element("tr");
-    row.append(element("th", { scope: "row", text: line.name }), ...line.values.map((value) => element("td", { class: "number", text: value === null ? "–" : value.toFixed(2) })));
-    table.append(row);
-  }
-  box.append(table);
-  details.append(element("summary", { text: "Values" }), box);
-  return details;
-}
-
 // ------------------------------------------------------------------------------------------------------------ start
 
 for (const section of data.notes) {
@@ -219,7 +179,6 @@ for (const section of data.notes) {
   find("notes-body").append(element("h3", { text: section.title }), list);
 }
 const leaderboard = makeLeaderboard(data.rows, openRow);
-drawMaps();
 find("limits-body").append(...data.limits.map(limitFigure));
 find("limits").hidden = !data.limits.length;
 find("errors-body").append(...data.errors.map(errorFigure));
