@@ -251,29 +251,21 @@ def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
     return {"payload": result.payload, "violation": violation}
 
 
-CASE = ("estimator", "sensors", "errors", "disturbance")
-"""Keys of a case."""
-
-
 def table(data: dict[str, Any]) -> str:
     """Markdown table of the stored results: payload of each case, its fraction of that with the exact
     pose, and the consistency of the filter."""
-    stored = {}
-    for result in data["cases"]:
-        key = tuple(result[name] for name in ("env_id", *CASE))
-        stored[key] = result
     rows: dict[tuple[str, ...], dict[str, str]] = defaultdict(dict)
-    for env_id in LAWS:
-        for case in cases(env_id):
-            disturbance = case["disturbance"]
-            result = stored.get((env_id, *(case[name] for name in CASE)))
-            exact = stored.get((env_id, "", "pose", "", disturbance))
-            estimator = "–"
-            if case["estimator"]:
-                estimator = f"`{case['estimator']}`"
-            errors = NAMES[case["errors"]]
-            row = (f"`{case['sensors']}`", estimator, errors, DISTURBANCES[disturbance])
-            rows[row][env_id] = _cell(result, exact)
+    exact = {}
+    for result in data["cases"]:
+        env_id, disturbance = result["env_id"], result["disturbance"]
+        if result["sensors"] == "pose":
+            exact[env_id, disturbance] = result["payload"]
+        estimator = "–"
+        if result["estimator"]:
+            estimator = f"`{result['estimator']}`"
+        errors = NAMES[result["errors"]]
+        row = (f"`{result['sensors']}`", estimator, errors, DISTURBANCES[disturbance])
+        rows[row][env_id] = _cell(result, exact.get((env_id, disturbance)))
     head = ["sensors", "estimator", "errors of the sensors", "deviation"]
     head += [f"`{env_id}`, `{law}`" for env_id, law in LAWS.items()]
     lines = [head]
@@ -287,20 +279,17 @@ def table(data: dict[str, Any]) -> str:
     )
 
 
-def _cell(result: dict[str, Any] | None, exact: dict[str, Any] | None) -> str:
-    """Text of a case, from its result and that with the exact pose."""
-    if result is None:
-        return "not computed yet"
+def _cell(result: dict[str, Any], exact: float | None) -> str:
+    """Text of a case, from its result and the payload with the exact pose."""
     payload = result["payload"]
     text = "fails unloaded"
     if payload is not None:
         text = f"{payload:.2f} kg"
-        if result["estimator"] and exact is not None and exact["payload"] is not None:
-            text += f", {payload / exact['payload']:.0%}"
-    consistency = result.get("nees")
-    if consistency is None:
-        return text
-    return f"{text} (NEES {consistency:.2f})"
+        if result["estimator"] and exact is not None:
+            text += f", {payload / exact:.0%}"
+    if result.get("nees") is not None:
+        text += f" (NEES {result['nees']:.2f})"
+    return text
 
 
 def interval(coordinates: int, draws: int) -> str:

@@ -13,8 +13,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, get_args
 
-import numpy as np
-
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
@@ -56,10 +54,6 @@ class Setting:
     """Control frequency [Hz]."""
     robot_name: str | None = None
     """Name of the robot; None for that of the environment id."""
-    robot_changes: Mapping[str, Any] = field(default_factory=dict)
-    """Changed values of the robot, nested as in
-    :meth:`~cablebot_gym.robots.record.Robot.to_dict`, such as
-    ``{"transmission": {"stiffness": 10.0}}``."""
 
     @property
     def key(self) -> str:
@@ -82,30 +76,20 @@ class Setting:
 
     @property
     def robot(self) -> Robot:
-        """Nominal robot with the changes of the cell.
-
-        Raises:
-            ValueError: if a change is invalid, such as a stiffness of a robot without joint
-                springs.
-        """
-        robot = find_robot(self.robot_name or env_robot(self.env_id))
-        if not self.robot_changes:
-            return robot
-        return Robot.from_dict(merged(robot.to_dict(), self.robot_changes))
+        """Nominal robot."""
+        return find_robot(self.robot_name or env_robot(self.env_id))
 
     @property
     def motion_key(self) -> str:
         """Key of the best known payload: environment, robot, motion, error bounds and control
         frequency."""
-        robot = (self.env_id, self.robot_name, self.robot_changes)
+        robot = (self.env_id, self.robot_name)
         return canonical([*robot, self.trajectory, self.error_bounds, self.control_frequency])
 
     def env_options(self) -> dict[str, Any]:
         """JSON-able keyword arguments of the environment."""
         options: dict[str, Any] = {}
-        if self.robot_changes:
-            options["robot"] = self.robot.to_dict()
-        elif self.robot_name is not None:
+        if self.robot_name is not None:
             options["robot"] = self.robot_name
         return options | {
             "trajectory": dict(self.trajectory),
@@ -193,11 +177,9 @@ class PolicyCell(Setting):
             if self.criterion == "paper" and not loaded.declarations.unsaturated_actions:
                 return {"applicable": False, "payload": None, "total_mass": None}
             result = evaluate_dlcc(loaded, self.env_id, name=self.policy, **self.options())
-        largest_action = np.abs(result.rollout.arrays["commanded_action"]).max()
         data = result.to_dict()
         return {name: data[name] for name in _STORED} | {
             "applicable": True,
-            "saturated": bool(largest_action > 1 - 1e-9),
             "fallbacks": result.details.fallbacks,
         }
 
@@ -432,17 +414,6 @@ def _policy_hash(policy: str, robot_files: tuple[Path, ...]) -> str:
         "cablebot_gym.isolation.isolated",
     )
     return source_hash(*judge, *modules, data=(*data, *robot_files))
-
-
-def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy of nested data with changed values; a nested mapping changes the values that it
-    names."""
-    result = dict(data)
-    for name, value in changes.items():
-        if isinstance(value, Mapping):
-            value = merged(data.get(name) or {}, value)
-        result[name] = value
-    return result
 
 
 def canonical(data: Any) -> str:

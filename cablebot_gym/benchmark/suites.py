@@ -17,7 +17,6 @@ from cablebot_gym.benchmark.cells import (
     PolicyCell,
     SurveyCell,
     TimingCell,
-    merged,
 )
 from cablebot_gym.benchmark.scores import RANKED_MOTIONS
 from cablebot_gym.benchmark.seeds import hidden_seeds
@@ -63,8 +62,7 @@ class Block:
     surveyed: int | None = None
     """Largest number of motions in a survey, the first ones; None for all."""
     conditions: Mapping[str, Any] = field(default_factory=dict)
-    """Further fields of the policies' cells. A nested mapping changes only the values that it names.
-    A list makes one cell for each of its values."""
+    """Further fields of the policies' cells. A list makes one cell for each of its values."""
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Block:
@@ -120,13 +118,12 @@ class Suite:
 
 
 def _suites() -> Iterator[Suite]:
-    """Suites from suites.toml. The ``defaults`` of a suite are fields of all its blocks."""
+    """Suites from suites.toml."""
     data = tomllib.loads(
         (files("cablebot_gym.benchmark") / "suites.toml").read_text(encoding="utf-8")
     )
     for name, suite in data.items():
-        defaults = suite.pop("defaults", {})
-        blocks = tuple(Block.from_dict(merged(defaults, block)) for block in suite.pop("blocks"))
+        blocks = tuple(map(Block.from_dict, suite.pop("blocks")))
         yield Suite(name=name, blocks=blocks, **suite)
 
 
@@ -275,11 +272,11 @@ def _policy_cells(
         for name, conditions in product(included, block.combinations(env_id)):
             motions = _survey_motions(block, env_id, name, seed_text)
             data = {"env_id": env_id, "policy": name, **motions, "seed": seed}
-            cells.append(SurveyCell(**merged(data, conditions)))
+            cells.append(SurveyCell(**data | conditions))
         return cells
     tasks = _tasks(env_id, block, seed_text)
     for task, name, conditions in product(tasks, included, block.combinations(env_id)):
-        data = merged({"env_id": env_id, "policy": name, **task}, conditions)
+        data = {"env_id": env_id, "policy": name, **task} | conditions
         if block.one_at_a_time and data["uncertainty"] is None:
             data["draws"] = 1
         if block.motion == "library":

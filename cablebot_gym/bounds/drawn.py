@@ -73,8 +73,6 @@ class DrawnPayload:
     """Seed of the draw: an environment that is reset with it has this robot, wrench and delay."""
     payload: float | None
     """Best known payload as the judge counts it, the nominal one [kg]; None if none was found."""
-    true_payload: float | None
-    """True payload of the draw at that nominal payload [kg]; None if none was found."""
     verified: bool
     """Whether all replays of the inputs carry the payload in the environment with this draw."""
     replays: tuple[Replay, ...]
@@ -131,18 +129,16 @@ def find_drawn_best_known(
     case = _DrawnCase.of(_case(env_id, **options), uncertainty, whole("seed", seed))
     intervals, mesh_payload = _coarse_mesh(nominal)
     verified = case.verified(intervals, nominal.motion)
-    payload = true_payload = None
+    payload = None
     replays: tuple[Replay, ...] = ()
     if verified is not None:
-        true_payload = verified.motion.payload
-        payload = case.nominal_payload(true_payload)
+        payload = case.nominal_payload(verified.motion.payload)
         replays = verified.replays
     return DrawnPayload(
         env_id=env_id,
         uncertainty=uncertainty,
         seed=seed,
         payload=payload,
-        true_payload=true_payload,
         verified=verified is not None and nominal.verified,
         replays=replays,
         intervals=intervals,

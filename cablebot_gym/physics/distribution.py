@@ -321,74 +321,42 @@ def largest_scale(
     lower: ArrayLike,
     upper: ArrayLike,
     largest: ArrayLike,
-    *,
-    least: ArrayLike = 0.0,
-    unit_lower: ArrayLike = 0.0,
-    unit_upper: ArrayLike = 0.0,
 ) -> ScaleInterval:
-    """Interval of s in [least, largest] for which tensions within the bounds hold ``w₀ + s w₁``,
-    exactly.
-
-    The bounds may depend on s: ``lower + s unit_lower ≤ T ≤ upper + s unit_upper``. With w₁ the
-    load of 1 kg, s is the payload or the mass.
+    """Interval of s in [0, largest] for which tensions within the bounds hold ``w₀ + s w₁``,
+    exactly. With w₁ the load of 1 kg, s is the payload or the mass.
 
     Args:
         structure: S, shape (..., m, n), m ≥ n.
         load: w₀, shape (..., n) [N, N·m].
         unit_load: w₁, shape (..., n).
-        lower: lower bounds at s = 0, shape (..., m) [N].
-        upper: upper bounds at s = 0, shape (..., m) [N].
-        largest: upper end of the search, shape (...); finite.
-        least: lower end of the search, shape (...); finite.
-        unit_lower: change of the lower bounds per s, shape (..., m); finite.
-        unit_upper: change of the upper bounds per s, shape (..., m); finite.
+        lower: lower bounds, shape (..., m) [N].
+        upper: upper bounds, shape (..., m) [N].
+        largest: upper end of the search, shape (...); ≥ 0 and finite.
 
     Raises:
-        ValueError: if the shapes do not match, a number is not finite, or the search is unbounded
-            or empty. A bound may be infinite.
+        ValueError: if the shapes do not match, or a number is not finite or out of its range. A
+            bound may be infinite.
     """
     all_finite("unit_load", unit_load)
-    all_finite("unit_lower", unit_lower)
-    all_finite("unit_upper", unit_upper)
     _check_problem(structure, load, lower, upper)
-    ends = _search_ends(least, largest)
-    batch = np.shape(unit_load)[:-1], ends.shape[:-1]
-    shape, matrices, loads, (low, high, unit_low, unit_high) = _arrays(
-        structure, load, lower, upper, unit_lower, unit_upper, batch=batch
-    )
+    end = np.asarray(largest, float)
+    if not np.all(np.isfinite(end)) or not np.all(end >= 0):
+        raise ValueError("largest must be finite and at least 0")
+    batch = np.shape(unit_load)[:-1], end.shape
+    shape, matrices, loads, (low, high) = _arrays(structure, load, lower, upper, batch=batch)
     items, m, n = matrices.shape
     interval = np.empty((items, 2))
     status = np.zeros(items, np.int64)
     coefficients = np.zeros((items, m))
     units = _values(unit_load, shape, n)
-    search = _values(ends, shape, 2)
-    solve_interval(
-        matrices,
-        loads,
-        units,
-        low,
-        high,
-        unit_low,
-        unit_high,
-        search,
-        interval,
-        status,
-        coefficients,
-    )
+    ends = _values(end[..., None], shape, 1)[:, 0]
+    solve_interval(matrices, loads, units, low, high, ends, interval, status, coefficients)
     return ScaleInterval(
         least=interval[:, 0].reshape(shape),
         largest=interval[:, 1].reshape(shape),
         status=status.reshape(shape),
         coefficients=coefficients.reshape(*shape, m),
     )
-
-
-def _search_ends(least: ArrayLike, largest: ArrayLike) -> Array:
-    """Ends of the search for a scale, shape (..., 2)."""
-    ends = np.broadcast_arrays(np.asarray(least, float), np.asarray(largest, float))
-    if not np.all(np.isfinite(ends)) or not np.all(ends[0] <= ends[1]):
-        raise ValueError("the search needs finite ends with least <= largest")
-    return np.stack(ends, axis=-1)
 
 
 def _finite(lower: Array) -> Array:

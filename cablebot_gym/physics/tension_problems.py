@@ -328,19 +328,7 @@ def _extreme(problem, step, tolerance, scale, x, before):
 
 
 @compiled_when_frequent
-def solve_interval(
-    structure,
-    load,
-    unit_load,
-    lower,
-    upper,
-    unit_lower,
-    unit_upper,
-    ends,
-    interval,
-    status,
-    coefficients,
-):
+def solve_interval(structure, load, unit_load, lower, upper, ends, interval, status, coefficients):
     """Ends of the interval, see :func:`~cablebot_gym.physics.distribution.largest_scale`."""
     items, m, n = structure.shape
     size = m - n + 1  # the redundant cables and s
@@ -361,8 +349,8 @@ def solve_interval(
         set_bounds(problem, factors, fixed, 1.0, lower[item], upper[item])
         largest, scale = 0.0, 0.0
         for i in range(m):
-            normals[i, size - 1] = unit[i] - unit_lower[item, i]
-            normals[m + i, size - 1] = unit_upper[item, i] - unit[i]
+            normals[i, size - 1] = unit[i]
+            normals[m + i, size - 1] = -unit[i]
         for i in range(2 * m):
             if math.isfinite(limits[i]):
                 largest = max(largest, abs(normals[i, size - 1]))
@@ -377,18 +365,17 @@ def solve_interval(
         normals[2 * m :] = 0.0
         normals[2 * m, size - 1] = 1.0
         normals[2 * m + 1, size - 1] = -1.0
-        limits[2 * m] = ends[item, 0] * effect
-        limits[2 * m + 1] = -ends[item, 1] * effect
+        limits[2 * m] = 0.0
+        limits[2 * m + 1] = -ends[item] * effect
         tolerance = TOLERANCE * (1.0 + largest_magnitude(fixed))
         x[:] = 0.0
-        x[size - 1] = limits[2 * m]
         status[item], count = project(problem, tolerance)
         if status[item] != HELD:
             _combine(problem, count + 1, m, coefficients[item])
             continue
         _extreme(problem, -100.0 * scale, tolerance, scale, x, before)
-        interval[item, 0] = min(max(x[size - 1] / effect, ends[item, 0]), ends[item, 1])
+        interval[item, 0] = min(max(x[size - 1] / effect, 0.0), ends[item])
         count = _extreme(problem, 100.0 * scale, tolerance, scale, x, before)
-        interval[item, 1] = min(max(x[size - 1] / effect, ends[item, 0]), ends[item, 1])
+        interval[item, 1] = min(max(x[size - 1] / effect, 0.0), ends[item])
         if _combine(problem, count, m, coefficients[item]) == 0.0 and count > 0:
-            interval[item, 1] = ends[item, 1]
+            interval[item, 1] = ends[item]

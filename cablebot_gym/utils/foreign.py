@@ -46,15 +46,14 @@ def foreign_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
     return path.read_bytes()
 
 
-def foreign_text(path: Path, largest: int = LARGEST_TEXT) -> str:
-    """The text of a file, UTF-8 with or without a byte order mark. For the arguments see
-    :func:`foreign_bytes`.
+def foreign_text(path: Path) -> str:
+    """The text of a file, UTF-8 with or without a byte order mark.
 
     Raises:
         OSError: if the file cannot be read.
         ValueError: if it is no regular file, too large, or of another encoding.
     """
-    content = foreign_bytes(path, largest)
+    content = foreign_bytes(path, LARGEST_TEXT)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:

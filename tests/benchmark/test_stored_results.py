@@ -14,8 +14,8 @@ from cablebot_gym.policies import policy_entries
 from cablebot_gym.report.page import merge_records
 
 ROOT = Path(__file__).parents[2]
-LATER = {"adaptive", "nmpc", "observing", "trajopt"}
-"""Policies that were computed after the board, and on its main table only."""
+LATER = {"adaptive", "composite", "nmpc", "observing", "trajopt"}
+"""Policies that were computed after the board, all but `composite` on its main table only."""
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def test_rows_of_the_leaderboard_are_of_today_or_of_its_board(results):
     """Excludes a row of a policy that has changed since: it would stand beside those of today."""
     origins = {
         "of board 2026-2": set(),
-        "computed after board 2026-2, on its first 20 motions": set(),
+        "after board 2026-2, on its first 20 motions": set(),
     }
     for record in records_of(results["leaderboard"], PolicyCell):
         origins[record.versions["rows"]].add(record.cell.policy)
@@ -49,7 +49,8 @@ def test_results_have_the_cells_of_their_suite(results, name):
     """The only errors are missed deadlines."""
     stored = results[name]
     rows = compare_rows(stored)
-    assert [cell.stem for cell in rows.missing if cell.policy not in LATER] == []
+    late = LATER - {"composite"}
+    assert [cell.stem for cell in rows.missing if cell.policy not in late] == []
     assert rows.unexpected == rows.not_installed == ()
     for record in stored.records:
         assert record.error is None or "did not answer within" in record.error

@@ -218,7 +218,7 @@ def test_robot_and_motion_of_files_reach_an_isolated_policy(cablebot, tmp_path, 
     text += '[defaults]\ntrajectory = "own_motion_of_dlcc.py:motion"\npayload_range = [0.1, 0.2]\n'
     (tmp_path / "mine.toml").write_text(text)
     (tmp_path / "own_motion_of_dlcc.py").write_text(OWN_MOTION)
-    line = f"dlcc --policy fl --robot {tmp_path / 'mine.toml'} --criterion task --isolate --json"
+    line = f"dlcc --policy composite --robot {tmp_path / 'mine.toml'} --criterion task --isolate --json"
     (result,) = cablebot(line).data
     assert value_at(result, "environment.robot.name") == "gch-klaus"
     assert value_at(result, "environment.trajectory.name") == "own"

@@ -124,15 +124,12 @@ def test_cell_without_dlcc_has_one_unloaded_episode():
 
 
 def test_robot_of_a_cell_reaches_the_environment():
-    def largest_error(stiffness):
-        changed = cell(
-            "CableBot-FlexPlanar-v0",
-            "motor-pd",
-            robot_changes={"transmission": {"stiffness": stiffness}},
-        )
-        return unpack_channels(replays(changed, 1.0)[0])["position_error"].max()
+    def largest_tension(name):
+        still = {"name": "dwell-planar-platform", "duration": 0.1}
+        named = cell("CableBot-PlanarPlatform-v0", trajectory=still, robot_name=name)
+        return unpack_channels(replays(named, 1.0)[0])["tension"].max()
 
-    assert largest_error(100.0) < 0.5 * largest_error(1.0)
+    assert largest_tension("gch-klaus") > 2 * largest_tension(None)
 
 
 def test_constant_channels_are_finite():

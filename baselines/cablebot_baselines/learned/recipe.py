@@ -27,13 +27,9 @@ from cablebot_baselines.learned.vec_env import CableBotVecEnv
 from cablebot_baselines.learned.wrappers import SteeredVector, make_steered_vec
 
 
-def find_config(env_id: str, algorithm: str = "ppo") -> Config:
-    """The shipped settings of an algorithm for an environment.
-
-    Raises:
-        ValueError: if the algorithm has no shipped settings.
-    """
-    return make_config(read_yaml(env_id, Path(algorithm)))
+def find_config(env_id: str) -> Config:
+    """The shipped settings of PPO for an environment."""
+    return make_config(read_yaml(env_id, Path("ppo")))
 
 
 def ppo_settings(env_id: str, n_envs: int | None = None) -> dict[str, Any]:
