@@ -8,7 +8,6 @@ from operator import attrgetter
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.physics import textbook
@@ -81,28 +80,6 @@ def test_motors_hold_the_default_motion_and_friction_acts_on_it(name, checked):
     cable_speed = np.einsum("kij,kj->ki", structure, reference.velocity)
     largest = np.max(np.abs(cable_speed / robot.pulley_radius))
     assert robot.transmission.friction_speed <= 0.03 * largest
-
-
-@every_robot
-def test_source_of_an_inertia_names_its_convention(name):
-    """Products ∫xy dm and entries of a tensor differ in their sign."""
-    robot = find_robot(name)
-    if not robot.point_mass:
-        assert re.search("products|the moment of", robot.sources["inertia"])
-
-
-def test_inertia_of_cogiro_fits_both_points_of_its_source():
-    """The source has the inertia about the centre of mass and about the origin of the platform
-    frame. Products of inertia read as entries of the tensor do not fit the second one."""
-    moments = (42.955, 42.427, 25.557)
-    xy, xz, yz = -0.414, 2.205, -1.849  # products, z up, about the origin of the platform frame
-    published = np.diag(moments) - [[0, xy, xz], [xy, 0, yz], [xz, yz, 0]]
-    robot = find_robot("cogiro")
-    center = np.array(robot.center_of_mass)
-    shift = robot.mass * (center @ center * np.eye(3) - np.outer(center, center))
-    z_up = np.diag([1.0, -1.0, -1.0])
-    # The centre of mass is rounded to 1 mm.
-    assert_allclose(z_up @ (robot.inertia_tensor + shift) @ z_up, published, atol=0.015)
 
 
 @every_robot

@@ -12,8 +12,7 @@ from oracles.collocation import largest_payload
 from cablebot_gym.bounds import best_known, exact_payload
 from cablebot_gym.bounds.best_known import cached_best_known, find_best_known
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.planning import Infeasible, Margins, MotionProgram
-from cablebot_gym.planning.motion import RIGID_DEGREE
+from cablebot_gym.planning import Margins, MotionProgram
 from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, Motors
 from cablebot_gym.task import ErrorBounds
@@ -203,29 +202,6 @@ def test_arguments_reach_the_program(line):
     assert changed.payload > 1.05 * line.payload
 
 
-@pytest.mark.landing
-@pytest.mark.usefixtures("quick")
-def test_failed_fine_mesh_is_skipped(
-    monkeypatch,
-):
-    solve = best_known._solve
-
-    def fails_when_fine(program, start, margins=None):
-        if program.control_points > 20 + RIGID_DEGREE:
-            raise Infeasible("no finer")
-        return solve(program, start, margins)
-
-    monkeypatch.setattr(best_known, "_solve", fails_when_fine)
-    result = find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
-    assert [count for count, _ in result.meshes] == [20]
-    assert result.verified
-    monkeypatch.setattr(best_known._Case, "_verify", lambda *_: None)
-    result = find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
-    assert not result.verified
-    assert "not verified" in str(result)
-    assert "; fails: " in str(result)
-
-
 # --- the cache --------------------------------------------------------------------------------------------------------
 
 
@@ -312,10 +288,6 @@ def test_bad_argument_is_rejected(arguments, message, cache):
             "infeasible even unloaded: at most .* kg of the platform's 5 kg",
         ),
         ({"trajectory": "dwell-planar"}, "nothing limits the payload on 'dwell-planar'"),
-        (
-            {"robot": PLANAR.replace(maximum_tension=1.2)},
-            "limiting: the motors' torque-speed lines or the maximum tension",
-        ),
         (
             {"error_bounds": {"position": 1e-6}},
             "no motion along 'circle-planar' .*limiting: the error bounds",

@@ -12,7 +12,7 @@ from scipy.optimize import bisect, linprog
 
 from cablebot_gym.bounds.closed_form import control_instants, exact_payload
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors, Robot
+from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors
 from cablebot_gym.trajectories import Dwell, PointToPoint, find_trajectory
 
 HOME_RISE = 0.1 / math.sqrt(0.1**2 + 0.47**2 + ((2 * 0.148 - 0.47) / math.sqrt(3)) ** 2)
@@ -40,41 +40,6 @@ def test_static_hang_is_limited_by_the_weakest_motor(minimum):
     assert result.total_mass == pytest.approx(result.payload + 10)
     assert (result.time, result.motor, result.kind, result.line) == (0.0, 4, "torque", "upper")
     assert result.lowest == pytest.approx(6 * minimum * HOME_RISE / 9.81 - 10, rel=1e-12)
-
-
-LADDER = Robot(
-    name="three cables in a vertical plane",
-    base_anchors=((-1.0, 0.0), (0.0, 0.0), (1.0, 0.0)),
-    plane="vertical",
-    mass=10.0,
-    home_pose=(0.0, 1.0),
-    motors=Motors(stall_torque=50.0, free_speed=100.0),
-    transmission=PLANAR.transmission,
-    minimum_tension=0.0,
-)
-PYRAMID = LADDER.replace(
-    name="four cables in space",
-    base_anchors=((1, 1, 0), (1, -1, 0), (-1, -1, 0), (-1, 1, 0)),
-    plane="horizontal",
-    home_pose=(0.0, 0.0, 1.0),
-)
-
-
-@pytest.mark.parametrize(
-    ("robot", "rise"),
-    [(SPATIAL, 6 * HOME_RISE), (LADDER, 1.0), (PYRAMID, 4 / math.sqrt(3))],
-    ids=lambda value: getattr(value, "name", ""),
-)
-def test_static_hang_is_limited_by_the_maximum_tension(robot, rise):
-    """Unique, least and best tensions: ``(m + p) g = T Σ cos``. The least tensions of a point mass
-    below the middle cable are those of that cable alone."""
-    limited = robot.replace(maximum_tension=70.0)
-    trajectory = Dwell(pose=robot.home_pose, duration=1.0)
-    result = exact_payload(limited, trajectory)
-    assert result.total_mass == pytest.approx(70.0 * rise / 9.81, rel=1e-9)
-    assert (result.time, result.kind, result.line) == (0.0, "tension", "upper")
-    strong = robot.replace(maximum_tension=1e5)
-    assert exact_payload(strong, trajectory) == exact_payload(robot, trajectory)
 
 
 @pytest.mark.parametrize(

@@ -122,31 +122,6 @@ def test_infeasible_motion_names_the_cause():
 
 
 @pytest.mark.parametrize(
-    ("duration", "payload", "cause"),
-    [
-        (1.3, 0.0, "cable 2 at the minimum tension of 1 N"),
-        (4.0, 9.0, "cable 2 at the torque limit"),
-    ],
-)
-def test_limit_is_that_which_excludes_the_payload(duration, payload, cause):
-    """On a fast circle with jumps, a light platform slackens a cable; that a heavier one needs
-    torque is no cause."""
-    three = CAMERA.replace(
-        base_anchors=((-2, -1.5, -3), (2, -1.5, -3), (0, 2, -3)),
-        home_pose=(0.0, 0.0, -1.0),
-        workspace=(),
-        mass=3.0,
-        minimum_tension=1.0,
-        motors=CAMERA.motors.replace(stall_torque=4.0, free_speed=100.0),
-        transmission=PLANAR.transmission,
-    )
-    circle = {"name": "circle-point", "radius": 0.3, "center": [0, 0, -1], "duration": duration}
-    limit = check_motion(three, trajectory=circle, payload=payload).limit
-    assert not limit.least <= payload <= limit.largest
-    assert limit.reason == cause
-
-
-@pytest.mark.parametrize(
     ("payload", "density", "tolerance"),
     [(0.0, 0.0, 1e-9), (20.0, 0.0, 1e-9), (0.0, 0.012, 3e-4)],
     ids=["unloaded", "loaded", "sagging"],

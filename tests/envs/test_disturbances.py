@@ -17,7 +17,6 @@ from oracles.episodes import (
     motion,
     random_actions,
     rollout,
-    two_ids,
     wrenches,
 )
 from oracles.plants import with_transmission
@@ -244,16 +243,3 @@ def test_delay_is_drawn_uniformly_between_its_bounds():
     counts = [np.sum(np.all(commanded == actions[-1 - delay], axis=1)) for delay in (1, 2, 3)]
     assert sum(counts) == 600
     assert stats.chisquare(counts).pvalue > 0.01
-
-
-@two_ids
-def test_motors_with_lag_start_from_the_holding_torques(env_id):
-    """A robot whose motors answer slowly stays at rest for some steps, whatever the action."""
-    robot = ROBOTS[env_id]
-    slow = robot.replace(motors=robot.motors.replace(lag=1e3))
-    env = make(
-        env_id, robot=slow, payload=2.0, trajectory=motion("dwell", env_id), initial_error=0.0
-    )
-    torques = rollout(env, np.zeros((5, robot.cables)), seed=0).info["torques"]
-    assert np.abs(torques[-1] - torques[0]).max() < 1e-3
-    assert torques[0].min() > 0.1

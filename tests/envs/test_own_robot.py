@@ -60,20 +60,6 @@ def test_default_motion_is_smooth_and_within_the_limits(name):
         assert np.abs(getattr(reference, order)[[0, -1]]).max() < 1e-9
 
 
-def test_default_motion_is_of_the_robot_else_of_the_paper():
-    """Else a lemniscate, and a robot that cannot move dwells."""
-    circling = PLANAR.replace(defaults=Defaults(trajectory="smooth-circle-planar"))
-    weak = HANGING.replace(motors=HANGING.motors.replace(stall_torque=0.1))
-    for robot, name in (
-        (circling, "smooth-circle-planar"),
-        (PLANAR.replace(mass=2.0), "circle-planar"),
-        (BASE, "lemniscate-planar"),
-        (weak, "dwell-point"),
-    ):
-        assert find_trajectory(default_trajectory(robot), robot.kind).name == name
-    assert default_trajectory(weak)["pose"] == [0.2, 0.3, -1.0]
-
-
 @pytest.mark.parametrize("construct", [gym.make, gym.make_vec])
 def test_start_that_the_motors_cannot_hold_is_a_warning(construct):
     construct(PLANAR_ID, robot=BASE.to_dict()).reset(seed=0)  # without a warning

@@ -51,25 +51,6 @@ def test_wrong_derivative_warns_where_it_is_used(order):
     assert bool(warnings_of(doubled, PLANAR)) == (order < 3)
 
 
-def test_jump_of_a_derivative_does_not_warn():
-    def trapezium(times, arrays):
-        """Constant acceleration along x up to the middle, then the opposite one: jumps at three
-        instants."""
-        late = times > 0.5
-        since_rest = np.where(late, 1.0 - np.minimum(times, 1.0), times)
-        half = 0.4 * since_rest**2
-        motion = {
-            "position": np.where(late, 0.2 - half, half),
-            "velocity": 0.8 * since_rest,
-            "acceleration": np.where(times > 1.0, 0.0, np.where(late, -0.8, 0.8)),
-        }
-        for name, values in arrays.items():
-            values[:] = 0.0
-            values[..., 0] = motion.get(name, 0.0)
-
-    assert warnings_of(trapezium, FLEX_PLANAR) == []
-
-
 def test_motion_after_the_duration_warns():
     def continued(times, arrays):
         arrays["position"][..., 0] += 0.05 * times

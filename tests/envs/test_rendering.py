@@ -1,6 +1,5 @@
 """``render()`` of both environments."""
 
-import os
 import sys
 
 import gymnasium as gym
@@ -19,7 +18,6 @@ from oracles.episodes import (
 
 from cablebot_gym.rendering.moment import Moment
 from cablebot_gym.rendering.painter import import_pygame
-from cablebot_gym.rendering.window import Window
 
 pygame = import_pygame()
 
@@ -80,38 +78,6 @@ def test_vector_environment_paints_the_pictures_of_single_ones():
             single.step(action[0]) if step < 2 else single.reset()
     assert_array_equal(envs.render(), [single.render() for single in singles])
     assert not np.array_equal(*envs.render())
-
-
-def test_picture_shows_the_trajectory_and_the_termination():
-    env = make(SPATIAL, render_mode="rgb_array")
-    env.reset(seed=3)
-    circle = env.render()
-    env.reset(seed=3, options={"trajectory": "line-spatial"})
-    assert np.mean(env.render() != circle) > 0.01
-    while not env.step(np.full(6, -1.0))[2]:
-        pass
-    assert np.any(np.all(env.render()[26:40] == (0xD5, 0x5E, 0x00), axis=-1))
-
-
-def test_human_shows_fifty_pictures_per_second_of_episode_time(monkeypatch):
-    rates = []
-    monkeypatch.setattr(Window, "show", lambda self, picture, rate: rates.append(rate) or [])
-    env = make(PLANAR, render_mode="human")
-    env.reset(seed=1)
-    for _ in range(100):
-        env.step(np.zeros(3))
-    assert rates == [env.metadata["render_fps"]] * 11 == [50] * 11
-
-
-def test_human_without_display_logs_it_once(monkeypatch, without_display, caplog):
-    monkeypatch.setattr("sys.platform", "linux")
-    env = make(PLANAR, render_mode="human")
-    env.reset()
-    for _ in range(20):
-        env.step(np.zeros(3))
-    env.close()
-    assert [record.getMessage()[:10] for record in caplog.records] == ["No display"]
-    assert "SDL_VIDEODRIVER" not in os.environ
 
 
 def test_render_needs_pygame(monkeypatch):

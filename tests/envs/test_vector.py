@@ -313,15 +313,6 @@ def test_info_holds_arrays_of_numbers_that_torch_and_jax_take():
     assert all(value.flags.c_contiguous for value in values)  # JAX
 
 
-def test_attributes_are_set_of_each_environment():
-    env = make_vector(PLANAR, 3)
-    env.set_attr("label", ["a", "b", "c"])
-    env.set_attr("level", 4)
-    assert (env.get_attr("label"), env.call("level")) == (("a", "b", "c"), (4, 4, 4))
-    with pytest.raises(AttributeError, match=r"reset\(\)"):
-        env.set_attr("pose", 0.0)
-
-
 # --- threads ------------------------------------------------------------------------------------------------------
 
 

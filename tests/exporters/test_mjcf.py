@@ -186,13 +186,3 @@ def test_two_springs_in_series_are_refused():
     robot = with_transmission(FLEX_QUAD, axial_stiffness=2e4, pulley_inertia=1e-3)
     with pytest.raises(ValueError, match="remove stiffness and motor_inertia, or axial_stiffness"):
         export_mjcf(robot)
-
-
-def test_file_names_what_it_describes_in_another_way():
-    exported = export_mjcf(find_robot("flex-ipanema-3").replace(name="a -- b"))
-    comment = exported.text.partition("-->")[0].replace("\n  ", " ")
-    assert "a - b: a platform in space, 8 cables" in comment
-    for word in ("z points down", "damping acts on slack", "0.63 to 2.42 times", "31 mm", "15 N"):
-        assert word in comment
-    for note in exported.notes:
-        assert note in comment

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from cablebot_gym import ENV_IDS
-from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
+from cablebot_gym.envs import env_robot
 from cablebot_gym.physics import kernel
 from cablebot_gym.robots import find_robot
 
@@ -22,7 +22,6 @@ FLEX_SPATIAL = "CableBot-FlexSpatial-v0"
 ROBOTS = {env_id: find_robot(env_robot(env_id)) for env_id in ENV_IDS}
 
 each_id = pytest.mark.parametrize("env_id", ENV_IDS)
-paper_ids = pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
 rigid_ids = pytest.mark.parametrize("env_id", [PLANAR, SPATIAL])
 two_ids = pytest.mark.parametrize("env_id", [PLANAR, FLEX_SPATIAL])
 """The smallest robot and the one with most parts."""

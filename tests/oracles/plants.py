@@ -192,15 +192,6 @@ def holding_state(robot, pose, velocity=0.0, minimum=20.0):
     return State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity)), torques
 
 
-def off_centre(robot):
-    """A pose without symmetry, and a velocity in all coordinates."""
-    if robot.kind == "planar":
-        return np.array([0.05, 0.02]), np.array([0.3, -0.4])
-    return np.array([0.05, 0.02, 0.15, 0.05, 0.03, 0.02]), np.array(
-        [0.2, -0.3, 0.1, 0.4, -0.3, 0.5]
-    )
-
-
 def free_motors(robot):
     """Motors without lag, whose torque limits do not depend on the speed: an action of τ/τ_s holds
     the torque τ."""

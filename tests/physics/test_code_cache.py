@@ -1,12 +1,10 @@
 """Compiled code on disk: where it is stored, and when it is compiled again."""
 
 import importlib
-from pathlib import Path
 
 import pytest
 
 from cablebot_gym.physics import code_cache
-from cablebot_gym.physics.code_cache import code_folders
 from cablebot_gym.physics.compiling import njit
 
 HELPER = "cached_helper"
@@ -49,32 +47,6 @@ def test_read_only_folder_is_read(folders, tmp_path, unwritable):
     hits()
     folders(tmp_path, unwritable)
     assert hits() == 1
-
-
-def test_code_that_cannot_be_stored_runs_with_one_line(folders, unwritable, caplog):
-    folders(unwritable)
-    assert [hits(), hits()] == [0, 0]
-    (message,) = [record.message for record in caplog.records if "compiling" not in record.message]
-    assert message.startswith(f"cannot store compiled code in {unwritable}")
-    assert message.endswith("set NUMBA_CACHE_DIR to a writable folder")
-
-
-def test_folders_end_with_the_first_writable_one(tmp_path, monkeypatch):
-    writable = {tmp_path / "user" / "compiled"}
-    monkeypatch.setattr(
-        code_cache,
-        "is_writable_dir",
-        lambda folder: folder in writable,
-    )
-    monkeypatch.setattr(code_cache.config, "CACHE_DIR", str(tmp_path / "named"))
-    monkeypatch.setattr(code_cache, "cache_folder", lambda: tmp_path / "user")
-    package = Path(code_cache.__file__).parents[1] / "__pycache__"
-    named = tmp_path / "named" / "cablebot_gym"
-    assert code_folders() == [named, package, tmp_path / "user" / "compiled"]
-    code_cache._folders.cache_clear()
-    writable.add(named)
-    assert code_folders() == [named]
-    code_cache._folders.cache_clear()
 
 
 @pytest.mark.parametrize("mode", [0o700, 0o777])

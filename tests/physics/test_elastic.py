@@ -9,13 +9,10 @@ from oracles.plants import (
     advance,
     each_of,
     energies,
-    evaluated,
     free_motors,
     no_reference,
     runge_kutta_step,
-    textbook_rates,
     with_transmission,
-    worst_relative_error,
 )
 from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
 
@@ -117,25 +114,6 @@ def test_steps_are_those_of_a_python_loop(robot, cable):
         assert slack > 0 or len(members) == 1
         for name, value in vars(elastic_state_of(plant)).items():
             assert_allclose(value, getattr(state, name), rtol=1e-9, atol=1e-9)
-
-
-@each_of(SWIVELLED_CRANE, with_transmission(SWIVELLED_CAMERA, **JOINTS))
-def test_swivel_pulleys_are_those_of_the_textbook(robot):
-    """Directions, bias, and lengths, which wind the joint springs of the second robot."""
-    state = states(robot, 100)
-    torques = (
-        np.random.default_rng(3).uniform(
-            -1,
-            1,
-            (100, robot.cables),
-        )
-        * robot.stall_torque
-    )
-    plant = plant_at(robot, state, "bilateral")
-    expected, expected_tension = textbook_rates(robot, state, torques)
-    acceleration, tension = evaluated(plant, torques)
-    assert worst_relative_error(acceleration, expected.velocity) <= 1e-11
-    assert worst_relative_error(tension, expected_tension) <= 1e-11
 
 
 # --- energy -------------------------------------------------------------------------------------------------------

@@ -1,14 +1,12 @@
-"""Platforms on fewer cables than coordinates: pose at rest and modes."""
+"""Platforms on fewer cables than coordinates: pose at rest and refusals."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from oracles.plants import with_transmission
 from oracles.platforms import CAMERA, DRIVE, SWIVELLED
-from scipy.linalg import eigh
 
 from cablebot_gym.envs.settings import make_settings
-from cablebot_gym.physics import textbook
 from cablebot_gym.physics.hanging import hanging_pose
 from cablebot_gym.robots import Robot
 
@@ -41,25 +39,6 @@ def test_platform_hangs_below_its_anchors():
     hanging = hung(payload=2.0)
     assert_allclose(hanging.pose, REST, atol=1e-9)
     assert_allclose(hanging.tensions, (MASS + 2.0) * BIFILAR.gravity / 2, rtol=1e-9)
-
-
-def test_modes_are_those_of_a_bifilar_pendulum():
-    """It sways along x, turns about z, and is a double pendulum along y. The payload is in the
-    centre of mass, so it is not in the moments of inertia."""
-    mass = MASS + 2.0
-    weight = mass * BIFILAR.gravity
-    sway = BIFILAR.gravity / LENGTH
-    turn = weight * ARM**2 / (INERTIA[2] * LENGTH)
-    inertia = np.array(
-        [
-            [mass * LENGTH**2, mass * LENGTH * DROP],
-            [mass * LENGTH * DROP, INERTIA[0] + mass * DROP**2],
-        ]
-    )
-    double = eigh(np.diag([weight * LENGTH, weight * DROP]), inertia, eigvals_only=True)
-    hanging = hung(payload=2.0)
-    frequencies, _ = textbook.locked_modes(BIFILAR, mass, hanging.pose, hanging.tensions)
-    assert_allclose(2 * np.pi * frequencies, np.sqrt(sorted([sway, turn, *double])), rtol=1e-7)
 
 
 @pytest.mark.parametrize(

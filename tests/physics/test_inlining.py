@@ -9,7 +9,6 @@ import pytest
 from numba import njit
 from numba.core import event
 
-from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.physics.inlining import compile_time_constant, helper, inline
 
 
@@ -84,19 +83,3 @@ def test_inlined_function_that_allocates_raises():
 
     with pytest.raises(TypeError, match="decorate it with helper"):
         njit(lambda: fresh(3).sum())()
-
-
-def test_vector_form_compiles_one_function_more(monkeypatch):
-    """The single and the vector environment share all helpers; a second compilation of each took 20
-    s."""
-    # Another action history or number of cables would be compiled anew; these robots are compiled
-    # for other tests.
-    compilations = Compilations()
-    single = CableBotVectorEnv(robot="planar", num_envs=1)
-    single.reset(seed=0)
-    single.step(np.zeros((1, 3)))
-    with event.install_listener("numba:compile", compilations):
-        vector = CableBotVectorEnv(robot="planar", num_envs=2)
-        vector.reset(seed=0)
-        vector.step(np.zeros((2, 3)))
-    assert set(compilations.names) <= {"advance"}

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 from oracles.mujoco_model import MujocoRobot
 from oracles.plants import (
     FLEX_HANGING,
@@ -11,18 +10,13 @@ from oracles.plants import (
     QUAD,
     UNEQUAL,
     State,
-    advance,
     each_of,
     evaluated,
     every_kind,
-    free_motors,
     friction_torques,
-    holding_state,
     loaded_plant,
     nightly,
-    off_centre,
     random_states,
-    state_of,
     textbook_rates,
     with_transmission,
     worst_relative_error,
@@ -132,32 +126,3 @@ def test_wrench_acts_at_the_centre_of_mass_in_the_base_frame(robot):
     plant.set_wrench(np.arange(STATES), force[:, : robot.dimensions], moment)
     acceleration, _ = evaluated(plant, torques)
     assert worst_relative_error(acceleration, expected) <= 1e-10
-
-
-@pytest.mark.parametrize("count", [1, 2])
-@each_of(QUAD, FLEX_UNEQUAL)
-def test_trajectory_is_that_of_mujoco(robot, count):
-    """100 RK4 steps of both, each a control period of the plant; MuJoCo integrates a quaternion."""
-    timestep = 5e-4
-    pose, velocity = off_centre(robot)
-    state, torques = holding_state(robot, pose, velocity)
-    torques = 0.7 * torques[0] + 0.02
-    peer = MujocoRobot(robot, timestep=timestep)
-    load_state(peer, state, 0)
-    peer.step(torques, 100)
-    plant = loaded_plant(free_motors(robot), state[np.zeros(count, int)])
-    for _ in range(100):
-        advance(plant, torques, timestep, 1)
-    ends = [*peer.state()]
-    if robot.flexible:
-        ends += peer.motors()
-    values = list(vars(state_of(plant)).values())[: len(ends)]
-    for value, expected in zip(values, ends, strict=True):
-        size = max(1.0, np.abs(expected).max())
-        assert_allclose(
-            value / size,
-            np.tile(expected / size, (count, 1)),
-            rtol=0,
-            atol=1e-11,
-        )
-    assert np.abs(values[0] - pose).max() > 1e-3

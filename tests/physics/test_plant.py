@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from numba import njit
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles.one_dimension import line_robot
 from oracles.plants import (
@@ -27,9 +26,7 @@ from oracles.plants import (
 )
 
 from cablebot_gym.physics import kernel, textbook
-from cablebot_gym.physics.kernel.arithmetic import atan2, sincos
-from cablebot_gym.physics.plant import Plant, pack_parameters
-from cablebot_gym.robots import PLANAR
+from cablebot_gym.physics.plant import pack_parameters
 
 # --- one lane and a tile of lanes ---------------------------------------------------------------------------------
 
@@ -76,18 +73,6 @@ def test_lane_of_a_batch_has_the_bits_of_a_robot_alone(robot, cable, count):
     for lane in {0, 1, count - 2, count - 1}:
         alone = run_with_late_reset(robot, cable, np.array([lane]), count)
         assert_array_equal(alone[:, 0], tiled[:, lane])
-
-
-@pytest.mark.parametrize("count", [1, 2, 65])
-def test_memory_starts_at_cache_lines(count):
-    """Otherwise the plant loses a fifth of its speed, by the luck of the allocation."""
-    # Five plants, so that a lucky allocation will not do.
-    for plant in [Plant(PLANAR, count) for _ in range(5)]:
-        memories = [plant._parameters, plant.record]
-        for tile in plant._memory:
-            memories += tile[:3]
-        for memory in memories:
-            assert memory.ctypes.data % 64 == 0
 
 
 # --- equations ----------------------------------------------------------------------------------------------------
@@ -287,27 +272,6 @@ def test_wrench_lasts_until_it_or_the_parameters_are_set_anew():
     expected[4, 3:] = 0
     expected[32:] = 0
     check_wrenches()
-
-
-def test_sine_cosine_and_arctangent_are_right_to_the_last_digit():
-    """Over ± 100 rad and near multiples of π/2: 1 ulp, and 1.2e-16 absolute.
-
-    Closer than 1e-9 to a zero the reduction's last digit shows (3e-27 at π/2), and relative errors
-    mean nothing.
-    """
-    sine_and_cosine = njit(lambda angle: sincos(angle))
-    quarter = np.arange(-63, 64) * (math.pi / 2)
-    near = quarter[:, None] + np.array([-1e-3, -1e-6, -1e-8, 0.0, 1e-8, 1e-6, 1e-3])
-    for angle in [*np.linspace(-100, 100, 20_001).tolist(), *near.ravel().tolist()]:
-        expected = math.sin(angle), math.cos(angle)
-        for value, exact in zip(sine_and_cosine(angle), expected, strict=True):
-            assert abs(value - exact) <= 1.2e-16
-            assert abs(exact) <= 1e-9 or abs(value - exact) <= 2 * math.ulp(exact)
-    arctangent = njit(lambda y, x: atan2(y, x))
-    points = np.random.default_rng(0).normal(size=(4000, 2)).tolist()
-    for y, x in [*points, (0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (1.0, 1.0), (1e-9, -1.0)]:
-        exact = math.atan2(y, x)
-        assert abs(arctangent(y, x) - exact) <= 2 * math.ulp(exact) + 1e-17
 
 
 # --- helpers and broken states ------------------------------------------------------------------------------------

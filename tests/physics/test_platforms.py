@@ -5,7 +5,6 @@ import numpy as np
 from numpy.testing import assert_allclose
 from oracles.plants import differentiated, each_of, random_motion
 from oracles.platforms import CRANE, PLATFORMS, SWIVELLED
-from scipy.spatial.transform import Rotation
 
 from cablebot_gym import kinematics
 from cablebot_gym.physics import textbook
@@ -43,35 +42,6 @@ def test_cable_wraps_its_swivel_pulley_on_the_right_side():
         assert_allclose(length, [np.pi * 0.1 + 2.0], rtol=1e-14)
     assert np.sign(SWIVELLED.swivel).tolist() == [1] * 8
     assert np.sign(LOWER_WINCHES.swivel).tolist() == [1, 0, 1, 1, -1, -1, -1, -1]
-
-
-def test_swivel_axes_turn_with_the_world():
-    """Anchors, pose and vertical axes turned together keep the lengths and their rates; S is the
-    gradient of the lengths."""
-    turn = Rotation.from_euler("ZYX", [0.4, -0.7, 1.1]).as_matrix()
-    platform = SWIVELLED.platform
-    upright_pose = SWIVELLED.home + np.linspace(0.1, 0.3, 6)
-    velocity = np.linspace(-1.0, 1.0, 6)
-    rotation = turn @ kinematics.rotation_matrix(upright_pose[3:])
-    euler = Rotation.from_matrix(rotation).as_euler("ZYX")[::-1]
-    pose = np.concatenate([turn @ upright_pose[:3], euler])
-    base = SWIVELLED.base @ turn.T
-    axes = np.zeros((8, 3))
-    axes[:, 2] = SWIVELLED.swivel
-    axes = axes @ turn.T
-
-    def lengths(moved):
-        return kinematics.cable_lengths(base, platform, moved, axes)
-
-    def structure(moved):
-        return kinematics.structure_jacobian(base, platform, moved, axes)
-
-    upright_lengths = textbook.cable_lengths(SWIVELLED, upright_pose)
-    assert_allclose(lengths(pose), upright_lengths, rtol=1e-14)
-    assert_allclose(structure(pose), gradient(lengths, pose), atol=1e-9)
-    _, rate = kinematics.jacobian_and_rate(base, platform, pose, velocity, axes)
-    slope = differentiated(lambda time: structure(pose + time * velocity), 1e-3)
-    assert_allclose(rate, slope, atol=1e-8)
 
 
 def lagrangian(robot, mass, pose, velocity):

@@ -11,7 +11,6 @@ from cablebot_gym.planning import (
     Follower,
     Margins,
     MotionProgram,
-    PlannedMotion,
     State,
 )
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
@@ -82,33 +81,6 @@ def test_action_of_a_row_of_a_batch_is_that_alone(name):
         assert_allclose(together[k], alone, rtol=1e-9, atol=1e-12)
 
 
-def test_last_period_keeps_its_speed_despite_rounding():
-    """829 periods and one more are 1.6600000000000001 s, where a plan of 1.66 s rests."""
-    period = 0.002
-    steps = 830
-    duration = 1.66
-    final_start = (steps - 1) * period
-    assert final_start + period > duration
-    reference = find_trajectory({"name": "line-planar", "duration": duration}, 2)
-    drift = PlannedMotion(
-        name="drift",
-        knots=np.array([0.0, 0.0, duration, duration]),
-        poses=reference(0.0).position + np.array([[0.0, 0.0], [0.1, 0.0]]),
-        motors=(),
-        payload=1.0,
-        lightest=1.0,
-        minimum_tension=0.0,
-    )
-    follower = Follower(robot=PLANAR, gains=NO_GAINS)
-
-    def torques(time):
-        x = drift(time)
-        state = State(time=np.asarray(time), pose=x.position, velocity=x.velocity)
-        return follower.torques(drift, state, np.asarray(1.0), period)[0]
-
-    assert_allclose(torques(final_start), torques(final_start - period), atol=1e-3)
-
-
 # --- a whole motion ---------------------------------------------------------------------------------------------------
 
 
@@ -132,12 +104,3 @@ def test_plan_is_followed_and_an_initial_error_corrected(name):
     assert corrected[0] == pytest.approx(5e-4, rel=0.1)
     assert corrected[-1] < 0.2 * 5e-4
     assert corrected[-1] < 0.5 * without[-1]
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [{"gains": (-1.0, 1.0)}, {"motor_frequency": 0.0}, {"motor_damping_ratio": 0.0}],
-)
-def test_invalid_gains_raise(arguments):
-    with pytest.raises(ValueError, match="must be"):
-        Follower(**({"robot": FLEX_PLANAR, "gains": (1.0, 1.0)} | arguments))

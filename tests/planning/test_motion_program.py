@@ -8,14 +8,14 @@ import threading
 import gymnasium as gym
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from oracles import one_dimension
 from oracles.plants import each_of, random_motion, with_transmission
 
 from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.physics import textbook
-from cablebot_gym.planning import Infeasible, Margins, MotionProgram
+from cablebot_gym.planning import Margins, MotionProgram
 from cablebot_gym.planning.stage_functions import (
     TENSION,
     flexible_stage,
@@ -35,7 +35,6 @@ from cablebot_gym.trajectories import find_trajectory
 pytest.importorskip("casadi")
 
 BOUNDS = ErrorBounds(position=0.01, rotation=0.01)
-CIRCLE = find_trajectory("paper-planar", 2)
 LINE = find_trajectory("line-planar", 2)
 
 
@@ -247,54 +246,7 @@ def test_motion_in_one_dimension_keeps_the_maximum_tension(margin):
     assert 1 + program.solve().payload == pytest.approx(expected, rel=4e-3)
 
 
-def test_springs_keep_the_maximum_tension():
-    limited = FLEX_PLANAR.replace(maximum_tension=12.0)
-    line = find_trajectory({"name": "line-planar", "duration": 0.4, "dwell": 0.0}, 2)
-    free, kept = (
-        MotionProgram(robot, line, BOUNDS, intervals=20).solve() for robot in (FLEX_PLANAR, limited)
-    )
-    times = np.linspace(0, line.duration, 121)
-    largest = []
-    for plan in (free, kept):
-        x = plan(times)
-        angle, _, _ = plan.motor_motion(times, np.full(len(times), plan.payload))
-        spring = FLEX_PLANAR.stiffness * (angle - textbook.pulley_angle(FLEX_PLANAR, x.position))
-        pulley = textbook.pulley_acceleration(FLEX_PLANAR, x.position, x.velocity, x.acceleration)
-        speed = textbook.pulley_speed(FLEX_PLANAR, x.position, x.velocity)
-        torque = spring - FLEX_PLANAR.pulley_inertia * pulley - FLEX_PLANAR.damping * speed
-        largest.append(np.max(torque / FLEX_PLANAR.pulley_radius))
-    assert largest[0] > 13.0
-    assert largest[1] == pytest.approx(12.0, abs=0.3)
-    assert kept.payload < free.payload
-
-
 # --- solving ----------------------------------------------------------------------------------------------------------
-
-
-def test_optimum_does_not_depend_on_the_initial_guess():
-    coarse = MotionProgram(PLANAR, CIRCLE, BOUNDS, intervals=20)
-    plan = coarse.solve()
-    assert_array_equal(coarse.solve().poses, plan.poses)
-    assert coarse.solve(shift=np.array([0.3, -0.4])).payload == pytest.approx(
-        plan.payload, rel=1e-4
-    )
-    fine = MotionProgram(PLANAR, CIRCLE, BOUNDS, intervals=30)
-    warm = fine.solve(plan).payload
-    assert warm == pytest.approx(fine.solve().payload, rel=1e-4)
-    assert warm == pytest.approx(plan.payload, rel=0.03)
-
-
-def test_resolving_with_other_margins_has_the_same_optimum():
-    margins = Margins(position=1e-3, action=0.05, tension=2.0)
-    problem = (PLANAR, CIRCLE, BOUNDS)
-    fresh = MotionProgram(*problem, intervals=30, margins=margins).solve()
-    program = MotionProgram(*problem, intervals=30)
-    with pytest.raises(Infeasible, match="no solution to start from"):
-        program.resolve(Margins())
-    free = program.solve()
-    again = program.resolve(margins)
-    assert again.payload == pytest.approx(fresh.payload, abs=1e-4)
-    assert again.payload < free.payload - 0.1
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

@@ -81,17 +81,6 @@ def test_plan_without_a_usable_folder_is_solved(tmp_path, monkeypatch):
     assert plan().payload > 0
 
 
-def test_cache_folder_follows_the_environment(tmp_path, monkeypatch, cache):
-    assert cache_folder() == cache
-    monkeypatch.delenv("CABLEBOT_CACHE")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / "cablebot_gym"
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    for name in ("HOME", "USERPROFILE"):
-        monkeypatch.setenv(name, str(tmp_path / "home"))
-    assert cache_folder() == tmp_path / "home" / ".cache" / "cablebot_gym"
-
-
 @pytest.mark.landing
 def test_planning_can_be_imported_without_casadi():
     code = "import sys; sys.modules['casadi'] = None; import cablebot_gym.planning, cablebot_gym.bounds.best_known"

@@ -215,17 +215,11 @@ def test_motion_is_a_trajectory_that_rests_outside_its_duration():
     ("robot", "margins", "message"),
     [
         (PLANAR, {"position": -1e-3}, "margins: position must be"),
-        (PLANAR, {"rotation": np.nan}, "margins: rotation must be"),
         (PLANAR, {"action": 1.0}, "margins: action must be"),
         (
             SPATIAL,
             {"position": BOUNDS.position},
             "position must be below the error bound",
-        ),
-        (
-            SPATIAL,
-            {"rotation": BOUNDS.rotation},
-            "rotation must be below the error bound",
         ),
         (FLEX_PLANAR, {"tension": 4.5}, "at most 4 N for 'flex-planar'"),
         (

@@ -38,24 +38,7 @@ def test_z_points_downwards_in_the_picture():
     assert x_below == pytest.approx(x, abs=15)  # upright, but for the perspective
 
 
-def test_projection_is_a_perspective():
-    camera = fit_camera(CLOUD, WINDOW, azimuth=0.3, elevation=0.6)
-    aside = 0.01 * camera.right
-    for distance in (1.0, 2.0, 4.0):
-        point = camera.eye + distance * camera.forward
-        start, end = camera.project([point, point + aside])
-        pixels = np.linalg.norm(end - start)
-        assert pixels == pytest.approx(camera.focal * 0.01 / distance)
-        assert camera.pixels(0.01, point) == pytest.approx(pixels)
-
-
 SQUARE = 2.0 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-
-
-def test_outline_has_the_corners_in_order_without_inner_points():
-    shuffled = SQUARE[[2, 0, 3, 1, 0]]
-    inner = [[1.5, 1.0]]
-    np.testing.assert_array_equal(outline(np.concatenate([shuffled, inner])), SQUARE)
 
 
 def test_outline_of_a_bar_keeps_its_anchors():

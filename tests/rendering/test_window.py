@@ -23,14 +23,6 @@ def picture(colour):
     return surface
 
 
-def test_window_shows_the_picture(window):
-    for colour in ("#102030", "#D0A000"):
-        window.show(picture(colour), 1000)
-        assert pygame.display.get_surface().get_at((30, 20)) == pygame.Color(colour)
-        assert pygame.display.get_surface().get_size() == (64, 48)
-    assert pygame.display.get_caption()[0] == "a test"
-
-
 def test_pressed_keys_are_returned_once(window):
     window.show(picture("black"), 1000)
     for key in (pygame.K_SPACE, pygame.K_LEFT):

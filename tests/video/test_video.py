@@ -8,9 +8,8 @@ from PIL.ImageSequence import Iterator
 
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.rendering.window import Window
-from cablebot_gym.video.recording import VideoPainter, note, play, write_video
+from cablebot_gym.video.recording import VideoPainter, play, write_video
 
-PLANAR = "CableBot-Planar-v0"
 SPATIAL = "CableBot-Spatial-v0"
 SMALL = (320, 240)
 
@@ -25,19 +24,6 @@ def lost():
     return "lost", record_rollout("fl", SPATIAL, payload=12.0)
 
 
-def test_note_states_the_verdict_from_its_time_on(carried, lost):
-    assert [note(carried[1], index) for index in (0, 799, 800)] == ["", "", "carried"]
-    rollout = lost[1]
-    index_of_note = next(index for index in range(len(rollout)) if note(rollout, index))
-    violation = rollout.verdict.violation
-    assert rollout.moment(index_of_note).time == pytest.approx(violation.time)
-    assert (
-        note(rollout, index_of_note)
-        == note(rollout, len(rollout) - 1)
-        == f"not carried: {violation}"
-    )
-
-
 def test_pictures_are_side_by_side_at_the_same_time(carried, lost):
     side_by_side = VideoPainter([carried, lost], SMALL)
     first_painter = VideoPainter([carried], SMALL)
@@ -50,16 +36,6 @@ def test_pictures_are_side_by_side_at_the_same_time(carried, lost):
         "the last moment that is not later"
     )
     assert not np.array_equal(first_painter.array(0.8), first_painter.array(0.802))
-
-
-def test_speed_scales_the_duration_and_the_last_picture_stays(carried):
-    painter = VideoPainter([carried], SMALL)
-    slow = painter.times(0.25, 30)
-    real = painter.times(1.0, 30)
-    assert len(slow) == 193 + 30
-    assert len(real) == 49 + 30
-    assert slow[:3] == pytest.approx([0, 0.25 / 30, 0.5 / 30])
-    assert np.all(slow[192:] == pytest.approx(1.6))
 
 
 def read_mp4(path):
