@@ -204,8 +204,8 @@ def test_episode_plays_and_moves_with_the_slider(opened):
     page = opened()
     assert page.inner_text("#episode-title").startswith("fl on CableBot-Planar-v0")
     assert page.inner_text("#verdict").endswith(" kg: carried")
-    # actions, error, tensions, the map
-    assert page.locator("figure:visible svg path.curve").count() == 3 + 1 + 3 + 2
+    # actions, error, tensions
+    assert page.locator("figure:visible svg path.curve").count() == 3 + 1 + 3
     picture = "document.getElementById('scene').toDataURL()"
     before = page.evaluate(picture)
     cursor = page.locator("#chart-action .cursor").get_attribute("x1")
