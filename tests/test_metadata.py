@@ -57,13 +57,3 @@ def test_release_requires_tag_changelog_and_addresses(tag, version, urls, proble
     problems = release.problems(tag, version, CHANGES, urls)
     assert len(problems) == (problem is not None)
     assert problem is None or problem in problems[0]
-
-
-def test_readme_on_pypi_links_to_the_files_of_the_tag():
-    readme = (
-        "![A robot](docs/readme.gif) [terms](docs/glossary.md#slack), [site](https://example.org)"
-    )
-    assert release.absolute_links(readme, "https://example.org/repo", "v0.1.0") == (
-        "![A robot](https://example.org/repo/raw/v0.1.0/docs/readme.gif)"
-        " [terms](https://example.org/repo/blob/v0.1.0/docs/glossary.md#slack), [site](https://example.org)"
-    )

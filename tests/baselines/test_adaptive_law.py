@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 from scipy.optimize import lsq_linear
 
 from cablebot_baselines.classical import Adaptive, Composite, FeedbackLinearization
-from cablebot_baselines.classical.adaptive import ADAPTIVE
 from cablebot_baselines.classical.allocation import allocate
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
@@ -109,13 +108,3 @@ def test_torque_slope_is_the_derivative_of_the_torques(env_id):
         shifted = blocks["reference_acceleration"] + unit
         changed = law.torques({**blocks, "reference_acceleration": shifted}, mass)[0]
         assert_allclose(column, changed - torques, rtol=1e-8, atol=1e-10)
-
-
-def test_law_declares_whether_it_saturates_its_actions():
-    assert not ADAPTIVE.factory(SPATIAL).unsaturated_actions
-    assert ADAPTIVE.factory(PLANAR).unsaturated_actions
-    free = Adaptive(LAWS[SPATIAL_ID], allocation=False)
-    assert free.unsaturated_actions
-    observation, _ = gym.make(SPATIAL_ID, payload=15.0).reset(seed=0)
-    assert np.abs(free.predict(observation)[0]).max() > 1.2
-    assert np.abs(ADAPTIVE.factory(SPATIAL).predict(observation)[0]).max() == 1.0

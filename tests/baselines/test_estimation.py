@@ -17,7 +17,7 @@ from cablebot_baselines.estimation import (
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.policies import load_policy
-from cablebot_gym.robots import PLANAR, find_robot
+from cablebot_gym.robots import find_robot
 from cablebot_gym.uncertainty import find_uncertainty
 
 ENCODERS = {"kind": "winches", "encoder_resolution": 2 * np.pi / 8192}
@@ -194,21 +194,3 @@ def test_law_behind_the_filter_keeps_its_payload():
     full = evaluate_dlcc("fl", "CableBot-Planar-v0", **options)
     estimated = evaluate_dlcc("ekf+fl", "CableBot-Planar-v0", measurement="winches", **options)
     assert estimated.payload == pytest.approx(full.payload, rel=0.01)
-
-
-def test_diverged_estimate_stops_the_motors_of_its_own_episode():
-    """A law answers NaN with NaN, which would end the evaluation of all payloads."""
-
-    class Diverging(KinematicEstimator):
-        def update(self, blocks, state, starts):
-            estimated, state = super().update(blocks, state, starts)
-            estimated["pose"][0], estimated["velocity"][1] = np.nan, np.inf
-            return estimated, state
-
-    env = gym.make_vec("CableBot-Planar-v0", num_envs=3, measurement="winches").unwrapped
-    rows, _ = env.reset(seed=0)
-    policy = Estimated(load_policy("fl", PLANAR), PLANAR, Diverging(PLANAR))
-    policy.reset(env.tasks)
-    actions, _ = policy.predict(rows)
-    assert (actions[:2] == 0).all()
-    assert (actions[2] != 0).any()

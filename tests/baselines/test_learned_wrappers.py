@@ -5,11 +5,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from numpy.testing import assert_array_equal, assert_equal
 from stable_baselines3.common import env_checker
-from stable_baselines3.common.monitor import Monitor
 from steering import network_of
 
 from cablebot_baselines.learned.bundle import Bundle
@@ -17,12 +15,9 @@ from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_baselines.learned.wrappers import (
     PayloadCurriculum,
-    PayloadCurriculumVector,
     Steered,
-    SteeredVector,
     make_steered_vec,
 )
-from cablebot_gym.evaluation import DLCCMonitor
 
 PLANAR_ID = "CableBot-Planar-v0"
 SPATIAL_ID = "CableBot-Spatial-v0"
@@ -167,13 +162,6 @@ def test_ended_episode_has_the_result_of_its_last_period():
     assert round(info["time"] * 500) % env.steering.periods != 0
 
 
-def test_info_of_other_wrappers_inside_passes_through():
-    """RL-Zoo's make_vec_env puts Monitor inside the wrappers of its YAML files."""
-    env = Steered(Monitor(gym.make(PLANAR_ID, max_episode_steps=5)), **CASES["shift"]["steered"])
-    env.reset(seed=0)
-    assert env.step(np.zeros(2))[4]["episode"]["l"] == 5
-
-
 def test_payloads_follow_the_power_law():
     """At power 1 they equal the environment's own uniform draws."""
     linear = PayloadCurriculum(gym.make(PLANAR_ID), heaviest=3.0, power=1.0)
@@ -293,34 +281,6 @@ def test_policy_on_the_plain_environment_repeats_training(case):
             assert_array_equal(info[name], plain_info[name], err_msg=name)
 
 
-def test_effort_costs_the_mean_square_of_the_clipped_action():
-    arguments = CASES["shift"]["steered"]
-    action = np.array([[0.5, 7.0], [0.0, 0.0]])
-    rewards = []
-    for effort in (0.0, 0.4):
-        env = make_steered_vec(
-            PLANAR_ID, 2, wrappers=[(Steered, {**arguments, "effort": effort})], seed=3
-        )
-        rewards.append(env.step(action)[1])
-    assert rewards[0] - rewards[1] == pytest.approx([0.4 * 0.625, 0.0])
-
-
-def test_invalid_actions_and_steps_outside_an_episode_raise():
-    env = single("shift", max_episode_steps=5)
-    env.unwrapped.reset(seed=0)
-    with pytest.raises(ResetNeeded, match=r"reset\(\)"):
-        env.step(np.zeros(2))
-    env.reset()
-    for action in (np.zeros(1), [0.0, np.nan], ["a", "b"]):
-        with pytest.raises(ValueError, match="action must be"):
-            env.step(action)
-    assert env.step(np.zeros(2))[3]
-    with pytest.raises(ResetNeeded, match=r"reset\(\)"):
-        env.step(np.zeros(2))
-    with pytest.raises(ValueError, match="give error_bounds when the environments are made"):
-        batch("shift", 2).reset(options={"error_bounds": {"position": 0.02}})
-
-
 def test_seed_of_a_batch_repeats_its_draws():
     def draws(seed):
         env = batch("shift", 3, seed=seed)
@@ -328,34 +288,3 @@ def test_seed_of_a_batch_repeats_its_draws():
 
     assert draws(3) == draws(3)
     assert not set(draws(3)) & set(draws(9))
-
-
-STEERED = {"base": "fl", "steering": "shift", "features": ["error"]}
-CURRICULUM = (PayloadCurriculum, {"heaviest": 1.0})
-
-
-def made(*wrappers):
-    return make_steered_vec(PLANAR_ID, 2, wrappers=wrappers)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (made, "must be Steered"),
-        (lambda: made((Steered, STEERED), CURRICULUM), "Steered must be outermost"),
-        (lambda: made((Steered, STEERED | {"action_period": 1})), "unexpected .*'action_period'"),
-        (lambda: made((DLCCMonitor, {}), (Steered, STEERED)), "DLCCMonitor has no vector form"),
-        (
-            lambda: made((PayloadCurriculum, {"heaviest": 1.0, "start": 2.0}), (Steered, STEERED)),
-            "start must be .*at most 1 kg",
-        ),
-        (lambda: made((Steered, STEERED | {"base": "lqr"})), "unknown base law 'lqr'"),
-        (lambda: PayloadCurriculum(gym.make("CartPole-v1"), heaviest=1.0), r"gym\.make"),
-        (lambda: SteeredVector(gym.make(PLANAR_ID), **STEERED), r"gym\.make_vec"),
-        (lambda: PayloadCurriculumVector(gym.make_vec(PLANAR_ID), heaviest=1.0), "DISABLED"),
-        (lambda: Steered(gym.make(PLANAR_ID, normalised_observation=True), **STEERED), "leave out"),
-    ],
-)
-def test_invalid_wrappers_and_environments_raise(call, message):
-    with pytest.raises((TypeError, ValueError), match=message):
-        call()

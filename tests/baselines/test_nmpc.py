@@ -2,7 +2,6 @@
 
 import logging
 from dataclasses import replace
-from unittest.mock import Mock
 
 import gymnasium as gym
 import numpy as np
@@ -16,11 +15,9 @@ from cablebot_baselines.optimal.horizon import (
     HORIZON,
     ExpectedRobot,
     HorizonProgram,
-    PlanningError,
     Target,
 )
-from cablebot_baselines.optimal.nmpc import NMPC, STEPS_PER_PLAN, TUNING, NonlinearMPC
-from cablebot_gym.envs.observation import observation_layout
+from cablebot_baselines.optimal.nmpc import NMPC, TUNING, NonlinearMPC
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning.stage_functions import TENSION
 from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
@@ -114,27 +111,6 @@ def test_planned_motion_keeps_the_limits_between_its_instants():
 
 
 @pytest.mark.parametrize("env_id", ROBOTS)
-def test_plan_exists_from_every_regular_state(policies, env_id):
-    """Outside the bounds, moving away, and so fast that braking would take several times the
-    torque."""
-    program = policies[env_id].program
-    robot = program.robot
-    zero = np.zeros(program.robot.coordinates)
-    home = np.array(robot.home)
-    away = np.eye(len(zero))[min(len(zero), 3) - 1]
-    still = np.tile(home, (len(program.instants), 1))
-    target = Target(reference=still, last_velocity=zero, error_bounds=ErrorBounds())
-    heavy = ExpectedRobot(mass=20.0)
-    plan = program.plan(home - 0.015 * away, -2.0 * away, target, robot=heavy)
-    assert np.isfinite(plan).all()
-    if robot.planar:  # at an anchor, a cable has no direction
-        anchor = np.array(robot.base[0])
-        still = np.tile(anchor, (len(program.instants), 1))
-        with pytest.raises(PlanningError):
-            program.plan(anchor, zero, replace(target, reference=still), robot=heavy)
-
-
-@pytest.mark.parametrize("env_id", ROBOTS)
 def test_linearisation_has_the_slopes_of_the_textbook(policies, env_id):
     """Of tensions that balance the forces, and of the actions for them."""
     program = policies[env_id].program
@@ -173,18 +149,6 @@ def test_start_of_the_last_part_counts_as_if_known_before(kind):
         part = program.assembled(program.linearised(plan, robot), target)
         plans.append(program.solved(part, pose, velocity))
     assert_allclose(plans[0], plans[1], atol=1e-5)
-
-
-def test_control_step_has_at_most_one_part_of_a_plan(monkeypatch):
-    policy = NMPC.factory(PLANAR)
-    parts = []
-    for name in ("linearised", "assembled", "solved"):
-        part = getattr(policy.program, name)
-        spy = Mock(side_effect=lambda *_, part=part, name=name: parts.append(name) or part(*_))
-        monkeypatch.setattr(policy.program, name, spy)
-    for number, _ in enumerate(drive(policy, vector(PLANAR_ID, 1), 4 * STEPS_PER_PLAN)):
-        assert number == 0 or len(parts) <= 1
-        parts.clear()
 
 
 # --- fallbacks --------------------------------------------------------------------------------------------------------
@@ -232,22 +196,6 @@ def test_last_plan_bridges_failures_until_its_end(failing):
     policy = failing(1)
     state = rollout(policy, vector(PLANAR_ID, 1), steps=110)[3]
     assert state.memory.plans == (None,)
-
-
-def test_platform_far_away_is_one_fallback_per_episode(monkeypatch):
-    policy = NMPC.factory(PLANAR)
-    env = vector(PLANAR_ID, 1)
-    monkeypatch.setattr(policy.program, "plan", lambda *_, **__: pytest.fail("planned"))
-    observation, _ = env.reset(seed=0)
-    policy.reset(env.unwrapped.tasks)
-    observation[:, observation_layout(policy.robot).slices()["pose"].start] += 0.05
-    state = None
-    for _ in range(3 * STEPS_PER_PLAN):
-        action, state = policy.predict(observation, state=state)
-        assert np.isfinite(action).all()
-    assert policy.fallbacks == 1
-    policy.predict(observation, state=state, episode_start=np.array([True]))
-    assert policy.fallbacks == 2
 
 
 # --- invalid input ----------------------------------------------------------------------------------------------------

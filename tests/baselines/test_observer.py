@@ -77,16 +77,6 @@ def test_expectation_has_the_medians_and_spreads_of_an_uncertainty():
     assert_allclose(expected.wrench_spread, [0.5] * 3 + [0.05] * 3)
 
 
-def test_exactly_known_robot_is_expected_as_it_is():
-    robot = find_robot("flex-spatial")
-    expected = Expectation.of(robot, Uncertainty())
-    for name in ("mass", "stall_torque", "stiffness", "coulomb_friction", "motor_inertia"):
-        assert_allclose(getattr(expected.robot, name), getattr(robot, name))
-    assert expected.effect_times(PERIOD) == (0.0, 0.0)
-    assert expected.strength_spread == expected.anchor_spread == expected.stiffness_spread == 0.0
-    assert not expected.wrench_spread.any()
-
-
 # --- model ------------------------------------------------------------------------------------------------------------
 
 
@@ -150,23 +140,6 @@ def test_mass_is_found_within_the_motion(env_id):
     mass = truth["platform_mass"] + truth["payload"]
     assert_allclose(estimates[-1].mass, mass, rtol=0.06)
     assert errors[100:].max() < 0.01
-
-
-def test_strength_and_delay_are_found_on_a_spatial_robot():
-    payload = np.linspace(0.0, 6.0, 8)
-    estimates, truth, _ = episodes(
-        "CableBot-Spatial-v0",
-        "hardware",
-        payload,
-        300,
-        trajectory={"name": "loop-spatial", "seed": 0},
-    )
-    robot = find_robot("spatial")
-    true_strength = truth["motor_strength"] / robot.stall_torque
-    before, after = (estimates[index].strength - true_strength for index in (0, -1))
-    assert np.sqrt(np.mean(after**2)) < 0.8 * np.sqrt(np.mean(before**2))
-    mass = truth["platform_mass"] + truth["payload"]
-    assert_allclose(estimates[20].mass, mass, rtol=0.06)
 
 
 def test_constant_wrench_is_found_and_its_deflection_cancelled():

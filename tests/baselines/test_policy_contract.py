@@ -8,20 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cablebot_baselines.classical import (
-    Adaptive,
-    Composite,
-    FeedbackLinearization,
-    MotorPD,
-    Robust,
-)
-from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.optimal import trajopt
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import env_robot, fitting_env_id
 from cablebot_gym.planning import Infeasible
 from cablebot_gym.policies import load_policy, policy_entries
-from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL, find_robot
+from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL, find_robot
 
 ENTRIES = policy_entries()
 
@@ -146,36 +138,3 @@ def test_law_rejects_a_robot_of_another_geometry(name, robot, changes):
     law.reset([task(mass=11.0)])
     with pytest.raises(ValueError, match="'changed' differs in kind or anchors"):
         law.reset([task(**changes)])
-
-
-def test_episode_start_is_one_boolean_or_one_per_row():
-    """Stable-Baselines3 passes an array of one for one observation."""
-    for start in (True, np.array([[True]])):
-        assert first_steps("a state", start, ()).item()
-        assert not first_steps("a state", ~np.asarray(start), ()).item()
-    assert first_steps("a state", [True, False, True], (3,)).tolist() == [True, False, True]
-    with pytest.raises(ValueError, match=r"one boolean or have shape \(3,\)"):
-        first_steps("a state", [True, False], (3,))
-
-
-@pytest.mark.parametrize(
-    ("law", "robot", "keywords", "message"),
-    [
-        (FeedbackLinearization, SPATIAL, {"gains": (0.0, 1.0)}, "gains must be"),
-        (FeedbackLinearization, SPATIAL, {"gains": "tund"}, "did you mean 'tuned'"),
-        (FeedbackLinearization, PLANAR, {"minimum_tension": -1e-9}, "must be .* at least 0 N"),
-        (Adaptive, FeedbackLinearization(SPATIAL), {"estimator_prior_weight": 0.0}, "than 0 s"),
-        (Robust, SPATIAL, {"boundary_layer": 0.0}, "boundary_layer must be greater than 0"),
-        (Robust, SPATIAL, {"zeta": 1.0}, "zeta must be"),
-        (Robust, SPATIAL, {"phi": -1.0}, "phi must be"),
-        (Robust, SPATIAL, {"q": [[1.0, 0.5], [0.2, 1.0]]}, "symmetric and positive definite"),
-        (Robust, SPATIAL, {"q": [1.0, 1.0]}, "q must be a positive number or a 2×2 matrix"),
-        (Composite, SPATIAL, {}, "needs joint springs"),
-        (Composite, FLEX_SPATIAL, {"spring_damping": -1.0}, "spring_damping must be"),
-        (MotorPD, FLEX_SPATIAL, {"frequency": 0.0}, "frequency must be"),
-        (MotorPD, FLEX_SPATIAL, {"damping_ratio": 0.0}, "damping_ratio must be"),
-    ],
-)
-def test_invalid_arguments_raise(law, robot, keywords, message):
-    with pytest.raises(ValueError, match=message):
-        law(robot, **keywords)

@@ -11,7 +11,6 @@ pytest.importorskip("casadi")
 
 from cablebot_baselines.optimal.rehearsal import (
     GROWTH,
-    LARGEST_ACTION_MARGIN,
     TENSION_RESERVE,
     Rehearsal,
     grown_margins,
@@ -67,17 +66,6 @@ def test_equal_robots_need_no_margins():
     margins = spread_margins(rehearsal([0.0, 0.0, 2.0, 2.0]), TASK.trajectory)
     for name in ("position", "rotation", "action", "tension"):
         assert_allclose(getattr(margins, name), 0.0, atol=1e-12)
-
-
-def test_spread_robots_need_margins_where_they_spread():
-    poses = rehearsal([0.0, 0.0]).poses
-    poses[0, 100, 0] += 1e-3
-    action = np.full((2, 200, 3), 0.5)
-    action[0, 100, 1] = 0.9
-    margins = spread_margins(rehearsal([0.0, 0.0], poses=poses, action=action), TASK.trajectory)
-    assert margins.position[100] > 1e-3
-    assert margins.action[100].tolist() == [0.0, LARGEST_ACTION_MARGIN, 0.0]
-    assert margins.position[50] == margins.action[50].max() == 0.0
 
 
 def test_jump_that_comes_a_period_later_needs_no_margin():

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import solve_continuous_lyapunov
 
 from cablebot_baselines.classical import BoundedRobustPD
-from cablebot_baselines.classical.robust_design import Peaks, RobustDesign, stiffness_limit
+from cablebot_baselines.classical.robust_design import Peaks, RobustDesign
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_gym.envs import env_robot
 from cablebot_gym.robots import find_robot
@@ -80,20 +80,6 @@ def test_loop_with_springs_has_its_margins(env_id):
     assert np.degrees(np.pi + phase[np.abs(loop) > 1][-1]) > 55
     assert np.abs(loop[np.argmax(phase < -np.pi)]) < 0.6
     assert np.abs(loop[np.argmin(np.abs(s - 1j * omega))]) == pytest.approx(0.5, rel=0.02)
-
-
-def test_stiff_springs_have_the_limit_of_a_rigid_robot():
-    assert stiffness_limit(5e-3, 1e9) == pytest.approx(stiffness_limit(5e-3))
-    assert stiffness_limit(5e-3, 80.0) < stiffness_limit(5e-3)
-
-
-def test_noise_limits_the_stiffness_of_a_robot_with_as_many_cables_as_coordinates():
-    noise = design("CableBot-Spatial-v0").expectation.noise
-    noisy = replace(noise, position=100 * noise.position, velocity=100 * noise.velocity)
-    quiet, loud = design("CableBot-Spatial-v0"), design("CableBot-Spatial-v0", noise=noisy)
-    assert quiet.stiffness == pytest.approx(stiffness_limit(quiet.lag))
-    assert loud.stiffness == loud.noise_limit
-    assert loud.stiffness < quiet.stiffness / 2
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Steering of a base law: spline, memory and features."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -11,7 +9,6 @@ from cablebot_baselines.learned.steering import Shift
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import SPATIAL
 from cablebot_gym.task import ErrorBounds
-from cablebot_gym.trajectories import find_trajectory
 
 PERIOD = 1 / 500
 
@@ -59,17 +56,6 @@ def test_shift_stays_within_the_error_bounds(env_id):
         assert np.abs(shift[:, 3:]).max() == pytest.approx(0.95 * 0.03)
 
 
-def test_action_period_is_rounded_to_control_periods():
-    for action_period, frequency, periods in (
-        (0.04, 500.0, 20),
-        (0.04, 120.0, 5),
-        (0.001, 500.0, 1),
-    ):
-        steering = steering_of(action_mapping=Shift(action_period=action_period))
-        steering.reset(tasks_of(PLANAR_ID, control_frequency=frequency))
-        assert steering.periods == periods
-
-
 @pytest.mark.parametrize("degree", [2, 5])
 def test_learner_and_law_get_the_shift_of_the_present_instant(degree):
     """Rigid robots' laws get the mean acceleration of each control period."""
@@ -95,31 +81,3 @@ def test_learner_and_law_get_the_shift_of_the_present_instant(degree):
     for decision in range(steps // 5):
         expected = points[decision : decision + degree].ravel()
         assert_allclose(past[5 * decision], expected, atol=1e-15)
-
-
-def test_shifted_motion_starts_at_rest_at_the_start_pose():
-    """In a batch with a motion that starts on its reference, and again in the next episode."""
-    steering = steering_of(SPATIAL_ID, features=("error",))
-    (task,) = tasks_of(SPATIAL_ID)[:1]
-    tasks = [task, dataclasses.replace(task, trajectory=find_trajectory("paper-spatial", 6))]
-    steering.reset(tasks)
-    poses = [single_task.trajectory(0.0).position for single_task in tasks]
-    rows = np.zeros((2, observation_layout(SPATIAL).size))
-    blocks = steering.split(rows)
-    blocks["reference_pose"][:], blocks["pose"][:] = (
-        poses,
-        [single_task.start_pose for single_task in tasks],
-    )
-    references = []
-    memory = None
-    steering.law.respond = lambda blocks, *arguments: (
-        references.append(blocks) or (np.zeros((2, 6)), None)
-    )
-    for _ in range(2):
-        memory = steering.reset_memory(blocks, memory, np.ones(2, bool))
-        assert_allclose(steering.observe(blocks, memory), 0.0, atol=1e-15)
-        _, memory = steering.respond(blocks, np.ones((2, 6)), memory)
-    for reference in references:
-        assert_allclose(reference["reference_pose"], blocks["pose"], rtol=0, atol=1e-15)
-        assert_allclose(reference["reference_velocity"], 0.0, atol=1e-13)
-    assert tasks[0].start_pose[2] > poses[0][2] + 1e-3

@@ -18,16 +18,15 @@ import yaml
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
-from torch import nn
 
 from cablebot_baselines.learned import runs, training
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.config import ALGORITHMS, algorithm_class, make_config
 from cablebot_baselines.learned.export import network_from_sb3
-from cablebot_baselines.learned.recipe import ppo_settings, trained_policy
+from cablebot_baselines.learned.recipe import trained_policy
 from cablebot_baselines.learned.runs import TrainingResult, read_yaml
 from cablebot_baselines.learned.vec_env import CableBotVecEnv
-from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, make_steered_vec
+from cablebot_baselines.learned.wrappers import make_steered_vec
 from cablebot_baselines.learned.wrappers.steered import ACTIONS
 from cablebot_gym import ENV_IDS
 from cablebot_gym.cli import app as cli
@@ -128,36 +127,9 @@ def test_default_settings_follow_from_the_robot(env_id):
     assert 0 < env.env.ceiling < env.env._highest_ceiling
 
 
-def test_curriculum_without_exact_tracking_needs_a_payload():
-    fast = {"name": "paper-planar", "duration": 0.1}
-    env = gym.make_vec(PLANAR, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, trajectory=fast)
-    with pytest.raises(
-        ValueError, match="heaviest must be given in kg: the motors of robot 'planar' cannot follow"
-    ):
-        PayloadCurriculumVector(env)
-
-
-def test_batch_is_proportional_to_the_environments():
-    assert ppo_settings(PLANAR, 8)["batch_size"] == 32
-
-
 def test_model_of_other_environments_is_refused():
     with pytest.raises(ValueError, match="must have the environments that it was trained on"):
         trained_policy(PPO("MlpPolicy", "CartPole-v1", device="cpu"))
-
-
-def test_texts_of_rl_zoo_are_converted():
-    text = "dict(net_arch=dict(pi=[8, 4], vf=[16]), activation_fn=nn.ReLU, log_std_init=-2.0)"
-    expected = {
-        "net_arch": {"pi": [8, 4], "vf": [16]},
-        "activation_fn": nn.ReLU,
-        "log_std_init": -2.0,
-    }
-    model = make_config(plain(policy_kwargs=text, learning_rate="lin_2e-3")).model
-    assert model["policy_kwargs"] == expected
-    assert [
-        model["learning_rate"](progress_left) for progress_left in (1.0, 0.5, 0.0)
-    ] == pytest.approx([2e-3, 1e-3, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -310,14 +282,6 @@ def test_interrupted_command_keeps_its_results_and_resumes(tmp_path, monkeypatch
     assert TrainingResult.load(out).evaluations[: len(stopped.evaluations)] == stopped.evaluations
 
 
-@pytest.mark.nightly
-def test_resumed_run_keeps_its_replay_buffer(tmp_path):
-    for timesteps in (128, 256):
-        run(tmp_path / "run", "sac", timesteps=timesteps, resume=timesteps > 128)
-        buffer = TrainingResult.load(tmp_path / "run").checkpoint / "replay_buffer.pkl"
-        assert pickle.loads(buffer.read_bytes()).pos == timesteps // 8
-
-
 def test_second_interrupt_stops_immediately(tmp_path):
     def step(done, total, text):
         if text.startswith("training"):
@@ -351,15 +315,6 @@ def test_best_policy_has_the_largest_evaluated_payload(tmp_path, monkeypatch):
         "3.0",
     ]
     assert evaluations == [{"criterion": "task", **QUICK}] * 5
-
-
-def test_damaged_checkpoint_is_rejected_before_anything_changes(copied):
-    path = copied / "checkpoint/256/model.zip"
-    path.write_bytes(path.read_bytes()[:2000])
-    before = digests(copied)
-    with pytest.raises(ValueError, match=r"checkpoint .* cannot be resumed .*no file was changed"):
-        training.train(PLANAR, out=copied, resume=True, timesteps=384)
-    assert digests(copied) == before
 
 
 def test_run_is_resumed_only_with_its_settings(trained, tmp_path):

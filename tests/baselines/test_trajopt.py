@@ -20,8 +20,6 @@ from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
 from cablebot_gym.task import ErrorBounds
 
 PLANAR_ID = "CableBot-Planar-v0"
-SPATIAL_ID = "CableBot-Spatial-v0"
-FLEX_PLANAR_ID = "CableBot-FlexPlanar-v0"
 
 PLANAR_BEST = 2.85
 """Best known payload on the planar circle [kg], from ``cablebot best-known``."""

@@ -3,13 +3,10 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers.vector import RecordEpisodeStatistics, TransformAction
 from numpy.testing import assert_array_equal, assert_equal
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
+from stable_baselines3.common.vec_env import DummyVecEnv
 
-from cablebot_baselines.learned.vec_env import CableBotVecEnv, make_sb3_vec_env
+from cablebot_baselines.learned.vec_env import make_sb3_vec_env
 from cablebot_gym.envs import PAPER_ENV_IDS
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -142,54 +139,3 @@ def test_options_apply_to_one_episode():
     env.set_options({"payload": np.arange(5.0)})
     env.reset()
     assert [info["payload"] for info in env.reset_infos] == [0.0, 1.0, 2.0, 3.0, 4.0]
-
-
-def test_invalid_options_and_info_keys_raise():
-    env = ours()
-    with pytest.raises(ValueError, match="one dict without reset_mask"):
-        env.set_options([{"payload": 1.0}] * COUNT)
-    env.set_options({"paylaod": 1.0})
-    with pytest.raises(ValueError, match="paylaod"):
-        env.reset()
-    env = ours(info_keys=("time", "paylaod"))
-    env.reset()
-    with pytest.raises(ValueError, match=r"'paylaod'.*payload"):
-        env.step(np.zeros((COUNT, 3)))
-    with pytest.raises(AttributeError, match="paylaod"):
-        env.get_attr("paylaod")
-    with pytest.raises(NotImplementedError, match=r"set_options\(\)"):
-        env.set_attr("payload", 3.0)
-
-
-def test_wrappers_of_the_batch_take_effect():
-    """Also the episode statistics of Gymnasium's wrapper, which SB3 reads."""
-    halved = TransformAction(RecordEpisodeStatistics(ours().env), lambda actions: 0.5 * actions)
-    plain = VecMonitor(ours(seed=0))
-    wrapped = CableBotVecEnv(halved)
-    wrapped.seed(0)
-    assert_array_equal(plain.reset(), wrapped.reset())
-    ends = 0
-    for action in random_actions(plain, 30):
-        observation, _, dones, theirs = plain.step(0.5 * action)
-        wrapped_observation, _, _, infos = wrapped.step(action)
-        assert_array_equal(wrapped_observation, observation)
-        for env_index in np.flatnonzero(dones):
-            mine = infos[env_index]["episode"]
-            its = theirs[env_index]["episode"]
-            assert mine["l"] == its["l"]
-            assert mine["r"] == pytest.approx(its["r"], abs=1e-5)
-            ends += 1
-    assert ends > COUNT
-    assert (
-        wrapped.env_is_wrapped(TransformAction)
-        == wrapped.env_is_wrapped(RecordEpisodeStatistics)
-        == [True] * COUNT
-    )
-    assert wrapped.env_is_wrapped(Monitor, indices=0) == [False]
-
-
-def test_other_environments_and_autoreset_modes_raise():
-    with pytest.raises(TypeError, match=r"gym\.make_vec, not "):
-        CableBotVecEnv(gym.make(PLANAR_ID))
-    with pytest.raises(ValueError, match="DISABLED"):
-        CableBotVecEnv(gym.make_vec(PLANAR_ID, num_envs=2, autoreset_mode=AutoresetMode.NEXT_STEP))

@@ -19,8 +19,6 @@ FAMILIES = {
 }
 """Distributions of the fractions of one policy over the motions."""
 
-FAILURES = {12: (0.0, 0.02, 0.1), 25: (0.0, 0.05)}
-"""Rates of failures of equal policies, by number of policies on a board."""
 
 RATIOS = {
     "normal, 0.95 ± 0.035": lambda random, size: random.normal(0.95, 0.035, size),
@@ -33,16 +31,10 @@ RATIOS = {
 }
 """Distributions of the ratios of drawn to nominal best known payloads, (motions, draws)."""
 
-MOTIONS = (20, 100)
-
-YARDSTICK_MOTIONS = (50, 100)
-"""Numbers of motions of a yardstick. With less than 37 × 2 draws its interval has no lower end."""
 
 TRUTH = 2_000_000
 """Number of motions of the true mean of fractions."""
 
-SURVEYED_TRUTH = 400_000
-"""Number of motions, each with its robots, of the true mean of surveys."""
 
 CAPACITIES = {
     "normal, 4 ± 0.3 kg": lambda random, size: random.normal(4, 0.3, size),
@@ -54,8 +46,6 @@ CAPACITIES = {
 }
 """Distributions of the largest payload that a random robot carries on a motion [kg]."""
 
-BEST_PAYLOAD = 6.0
-"""Best payload of a motion of average difficulty [kg]."""
 
 FEWER_MOTIONS = 20
 """Number of motions of half of the policies of a board of surveys."""
@@ -72,23 +62,12 @@ def surveyed(capacities):
 
 
 def promise(family, motions, seed=3):
-    """Fractions of motions whose payload a further robot carries or that have none, of motions
-    without payload, and of motions whose payload less than 85 % of all robots carry."""
+    """Fraction of motions whose payload a further robot carries or that have none."""
     random = np.random.default_rng(seed)
     draw = CAPACITIES[family]
-    everything = np.sort(draw(random, 1_000_000))
     payloads = surveyed(draw(random, (motions, ROBOTS)))
     is_carried = draw(random, motions) >= payloads
-    is_empty = payloads == 0
-    weaker = np.searchsorted(everything, payloads) / len(everything)
-    return (is_carried | is_empty).mean(), is_empty.mean(), (~is_empty & (weaker > 0.15)).mean()
-
-
-def surveyed_fractions(family, random, motions):
-    """Payloads of a survey as fractions of the best payloads."""
-    ease = random.normal(1, 0.15, motions).clip(0.5, None)
-    payloads = surveyed(CAPACITIES[family](random, (motions, ROBOTS))) * ease
-    return payloads / (BEST_PAYLOAD * random.normal(1, 0.05, motions) * np.sqrt(ease))
+    return (is_carried | (payloads == 0)).mean()
 
 
 def equal_surveys(random, failing, noise, policies=12, motions=100):

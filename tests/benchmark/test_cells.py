@@ -290,13 +290,6 @@ def test_hash_of_a_module_has_imports_of_its_folder(module):
     assert len(set(hashes)) == 6  # nobody imports the last module
 
 
-def test_hash_of_a_module_has_the_data_that_it_names(module):
-    module("toy_flat.py", "import numpy\nK = numpy.load('weights.npz')\n")
-    names = ("weights.npz", "other.npz", "run.log")
-    hashes = sources(module, "toy_flat:make", [(name, value) for name in names for value in "12"])
-    assert len(set(hashes)) == 4  # a log that grows during the run does not change the hash
-
-
 def test_hash_has_physics_evaluation_and_law_but_no_command(monkeypatch):
     files = []
     real = code_hash._parsed.__wrapped__

@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from clock import wait_until
 
 from cablebot_gym.benchmark import ray_backend
 from cablebot_gym.benchmark.cells import PolicyCell
@@ -61,14 +60,6 @@ def raises():
     raise KeyError("no such gain")
 
 
-def meets_another_node(folder):
-    """Returns when computations on two nodes have met in the folder."""
-    import ray
-
-    Path(folder, ray.get_runtime_context().get_node_id()).touch()
-    wait_until(lambda: len(list(Path(folder).iterdir())) == 2)
-
-
 def run(address, computations, returned=(WorkerDied,)):
     jobs = [Job(key=key, compute=compute, kind=None) for key, compute in computations.items()]
     return dict(run_jobs(jobs, on_ray(address), say=print, returned=returned))
@@ -88,12 +79,6 @@ def test_cells_on_two_nodes_have_the_numbers_of_one_process(address, tmp_path):
     assert len(list((tmp_path / "cells").iterdir())) == len(CELLS)
 
 
-@pytest.mark.nightly
-def test_jobs_use_both_nodes(address, tmp_path):
-    run(address, {str(number): partial(meets_another_node, str(tmp_path)) for number in range(4)})
-    assert len(list(tmp_path.iterdir())) == 2
-
-
 @pytest.mark.landing
 def test_job_of_a_killed_worker_is_repeated(address, tmp_path, monkeypatch):
     monkeypatch.setattr(ray_backend, "RETRIES", 1)
@@ -102,13 +87,6 @@ def test_job_of_a_killed_worker_is_repeated(address, tmp_path, monkeypatch):
     assert outcomes["killed"] == "computed"
     assert isinstance(outcomes["deadly"], WorkerDied)
     assert "died" in str(outcomes["deadly"])
-
-
-@pytest.mark.nightly
-def test_chosen_exceptions_are_results_and_others_are_raised(address):
-    assert isinstance(run(address, {"one": raises}, returned=(KeyError,))["one"], KeyError)
-    with pytest.raises(WorkerDied, match="no such gain"):
-        run(address, {"one": raises}, returned=())
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "nonsense", "host:port"])

@@ -3,7 +3,7 @@
 import pytest
 
 from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell
-from cablebot_gym.benchmark.engine import Job, local, run_cells, run_jobs
+from cablebot_gym.benchmark.engine import run_cells
 from cablebot_gym.benchmark.records import Record, failed_record
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils.workers import WorkerDied
@@ -122,16 +122,3 @@ def test_longest_cells_start_first(store):
     records, computed = run(store, cells=(CELL, drawn, best))
     assert computed == [best, drawn, CELL]
     assert [record.cell for record in records] == [CELL, drawn, best]
-
-
-def test_jobs_with_one_key_run_once():
-    calls = []
-    jobs = [Job(key="a", compute=lambda: calls.append(1), kind=0)] * 2 + [
-        Job(key="b", compute=dict().popitem, kind=0)
-    ]
-    outcomes = dict(run_jobs(jobs, local(1), say=print, returned=(KeyError,)))
-    assert calls == [1]
-    assert outcomes["a"] is None
-    assert isinstance(outcomes["b"], KeyError)
-    with pytest.raises(KeyError):
-        list(run_jobs(jobs, local(1), say=print))

@@ -18,7 +18,6 @@ from cablebot_gym.benchmark.seeds import hidden_seeds
 from cablebot_gym.benchmark.suites import (
     QUICK_ENV_IDS,
     SUITES,
-    check_evaluated,
     find_env_ids,
     find_policies,
     find_suite,
@@ -158,16 +157,6 @@ def test_errors_of_an_uncertainty_are_cells_of_their_own():
     assert list(draws) == [*(f"hardware:{name}" for name in names), "hardware"]
 
 
-@pytest.mark.parametrize(("suite", "policy"), [("smoke", "nmpc"), ("library", "ppo-circle")])
-def test_suite_that_evaluates_none_of_the_policies_names_those_that_it_does(suite, policy):
-    with pytest.raises(ValueError, match=f"{suite!r} does not evaluate {policy}: .* fl, "):
-        check_evaluated(find_suite(suite), {PLANAR: (policy,)})
-
-
-def test_errors_are_evaluated_for_slow_policies_too():
-    assert {cell.policy for cell in policy_cells("errors", ["nmpc"])} == {"nmpc"}
-
-
 def test_policies_are_assigned_to_their_environments():
     assert find_policies(["fl", "flex-eq22", "fl"], PAPER_ENV_IDS) == {
         PLANAR: ("fl",),
@@ -203,20 +192,6 @@ def test_code_of_another_package_is_not_imported_here(tmp_path, module):
     slow = suite_cells(find_suite("standard"), {SPATIAL: ("theirs",)}).values()
     assert not [cell for cell in slow if isinstance(cell, PolicyCell)]
     assert "toy_other" not in sys.modules
-
-
-def test_factory_for_no_robot_is_rejected(module):
-    module(
-        "toy_suites.py",
-        "def planar(robot):\n    assert robot.planar\n    return lambda observation: 0\n"
-        "def none(robot):\n    raise RuntimeError('not today')\n",
-    )
-    assert find_policies(["toy_suites:planar"], [PLANAR, SPATIAL])[SPATIAL] == (
-        "toy_suites:planar",
-    )
-    with pytest.raises(ValueError, match="not today"):
-        find_policies(["toy_suites:none"], [PLANAR, SPATIAL])
-    assert "toy_suites" not in sys.modules  # it is loaded in another process
 
 
 @pytest.mark.parametrize(

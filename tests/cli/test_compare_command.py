@@ -68,15 +68,6 @@ def test_table_has_the_numbers_of_the_comparison(comparison, capsys, monkeypatch
     assert f"max error {-fraction.mean:+.0%} [{-fraction.high:+.0%}, {-fraction.low:+.0%}]" in text
 
 
-def test_one_planar_draw_has_no_interval_and_no_rotation(capsys):
-    motion = {"name": "dwell-planar", "duration": 0.02}
-    print_comparison(compare_policies(["fl"], "CableBot-Planar-v0", trajectory=motion))
-    text = capsys.readouterr().out
-    assert "1 draw of no uncertainty" in text
-    for word in ("±", "confidence", "rotation"):
-        assert word not in text
-
-
 def test_payloads_give_a_table_json_and_figure(cablebot, tmp_path):
     line = f"{HANG} --policies fl,robust"
     ended = cablebot(f"{line} --payload 0:3:1.5 --out {tmp_path}")

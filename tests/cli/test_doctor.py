@@ -45,23 +45,6 @@ def test_policy_that_fails_to_load_is_a_fault(monkeypatch):
     assert by_name["policies"].ok
 
 
-@pytest.mark.usefixtures("no_self_tests")
-@pytest.mark.parametrize(
-    ("package", "name", "ok", "install"),
-    [
-        ("casadi", "extra optimal", None, "'cablebot-gym[optimal]'"),
-        ("scipy", "requirements", False, "cablebot-gym"),
-    ],
-)
-def test_missing_package_is_a_fault_but_in_an_extra(monkeypatch, package, name, ok, install):
-    version = doctor._version
-    monkeypatch.setattr(
-        doctor, "_version", lambda asked: None if asked == package else version(asked)
-    )
-    text = f"{package} not installed. To install: pip install {install}"
-    assert findings()[name] == Finding(name=name, ok=ok, text=text)
-
-
 def test_plant_that_moves_under_static_torques_is_a_fault(monkeypatch):
     statics = doctor.static_torque
 
@@ -76,20 +59,6 @@ def test_plant_that_moves_under_static_torques_is_a_fault(monkeypatch):
         assert "moves by" in finding.text
 
 
-def test_check_that_raises_is_a_fault_and_the_others_follow(monkeypatch):
-    def unreadable():
-        raise PermissionError(13, "Permission denied", "/folder")
-
-    for name in ("_packages", "code_folders", "cache_folder", "_policies", "_statics_test"):
-        monkeypatch.setattr(doctor, name, lambda *_: unreadable())
-    by_name = findings()
-    assert by_name["python"].ok
-    names = {"packages", "compiled code", "plans and best known payloads", "policies"}
-    for name in names | {f"self-test {env_id}" for env_id in ENV_IDS}:
-        assert by_name[name].ok is False
-        assert by_name[name].text == "PermissionError: [Errno 13] Permission denied: '/folder'"
-
-
 @pytest.mark.parametrize("damage", ["truncated", "empty"])
 def test_damaged_compiled_file_is_a_fault(monkeypatch, tmp_path, damage):
     content = hashlib.sha256(b"code").digest() + b"code"
@@ -102,19 +71,6 @@ def test_damaged_compiled_file_is_a_fault(monkeypatch, tmp_path, damage):
     assert not bad.ok
     assert str(tmp_path / "damaged.nbc") in bad.text
     assert "good.nbc" not in bad.text
-
-
-@pytest.mark.parametrize("warmed", [True, False])
-def test_read_only_folder_without_compiled_code_is_a_fault(monkeypatch, tmp_path, warmed):
-    if warmed:
-        (tmp_path / "code.nbc").write_bytes(hashlib.sha256(b"").digest())
-    monkeypatch.setattr(doctor, "code_folders", lambda: [tmp_path])
-    monkeypatch.setattr(doctor, "is_writable_dir", lambda _: False)
-    (finding,) = doctor._compiled_code()
-    assert finding.ok == warmed
-    assert "set NUMBA_CACHE_DIR" in finding.text
-    (finding,) = doctor._plans()
-    assert "set CABLEBOT_CACHE" in finding.text
 
 
 @pytest.mark.parametrize(("good", "status"), [(True, 0), (None, 0), (False, 1)])

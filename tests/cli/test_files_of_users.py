@@ -130,30 +130,6 @@ def test_reader_refuses_an_unreadable_file_in_one_sentence(tmp_path, name, kind)
     assert len(result) <= 1000
 
 
-@pytest.mark.parametrize("name", ["thing.yaml", "folder"])
-@pytest.mark.parametrize(
-    "find",
-    [
-        find_robot,
-        lambda name: load_policy(name, PLANAR),
-        lambda name: load_policy("fl", name),
-        lambda name: find_trajectory(name, "planar"),
-        lambda name: find_trajectory({"name": name}, "planar"),
-        lambda name: find_uncertainty(name, PLANAR),
-        lambda name: find_measurement(name, PLANAR),
-    ],
-)
-def test_existing_path_is_not_an_unknown_name(tmp_path, monkeypatch, find, name):
-    monkeypatch.chdir(tmp_path)
-    if name == "folder":
-        Path(name).mkdir()
-    else:
-        Path(name).write_text("x")
-    message = rf"^(file|folder) '{name}' has no form of a (?!.*unknown).*; use "
-    with pytest.raises(ValueError, match=message):
-        find(name)
-
-
 @pytest.mark.parametrize(
     ("find", "name"),
     [
@@ -213,11 +189,3 @@ def test_error_of_this_package_is_no_error_of_user_code():
         find_robot(3.0)
     caught.value.__traceback__ = caught.tb.tb_next
     assert sentence_of_user_code(caught.value) == ""
-
-
-def test_command_says_the_largest_speed_of_waypoints(cablebot, tmp_path):
-    path = tmp_path / "way.csv"
-    path.write_text("t,x,y\n0,0,0\n1,0.1,0\n")
-    ended = cablebot("robot check planar --trajectory", path)
-    pattern = r"way\.csv: 2 waypoints in 1 s between dwells of 0\.3 s; largest speed 0\.2\d* m/s, largest accel.* m/s²"
-    assert re.search(pattern, ended.err), ended.err

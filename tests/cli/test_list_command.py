@@ -1,7 +1,5 @@
 """``cablebot list``."""
 
-import subprocess
-import sys
 from collections import defaultdict
 
 import pytest
@@ -46,11 +44,3 @@ def test_listed_fields_make_the_named_uncertainty(name):
                     values[group] = entry["value"]
         robot = find_robot(env_robot(env_id))
         assert find_uncertainty(dict(values), robot) == find_uncertainty(name, robot)
-
-
-def test_file_in_the_current_folder_hides_no_package(tmp_path):
-    (tmp_path / "numpy.py").write_text("raise RuntimeError('hidden')\n")
-    command = [sys.executable, "-P", "-c", "from cablebot_gym.cli.app import main; main()", "list"]
-    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert ran.returncode == 0
-    assert "hidden" not in ran.stderr

@@ -2,7 +2,6 @@
 the figure."""
 
 import dataclasses
-import json
 import math
 from functools import cache
 
@@ -148,16 +147,6 @@ def test_comparison_ends_with_the_last_episode():
     assert set(expected) == {done[-1]} == {300}
 
 
-def test_error_after_a_slack_cable_is_the_radius():
-    motion = {"name": "dwell-planar", "duration": 0.3}
-    (measured,) = compare_policies([lambda _: np.zeros(3)], PLANAR_ID, trajectory=motion).metrics
-    assert measured.ended[0]
-    assert np.nanmax(measured.error) < 0.001
-    lost_fraction = 1 - len(measured.error) / 150
-    assert measured.mean_error[0] == pytest.approx(0.1 * lost_fraction, abs=0.001)
-    assert measured.max_error[0] == 0.1
-
-
 # --- intervals --------------------------------------------------------------------------------------------------------
 
 
@@ -212,20 +201,7 @@ def test_interval_of_a_reduction_is_scipys_bootstrap():
     assert (fraction.low, fraction.high) == pytest.approx(tuple(reference), abs=near)
 
 
-# --- output and errors ------------------------------------------------------------------------------------------------
-
-
-def test_json_has_conditions_estimates_and_values_per_draw():
-    comparison = compared()
-    data = json.loads(comparison.to_json(), parse_constant=pytest.fail)
-    expected = {"uncertainty": "custom", "draws": 5, "seed": 3, "draw_seeds": draw_seeds(3, 5)}
-    assert expected.items() <= data.items()
-    plain, weak = data["policies"]
-    assert (plain["policy"], weak["policy"], plain["reductions"]) == ("plain", "weak", {})
-    assert weak["reductions"]["rms_error"] == vars(comparison.reduction(1, "rms_error"))
-    measured = comparison.metrics[1]
-    assert weak["estimates"]["rms_error"] == vars(measured.estimate("rms_error"))
-    assert weak["per_draw"]["carried"] == measured.carried.tolist()
+# --- errors -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from cablebot_gym.evaluation.batch import noise_seed
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.evaluation.search import SCAN_POINTS
 from cablebot_gym.robots import PLANAR, SPATIAL
-from cablebot_gym.trajectories import Dwell, find_trajectory
+from cablebot_gym.trajectories import find_trajectory
 
 PLANAR_ID = "CableBot-Planar-v0"
 SPATIAL_ID = "CableBot-Spatial-v0"
@@ -91,14 +91,6 @@ def test_static_hang_is_the_vertical_capacity_of_the_cables():
 
 
 # --- the search -------------------------------------------------------------------------------------------------------
-
-
-def test_resolution_below_rounding_ends():
-    def stop(done, total):
-        assert done <= 100 * 25, "a hundred rounds without an end"
-
-    result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, resolution=1e-18, progress=stop, **STATIC)
-    assert result.payload == pytest.approx(HANG_CAPACITY - 10, abs=1e-9)
 
 
 @settings(max_examples=4)
@@ -302,23 +294,6 @@ def test_environment_of_the_json_repeats_the_evaluation():
     again = evaluate_dlcc("fl", resolution=0.01, **conditions)
     assert again.payload == result.payload
     assert again.to_dict()["environment"] == result.to_dict()["environment"]
-
-
-class OwnMotion:
-    """A motion that satisfies the protocol and is no dataclass."""
-
-    name = "own"
-    duration = 0.05
-    coordinates = 6
-
-    def __call__(self, times):
-        return Dwell(pose=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), duration=0.05)(times)
-
-
-def test_result_of_an_own_motion_can_be_saved():
-    result = evaluate_dlcc("fl", SPATIAL_ID, trajectory=OwnMotion(), payload_max=1.0)
-    assert (result.violation, result.scan_ended) == (None, True)
-    assert json.loads(result.to_json(), parse_constant=pytest.fail)["payload"] == 1.0
 
 
 # --- recorded episodes ------------------------------------------------------------------------------------------------

@@ -179,15 +179,6 @@ def test_result_tells_which_foreign_policies_ran_before(monkeypatch):
         assert "after mine in this process" in str(result)
 
 
-def test_policy_of_this_project_runs_in_the_process_of_the_evaluation():
-    result = evaluated("fl")
-    assert not result.isolated
-    assert "not isolated" not in str(result)
-    assert result.to_dict()["shipped"]
-    with IsolatedPolicy("fl", SPATIAL) as policy:
-        assert evaluated(policy).to_dict()["isolated"]
-
-
 @pytest.fixture
 def batches(monkeypatch):
     """Seeds of the rows of each batch without an observer."""
@@ -208,12 +199,6 @@ def test_draws_of_the_check_alone_are_fresh(batches):
     alone = [seeds[0] for seeds in batches if len(seeds) == 1]
     needed_draws = plausible_successes(60, 60, ALONE, RISK)
     assert len({*alone} - {*result.draw_seeds}) == len(alone) == needed_draws > 0
-
-
-def test_failed_recording_keeps_the_payload_of_one_draw():
-    result = evaluated(FailsAlone(), draws=1)
-    assert result.payload == pytest.approx(evaluated(Law()).payload, abs=0.02)
-    assert not result.rollout.verdict.carried
 
 
 # --- options and declarations -----------------------------------------------------------------------------------------
@@ -348,10 +333,3 @@ def test_times_of_actions(clock, payload):
     assert times.missed == np.mean(late)
     assert (times.median, times.p99) == pytest.approx((0.001, 0.005))
     assert times.start == pytest.approx(1.0 + 0.001 * 8 + 0.005 * 2)
-
-
-def test_episode_without_actions_to_time_raises(clock):
-    with pytest.raises(ValueError, match="ends after 5 actions"):
-        time_actions(
-            Slow(clock), SPATIAL_ID, trajectory={"name": "dwell-spatial", "duration": 0.01}
-        )

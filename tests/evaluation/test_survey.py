@@ -17,7 +17,6 @@ MOTIONS = [
     for duration, dwell in ((0.25, 0.0), (0.3, 0.05))
 ]
 """Short motions of different payloads: 0.6 and 1.6 kg with feedback linearization."""
-SENSORS = {"uncertainty": "sensors", "payload_known": False}
 MASSES = {"parameters": {"platform_mass": {"low": -0.3, "high": 0.3}}}
 UNEQUAL = {"uncertainty": MASSES, "payload_known": False}
 """Robots of different payloads."""

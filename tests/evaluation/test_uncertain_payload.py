@@ -261,39 +261,3 @@ def test_batch_size_does_not_change_the_result(monkeypatch):
     assert bounded.to_json() == default.to_json()
     for name, array in default.rollout.arrays.items():
         assert array.tobytes() == bounded.rollout.arrays[name].tobytes()
-
-
-@pytest.mark.parametrize(
-    ("unknown", "draws"), [(None, 1), ({"delay": 2}, 1), ("table6", 7), ("sensors", 7)]
-)
-def test_default_number_of_draws_depends_on_randomness(monkeypatch, unknown, draws):
-    monkeypatch.setattr(batch_module, "DEFAULT_DRAWS", 7)
-    motion = HANG | {"duration": 0.002}
-    options = {"uncertainty": unknown, "trajectory": motion, "payload_max": 0.1}
-    result = evaluate_dlcc("fl", SPATIAL_ID, **options)
-    assert result.draws == draws
-    assert (result.details.probability is None) == (draws == 1)
-    assert (result.details.success == ()) == (result.assurance == "") == (draws == 1)
-
-
-# --- progress and bad input -------------------------------------------------------------------------------------------
-
-
-def test_progress_is_monotonic_and_complete():
-    steps = []
-    keywords = {"draws": 12, "probability": 0.6, "confidence": 0.9}
-    pulled(spread(platform_mass=0.1), progress=lambda *step: steps.append(step), **keywords)
-    done, expected = np.array(steps).T
-    assert done[0] == 1
-    assert np.all(np.diff(done / expected) >= 0)
-    assert done[-1] == expected[-1]
-
-
-def test_failing_unloaded_in_many_draws_gives_no_payload():
-    # Light platforms are pulled up beyond the bound, whatever the payload below 1 kg.
-    unknown = {"parameters": {"platform_mass": {"low": -0.35, "high": 0.0}}}
-    result = pulled(unknown, draws=8, probability=0.9, payload_max=1.0, resolution=0.1)
-    assert 0 < result.details.success[0][1] < 1
-    assert (result.payload, result.score, result.details.feasible) == (None, 0.0, ())
-    assert 0 < result.details.failures["position"] < 8
-    assert result.rollout.arrays["time"][-1] == result.violation.time

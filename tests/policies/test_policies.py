@@ -2,7 +2,6 @@
 
 import signal
 import sys
-import zipfile
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -13,8 +12,6 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from cablebot_baselines.classical import FL
-from cablebot_gym import ENV_IDS
-from cablebot_gym.cli.options import split_names
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation.batch import Batch
 from cablebot_gym.evaluation.conditions import Conditions
@@ -22,7 +19,6 @@ from cablebot_gym.policies import (
     ENTRY_POINT_GROUP,
     FILE_ENTRY_POINT_GROUP,
     Policy,
-    PolicyEntry,
     PolicyError,
     PolicyFactory,
     PolicySpec,
@@ -85,22 +81,6 @@ def module(tmp_path, monkeypatch):
 
     yield make
     sys.modules.pop("toy_policy_module", None)
-
-
-# --- names ------------------------------------------------------------------------------------------------------------
-
-
-def test_policies_of_other_packages_are_found_by_name(points):
-    for name in ("zzz", "constant"):
-        entry = PolicyEntry(
-            name=name, kind="learned", env_ids=ENV_IDS, factory=Constant, summary="third party"
-        )
-        points[ENTRY_POINT_GROUP].append(Point(entry))
-    assert list(policy_entries()) == sorted(policy_entries())
-    assert {"constant", "fl", "zzz"} <= set(policy_entries())
-    policy = load_policy("constant", SPATIAL)
-    assert isinstance(policy, Constant)
-    assert policy.robot is SPATIAL
 
 
 # --- package.module:factory -------------------------------------------------------------------------------------------
@@ -242,11 +222,6 @@ def test_entry_that_is_named_by_its_module_refuses_other_kinds_of_robots():
         load_policy("cablebot_baselines.classical:FL", find_robot("flex-planar"))
 
 
-def test_comma_before_an_option_does_not_separate_policies():
-    names = ["fl:gains=tuned,minimum_tension=3", "adaptive"]
-    assert split_names(",".join(names)) == names
-
-
 def test_name_is_read_without_importing_anything(module):
     name = module("raise SystemExit")
     kinds = {
@@ -280,58 +255,7 @@ def test_policy_is_loaded_once():
         load(loaded, PLANAR, wrappers=["mine.py:wrap"])
 
 
-# --- files ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def archive(tmp_path):
-    """A zip file of no known kind."""
-    path = tmp_path / "mine.zip"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
-        file.writestr("readme.txt", "holds no model, " * 50)
-    return path
-
-
-def test_file_goes_to_the_loaders_of_other_packages_in_turn(points, archive, caplog):
-    calls = []
-    loaders = (
-        lambda path, robot: calls.append((path, robot)),
-        lambda path, robot: Constant(robot),
-        lambda path, robot: pytest.fail("not its turn"),
-    )
-    broken = Point(None)
-    broken.load = lambda: __import__("no_such_dependency")
-    points[FILE_ENTRY_POINT_GROUP] += [broken, *map(Point, loaders)]
-    policy = load_policy(str(archive), SPATIAL)
-    assert isinstance(policy, Constant)
-    assert (policy.robot, calls) == (SPATIAL, [(archive, SPATIAL)])
-    assert "policy files of kind 'other' are skipped" in caplog.text
-
-
-# --- SB3 files --------------------------------------------------------------------------------------------------------
-
-
-def test_file_that_is_no_model_is_rejected(archive, monkeypatch):
-    pytest.importorskip("stable_baselines3")
-    with pytest.raises(
-        ValueError, match=r"policy file '.*mine\.zip' is neither a bundle .* nor an SB3 model \("
-    ):
-        load_policy(str(archive), PLANAR)
-    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    with pytest.raises(ValueError, match=r"pip install 'cablebot-gym\[sb3\]'"):
-        load_policy(str(archive), PLANAR)
-
-
 # --- as_policy --------------------------------------------------------------------------------------------------------
-
-
-def test_only_policies_and_callables_are_accepted():
-    policy = Constant(PLANAR)
-    assert as_policy(policy) is policy
-    with pytest.raises(TypeError, match=r"not the class Constant: pass Constant\(…\)"):
-        as_policy(Constant)
-    with pytest.raises(TypeError, match="NoneType is neither"):
-        as_policy(None)
 
 
 def test_callable_gets_one_observation_at_a_time():
@@ -355,21 +279,6 @@ def test_callable_gets_one_observation_at_a_time():
     policy.reset(("task",))
     assert (policy.unsaturated_actions, function.tasks) == (True, ("task",))
     assert not as_policy(lambda observation: observation).unsaturated_actions
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (lambda: [1.0], r"shape \(1,\) after \(2,\)"),
-        (lambda: None, "NoneType of type object instead of real numbers"),
-        (lambda: [][1], "IndexError"),
-    ],
-)
-def test_error_of_a_callable_names_its_observation(wrong, message):
-    policy = as_policy(lambda observation: wrong() if observation[0] == 2 else [1.0, 2.0])
-    with pytest.raises(BatchItemError, match=message) as caught:
-        policy.predict(np.arange(4.0)[:, None])
-    assert caught.value.index == 2
 
 
 # --- reset ------------------------------------------------------------------------------------------------------------
@@ -428,18 +337,6 @@ def test_factory_makes_one_instance_for_each_episode_of_a_batch():
     ) as caught:
         policy.predict(np.array([[5.0], [9.0]]))
     assert caught.value.index == 1
-
-
-def test_factory_keeps_the_state_of_each_policy():
-    class Sums(Constant):
-        def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            total = observation[:, :1] + (0 if state is None or episode_start[0] else state)
-            return np.repeat(total, 3, axis=1), total
-
-    policy, state = PolicyFactory(lambda: Sums(PLANAR)), None
-    for start, expected in (([True, True], [1, 2]), ([False, True], [2, 2])):
-        action, state = policy.predict(np.array([[1.0], [2.0]]), state, np.array(start))
-        assert_array_equal(action[:, 0], expected)
 
 
 # --- calls ------------------------------------------------------------------------------------------------------------

@@ -10,10 +10,10 @@ from gymnasium.wrappers import vector
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
+from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.isolation import IsolatedPolicy
-from cablebot_gym.policies import PolicyError, load_policy
+from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import PLANAR
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -117,15 +117,6 @@ def test_episodes_of_a_batch_keep_their_own_wrappers():
             assert_array_equal(actions, np.full((size, 3), call))
 
 
-def test_comparison_has_wrappers_for_each_policy():
-    wrapper = [lambda env: vector.RescaleAction(env, -HALF, HALF)]
-    pair = {"payload": 1.0, "names": ["fl", "half"], **SHORT}
-    result = compare_policies(["fl", Inner(scale=0.5)], PLANAR_ID, wrappers=[[], wrapper], **pair)
-    assert result.metrics[0].mean_error == pytest.approx(result.metrics[1].mean_error, rel=1e-4)
-    with pytest.raises(ValueError, match="one list for each of the 2 policies"):
-        compare_policies(["fl", Inner()], PLANAR_ID, wrappers=[wrapper], **pair)
-
-
 # --- errors -----------------------------------------------------------------------------------------------------------
 
 
@@ -134,21 +125,6 @@ class Fails(gym.ObservationWrapper):
         if observation[LAYOUT.slices()["time_to_go"]][0] < 1.2:
             raise KeyError("mass")
         return observation
-
-
-class Reads(gym.Wrapper):
-    def step(self, action):
-        observation, *_, info = self.env.step(action)
-        return observation, info["payload"], False, False, info
-
-
-@pytest.mark.parametrize(("wrapper", "key"), [(Fails, "mass"), (Reads, "payload")])
-def test_error_in_a_wrapper_names_its_line_and_payload(wrapper, key):
-    cause = rf"a wrapper raised KeyError: '{key}' \(test_wrappers.py, line \d+\)"
-    with pytest.raises(
-        PolicyError, match=rf"^policy 'fl', at t = \d\.\d\d\d s with a payload of 1 kg: {cause}$"
-    ):
-        record_rollout("fl", PLANAR_ID, payload=1.0, wrappers=[wrapper])
 
 
 @pytest.mark.parametrize(

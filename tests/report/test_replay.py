@@ -8,11 +8,8 @@ import pytest
 
 from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.report.recording import record_all
-from cablebot_gym.report.replay import LEVELS, RATE, platform_points, replays
-from cablebot_gym.robots import SPATIAL
-from cablebot_gym.trajectories import find_trajectory
+from cablebot_gym.report.replay import LEVELS, RATE, replays
 
 PLANAR = "CableBot-Planar-v0"
 SPATIAL_ID = "CableBot-Spatial-v0"
@@ -86,16 +83,6 @@ def test_episode_has_the_conditions_of_its_cell(options, seed):
     assert end == pytest.approx(rollout.moment(-1).pose[:3], abs=1e-5)
 
 
-def test_drawn_cables_end_at_the_platform(episodes):
-    frames = unpack_channels(episodes[0])
-    (points, indices) = platform_points(SPATIAL)
-    anchors = frames["anchors"].reshape(-1, len(points), 3)[:, indices]
-    start = find_trajectory("paper-spatial", 6)(np.zeros(1)).position[0]
-    lengths = cable_lengths(SPATIAL.base, SPATIAL.platform, start)
-    assert np.linalg.norm(anchors[0] - SPATIAL.base, axis=-1) == pytest.approx(lengths, abs=1e-4)
-    assert np.ptp(np.linalg.norm(anchors[:, 0] - anchors[:, 2], axis=-1)) < 1e-4  # a rigid body
-
-
 def test_second_episode_states_how_the_margin_shrinks(episodes):
     carried, beyond = episodes
     assert carried.payload == 4.0
@@ -115,21 +102,6 @@ def test_second_episode_states_how_the_margin_shrinks(episodes):
         beyond.violation
         == f"{expected}The error is {percent} % of its bound, 100, 50, 20 ms before."
     )
-
-
-def test_cell_without_dlcc_has_one_unloaded_episode():
-    (only,) = replays(cell(PLANAR), None)
-    assert only.payload == 0.0
-    assert only.radius == 0.0
-
-
-def test_robot_of_a_cell_reaches_the_environment():
-    def largest_tension(name):
-        still = {"name": "dwell-planar-platform", "duration": 0.1}
-        named = cell("CableBot-PlanarPlatform-v0", trajectory=still, robot_name=name)
-        return unpack_channels(replays(named, 1.0)[0])["tension"].max()
-
-    assert largest_tension("gch-klaus") > 2 * largest_tension(None)
 
 
 def test_constant_channels_are_finite():

@@ -9,7 +9,6 @@ from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.records import Record, compute
 from cablebot_gym.cli.report import report
 from cablebot_gym.report.page import html, page_data
-from cablebot_gym.report.violations import violation_strips
 
 PLANAR = "CableBot-Planar-v0"
 CIRCLE = {"name": "circle-planar"}
@@ -105,27 +104,6 @@ def test_first_of_two_runs_of_one_cell_counts():
     assert (row["payload"], len(row["cells"])) == (1.7, 1)
 
 
-STRIPS = [
-    # fractions of the motion, filled bins of 20, median fraction
-    ([0.0], {0: 1}, 0.0),
-    ([0.049, 0.05, 1.0], {0: 1, 1: 1, 19: 1}, 0.05),
-    ([0.52, 0.53], {10: 2}, 0.525),
-]
-
-
-@pytest.mark.parametrize(("fractions", "filled", "middle"), STRIPS)
-@pytest.mark.parametrize(("leads", "lead"), [([None], None), ([0.1, None, 0.3], 0.2)])
-def test_strip_counts_violations_along_the_motion(fractions, filled, middle, leads, lead):
-    violations = [{"kind": "slack", "fraction": 0.3, "lead": lead} for lead in leads]
-    violations += [{"kind": "position", "fraction": fraction} for fraction in fractions]
-    slack, position = violation_strips(violations)
-    assert slack["kind"] == "slack"
-    assert slack["counts"][6] == slack["count"] == len(leads)
-    assert slack["lead"] == (None if lead is None else pytest.approx(lead))
-    assert {bin: count for bin, count in enumerate(position["counts"]) if count} == filled
-    assert position["fraction"] == pytest.approx(middle)
-
-
 def test_limits_of_a_policy_are_those_of_all_its_cells():
     data = page_data([RESULTS], {})
     counts = {
@@ -133,18 +111,6 @@ def test_limits_of_a_policy_are_those_of_all_its_cells():
         for limit in data["limits"]
     }
     assert counts == {"adaptive": {"position": 1}, "fl": {"position": 4}}
-
-
-def test_figure_has_each_error_of_an_uncertainty():
-    delayed = policy(uncertainty="table6:wrench", draws=128)
-    source = replace(RESULTS, records=[*RECORDS, carried(delayed, 1.5)])
-    figures = {
-        figure["title"].partition(",")[0]: figure["bars"]
-        for figure in page_data([source], {})["errors"]
-    }
-    payloads = {bar["error"]: bar["payload"] for bar in figures["fl"]}
-    assert payloads == {"no error": 1.9, "wrench": 1.5, "all errors together": 1.0}
-    assert figures["adaptive"] == [{"error": "no error", "payload": 1.7, "text": "1.70"}]
 
 
 def test_page_has_title_and_data_as_text(results, capsys):
@@ -178,17 +144,14 @@ def written(tmp_path_factory):
 
 
 @pytest.fixture
-def opened(browser, request):
+def opened(browser, written):
     """The page in a window. A complaint of the browser or a network request is an error at the
     end."""
     complaints = []
     contexts = []
 
-    def load(width=1200, height=900, scheme="light", at="", file=None):
-        file = file or request.getfixturevalue("written")
-        contexts.append(
-            browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
-        )
+    def load():
+        contexts.append(browser.new_context(viewport={"width": 1200, "height": 900}))
         page = contexts[-1].new_page()
         page.on(
             "console",
@@ -200,7 +163,7 @@ def opened(browser, request):
             "request",
             lambda requested: requested.url.startswith(local) or complaints.append(requested.url),
         )
-        page.goto(file.as_uri() + at)
+        page.goto(written.as_uri())
         page.wait_for_function(
             "document.getElementById('replay').frames || document.getElementById('replay').hidden"
         )
@@ -279,26 +242,6 @@ def test_larger_payload_shows_the_violation_and_marks_its_time(opened):
 
 
 @pytest.mark.landing
-def test_rows_are_chosen_by_keyboard_and_linked(opened):
-    page = opened()
-    page.locator("#leaderboard-table tbody button", has_text="fl").focus()
-    page.keyboard.press("Enter")
-    page.wait_for_function("document.getElementById('episode-title').textContent.startsWith('fl')")
-    again = opened(at=page.evaluate("location.hash"))
-    assert again.inner_text("#episode-title").startswith("fl")
-    again.locator("#leaderboard-table tbody button", has_text="nobody").click()
-    assert again.locator("#replay").is_hidden()
-    again.click("summary:has-text('How this number is computed')")
-    assert "it raised <b>" in again.inner_text("#recipe")
-    again.select_option("#filter-motion", "")
-    family = again.locator("#leaderboard-table tbody tr", has_text="2 held-out")
-    family.filter(has_text="fl").locator("button").click()
-    assert again.locator("#motion option").count() == 2
-    family.filter(has_text="best").locator("button").click()
-    assert "not in the cache" in again.inner_text("#verdict")
-
-
-@pytest.mark.landing
 @pytest.mark.parametrize(("row", "payload"), [("fl", 1.91), ("best known payload", 2.85)])
 def test_recipe_computes_the_number(opened, row, payload):
     page = opened()
@@ -310,13 +253,3 @@ def test_recipe_computes_the_number(opened, row, payload):
     results = []
     exec(page.inner_text("#recipe pre"), {"print": results.append})
     assert results[0].payload == pytest.approx(payload, abs=5e-3)
-
-
-@pytest.mark.landing
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_page_fits_a_phone_and_colours_follow_the_system(opened, scheme):
-    page = opened(360, 740, scheme)
-    assert page.evaluate("document.documentElement.scrollWidth") <= 360
-    assert page.evaluate("document.documentElement.dataset.theme") == scheme
-    page.click("#theme")
-    assert page.evaluate("document.documentElement.dataset.theme") == "light"

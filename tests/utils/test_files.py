@@ -39,12 +39,6 @@ def test_previous_file_exists_until_the_new_one_is_complete(tmp_path):
     assert path.stat().st_mode & 0o777 == 0o644
 
 
-def test_check_of_a_folder_leaves_no_trace(tmp_path):
-    check_writable_dir(tmp_path / "a" / "b")
-    check_writable_dir(tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_file_in_place_of_a_folder_raises(tmp_path):
     (tmp_path / "file").write_text("kept")
     with pytest.raises(ValueError, match=r"cannot write to folder '.*file.*': .*; choose another"):

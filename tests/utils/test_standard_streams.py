@@ -1,16 +1,12 @@
 """Standard streams of all kinds: a command ends without a traceback, and its results are not
 lost."""
 
-import errno
-import io
 import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-
-from cablebot_gym.utils.streams import _ESCAPES, _Output
 
 RUN = r"""
 import io, json, os, sys, traceback
@@ -124,45 +120,3 @@ def test_no_stream_ends_a_command(tmp_path):
                 assert err.count(b"1.911 kg") == 10_000
         if typed == "list" and stream.startswith("encoding "):
             assert "stiffness" in out.decode(stream.removeprefix("encoding ")), case
-
-
-class Raw:
-    """A stream of the operating system that gives one answer after the other."""
-
-    def __init__(self, *answers):
-        self.answers = list(answers)
-        self.written = b""
-
-    def fileno(self):
-        return sys.__stdout__.fileno()
-
-    def write(self, data):
-        answer = self.answers.pop(0) if self.answers else len(data)
-        if isinstance(answer, OSError):
-            raise answer
-        self.written += bytes(data[: answer or 0])
-        return answer
-
-
-def test_full_pipe_that_does_not_block_gets_everything(monkeypatch):
-    monkeypatch.setattr("cablebot_gym.utils.streams.select.select", lambda *streams: None)
-    raw = Raw(None, 3, None)
-    with io.BufferedWriter(_Output(raw, None)) as stream:
-        stream.write(b"1.911 kg")
-    assert raw.written == b"1.911 kg"
-
-
-def test_results_of_a_full_disk_go_to_the_other_stream():
-    fallback = io.BytesIO()
-    output = _Output(Raw(4, OSError(errno.ENOSPC, "No space left on device")), fallback)
-    with io.BufferedWriter(output) as stream:
-        stream.write(b"1.911 kg")
-        stream.flush()
-        assert fallback.getvalue() == b"1 kg"
-        assert output.problem == "No space left on device"
-
-
-def test_characters_without_an_encoding_stay_valid_json():
-    data = {"name": "β̇ – 𝛽 \udcff"}
-    encoded = json.dumps(data, ensure_ascii=False).encode("ascii", _ESCAPES)
-    assert json.loads(encoded) == data

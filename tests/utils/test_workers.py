@@ -13,7 +13,7 @@ import pytest
 from clock import wait_until
 
 from cablebot_gym.policies.protocol import BatchItemError
-from cablebot_gym.utils.workers import WorkerDied, check_workers, cores, leaders_first, run
+from cablebot_gym.utils.workers import WorkerDied, run
 
 
 def square(number):
@@ -39,10 +39,6 @@ def dies(marker=None):
             Path(marker).touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return "alive"
-
-
-def touches(marker):
-    Path(marker).touch()
 
 
 def waits_for(marker):
@@ -94,15 +90,6 @@ def test_computation_of_a_lost_process_is_repeated_once(tmp_path):
     assert outcomes == {"killed": "alive", **{str(number): number**2 for number in range(5)}}
 
 
-def test_workers_continue_while_the_caller_uses_a_result(tmp_path):
-    tasks = {"first": partial(square, 1), "second": partial(waits_for, tmp_path / "go")}
-    results = started(tasks | {"third": partial(touches, tmp_path / "third")})
-    assert next(results)[0] == "first"
-    assert waits_for(tmp_path / "third")
-    (tmp_path / "go").touch()
-    assert dict(results)["second"]
-
-
 def test_interrupt_ends_all_processes(tmp_path):
     results = started({"quick": partial(square, 1), "slow": partial(waits_for, tmp_path / "never")})
     assert next(results) == ("quick", 1)
@@ -141,23 +128,3 @@ def test_interrupt_is_deferred_while_a_process_starts(monkeypatch):
     thread.join()
     assert len(processes) == 1
     assert multiprocessing.active_children() == []
-
-
-def test_one_computation_of_each_kind_starts_first():
-    tasks = {f"{kind}{number}": partial(square, number) for kind in "ab" for number in range(3)}
-    kinds = {id(task): key[0] for key, task in tasks.items()}
-    assert leaders_first(tasks, lambda task: kinds[id(task)]) == [
-        "a0",
-        "b0",
-        "a1",
-        "a2",
-        "b1",
-        "b2",
-    ]
-
-
-def test_number_of_workers_is_positive():
-    assert check_workers(None) == cores() >= 1
-    assert check_workers(3) == 3
-    with pytest.raises(ValueError, match="workers must be"):
-        check_workers(0)
