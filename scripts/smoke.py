@@ -122,7 +122,7 @@ def check_extras() -> None:
         for arguments in (
             "train CableBot-Planar-v0 --algo ppo --config ppo.yaml --out run --eval-every 512",
             "dlcc CableBot-Planar-v0 --policy run/best.zip --resolution 0.5 --out figures",
-            "benchmark --suite smoke --policies fl,planner --out benchmark",
+            "benchmark --suite smoke --policies fl,adaptive --out benchmark",
         ):
             subprocess.run(
                 [program, *arguments.split()], check=True, cwd=folder, stdout=subprocess.DEVNULL

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import get_args, get_type_hints
 
 from cablebot_baselines.learned.policy import LearnedPolicy
-from cablebot_baselines.learned.shipped import SHIPPED
 from cablebot_gym.benchmark.tables import column_titles, entry_text, timing_text
 from cablebot_gym.policies import PolicyEntry, policy_entries
 from cablebot_gym.policies.options import option_parameters
@@ -41,8 +40,8 @@ def page(entry: PolicyEntry) -> str:
     text += f"\n```sh\n{commands}```\n\n## Payload\n\nPayload [kg] and its fraction of the best known payload, task "
     text += f"criterion unless noted, from the [leaderboard](/leaderboard.md).\n\n{payloads(entry.name)}\n"
     text += "## How it works\n\n"
-    if entry.name in SHIPPED:
-        text += f"Training, learning curves and held-out motions: [{entry.name}](/learned.md#{entry.name}).\n\n"
+    if entry.kind == "learned":
+        text += f"Training: [{entry.name}](/training.md#{entry.name}).\n\n"
     text += f"Module: {{py:mod}}`{policy.__module__}`.\n\n"
     return (
         text
@@ -54,7 +53,7 @@ def policy_class(entry: PolicyEntry) -> type:
     """The class of the policies that an entry makes, found without making one."""
     if isinstance(entry.factory, type):
         return entry.factory
-    if entry.name in SHIPPED:
+    if entry.kind == "learned":
         return LearnedPolicy
     returned = get_type_hints(entry.factory)["return"]
     # The first of the classes for rigid robots and for those with springs.

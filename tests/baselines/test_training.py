@@ -225,7 +225,6 @@ def test_run_writes_policies_evaluations_and_card(trained):
     )
     assert card["seed"] == 3
     assert card["config"]["n_steps"] == 4
-    assert not card["planner_output_used"]
     assert card["timesteps"] == result.best.timesteps == card["curve"][-1]["timesteps"]
     assert str(trained.parent) not in json.dumps(card)
     assert Bundle.load(trained / "last.zip").card["timesteps"] == 256

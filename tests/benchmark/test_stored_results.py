@@ -14,7 +14,7 @@ from cablebot_gym.policies import policy_entries
 from cablebot_gym.report.page import merge_records
 
 ROOT = Path(__file__).parents[2]
-LATER = {"adaptive", "composite", "nmpc", "observing", "planner", "trajopt"}
+LATER = {"adaptive", "composite", "nmpc", "observing", "trajopt"}
 """Policies that were computed after the board, all but `composite` on its main table only."""
 
 

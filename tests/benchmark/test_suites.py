@@ -158,7 +158,7 @@ def test_errors_of_an_uncertainty_are_cells_of_their_own():
     assert list(draws) == [*(f"hardware:{name}" for name in names), "hardware"]
 
 
-@pytest.mark.parametrize(("suite", "policy"), [("smoke", "nmpc"), ("library", "planner")])
+@pytest.mark.parametrize(("suite", "policy"), [("smoke", "nmpc"), ("library", "ppo-circle")])
 def test_suite_that_evaluates_none_of_the_policies_names_those_that_it_does(suite, policy):
     with pytest.raises(ValueError, match=f"{suite!r} does not evaluate {policy}: .* fl, "):
         check_evaluated(find_suite(suite), {PLANAR: (policy,)})

@@ -134,7 +134,7 @@ ERRORS = (
     (EXPORT + "my.xml --json", 2, "No such option: --json. Example: cablebot robot export"),
     (EXPORT.replace("cogiro", "cogyro") + "my.xml", 2, "did you mean 'cogiro'"),
     (TRAIN + "file/below", 2, ""),
-    (TRAIN + "run --algo dqn", 2, "choose one of ppo, sac, tqc, planner"),
+    (TRAIN + "run --algo dqn", 2, "choose one of ppo, sac, tqc"),
     (TRAIN + "run --evaluation [1]", 2, "--evaluation must be a JSON object"),
     (f"best-known {PLANAR} --position-bound 0.01", 2, "position"),
 )

@@ -27,7 +27,6 @@ PAGES = (
         "policies",
         "dlcc",
         "leaderboard",
-        "learned",
         "errata",
         "commands",
     ),

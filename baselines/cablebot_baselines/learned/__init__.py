@@ -17,8 +17,8 @@ def load_bundle(path: Path, robot: Robot) -> Policy | None:
     """
     # Imported here: training does not need them.
     from cablebot_baselines.learned.bundle import Bundle, is_bundle
-    from cablebot_baselines.learned.policy import make_policy
+    from cablebot_baselines.learned.policy import LearnedPolicy
 
     if not is_bundle(path):
         return None
-    return make_policy(Bundle.load(path), robot)
+    return LearnedPolicy(Bundle.load(path), robot)

@@ -15,7 +15,6 @@ import numpy as np
 from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.base import Base, find_base
 from cablebot_baselines.learned.network import Network, zero_network
-from cablebot_baselines.learned.planner import Planning, PlanningPolicy, input_count
 from cablebot_baselines.learned.steering import (
     Shift,
     Steering,
@@ -25,7 +24,7 @@ from cablebot_baselines.learned.steering import (
 from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import Robot, find_robot
-from cablebot_gym.utils.checks import choice, record, whole
+from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.files import atomic_write
 
 FORMAT = 1
@@ -41,7 +40,7 @@ _MEMBER = "bundle"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bundle:
-    """A learned policy: a network that steers a base law, or that plans accelerations.
+    """A learned policy: a network that steers a base law.
 
     Raises:
         ValueError: if its parts are inconsistent.
@@ -49,13 +48,12 @@ class Bundle:
 
     env_id: str
     """Id of the training environment."""
-    base: Base | None = None
-    """Classical law that the network steers; None for a planning network."""
-    action_mapping: Shift | Planning
+    base: Base
+    """Classical law that the network steers."""
+    action_mapping: Shift
     """Meaning of the network's outputs."""
-    features: tuple[str, ...] = ()
-    """Names of the network's inputs, see :mod:`cablebot_baselines.learned.features`; empty for a
-    planning network, whose inputs are fixed."""
+    features: tuple[str, ...]
+    """Names of the network's inputs, see :mod:`cablebot_baselines.learned.features`."""
     network: Network
     """Network, including the normalisation of its inputs."""
     card: Mapping[str, Any] = field(default_factory=dict)
@@ -63,9 +61,6 @@ class Bundle:
 
     def __post_init__(self) -> None:
         robot = _training_robot(self.env_id)
-        if isinstance(self.action_mapping, Planning):
-            self.planner(robot)
-            return
         steering = self.steering(robot)
         object.__setattr__(self, "features", steering.features)
         network_sizes = (self.network.inputs, self.network.outputs)
@@ -86,51 +81,25 @@ class Bundle:
             network=network or zero_network(steering.inputs, steering.actions),
         )
 
-    @classmethod
-    def of_planning(cls, env_id: str, planning: Planning) -> Bundle:
-        """A planning network with output zero, which tracks the reference."""
-        robot = _training_robot(env_id)
-        network = zero_network(input_count(robot), robot.coordinates)
-        return cls(env_id=env_id, action_mapping=planning, network=network)
-
     def steering(self, robot: Robot) -> Steering:
         """The steered base law for a nominal robot.
 
         Raises:
-            ValueError: if the network plans, or the robot's observation differs from the one that
-                the policy was trained on.
+            ValueError: if the robot's observation differs from the one that the policy was trained
+                on.
         """
-        if self.base is None or isinstance(self.action_mapping, Planning):
-            raise ValueError("a planning network steers no law")
-        self._check_robot(robot)
+        training_layout = _layout(_training_robot(self.env_id))
+        _check_layout(self.env_id, training_layout, f"robot {robot.name!r}", robot)
         return Steering(
             robot, base=self.base, action_mapping=self.action_mapping, features=self.features
         )
-
-    def planner(self, robot: Robot) -> PlanningPolicy:
-        """The policy of a planning network for a nominal robot.
-
-        Raises:
-            ValueError: if the network steers a law, or the robot's observation differs from the one
-                that the policy was trained on.
-        """
-        if not isinstance(self.action_mapping, Planning):
-            raise ValueError("a network that steers a law does not plan")
-        self._check_robot(robot)
-        return PlanningPolicy(robot, self.network, self.action_mapping)
-
-    def _check_robot(self, robot: Robot) -> None:
-        training_layout = _layout(_training_robot(self.env_id))
-        _check_layout(self.env_id, training_layout, f"robot {robot.name!r}", robot)
 
     @property
     def base_alone(self) -> Bundle:
         """The policy without its network: the reference of a base law moves slowly from the start
         pose to that of the task."""
-        mapping = self.action_mapping
+        mapping = replace(self.action_mapping, action_period=SETTLING_PERIOD)
         network = zero_network(self.network.inputs, self.network.outputs)
-        if isinstance(mapping, Shift):
-            mapping = replace(mapping, action_period=SETTLING_PERIOD)
         return replace(
             self, action_mapping=mapping, network=network, card={"note": "the base law alone"}
         )
@@ -145,7 +114,7 @@ class Bundle:
             "format": FORMAT,
             "env_id": self.env_id,
             "observation": _layout(_training_robot(self.env_id)),
-            "base": self.base and asdict(self.base),
+            "base": asdict(self.base),
             "steering": action_mapping_to_jsonable(self.action_mapping),
             "features": list(self.features),
             "card": dict(self.card),
@@ -176,8 +145,8 @@ class Bundle:
             _check_layout(env_id, data["observation"], "its environment", robot)
             return cls(
                 env_id=env_id,
-                base=data["base"] and find_base(data["base"]),
-                action_mapping=find_mapping(data["steering"]),
+                base=find_base(data["base"]),
+                action_mapping=find_action_mapping(data["steering"]),
                 features=data["features"],
                 network=Network.from_arrays(arrays),
                 card=data["card"],
@@ -191,18 +160,6 @@ class Bundle:
             raise ValueError(
                 f"policy bundle {str(path)!r} cannot be used: {' '.join(str(error).split())}"
             ) from error
-
-
-def find_mapping(data: Mapping[str, Any]) -> Shift | Planning:
-    """The meaning of a network's outputs from the data of a file.
-
-    Raises:
-        ValueError: if the kind or a key is unknown, or a value is invalid.
-    """
-    if not isinstance(data, Mapping) or data.get("kind") in (None, Shift.kind):
-        return find_action_mapping(data)
-    choice("kind of steering", data["kind"], (Shift.kind, Planning.kind))
-    return record("steering", Planning, {name: data[name] for name in data if name != "kind"})
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:

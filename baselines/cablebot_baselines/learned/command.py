@@ -18,7 +18,7 @@ Out = Annotated[
 ]
 Algo = Annotated[
     str | None,
-    typer.Option(help="ppo, sac, tqc or planner (a network plans accelerations). Default: ppo."),
+    typer.Option(help="ppo, sac or tqc. Default: ppo."),
 ]
 Config = Annotated[
     Path | None,
@@ -80,33 +80,28 @@ def train(
     cablebot train CableBot-Spatial-v0 --algo ppo --seed 0 --out runs/spatial
 
     cablebot train CableBot-Spatial-v0 --out runs/spatial --resume
-
-    cablebot train CableBot-Planar-v0 --algo planner --out runs/planar
     """
-    from cablebot_baselines.learned.planner_run import ALGORITHM
-    from cablebot_baselines.learned.runs import Interrupted, TrainingResult
-    from cablebot_baselines.learned.training import find_trainer
+    from cablebot_baselines.learned.runs import Interrupted
+    from cablebot_baselines.learned.training import train as run_training
 
-    if algo is None:
-        algo = TrainingResult.load(out).settings["algorithm"] if resume else "ppo"
-    run_training = find_trainer(algo)
-    options: dict[str, Any] = {
-        "timesteps": timesteps,
-        "evaluation": _evaluation(evaluation),
-        "eval_every": eval_every,
-        "checkpoint_every": checkpoint_every,
-    }
-    options = {name: value for name, value in options.items() if value is not None}
-    if algo == ALGORITHM and options:
-        option = next(iter(options)).replace("_", "-")
-        raise ValueError(
-            f"--{option} is for ppo, sac and tqc: for planner, set it in the --config file"
-        )
-    options |= {"config": config, "seed": seed, "threads": threads, "resume": resume}
     say = notes_console().print
     try:
         with progress("training", "timesteps") as step:
-            result = run_training(env_id, out=out, progress=step, say=say, **options)
+            result = run_training(
+                env_id,
+                out=out,
+                resume=resume,
+                progress=step,
+                say=say,
+                algorithm=algo,
+                config=config,
+                seed=seed,
+                timesteps=timesteps,
+                eval_every=eval_every,
+                checkpoint_every=checkpoint_every,
+                threads=threads,
+                evaluation=_evaluation(evaluation),
+            )
     except Interrupted as stop:
         again = command_line("train", env_id, out=out, resume=True)
         say(f"stopped after {stop.timesteps} timesteps; to resume: {again}")

@@ -11,25 +11,13 @@ from numpy.typing import ArrayLike
 
 from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.planner import Planning, PlanningPolicy
 from cablebot_baselines.learned.steering import Memory
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 
 
-def make_policy(bundle: Bundle, robot: Robot) -> LearnedPolicy | PlanningPolicy:
-    """The policy of a bundle for a nominal robot; needs neither torch nor Stable-Baselines3.
-
-    Raises:
-        ValueError: if the robot's observation differs from the one that the policy was trained on.
-    """
-    if isinstance(bundle.action_mapping, Planning):
-        return bundle.planner(robot)
-    return LearnedPolicy(bundle, robot)
-
-
 class LearnedPolicy:
-    """Policy of a bundle whose network steers a law.
+    """Policy of a bundle; needs neither torch nor Stable-Baselines3.
 
     Args:
         bundle: learned policy.

@@ -22,22 +22,19 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.network import Network
-from cablebot_baselines.learned.policy import make_policy
+from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import find_robot
-from cablebot_gym.trajectories import BetweenDwells, Dwell, Trajectory
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import command_line
 from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, read_text
@@ -128,8 +125,6 @@ class TrainingResult:
     """Evaluations in chronological order."""
     payload_ceiling: float | None = None
     """Largest payload of the curriculum at present [kg]; None without a curriculum."""
-    rounds: int = 0
-    """Number of finished rounds of ``planner``."""
 
     @classmethod
     def load(cls, out: Path) -> TrainingResult:
@@ -266,9 +261,6 @@ class Run:
         untrained: the policy with a network of output zero.
         total: number of timesteps at the end.
         evaluation: keyword arguments of :func:`cablebot_gym.evaluation.evaluator.evaluate_dlcc`.
-        trained_on: training motions.
-        motions: keyword arguments of each motion; the payload of a policy is the mean over the
-            motions.
         progress: function called with the progress.
         say: function called with messages for the user.
     """
@@ -280,8 +272,6 @@ class Run:
         *,
         total: int,
         evaluation: Mapping[str, Any],
-        trained_on: Sequence[Trajectory],
-        motions: Sequence[Mapping[str, Any]] = ({},),
         progress: Progress | None = None,
         say: Say | None = None,
     ) -> None:
@@ -290,8 +280,6 @@ class Run:
         self.stopped = False
         """Whether a signal has arrived within :meth:`signals`."""
         self._total = total
-        self._motions = motions
-        self._dwell = shortest_dwell(trained_on)
         self._base = untrained
         self._conditions = {"criterion": "task", "resolution": RESOLUTION, **evaluation}
         self._progress = progress
@@ -309,9 +297,9 @@ class Run:
         self.state.base_payload_kg = self._dlcc(self._base.base_alone)
         self.report("starting", 0)  # the time left counts from here
 
-    def evaluate(self, network: Network, **notes: Any) -> float | None:
+    def evaluate(self, network: Network) -> float | None:
         """Evaluates a network [kg]; writes ``evaluations.csv``, and ``best.zip`` if no earlier
-        network was as good. ``notes`` are added to the card."""
+        network was as good."""
         state = self.state
         best = state.best
         self.report("evaluating", state.timesteps)
@@ -320,7 +308,7 @@ class Run:
             Evaluation(timesteps=state.timesteps, wall_s=self._wall_s(), payload_kg=payload)
         )
         if best is None or rank(payload) > rank(best.payload_kg):
-            self._bundle(network, notes).save(self.out / BEST)
+            self._bundle(network).save(self.out / BEST)
         table = io.StringIO()
         writer = csv.writer(table, lineterminator="\n")
         writer.writerow(item.name for item in fields(Evaluation))
@@ -328,11 +316,11 @@ class Run:
         atomic_write_text(self.out / EVALUATIONS, table.getvalue())
         return payload
 
-    def finish(self, network: Network, **notes: Any) -> None:
-        """Writes the final policy. ``notes`` are added to its card."""
-        self._bundle(network, notes).save(self.out / LAST)
+    def finish(self, network: Network) -> None:
+        """Writes the final policy."""
+        self._bundle(network).save(self.out / LAST)
 
-    def _bundle(self, network: Network, notes: dict[str, Any]) -> Bundle:
+    def _bundle(self, network: Network) -> Bundle:
         """A policy with its training record."""
         state = self.state
         card: dict[str, Any] = {"command": state.command()}
@@ -348,11 +336,9 @@ class Run:
             "payload_kg": payload,
             "evaluation": self._conditions,
             "base_payload_kg": state.base_payload_kg,
-            "planner_output_used": False,
-            "dwell": self._dwell,
             "curve": [asdict(item) for item in state.evaluations],
         }
-        return replace(self._base, network=network, card=card | notes)
+        return replace(self._base, network=network, card=card)
 
     def save(self, write: Callable[[Path], None]) -> None:
         """Writes a checkpoint; ``write`` is called with the folder for the algorithm's state."""
@@ -394,31 +380,12 @@ class Run:
                 signal.signal(number, handler)
 
     def _dlcc(self, bundle: Bundle) -> float | None:
-        """Mean DLCC of a bundle over the motions [kg], with 0 where it fails unloaded; None if it
-        always does."""
-        policy = make_policy(bundle, find_robot(env_robot(bundle.env_id)))
-        payloads = []
-        for motion in self._motions:
-            result = evaluate_dlcc(policy, bundle.env_id, **motion, **self._conditions)
-            payloads.append(result.payload)
-        if set(payloads) == {None}:
-            return None
-        return float(np.mean([payload or 0.0 for payload in payloads]))
+        """DLCC of a bundle [kg]; None if it fails unloaded."""
+        policy = LearnedPolicy(bundle, find_robot(env_robot(bundle.env_id)))
+        return evaluate_dlcc(policy, bundle.env_id, **self._conditions).payload
 
     def _wall_s(self) -> float:
         return round(time.monotonic() - self._started, 3)
-
-
-def shortest_dwell(trajectories: Sequence[Trajectory]) -> float:
-    """Shortest dwell at the ends of motions [s]; 0 if one of them has none."""
-    dwells = []
-    for trajectory in trajectories:
-        match trajectory:
-            case BetweenDwells(dwell=duration) | Dwell(duration=duration):
-                dwells.append(float(duration))
-            case _:
-                return 0.0
-    return min(dwells)
 
 
 @contextmanager
@@ -439,7 +406,7 @@ def checkpoint_errors(out: Path) -> Iterator[None]:
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
     """Sets the number of torch's threads within the context."""
-    import torch  # imported here: reading cards uses this module without torch
+    import torch  # imported here: the rest of this module works without torch
 
     before = torch.get_num_threads()
     torch.set_num_threads(count)

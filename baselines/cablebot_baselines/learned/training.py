@@ -10,9 +10,8 @@ trust.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import closing, suppress
-from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
@@ -32,14 +31,14 @@ except ImportError as error:
         "training needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name
     ) from error
 
-from cablebot_baselines.learned import planner_run, runs
+from cablebot_baselines.learned import runs
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.config import ALGORITHMS, Config, algorithm_class, make_config
+from cablebot_baselines.learned.config import Config, algorithm_class, make_config
 from cablebot_baselines.learned.export import network_from_sb3
 from cablebot_baselines.learned.recipe import make_training_envs, steered_env
 from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, SteeredVector
 from cablebot_baselines.learned.wrappers.layers import layers
-from cablebot_gym.utils.checks import choice, unexpected_keyword_error
+from cablebot_gym.utils.checks import unexpected_keyword_error
 
 PARTS = 20
 """Default number of evaluations and of checkpoints in a run."""
@@ -120,13 +119,11 @@ def train(
         model = (_load if resume else _make)(state, config, envs)
         network_from_sb3(model)  # fails before the training if the model cannot be exported
         steered = steered_env(model)
-        plant: Any = steered.unwrapped
         run = runs.Run(
             state,
             Bundle.of_steering(env_id, steered.steering),
             total=timesteps,
             evaluation=state.settings["evaluation"],
-            trained_on=[plant.settings.trajectory],
             progress=progress,
             say=say,
         )
@@ -134,19 +131,6 @@ def train(
             run.start()
         _learn(model, _RunCallback(run, _curriculum(steered)), run)
     return state
-
-
-def find_trainer(algorithm: str) -> Callable[..., runs.TrainingResult]:
-    """The function that trains with an algorithm: :func:`train` or
-    :func:`~cablebot_baselines.learned.planner_run.train_planner`.
-
-    Raises:
-        ValueError: if the algorithm is unknown.
-    """
-    choice("algorithm", algorithm, (*ALGORITHMS, planner_run.ALGORITHM))
-    if algorithm == planner_run.ALGORITHM:
-        return planner_run.train_planner
-    return partial(train, algorithm=algorithm)
 
 
 def _open_run(
