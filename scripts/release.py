@@ -1,5 +1,5 @@
-"""Checks that the tree is ready to be published, and makes the README's links absolute for its page
-on PyPI.
+"""Checks that the tree is ready to be published and that its stored results are those of this code,
+and makes the README's links absolute for its page on PyPI.
 
 python scripts/release.py [v0.1.0] [--absolute-links]
 """
@@ -11,6 +11,8 @@ import re
 import sys
 import tomllib
 from pathlib import Path
+
+import tested
 
 from cablebot_gym import __version__
 
@@ -75,6 +77,8 @@ def main() -> None:
     )
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     faults = problems(arguments.tag, __version__, changelog, urls)
+    if tested.changed(["evidence"]) and not tested.run("evidence"):
+        faults.append("the stored results are not those of this code: compute them anew")
     if faults:
         sys.exit("\n* ".join(["Not ready to be published:", *faults]))
     if arguments.absolute_links:

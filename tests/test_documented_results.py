@@ -41,7 +41,7 @@ def without(uncertainty, source):
     return replace(uncertainty, **{source: getattr(Uncertainty(), source)})
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
 @pytest.mark.parametrize(("name", "payload_known"), [("hardware", False), ("table6", True)])
 def test_one_part_decides_table_6_and_none_decides_hardware(env_id, name, payload_known):
@@ -72,7 +72,7 @@ def test_one_part_decides_table_6_and_none_decides_hardware(env_id, name, payloa
         assert (compared.metrics[0].carried.mean() >= 0.95) == (name == "table6"), source
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize(
     ("plain", "robust", "env_id", "robot"),
     [

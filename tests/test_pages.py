@@ -42,7 +42,7 @@ BLOCKS = [
         page,
         name,
         id=f"{page}: {name}",
-        marks=pytest.mark.slow if "output" in name or name == "library" else [],
+        marks=pytest.mark.evidence if "output" in name or name == "library" else [],
     )
     for page in page_blocks.PAGES
     for name in page_blocks.blocks((ROOT / page).read_text(encoding="utf-8"))
@@ -90,7 +90,7 @@ def test_paper_cites_all_references_and_no_others():
     assert set(re.findall(r"@(\w+)", body)) == set(entries)
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_figures_are_those_of_the_present_code(tmp_path):
     pytest.importorskip("matplotlib")
     import page_figures
@@ -196,7 +196,7 @@ def test_no_measured_number_is_typed_into_prose():
 # --- scripts ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_python_of_the_readme_runs(index, tmp_path):
     # seconds

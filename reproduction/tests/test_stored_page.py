@@ -45,7 +45,7 @@ def test_no_sentence_of_the_page_lacks_a_number():
         texts.fill(re.sub(r"(?m)^#.*$", "", template), NUMBERS)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_new_numbers_and_verdicts_are_the_stored_ones(tmp_path):
     new = run(tmp_path)
     assert list(new["numbers"]) == list(NUMBERS), AGAIN

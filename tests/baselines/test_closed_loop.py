@@ -18,7 +18,7 @@ def cases():
     take minutes, are tried in one environment."""
     for entry in ENTRIES:
         for env_id in entry.env_ids[:1] if entry.plans else entry.env_ids:
-            marks = [] if env_id in PAPER_ENV_IDS else [pytest.mark.slow]
+            marks = [] if env_id in PAPER_ENV_IDS else [pytest.mark.nightly]
             yield pytest.param(entry.name, env_id, marks=marks)
 
 
@@ -30,7 +30,7 @@ def test_platform_is_carried_in_all_environments(name, env_id):
     assert verdict.carried == (name != "flex-eq22")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     # Policies that plan rehearse on such robots themselves.
     "entry",
@@ -69,7 +69,7 @@ def bare(robot):
 BARE_FLEX_SPATIAL = bare(FLEX_SPATIAL)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("law", "robot", "payload_known", "payload", "tolerance"),
     [

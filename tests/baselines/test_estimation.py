@@ -157,7 +157,7 @@ SENSORS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("env_id", "law"),
     [
@@ -187,7 +187,7 @@ def test_filter_finds_the_stiffness():
     assert np.abs(errors[-50:]).max() < 5e-4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_law_behind_the_filter_keeps_its_payload():
     """The tolerance is 1 % of the payload."""
     options = {"search": "bisection", "payload_max": 4.0}

@@ -32,7 +32,7 @@ def test_position_limits_the_dlcc_on_the_default_planar_circle(law):
     assert result.violation.kind == "position"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_laws_hold_a_platform_on_cables_that_stretch():
     """The free length of FAST's cables is 0.4 % less than their length. Without it the laws sagged
     by 28 to 115 mm."""
@@ -64,7 +64,7 @@ def test_motor_pd_tracks_a_smooth_motion_closely():
     [
         ("motor-pd", "flex-expo-lucia", True),
         ("motor-pd", "flex-gch-klaus", True),
-        pytest.param("composite", "flex-ipanema-3", False, marks=pytest.mark.slow),
+        pytest.param("composite", "flex-ipanema-3", False, marks=pytest.mark.nightly),
     ],
 )
 def test_redundant_elastic_cables_stay_taut(law, name, holds):

@@ -56,7 +56,7 @@ def vector(env_id, count, **keywords):
 # --- payload and error bounds -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 @pytest.mark.parametrize(("env_id", "payload"), [(PLANAR_ID, 2.6), (SPATIAL_ID, 6.4)])
 def test_payload_far_beyond_adaptive_is_carried(policies, env_id, payload):
     """``adaptive`` has a DLCC of 1.9 kg and 5.0 kg."""

@@ -6,7 +6,7 @@ import pytest
 from driving import drive
 from gymnasium.vector import AutoresetMode
 from numpy.testing import assert_allclose
-from oracles.plants import FLEX_UNEQUAL, QUAD, UNEQUAL, each_of, random_motion, slowly
+from oracles.plants import FLEX_UNEQUAL, QUAD, UNEQUAL, each_of, nightly, random_motion
 from oracles.platforms import CAMERA, CRANE, TURNING
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
@@ -90,7 +90,7 @@ def test_exactly_known_robot_is_expected_as_it_is():
 # --- model ------------------------------------------------------------------------------------------------------------
 
 
-@each_of(QUAD, UNEQUAL, TURNING, *slowly(CAMERA, CRANE, FLEX_UNEQUAL))
+@each_of(QUAD, UNEQUAL, TURNING, *nightly(CAMERA, CRANE, FLEX_UNEQUAL))
 def test_dynamics_keep_the_force_balance_of_the_textbook(robot):
     """For any torques and wrench, and with 1 kg more."""
     mass, pose, velocity, _ = random_motion(robot, (20,), seed=5)
@@ -137,7 +137,7 @@ def test_rates_of_the_weights_are_their_derivatives():
 # --- estimates --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("env_id", list(LARGEST))
 def test_mass_is_found_within_the_motion(env_id):
     """In motion, on robots of `hardware`. A planar robot has no weight: it shows its mass when it

@@ -50,7 +50,7 @@ def test_sb3_model_has_the_actor_of_the_bundle(bundle):
     assert_allclose(actions, np.clip(network(observed), -1, 1), rtol=0, atol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_shipped_policy_loads_without_torch():
     code = """
 import sys
@@ -62,7 +62,7 @@ load_policy("ppo-circle", SPATIAL)
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_recorded_payload_is_reproduced():
     recorded, _ = RECORD["seeds"][RECORD["shipped_seed"]]["payloads"]
     result = evaluate_dlcc("ppo-circle", RECORD["env_id"])

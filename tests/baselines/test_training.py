@@ -181,7 +181,7 @@ def test_invalid_values_leave_no_file(tmp_path, changes, options, message):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("algorithm", "activation"), [("ppo", "Tanh"), ("sac", "ReLU"), ("tqc", "Tanh")]
 )
@@ -230,7 +230,7 @@ def test_run_writes_policies_evaluations_and_card(trained):
     assert Bundle.load(trained / "last.zip").card["timesteps"] == 256
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 def test_same_seed_gives_the_same_weights(trained, tmp_path):
     np.random.seed(9)  # noqa: NPY002 - SB3 draws from this generator
     for seed in (3, 4):
@@ -310,7 +310,7 @@ def test_interrupted_command_keeps_its_results_and_resumes(tmp_path, monkeypatch
     assert TrainingResult.load(out).evaluations[: len(stopped.evaluations)] == stopped.evaluations
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_resumed_run_keeps_its_replay_buffer(tmp_path):
     for timesteps in (128, 256):
         run(tmp_path / "run", "sac", timesteps=timesteps, resume=timesteps > 128)

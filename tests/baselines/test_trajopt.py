@@ -63,7 +63,7 @@ def test_short_motion_is_tracked_with_known_and_unknown_payload():
     assert policy.fallbacks == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("known", "fraction"), [(True, 0.97), (False, 0.88)])
 def test_planar_dlcc_is_near_the_best_known_payload(known, fraction):
     """A robot with an unknown payload may be any of `hardware`."""
@@ -90,7 +90,7 @@ def test_margins_leave_the_tensions_of_springs_at_the_start():
     assert robot.minimum_tension + margins.tension <= allocated_minimum(robot)
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 def test_rehearsed_plan_serves_robots_that_are_not_exactly_known():
     """The exact plan fails them unloaded. A known payload that is heavier than the rehearsed one has
     the exact plan."""

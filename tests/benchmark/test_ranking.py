@@ -36,7 +36,7 @@ def test_equal_surveys_are_seldom_ordered_where_half_has_fewer_motions():
     assert simulated_boards.false_surveys(failing=0.002, noise=0.05, boards=200) <= 0.06
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_page_has_the_simulated_tables():
     assert simulated_boards.DOCUMENT.read_text(encoding="utf-8") == simulated_boards.page()
 

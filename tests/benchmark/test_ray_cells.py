@@ -74,7 +74,7 @@ def run(address, computations, returned=(WorkerDied,)):
     return dict(run_jobs(jobs, on_ray(address), say=print, returned=returned))
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 def test_cells_on_two_nodes_have_the_numbers_of_one_process(address, tmp_path):
     messages = []
     store = Store(tmp_path, say=messages.append)
@@ -88,13 +88,13 @@ def test_cells_on_two_nodes_have_the_numbers_of_one_process(address, tmp_path):
     assert len(list((tmp_path / "cells").iterdir())) == len(CELLS)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_jobs_use_both_nodes(address, tmp_path):
     run(address, {str(number): partial(meets_another_node, str(tmp_path)) for number in range(4)})
     assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 def test_job_of_a_killed_worker_is_repeated(address, tmp_path, monkeypatch):
     monkeypatch.setattr(ray_backend, "RETRIES", 1)
     jobs = {"killed": partial(killed_at_first, str(tmp_path / "marker")), "deadly": always_killed}
@@ -104,7 +104,7 @@ def test_job_of_a_killed_worker_is_repeated(address, tmp_path, monkeypatch):
     assert "died" in str(outcomes["deadly"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_chosen_exceptions_are_results_and_others_are_raised(address):
     assert isinstance(run(address, {"one": raises}, returned=(KeyError,))["one"], KeyError)
     with pytest.raises(WorkerDied, match="no such gain"):

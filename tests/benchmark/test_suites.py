@@ -53,7 +53,7 @@ def parts(cell):
     return cell.parts if isinstance(cell, SurveyCell) else [cell]
 
 
-LARGE = [pytest.param(name, marks=pytest.mark.slow) for name in ("full", "ranked")]
+LARGE = [pytest.param(name, marks=pytest.mark.nightly) for name in ("full", "ranked")]
 
 
 @pytest.mark.parametrize("name", [*sorted(set(SUITES) - {"full", "ranked"}), *LARGE])

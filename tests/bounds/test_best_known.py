@@ -154,7 +154,7 @@ def test_refinement_stops_where_further_meshes_change_little(payloads, converged
     assert best_known.has_converged(payloads) == converged
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("env_id", "nodes"), [(PLANAR_ID, 320), (FLEX_ID, 160), (POINT_ID, 160)])
 def test_payload_is_close_to_an_independent_collocation(env_id, nodes):
     """Margins that hold at all times once cost up to 5 % of the payload."""
@@ -171,7 +171,7 @@ def test_payload_is_close_to_an_independent_collocation(env_id, nodes):
     assert (1 - LARGEST_GAP) * optimum < result.payload < (1 + LARGEST_GAP) * optimum
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 @pytest.mark.usefixtures("quick")
 def test_hang_within_narrow_bounds_has_the_static_payload():
     hang = {"name": "dwell-spatial", "duration": 0.1}
@@ -188,7 +188,7 @@ def test_hang_within_narrow_bounds_has_the_static_payload():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 @pytest.mark.usefixtures("quick")
 def test_arguments_reach_the_program(line):
     options = {"trajectory": LINE, "cache": False}
@@ -203,7 +203,7 @@ def test_arguments_reach_the_program(line):
     assert changed.payload > 1.05 * line.payload
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 @pytest.mark.usefixtures("quick")
 def test_failed_fine_mesh_is_skipped(
     monkeypatch,
@@ -302,7 +302,7 @@ def test_bad_argument_is_rejected(arguments, message, cache):
     assert not cache.exists()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize(
     ("arguments", "message"),

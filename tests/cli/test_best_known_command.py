@@ -35,7 +35,7 @@ def test_options_reach_the_search(cablebot, monkeypatch):
     assert cablebot(f"best-known {SPATIAL}").status == 1
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 def test_result_is_printed_cached_and_verified(cablebot, cache, monkeypatch):
     line = f"{LINE} --position-bound 20 --control-frequency 250"
     text = cablebot(line).out

@@ -237,7 +237,7 @@ START = f"import signal, cablebot_gym.cli.app as c; signal.signal({int(signal.SI
 """A shell that starts jobs in the background may have them ignore the signal."""
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 @pytest.mark.skipif(os.name != "posix", reason="terminals of POSIX")
 def test_terminal_shows_a_bar_with_the_time_left(tmp_path):
     terminal, end = os.openpty()
@@ -268,7 +268,7 @@ def is_alive(group):
     return True
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_interrupt_keeps_results_and_leaves_no_process(tmp_path):
     typed = ("benchmark", "--policies", "fl", "--workers", "2", "--out", str(tmp_path))

@@ -170,7 +170,7 @@ def test_policy_of_others_is_isolated_unless_it_is_trusted(cablebot, toys):
     assert "leave --no-isolate out" in trusted
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_isolated_evaluation_has_a_secret_seed(cablebot):
     seeds = {cablebot(f"{ONE} --isolate").data[0]["seed"] for _ in range(2)}
     assert len(seeds) == 2
@@ -211,7 +211,7 @@ def motion():
 """
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 def test_robot_and_motion_of_files_reach_an_isolated_policy(cablebot, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path])
     text = library()["gch-klaus"].read_text().partition("[defaults]")[0]

@@ -16,7 +16,7 @@ PLANAR = "CableBot-Planar-v0"
 SPATIAL = "CableBot-Spatial-v0"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_video_shows_two_policies(cablebot, tmp_path):
     path = tmp_path / "new" / "both.mp4"
     options = "--policy 'fl, robust' --payload 3 --speed 4 --size 320x240"

@@ -10,8 +10,8 @@ from oracles.plants import (
     evaluated,
     free_motors,
     loaded_plant,
+    nightly,
     no_reference,
-    slowly,
     textbook_rates,
     with_transmission,
     worst_relative_error,
@@ -30,8 +30,8 @@ EXACT = [name for name in robot_names() if name not in ELASTIC]
 
 
 def daily(names, *fast):
-    """A mark that runs a test for robots, all but some of them slowly."""
-    slow = slowly(*(name for name in names if name not in fast))
+    """A mark that runs a test for robots, all but some of them at night."""
+    slow = nightly(*(name for name in names if name not in fast))
     return pytest.mark.parametrize("name", [*fast, *slow])
 
 

@@ -250,7 +250,7 @@ def test_tasks_that_cannot_be_pickled_are_rejected():
         policy.reset((lambda: None,))
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 @pytest.mark.usefixtures("bare")
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
 def test_processes_of_a_policy_end_when_it_is_collected(spec):
@@ -319,7 +319,7 @@ def test_deadline_ends_policies_that_compute_or_sleep(monkeypatch, processors, n
         PolicyProcess._reply(awaited, 5.0)
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 @pytest.mark.usefixtures("bare")
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL], ids=lambda sent: sent.name)

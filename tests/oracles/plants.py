@@ -88,9 +88,9 @@ ROUGH = tuple(_rough(robot) for robot in (QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL
 no load friction, and the last no Coulomb friction."""
 
 
-def slowly(*robots):
-    """Robots for :func:`each_of` that only the slow tests run: each is compiled for itself."""
-    return [pytest.param(robot, marks=pytest.mark.slow) for robot in robots]
+def nightly(*robots):
+    """Robots for :func:`each_of` that only the nightly tests run: each is compiled for itself."""
+    return [pytest.param(robot, marks=pytest.mark.nightly) for robot in robots]
 
 
 def each_of(*robots):
@@ -111,7 +111,7 @@ every_kind = each_of(
     FLEX_UNEQUAL,
     ROUGH[3],
     *OTHER_KINDS,
-    *slowly(*ROUGH[:3]),
+    *nightly(*ROUGH[:3]),
 )
 """Friction and lag of rigid robots are daily those of the platform in a plane."""
 both_cables = pytest.mark.parametrize("cable", ["unilateral", "bilateral"])

@@ -35,8 +35,8 @@ KINDS = ROBOTS | {kind: kind for kind in ("10/6", "7/6", "3/2", "6/2", "6/6")}
 """Robots, or random structures of so many cables and coordinates."""
 
 each_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-counts = pytest.mark.parametrize("count", [60, pytest.param(18_000, marks=pytest.mark.slow)])
-"""9 kinds: 540 draws daily; 162,000 in the slow tests, more than 100,000 of them feasible."""
+counts = pytest.mark.parametrize("count", [60, pytest.param(18_000, marks=pytest.mark.nightly)])
+"""9 kinds: 540 draws daily; 162,000 at night, more than 100,000 of them feasible."""
 
 
 def random_structures(kind, count, rng):

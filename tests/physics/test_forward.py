@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.plants import each_of, random_motion, slowly, with_transmission
+from oracles.plants import each_of, nightly, random_motion, with_transmission
 from oracles.platforms import PLATFORMS
 from scipy.optimize import least_squares
 
@@ -19,7 +19,7 @@ the equations of motion that the iteration borrows. ``spatial`` has no redundant
 
 each_robot = each_of(
     *(ROBOTS[name] for name in ("planar", "spatial", "cogiro", "turning")),
-    *slowly(ROBOTS["ipanema-3"], ROBOTS["camera"]),
+    *nightly(ROBOTS["ipanema-3"], ROBOTS["camera"]),
 )
 
 

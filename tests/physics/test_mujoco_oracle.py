@@ -19,9 +19,9 @@ from oracles.plants import (
     friction_torques,
     holding_state,
     loaded_plant,
+    nightly,
     off_centre,
     random_states,
-    slowly,
     state_of,
     textbook_rates,
     with_transmission,
@@ -79,7 +79,7 @@ def test_accelerations_are_those_of_mujoco(robot):
 
 
 @pytest.mark.parametrize("spread", [0.5, 2.0], ids=["taut", "slack"])
-@each_of(CAMERA, CRANE, *slowly(HANGING, TURNING))
+@each_of(CAMERA, CRANE, *nightly(HANGING, TURNING))
 def test_elastic_cables_are_the_one_sided_springs_of_mujoco(robot, spread):
     """Their damping while taut; MuJoCo's dampers push slack cables, too. The pulleys stand
     still."""

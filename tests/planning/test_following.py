@@ -117,7 +117,7 @@ def test_last_period_keeps_its_speed_despite_rounding():
     [
         "planar",
         "flexible planar",
-        pytest.param("spatial", marks=pytest.mark.slow),
+        pytest.param("spatial", marks=pytest.mark.nightly),
     ],
 )
 def test_plan_is_followed_and_an_initial_error_corrected(name):

@@ -92,7 +92,7 @@ def test_cache_folder_follows_the_environment(tmp_path, monkeypatch, cache):
     assert cache_folder() == tmp_path / "home" / ".cache" / "cablebot_gym"
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 def test_planning_can_be_imported_without_casadi():
     code = "import sys; sys.modules['casadi'] = None; import cablebot_gym.planning, cablebot_gym.bounds.best_known"
     ended = subprocess.run(

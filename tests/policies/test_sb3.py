@@ -60,7 +60,7 @@ def saved(path, observation, action, algorithm="PPO", package="stable_baselines3
 
 
 CASES = [
-    pytest.param(package, name, marks=() if name == "PPO" else pytest.mark.slow)
+    pytest.param(package, name, marks=() if name == "PPO" else pytest.mark.nightly)
     for package, names in (
         ("stable_baselines3", SB3_ALGORITHMS),
         ("sb3_contrib", CONTRIB_ALGORITHMS),

@@ -197,7 +197,7 @@ def module(tmp_path, monkeypatch):
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 def test_isolated_wrappers_give_the_same_payload(module):
     names = [f"{module}:Spies", f"{module}:Half"]
     with IsolatedPolicy("fl", PLANAR_ID, wrappers=names) as policy:

@@ -216,7 +216,7 @@ def policies(page):
     return page.locator("#leaderboard-table tbody tr td:first-child").all_inner_texts()
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 def test_table_sorts_and_filters(opened):
     page = opened()
     assert policies(page) == ["best known payload", "fl", "adaptive", "nobody</script>"]
@@ -236,7 +236,7 @@ def test_table_sorts_and_filters(opened):
     assert policies(page) == ["adaptive"]
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 def test_episode_plays_and_moves_with_the_slider(opened):
     page = opened()
     assert page.inner_text("#episode-title").startswith("fl on CableBot-Planar-v0")
@@ -263,7 +263,7 @@ def test_episode_plays_and_moves_with_the_slider(opened):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 def test_larger_payload_shows_the_violation_and_marks_its_time(opened):
     page = opened()
     page.locator("#leaderboard-table tbody button", has_text="fl").click()
@@ -278,7 +278,7 @@ def test_larger_payload_shows_the_violation_and_marks_its_time(opened):
     assert page.locator("#chart-position line.bound").count() == 2
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 def test_rows_are_chosen_by_keyboard_and_linked(opened):
     page = opened()
     page.locator("#leaderboard-table tbody button", has_text="fl").focus()
@@ -298,7 +298,7 @@ def test_rows_are_chosen_by_keyboard_and_linked(opened):
     assert "not in the cache" in again.inner_text("#verdict")
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 @pytest.mark.parametrize(("row", "payload"), [("fl", 1.91), ("best known payload", 2.85)])
 def test_recipe_computes_the_number(opened, row, payload):
     page = opened()
@@ -312,7 +312,7 @@ def test_recipe_computes_the_number(opened, row, payload):
     assert results[0].payload == pytest.approx(payload, abs=5e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.landing
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_page_fits_a_phone_and_colours_follow_the_system(opened, scheme):
     page = opened(360, 740, scheme)

@@ -15,7 +15,7 @@ import pytest
 SITE = Path(os.environ.get("CABLEBOT_SITE", Path(__file__).parents[2] / "site"))
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.landing,
     pytest.mark.skipif(not (SITE / "index.html").is_file(), reason="the site is not built"),
 ]
 

@@ -89,7 +89,7 @@ def read_gif(path):
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
     ("suffix", "read", "rate"),
-    [(".mp4", read_mp4, 30), pytest.param(".gif", read_gif, 25, marks=pytest.mark.slow)],
+    [(".mp4", read_mp4, 30), pytest.param(".gif", read_gif, 25, marks=pytest.mark.nightly)],
 )
 def test_file_contains_every_picture(tmp_path, lost, suffix, read, rate):
     path = tmp_path / f"lost{suffix}"

@@ -23,7 +23,7 @@ def test_logs_of_a_winch(tmp_path, monkeypatch):
         assert abs(item.value - value) < 2 * item.half_width
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_logs_of_a_platform(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(EXAMPLES / "identify_platform.py"))

@@ -32,7 +32,7 @@ def test_page_is_plain_markdown_whose_links_lead_to_files(page):
     assert [link for link in links if not (page.parent / link).exists()] == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_figure_is_that_of_the_present_code(tmp_path):
     from matplotlib.testing.compare import compare_images
 

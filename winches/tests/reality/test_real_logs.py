@@ -19,7 +19,7 @@ def test_stored_results_are_of_the_present_sources():
         assert (STORED[name]["commit"], STORED[name]["files"]) == (source.commit, source.files)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", STUDIES)
 def test_stored_results_are_those_of_the_real_logs(name):
     folder = os.environ.get("CABLEBOT_LOGS")
