@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -30,6 +31,9 @@ from cablebot_gym.benchmark.yardstick import PROBABILITY
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import results_console
 from cablebot_gym.utils.foreign import foreign_json, foreign_list, foreign_object
+
+LINE = 118
+"""Largest length of a line of the page, except for tables."""
 
 _INTRODUCTION = """# Leaderboard
 
@@ -179,7 +183,7 @@ def origins_text(records: Sequence[Record]) -> str:
         words = [f"{name} {version}" for name, version in versions.items() if name not in common]
         text = ", ".join(words)
         sentences.append(f"{text[:1].upper()}{text[1:]}: {_codes(sorted(policies))}.")
-    return "\n" + "\n".join(sentences) + "\n"
+    return f"\n{textwrap.fill(' '.join(sentences), LINE, break_on_hyphens=False)}\n"
 
 
 def _common(sets: Sequence[Mapping[str, str]]) -> dict[str, str]:

@@ -108,11 +108,7 @@ def _equations(robot: Robot) -> str:
         "Cables": "cables",
     }
     if robot.elastic:
-        sections = dict(
-            section.split("\n", 1)
-            for section in EQUATIONS.read_text(encoding="utf-8").split("\n## ")
-        )
-    headings = {"Platform": robot.kind, "Motors": "motors", "Cables": "elastic"}
+        headings = {"Platform": robot.kind, "Motors": "motors", "Cables": "elastic"}
     for title, name in headings.items():
         text += f"\n### {title}\n\n{sections[name].strip()}\n"
     readable = "Readable code: {py:mod}`cablebot_gym.physics.textbook`."

@@ -309,6 +309,6 @@ def test_page_names_the_policies_of_each_set_of_versions():
         replace(carries("robust", 1.0), versions=later),
     ]
     text = origins_text(records)
-    assert text == "\nRows of board 1: `fl`.\nRows after board 1: `robust`.\n"
+    assert text == "\nRows of board 1: `fl`. Rows after board 1: `robust`.\n"
     assert page_of(records).endswith("with python 3.11.\n")
     assert origins_text(records[:-1]) == ""
