@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cablebot_baselines.classical import Composite, MotorPD, Robust
+from cablebot_baselines.classical import Composite, MotorPD, make_robust
 from cablebot_gym.envs import PAPER_ENV_IDS, env_robot, fitting_env_id
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
@@ -76,7 +76,7 @@ BARE_FLEX_SPATIAL = bare(FLEX_SPATIAL)
         ("fl", bare(PLANAR), True, 1.92, 0.04),
         ("fl:gains=tuned", bare(SPATIAL), False, 4.15, 0.04),
         ("adaptive", bare(PLANAR), False, 1.93, 0.05),
-        (Robust(SPATIAL, zeta=0.5, phi=5.0), SPATIAL, False, 4.58, 0.05),
+        (make_robust(SPATIAL, zeta=0.5, phi=5.0), SPATIAL, False, 4.58, 0.05),
         (Composite(BARE_FLEX_SPATIAL), BARE_FLEX_SPATIAL, True, 4.54, 0.04),
         (MotorPD(BARE_FLEX_SPATIAL, minimum_tension=5.0), BARE_FLEX_SPATIAL, True, 4.10, 0.04),
         ("adaptive", BARE_FLEX_SPATIAL, False, 5.58, 0.05),

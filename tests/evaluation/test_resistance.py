@@ -1,12 +1,10 @@
 """How the evaluation resists careless and cheating policies. tests/attacks has the policies
 themselves."""
 
-import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from attacks import cheats
 from clock import Clock
 from evaluation.conftest import Dropping
 from numpy.testing import assert_array_equal
@@ -156,11 +154,22 @@ def test_repetition_with_another_value_is_a_difference(original, change):
 # --- one process ------------------------------------------------------------------------------------------------------
 
 
-def test_policy_gets_copies_of_tasks_and_robot():
-    result = evaluated(cheats.wide_bounds(copy.deepcopy(SPATIAL)))
+class WidensItsTasks(Law):
+    """Alters the tasks that it gets, and their robots."""
+
+    def reset(self, tasks):
+        for task in tasks:
+            object.__setattr__(task.error_bounds, "position", 10.0)
+            object.__setattr__(task.robot, "minimum_tension", -1e9)
+            object.__setattr__(task.robot.motors, "stall_torque", 1e6)
+
+
+def test_policy_gets_copies_of_tasks_and_robots():
+    result = evaluated(WidensItsTasks())
     honest = evaluated(Law())
     assert result.payload == honest.payload
     assert result.details.margins == honest.details.margins
+    assert (SPATIAL.minimum_tension, SPATIAL.motors.stall_torque) == (1.0, 10.0)
 
 
 def test_result_tells_which_foreign_policies_ran_before(monkeypatch):

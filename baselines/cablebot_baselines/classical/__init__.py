@@ -7,7 +7,7 @@ from cablebot_baselines.classical.flexible import COMPOSITE, MOTOR_PD, Composite
 from cablebot_baselines.classical.observer_law import ObserverLaw
 from cablebot_baselines.classical.observing import OBSERVING, Observing
 from cablebot_baselines.classical.outer_loop import PD, BoundedRobustPD, RobustPD
-from cablebot_baselines.classical.robust import ROBUST, Robust, RobustComposite
+from cablebot_baselines.classical.robust import ROBUST, make_robust
 
 __all__ = [
     "ADAPTIVE",
@@ -26,7 +26,6 @@ __all__ = [
     "ObserverLaw",
     "Observing",
     "PaperFlexible",
-    "Robust",
-    "RobustComposite",
     "RobustPD",
+    "make_robust",
 ]
