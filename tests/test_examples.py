@@ -106,7 +106,7 @@ def run(command, folder):
 
 
 @pytest.mark.parametrize(
-    "check", [*FAST, *(pytest.param(check, marks=pytest.mark.nightly) for check in SLOW)]
+    "check", [*FAST, *(pytest.param(check, marks=pytest.mark.landing) for check in SLOW)]
 )
 def test_example_prints_its_result(check, tmp_path):
     path = EXAMPLES / f"{check.__name__}.py"
@@ -120,7 +120,7 @@ def test_every_example_is_checked():
     }
 
 
-@pytest.mark.nightly
+@pytest.mark.landing
 def test_notebook_prints_its_stored_output(tmp_path):
     """Its code runs as one script: tests need no Jupyter. `jupyter nbconvert --execute --inplace`
     stores outputs."""

@@ -206,7 +206,7 @@ def test_python_of_the_readme_runs(index, tmp_path):
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert ran.returncode == 0
-    assert ran.stderr == ""
+    assert all(line.startswith("compiling for") for line in ran.stderr.splitlines())
     assert re.search(r"payload known(, not isolated)?: \d\.\d+ kg", ran.stdout)
 
 

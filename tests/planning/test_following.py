@@ -89,7 +89,7 @@ def test_action_of_a_row_of_a_batch_is_that_alone(name):
     [
         "planar",
         "flexible planar",
-        pytest.param("spatial", marks=pytest.mark.nightly),
+        pytest.param("spatial", marks=pytest.mark.landing),
     ],
 )
 def test_plan_is_followed_and_an_initial_error_corrected(name):

@@ -180,7 +180,7 @@ def test_start_of_a_flexible_robot_is_that_of_the_environment(
         (PLANAR, 0.2),
         (FLEX_PLANAR, 0.2),
         (find_robot("flex-ttk4900"), 0.2),
-        pytest.param(SPATIAL, None, marks=pytest.mark.nightly),
+        pytest.param(SPATIAL, None, marks=pytest.mark.landing),
     ],
     ids=lambda value: getattr(value, "name", str(value)),
 )

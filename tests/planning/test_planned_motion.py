@@ -67,7 +67,7 @@ CASES = {
 }
 each_case = pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=() if name == "planar" else pytest.mark.nightly) for name in CASES],
+    [pytest.param(name, marks=() if name == "planar" else pytest.mark.landing) for name in CASES],
 )
 
 

@@ -58,7 +58,7 @@ def saved(path, observation, action, algorithm="PPO", package="stable_baselines3
 
 
 CASES = [
-    pytest.param(package, name, marks=() if name == "PPO" else pytest.mark.nightly)
+    pytest.param(package, name, marks=() if name == "PPO" else pytest.mark.landing)
     for package, names in (
         ("stable_baselines3", SB3_ALGORITHMS),
         ("sb3_contrib", CONTRIB_ALGORITHMS),
