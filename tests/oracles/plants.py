@@ -139,6 +139,15 @@ class State:
         return type(self)(*(value + time * slope for value, slope in pairs))
 
 
+def off_centre(robot):
+    """A pose without symmetry, and a velocity in all coordinates."""
+    if robot.kind == "planar":
+        return np.array([0.05, 0.02]), np.array([0.3, -0.4])
+    return np.array([0.05, 0.02, 0.15, 0.05, 0.03, 0.02]), np.array(
+        [0.2, -0.3, 0.1, 0.4, -0.3, 0.5]
+    )
+
+
 def runge_kutta_step(rates, state, step):
     """The state after one step of RK4; ``rates`` are a function of the time within the step and the
     state."""
