@@ -342,13 +342,11 @@ class Batch:
         Returns:
             One verdict for each row.
         """
-        order = np.arange(len(rows))
-        groups = [order]
+        groups = [np.arange(len(rows))]
         if observer is None and len(rows) > 2 * BATCH:
             # a group ends with its longest motion
-            steps = np.array([self.tasks[rows[index].motion].steps for index in order.tolist()])
-            order = order[np.argsort(steps, kind="stable")]
-            groups = np.array_split(order, -(-len(rows) // (2 * BATCH)))
+            steps = [self.tasks[row.motion].steps for row in rows]
+            groups = np.array_split(np.argsort(steps, kind="stable"), -(-len(rows) // (2 * BATCH)))
         changes: dict[str, Any] = {}
         if refinement > 1:
             changes["substeps"] = refinement * self.settings.substeps
