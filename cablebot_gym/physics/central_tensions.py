@@ -11,8 +11,14 @@ import math
 
 import numpy as np
 
-from cablebot_gym.physics.inlining import compiled_when_frequent, helper
-from cablebot_gym.physics.nearest_point import factorise, new_factors, particular_solution
+from cablebot_gym.physics.inlining import helper
+from cablebot_gym.physics.nearest_point import (
+    distribution_seconds,
+    factorise,
+    new_factors,
+    particular_solution,
+)
+from cablebot_gym.physics.python_first import entry_point
 
 RELAXED = 0.1
 """Distance from a bound below which a parabola continues the barrier, per barrier parameter."""
@@ -104,7 +110,7 @@ def _move(start, null, step, length, actions):
             actions[i] += length * null[j, i] * step[j]
 
 
-@compiled_when_frequent
+@entry_point(seconds=distribution_seconds)
 def solve_central(structure, load, lower, slope, offset, barrier, tensions):
     """Central tensions, see :func:`~cablebot_gym.physics.distribution.central`; NaN if S is
     singular."""

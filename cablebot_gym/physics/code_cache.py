@@ -81,6 +81,12 @@ class CodeCache(_Cache):
         self._announce()
         return None
 
+    def is_stored(self, sig: Any, target_context: Any) -> bool:
+        """Whether a folder has a file for a signature. It is read, and checked, by the first
+        call."""
+        name = self._file_name(sig, target_context.codegen())
+        return self._enabled and any((folder / name).exists() for folder in code_folders())
+
     def save_overload(self, sig: Any, data: Any) -> None:
         """Stores the compiled code of a signature, if a folder is writable."""
         content = dumps(data._reduce())

@@ -73,6 +73,12 @@ def njit(function: Any = None, *, cache: bool = False, robot: str = "", **option
     return decorate if function is None else decorate(function)
 
 
+def is_stored(compiled: Any, signature: tuple[Any, ...]) -> bool:
+    """Whether there is machine code on disk for types of arguments of a function with a cache."""
+    stored: bool = compiled._cache.is_stored(signature, compiled.targetctx)
+    return stored
+
+
 class _Announcements:
     """Logs one line for each robot before its first function is compiled, at the level that Python
     shows by default."""

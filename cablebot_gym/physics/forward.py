@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.physics import kernel
-from cablebot_gym.physics.compiling import load_numba
 from cablebot_gym.physics.plant import form_of, pack_parameters
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import all_finite
@@ -43,7 +42,6 @@ class ForwardKinematics:
 def _prepared(robot: Robot) -> tuple[kernel.Form, Array, float]:
     """Form and parameters for ``kernel.Compiled.locate``, and the tolerance. Springs need no code
     of their own."""
-    load_numba()
     form = form_of(robot)._replace(jointed=False, elastic=False, load_friction=False)
     rows = pack_parameters(robot)
     m = robot.cables

@@ -11,11 +11,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Iterable
-from functools import cached_property, partial, update_wrapper
-from types import FunctionType
+from functools import partial
 from typing import Any
-
-import numpy as np
 
 from cablebot_gym.physics.compiling import collection_paused, njit
 
@@ -27,14 +24,13 @@ with collection_paused():
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import CompilerBase, DefaultPassBuilder
     from numba.core.compiler_machinery import FunctionPass, register_pass
-    from numba.core.dispatcher import Dispatcher
     from numba.core.imputils import lower_constant
     from numba.core.ir_utils import build_definitions
     from numba.core.runtime.nrt import rtsys
     from numba.core.untyped_passes import IRProcessing
     from numba.extending import models, register_model, typeof_impl
 
-__all__ = ["compile_time_constant", "compiled_when_frequent", "entry_point", "helper", "inline"]
+__all__ = ["compile_time_constant", "helper", "inline"]
 
 
 class _ConstantType(types.Opaque):
@@ -252,51 +248,3 @@ arrays of their callers only: they neither make nor return any. Python cannot ca
 
 helper = partial(_helper, forceinline=False)
 """Decorator of functions that only compiled functions call, and that LLVM inlines where it pays."""
-
-entry_point = partial(njit, cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
-"""Decorator of compiled functions that Python calls. Their machine code is stored on disk."""
-
-
-FEW_ITEMS = 20
-"""Number of items that Python computes before a function of :func:`compiled_when_frequent` is
-compiled."""
-
-
-class compiled_when_frequent:
-    """Decorator of an entry point for a batch of items: the axis 0 of its first argument.
-
-    Python computes the first items, to the same bits. A program that needs only a few does not wait
-    for the compiler.
-    """
-
-    def __init__(self, function: Callable[..., None]) -> None:
-        self.compiled = entry_point(function)
-        self._items_left = FEW_ITEMS
-        update_wrapper(self, function)
-
-    def __call__(self, items: Any, *arguments: Any) -> None:
-        """Computes items with the Python function or with compiled code."""
-        self._items_left -= len(items)
-        if self._items_left < 0:
-            self.compiled(items, *arguments)
-            return
-        with np.errstate(all="ignore"):  # as in compiled code
-            self.interpreted(items, *arguments)
-
-    @cached_property
-    def interpreted(self) -> Callable[..., None]:
-        """The function and all that it calls, without compilation."""
-        return _interpreted(self.compiled, {})
-
-
-def _interpreted(dispatcher: Any, copies: dict[Any, Any]) -> Any:
-    """Copy of a Python function that calls the Python functions of compiled functions, directly or
-    not."""
-    function = dispatcher.py_func
-    if function not in copies:
-        scope = dict(function.__globals__)
-        copies[function] = FunctionType(function.__code__, scope, function.__name__)
-        for name in function.__code__.co_names:
-            if isinstance(scope.get(name), Dispatcher):
-                scope[name] = _interpreted(scope[name], copies)
-    return copies[function]

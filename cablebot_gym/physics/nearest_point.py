@@ -360,3 +360,8 @@ def largest_magnitude(values):
             if math.isnan(largest):
                 return largest
     return largest
+
+
+def distribution_seconds(structure, *_):
+    """Estimated time of Python for the tensions of all items [s]."""
+    return 5e-5 * structure.size

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel
-from cablebot_gym.physics.compiling import load_numba
 from cablebot_gym.physics.textbook import cable_lengths
 from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.uncertainty import RobotArrays
@@ -116,12 +115,17 @@ def _parts_of(tiles: int, parts: int) -> tuple[slice, ...]:
     return tuple(slice(start, stop) for start, stop in pairwise(edges))
 
 
+FEW_ROBOTS = 4
+"""Largest number of robots that are computed one after the other: faster than a tile with unused
+lanes, in Python, too."""
+
+
 class Plant:
     """N robots of one kind, each with its own parameters, which the compiled kernel advances
     together.
 
-    A batch of one robot runs the same source code, compiled for one lane. The unused lanes of the
-    last tile repeat robot N − 1.
+    A batch of few robots runs the same source code, compiled for one lane. The unused lanes of the
+    last tile of others repeat robot N − 1.
 
     Args:
         robot: nominal robot.
@@ -133,11 +137,10 @@ class Plant:
     def __init__(
         self, robot: Robot, count: int, *, cable: Cable = "unilateral", parts: int = 1
     ) -> None:
-        load_numba()
         self.robot = robot
         self.count = count
         self.unilateral = cable == "unilateral"
-        self.lanes = 1 if count == 1 else kernel.LANES
+        self.lanes = 1 if count <= FEW_ROBOTS else kernel.LANES
         tiles = -(-count // self.lanes)  # rounded up
         self.width = tiles * self.lanes
         """Number of lanes in memory: N plus the padding of the last tile."""
@@ -179,8 +182,7 @@ class Plant:
         self._bind()
 
     def _bind(self) -> None:
-        """Makes the views of the arrays, which copies and pickles lose, and finds the compiled
-        function."""
+        """Makes the views of the arrays, which copies and pickles lose, and finds the function."""
         self._advance = kernel.compiled(self._form, self.lanes).advance
         start = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
         self._action = self._view(self.record, start, self.robot.cables, kernel.CABLE_RECORDS)
@@ -300,7 +302,7 @@ class Plant:
 
     def set_action(self, action: Array) -> None:
         """Sets the actions of all robots, shape (N, m), or (m,) for one robot."""
-        if self.lanes == 1:
+        if self.count == 1:
             self._action[0, :, 0] = action
         elif self.width == self.count:
             self._action[...] = action.reshape(-1, self.lanes, self.robot.cables).transpose(0, 2, 1)
@@ -330,7 +332,7 @@ class Plant:
         """
         return tuple(
             partial(
-                self._advance,
+                self._advance.present,
                 self.unilateral,
                 self._has_lag,
                 self._has_friction,

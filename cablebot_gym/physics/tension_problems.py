@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from cablebot_gym.physics.inlining import compiled_when_frequent, helper
+from cablebot_gym.physics.inlining import helper
 from cablebot_gym.physics.nearest_point import (
     HELD,
     INFEASIBLE,
@@ -22,6 +22,7 @@ from cablebot_gym.physics.nearest_point import (
     TOLERANCE,
     copy_negated,
     copy_vector,
+    distribution_seconds,
     factorise,
     largest_magnitude,
     new_factors,
@@ -31,6 +32,7 @@ from cablebot_gym.physics.nearest_point import (
     set_bounds,
     solve_coordinates,
 )
+from cablebot_gym.physics.python_first import entry_point
 
 _WRENCH_FIRST = 1e-3  # weight of tensions against a wrench error, see _approximate
 _FARTHEST = 1e4  # longest step to the end of an interval in _extreme, relative to the largest value
@@ -103,7 +105,7 @@ def _within(value, low, high):
     return low
 
 
-@compiled_when_frequent
+@entry_point(seconds=distribution_seconds)
 def solve_least_norm(structure, load, lower, upper, reference, weights, tensions, status):
     """Tensions nearest to the reference, see
     :func:`~cablebot_gym.physics.distribution.least_norm`."""
@@ -140,7 +142,7 @@ def solve_least_norm(structure, load, lower, upper, reference, weights, tensions
             tensions[item, i] = _within(reference[item, i] + u[i], lower[item, i], upper[item, i])
 
 
-@compiled_when_frequent
+@entry_point(seconds=distribution_seconds)
 def solve_least_largest(
     structure, load, lower, upper, slope, offset, smoothing, weights, tensions, status
 ):
@@ -253,7 +255,7 @@ def _unreachable(factors, rank, load, direction):
     return max(best, 0.0)
 
 
-@compiled_when_frequent
+@entry_point(seconds=distribution_seconds)
 def solve_feasible(
     structure, load, lower, upper, reference, status, excess, direction, coefficients
 ):
@@ -327,7 +329,7 @@ def _extreme(problem, step, tolerance, scale, x, before):
     return count
 
 
-@compiled_when_frequent
+@entry_point(seconds=distribution_seconds)
 def solve_interval(structure, load, unit_load, lower, upper, ends, interval, status, coefficients):
     """Ends of the interval, see :func:`~cablebot_gym.physics.distribution.largest_scale`."""
     items, m, n = structure.shape

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.inlining import entry_point, helper
+from cablebot_gym.physics.inlining import helper
 from cablebot_gym.physics.inverse import demands
+from cablebot_gym.physics.python_first import entry_point
 from cablebot_gym.physics.textbook import times_vector
 from cablebot_gym.robots import Robot
 
@@ -188,7 +189,7 @@ def _write_mass_matrix(load, heavier_load, y_slopes, dynamics, inertia):
 def _add_rotors(pulleys, structure, inertia):
     """Adds the inertia of the pulleys, for S, (m, n), of a robot."""
     for j in range(len(structure)):
-        rotor_mass = pulleys[1, j] / pulleys[0, j] ** 2
+        rotor_mass = pulleys[1, j] / (pulleys[0, j] * pulleys[0, j])
         for a in range(len(inertia)):
             factor = structure[j, a] * rotor_mass
             for b in range(len(inertia)):
@@ -206,7 +207,7 @@ def _write_torque_slope(radius, dynamics):
             slope[a, j] = (0.0 - slope[a, j]) / radius[j]
 
 
-@entry_point
+@entry_point(seconds=lambda demand, *_: 1e-6 * demand.structure.size)
 def _combine(demand, pulleys, dynamics):
     """Writes dynamics from the demands of (2, N, n + 1) motions, see :func:`dynamics_of`.
 
@@ -230,7 +231,7 @@ def _combine(demand, pulleys, dynamics):
         _write_torque_slope(pulleys[0], robot_dynamics)
 
 
-@entry_point
+@entry_point(seconds=lambda delay, period: 1e-6 * len(delay))
 def delayed_weights(delay, period):
     """Fraction of a control period in which each of the last three actions acts, the latest first,
     and its derivative with respect to the delay [1/s], each (N, 3).
@@ -254,7 +255,7 @@ def delayed_weights(delay, period):
     return weights, rates
 
 
-@entry_point
+@entry_point(seconds=lambda actions, *_: 1e-6 * actions.size)
 def weigh(actions, weights, rates, sent, speed, strength, mass, holding, motors, drives):
     """Torque of actions that act in parts of a time.
 
@@ -273,8 +274,11 @@ def weigh(actions, weights, rates, sent, speed, strength, mass, holding, motors,
     ages = weights.shape[1]
     for i in range(len(mass)):
         acting = min(int(sent[i]), ages)
-        held = weights[i, acting:].sum()
-        held_rate = rates[i, acting:].sum()
+        held = 0.0
+        held_rate = 0.0
+        for k in range(acting, ages):
+            held += weights[i, k]
+            held_rate += rates[i, k]
         for j in range(motors.shape[1]):
             requested = 0.0
             requested_rate = 0.0
@@ -378,7 +382,7 @@ def _add_jumps(torque_slope, jumps, period, covariance):
             covariance[a, a] += jump * jump
 
 
-@entry_point
+@entry_point(seconds=lambda dynamics, torque, gradient, *_: 1e-6 * gradient.size)
 def predict(
     dynamics, torque, gradient, growth, jumps, wrench, mass, period, decay, mean, covariance
 ):
@@ -420,7 +424,7 @@ def predict(
         _add_jumps(robot_dynamics.torque_slope, jumps[i], period, velocity_covariance)
 
 
-@entry_point
+@entry_point(seconds=lambda innovation, gradient, *_: 1e-6 * gradient.size)
 def correct(innovation, gradient, variance, mean, covariance):
     """Changes means and covariances to those after readings with independent errors, one reading
     after the other.

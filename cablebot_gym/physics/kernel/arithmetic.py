@@ -3,26 +3,10 @@ rows."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import types
-from numba.extending import intrinsic
 
+from cablebot_gym.physics.fused import fma
 from cablebot_gym.physics.inlining import inline
-
-
-def _fused(context, a, b, c):
-    """Explicit fused a b + c. Otherwise the compiler rounds differently for one lane and for a
-    tile."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.fma(*arguments)
-
-    return types.float64(types.float64, types.float64, types.float64), generate
-
-
-fma: Any = intrinsic(_fused)
 
 
 @inline

@@ -5,15 +5,16 @@ from __future__ import annotations
 from functools import cache, partial
 from typing import Any, NamedTuple
 
-from cablebot_gym.physics.inlining import entry_point
 from cablebot_gym.physics.kernel.integrate import advance_tiles, evaluate_tiles
 from cablebot_gym.physics.kernel.inverse import demanded_tiles, required_tiles
 from cablebot_gym.physics.kernel.locate import locate_tiles
 from cablebot_gym.physics.kernel.rows import Form
+from cablebot_gym.physics.python_first import entry_point
 
 
 class Compiled(NamedTuple):
-    """Functions for one form of robots, which numba compiles at their first call.
+    """Functions for one form of robots, each an
+    :class:`~cablebot_gym.physics.python_first.EntryPoint`.
 
     Shapes: parameters (tiles, parameter_rows·lanes), record (tiles, record_rows·lanes), w
     (scratch_rows·lanes,), paths (trajectories, lines, n): reference poses at physics steps, ends
@@ -46,15 +47,31 @@ class Compiled(NamedTuple):
     the damping, no gravity, and J/r² = 1."""
 
 
+STEPS_TO_LOCATE = 8
+"""Usual number of steps of the forward kinematics."""
+
+
+def _stage_seconds(form: Form) -> float:
+    """Estimated time of Python for one stage of the integration of one robot [s]."""
+    return 1e-5 + 1.5e-6 * form.cables * form.coordinates**2
+
+
 @cache
 def compiled(form: Form, lanes: int) -> Compiled:
     """The functions for a form: one source, compiled for one lane and for a tile, for each kind and
     each number of cables, whose loops are unrolled. Numba compiles for the form because the
     functions close over it."""
 
-    compile_form = partial(entry_point, robot=form.robot_text)
+    compile_form = partial(entry_point, robot=form.robot_text, flat=True)
+    # the layout of a record and its parameters depends on the lanes, unlike that of motions
+    compile_motion = partial(compile_form, in_python={"lanes": 1})
+    stage = _stage_seconds(form)
 
-    @compile_form
+    def seconds_to_advance(*arguments: Any) -> float:
+        step, substeps = arguments[9:11]
+        return 4 * stage * len(step) * substeps
+
+    @compile_form(seconds=seconds_to_advance)
     def advance(
         unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h
     ):
@@ -75,19 +92,19 @@ def compiled(form: Form, lanes: int) -> Compiled:
             h,
         )
 
-    @compile_form
+    @compile_form(seconds=lambda unilateral, parameters, *_: stage * len(parameters) * lanes)
     def evaluate(unilateral, parameters, record, w, acceleration):
         evaluate_tiles(form, lanes, unilateral, parameters, record, w, acceleration)
 
-    @compile_form
+    @compile_motion(seconds=lambda parameters, minimum, p, w, mass, *_: stage * len(mass))
     def required(parameters, minimum, p, w, mass, motion, results):
         required_tiles(form, lanes, parameters, minimum, p, w, mass, motion, results)
 
-    @compile_form
+    @compile_motion(seconds=lambda parameters, p, w, mass, *_: stage * len(mass))
     def demanded(parameters, p, w, mass, motion, structure, load, y, results):
         demanded_tiles(form, lanes, parameters, p, w, mass, motion, structure, load, y, results)
 
-    @compile_form
+    @compile_motion(seconds=lambda *arguments: STEPS_TO_LOCATE * stage * len(arguments[5]))
     def locate(parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):
         locate_tiles(
             form, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended

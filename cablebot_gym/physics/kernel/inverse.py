@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from cablebot_gym.physics.fused import fma
 from cablebot_gym.physics.inlining import inline
 from cablebot_gym.physics.kernel.arithmetic import (
     add_scaled,
     cross,
     dot,
     factor_symmetric,
-    fma,
     load_vector,
     solve_factored,
     store_vector,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from cablebot_gym.physics.fused import fma
 from cablebot_gym.physics.inlining import inline
 from cablebot_gym.physics.kernel.arithmetic import (
     add,
@@ -11,7 +12,6 @@ from cablebot_gym.physics.kernel.arithmetic import (
     atan2,
     cross,
     dot,
-    fma,
     load_vector,
     scaled,
     sincos,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from cablebot_gym.physics.fused import fma
 from cablebot_gym.physics.inlining import helper, inline
 from cablebot_gym.physics.kernel.arithmetic import (
     add_outer,
     add_scaled,
     dot,
     factor_symmetric,
-    fma,
     load_vector,
     scaled,
     solve_factored,

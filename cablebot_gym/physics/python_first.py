@@ -1,0 +1,193 @@
+"""Entry points of compiled code that Python computes at first, to the same bits.
+
+Compilation of one takes seconds. A program that makes few calls runs the Python functions and does
+not wait; one that makes many spends little on Python before it has compiled code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cached_property, update_wrapper
+from types import CellType, FunctionType
+from typing import Any
+
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+from cablebot_gym.physics.compiling import is_stored, load_numba, njit
+from cablebot_gym.physics.fused import fma, python_fma
+
+BUDGET = 2.0
+"""Estimated time of Python before an entry point is compiled [s]. With about the time of its
+compilation, no program takes much more than twice the time of the better choice."""
+
+LONGEST_CALL = 0.1
+"""Estimated time of a call that compiles at once [s]: a large batch is seldom stepped only once."""
+
+
+class EntryPoint:
+    """A function that Python calls: in Python until :data:`BUDGET` is spent, then compiled.
+
+    Stored machine code is used at once. :attr:`present` is what a call runs now.
+
+    Args:
+        function: the function, with helpers of :mod:`~cablebot_gym.physics.inlining`.
+        seconds: estimated time of Python for the arguments of a call [s].
+        flat: whether all its arrays are indexed by numbers only, without slices. Python reads them
+            faster then.
+        in_python: other values in Python for variables that the function closes over.
+        robot: see :func:`~cablebot_gym.physics.compiling.njit`.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        seconds: Callable[..., float],
+        *,
+        flat: bool = False,
+        in_python: Mapping[str, Any] | None = None,
+        robot: str = "",
+    ) -> None:
+        self.compiled = njit(
+            cache=True, robot=robot, nogil=True, error_model="numpy", no_cfunc_wrapper=True
+        )(function)
+        self.left = BUDGET
+        """Estimated time of Python that may still be spent [s]."""
+        self._seconds = seconds
+        self._flat = flat
+        self._in_python = in_python or {}
+        self._not_stored: set[tuple[Any, ...]] = set()
+        self.present: Callable[..., Any] = self._choose
+        update_wrapper(self, function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Computes the function."""
+        return self.present(*arguments)
+
+    @cached_property
+    def interpreted(self) -> Callable[..., Any] | None:
+        """The function and all that it calls in Python; None if this machine's Python cannot round
+        as compiled code does."""
+        try:
+            return _copy_of(self.compiled.py_func, {}, self._in_python)
+        except _NoFusedMultiplyAdd:
+            return None
+
+    def _choose(self, *arguments: Any) -> Any:
+        """Computes a call in one of both ways."""
+        if self.present == self.compiled:  # a caller has kept this method
+            return self.compiled(*arguments)
+        price = self._seconds(*arguments)
+        if price > min(self.left, LONGEST_CALL) or self._is_stored(arguments):
+            return self._compile(*arguments)
+        function = self.interpreted
+        if function is None:
+            return self._compile(*arguments)
+        self.left -= price
+        try:
+            with _undone_by_exceptions(arguments), np.errstate(all="ignore"):
+                if self._flat:
+                    return function(*map(_without_numpy, arguments))
+                return function(*arguments)
+        except (ArithmeticError, ValueError):  # where compiled code computes NaN or infinity
+            return self._compile(*arguments)
+
+    def _is_stored(self, arguments: tuple[Any, ...]) -> bool:
+        signature = tuple(map(self.compiled.typeof_pyval, arguments))
+        if signature not in self._not_stored and is_stored(self.compiled, signature):
+            return True
+        self._not_stored.add(signature)
+        return False
+
+    def _compile(self, *arguments: Any) -> Any:
+        load_numba()
+        self.present = self.compiled
+        return self.compiled(*arguments)
+
+
+def entry_point(**options: Any) -> Callable[[Callable[..., Any]], EntryPoint]:
+    """Decorator that makes an :class:`EntryPoint` with its arguments."""
+    return lambda function: EntryPoint(function, **options)
+
+
+class _NoFusedMultiplyAdd(Exception):
+    """No function rounds a b + c once."""
+
+
+def _copy_of(function: Any, copies: dict[Any, Any], variables: Mapping[str, Any]) -> Any:
+    """Copy of a Python function that calls the Python functions of compiled functions, directly or
+    not.
+
+    Args:
+        function: the function.
+        copies: copies that have been made.
+        variables: values for variables that the function closes over.
+    """
+    if function not in copies:
+        scope = dict(function.__globals__)
+        code = function.__code__
+        closure = [
+            CellType(variables.get(name, cell.cell_contents))
+            for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True)
+        ]
+        copies[function] = FunctionType(
+            code, scope, function.__name__, function.__defaults__, tuple(closure)
+        )
+        for name in code.co_names:
+            value = scope.get(name)
+            if value is fma:
+                scope[name] = python_fma()
+                if scope[name] is None:
+                    raise _NoFusedMultiplyAdd
+            elif isinstance(value, Dispatcher):
+                scope[name] = _copy_of(value.py_func, copies, {})
+    return copies[function]
+
+
+@contextmanager
+def _undone_by_exceptions(arguments: Iterable[Any]) -> Iterator[None]:
+    """Restores the arrays of a call that ends with an exception, also with Ctrl-C."""
+    arrays = list(_writable_arrays(arguments))
+    before = [array.copy() for array in arrays]
+    try:
+        yield
+    except BaseException:
+        for array, values in zip(arrays, before, strict=True):
+            array[...] = values
+        raise
+
+
+def _writable_arrays(values: Iterable[Any]) -> Iterator[np.ndarray[Any, Any]]:
+    for value in values:
+        if isinstance(value, tuple):
+            yield from _writable_arrays(value)
+        elif isinstance(value, np.ndarray) and value.flags.writeable:
+            yield value
+
+
+class _Rows:
+    """A matrix whose rows and entries Python reads and writes without NumPy."""
+
+    def __init__(self, array: np.ndarray[Any, Any]) -> None:
+        self.shape = array.shape
+        self._rows = [memoryview(row) for row in array]
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, tuple):
+            row, column = index
+            return self._rows[row][column]
+        return self._rows[index]
+
+    def __setitem__(self, index: tuple[int, int], value: float) -> None:
+        row, column = index
+        self._rows[row][column] = value
+
+
+def _without_numpy(value: Any) -> Any:
+    """An argument as Python reads it fastest: numbers of memory views are Python's own."""
+    if not isinstance(value, np.ndarray):
+        return value
+    if value.ndim == 2:
+        return _Rows(value)
+    return memoryview(value)
