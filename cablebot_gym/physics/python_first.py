@@ -66,7 +66,7 @@ class EntryPoint:
         return self.present(*arguments)
 
     @cached_property
-    def interpreted(self) -> Callable[..., Any] | None:
+    def _function(self) -> Callable[..., Any] | None:
         """The function and all that it calls in Python; None if this machine's Python cannot round
         as compiled code does."""
         try:
@@ -74,23 +74,31 @@ class EntryPoint:
         except _NoFusedMultiplyAdd:
             return None
 
+    def in_python(self, *arguments: Any) -> Any:
+        """Computes a call in Python.
+
+        Raises:
+            ArithmeticError, ValueError: where compiled code computes NaN or infinity and Python's
+                numbers do not. The arrays are then as before.
+        """
+        assert self._function is not None
+        with _undone_by_exceptions(arguments), np.errstate(all="ignore"):
+            if self._flat:
+                return self._function(*map(_without_numpy, arguments))
+            return self._function(*arguments)
+
     def _choose(self, *arguments: Any) -> Any:
         """Computes a call in one of both ways."""
         if self.present == self.compiled:  # a caller has kept this method
             return self.compiled(*arguments)
         price = self._seconds(*arguments)
-        if price > min(self.left, LONGEST_CALL) or self._is_stored(arguments):
-            return self._compile(*arguments)
-        function = self.interpreted
-        if function is None:
+        too_long = price > min(self.left, LONGEST_CALL)
+        if too_long or self._function is None or self._is_stored(arguments):
             return self._compile(*arguments)
         self.left -= price
         try:
-            with _undone_by_exceptions(arguments), np.errstate(all="ignore"):
-                if self._flat:
-                    return function(*map(_without_numpy, arguments))
-                return function(*arguments)
-        except (ArithmeticError, ValueError):  # where compiled code computes NaN or infinity
+            return self.in_python(*arguments)
+        except (ArithmeticError, ValueError):
             return self._compile(*arguments)
 
     def _is_stored(self, arguments: tuple[Any, ...]) -> bool:
@@ -124,24 +132,29 @@ def _copy_of(function: Any, copies: dict[Any, Any], variables: Mapping[str, Any]
         copies: copies that have been made.
         variables: values for variables that the function closes over.
     """
+
+    def in_python(value: Any) -> Any:
+        if value is fma:
+            if python_fma() is None:
+                raise _NoFusedMultiplyAdd
+            return python_fma()
+        if isinstance(value, Dispatcher):
+            return _copy_of(value.py_func, copies, {})
+        return value
+
     if function not in copies:
-        scope = dict(function.__globals__)
         code = function.__code__
-        closure = [
-            CellType(variables.get(name, cell.cell_contents))
+        scope = dict(function.__globals__)
+        cells = [
+            CellType(in_python(variables.get(name, cell.cell_contents)))
             for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True)
         ]
         copies[function] = FunctionType(
-            code, scope, function.__name__, function.__defaults__, tuple(closure)
+            code, scope, function.__name__, function.__defaults__, tuple(cells)
         )
         for name in code.co_names:
-            value = scope.get(name)
-            if value is fma:
-                scope[name] = python_fma()
-                if scope[name] is None:
-                    raise _NoFusedMultiplyAdd
-            elif isinstance(value, Dispatcher):
-                scope[name] = _copy_of(value.py_func, copies, {})
+            if name in scope:
+                scope[name] = in_python(scope[name])
     return copies[function]
 
 

@@ -4,7 +4,14 @@ and episodes."""
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.elastic import ElasticState, elastic_state_of, holding_torques, plant_at, states
+from oracles.elastic import (
+    ELASTIC,
+    ElasticState,
+    elastic_state_of,
+    holding_torques,
+    plant_at,
+    states,
+)
 from oracles.plants import (
     advance,
     each_of,
@@ -14,7 +21,6 @@ from oracles.plants import (
     runge_kutta_step,
     with_transmission,
 )
-from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
 
 from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.envs.single import CableBotEnv
@@ -22,28 +28,6 @@ from cablebot_gym.physics import kernel, textbook
 from cablebot_gym.robots import Transmission
 from cablebot_gym.trajectories import Dwell
 
-JOINTS = {"stiffness": 400.0, "motor_inertia": 3e-3, "motor_damping": 0.01}
-SWIVELLED_CAMERA = CAMERA.replace(swivel_radius=(0.1, 0.05, 0.0, 0.1))
-SWIVELLED_CRANE = CRANE.replace(swivel_radius=0.05)
-ELASTIC = (
-    with_transmission(
-        HANGING,
-        axial_stiffness=2e4,
-        axial_damping=40.0,
-        extra_length=0.5,
-    ),
-    with_transmission(TURNING, axial_stiffness=(2e4, 3e4, 1e4, 2e4, 5e4), **JOINTS),
-    with_transmission(
-        SWIVELLED_CAMERA, axial_stiffness=2e4, coulomb_friction=0.3, load_friction=0.1
-    ),
-    with_transmission(
-        SWIVELLED_CRANE,
-        axial_stiffness=1e5,
-        axial_damping=20.0,
-        load_friction=0.05,
-        **JOINTS,
-    ),
-)
 each_elastic = each_of(*ELASTIC)
 
 

@@ -82,6 +82,11 @@ def dynamics_of(robot: Robot, masses: Array, pose: Array, velocity: Array) -> Dy
     return dynamics
 
 
+def _product_seconds(gradient: Array) -> float:
+    """Estimated time of Python for products of a gradient, (N, k, size), and a covariance [s]."""
+    return 1e-6 * gradient.size * gradient.shape[-1]
+
+
 @helper
 def _add_multiple(target, factor, source):
     """Adds a multiple of a vector to another one."""
@@ -231,7 +236,7 @@ def _combine(demand, pulleys, dynamics):
         _write_torque_slope(pulleys[0], robot_dynamics)
 
 
-@entry_point(seconds=lambda delay, period: 1e-6 * len(delay))
+@entry_point(seconds=lambda delay, period: 1e-5 * len(delay))
 def delayed_weights(delay, period):
     """Fraction of a control period in which each of the last three actions acts, the latest first,
     and its derivative with respect to the delay [1/s], each (N, 3).
@@ -255,7 +260,7 @@ def delayed_weights(delay, period):
     return weights, rates
 
 
-@entry_point(seconds=lambda actions, *_: 1e-6 * actions.size)
+@entry_point(seconds=lambda actions, *_: 2e-6 * actions.size)
 def weigh(actions, weights, rates, sent, speed, strength, mass, holding, motors, drives):
     """Torque of actions that act in parts of a time.
 
@@ -382,7 +387,7 @@ def _add_jumps(torque_slope, jumps, period, covariance):
             covariance[a, a] += jump * jump
 
 
-@entry_point(seconds=lambda dynamics, torque, gradient, *_: 1e-6 * gradient.size)
+@entry_point(seconds=lambda dynamics, torque, gradient, *_: _product_seconds(gradient))
 def predict(
     dynamics, torque, gradient, growth, jumps, wrench, mass, period, decay, mean, covariance
 ):
@@ -424,7 +429,7 @@ def predict(
         _add_jumps(robot_dynamics.torque_slope, jumps[i], period, velocity_covariance)
 
 
-@entry_point(seconds=lambda innovation, gradient, *_: 1e-6 * gradient.size)
+@entry_point(seconds=lambda innovation, gradient, *_: _product_seconds(gradient))
 def correct(innovation, gradient, variance, mean, covariance):
     """Changes means and covariances to those after readings with independent errors, one reading
     after the other.

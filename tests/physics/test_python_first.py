@@ -1,0 +1,414 @@
+"""Entry points that Python computes at first: to the same bits, and when they are compiled."""
+
+import inspect
+import math
+from copy import deepcopy
+from itertools import product
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from oracles import plants
+from oracles.elastic import ELASTIC
+from oracles.plants import each_of, loaded_plant, nightly, random_motion, random_states
+from oracles.platforms import PLATFORMS
+
+from cablebot_gym.envs import env_robot, outcome
+from cablebot_gym.kinematics import cable_lengths
+from cablebot_gym.physics import (
+    central_tensions,
+    code_cache,
+    distribution,
+    fused,
+    kernel,
+    python_first,
+    tension_problems,
+)
+from cablebot_gym.physics.forward import forward_kinematics
+from cablebot_gym.physics.fused import fma, is_exact, python_fma
+from cablebot_gym.physics.inlining import inline
+from cablebot_gym.physics.inverse import demands, inverse_dynamics
+from cablebot_gym.physics.plant import FEW_ROBOTS, form_of
+from cablebot_gym.physics.python_first import EntryPoint, entry_point
+from cablebot_gym.robots import ROBOTS, find_robot, robot_names
+
+EVERYTHING = ELASTIC[-1]
+SCRATCH = ("p", "w")
+"""Arguments that hold no results."""
+
+
+def assert_same_bits(python, compiled):
+    """Compares values of arguments and results. All NaN are equal."""
+    if isinstance(python, tuple):
+        for pair in zip(python, compiled, strict=True):
+            assert_same_bits(*pair)
+        return
+    python, compiled = map(np.asarray, (python, compiled))
+    assert python.dtype == compiled.dtype
+    if python.dtype == float:
+        both_nan = np.isnan(python) & np.isnan(compiled)
+        python = np.where(both_nan, 0.0, python).view(np.int64)
+        compiled = np.where(both_nan, 0.0, compiled).view(np.int64)
+    np.testing.assert_array_equal(python, compiled)
+
+
+@pytest.fixture
+def compared(monkeypatch):
+    """Makes entry points compute each call in both ways, and compares them. Returns the names of
+    those that were called."""
+    names = set()
+
+    def compare(entry):
+        def call(*arguments):
+            copies = deepcopy(arguments)
+            result = entry.in_python(*copies)
+            assert_same_bits((result,), (entry.compiled(*arguments),))
+            names_of_arguments = inspect.signature(entry).parameters
+            for name, *pair in zip(names_of_arguments, copies, arguments, strict=True):
+                if name not in SCRATCH:
+                    assert_same_bits(*pair)
+            names.add(entry.__name__)
+            return result
+
+        monkeypatch.setattr(entry, "present", call)
+
+    def compare_all(*entries):
+        for entry in entries:
+            compare(entry)
+        return names
+
+    return compare_all
+
+
+@pytest.fixture
+def fresh(monkeypatch, tmp_path):
+    """Makes entry points of a new process whose cache is empty, and forbids to compile them."""
+    monkeypatch.setattr(code_cache, "code_folders", lambda: [tmp_path])
+
+    def compile_nothing(*arguments):
+        raise AssertionError("it is compiled")
+
+    def make_fresh(*entries):
+        for entry in entries:
+            monkeypatch.setattr(entry, "left", python_first.BUDGET)
+            monkeypatch.setattr(entry, "present", entry._choose)
+            monkeypatch.setattr(entry, "_compile", compile_nothing)
+
+    return make_fresh
+
+
+# --- bits ---------------------------------------------------------------------------------------------------------
+
+
+def move(robot, count, cable):
+    """Three control periods of robots with slack cables, clipped motors and wrenches."""
+    state, actions = random_states(robot, count, seed=count, reach=0.3)
+    plant = loaded_plant(robot, state, cable, robot.mass * np.linspace(1, 1.6, count))
+    plant.set_wrench(np.arange(count), np.ones((count, robot.dimensions)), np.ones((count, 3)))
+    references = np.random.default_rng(7).uniform(*robot.pose_bounds, (1, 25, robot.coordinates))
+    for _ in range(3):
+        plant.set_action(actions)
+        plant.advance(references, np.array([4]), substeps=2, step=5e-4)
+        assert np.all(np.isfinite(plant.record))
+    return plant
+
+
+def one_of_each_form():
+    """Robots of the tests and of the library, one for each form."""
+    robots = [EVERYTHING, *ELASTIC, *plants.ROUGH, *plants.OTHER_KINDS, *PLATFORMS.values()]
+    robots += [plants.QUAD, plants.UNEQUAL, plants.FLEX_QUAD, plants.FLEX_UNEQUAL]
+    robots += map(find_robot, robot_names())
+    return list({form_of(robot): robot for robot in reversed(robots)}.values())
+
+
+@each_of(*ROBOTS.values(), EVERYTHING)
+def test_python_moves_a_robot_to_the_bits_of_compiled_code(robot, compared):
+    """Excludes a sum that Python rounds in another way, or an order of its own."""
+    names = compared(kernel.compiled(form_of(robot), 1).advance)
+    move(robot, 1, "unilateral")
+    assert names == {"advance"}
+
+
+@each_of(*nightly(*one_of_each_form()))
+@pytest.mark.parametrize("count", [FEW_ROBOTS, FEW_ROBOTS + 1])
+def test_all_forms_have_the_same_bits(robot, count, compared):
+    form = form_of(robot)
+    rigid = form._replace(jointed=False, elastic=False, load_friction=False)
+    for lanes, form_of_entry in product((1, kernel.LANES), (form, rigid)):
+        names = compared(*kernel.compiled(form_of_entry, lanes))
+    for cable in ("unilateral", "bilateral"):
+        plants.evaluated(move(robot, count, cable), robot.stall_torque / 2)
+    mass, *motion = random_motion(robot, (count,), spread=0.3)
+    demands(robot, mass, np.stack(motion))
+    expected = {"advance", "evaluate", "demanded"}
+    if robot.cables == robot.coordinates or robot.kind == "planar":
+        inverse_dynamics(robot, mass, *motion)
+        expected.add("required")
+    if robot.cables >= robot.coordinates:
+        lengths = cable_lengths(robot.base, robot.platform, motion[0], robot.swivel)
+        forward_kinematics(robot, lengths, robot.home)
+        expected.add("locate")
+    assert names == expected
+
+
+CABLES, COORDINATES, ITEMS = 5, 3, 60
+
+
+def problems():
+    """Structures, loads and upper bounds; half of the loads push, which no tensions hold."""
+    rng = np.random.default_rng(3)
+    structure = rng.normal(size=(ITEMS, CABLES, COORDINATES))
+    load = -np.einsum("kmn,km->kn", structure, rng.uniform(2.0, 10.0, (ITEMS, CABLES)))
+    load[::2] = rng.normal(size=(ITEMS // 2, COORDINATES))
+    structure[7] = 0.0
+    return structure, load
+
+
+STRUCTURE, LOAD = problems()
+CALLS = {
+    "solve_least_norm": lambda: distribution.least_norm(STRUCTURE, LOAD, 1.0, 20.0),
+    "solve_least_largest": lambda: distribution.unchecked_least_largest_action(
+        STRUCTURE, LOAD, 1.0, 0.5, 0.1, 20.0
+    ),
+    "solve_central": lambda: distribution.central(STRUCTURE, LOAD, 1.0, 0.05, 0.1),
+    "solve_feasible": lambda: distribution.feasible(STRUCTURE, LOAD, 1.0, 20.0),
+    "solve_interval": lambda: distribution.largest_scale(
+        STRUCTURE, LOAD, LOAD[::-1], 1.0, 20.0, 10.0
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_python_and_compiled_tensions_have_the_same_bits(name, compared):
+    """Excludes a power or a sum that Python rounds in another way."""
+    module = central_tensions if name == "solve_central" else tension_problems
+    names = compared(getattr(module, name))
+    CALLS[name]()
+    assert names == {name}
+
+
+@pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-FlexSpatial-v0"])
+@pytest.mark.parametrize("options", [{}, {"measurement": "winches"}])
+def test_python_and_compiled_outcome_have_the_same_bits(env_id, options, compared):
+    names = compared(outcome.outcome)
+    env = gym.make(env_id, uncertainty="hardware", **options)
+    env.reset(seed=3)
+    for _ in range(3):
+        env.step(env.action_space.sample())
+    assert names == {"outcome"}
+
+
+# --- numbers without a value in Python ----------------------------------------------------------------------------
+
+
+SPECIAL = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1.0, -2.5, 5e-324, 1e308)
+
+
+@inline
+def clipped(value, low, high):
+    return min(max(value, low), high)
+
+
+def special_cases(values, numbers, results):
+    """Operations whose meaning for NaN, zeros or integers could differ."""
+    for i in range(len(values)):
+        for j in range(len(values)):
+            a = values[i]
+            b = values[j]
+            whole = numbers[i]
+            other = numbers[j]
+            results[i, j, 0] = min(a, b)
+            results[i, j, 1] = max(a, b)
+            results[i, j, 2] = clipped(a, -1.0, b)
+            results[i, j, 3] = a if a > b else b
+            results[i, j, 4] = (a >= b) & (a == a) | (not a < b)
+            results[i, j, 5] = max(0, a) + whole * a
+            results[i, j, 6] = whole // 2 + whole % 3 - (whole - 9) // 4 + (whole - 9) % 4
+            results[i, j, 7] = whole / 4 + math.sqrt(abs(a)) + other
+            results[i, j, 8] = fma(a, b, 1.0)
+            results[i, j, 9] = abs(a) - (a - b) * np.floor(b)
+            results[i, j, 10] = math.copysign(1.0, a * b) + math.isfinite(a)
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_nan_infinity_and_integers_have_the_same_bits(flat, compared):
+    """Excludes a minimum of Python that keeps the other one of its arguments."""
+    entry = EntryPoint(special_cases, lambda *_: 0.0, flat=flat)
+    assert compared(entry) == set()
+    count = len(SPECIAL)
+    entry(np.array(SPECIAL), np.arange(count), np.empty((count, count, 11)))
+
+
+FAILING = {
+    "division": lambda x: 1.0 / (x - x),
+    "division of integers": lambda x: 3 // int(x - x),
+    "overflow": lambda x: math.exp(1e4 * x),
+    "root": lambda x: math.sqrt(-x),
+    "logarithm": lambda x: math.log(x - x),
+    "floor": lambda x: np.floor(1e400 * x - 1e400 * x),
+}
+
+
+@pytest.mark.parametrize("name", FAILING)
+def test_compiled_code_computes_what_python_cannot(name):
+    """Nothing of the call in Python is left."""
+    fail = inline(FAILING[name])
+
+    @entry_point(seconds=lambda *_: 0.0, flat=True)
+    def count_and_fail(values):
+        values[0] += 1.0
+        values[1] = fail(values[2])
+
+    values = np.array([0.0, 0.0, 1.0])
+    if name != "floor":
+        with pytest.raises((ArithmeticError, ValueError)):
+            count_and_fail.in_python(values)
+        np.testing.assert_array_equal(values, [0.0, 0.0, 1.0])
+    count_and_fail(values)
+    expected = np.array([0.0, 0.0, 1.0])
+    count_and_fail.compiled(expected)
+    assert_same_bits(values, expected)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+def test_state_without_finite_numbers_has_the_same_bits(value):
+    """Excludes an error of Python where compiled code computes infinity."""
+    robot = ROBOTS["planar"]
+    results = []
+    for compile_first in (True, False):
+        state, actions = random_states(robot, 2, seed=1)
+        state.velocity[1] = value
+        state.pose[0] = robot.base[0]  # a cable without length
+        plant = loaded_plant(robot, state, "unilateral")
+        plant.set_action(actions)
+        advance = kernel.compiled(form_of(robot), 1).advance
+        call = advance.compiled if compile_first else advance._choose
+        (calls,) = plant.advance_calls(*plants.no_reference(robot), substeps=2, step=1e-3)
+        call(*calls.args)
+        results.append(plant.record.copy())
+    assert_same_bits(*results)
+
+
+def test_ctrl_c_leaves_the_arrays_as_before():
+    @entry_point(seconds=lambda *_: 0.0)
+    def interrupted(values):
+        values[:] = 1.0
+        stop()
+
+    values = np.zeros(3)
+    with pytest.raises(KeyboardInterrupt):
+        interrupted(values)
+    np.testing.assert_array_equal(values, np.zeros(3))
+
+
+def stop():
+    raise KeyboardInterrupt
+
+
+# --- when code is compiled ----------------------------------------------------------------------------------------
+
+
+def double(values):
+    for i in range(len(values)):
+        values[i] *= 2.0
+
+
+@pytest.fixture
+def doubling(monkeypatch, tmp_path):
+    """A new entry point, which estimates one second for each value, and an empty cache."""
+    monkeypatch.setattr(code_cache, "code_folders", lambda: [tmp_path])
+    monkeypatch.setattr(python_first, "LONGEST_CALL", 1.5)
+    return lambda: EntryPoint(double, len, robot=str(tmp_path))
+
+
+def test_code_is_compiled_when_the_estimate_is_spent(doubling, caplog):
+    """A message says so; from then on, nothing stands between the caller and compiled code."""
+    entry = doubling()
+    values = np.ones(1)
+    entry(values)
+    entry(values)
+    assert not caplog.records
+    kept = entry.present
+    kept(values)
+    assert entry.present is entry.compiled
+    assert ["compiling" in record.message for record in caplog.records] == [True]
+    kept(values)
+    entry(values)
+    assert values[0] == 32.0
+    assert len(entry.compiled.signatures) == 1
+
+
+def test_long_call_is_compiled_at_once(doubling):
+    entry = doubling()
+    entry(np.ones(2))
+    assert entry.present is entry.compiled
+
+
+def test_stored_code_is_used_at_once(doubling):
+    doubling()(np.ones(2))
+    entry = doubling()
+    entry(np.ones(1))
+    assert sum(entry.compiled.stats.cache_hits.values()) == 1
+    other = doubling()
+    other(np.ones(1, np.float32))  # stored for other types only
+    assert other.present is not other.compiled
+
+
+@each_of(*ROBOTS.values())
+def test_large_batch_is_compiled_at_once(robot, fresh):
+    entry = kernel.compiled(form_of(robot), kernel.LANES).advance
+    fresh(entry, outcome.outcome)
+    plant = loaded_plant(robot, random_states(robot, 1024)[0])
+    with pytest.raises(AssertionError, match="it is compiled"):
+        plant.advance(*plants.no_reference(robot), substeps=2, step=1e-3)
+    with pytest.raises(AssertionError, match="it is compiled"):
+        outcome.outcome(False, np.arange(1024), (), (), ())
+
+
+def test_first_steps_compile_nothing(fresh):
+    """Excludes seconds of compilation before the first step, here also of the distribution of
+    tensions."""
+    robot = find_robot(env_robot("CableBot-Point-v0"))
+    fresh(
+        outcome.outcome,
+        tension_problems.solve_least_largest,
+        *kernel.compiled(form_of(robot), 1),
+        *kernel.compiled(form_of(robot), kernel.LANES),
+    )
+    env = gym.make("CableBot-Point-v0")
+    for payload in (0.0, 1.0, 2.0):
+        env.reset(seed=0, options={"payload": payload})
+        env.step(env.action_space.sample())
+
+
+# --- fused multiply-add -------------------------------------------------------------------------------------------
+
+
+def test_only_a_function_that_rounds_once_is_exact():
+    assert is_exact(python_fma())
+    assert not is_exact(lambda a, b, c: a * b + c)
+
+    def flushing(a, b, c):
+        result = python_fma()(a, b, c)
+        return result if abs(result) >= 2.3e-308 else 0.0
+
+    assert not is_exact(flushing)
+
+    def overflowing(a, b, c):
+        return python_fma()(a, b, c) if math.isfinite(a * b) else a * b
+
+    assert not is_exact(overflowing)
+
+
+def test_code_is_compiled_at_once_without_an_exact_function(monkeypatch):
+    """Excludes wrong bits with a C library that rounds twice."""
+    monkeypatch.setattr(fused, "_candidates", lambda: [lambda a, b, c: a * b + c])
+    python_fma.cache_clear()
+
+    @entry_point(seconds=lambda *_: 0.0)
+    def fuse(values):
+        values[0] = fma(values[0], values[1], values[2])
+
+    fuse(np.ones(3))
+    python_fma.cache_clear()
+    assert fuse.present is fuse.compiled
