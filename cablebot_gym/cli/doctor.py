@@ -16,6 +16,7 @@ import typer
 
 from cablebot_gym.envs import ENV_IDS, env_robot
 from cablebot_gym.physics.code_cache import REMEDY, code_folders, is_damaged, is_temporary
+from cablebot_gym.physics.python_first import compiled_at_once
 from cablebot_gym.physics.textbook import (
     allocated_minimum,
     holding_torque,
@@ -195,8 +196,9 @@ def _statics_test(env_id: str) -> str:
             robot, static_torque(robot, robot.mass + PAYLOAD, pose, minimum=minimum)
         )
         action = normalised_action(robot, torque, np.zeros(robot.cables))
-        for _ in range(STEPS):
-            _, _, _, _, info = env.step(action)
+        with compiled_at_once():
+            for _ in range(STEPS):
+                _, _, _, _, info = env.step(action)
         distance = float(info["tracking_error_peak"])
     finally:
         env.close()

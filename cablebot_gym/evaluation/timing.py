@@ -11,6 +11,7 @@ import numpy as np
 from cablebot_gym.evaluation.batch import Batch, Row
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.kinematics import Array
+from cablebot_gym.physics.python_first import compiled_at_once
 from cablebot_gym.policies.protocol import Policy, declarations, name_of, reset_policy
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
@@ -92,11 +93,12 @@ def time_actions(
         cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
             finite actions.
     """
-    batch = Batch(policy, Conditions.of(env_id, draws=1, **conditions))
-    timed = TimedPolicy(batch.policy.policy)
-    batch.policy = replace(batch.policy, policy=timed)
-    payload = number("payload", payload, least=0, unit="kg")
-    batch.run([Row(payload, batch.conditions.seed)], full_motion=True)
+    with compiled_at_once():
+        batch = Batch(policy, Conditions.of(env_id, draws=1, **conditions))
+        timed = TimedPolicy(batch.policy.policy)
+        batch.policy = replace(batch.policy, policy=timed)
+        payload = number("payload", payload, least=0, unit="kg")
+        batch.run([Row(payload, batch.conditions.seed)], full_motion=True)
     times = np.array(timed.times[WARM_UP:])
     period = 1 / batch.task.control_frequency
     if not times.size:

@@ -180,6 +180,7 @@ def _environment(folder: Path) -> dict[str, str]:
     cache: a policy must not replace code that later runs execute."""
     # numba takes a second, which other commands save
     from cablebot_gym.physics.code_cache import SHARED_CODE, code_folders
+    from cablebot_gym.physics.python_first import AT_ONCE
 
     environment = {}
     for name, value in os.environ.items():
@@ -189,6 +190,7 @@ def _environment(folder: Path) -> dict[str, str]:
     environment |= make_folders(folder) | dict.fromkeys(_THREADS, "1")
     environment["PYTHONPATH"] = os.pathsep.join(search_path())
     environment[CACHE_VARIABLE] = str(folder / "cache")
+    environment[AT_ONCE] = os.environ.get(AT_ONCE, "")
     environment[SHARED_CODE] = os.pathsep.join(map(str, code_folders()))
     return environment
 

@@ -6,6 +6,7 @@ not wait; one that makes many spends little on Python before it has compiled cod
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property, update_wrapper
@@ -24,6 +25,22 @@ compilation, no program takes much more than twice the time of the better choice
 
 LONGEST_CALL = 0.1
 """Estimated time of a call that compiles at once [s]: a large batch is seldom stepped only once."""
+
+
+AT_ONCE = "CABLEBOT_COMPILE_AT_ONCE"
+"""Environment variable: with any text, entry points are compiled at their first call."""
+
+
+@contextmanager
+def compiled_at_once() -> Iterator[None]:
+    """Compiles entry points at their first call, also in processes that are started meanwhile: where
+    no later call may take long."""
+    before = os.environ.get(AT_ONCE, "")
+    os.environ[AT_ONCE] = "1"
+    try:
+        yield
+    finally:
+        os.environ[AT_ONCE] = before
 
 
 class EntryPoint:
@@ -92,7 +109,7 @@ class EntryPoint:
         if self.present == self.compiled:  # a caller has kept this method
             return self.compiled(*arguments)
         price = self._seconds(*arguments)
-        too_long = price > min(self.left, LONGEST_CALL)
+        too_long = price > min(self.left, LONGEST_CALL) or bool(os.environ.get(AT_ONCE))
         if too_long or self._function is None or self._is_stored(arguments):
             return self._compile(*arguments)
         self.left -= price

@@ -29,7 +29,7 @@ from cablebot_gym.physics.fused import fma, is_exact, python_fma
 from cablebot_gym.physics.inlining import inline
 from cablebot_gym.physics.inverse import demands, inverse_dynamics
 from cablebot_gym.physics.plant import FEW_ROBOTS, form_of
-from cablebot_gym.physics.python_first import EntryPoint, entry_point
+from cablebot_gym.physics.python_first import EntryPoint, compiled_at_once, entry_point
 from cablebot_gym.robots import ROBOTS, find_robot, robot_names
 
 EVERYTHING = ELASTIC[-1]
@@ -351,6 +351,17 @@ def test_stored_code_is_used_at_once(doubling):
     assert sum(entry.compiled.stats.cache_hits.values()) == 1
     other = doubling()
     other(np.ones(1, np.float32))  # stored for other types only
+    assert other.present is not other.compiled
+
+
+def test_first_call_is_compiled_where_no_later_one_may_take_long(doubling):
+    """Excludes seconds of compilation in the loop that drives a real robot."""
+    entry = doubling()
+    with compiled_at_once():
+        entry(np.ones(1))
+    assert entry.present is entry.compiled
+    other = doubling()
+    other(np.ones(1, np.float32))
     assert other.present is not other.compiled
 
 

@@ -12,6 +12,7 @@ from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.forward import forward_kinematics
+from cablebot_gym.physics.python_first import compiled_at_once
 from cablebot_gym.policies import LoadedPolicy, PolicyError
 from cablebot_gym.policies.spec import check_measurement
 from cablebot_gym.robots import Robot
@@ -96,8 +97,9 @@ def drive(
     if not task.starts_at_rest:
         raise ValueError(f"motion {task.trajectory.name!r} must start at rest: add a dwell")
     loop = _Loop(policy, winches, episode, limits or DriveLimits(), pace or Pace(), armed=armed)
-    loop.prepare()
-    stop = loop.run()
+    with compiled_at_once():
+        loop.prepare()
+        stop = loop.run()
     return loop.result(stop)
 
 
