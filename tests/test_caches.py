@@ -12,8 +12,8 @@ from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.bounds import best_known
-from cablebot_gym.physics import code_cache
-from cablebot_gym.physics.compiling import njit
+from cablebot_gym.physics.compiling import code_cache
+from cablebot_gym.physics.compiling.loading import njit
 from cablebot_gym.planning import PlannedMotion, library
 from cablebot_gym.report import recording
 from cablebot_gym.report.replay import Replay

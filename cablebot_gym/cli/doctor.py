@@ -15,8 +15,8 @@ import numpy as np
 import typer
 
 from cablebot_gym.envs import ENV_IDS, env_robot
-from cablebot_gym.physics.code_cache import REMEDY, code_folders, is_damaged, is_temporary
-from cablebot_gym.physics.python_first import compiled_at_once
+from cablebot_gym.physics.compiling import compiled_at_once
+from cablebot_gym.physics.compiling.code_cache import REMEDY, code_folders, is_damaged, is_temporary
 from cablebot_gym.physics.textbook import (
     allocated_minimum,
     holding_torque,

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from cablebot_gym.envs import TERMINATION_REASONS, limits
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel
-from cablebot_gym.physics.inlining import inline
-from cablebot_gym.physics.python_first import entry_point
+from cablebot_gym.physics.compiling import entry_point, inline
 
 _TRACKING_ERROR, _SLACK, _WORKSPACE, _NON_FINITE, _VIOLATION = range(1, len(TERMINATION_REASONS))
 

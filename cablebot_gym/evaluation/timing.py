@@ -11,7 +11,7 @@ import numpy as np
 from cablebot_gym.evaluation.batch import Batch, Row
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.python_first import compiled_at_once
+from cablebot_gym.physics.compiling import compiled_at_once
 from cablebot_gym.policies.protocol import Policy, declarations, name_of, reset_policy
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number

@@ -179,8 +179,8 @@ def _environment(folder: Path) -> dict[str, str]:
     cache in a folder. It reads the compiled code of this process, and writes its own into its
     cache: a policy must not replace code that later runs execute."""
     # numba takes a second, which other commands save
-    from cablebot_gym.physics.code_cache import SHARED_CODE, code_folders
-    from cablebot_gym.physics.python_first import AT_ONCE
+    from cablebot_gym.physics.compiling.code_cache import SHARED_CODE, code_folders
+    from cablebot_gym.physics.compiling.python_first import AT_ONCE
 
     environment = {}
     for name, value in os.environ.items():

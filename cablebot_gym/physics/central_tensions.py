@@ -11,14 +11,13 @@ import math
 
 import numpy as np
 
-from cablebot_gym.physics.inlining import helper
+from cablebot_gym.physics.compiling import entry_point, helper
 from cablebot_gym.physics.nearest_point import (
     distribution_seconds,
     factorise,
     new_factors,
     particular_solution,
 )
-from cablebot_gym.physics.python_first import entry_point
 
 RELAXED = 0.1
 """Distance from a bound below which a parabola continues the barrier, per barrier parameter."""

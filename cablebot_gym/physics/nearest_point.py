@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cablebot_gym.physics.inlining import helper
+from cablebot_gym.physics.compiling import helper
 
 HELD, INFEASIBLE, SINGULAR = 0, 1, 2
 """Status of an item: tensions within the bounds hold the load; none do; S has a rank below n."""

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from cablebot_gym.physics.inlining import helper
+from cablebot_gym.physics.compiling import entry_point, helper
 from cablebot_gym.physics.nearest_point import (
     HELD,
     INFEASIBLE,
@@ -32,7 +32,6 @@ from cablebot_gym.physics.nearest_point import (
     set_bounds,
     solve_coordinates,
 )
-from cablebot_gym.physics.python_first import entry_point
 
 _WRENCH_FIRST = 1e-3  # weight of tensions against a wrench error, see _approximate
 _FARTHEST = 1e4  # longest step to the end of an interval in _extreme, relative to the largest value

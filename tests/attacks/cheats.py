@@ -164,7 +164,7 @@ class replaced_code(Honest):
     """replaces all files of compiled code that its process can find"""
 
     def reset(self, tasks):
-        from cablebot_gym.physics.code_cache import code_folders
+        from cablebot_gym.physics.compiling.code_cache import code_folders
 
         for folder in code_folders():
             for path in folder.glob("*.nbc"):

@@ -15,7 +15,7 @@ from numba.core import config
 from cablebot_gym.evaluation import PolicyError, evaluate_dlcc
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.isolation.process import has_bubblewrap
-from cablebot_gym.physics.code_cache import code_folders
+from cablebot_gym.physics.compiling.code_cache import code_folders
 from cablebot_gym.robots import SPATIAL
 
 pytestmark = [

@@ -19,7 +19,7 @@ from clock import HANG, Clock, wait_until
 from cablebot_gym.isolation import IsolatedPolicy, process
 from cablebot_gym.isolation.process import DeadlineError, PolicyProcess, processor_time
 from cablebot_gym.isolation.server import ANSWER
-from cablebot_gym.physics.code_cache import code_folders
+from cablebot_gym.physics.compiling.code_cache import code_folders
 from cablebot_gym.policies.protocol import say
 from cablebot_gym.robots import SPATIAL
 
@@ -77,7 +77,7 @@ class threads(counts):
 
 class stores(Policy):
     def reset(self, tasks):
-        from cablebot_gym.physics.code_cache import code_folders
+        from cablebot_gym.physics.compiling.code_cache import code_folders
         code_folders()[-1].mkdir(parents=True)
         (code_folders()[-1] / "replaced.nbc").touch()
 

@@ -4,8 +4,8 @@ import importlib
 
 import pytest
 
-from cablebot_gym.physics import code_cache
-from cablebot_gym.physics.compiling import njit
+from cablebot_gym.physics.compiling import code_cache
+from cablebot_gym.physics.compiling.loading import njit
 
 HELPER = "cached_helper"
 CALLER = "cached_caller"
@@ -71,7 +71,8 @@ def test_change_of_a_helper_in_another_file_compiles_again(folders, tmp_path, mo
     )
 
     def run(addend, factor, expected):
-        source = "from cablebot_gym.physics.compiling import njit\n@njit\ndef add(number):\n    return number + "
+        source = "from cablebot_gym.physics.compiling.loading import njit\n"
+        source += "@njit\ndef add(number):\n    return number + "
         helper.write_text(f"{source}{addend}\nFACTOR = {factor}\n", encoding="utf-8")
         for name in (HELPER, CALLER):
             monkeypatch.delitem(importlib.sys.modules, name, raising=False)

@@ -9,7 +9,7 @@ import pytest
 from numba import njit
 from numba.core import event
 
-from cablebot_gym.physics.inlining import compile_time_constant, helper, inline
+from cablebot_gym.physics.compiling.inlining import compile_time_constant, helper, inline
 
 
 class Compilations(event.Listener):

@@ -15,21 +15,14 @@ from oracles.platforms import PLATFORMS
 
 from cablebot_gym.envs import env_robot, outcome
 from cablebot_gym.kinematics import cable_lengths
-from cablebot_gym.physics import (
-    central_tensions,
-    code_cache,
-    distribution,
-    fused,
-    kernel,
-    python_first,
-    tension_problems,
-)
+from cablebot_gym.physics import central_tensions, distribution, kernel, tension_problems
+from cablebot_gym.physics.compiling import code_cache, fused, python_first
+from cablebot_gym.physics.compiling.fused import fma, is_exact, python_fma
+from cablebot_gym.physics.compiling.inlining import inline
+from cablebot_gym.physics.compiling.python_first import EntryPoint, compiled_at_once, entry_point
 from cablebot_gym.physics.forward import forward_kinematics
-from cablebot_gym.physics.fused import fma, is_exact, python_fma
-from cablebot_gym.physics.inlining import inline
 from cablebot_gym.physics.inverse import demands, inverse_dynamics
 from cablebot_gym.physics.plant import FEW_ROBOTS, form_of
-from cablebot_gym.physics.python_first import EntryPoint, compiled_at_once, entry_point
 from cablebot_gym.robots import ROBOTS, find_robot, robot_names
 
 EVERYTHING = ELASTIC[-1]

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.inlining import helper
+from cablebot_gym.physics.compiling import entry_point, helper
 from cablebot_gym.physics.inverse import demands
-from cablebot_gym.physics.python_first import entry_point
 from cablebot_gym.physics.textbook import times_vector
 from cablebot_gym.robots import Robot
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 from functools import cache, partial
 from typing import Any, NamedTuple
 
+from cablebot_gym.physics.compiling import entry_point
 from cablebot_gym.physics.kernel.integrate import advance_tiles, evaluate_tiles
 from cablebot_gym.physics.kernel.inverse import demanded_tiles, required_tiles
 from cablebot_gym.physics.kernel.locate import locate_tiles
 from cablebot_gym.physics.kernel.rows import Form
-from cablebot_gym.physics.python_first import entry_point
 
 
 class Compiled(NamedTuple):
     """Functions for one form of robots, each an
-    :class:`~cablebot_gym.physics.python_first.EntryPoint`.
+    :class:`~cablebot_gym.physics.compiling.python_first.EntryPoint`.
 
     Shapes: parameters (tiles, parameter_rows·lanes), record (tiles, record_rows·lanes), w
     (scratch_rows·lanes,), paths (trajectories, lines, n): reference poses at physics steps, ends

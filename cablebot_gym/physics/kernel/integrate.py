@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from cablebot_gym.physics.inlining import inline
+from cablebot_gym.physics.compiling import inline
 from cablebot_gym.physics.kernel.motors import (
     drive_motors,
     pulley_row,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablebot_gym.physics.fused import fma
-from cablebot_gym.physics.inlining import inline
+from cablebot_gym.physics.compiling import fma, inline
 from cablebot_gym.physics.kernel.arithmetic import (
     add_scaled,
     cross,

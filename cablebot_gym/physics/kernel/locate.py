@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablebot_gym.physics.inlining import inline
+from cablebot_gym.physics.compiling import inline
 from cablebot_gym.physics.kernel.rows import (
     CABLE_ROWS,
     ENDED,

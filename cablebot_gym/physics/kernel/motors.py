@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cablebot_gym.physics.inlining import inline
+from cablebot_gym.physics.compiling import inline
 from cablebot_gym.physics.kernel.rows import (
     AXIAL_DAMPING,
     AXIAL_STIFFNESS,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from cablebot_gym.physics.inlining import compile_time_constant, inline
+from cablebot_gym.physics.compiling import compile_time_constant, inline
 
 LANES = 32
 """Robots per tile in a batch. The rows of a tile then fit into the first-level cache of a core."""

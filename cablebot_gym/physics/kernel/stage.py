@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cablebot_gym.physics.inlining import inline
+from cablebot_gym.physics.compiling import inline
 from cablebot_gym.physics.kernel.motors import grip_cables, stretch_cables, twist_springs
 from cablebot_gym.physics.kernel.plane import (
     planar_cable,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cablebot_gym.physics.fused import fma
-from cablebot_gym.physics.inlining import helper, inline
+from cablebot_gym.physics.compiling import fma, helper, inline
 from cablebot_gym.physics.kernel.arithmetic import (
     add_outer,
     add_scaled,

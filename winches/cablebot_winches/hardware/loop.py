@@ -11,8 +11,8 @@ import numpy as np
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.compiling import compiled_at_once
 from cablebot_gym.physics.forward import forward_kinematics
-from cablebot_gym.physics.python_first import compiled_at_once
 from cablebot_gym.policies import LoadedPolicy, PolicyError
 from cablebot_gym.policies.spec import check_measurement
 from cablebot_gym.robots import Robot

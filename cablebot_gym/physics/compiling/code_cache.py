@@ -138,7 +138,7 @@ def _folders(named: str, user_cache: Path) -> tuple[Path, ...]:
     """The candidates up to the first writable one. The last candidate is a folder for temporary
     files."""
     candidates = [Path(named, PACKAGE)] if named else []
-    candidates += [Path(__file__).parents[1] / "__pycache__", user_cache / "compiled"]
+    candidates += [Path(__file__).parents[2] / "__pycache__", user_cache / "compiled"]
     for number, folder in enumerate(candidates, 1):
         if is_writable_dir(folder):
             return tuple(candidates[:number])

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 
-from cablebot_gym.physics.compiling import is_stored, load_numba, njit
-from cablebot_gym.physics.fused import fma, python_fma
+from cablebot_gym.physics.compiling.fused import fma, python_fma
+from cablebot_gym.physics.compiling.loading import is_stored, load_numba, njit
 
 BUDGET = 2.0
 """Estimated time of Python before an entry point is compiled [s]. With about the time of its
@@ -49,7 +49,7 @@ class EntryPoint:
     Stored machine code is used at once. :attr:`present` is what a call runs now.
 
     Args:
-        function: the function, with helpers of :mod:`~cablebot_gym.physics.inlining`.
+        function: the function, with helpers of :mod:`~cablebot_gym.physics.compiling.inlining`.
         seconds: estimated time of Python for the arguments of a call [s].
         flat: whether all its arrays are indexed by numbers only, without slices. Python reads them
             faster then.

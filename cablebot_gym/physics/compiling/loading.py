@@ -30,7 +30,7 @@ with collection_paused():
     import numba
     from numba.core import event, registry
 
-    from cablebot_gym.physics.code_cache import CodeCache
+    from cablebot_gym.physics.compiling.code_cache import CodeCache
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
@@ -59,7 +59,7 @@ def njit(function: Any = None, *, cache: bool = False, robot: str = "", **option
     Args:
         function: function to compile; None for a decorator.
         cache: whether compiled code is stored on disk, see
-            :class:`~cablebot_gym.physics.code_cache.CodeCache`.
+            :class:`~cablebot_gym.physics.compiling.code_cache.CodeCache`.
         robot: the robot for which code is compiled, in words; empty for functions of all robots.
         options: options of :func:`numba.njit`.
     """

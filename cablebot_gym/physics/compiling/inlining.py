@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
-from cablebot_gym.physics.compiling import collection_paused, njit
+from cablebot_gym.physics.compiling.loading import collection_paused, njit
 
 with collection_paused():
     from llvmlite.binding import Linkage
