@@ -39,8 +39,8 @@ cache folder only."""
 REMEDY = "set NUMBA_CACHE_DIR to a writable folder"
 """Advice where compiled code cannot be stored."""
 
-_DECORATORS = str(Path(__file__).with_name("inlining.py"))
-"""Compiled code depends on this file, although no compiled function calls anything in it."""
+_DECORATORS = sorted(map(str, Path(__file__).parent.glob("*.py")))
+"""Compiled code depends on these files, although no compiled function calls anything in them."""
 
 _DIGEST = hashlib.sha256().digest_size
 
@@ -119,7 +119,8 @@ class CodeCache(_Cache):
 
     def _file_name(self, signature: Any, codegen: Any) -> str:
         key = [*_identity(self._function, set()), str(signature), str(codegen.magic_tuple())]
-        key += [numba.__version__, str(sys.implementation.cache_tag), _file_hash(_DECORATORS)]
+        key += [numba.__version__, str(sys.implementation.cache_tag)]
+        key += map(_file_hash, _DECORATORS)
         module = self._function.__module__.rpartition(".")[2]
         return f"{module}.{self._function.__name__}-{hashlib.sha256(repr(key).encode()).hexdigest()[:24]}.nbc"
 

@@ -4,247 +4,36 @@ Numba optimises each function, translates it into machine code and wraps it for 
 helper that is only inlined into others. It compiles a helper again for each literal argument, and
 it compiles branches on the kind of robot that are never taken. Functions of :func:`inline` and
 :func:`helper` are translated into LLVM's language once for each type of their arguments. LLVM
-optimises them as parts of the entry points only.
+optimises them as parts of the entry points only. With a numba whose compiler has changed, they are
+ordinary functions of numba: slower to compile, with the same results.
 """
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable, Iterable
+import logging
 from functools import partial
-from typing import Any
+
+import numba
 
 from cablebot_gym.physics.compiling.loading import collection_paused, njit
 
-with collection_paused():
-    from llvmlite.binding import Linkage
-    from llvmlite.ir.instructions import CallInstr
-    from numba import types
-    from numba.core import ir
-    from numba.core.codegen import JITCodeLibrary
-    from numba.core.compiler import CompilerBase, DefaultPassBuilder
-    from numba.core.compiler_machinery import FunctionPass, register_pass
-    from numba.core.imputils import lower_constant
-    from numba.core.ir_utils import build_definitions
-    from numba.core.runtime.nrt import rtsys
-    from numba.core.untyped_passes import IRProcessing
-    from numba.extending import models, register_model, typeof_impl
+_LOGGER = logging.getLogger("cablebot_gym")
 
-__all__ = ["compile_time_constant", "helper", "inline"]
+try:
+    with collection_paused():
+        from cablebot_gym.physics.compiling.lean import lean_helper
+except (ImportError, AttributeError) as error:
+    _LOGGER.warning(
+        "compilation takes several times longer, with the same results: this package does not know the compiler of "
+        "numba %s (%s)",
+        numba.__version__,
+        error,
+    )
+    lean_helper = partial(njit, error_model="numpy")
 
-
-class _ConstantType(types.Opaque):
-    """Type of one instance of a class of :func:`compile_time_constant`."""
-
-    def __init__(self, value: Any) -> None:
-        self.value = value
-        super().__init__(f"{type(value).__name__}{tuple(value)}")
-
-
-register_model(_ConstantType)(models.OpaqueModel)
-
-
-@lower_constant(_ConstantType)
-def _lower_constant(context: Any, builder: Any, constant_type: _ConstantType, value: Any) -> Any:
-    return context.get_dummy_value()
-
-
-def compile_time_constant(named_tuple: type) -> type:
-    """Class decorator: attributes of its instances are constants to functions of :func:`inline` and
-    :func:`helper`.
-
-    An entry point closes over the instance and passes it on whole. Branches on its attributes that
-    are not taken are not compiled.
-    """
-
-    @typeof_impl.register(named_tuple)
-    def constant_type(value: Any, context: Any) -> _ConstantType:
-        return _ConstantType(value)
-
-    return named_tuple
-
-
-@register_pass(mutates_CFG=False, analysis_only=False)
-class _ReadConstants(FunctionPass):
-    """Replaces attributes of compile-time constants by their values, before numba removes
-    branches."""
-
-    _name = "read_constants"
-
-    def __init__(self) -> None:
-        super().__init__()
-
-    def run_pass(self, state: Any) -> bool:
-        """Changes the function's code and returns whether it did."""
-        assignments = []
-        for block in state.func_ir.blocks.values():
-            assignments += block.find_insts(ir.Assign)
-        constants = {}
-        for assignment in assignments:
-            value = assignment.value
-            if isinstance(value, ir.Arg) and isinstance(state.args[value.index], _ConstantType):
-                constants[assignment.target.name] = state.args[value.index].value
-        for assignment in assignments:
-            value = assignment.value
-            if (
-                isinstance(value, ir.Expr)
-                and value.op == "getattr"
-                and value.value.name in constants
-            ):
-                attribute = getattr(constants[value.value.name], value.attr)
-                assignment.value = ir.Const(attribute, assignment.loc)
-        if constants:
-            state.func_ir._definitions = build_definitions(state.func_ir.blocks)
-        return bool(constants)
-
-
-# it calls a record of numba's
-_NOT_CALLABLE = ctypes.cast(ctypes.pythonapi.PyObject_Call, ctypes.c_void_p).value or 0
-
-
-class _NoEnvironment:
-    """In place of the code generator, which would look for machine code of a helper."""
-
-    def set_env(self, name: str, environment: Any) -> None:
-        """Does nothing: only functions that Python calls need their Python environment."""
-
-
-class _HelperLibrary(JITCodeLibrary):
-    """LLVM code of a helper, which numba's function passes have simplified: without machine
-    code."""
-
-    @property
-    def codegen(self) -> _NoEnvironment:
-        """See :class:`_NoEnvironment`."""
-        return _NoEnvironment()
-
-    def finalize(self) -> None:
-        """Ends the library as it is. The helpers that it calls are linked by the entry point
-        only."""
-        self._finalized = True
-
-    def get_pointer_to_function(self, name: str) -> int:
-        """Address of a C function that raises TypeError: a helper has no machine code that Python
-        could call."""
-        return _NOT_CALLABLE
-
-    def _get_module_for_linking(self) -> Any:
-        """This helper and all helpers that it calls, directly or not, each once."""
-        if self._shared_module is None:
-            module = self._own_module().clone()
-            linked = {self}
-            pending = list(self._linking_libraries)
-            while pending:
-                library = pending.pop()
-                if library in linked:
-                    continue
-                linked.add(library)
-                if isinstance(library, _HelperLibrary):
-                    module.link_in(library._own_module(), preserve=True)
-                    pending += library._linking_libraries
-                else:
-                    module.link_in(library._get_module_for_linking(), preserve=True)
-            self._shared_module = module
-        return self._shared_module
-
-    def _own_module(self) -> Any:
-        for function in self._final_module.functions:
-            if not function.is_declaration and function.linkage == Linkage.external:
-                function.linkage = (
-                    "linkonce_odr"  # several entry points in one process have the same helpers
-                )
-        return self._final_module
-
-
-class _BorrowingLibrary(_HelperLibrary):
-    """Code of a function that only reads and writes arrays of its caller, and therefore counts no
-    references.
-
-    LLVM would have to prove that each pair of counts is superfluous, and does not find all pairs in
-    a large function.
-    """
-
-    def add_ir_module(self, ir_module: Any) -> None:
-        """Adds a module without its counts of references.
-
-        Raises:
-            TypeError: if the function allocates memory.
-        """
-        self._check_allocations(ir_module.functions)
-        for function in ir_module.functions:
-            for block in function.blocks:
-                block.instructions[:] = [
-                    instruction
-                    for instruction in block.instructions
-                    if not _counts_references(instruction)
-                ]
-        super().add_ir_module(ir_module)
-
-    def add_linking_library(self, library: Any) -> None:
-        """Adds the code of a called function.
-
-        Raises:
-            TypeError: if that function allocates memory.
-        """
-        if library is not rtsys.library:  # numba's runtime, which is linked to every function
-            self._check_allocations(library._final_module.functions)
-        super().add_linking_library(library)
-
-    def _check_allocations(self, functions: Iterable[Any]) -> None:
-        for function in functions:
-            if function.name.startswith("NRT_") and function.name not in _COUNTS:
-                raise TypeError(
-                    f"{self.name} allocates arrays: decorate it with helper, not with inline"
-                )
-
-
-_COUNTS = ("NRT_incref", "NRT_decref")
-
-
-def _counts_references(instruction: Any) -> bool:
-    return isinstance(instruction, CallInstr) and instruction.callee.name in _COUNTS
-
-
-class _HelperCompiler(CompilerBase):
-    """Numba's compiler with the libraries and the pass above."""
-
-    def define_pipelines(self) -> list[Any]:
-        """The passes of numba's compiler and :class:`_ReadConstants`."""
-        state = self.state
-        library = _BorrowingLibrary if state.flags.forceinline else _HelperLibrary
-        state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.library.enable_object_caching()
-        passes = DefaultPassBuilder.define_nopython_pipeline(state)
-        passes.add_pass_after(_ReadConstants, IRProcessing)
-        passes.finalize()
-        return [passes]
-
-
-def _helper(function: Callable[..., Any], *, forceinline: bool) -> Any:
-    dispatcher = njit(
-        forceinline=forceinline,
-        error_model="numpy",
-        no_cpython_wrapper=True,
-        no_cfunc_wrapper=True,
-        pipeline_class=_HelperCompiler,
-    )(function)
-    fold = dispatcher._compiler.fold_argument_types
-
-    def fold_without_literals(
-        args: tuple[Any, ...], keywords: dict[str, Any]
-    ) -> tuple[Any, tuple[Any, ...]]:
-        """The types of the arguments. A literal would be a type of its own: a second compilation of
-        the same code."""
-        signature, argument_types = fold(args, keywords)
-        return signature, tuple(types.unliteral(argument_type) for argument_type in argument_types)
-
-    dispatcher._compiler.fold_argument_types = fold_without_literals
-    return dispatcher
-
-
-inline = partial(_helper, forceinline=True)
+inline = partial(lean_helper, forceinline=True)
 """Decorator of functions that are inlined into all compiled functions that call them. They use
 arrays of their callers only: they neither make nor return any. Python cannot call them."""
 
-helper = partial(_helper, forceinline=False)
+helper = partial(lean_helper, forceinline=False)
 """Decorator of functions that only compiled functions call, and that LLVM inlines where it pays."""

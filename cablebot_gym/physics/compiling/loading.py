@@ -117,4 +117,4 @@ class _Preparation(event.Listener):
         PREPARATION.end()
 
 
-event.register("numba:compile", _Preparation())  # type: ignore[no-untyped-call]
+event.register("numba:compile", _Preparation())

@@ -201,7 +201,7 @@ class _Rows:
 
     def __init__(self, array: np.ndarray[Any, Any]) -> None:
         self.shape = array.shape
-        self._rows = [memoryview(row) for row in array]
+        self._rows: list[Any] = [row.data for row in array]
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, tuple):
@@ -220,4 +220,4 @@ def _without_numpy(value: Any) -> Any:
         return value
     if value.ndim == 2:
         return _Rows(value)
-    return memoryview(value)
+    return value.data
