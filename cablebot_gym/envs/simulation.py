@@ -164,7 +164,10 @@ class Simulation:
         self._step_calls = []
         for robots, advance in zip(plant.parts, self._advance_calls, strict=True):
             find_outcome = partial(
-                outcome.outcome, False, self._all_indices[robots], *self._outcome_arguments
+                outcome.outcome.present,
+                False,
+                self._all_indices[robots],
+                *self._outcome_arguments,
             )
             self._outcome_calls.append(find_outcome)
             self._step_calls.append(partial(_call_in_turn, advance, find_outcome))

@@ -4,12 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import cache
 
 import numpy as np
 import pytest
 
 from cablebot_gym import kinematics
 from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics.compiling import entry_point
+from cablebot_gym.physics.kernel.integrate import _load_tile, _note_tensions
+from cablebot_gym.physics.kernel.motors import subtract_friction, torque_row
+from cablebot_gym.physics.kernel.rows import (
+    CABLE_RECORDS,
+    CABLE_ROWS,
+    FIRST_CABLE,
+    FIRST_CABLE_RECORD,
+    TAUT,
+    TORQUE,
+)
+from cablebot_gym.physics.kernel.stage import acceleration_row, stage_dynamics, stage_kinematics
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.robots import PLANAR, SPATIAL, Motors, Transmission
 from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
@@ -236,6 +249,36 @@ def no_reference(robot):
     return np.zeros((1, 1, robot.coordinates)), np.zeros(1, np.int64)
 
 
+@cache
+def _evaluation(form, lanes):
+    """Compiled accelerations (tiles, n·lanes) and, in the record, tensions for the torques there."""
+
+    @entry_point(seconds=lambda *_: math.inf)
+    def evaluate(unilateral, parameters, record, w, acceleration):
+        for tile in range(record.shape[0]):
+            p = parameters[tile]
+            r = record[tile]
+            _load_tile(form, r, w, lanes)
+            for i in range(form.cables):
+                row = FIRST_CABLE + CABLE_ROWS * i
+                rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
+                for at in range(lanes):
+                    w[(row + torque_row(form)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
+                    # All cables taut at first: the record may belong to other torques.
+                    w[(row + TAUT) * lanes + at] = 1.0
+            stage_kinematics(form, form.flexible, p, w, lanes)
+            subtract_friction(form, p, w, lanes)
+            stage_dynamics(form, unilateral, p, w, lanes)
+            _note_tensions(form, True, unilateral, w, r, lanes)
+            for j in range(form.coordinates):
+                for at in range(lanes):
+                    acceleration[tile, j * lanes + at] = w[
+                        (acceleration_row(form) + j) * lanes + at
+                    ]
+
+    return evaluate
+
+
 def evaluated(plant, torques):
     """Accelerations (N, n) and tensions (N, m) from the compiled kernel at the current states, N ≥
     2."""
@@ -249,7 +292,7 @@ def evaluated(plant, torques):
         kernel.CABLE_RECORDS,
     )
     accelerations = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
-    evaluate = kernel.compiled(plant._form, plant.lanes).evaluate
+    evaluate = _evaluation(plant._form, plant.lanes)
     (_, _, scratch, _, _) = plant._memory[0]
     evaluate(
         plant.unilateral,

@@ -32,12 +32,16 @@ fma: Any = intrinsic(_fused)
 
 
 @cache
-def python_fma() -> FusedMultiplyAdd | None:
-    """:data:`fma` for Python's numbers; None if this machine has none that rounds correctly."""
+def python_fma() -> FusedMultiplyAdd:
+    """:data:`fma` for Python's numbers.
+
+    Raises:
+        ArithmeticError: if this machine has none that rounds once.
+    """
     for candidate in _candidates():
         if is_exact(candidate):
             return candidate
-    return None
+    raise ArithmeticError("no library rounds a b + c once")
 
 
 def _candidates() -> Iterator[FusedMultiplyAdd]:

@@ -26,7 +26,6 @@ compilation, no program takes much more than twice the time of the better choice
 LONGEST_CALL = 0.1
 """Estimated time of a call that compiles at once [s]: a large batch is seldom stepped only once."""
 
-
 AT_ONCE = "CABLEBOT_COMPILE_AT_ONCE"
 """Environment variable: with any text, entry points are compiled at their first call."""
 
@@ -83,22 +82,18 @@ class EntryPoint:
         return self.present(*arguments)
 
     @cached_property
-    def _function(self) -> Callable[..., Any] | None:
-        """The function and all that it calls in Python; None if this machine's Python cannot round
-        as compiled code does."""
-        try:
-            return _copy_of(self.compiled.py_func, {}, self._in_python)
-        except _NoFusedMultiplyAdd:
-            return None
+    def _function(self) -> Callable[..., Any]:
+        """The function and all that it calls in Python."""
+        return _copy_of(self.compiled.py_func, {}, self._in_python)
 
     def in_python(self, *arguments: Any) -> Any:
         """Computes a call in Python.
 
         Raises:
             ArithmeticError, ValueError: where compiled code computes NaN or infinity and Python's
-                numbers do not. The arrays are then as before.
+                numbers do not, or where Python cannot round as compiled code does. The arrays are
+                then as before.
         """
-        assert self._function is not None
         with _undone_by_exceptions(arguments), np.errstate(all="ignore"):
             if self._flat:
                 return self._function(*map(_without_numpy, arguments))
@@ -106,11 +101,11 @@ class EntryPoint:
 
     def _choose(self, *arguments: Any) -> Any:
         """Computes a call in one of both ways."""
-        if self.present == self.compiled:  # a caller has kept this method
+        if self.present is self.compiled:  # a caller has kept this method
             return self.compiled(*arguments)
         price = self._seconds(*arguments)
-        too_long = price > min(self.left, LONGEST_CALL) or bool(os.environ.get(AT_ONCE))
-        if too_long or self._function is None or self._is_stored(arguments):
+        too_long = price > min(self.left, LONGEST_CALL)
+        if too_long or os.environ.get(AT_ONCE) or self._is_stored(arguments):
             return self._compile(*arguments)
         self.left -= price
         try:
@@ -136,10 +131,6 @@ def entry_point(**options: Any) -> Callable[[Callable[..., Any]], EntryPoint]:
     return lambda function: EntryPoint(function, **options)
 
 
-class _NoFusedMultiplyAdd(Exception):
-    """No function rounds a b + c once."""
-
-
 def _copy_of(function: Any, copies: dict[Any, Any], variables: Mapping[str, Any]) -> Any:
     """Copy of a Python function that calls the Python functions of compiled functions, directly or
     not.
@@ -148,12 +139,13 @@ def _copy_of(function: Any, copies: dict[Any, Any], variables: Mapping[str, Any]
         function: the function.
         copies: copies that have been made.
         variables: values for variables that the function closes over.
+
+    Raises:
+        ArithmeticError: see :func:`python_fma`.
     """
 
     def in_python(value: Any) -> Any:
         if value is fma:
-            if python_fma() is None:
-                raise _NoFusedMultiplyAdd
             return python_fma()
         if isinstance(value, Dispatcher):
             return _copy_of(value.py_func, copies, {})

@@ -6,7 +6,7 @@ from functools import cache, partial
 from typing import Any, NamedTuple
 
 from cablebot_gym.physics.compiling import entry_point
-from cablebot_gym.physics.kernel.integrate import advance_tiles, evaluate_tiles
+from cablebot_gym.physics.kernel.integrate import advance_tiles
 from cablebot_gym.physics.kernel.inverse import demanded_tiles, required_tiles
 from cablebot_gym.physics.kernel.locate import locate_tiles
 from cablebot_gym.physics.kernel.rows import Form
@@ -28,9 +28,6 @@ class Compiled(NamedTuple):
     """``(unilateral, lags, rubs, parameters, record, w, paths, ends, path, step, substeps, h)``:
     one control period; changes ``record`` and ``step``. ``lags`` and ``rubs``: whether some motor
     has a lag or Coulomb friction; without them the code is faster."""
-    evaluate: Any
-    """``(unilateral, parameters, record, w, acceleration)``: accelerations (tiles, n·lanes) and, in
-    ``record``, the tensions for the torques in ``record``."""
     required: Any
     """``(parameters, minimum, p, w, mass, motion, results)``: tensions, torques, pulley speeds and
     pulley accelerations (4, N, m), in the order of TENSIONS to PULLEY_ACCELERATIONS. As many cables as
@@ -63,7 +60,7 @@ def compiled(form: Form, lanes: int) -> Compiled:
     functions close over it."""
 
     compile_form = partial(entry_point, robot=form.robot_text, flat=True)
-    # the layout of a record and its parameters depends on the lanes, unlike that of motions
+    # the layout of a record depends on the lanes, unlike that of motions
     compile_motion = partial(compile_form, in_python={"lanes": 1})
     stage = _stage_seconds(form)
 
@@ -92,10 +89,6 @@ def compiled(form: Form, lanes: int) -> Compiled:
             h,
         )
 
-    @compile_form(seconds=lambda unilateral, parameters, *_: stage * len(parameters) * lanes)
-    def evaluate(unilateral, parameters, record, w, acceleration):
-        evaluate_tiles(form, lanes, unilateral, parameters, record, w, acceleration)
-
     @compile_motion(seconds=lambda parameters, minimum, p, w, mass, *_: stage * len(mass))
     def required(parameters, minimum, p, w, mass, motion, results):
         required_tiles(form, lanes, parameters, minimum, p, w, mass, motion, results)
@@ -110,4 +103,4 @@ def compiled(form: Form, lanes: int) -> Compiled:
             form, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended
         )
 
-    return Compiled(advance, evaluate, required, demanded, locate)
+    return Compiled(advance, required, demanded, locate)

@@ -15,7 +15,6 @@ from cablebot_gym.physics.kernel.motors import (
     pulley_row,
     request_torques,
     subtract_friction,
-    torque_row,
 )
 from cablebot_gym.physics.kernel.rows import (
     CABLE_RECORDS,
@@ -277,26 +276,3 @@ def advance_tiles(
         for at in range(lanes):
             step[tile * lanes + at] += 1
         _store_tile(form, lags, r, w, lanes)
-
-
-@inline
-def evaluate_tiles(form, lanes, unilateral, parameters, record, w, acceleration):
-    """Accelerations and tensions of all tiles for the torques in ``record``."""
-    for tile in range(record.shape[0]):
-        p = parameters[tile]
-        r = record[tile]
-        _load_tile(form, r, w, lanes)
-        for i in range(form.cables):
-            row = FIRST_CABLE + CABLE_ROWS * i
-            rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
-            for at in range(lanes):
-                w[(row + torque_row(form)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
-                # All cables taut at first: the record may belong to other torques.
-                w[(row + TAUT) * lanes + at] = 1.0
-        stage_kinematics(form, form.flexible, p, w, lanes)
-        subtract_friction(form, p, w, lanes)
-        stage_dynamics(form, unilateral, p, w, lanes)
-        _note_tensions(form, True, unilateral, w, r, lanes)
-        for j in range(form.coordinates):
-            for at in range(lanes):
-                acceleration[tile, j * lanes + at] = w[(acceleration_row(form) + j) * lanes + at]
