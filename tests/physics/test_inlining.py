@@ -146,7 +146,7 @@ def test_missing_name_of_a_class_of_numba_is_noticed(monkeypatch):
     """Excludes an error in the middle of a compilation."""
     lean = importlib.import_module(LEAN)
     lean._check_names()
-    monkeypatch.setitem(lean._NAMES, lean.CompilerBase, ("state", "gone"))
+    monkeypatch.setitem(lean._NAMES, lean.CompilerBase, "state gone")
     with pytest.raises(ImportError, match="CompilerBase has no gone"):
         lean._check_names()
 

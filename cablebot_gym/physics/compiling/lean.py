@@ -26,14 +26,12 @@ from cablebot_gym.physics.compiling.constants import ConstantType
 from cablebot_gym.physics.compiling.loading import njit
 
 _NAMES = {
-    JITCodeLibrary: (
-        *("add_ir_module", "add_linking_library", "codegen", "enable_object_caching", "finalize"),
-        *("get_pointer_to_function", "_final_module", "_finalized", "_get_module_for_linking"),
-        *("_linking_libraries", "_shared_module"),
-    ),
-    CompilerBase: ("define_pipelines", "state"),
-    DefaultPassBuilder: ("define_nopython_pipeline",),
-    _FunctionCompiler: ("fold_argument_types",),
+    JITCodeLibrary: "add_ir_module add_linking_library codegen enable_object_caching finalize "
+    "get_pointer_to_function _final_module _finalized _get_module_for_linking _linking_libraries "
+    "_shared_module",
+    CompilerBase: "define_pipelines state",
+    DefaultPassBuilder: "define_nopython_pipeline",
+    _FunctionCompiler: "fold_argument_types",
 }
 """Attributes and methods on which this module depends."""
 
@@ -45,15 +43,14 @@ def _check_names() -> None:
         ImportError: if a name is missing.
     """
     for checked, names in _NAMES.items():
-        known: set[str] = set()
+        known = set(dir(checked))
         for parent in checked.__mro__:
-            known.update(vars(parent))
-            code = getattr(vars(parent).get("__init__"), "__code__", None)
+            code = getattr(parent.__init__, "__code__", None)
             if code is not None:
-                known.update(code.co_names)
-        for name in names:
-            if name not in known:
-                raise ImportError(f"numba's {checked.__name__} has no {name}")
+                known.update(code.co_names)  # attributes that it sets
+        missing = set(names.split()) - known
+        if missing:
+            raise ImportError(f"numba's {checked.__name__} has no {min(missing)}")
 
 
 _check_names()
