@@ -6,12 +6,14 @@ import pytest
 from driving import drive
 from gymnasium.vector import AutoresetMode
 from numpy.testing import assert_allclose
+from oracles.bits import compare_ways
 from oracles.plants import FLEX_UNEQUAL, QUAD, UNEQUAL, each_of, nightly, random_motion
 from oracles.platforms import CAMERA, CRANE, TURNING
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flexible import make_composite
 from cablebot_baselines.classical.observer_law import ObserverLaw
+from cablebot_baselines.estimation import filtering
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.estimation.filtering import delayed_weights, dynamics_of
 from cablebot_gym.envs import env_robot
@@ -172,3 +174,13 @@ def test_held_robot_shows_its_mass_only_after_the_first_action_arrives():
     assert_allclose(second, first, rtol=1e-6)
     mass = truth["platform_mass"] + truth["payload"]
     assert_allclose(estimates[3].mass, mass, rtol=0.03)
+
+
+@pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-FlexPlanar-v0"])
+def test_filter_has_the_same_bits_in_python(env_id, monkeypatch):
+    """Excludes a sum or a square that Python rounds in another way than compiled code."""
+    kind = type(filtering.correct)
+    entries = [value for value in vars(filtering).values() if isinstance(value, kind)]
+    names = compare_ways(monkeypatch, *entries)
+    episodes(env_id, "hardware", np.array([0.0, 0.5]), 4)
+    assert names == {entry.__name__ for entry in entries}

@@ -1,19 +1,18 @@
 """Entry points that Python computes at first: to the same bits, and when they are compiled."""
 
-import inspect
 import math
-from copy import deepcopy
 from itertools import product
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from oracles import plants
+from oracles.bits import assert_same_bits, compare_ways
 from oracles.elastic import ELASTIC
 from oracles.plants import each_of, loaded_plant, nightly, random_motion, random_states
 from oracles.platforms import PLATFORMS
 
-from cablebot_gym.envs import env_robot, outcome
+from cablebot_gym.envs import ENV_IDS, env_robot, outcome
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import central_tensions, distribution, kernel, tension_problems
 from cablebot_gym.physics.compiling import code_cache, fused, python_first
@@ -26,51 +25,6 @@ from cablebot_gym.physics.plant import FEW_ROBOTS, form_of
 from cablebot_gym.robots import ROBOTS, find_robot, robot_names
 
 EVERYTHING = ELASTIC[-1]
-SCRATCH = ("p", "w")
-"""Arguments that hold no results."""
-
-
-def assert_same_bits(python, compiled):
-    """Compares values of arguments and results. All NaN are equal."""
-    if isinstance(python, tuple):
-        for pair in zip(python, compiled, strict=True):
-            assert_same_bits(*pair)
-        return
-    python, compiled = map(np.asarray, (python, compiled))
-    assert python.dtype == compiled.dtype
-    if python.dtype == float:
-        both_nan = np.isnan(python) & np.isnan(compiled)
-        python = np.where(both_nan, 0.0, python).view(np.int64)
-        compiled = np.where(both_nan, 0.0, compiled).view(np.int64)
-    np.testing.assert_array_equal(python, compiled)
-
-
-@pytest.fixture
-def compared(monkeypatch):
-    """Makes entry points compute each call in both ways, and compares them. Returns the names of
-    those that were called."""
-    names = set()
-
-    def compare(entry):
-        def call(*arguments):
-            copies = deepcopy(arguments)
-            result = entry.in_python(*copies)
-            assert_same_bits((result,), (entry.compiled(*arguments),))
-            names_of_arguments = inspect.signature(entry).parameters
-            for name, *pair in zip(names_of_arguments, copies, arguments, strict=True):
-                if name not in SCRATCH:
-                    assert_same_bits(*pair)
-            names.add(entry.__name__)
-            return result
-
-        monkeypatch.setattr(entry, "present", call)
-
-    def compare_all(*entries):
-        for entry in entries:
-            compare(entry)
-        return names
-
-    return compare_all
 
 
 @pytest.fixture
@@ -115,20 +69,22 @@ def one_of_each_form():
 
 
 @each_of(*ROBOTS.values(), EVERYTHING)
-def test_python_moves_a_robot_to_the_bits_of_compiled_code(robot, compared):
+def test_python_moves_a_robot_to_the_bits_of_compiled_code(robot, monkeypatch):
     """Excludes a sum that Python rounds in another way, or an order of its own."""
-    names = compared(kernel.compiled(form_of(robot), 1).advance)
+    names = compare_ways(monkeypatch, kernel.compiled(form_of(robot), 1).advance)
     move(robot, 1, "unilateral")
     assert names == {"advance"}
 
 
 @each_of(*nightly(*one_of_each_form()))
 @pytest.mark.parametrize("count", [FEW_ROBOTS, FEW_ROBOTS + 1])
-def test_all_forms_have_the_same_bits(robot, count, compared):
+def test_all_forms_have_the_same_bits(robot, count, monkeypatch):
     form = form_of(robot)
     rigid = form._replace(jointed=False, elastic=False, load_friction=False)
+    entries = []
     for lanes, form_of_entry in product((1, kernel.LANES), (form, rigid)):
-        names = compared(*kernel.compiled(form_of_entry, lanes))
+        entries += kernel.compiled(form_of_entry, lanes)
+    names = compare_ways(monkeypatch, *entries)
     for cable in ("unilateral", "bilateral"):
         move(robot, count, cable)
     mass, *motion = random_motion(robot, (count,), spread=0.3)
@@ -172,18 +128,18 @@ CALLS = {
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_python_and_compiled_tensions_have_the_same_bits(name, compared):
+def test_python_and_compiled_tensions_have_the_same_bits(name, monkeypatch):
     """Excludes a power or a sum that Python rounds in another way."""
     module = central_tensions if name == "solve_central" else tension_problems
-    names = compared(getattr(module, name))
+    names = compare_ways(monkeypatch, getattr(module, name))
     CALLS[name]()
     assert names == {name}
 
 
 @pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-FlexSpatial-v0"])
 @pytest.mark.parametrize("options", [{}, {"measurement": "winches"}])
-def test_python_and_compiled_outcome_have_the_same_bits(env_id, options, compared):
-    names = compared(outcome.outcome)
+def test_python_and_compiled_outcome_have_the_same_bits(env_id, options, monkeypatch):
+    names = compare_ways(monkeypatch, outcome.outcome)
     env = gym.make(env_id, uncertainty="hardware", **options)
     env.reset(seed=3)
     for _ in range(3):
@@ -224,10 +180,10 @@ def special_cases(values, numbers, results):
 
 
 @pytest.mark.parametrize("flat", [False, True])
-def test_nan_infinity_and_integers_have_the_same_bits(flat, compared):
+def test_nan_infinity_and_integers_have_the_same_bits(flat, monkeypatch):
     """Excludes a minimum of Python that keeps the other one of its arguments."""
     entry = EntryPoint(special_cases, lambda *_: 0.0, flat=flat)
-    assert compared(entry) == set()
+    assert compare_ways(monkeypatch, entry) == set()
     count = len(SPECIAL)
     entry(np.array(SPECIAL), np.arange(count), np.empty((count, count, 11)))
 
@@ -333,8 +289,11 @@ def test_code_is_compiled_when_the_estimate_is_spent(doubling, caplog):
 
 def test_long_call_is_compiled_at_once(doubling):
     entry = doubling()
+    kept = entry.present
     entry(np.ones(2))
     assert entry.present is entry.compiled
+    kept(np.ones(1))
+    assert entry.left == python_first.BUDGET
 
 
 def test_stored_code_is_used_at_once(doubling):
@@ -369,20 +328,18 @@ def test_large_batch_is_compiled_at_once(robot, fresh):
         outcome.outcome(False, np.arange(1024), (), (), ())
 
 
-def test_first_steps_compile_nothing(fresh):
-    """Excludes seconds of compilation before the first step, here also of the distribution of
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_first_steps_compile_nothing(env_id, fresh):
+    """Excludes seconds of compilation before the first step, also of the distribution of
     tensions."""
-    robot = find_robot(env_robot("CableBot-Point-v0"))
-    fresh(
-        outcome.outcome,
-        tension_problems.solve_least_largest,
-        *kernel.compiled(form_of(robot), 1),
-        *kernel.compiled(form_of(robot), kernel.LANES),
-    )
-    env = gym.make("CableBot-Point-v0")
-    for payload in (0.0, 1.0, 2.0):
-        env.reset(seed=0, options={"payload": payload})
-        env.step(env.action_space.sample())
+    form = form_of(find_robot(env_robot(env_id)))
+    fresh(outcome.outcome, tension_problems.solve_least_largest, *kernel.compiled(form, 1))
+    single = gym.make(env_id)
+    vector = gym.make_vec(env_id, num_envs=FEW_ROBOTS)
+    for env in (single, vector):
+        for payload in (0.0, 1.0):
+            env.reset(seed=0, options={"payload": payload})
+            env.step(env.action_space.sample())
 
 
 # --- fused multiply-add -------------------------------------------------------------------------------------------
