@@ -8,6 +8,7 @@ os.environ["OMP_NUM_THREADS"] = "1"
 import signal
 import sys
 
+import processor_time
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -33,7 +34,7 @@ VARIABLES = (
 """Environment variables that change what commands print, and where policies and cells run."""
 
 
-def pytest_configure():
+def pytest_configure(config):
     """The tests are the same on every machine, however they are started.
 
     Ctrl-C interrupts, here and in the processes that tests start, even if the run was started with
@@ -48,6 +49,7 @@ def pytest_configure():
     settings.load_profile("any machine")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    processor_time.install(config)
 
 
 @pytest.fixture(autouse=True, scope="session")

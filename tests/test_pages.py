@@ -37,13 +37,20 @@ MET_FIRST = (
 )
 """The README, and the pages that it and the home page lead to first."""
 
+TIERS = {
+    "library": pytest.mark.evidence,
+    "library payloads": pytest.mark.landing,
+    "main tables": pytest.mark.landing,
+}
+
+
+def tier(block):
+    """The mark of a block that is not written anew in a moment."""
+    return pytest.mark.evidence if "output" in block else TIERS.get(block, ())
+
+
 BLOCKS = [
-    pytest.param(
-        page,
-        name,
-        id=f"{page}: {name}",
-        marks=pytest.mark.evidence if "output" in name or name == "library" else [],
-    )
+    pytest.param(page, name, id=f"{page}: {name}", marks=tier(name))
     for page in page_blocks.PAGES
     for name in page_blocks.blocks((ROOT / page).read_text(encoding="utf-8"))
 ]
@@ -75,6 +82,7 @@ def test_code_of_the_home_page_is_that_of_the_example():
             )
 
 
+@pytest.mark.landing
 def test_leaderboard_and_paper_follow_from_the_results():
     results = page_blocks.stored("leaderboard")
     assert read("docs/leaderboard/results.json") == results.to_json()

@@ -19,7 +19,7 @@ from cablebot_gym.physics.code_cache import code_folders
 from cablebot_gym.robots import SPATIAL
 
 pytestmark = [
-    pytest.mark.nightly,
+    pytest.mark.landing,
     pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc"),
 ]
 

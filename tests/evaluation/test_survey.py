@@ -27,6 +27,7 @@ def drawn():
     return survey("adaptive", PLANAR, MOTIONS, robots=4, seed=7, **UNEQUAL)
 
 
+@pytest.mark.landing
 def test_nominal_payload_is_the_dlcc_of_each_motion():
     found = survey("fl", PLANAR, MOTIONS)
     for motion, payload, resolution in zip(MOTIONS, found.payloads, found.resolutions, strict=True):
@@ -34,6 +35,7 @@ def test_nominal_payload_is_the_dlcc_of_each_motion():
         assert payload == pytest.approx(dlcc.payload, abs=resolution + dlcc.resolution)
 
 
+@pytest.mark.landing
 def test_all_robots_carry_the_payload_and_one_fails_above(drawn):
     for motion, seed, found in zip(MOTIONS, motion_seeds(7, 2), drawn.motions, strict=True):
         dlcc = evaluate_dlcc(
@@ -87,6 +89,7 @@ def test_policy_that_needs_other_rows_is_refused():
         survey(SharesRows(find_robot("planar")), PLANAR, 2 * MOTIONS)
 
 
+@pytest.mark.landing
 def test_stochastic_policy_has_the_payload_that_it_carries_alone(monkeypatch):
     monkeypatch.setattr(survey_module, "STOCHASTIC_ALONE", 4)
     policy = FeedbackLinearization(find_robot("planar"))

@@ -50,7 +50,11 @@ def started(tasks, *, workers=2, say=print, **keywords):
     return run(tasks, workers=workers, kind=lambda task: task.func, say=say, **keywords)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+one_or_two = pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.landing)])
+"""Numbers of processes. A second one starts an interpreter."""
+
+
+@one_or_two
 def test_results_belong_to_their_keys_and_messages_appear_once(workers):
     messages = []
     tasks = {f"{number} squared": partial(square, number) for number in range(7)}
@@ -61,7 +65,7 @@ def test_results_belong_to_their_keys_and_messages_appear_once(workers):
     assert dict(started({}, workers=workers)) == {}
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@one_or_two
 def test_exceptions_are_raised_or_returned(workers):
     """One that cannot be pickled, too, and ``sys.exit(0)`` of a policy: it ended a benchmark with
     status 0 and no table."""
@@ -81,6 +85,7 @@ def test_exceptions_are_raised_or_returned(workers):
         dict(started(interrupted, workers=1, returned=(Exception,)))
 
 
+@pytest.mark.landing
 def test_computation_of_a_lost_process_is_repeated_once(tmp_path):
     tasks = {str(number): partial(square, number) for number in range(5)}
     tasks |= {"killed": partial(dies, tmp_path / "marker"), "deadly": partial(dies)}
@@ -90,6 +95,7 @@ def test_computation_of_a_lost_process_is_repeated_once(tmp_path):
     assert outcomes == {"killed": "alive", **{str(number): number**2 for number in range(5)}}
 
 
+@pytest.mark.landing
 def test_interrupt_ends_all_processes(tmp_path):
     results = started({"quick": partial(square, 1), "slow": partial(waits_for, tmp_path / "never")})
     assert next(results) == ("quick", 1)
