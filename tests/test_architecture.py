@@ -164,7 +164,7 @@ def test_names_of_the_package_are_those_of_their_modules():
     lists."""
     names = set(cablebot_gym.__all__) - {"ENV_IDS", "__version__"}
     assert len(names) == 15
-    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
     linked = re.findall(r"^\* \{py:\w+\}`~([\w.]+)\.(\w+)`$", page, re.MULTILINE)
     assert {name for _, name in linked} == names
     for module, name in linked:
