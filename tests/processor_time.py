@@ -133,8 +133,9 @@ class Judge:
         """Says what costs too much, and what all together cost."""
         for verdict in self.verdicts():
             terminalreporter.write_line(verdict, red=True)
-        total = sum(self.times.values())
-        terminalreporter.write_line(f"{len(self.times)} tests, {total:.0f} s of processor time")
+        if self.times:
+            total = sum(self.times.values())
+            terminalreporter.write_line(f"{len(self.times)} tests, {total:.0f} s of processor time")
 
 
 def install(config):
