@@ -13,6 +13,7 @@ import pytest
 from clock import wait_until
 
 from cablebot_gym.policies.protocol import BatchItemError
+from cablebot_gym.utils import workers
 from cablebot_gym.utils.workers import WorkerDied, run
 
 
@@ -63,6 +64,14 @@ def test_results_belong_to_their_keys_and_messages_appear_once(workers):
     }
     assert messages == (["compiling once"] if workers > 1 else [])
     assert dict(started({}, workers=workers)) == {}
+
+
+@pytest.mark.landing
+@pytest.mark.skipif(sys.platform == "win32", reason="the system does not say the largest memory")
+def test_process_with_much_memory_is_replaced_after_its_computation(monkeypatch):
+    tasks = {str(number): partial(os.getpid) for number in range(4)}
+    monkeypatch.setattr(workers, "LARGEST_MEMORY", 1)
+    assert len(set(dict(started(tasks)).values())) == 4
 
 
 @one_or_two
