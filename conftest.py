@@ -8,6 +8,7 @@ os.environ["OMP_NUM_THREADS"] = "1"
 import signal
 import sys
 
+import processor_time
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -33,7 +34,42 @@ VARIABLES = (
 """Environment variables that change what commands print, and where policies and cells run."""
 
 
-def pytest_configure():
+def pytest_addoption(parser):
+    """Adds what a machine with all extras asks for."""
+    parser.addoption(
+        "--no-skips",
+        action="store_true",
+        help="fail if a test is skipped, as one without its extra",
+    )
+
+
+class NoSkips:
+    """Fails a run in which a test was skipped."""
+
+    def __init__(self):
+        self.skipped = []
+
+    def pytest_runtest_logreport(self, report):
+        """Notes a skipped test."""
+        if report.skipped and not hasattr(report, "wasxfail"):
+            self.skipped.append(f"{report.nodeid}: {report.longrepr[2]}")
+
+    def pytest_collectreport(self, report):
+        """Notes a skipped file."""
+        self.pytest_runtest_logreport(report)
+
+    def pytest_sessionfinish(self, session):
+        """The run fails."""
+        if self.skipped and session.exitstatus == 0:
+            session.exitstatus = 1
+
+    def pytest_terminal_summary(self, terminalreporter):
+        """Names the skipped tests."""
+        for line in self.skipped:
+            terminalreporter.write_line(f"must not be skipped here: {line}", red=True)
+
+
+def pytest_configure(config):
     """The tests are the same on every machine, however they are started.
 
     Ctrl-C interrupts, here and in the processes that tests start, even if the run was started with
@@ -48,6 +84,9 @@ def pytest_configure():
     settings.load_profile("any machine")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    processor_time.install(config)
+    if config.option.no_skips and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(NoSkips())
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -47,7 +47,7 @@ extensions = [
     "generate",
     "sphinx.ext.apidoc",
 ]
-exclude_patterns = ["equations.md", "leaderboard"]
+exclude_patterns = ["leaderboard"]
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3

@@ -53,7 +53,6 @@ PAGES = (
     "docs/getting-started.md",
     "docs/environments.md",
     "docs/policies.md",
-    "docs/which-controller.md",
     "docs/measurement.md",
     "docs/robots.md",
     "docs/uncertainty.md",

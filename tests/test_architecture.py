@@ -86,6 +86,7 @@ def imports(module):
     return tuple(imported)
 
 
+@pytest.mark.landing
 def test_imports_form_no_cycle():
     """Lazy imports and those for types alone count too; a module's own packages do not."""
     graph = {}
@@ -163,7 +164,7 @@ def test_names_of_the_package_are_those_of_their_modules():
     lists."""
     names = set(cablebot_gym.__all__) - {"ENV_IDS", "__version__"}
     assert len(names) == 15
-    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
     linked = re.findall(r"^\* \{py:\w+\}`~([\w.]+)\.(\w+)`$", page, re.MULTILINE)
     assert {name for _, name in linked} == names
     for module, name in linked:
@@ -171,6 +172,7 @@ def test_names_of_the_package_are_those_of_their_modules():
         assert getattr(cablebot_gym, name) is getattr(import_module(module), name)
 
 
+@pytest.mark.landing
 def test_evaluation_is_loaded_on_first_use():
     """`gym.make` does not need it; a slow import would be felt in every worker."""
     code = """
@@ -189,6 +191,7 @@ print("cablebot_gym.evaluation" in sys.modules)
 CLOCKS = {"time", "timeit", "sched"}
 REAL_TIME = {
     "clock.py": "a test that waits for another process or thread",
+    "processor_time.py": "processor time, which other processes do not use",
 }
 """Files of the tests that use real time, with the reason."""
 

@@ -82,8 +82,8 @@ def paper_figure(printed, folder):
         assert min(figure.size) > 600
 
 
-FAST = (first_steps,)
-SLOW = (
+CHECKS = (
+    first_steps,
     ten_lines,
     your_controller,
     your_robot,
@@ -105,9 +105,8 @@ def run(command, folder):
     return ran.stdout
 
 
-@pytest.mark.parametrize(
-    "check", [*FAST, *(pytest.param(check, marks=pytest.mark.landing) for check in SLOW)]
-)
+@pytest.mark.landing
+@pytest.mark.parametrize("check", CHECKS)
 def test_example_prints_its_result(check, tmp_path):
     path = EXAMPLES / f"{check.__name__}.py"
     check(run([sys.executable, str(path), str(tmp_path / "out")], tmp_path), tmp_path)
@@ -115,9 +114,7 @@ def test_example_prints_its_result(check, tmp_path):
 
 
 def test_every_example_is_checked():
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == {
-        check.__name__ for check in FAST + SLOW
-    }
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == {check.__name__ for check in CHECKS}
 
 
 @pytest.mark.landing

@@ -31,7 +31,7 @@ from cablebot_gym.utils.files import CACHE_VARIABLE, cache_folder, is_writable_d
 
 PACKAGE = "cablebot-gym"
 
-NO_EXTRAS = ("all", "docs", "test")
+NO_EXTRAS = ("all", "docs", "test", "test-all")
 """Extras that are not reported: the union of the others, and those for developers."""
 
 PAYLOAD = 1.5

@@ -182,6 +182,9 @@ class _Motion:
     """Seeds of its robots."""
     grid: list[float]
     """Payloads of the scan [kg]."""
+    rng: np.random.Generator
+    """Draws the payloads below the result. It is the motion's own: the payloads of the other motions
+    and their number do not change them."""
     below: Trial | None = None
     """Largest carried payload; None if there is none yet."""
     above: Trial | None = None
@@ -246,6 +249,7 @@ class _Search:
         self._rng = np.random.default_rng(sequence)
         points = SCAN_POINTS if robots == 1 else SCAN_POINTS_OF_ROBOTS
         seeds = motion_seeds(conditions.seed, len(batch.tasks))
+        sequences = sequence.spawn(len(batch.tasks))
         self._motions: list[_Motion] = []
         for index, task in enumerate(batch.tasks):
             end = default_payload_max(conditions.robot, task.trajectory, conditions.error_bounds)
@@ -253,7 +257,9 @@ class _Search:
                 index=index,
                 end=end,
                 seeds=draw_seeds(seeds[index], robots),
+                # each scan takes as many random numbers, so it depends on the index only
                 grid=scan_grid(self._rng, end, points),
+                rng=np.random.default_rng(sequences[index]),
             )
             self._motions.append(motion)
 
@@ -338,7 +344,7 @@ class _Search:
         robots = []
         for motion in self._motions:
             if motion.below is not None and motion.below.payload > 0:
-                payloads = self._rng.uniform(0.0, motion.below.payload, self._robots).tolist()
+                payloads = motion.rng.uniform(0.0, motion.below.payload, self._robots).tolist()
                 for robot, payload in enumerate(payloads):
                     rows += motion.rows([payload], [robot])
                     robots.append(robot)

@@ -124,7 +124,7 @@ class Assembled:
         options = self._options | {"ipopt": {**_OPTIONS, **start}}
         return import_casadi().nlpsol("motion", "ipopt", self._program, options)
 
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of all constraints."""
-        lows, highs = zip(*(block.bounds for block in self.blocks), strict=True)
+    def bounds(self, program: Any) -> tuple[Array, Array]:
+        """Lower and upper bounds of all constraints for the program."""
+        lows, highs = zip(*(block.bounds(program) for block in self.blocks), strict=True)
         return np.concatenate(lows), np.concatenate(highs)

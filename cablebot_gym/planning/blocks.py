@@ -12,8 +12,9 @@ from scipy.sparse import csr_matrix
 
 from cablebot_gym.kinematics import Array
 
-Limits = Callable[[], tuple[Array, Array]]
-"""Returns lower and upper bounds."""
+Limits = Callable[[Any], tuple[Array, Array]]
+"""Returns lower and upper bounds for the program. A function that kept the program would keep its
+memory until Python looks for cycles: megabytes for each plan."""
 
 
 class Spline:
@@ -76,11 +77,10 @@ class Block:
     values: int
     """Number of values of the function."""
 
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds at all instants, one instant after the other."""
+    def bounds(self, program: Any) -> tuple[Array, Array]:
+        """Lower and upper bounds at all instants for the program, one instant after the other."""
         shape = (len(self.times), self.values)
-        low, high = (np.broadcast_to(limit, shape).ravel() for limit in self.limits())
+        low, high = (np.broadcast_to(limit, shape).ravel() for limit in self.limits(program))
         return low, high
 
 

@@ -220,7 +220,7 @@ class MotionProgram:
         low, high = self._bounds()
         if np.any(low > high):
             raise Infeasible("the motors cannot hold the start pose")
-        least, most = self._assembled.bounds()
+        least, most = self._assembled.bounds(self)
         if np.any(least > most):
             raise Infeasible("the margins leave nothing between two limits")
         x0 = np.clip(x0, low, high)
@@ -380,8 +380,8 @@ class MotionProgram:
         translation = ca.SX.sym("e", d)
         distance = ca.Function("distance", [translation], [ca.sumsqr(translation)])
 
-        def within() -> tuple[Array, Array]:
-            radius = self._error_radius("position")
+        def within(program: MotionProgram) -> tuple[Array, Array]:
+            radius = program._error_radius("position")
             return np.full_like(radius, -np.inf), radius**2
 
         blocks = [self._constrain(times, distance, rows[:d], within)]
@@ -389,8 +389,8 @@ class MotionProgram:
             rotation = ca.SX.sym("e", angles)
             angle_errors = ca.Function("rotation", [rotation], [rotation])
 
-            def least_and_most() -> tuple[Array, Array]:
-                most = np.repeat(self._error_radius("rotation"), angles, axis=1)
+            def least_and_most(program: MotionProgram) -> tuple[Array, Array]:
+                most = np.repeat(program._error_radius("rotation"), angles, axis=1)
                 return -most, most
 
             blocks.append(self._constrain(times, angle_errors, rows[d:], least_and_most))
@@ -430,8 +430,8 @@ class MotionProgram:
         stage = rigid_stage(self._robot, self._period)
         balanced = np.zeros((count, self._robot.coordinates))
 
-        def limits() -> tuple[Array, Array]:
-            most = self._action_bounds()
+        def limits(program: MotionProgram) -> tuple[Array, Array]:
+            most = program._action_bounds()
             return np.hstack([balanced, -most]), np.hstack([balanced, most])
 
         return self._constrain(times, stage, rows, limits)
@@ -442,12 +442,12 @@ class MotionProgram:
         motors = self._motors[index]
         balance, limited = flexible_stage(robot, self._period)
 
-        def limits() -> tuple[Array, Array]:
-            most = self._action_bounds()
-            margin = self._profile_at("tension", self._instants)[:, None]
-            least = np.repeat((self._least + margin) / TENSION, 2 * robot.cables, axis=1)
+        def limits(program: MotionProgram) -> tuple[Array, Array]:
+            most = program._action_bounds()
+            margin = program._profile_at("tension", program._instants)[:, None]
+            least = np.repeat((program._least + margin) / TENSION, 2 * robot.cables, axis=1)
             largest = np.full_like(least, np.inf)  # of the tensions, then of the spring forces
-            largest[:, : robot.cables] = (self._largest - margin) / TENSION
+            largest[:, : robot.cables] = (program._largest - margin) / TENSION
             return np.hstack([-most, least]), np.hstack([most, largest])
 
         def rows(times: Array, orders: Sequence[int]) -> list[Row]:
@@ -480,6 +480,6 @@ class MotionProgram:
         return blocks
 
 
-def _equal() -> tuple[Array, Array]:
+def _equal(_: MotionProgram) -> tuple[Array, Array]:
     """Bounds of values that must be zero."""
     return np.zeros(1), np.zeros(1)

@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import threading
 import traceback
 from collections import Counter, deque
@@ -20,6 +21,11 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar, cast
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
 from cablebot_gym.utils.user_code import keep_sentence, sentence_of_user_code
 
 Task = TypeVar("Task", bound=Callable[[], Any])
@@ -29,6 +35,10 @@ Task = TypeVar("Task", bound=Callable[[], Any])
 ATTEMPTS = 2
 """Number of times that a computation is started if its process dies."""
 
+
+LARGEST_MEMORY = 3e9
+"""Memory [bytes] above which a process is replaced after its computation. Compiled code and solvers
+stay in a process, and so does the memory of the largest computation."""
 
 GRACE = 5.0
 """Longest time from the end of a process's pipe to its own end, on a busy machine too [s]."""
@@ -135,6 +145,8 @@ class _Worker:
         self.process.start()
         remote.close()  # the pipe then closes when the process ends
         self.key: str | None = None
+        self.memory = 0
+        """Largest memory of the process until its last result [bytes]."""
 
     def submit(self, key: str, task: Callable[[], Any]) -> None:
         self.key = key
@@ -182,12 +194,15 @@ class _Pool:
                     outcome = self._receive(worker)
                     if isinstance(outcome, WorkerDied):
                         deaths[key] += 1
-                        worker = self._replace(worker)
+                        worker = self._replaced(worker)
                         if deaths[key] < ATTEMPTS:
                             worker.submit(key, tasks[key])
                             continue
                         outcome = (outcome, None)
                     if outcome is not None:
+                        if worker.memory > LARGEST_MEMORY:
+                            worker.end()
+                            worker = self._replaced(worker)
                         submit_next(worker)  # before the yield: the caller may be slow
                         yield key, *outcome
         finally:
@@ -198,7 +213,7 @@ class _Pool:
         """Error and result, a :class:`WorkerDied` if the process died, or None after a log
         message."""
         try:
-            kind, content = worker.pipe.recv()
+            kind, content, worker.memory = worker.pipe.recv()
         except (EOFError, OSError):
             worker.process.join(GRACE)  # the pipe closes shortly before the process ends
             worker.end()
@@ -214,9 +229,9 @@ class _Pool:
             return content, None
         return None, content
 
-    def _replace(self, dead: _Worker) -> _Worker:
+    def _replaced(self, ended: _Worker) -> _Worker:
         with _interrupts_deferred():
-            new = self._workers[self._workers.index(dead)] = _Worker()
+            new = self._workers[self._workers.index(ended)] = _Worker()
         return new
 
 
@@ -258,13 +273,21 @@ def _serve(pipe: Connection) -> None:
                 return
             failure, reply = _outcome(partial(_pickled_result, data))
             if failure is not None:
-                reply = pickle.dumps(("error", _portable(failure)))
+                reply = pickle.dumps(("error", _portable(failure), _memory()))
             pipe.send_bytes(reply)
 
 
 def _pickled_result(data: bytes) -> bytes:
     """Result of a pickled computation, pickled."""
-    return pickle.dumps(("result", pickle.loads(data)()))
+    return pickle.dumps(("result", pickle.loads(data)(), _memory()))
+
+
+def _memory() -> int:
+    """Largest memory of this process until now [bytes]; 0 where the system does not say."""
+    if resource is None:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def _portable(error: Exception) -> Exception:
@@ -290,4 +313,4 @@ class _PipeHandler(logging.Handler):
         self._pipe = pipe
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._pipe.send(("log", record.getMessage()))
+        self._pipe.send(("log", record.getMessage(), 0))

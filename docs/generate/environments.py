@@ -21,7 +21,7 @@ from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import trajectory_names
 from generate.pages import Pages, all_leaderboards, table
 
-EQUATIONS = Path(__file__).parents[1] / "equations.md"
+EQUATIONS = Path(__file__).parents[1] / "equations.inc"
 """Sections of the equations of platforms, joints, motors and cables."""
 
 PICTURED = 0.3, 0.5
@@ -99,7 +99,7 @@ def _equations(robot: Robot) -> str:
         "Symbols and equation numbers are the paper's, with corrected misprints; "
         "each number links to its correction.\n"
     )
-    page = EQUATIONS.read_text(encoding="utf-8").replace("](errata.md", "](/errata.md")
+    page = EQUATIONS.read_text(encoding="utf-8").replace("](paper.md", "](/paper.md")
     sections = dict(section.split("\n", 1) for section in page.split("\n## "))
     headings = {
         "Platform": robot.kind,

@@ -18,7 +18,15 @@ REPORT = (
     "episodes.</p>\n\n"
 )
 
+PAPER = {
+    "reproduction.md": "#results-of-the-reproduction",
+    "errata.md": "#errata-of-the-paper",
+}
+"""Files of the page about the paper, and the headings over them."""
+
 _FILE = re.compile(r"^\[.*\]\((\.\./[\w/]+\.md)\)\.?$", re.MULTILINE)
+_HEADING = re.compile(r"^#+(?= )", re.MULTILINE)
+_PAPER = re.compile(r"\]\((?:docs/)?(reproduction\.md|errata\.md)\)")
 _FIGURE = re.compile(r"\]\((\w+\.svg)\)")
 _CELL = re.compile(r"(?<=\| )`[\w-]+`(?:, `[\w-]+`)*(?= \|)")
 _CODE = re.compile(r"`([\w-]+)`")
@@ -33,7 +41,8 @@ def setup(app: Sphinx) -> None:
 def adapt(app: Sphinx, name: str, source: list[str]) -> None:
     """Adapts the text of a Markdown page, in place.
 
-    * A paragraph that is only a link to a file outside of this folder is replaced by that file.
+    * A paragraph that is only a link to a file outside of this folder is replaced by that file. Its
+      headings are below the heading over the link.
     * Names of environments and policies in the cells of tables link to their pages.
     * Full names of objects of this project, such as ``cablebot_gym.task.Task``, link to the API
       reference.
@@ -47,8 +56,11 @@ def adapt(app: Sphinx, name: str, source: list[str]) -> None:
         path = DOCS / match[1]
         app.env.note_dependency(path, docname=name)
         _, _, text = path.read_text(encoding="utf-8").partition("\n")  # the page has its own title
+        above = _HEADING.findall(match.string[: match.start()])[-1]
+        text = _HEADING.sub(lambda heading: above + heading[0][1:], text)
         folder, _, _ = match[1].rpartition("/")
         text = _FIGURE.sub(rf"]({folder}/\1)", text)
+        text = _PAPER.sub(lambda link: f"]({PAPER[link[1]]})", text)
         if path.parent.name == "winches":
             text = text.replace("](../README.md)", "](index.md)")
             return text.replace("](docs/", "](generated/winches/")

@@ -107,5 +107,5 @@ def commands() -> str:
         shown = runner.invoke(
             app, [*name.split(), "--help"], prog_name="cablebot", catch_exceptions=False
         ).output
-        text += f"\n## cablebot {name}\n\n```text\n{shown.strip()}\n```\n"
+        text += f"\n### cablebot {name}\n\n```text\n{shown.strip()}\n```\n"
     return text

@@ -19,7 +19,7 @@ from cablebot_gym.physics.compiling.code_cache import code_folders
 from cablebot_gym.robots import SPATIAL
 
 pytestmark = [
-    pytest.mark.nightly,
+    pytest.mark.landing,
     pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc"),
 ]
 
@@ -110,7 +110,7 @@ def compiled(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack.name)
-def test_attack_is_refused_or_gains_nothing(attack, compiled):
+def test_attack_is_refused_or_gets_at_most_the_honest_payload(attack, compiled):
     if attack.name == "replaced_code" and not has_bubblewrap():
         pytest.skip("a bare process can replace the files of its user")
     conditions = attack.uncertainty, attack.draws

@@ -11,6 +11,8 @@ from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, find_robot
 
 ENTRIES = policy_entries().values()
+LARGE = ("adaptive", "nmpc", "observing", "trajopt")
+"""Policies that estimate or plan at each step, or before."""
 
 
 def cases():
@@ -18,7 +20,12 @@ def cases():
     take minutes, are tried in one environment."""
     for entry in ENTRIES:
         for env_id in entry.env_ids[:1] if entry.plans else entry.env_ids:
-            marks = [] if env_id in PAPER_ENV_IDS else [pytest.mark.nightly]
+            if env_id not in PAPER_ENV_IDS:
+                marks = [pytest.mark.nightly]
+            elif entry.name in LARGE:
+                marks = [pytest.mark.landing]
+            else:
+                marks = []
             yield pytest.param(entry.name, env_id, marks=marks)
 
 

@@ -80,7 +80,12 @@ def test_actions_with_springs_equal_difference_quotients(robot):
 
 @pytest.mark.parametrize(
     "robot",
-    [PLANAR, TURNING, CRANE, pytest.param(FLEX_SPATIAL, marks=pytest.mark.nightly)],
+    [
+        PLANAR,
+        TURNING,
+        pytest.param(CRANE, marks=pytest.mark.landing),
+        pytest.param(FLEX_SPATIAL, marks=pytest.mark.nightly),
+    ],
     ids=lambda robot: robot.name,
 )
 def test_gradients_equal_difference_quotients(robot):

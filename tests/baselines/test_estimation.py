@@ -63,6 +63,7 @@ def run(
     return np.array(errors[50:]), np.array(squares[50:]), info["tracking_error"].max()
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-Spatial-v0"])
 def test_filter_is_better_than_forward_kinematics(env_id):
     robot = find_robot(env_robot(env_id))

@@ -21,6 +21,7 @@ def with_stiffness(stiffness, mass):
     return FLEX_SPATIAL.replace(mass=mass, transmission=transmission)
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize("law", ["motor-pd", "composite"])
 def test_position_limits_the_dlcc_on_the_default_planar_circle(law):
     """With allocated tensions of 5 N, the jump of the acceleration took a cable below 1 N, without
@@ -48,6 +49,7 @@ def test_laws_hold_a_platform_on_cables_that_stretch():
     assert max(metrics.max_error[0] for metrics in comparison.metrics) < 1e-3
 
 
+@pytest.mark.landing
 def test_motor_pd_tracks_a_smooth_motion_closely():
     loop = record_rollout(
         MotorPD(FLEX_SPATIAL),

@@ -165,6 +165,7 @@ def test_network_equals_its_layers():
         assert_allclose(Network(**layers, squash=squash)([3.0, 1.0]), expected, rtol=1e-12)
 
 
+@pytest.mark.landing
 def test_stored_result_depends_on_the_code_of_a_bundle(saved, monkeypatch):
     assert find_policies([str(saved)], [PLANAR_ID]) == {PLANAR_ID: (str(saved),)}
     names = set()

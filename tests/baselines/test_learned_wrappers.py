@@ -98,6 +98,7 @@ def test_single_form_passes_the_checkers_of_gymnasium_and_sb3():
     assert env.observation_space.dtype == env.action_space.dtype == np.float32
 
 
+@pytest.mark.landing
 @each_case
 def test_row_of_a_batch_equals_the_single_environment(case):
     """Over several episodes, with masked resets and ends within an action."""

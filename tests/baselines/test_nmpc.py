@@ -66,6 +66,7 @@ def test_payload_far_beyond_adaptive_is_carried(policies, env_id, payload):
     assert np.abs(actions).max() < 1.5
 
 
+@pytest.mark.landing
 def test_plan_uses_the_error_bounds_of_the_task(policies):
     env = vector(PLANAR_ID, 1, payload=1.5, error_bounds={"position": 0.002})
     assert rollout(policies[PLANAR_ID], env, steps=450)[1][0] < 0.002
@@ -175,6 +176,7 @@ def failing(monkeypatch):
     return make
 
 
+@pytest.mark.landing
 def test_fallback_tracks_the_reference_when_all_plans_fail(failing, caplog):
     policy = failing(0)
     with caplog.at_level(logging.WARNING, logger="cablebot_gym"):

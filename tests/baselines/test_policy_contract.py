@@ -19,7 +19,7 @@ ENTRIES = policy_entries()
 
 CASES = [
     *(
-        (name, env_id)
+        pytest.param(name, env_id, marks=pytest.mark.landing if name == "observing" else ())
         for name, entry in ENTRIES.items()
         if not entry.plans
         for env_id in entry.env_ids

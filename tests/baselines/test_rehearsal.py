@@ -87,6 +87,7 @@ def test_exceeded_limits_get_larger_margins_at_their_times():
     assert margins.tension[50] == margins.position.max() == margins.action.max() == 0.0
 
 
+@pytest.mark.landing
 def test_lighter_payload_on_a_plan_is_near_a_solution():
     """A program with both payloads then starts from motor angles that balance the lighter one."""
     motion = find_trajectory({"name": "line-planar", "duration": 0.4, "dwell": 0.1}, "planar")

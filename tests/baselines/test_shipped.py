@@ -51,7 +51,7 @@ def test_sb3_model_has_the_actor_of_the_bundle(bundle):
 
 
 @pytest.mark.nightly
-def test_shipped_policy_loads_without_torch():
+def test_shipped_policy_loads_with_numpy_alone():
     code = """
 import sys
 sys.modules["torch"] = sys.modules["stable_baselines3"] = None

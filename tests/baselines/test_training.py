@@ -236,6 +236,7 @@ def test_resumed_run_continues_from_the_saved_model(copied, monkeypatch):
     assert len(rows(copied / "progress.csv")) == 2
 
 
+@pytest.mark.landing
 def test_interrupted_command_keeps_its_results_and_resumes(tmp_path, monkeypatch, capsys):
     out = tmp_path / "run"
     path = tmp_path / "ppo.yaml"

@@ -90,6 +90,7 @@ def test_policy_of_a_cell_has_a_process_of_its_own(module, request):
     assert isolated == {name: here[name] for name in isolated}
 
 
+@pytest.mark.landing
 def test_robot_name_reaches_plant_and_policy():
     klaus = find_robot("gch-klaus")
     kind = "planar-platform"
@@ -113,6 +114,7 @@ def test_robot_name_reaches_plant_and_policy():
     ]
 
 
+@pytest.mark.landing
 def test_draws_and_probability_reach_the_evaluation():
     draws = {"uncertainty": "table6", "draws": 20, "probability": 0.5, "seed": 2**127}
     cell = changed(resolution=0.1, **draws)
@@ -182,6 +184,7 @@ def impossible(robot):
 PAPER = {"criterion": "paper", "trajectory": {"name": "paper-planar"}, "control_frequency": 500.0}
 
 
+@pytest.mark.landing
 @pytest.mark.usefixtures("inline")
 def test_paper_criterion_takes_unsaturated_policies(module):
     module("toy_policies.py", TOYS)
@@ -290,6 +293,7 @@ def test_hash_of_a_module_has_imports_of_its_folder(module):
     assert len(set(hashes)) == 6  # nobody imports the last module
 
 
+@pytest.mark.landing
 def test_hash_has_physics_evaluation_and_law_but_no_command(monkeypatch):
     files = []
     real = code_hash._parsed.__wrapped__

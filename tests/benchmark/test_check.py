@@ -72,7 +72,7 @@ def test_rows_of_results_are_those_of_their_suite(honest, change, missing, unexp
     assert (len(rows.missing), len(rows.unexpected)) == (missing, unexpected)
 
 
-def test_policy_that_left_the_product_is_named_and_costs_nothing(honest):
+def test_rows_of_an_uninstalled_policy_are_named_and_pass_the_check(honest):
     bygone = [replace(row, cell=replace(row.cell, policy="bygone")) for row in honest.records[-3:]]
     rows = compare_rows(replace(honest, records=[*honest.records, *bygone]))
     assert rows.not_installed == ("bygone",)

@@ -62,7 +62,7 @@ def test_damaged_file_is_reported_and_replaced(store, messages, tmp_path):
     assert store.find(CELL) is not None
 
 
-def test_results_of_other_code_are_kept_and_not_used(store, messages, tmp_path):
+def test_store_keeps_results_of_other_code_and_finds_those_of_this_code(store, messages, tmp_path):
     store.add(record(source="a" * 16, payload=1.0))
     assert store.find(CELL) is None
     store.add(record(payload=3.0))
@@ -71,7 +71,7 @@ def test_results_of_other_code_are_kept_and_not_used(store, messages, tmp_path):
     assert messages == []
 
 
-def test_renamed_record_of_other_code_is_not_used(store, tmp_path):
+def test_cell_with_a_record_of_other_code_under_its_name_is_missing(store, tmp_path):
     store.add(record())
     (path,) = files(tmp_path)
     path.write_text(path.read_text().replace(CELL.source, "a" * 16))

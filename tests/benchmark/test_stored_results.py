@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 MAIN_ONLY = {"adaptive", "nmpc", "observing", "trajopt"}
 """Policies that have changed since the board, and are on its main table only."""
 
-COMPUTED_AGAIN = {"composite", "motor-pd", "ppo-circle", "robust"}
+COMPUTED_AGAIN = {"composite", "fl", "motor-pd", "ppo-circle", "robust"}
 """Other policies with rows that were computed after the board."""
 
 

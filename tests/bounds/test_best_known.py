@@ -89,6 +89,7 @@ def test_best_known_total_mass_is_that_of_a_heavier_robot(line):
     assert heavier.total_mass == pytest.approx(line.total_mass, rel=0.01)
 
 
+@pytest.mark.landing
 @pytest.mark.usefixtures("quick")
 def test_best_known_payload_keeps_the_maximum_tension(line):
     robot = PLANAR.replace(maximum_tension=20.0)

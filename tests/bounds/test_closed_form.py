@@ -233,7 +233,7 @@ def bisected(robot, trajectory, minimum):
     return edge(nearest, -1, -robot.mass), edge(nearest, 1, math.inf)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("kind", ["spatial", "planar-3", "planar-4", "planar-5"])
 def test_closed_form_matches_bisection(kind, seed):
     robot, trajectory, minimum = random_case(kind, np.random.default_rng(seed))

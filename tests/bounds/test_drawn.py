@@ -49,6 +49,7 @@ def test_exactly_known_robot_gives_the_nominal_payload(nominal):
     assert result.nominal_payload == nominal.payload
 
 
+@pytest.mark.landing
 def test_stronger_motors_carry_more_and_weaker_ones_less():
     assert drawn(strength(-0.03)).ratio < 0.99 < 1.01 < drawn(strength(0.03)).ratio
 
@@ -66,6 +67,7 @@ def test_delayed_actions_are_sent_earlier():
     assert 0.95 < result.ratio < 1.0
 
 
+@pytest.mark.landing
 def test_hardware_draw_is_verified_in_its_own_draw_only(monkeypatch):
     sent = []
     replay = _DrawnCase._replays

@@ -60,6 +60,7 @@ def scores(ended):
     return values
 
 
+@pytest.mark.landing
 def test_files_and_table_have_the_same_numbers(benchmark, best):
     ended = benchmark()
     assert ended.status == 0
@@ -71,6 +72,7 @@ def test_files_and_table_have_the_same_numbers(benchmark, best):
     best.assert_called_once()
 
 
+@pytest.mark.landing
 def test_check_finds_a_changed_payload_and_a_missing_row(benchmark, best, cablebot, cache):
     benchmark()
     path = benchmark().folder / "results.json"
@@ -90,6 +92,7 @@ def test_check_finds_a_changed_payload_and_a_missing_row(benchmark, best, cableb
     )
 
 
+@pytest.mark.landing
 def test_second_run_computes_nothing_and_gives_the_same_bytes(benchmark, best, monkeypatch):
     def run():
         ended = benchmark()
@@ -102,6 +105,7 @@ def test_second_run_computes_nothing_and_gives_the_same_bytes(benchmark, best, m
     best.assert_called_once()
 
 
+@pytest.mark.landing
 def test_policy_that_fails_costs_its_own_cells_only(benchmark, best, toys):
     causes = {"raises": "it raised RuntimeError", "exits": "it raised SystemExit: 0"}
     ended = benchmark(policies=",".join([*map(toys, causes), "fl"]))
@@ -114,6 +118,7 @@ def test_policy_that_fails_costs_its_own_cells_only(benchmark, best, toys):
     assert "failed" in ended.out
 
 
+@pytest.mark.landing
 def test_failed_timing_is_a_note_and_costs_no_exit_status(benchmark, best, monkeypatch):
     fails = Mock(side_effect=ValueError("no time"))
     monkeypatch.setattr("cablebot_gym.benchmark.cells.time_actions", fails)
@@ -122,6 +127,7 @@ def test_failed_timing_is_a_note_and_costs_no_exit_status(benchmark, best, monke
     assert "fl failed on CableBot-Planar-v0: no time" in ended.out
 
 
+@pytest.mark.landing
 def test_interrupt_keeps_finished_cells_and_says_how_to_resume(benchmark, best, monkeypatch):
     def interrupted(cell):
         if isinstance(cell, PolicyCell) and not cell.payload_known:
@@ -138,6 +144,7 @@ def test_interrupt_keeps_finished_cells_and_says_how_to_resume(benchmark, best, 
     assert len(list(ended.folder.glob("cells/*"))) == 2
 
 
+@pytest.mark.landing
 def test_seed_text_is_stored_and_shown(benchmark, best):
     ended = benchmark("--seed-text", "a headline", suite="hidden")
     assert ended.status == 0

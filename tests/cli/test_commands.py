@@ -126,7 +126,9 @@ ERRORS = (
 
 
 @pytest.mark.parametrize(("typed", "status", "words"), ERRORS, ids=[row[0] for row in ERRORS])
-def test_error_ends_with_its_status_one_line_and_no_file(cablebot, tmp_path, typed, status, words):
+def test_error_ends_with_its_status_and_one_line_and_keeps_the_folder(
+    cablebot, tmp_path, typed, status, words
+):
     work = tmp_path / "work"
     (work / "file").write_text("{}")
     for folder in ("folder.csv", "results.json"):

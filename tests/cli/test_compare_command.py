@@ -68,6 +68,7 @@ def test_table_has_the_numbers_of_the_comparison(comparison, capsys, monkeypatch
     assert f"max error {-fraction.mean:+.0%} [{-fraction.high:+.0%}, {-fraction.low:+.0%}]" in text
 
 
+@pytest.mark.landing
 def test_payloads_give_a_table_json_and_figure(cablebot, tmp_path):
     line = f"{HANG} --policies fl,robust"
     ended = cablebot(f"{line} --payload 0:3:1.5 --out {tmp_path}")

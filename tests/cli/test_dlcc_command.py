@@ -19,6 +19,7 @@ ONE = f"{QUICK} --criterion task --json "
 SEVERAL = " --uncertainty table6 --draws 4 --probability 0.5 "
 
 
+@pytest.mark.landing
 def test_table_has_payloads_violations_and_bounds(cablebot):
     ended = cablebot(f"dlcc {SPATIAL} --policy fl --trajectory paper-spatial")
     assert (ended.status, ended.err) == (0, "")
@@ -67,6 +68,7 @@ def value_at(data, path):
     return data
 
 
+@pytest.mark.landing
 def test_options_reach_the_evaluation(cablebot):
     (before,) = cablebot(ONE + SEVERAL).data
     (after,) = cablebot(ONE + SEVERAL + " ".join(OPTIONS)).data
@@ -85,6 +87,7 @@ def test_uncertainty_is_read_from_a_file(cablebot, tmp_path):
     assert "must hold a JSON object" in cablebot(line).message(2)
 
 
+@pytest.mark.landing
 def test_paper_criterion_does_not_apply_to_saturated_actions(cablebot, toys):
     clipped = f"{QUICK} --no-isolate --policy {toys('clipped')}"
     assert " n/a " in cablebot(clipped).out
@@ -115,6 +118,7 @@ def test_wrapper_reaches_the_policy(cablebot, tmp_path):
     assert (result["payload"], result["wrappers"]) == (None, [str(path)])
 
 
+@pytest.mark.landing
 def test_out_has_json_and_figures(cablebot, tmp_path):
     folder = tmp_path / "new" / "results"
     ended = cablebot(ONE, "--out", folder)
@@ -163,6 +167,7 @@ def test_isolated_evaluation_has_a_secret_seed(cablebot):
     assert shown.splitlines()[-1] == "seed 3"
 
 
+@pytest.mark.landing
 def test_printed_command_repeats_the_failure(cablebot):
     """With every option that is not the default, quoted for a shell."""
     motion = '{"name": "line-planar", "duration": 0.25}'
@@ -219,6 +224,7 @@ class Weak(gym.ActionWrapper):
 """
 
 
+@pytest.mark.landing
 def test_several_policies_are_evaluated_by_one_command(cablebot, tmp_path):
     results = json.loads(cablebot(f"{ONE} --policy fl,robust --out {tmp_path}").out)
     assert [result["policy"] for result in results] == ["fl", "robust"]

@@ -29,7 +29,7 @@ def test_installation_has_no_fault():
     assert {f"self-test {env_id}" for env_id in ENV_IDS} <= set(by_name)
     assert re.search(r"numba \d.*numpy 2", by_name["requirements"].text)
     assert "torch 2" in by_name["extra sb3"].text
-    assert not {"extra all", "extra docs", "extra test"} & set(by_name)
+    assert not {"extra all", "extra docs", "extra test", "extra test-all"} & set(by_name)
     names = sorted(point.name for point in entry_points(group=ENTRY_POINT_GROUP))
     assert by_name["policies"].text == f"{len(names)} load: {', '.join(names)}"
 

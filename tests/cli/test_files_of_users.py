@@ -140,7 +140,7 @@ def test_reader_refuses_an_unreadable_file_in_one_sentence(tmp_path, name, kind)
         (lambda name: find_measurement(name, PLANAR), "winches"),
     ],
 )
-def test_valid_name_is_not_that_of_a_folder(tmp_path, monkeypatch, find, name):
+def test_valid_name_wins_over_a_folder_of_the_same_name(tmp_path, monkeypatch, find, name):
     monkeypatch.chdir(tmp_path)
     Path(name).mkdir()
     find(name)

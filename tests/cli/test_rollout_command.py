@@ -19,6 +19,7 @@ def test_rollout_records_the_payload_motion_and_frequency(cablebot, tmp_path):
         assert_array_equal(file["payload"], 0.5)
 
 
+@pytest.mark.landing
 def test_options_reach_the_episode(cablebot, tmp_path):
     def run(options):
         path = tmp_path / "run.npz"

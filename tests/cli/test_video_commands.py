@@ -38,6 +38,7 @@ def test_watch_plays_in_a_window(cablebot, monkeypatch):
     assert keywords == {"speed": 0.5}
 
 
+@pytest.mark.landing
 def test_picture_shows_policies_at_a_time(cablebot, tmp_path):
     path = tmp_path / "a.png"
 

@@ -281,6 +281,7 @@ def test_bounds_of_the_reset_option_reach_the_monitor():
         assert (verdict.violation is None) is carried
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize(("kind", "criterion"), [("planar", "task"), ("spatial", "paper")])
 def test_monitor_agrees_with_the_evaluator(kind, criterion):
     motion = {"trajectory": {"name": f"paper-{kind}", "duration": 1.0}}

@@ -54,12 +54,14 @@ def scored(kind, criterion):
 # --- the figures ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.landing
 def test_payload_matches_an_independent_run():
     task = scored("spatial", "task")
     assert task.violation.kind == "rotation"
     assert task.payload == pytest.approx(4.03, abs=0.1)
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize("kind", ["planar", "spatial"])
 def test_paper_criterion_agrees_with_the_closed_form(kind):
     robot = ROBOTS[kind]

@@ -55,6 +55,7 @@ class DeclaredNoise(Law):
         return action * np.random.default_rng().normal(1, 0.02, action.shape)
 
 
+@pytest.mark.landing
 def test_declared_stochastic_policy_is_scored_over_repeats():
     result = evaluated(DeclaredNoise(), draws=60)
     assert result.details.stochastic
@@ -73,6 +74,7 @@ class FailsAlone(Law):
         return super().act(observation) * (len(observation) > 1)
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize("uncertainty", [None, "sensors"])
 def test_random_policy_must_not_need_other_episodes(uncertainty):
     with pytest.raises(
@@ -94,6 +96,7 @@ class AveragesRows(Law):
         return super().act(observation) * ~fails[:, None]
 
 
+@pytest.mark.landing
 def test_stochastic_policy_gets_the_payload_that_it_carries_alone(batches):
     motion = HANG | {"duration": 0.3}
     result = evaluated(AveragesRows(), uncertainty="sensors", draws=60, trajectory=motion)
@@ -115,6 +118,7 @@ class Counts(Law):
         return super().act(observation) * (1 + 1e-4 * (len(observation) == 2 * REPEATED_DRAWS))
 
 
+@pytest.mark.landing
 def test_policy_that_acts_differently_in_the_repeated_batch_raises():
     with pytest.raises(PolicyError, match="depends on the other"):
         evaluated(Counts(), uncertainty="sensors", draws=60)
@@ -229,6 +233,7 @@ def test_name_of_an_object_does_not_hide_its_declaration():
 # --- islands ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize("uncertainty", [{}, {"uncertainty": "sensors", "draws": 60}])
 def test_dense_check_finds_an_island_of_failures(uncertainty):
     """The narrow gap of failures lies between two payloads of the scan, below the first other

@@ -170,6 +170,7 @@ def verdicts(payload):
     return verdicts_of_draws
 
 
+@pytest.mark.landing
 def test_failures_are_those_of_single_episodes():
     result = searched()
     assert max(result.draw_seeds) < 2**53, "every JSON parser reads them exactly"

@@ -132,6 +132,7 @@ def alive(pid):
         return False
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize("name", ["counts", "threads"])
 def test_every_batch_gets_a_fresh_process(spec, env, behind_bubblewrap, name):
     """Also a policy with threads, whose process is not forked."""
@@ -198,6 +199,7 @@ def test_process_gets_tasks_few_variables_and_empty_folders(spec, env, monkeypat
     assert not any(Path(folder).exists() for folder in folders)
 
 
+@pytest.mark.landing
 def test_process_stores_compiled_code_in_a_cache_of_its_own(spec, env, behind_bubblewrap):
     """A policy once replaced the code that later runs execute."""
     with IsolatedPolicy(spec("stores"), SPATIAL) as policy:
@@ -268,6 +270,7 @@ def test_processes_of_a_policy_end_when_it_is_collected(spec):
     assert not folder.exists()
 
 
+@pytest.mark.landing
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_processor_time_of_ended_and_running_children_counts():
     burn = "import time\nwhile time.process_time() < 0.3: pass\n"

@@ -88,7 +88,7 @@ def test_action_of_a_row_of_a_batch_is_that_alone(name):
     "name",
     [
         "planar",
-        "flexible planar",
+        pytest.param("flexible planar", marks=pytest.mark.landing),
         pytest.param("spatial", marks=pytest.mark.landing),
     ],
 )

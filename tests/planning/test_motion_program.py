@@ -1,9 +1,11 @@
 """The nonlinear program: its equations, its derivatives, and optima that are known in closed
 form."""
 
+import gc
 import os
 import signal
 import threading
+import weakref
 
 import gymnasium as gym
 import numpy as np
@@ -247,6 +249,18 @@ def test_motion_in_one_dimension_keeps_the_maximum_tension(margin):
 
 
 # --- solving ----------------------------------------------------------------------------------------------------------
+
+
+@each_of(PLANAR, FLEX_PLANAR)
+def test_program_is_freed_with_its_last_reference(robot):
+    """Excludes a cycle: a worker of the benchmark grew by 40 MB for each best known payload."""
+    program = MotionProgram(robot, LINE, BOUNDS, intervals=3)
+    assert program._assembled.bounds(program)
+    freed = weakref.ref(program)
+    gc.disable()
+    del program
+    gc.enable()
+    assert freed() is None
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

@@ -96,6 +96,7 @@ def test_errors_are_drawn_with_their_bounds(result):
         assert axes.get_lines()[1].get_ydata()[0] == 10.0
 
 
+@pytest.mark.landing
 def test_limits_are_those_of_the_true_motors():
     strong = {"parameters": {"motor_strength": {"low": 0.5, "high": 0.5}}}
     result = evaluate_dlcc("fl", PLANAR_ID, uncertainty=strong, **SMALL)
@@ -124,6 +125,7 @@ def test_success_curve_has_fractions_and_the_payload(results, tmp_path):
         figures.draw_success(results["spatial"])
 
 
+@pytest.mark.landing
 def test_files_of_both_criteria_without_pyplot(results, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     folder = tmp_path / "new"

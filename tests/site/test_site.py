@@ -27,10 +27,9 @@ PAGES = (
         "policies",
         "dlcc",
         "leaderboard",
-        "errata",
-        "commands",
+        "reference",
     ),
-    *("faq", "uncertainty", "training", "your-own/policy", "reproduction"),
+    *("faq", "uncertainty", "training", "your-own/policy", "paper"),
     *(
         "generated/environments/CableBot-Spatial-v0",
         "generated/policies/fl",
@@ -115,7 +114,7 @@ def test_code_fits_on_a_laptop(opened, page):
     assert opened(f"{page}.html").eval_on_selector_all("article pre", wide) == []
 
 
-@pytest.mark.parametrize("page", ["dlcc", "reproduction", "index"])
+@pytest.mark.parametrize("page", ["dlcc", "paper", "index"])
 def test_figures_follow_the_theme(opened, page):
     filters = "all => [...new Set(all.map(one => getComputedStyle(one).filter))]"
     light = opened(f"{page}.html", scheme="light").eval_on_selector_all("article img", filters)

@@ -94,6 +94,7 @@ CASES = {
 """Streams by command."""
 
 
+@pytest.mark.landing
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full of Linux")
 def test_no_stream_ends_a_command(tmp_path):
     cases = [(stream, command) for command, streams in CASES.items() for stream in streams]

@@ -13,6 +13,7 @@ import pytest
 from clock import wait_until
 
 from cablebot_gym.policies.protocol import BatchItemError
+from cablebot_gym.utils import workers
 from cablebot_gym.utils.workers import WorkerDied, run
 
 
@@ -50,7 +51,11 @@ def started(tasks, *, workers=2, say=print, **keywords):
     return run(tasks, workers=workers, kind=lambda task: task.func, say=say, **keywords)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+one_or_two = pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.landing)])
+"""Numbers of processes. A second one starts an interpreter."""
+
+
+@one_or_two
 def test_results_belong_to_their_keys_and_messages_appear_once(workers):
     messages = []
     tasks = {f"{number} squared": partial(square, number) for number in range(7)}
@@ -61,7 +66,15 @@ def test_results_belong_to_their_keys_and_messages_appear_once(workers):
     assert dict(started({}, workers=workers)) == {}
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.landing
+@pytest.mark.skipif(sys.platform == "win32", reason="the system does not say the largest memory")
+def test_process_with_much_memory_is_replaced_after_its_computation(monkeypatch):
+    tasks = {str(number): partial(os.getpid) for number in range(4)}
+    monkeypatch.setattr(workers, "LARGEST_MEMORY", 1)
+    assert len(set(dict(started(tasks)).values())) == 4
+
+
+@one_or_two
 def test_exceptions_are_raised_or_returned(workers):
     """One that cannot be pickled, too, and ``sys.exit(0)`` of a policy: it ended a benchmark with
     status 0 and no table."""
@@ -81,6 +94,7 @@ def test_exceptions_are_raised_or_returned(workers):
         dict(started(interrupted, workers=1, returned=(Exception,)))
 
 
+@pytest.mark.landing
 def test_computation_of_a_lost_process_is_repeated_once(tmp_path):
     tasks = {str(number): partial(square, number) for number in range(5)}
     tasks |= {"killed": partial(dies, tmp_path / "marker"), "deadly": partial(dies)}
@@ -90,6 +104,7 @@ def test_computation_of_a_lost_process_is_repeated_once(tmp_path):
     assert outcomes == {"killed": "alive", **{str(number): number**2 for number in range(5)}}
 
 
+@pytest.mark.landing
 def test_interrupt_ends_all_processes(tmp_path):
     results = started({"quick": partial(square, 1), "slow": partial(waits_for, tmp_path / "never")})
     assert next(results) == ("quick", 1)

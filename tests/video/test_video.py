@@ -65,7 +65,10 @@ def read_gif(path):
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
     ("suffix", "read", "rate"),
-    [(".mp4", read_mp4, 30), pytest.param(".gif", read_gif, 25, marks=pytest.mark.nightly)],
+    [
+        pytest.param(".mp4", read_mp4, 30, marks=pytest.mark.landing),
+        pytest.param(".gif", read_gif, 25, marks=pytest.mark.nightly),
+    ],
 )
 def test_file_contains_every_picture(tmp_path, lost, suffix, read, rate):
     path = tmp_path / f"lost{suffix}"
