@@ -180,7 +180,7 @@ def special_cases(values, numbers, results):
             results[i, j, 5] = max(0, a) + whole * a
             results[i, j, 6] = whole // 2 + whole % 3 - (whole - 9) // 4 + (whole - 9) % 4
             results[i, j, 7] = whole / 4 + math.sqrt(abs(a)) + other
-            results[i, j, 8] = fma(a, b, 1.0)
+            results[i, j, 8] = fma(a, b, 1.0) if math.isfinite(a * b) else 0.0
             results[i, j, 9] = abs(a) - (a - b) * np.floor(b)
             results[i, j, 10] = math.copysign(1.0, a * b) + math.isfinite(a)
 
