@@ -19,12 +19,14 @@ ENTRIES = policy_entries()
 
 CASES = [
     *(
-        pytest.param(name, env_id, marks=pytest.mark.landing if name == "observing" else ())
+        pytest.param(
+            name, env_id, marks=pytest.mark.landing if name in ("nmpc", "observing") else ()
+        )
         for name, entry in ENTRIES.items()
         if not entry.plans
         for env_id in entry.env_ids
     ),
-    ("trajopt", "CableBot-Planar-v0"),
+    pytest.param("trajopt", "CableBot-Planar-v0", marks=pytest.mark.landing),
     ("fl:gains=tuned", "CableBot-Planar-v0"),
     ("composite:gains=paper", "CableBot-FlexSpatial-v0"),
 ]

@@ -52,10 +52,17 @@ def parts(cell):
     return cell.parts if isinstance(cell, SurveyCell) else [cell]
 
 
-LARGE = [pytest.param(name, marks=pytest.mark.nightly) for name in ("full", "ranked")]
+SLOW = {
+    "errors": pytest.mark.landing,
+    "standard": pytest.mark.landing,
+    "full": pytest.mark.nightly,
+    "ranked": pytest.mark.nightly,
+}
 
 
-@pytest.mark.parametrize("name", [*sorted(set(SUITES) - {"full", "ranked"}), *LARGE])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=SLOW.get(name, ())) for name in sorted(SUITES)]
+)
 def test_cells_of_a_suite_are_valid(name):
     with_best_known = set()
     with_score = set()

@@ -207,6 +207,7 @@ def batches(monkeypatch):
     return seeds_of_batches
 
 
+@pytest.mark.landing
 def test_draws_of_the_check_alone_are_fresh(batches):
     result = evaluated(Law(), uncertainty="sensors", draws=60)
     alone = [seeds[0] for seeds in batches if len(seeds) == 1]

@@ -121,13 +121,8 @@ every_kind = each_of(
     UNEQUAL,
     FLEX_QUAD,
     FLEX_UNEQUAL,
-    ROUGH[3],
-    FLEX_HANGING,
-    _rough(TURNING),
-    CAMERA,
-    *nightly(CRANE, *ROUGH[:3]),
+    *nightly(FLEX_HANGING, _rough(TURNING), CAMERA, CRANE, *ROUGH),
 )
-"""Friction and lag of rigid robots are daily those of the platform in a plane."""
 both_cables = pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
 
 

@@ -18,8 +18,9 @@ ROBOTS["turning"] = with_transmission(PLATFORMS["turning"], load_friction=0.05)
 the equations of motion that the iteration borrows. ``spatial`` has no redundant cable."""
 
 each_robot = each_of(
-    *(ROBOTS[name] for name in ("planar", "spatial", "cogiro", "turning")),
-    *nightly(ROBOTS["ipanema-3"], ROBOTS["camera"]),
+    ROBOTS["planar"],
+    ROBOTS["spatial"],
+    *nightly(*(ROBOTS[name] for name in ("cogiro", "turning", "ipanema-3", "camera"))),
 )
 
 

@@ -78,6 +78,7 @@ def test_lane_of_a_batch_has_the_bits_of_a_robot_alone(robot, cable, count):
 # --- equations ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_tensions_and_take_up_torques_are_complementary():
     """0 ≤ T ⟂ u ≥ 0 from the accelerations alone, u = r T − κ + J β̈ + c β̇.
 
