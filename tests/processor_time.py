@@ -1,11 +1,11 @@
 """Processor time of the fast tests: one costs at most LIMIT seconds, all together at most TOTAL.
 
 Time that is spent once for several tests is no test's: imports, compilation, Python in place of
-compiled code, and shared fixtures.
-Processes that a test starts and waits for are part of it.
+compiled code, shared fixtures and the collection of garbage. Processes that a test starts and waits for are part of it.
 """
 
 import builtins
+import gc
 import os
 import threading
 import time
@@ -53,12 +53,13 @@ class Stopwatch:
         self._since = 0.0
         self._start = 0.0
 
-    def measure_imports_and_compilation(self):
-        """Both are done once from now on; compiled code may also be read from a file. Python computes
-        only until compilation pays."""
+    def measure_shared_work(self):
+        """Measures it from now on. Compiled code may also be read from a file. Python computes only
+        until compilation pays. A collection of garbage comes at any time, for all tests before."""
         builtins.__import__ = self._counted(builtins.__import__)
         Dispatcher.compile = self._counted(Dispatcher.compile)
         EntryPoint.in_python = self._counted(EntryPoint.in_python)
+        gc.callbacks.append(self._on_collection)
 
     def _counted(self, function):
         @wraps(function)
@@ -68,18 +69,29 @@ class Stopwatch:
 
         return counted
 
+    def _on_collection(self, phase, _):
+        if phase == "start":
+            self._begin()
+        else:
+            self._end()
+
     @contextmanager
     def counted_once(self):
         """The block is done once for several tests."""
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-        if self._depth == 0:
-            self._since = spent()
-        self._depth += 1
+        self._begin()
         try:
             yield
         finally:
+            self._end()
+
+    def _begin(self):
+        if threading.current_thread() is threading.main_thread():
+            if self._depth == 0:
+                self._since = spent()
+            self._depth += 1
+
+    def _end(self):
+        if threading.current_thread() is threading.main_thread():
             self._depth -= 1
             if self._depth == 0:
                 self.once += spent() - self._since
@@ -147,7 +159,7 @@ def install(config):
     """Measures the tests of this process, and judges the run where it is the one of the fast
     tests."""
     stopwatch = Stopwatch()
-    stopwatch.measure_imports_and_compilation()
+    stopwatch.measure_shared_work()
     config.pluginmanager.register(stopwatch)
     if "not landing" in config.option.markexpr and not hasattr(config, "workerinput"):
         config.pluginmanager.register(Judge())

@@ -64,7 +64,7 @@ def test_motor_pd_tracks_a_smooth_motion_closely():
 @pytest.mark.parametrize(
     ("law", "name", "holds"),
     [
-        ("motor-pd", "flex-expo-lucia", True),
+        pytest.param("motor-pd", "flex-expo-lucia", True, marks=pytest.mark.landing),
         ("motor-pd", "flex-gch-klaus", True),
         pytest.param("composite", "flex-ipanema-3", False, marks=pytest.mark.nightly),
     ],

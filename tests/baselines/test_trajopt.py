@@ -46,6 +46,7 @@ def exact_plans_only(monkeypatch):
 
 
 @pytest.mark.usefixtures("exact_plans_only")
+@pytest.mark.landing
 def test_short_motion_is_tracked_with_known_and_unknown_payload():
     """fl fails with 5 kg.
 
@@ -105,6 +106,7 @@ def test_rehearsed_plan_serves_robots_that_are_not_exactly_known():
 
 
 @pytest.mark.usefixtures("exact_plans_only")
+@pytest.mark.landing
 def test_policy_without_reset_tracks_the_reference_and_warns(caplog):
     env = gym.make(PLANAR_ID, trajectory=LINE)
     observation, _ = env.reset(seed=0)

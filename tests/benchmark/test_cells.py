@@ -77,6 +77,7 @@ def test_field_reaches_the_evaluation(default_payload, name):
     assert compute(changed(**{name: OTHERS[name]})).result["payload"] != default_payload
 
 
+@pytest.mark.landing
 def test_policy_of_a_cell_has_a_process_of_its_own(module, request):
     module("toy_policies.py", TOYS)
     short = {"name": "dwell-planar", "duration": 0.02}
