@@ -23,7 +23,10 @@ PROBE = 0.004
 """Processor time of :func:`probe` on the machine of these limits [s]. Another machine may be
 slower, and so is this one while its cores have other work."""
 
-EXEMPT = {}
+EXEMPT = {
+    "tests/cli/test_files_of_users.py::test_reader_refuses_an_unreadable_file_in_one_sentence"
+    "[train.yaml-brackets]": "PyYAML is slow until it reaches Python's depth of calls",
+}
 """Fast tests that cost more, by name, and why they are no slow ones."""
 
 NAME = "processor time"
