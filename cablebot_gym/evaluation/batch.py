@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from importlib.metadata import version
-from multiprocessing import parent_process
 from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
@@ -26,14 +25,11 @@ from cablebot_gym.policies import LoadedPolicy, PolicyError, Wrapper, load
 from cablebot_gym.policies.spec import check_measurement
 from cablebot_gym.task import Task, to_jsonable
 from cablebot_gym.trajectories import Trajectory
-from cablebot_gym.utils.workers import cores
 
 BATCH = 1024
 """Number of episodes that one batch should have: this many fit into the caches of a core. A batch
-of heavy payloads ends as soon as all of them have failed."""
-
-THREADED = 512
-"""Number of episodes from which on several threads make a batch faster."""
+of heavy payloads ends as soon as all of them have failed. Threads that share a step pay with larger
+batches only."""
 
 DEFAULT_DRAWS = 512
 """Default number of draws at each payload under a random uncertainty, and of repeats of a
@@ -292,7 +288,6 @@ class Batch:
             max_episode_steps=None,
             autoreset_mode=AutoresetMode.DISABLED,
             uncertainty=conditions.uncertainty,
-            threads=_threads(rows),
             **{**conditions.keywords, **changes},
         ).unwrapped
         assert isinstance(env, CableBotVectorEnv)
@@ -461,14 +456,6 @@ def _task(env: CableBotVectorEnv, motion: Trajectory | None, seed: int) -> Task:
     task = deepcopy(env.tasks[0])
     task.check_motion()
     return task
-
-
-def _threads(rows: int) -> int:
-    """Threads that share a step of a batch: one in worker processes, which share the cores
-    already."""
-    if rows < THREADED or parent_process() is not None:
-        return 1
-    return cores()
 
 
 def run_episodes(
