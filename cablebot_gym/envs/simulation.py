@@ -19,7 +19,7 @@ from cablebot_gym.envs.sensors import Sensors
 from cablebot_gym.envs.settings import Settings, check_options, make_settings
 from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics import kernel
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.physics.rest import equilibrium_torques, motor_start
 from cablebot_gym.physics.textbook import normalised_action
@@ -357,7 +357,7 @@ class Simulation:
             parameters = pack_parameters(drawn)
         shape = (len(env_indices), parameters.shape[-1])
         robot_parameters = np.array(np.broadcast_to(parameters, shape))
-        robot_parameters[:, kernel.MASS] += true_payload  # the plant knows one mass
+        robot_parameters[:, rows.MASS] += true_payload  # the plant knows one mass
         moved = any(PARAMETERS[name].position for name in uncertainty.parameters)
         try:
             torque = equilibrium_torques(

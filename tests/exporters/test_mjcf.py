@@ -19,7 +19,8 @@ from oracles.plants import (
 from oracles.platforms import CAMERA, SWIVELLED
 
 from cablebot_gym.exporters import export_mjcf
-from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.robots import find_robot, robot_names
 
 pytest.importorskip("mujoco", reason="needs the extra cablebot-gym[mujoco]")
@@ -124,7 +125,7 @@ def after_one_second(name):
         plant.set_action(holding + change)
         plant.advance(*no_reference(robot), substeps=1, step=STEP)
         peer.step(torques / robot.stall_torque + change)
-        assert plant.per_cable(kernel.TENSION).min() > 0
+        assert plant.per_cable(rows.TENSION).min() > 0
     end = plant.pose[0]
     return np.abs(end - robot.home).max(), np.abs(end - peer.state()[0]).max()
 

@@ -25,7 +25,8 @@ from oracles.plants import (
     textbook_rates,
 )
 
-from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import FEW_ROBOTS, pack_parameters
 
 # --- one lane and a tile of lanes ---------------------------------------------------------------------------------
@@ -58,7 +59,7 @@ def run_with_late_reset(robot, cable, members, count):
         plant.advance(references, np.array([24, 11, 19]), substeps=3, step=step)
         records.append(record_of(plant))
     # Otherwise a tile is compared with a tile.
-    assert plant.lanes == (1 if len(members) == 1 else kernel.LANES)
+    assert plant.lanes == (1 if len(members) == 1 else rows.LANES)
     return np.stack(records)
 
 
@@ -67,7 +68,7 @@ def run_with_late_reset(robot, cable, members, count):
 @every_kind
 def test_lane_of_a_batch_has_the_bits_of_a_robot_alone(robot, cable, count):
     tiled = run_with_late_reset(robot, cable, np.arange(count), count)
-    slack = tiled[:, :, kernel.FIRST_CABLE_RECORD + kernel.SLACK :: kernel.CABLE_RECORDS]
+    slack = tiled[:, :, rows.FIRST_CABLE_RECORD + rows.SLACK :: rows.CABLE_RECORDS]
     assert count < 33 or 0.02 < np.mean(slack > 0) < 0.98
     assert np.all(np.isfinite(tiled))
     for lane in {0, 1, count - 2, count - 1}:
@@ -146,12 +147,12 @@ def check_record(plant, states, applied, tensions, lines):
     least = np.min(tensions, axis=0)
     assert np.any(least < tensions[0])
     expected = {
-        kernel.TORQUE: applied[0],
-        kernel.SPEED: drive_speed(robot, states[0]),
-        kernel.TENSION: tensions[0],
-        kernel.LEAST_TENSION: least,
-        kernel.LARGEST_TENSION: np.max(tensions, axis=0),
-        kernel.SLACK: np.sum(np.stack(tensions) <= 0, axis=0),
+        rows.TORQUE: applied[0],
+        rows.SPEED: drive_speed(robot, states[0]),
+        rows.TENSION: tensions[0],
+        rows.LEAST_TENSION: least,
+        rows.LARGEST_TENSION: np.max(tensions, axis=0),
+        rows.SLACK: np.sum(np.stack(tensions) <= 0, axis=0),
     }
     for row, values in expected.items():
         assert_allclose(plant.per_cable(row), values, rtol=1e-12, atol=1e-12)
@@ -160,8 +161,8 @@ def check_record(plant, states, applied, tensions, lines):
     turned = np.abs(errors[..., robot.dimensions :]).max(axis=(0, 2), initial=0)
     record = record_of(plant)
     for row, peaks in (
-        (kernel.POSITION_PEAK, distance.max(axis=0)),
-        (kernel.ROTATION_PEAK, turned),
+        (rows.POSITION_PEAK, distance.max(axis=0)),
+        (rows.ROTATION_PEAK, turned),
     ):
         assert_allclose(record[:, row], peaks, rtol=0, atol=1e-13)
     return distance.argmax(axis=0).tolist()
@@ -221,7 +222,7 @@ def test_reference_stays_at_the_last_line(robot):
         plant.set_action(action)
         plant.advance(references, np.array([19, end]), substeps=2, step=1e-3)
     error = np.linalg.norm((plant.pose - references[1, end])[:, : robot.dimensions], axis=1)
-    behind = record_of(plant)[:, kernel.POSITION_PEAK] - error
+    behind = record_of(plant)[:, rows.POSITION_PEAK] - error
     assert np.all((behind >= -1e-12) & (behind <= 0.01))  # as far as it moves in one step
 
 
@@ -235,12 +236,12 @@ def test_lagged_torque_starts_within_the_stall_torque(lag, held):
     robot = robot.replace(motors=robot.motors.replace(lag=lag))
     plant = loaded_plant(robot, State(*np.zeros((2, 1, 2)), *np.zeros((2, 1, 4))))
     plant.set_torques(np.array([0]), held * robot.stall_torque[None])
-    assert_array_equal(plant.per_cable(kernel.TORQUE)[0], held * robot.stall_torque)
+    assert_array_equal(plant.per_cable(rows.TORQUE)[0], held * robot.stall_torque)
     plant.set_action(np.zeros((1, 4)))
     for period in range(3):
         plant.advance(*no_reference(robot), substeps=2, step=1e-3)
         lagged = robot.stall_torque * math.exp(-period * 2e-3 / lag)
-        assert_allclose(plant.per_cable(kernel.TORQUE)[0], lagged, rtol=1e-12)
+        assert_allclose(plant.per_cable(rows.TORQUE)[0], lagged, rtol=1e-12)
 
 
 # --- external wrench ----------------------------------------------------------------------------------------------
@@ -255,8 +256,8 @@ def test_wrench_lasts_until_it_or_the_parameters_are_set_anew():
     def check_wrenches():
         """Of all lanes in memory, the padding included."""
         tiles = plant._parameters.reshape(len(plant.record), -1, plant.lanes)
-        rows = tiles[:, kernel.FORCE : kernel.FIRST_CABLE_PARAMETER]
-        assert_array_equal(rows.transpose(0, 2, 1).reshape(plant.width, 6), expected)
+        wrenches = tiles[:, rows.FORCE : rows.FIRST_CABLE_PARAMETER]
+        assert_array_equal(wrenches.transpose(0, 2, 1).reshape(plant.width, 6), expected)
 
     check_wrenches()
     wrench = np.arange(1.0, 13.0).reshape(2, 6)
@@ -300,7 +301,7 @@ def test_state_that_is_not_finite_spares_its_neighbours(robot, spoilt, bad):
     neighbours = np.setdiff1d(np.arange(33), sick)
     assert_array_equal(record[neighbours], healthy[neighbours])
     # An infinite action is clipped like any other action above 1.
-    finite = np.isfinite(record[sick, kernel.POSITION_PEAK])
+    finite = np.isfinite(record[sick, rows.POSITION_PEAK])
     assert finite.tolist() == [spoilt == "action" and np.isinf(bad)] * 2
 
 

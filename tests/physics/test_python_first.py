@@ -21,6 +21,7 @@ from cablebot_gym.physics.compiling.inlining import inline
 from cablebot_gym.physics.compiling.python_first import EntryPoint, compiled_at_once, entry_point
 from cablebot_gym.physics.forward import forward_kinematics
 from cablebot_gym.physics.inverse import demands, inverse_dynamics
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import FEW_ROBOTS, form_of
 from cablebot_gym.robots import ROBOTS, find_robot, robot_names
 
@@ -88,7 +89,7 @@ def test_all_forms_have_the_same_bits(robot, count, monkeypatch):
     form = form_of(robot)
     rigid = form._replace(jointed=False, elastic=False, load_friction=False)
     entries = []
-    for lanes, form_of_entry in product((1, kernel.LANES), (form, rigid)):
+    for lanes, form_of_entry in product((1, rows.LANES), (form, rigid)):
         entries += kernel.compiled(form_of_entry, lanes)
     names = compare_ways(monkeypatch, *entries)
     for cable in ("unilateral", "bilateral"):
@@ -325,7 +326,7 @@ def test_first_call_is_compiled_where_no_later_one_may_take_long(doubling):
 
 @each_of(*ROBOTS.values())
 def test_large_batch_is_compiled_at_once(robot, fresh):
-    entry = kernel.compiled(form_of(robot), kernel.LANES).advance
+    entry = kernel.compiled(form_of(robot), rows.LANES).advance
     fresh(entry, outcome.outcome)
     plant = loaded_plant(robot, random_states(robot, 1024)[0])
     with pytest.raises(AssertionError, match="it is compiled"):
