@@ -49,16 +49,19 @@ INFO_CABLES = (
 )
 """Names of the quantities of info with one value per cable."""
 
-_TIME, _ACTION_TIME, _PAYLOAD = (
-    INFO_SCALARS.index(name) for name in ("time", "action_time", "payload")
-)
-_POSITION = INFO_SCALARS.index("tracking_error")
-_ROTATION = INFO_SCALARS.index("rotation_error")
-_POSITION_PEAK = INFO_SCALARS.index("tracking_error_peak")
-_ROTATION_PEAK = INFO_SCALARS.index("rotation_error_peak")
-_FIRST_TERM, _VIOLATED, _COST = (
-    INFO_SCALARS.index(name) for name in ("reward_inside", "violated", "cost")
-)
+(
+    _TIME,
+    _ACTION_TIME,
+    _PAYLOAD,
+    _POSITION,
+    _ROTATION,
+    _POSITION_PEAK,
+    _ROTATION_PEAK,
+    _FIRST_TERM,
+    *_,
+    _VIOLATED,
+    _COST,
+) = range(len(INFO_SCALARS))
 _INSIDE_TERM, _POSITION_TERM, _ROTATION_TERM, _SATURATION_TERM, _VIOLATION_TERM = range(
     len(REWARD_TERMS)
 )
