@@ -283,25 +283,32 @@ class _Case:
         return round(self.trajectory.duration * self.control_frequency)
 
     @property
+    def conditions(self) -> dict[str, Any]:
+        """Keywords of the environment in which the replays run."""
+        return {
+            "robot": self.robot,
+            "trajectory": self.trajectory,
+            "error_bounds": self.error_bounds,
+            "control_frequency": self.control_frequency,
+        }
+
+    @property
     def substeps(self) -> int:
-        """Physics steps per control period of the environment."""
-        settings = make_settings(
-            robot=self.robot,
-            count=1,
-            trajectory=self.trajectory,
-            control_frequency=self.control_frequency,
-        )
-        return settings.substeps
+        """Number of physics steps in a control period of the environment."""
+        return make_settings(count=1, **self.conditions).substeps
 
     @property
     def file(self) -> str:
         """Name of the cache file."""
-        data = {
-            "env_id": self.env_id,
-            "error_bounds": self.error_bounds,
-            "control_frequency": self.control_frequency,
-        }
-        return f"best-{fingerprint('cablebot_gym.bounds.best_known', self.robot, self.trajectory, **data)}.npz"
+        key = fingerprint(
+            "cablebot_gym.bounds.best_known",
+            self.robot,
+            self.trajectory,
+            env_id=self.env_id,
+            error_bounds=self.error_bounds,
+            control_frequency=self.control_frequency,
+        )
+        return f"best-{key}.npz"
 
     @property
     def follower(self) -> Follower:
@@ -517,17 +524,7 @@ class _Case:
             yield replay, episode
 
     def _record(self, policy: Any, payload: float, **keywords: Any) -> Rollout:
-        """The episode of a policy with a payload [kg] and further keywords of the environment."""
-        return record_rollout(
-            policy,
-            self.env_id,
-            payload=payload,
-            robot=self.robot,
-            trajectory=self.trajectory,
-            error_bounds=self.error_bounds,
-            control_frequency=self.control_frequency,
-            **keywords,
-        )
+        return record_rollout(policy, self.env_id, payload=payload, **self.conditions | keywords)
 
     def _first_motion(
         self, program: MotionProgram, start: PlannedMotion, margins: Margins
