@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cablebot_baselines.episodes import merged
 from cablebot_baselines.estimation.drives import PulleyTorque, pulley_torque
 from cablebot_baselines.estimation.errors import FilterErrors
-from cablebot_baselines.estimation.kalman import Columns, KalmanState, merged
+from cablebot_baselines.estimation.kalman import Columns, KalmanState
 from cablebot_baselines.estimation.linearised import Accelerated, accelerated
 from cablebot_baselines.estimation.sensor_model import (
     Prediction,
