@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -41,10 +41,6 @@ class ErrorBounds:
         """Position error beyond which the environment terminates an episode [m]; at least twice the
         bound."""
         return max(0.1, 2 * self.position)
-
-    def replace(self, **changes: float) -> ErrorBounds:
-        """A copy with the bounds in ``changes`` replaced."""
-        return replace(self, **changes)
 
 
 def find_error_bounds(

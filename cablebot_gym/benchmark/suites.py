@@ -111,11 +111,6 @@ class Suite:
     timing: bool = False
     """Whether to measure the computing time per action of every policy."""
 
-    @property
-    def hidden(self) -> int:
-        """Number of hidden motions of each environment. They need a seed text."""
-        return max((block.motions for block in self.blocks if block.motion == "hidden"), default=0)
-
 
 def _suites() -> Iterator[Suite]:
     """Suites from suites.toml."""
