@@ -43,7 +43,7 @@ from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds, to_jsonable
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
-from cablebot_gym.utils.files import cache_folder, read_cached
+from cablebot_gym.utils.files import cache_folder, json_text, read_cached
 
 MESH_TOLERANCE = 0.001
 """Relative change of the payload below which the mesh refinement stops."""
@@ -157,7 +157,7 @@ class BestKnownPayload:
 
     def to_json(self) -> str:
         """The result as JSON, indented."""
-        return json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        return json_text(self.to_dict())
 
     def __str__(self) -> str:
         bounds = f"{1e3 * (self.error_bounds['position'] or 0):g} mm"

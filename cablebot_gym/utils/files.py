@@ -3,12 +3,13 @@ atomic writes."""
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from cablebot_gym.utils.foreign import foreign_bytes, foreign_text
 
@@ -132,6 +133,11 @@ def check_writable_file(path: Path) -> None:
     check_writable_dir(path.parent)
     if path.is_dir():
         raise ValueError(f"cannot write {str(path)!r}: it is a folder; choose another name")
+
+
+def json_text(data: Any) -> str:
+    """Data as indented JSON; NaN and infinity raise an error."""
+    return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
