@@ -1,7 +1,6 @@
 """The best known payload: an independent collocation, and a replay in a fresh environment."""
 
 import dataclasses
-import sys
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -299,10 +298,3 @@ def test_infeasible_problem_names_the_limit(arguments, message, monkeypatch):
     monkeypatch.setattr(best_known, "_FIRST_MESHES", 1)
     with pytest.raises(ValueError, match=message):
         find_best_known(PLANAR_ID, cache=False, **arguments)
-
-
-def test_missing_casadi_is_reported_first(monkeypatch):
-    monkeypatch.setitem(sys.modules, "casadi", None)
-    monkeypatch.setattr(best_known._Case, "solve", lambda *_: pytest.fail("searched"))
-    with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
-        find_best_known(PLANAR_ID)

@@ -7,6 +7,7 @@ from oracles.mujoco_model import MujocoRobot
 from oracles.plants import (
     FLEX_QUAD,
     State,
+    each_of,
     evaluated,
     free_motors,
     loaded_plant,
@@ -87,9 +88,8 @@ def test_accelerations_are_those_of_the_plant(name):
     platform = []
     motors = []
     for lane, action in enumerate(actions):
-        peer.set_state(state.pose[lane], state.velocity[lane])
+        peer.set_lane(state, lane)
         if robot.flexible:
-            peer.set_motors(state.angle[lane], state.speed[lane])
             motors.append(peer.motor_accelerations(action))
         platform.append(peer.accelerations(action))
     assert worst_relative_error(np.array(platform), expected) <= 1e-9
@@ -145,7 +145,7 @@ def test_motion_with_elastic_cables_near_home_is_nearly_that_of_the_plant(name):
     assert error < 0.02 * moved
 
 
-@pytest.mark.parametrize("robot", [FLEX_QUAD, find_robot("flex-stadium-camera")])
+@each_of(FLEX_QUAD, find_robot("flex-stadium-camera"))
 def test_springs_only_pull(robot):
     """With all springs unwound the platform falls."""
     robot = with_transmission(robot, pulley_inertia=1e-12)

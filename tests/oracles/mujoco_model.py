@@ -107,6 +107,12 @@ class MujocoRobot:
         self.data.qpos[self._platform_positions :] = np.asarray(angle) * self.robot.pulley_radius
         self.data.qvel[self._platform_speeds :] = np.asarray(speed) * self.robot.pulley_radius
 
+    def set_lane(self, state, lane):
+        """The state of one robot of a batch, with its motors."""
+        self.set_state(state.pose[lane], state.velocity[lane])
+        if self.robot.flexible:
+            self.set_motors(state.angle[lane], state.speed[lane])
+
     def set_free_lengths(self, lengths):
         """Makes the cables elastic with free lengths l (m,) [m]: one-sided springs EA/l, and
         dampers also if slack.

@@ -36,19 +36,13 @@ def accelerations_of_mujoco(peer, state, torques, wrench=None):
     platform = []
     motors = []
     for lane, torque in enumerate(torques):
-        load_state(peer, state, lane)
+        peer.set_lane(state, lane)
         if wrench is not None:
             peer.set_wrench(*(vectors[lane] for vectors in wrench))
         platform.append(peer.accelerations(torque))
         if peer.robot.flexible:
             motors.append(peer.motor_accelerations(torque))
     return np.array(platform), np.array(motors)
-
-
-def load_state(peer, state, lane):
-    peer.set_state(state.pose[lane], state.velocity[lane])
-    if peer.robot.flexible:
-        peer.set_motors(state.angle[lane], state.speed[lane])
 
 
 @every_kind
