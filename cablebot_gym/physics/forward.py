@@ -16,9 +16,6 @@ from cablebot_gym.physics.plant import form_of, pack_parameters
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import all_finite
 
-ITERATIONS = 50
-"""Largest number of poses that the iteration tries."""
-
 TOLERANCE = 1e-12
 """Size of a step after which the iteration ends: sum over the coordinates [m, rad]; with cables
 above 1 m, times the length of the longest one at the home pose."""
@@ -58,9 +55,7 @@ def _prepared(robot: Robot) -> tuple[kernel.Form, Array, float]:
     return form, parameters, TOLERANCE * max(1.0, float(home.max()))
 
 
-def forward_kinematics(
-    robot: Robot, lengths: ArrayLike, guess: ArrayLike, *, iterations: int = ITERATIONS
-) -> ForwardKinematics:
+def forward_kinematics(robot: Robot, lengths: ArrayLike, guess: ArrayLike) -> ForwardKinematics:
     """The poses whose cable lengths are nearest to the given ones, near a guess.
 
     Six cables admit several poses. The iteration converges to that of the guess, for example the
@@ -70,7 +65,6 @@ def forward_kinematics(
         robot: nominal robot.
         lengths: cable lengths, (..., m) with m ≥ n [m].
         guess: initial poses, (..., n) or (n,).
-        iterations: largest number of poses that the iteration tries.
 
     Raises:
         ValueError: if the shapes do not match the robot or each other, or a number is not finite.
@@ -96,7 +90,7 @@ def forward_kinematics(
     memory = np.empty(len(parameters) * lanes), np.empty(rows.scratch_rows(form) * lanes)
     wanted = np.ascontiguousarray(lengths).reshape(-1, m)
     locate = kernel.compiled(form, lanes).locate
-    locate(parameters, iterations, tolerance, *memory, wanted, found, squares, ended)
+    locate(parameters, tolerance, *memory, wanted, found, squares, ended)
     return ForwardKinematics(
         pose=pose, residual=np.sqrt(squares / m).reshape(shape), converged=ended.reshape(shape)
     )
