@@ -311,21 +311,12 @@ def _best_known_rows(references: Iterable[BestKnown]) -> list[list[str]]:
     for (env_id, title), group in groups.items():
         if len(group) == 1:
             title = tables.task_title(group[0].cell)
-        rows.append([env_id, title, *_best_known_numbers(group), _best_known_note(group)])
+        medians = []
+        for name in ("payload", "total_mass"):
+            values = [best.result[name] for best in group if best.result.get(name) is not None]
+            medians.append(f"{np.median(values):.3f}" if values else "–")
+        rows.append([env_id, title, *medians, _best_known_note(group)])
     return rows
-
-
-def _best_known_numbers(group: Sequence[BestKnown]) -> list[str]:
-    """Medians of payload and total mass."""
-    results = [best.result for best in group]
-    texts = []
-    for values in (
-        [result.get("payload") for result in results],
-        [result.get("total_mass") for result in results],
-    ):
-        numbers = [value for value in values if value is not None]
-        texts.append(f"{np.median(numbers):.3f}" if numbers else "–")
-    return texts
 
 
 def _best_known_note(group: Sequence[BestKnown]) -> str:

@@ -262,14 +262,17 @@ def _policy_cells(
     seed: int,
 ) -> list[PolicyCell]:
     included = _included(block, names)
+    tasks = _tasks(env_id, block, seed_text)
     cells: list[PolicyCell] = []
     if block.survey:
         for name, conditions in product(included, block.combinations(env_id)):
-            motions = _survey_motions(block, env_id, name, seed_text)
+            # the motions of the policy in one trajectory with a list of seeds
+            count = surveyed_motions(name, env_id, block.surveyed or block.motions)
+            seeds = [task["trajectory"]["seed"] for task in tasks[:count]]
+            motions = tasks[0] | {"trajectory": tasks[0]["trajectory"] | {"seed": seeds}}
             data = {"env_id": env_id, "policy": name, **motions, "seed": seed}
             cells.append(SurveyCell(**data | conditions))
         return cells
-    tasks = _tasks(env_id, block, seed_text)
     for task, name, conditions in product(tasks, included, block.combinations(env_id)):
         data = {"env_id": env_id, "policy": name, **task} | conditions
         if block.one_at_a_time and data["uncertainty"] is None:
@@ -280,17 +283,6 @@ def _policy_cells(
                 data["resolution"] = OWN_RESOLUTION * payload_range[1]
         cells.append(PolicyCell(seed=seed, **data))
     return cells
-
-
-def _survey_motions(
-    block: Block, env_id: str, policy: str, seed_text: str | None
-) -> dict[str, Any]:
-    """The task of a policy as fields of a survey: its motions in one trajectory with a list of
-    seeds."""
-    count = surveyed_motions(policy, env_id, block.surveyed or block.motions)
-    tasks = _tasks(env_id, block, seed_text)[:count]
-    seeds = [task["trajectory"]["seed"] for task in tasks]
-    return tasks[0] | {"trajectory": tasks[0]["trajectory"] | {"seed": seeds}}
 
 
 def surveyed_motions(policy: str, env_id: str, motions: int) -> int:

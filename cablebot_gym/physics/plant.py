@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel
@@ -109,13 +109,6 @@ def kernel_memory(*shape: int) -> Array:
     return memory[start : start + count].reshape(shape)
 
 
-def _parts_of(tiles: int, parts: int) -> tuple[slice, ...]:
-    """Tiles of each of at most ``parts`` parts, which are nearly equal."""
-    parts = min(parts, tiles)
-    edges = [tiles * part // parts for part in range(parts + 1)]
-    return tuple(slice(start, stop) for start, stop in pairwise(edges))
-
-
 FEW_ROBOTS = 4
 """Largest number of robots that are computed one after the other: faster than a tile with unused
 lanes, in Python, too."""
@@ -145,7 +138,9 @@ class Plant:
         tiles = -(-count // self.lanes)  # rounded up
         self.width = tiles * self.lanes
         """Number of lanes in memory: N plus the padding of the last tile."""
-        self._tiles = _parts_of(tiles, parts)
+        parts = min(parts, tiles)
+        edges = [tiles * part // parts for part in range(parts + 1)]  # nearly equal parts
+        self._tiles = tuple(slice(start, stop) for start, stop in pairwise(edges))
         self.parts = tuple(
             slice(tile.start * self.lanes, min(tile.stop * self.lanes, count))
             for tile in self._tiles
@@ -187,17 +182,12 @@ class Plant:
         self._advance = kernel.compiled(self._form, self.lanes).advance
         start = rows.FIRST_CABLE_RECORD + rows.DEMAND
         self._action = self._view(self.record, start, self.robot.cables, rows.CABLE_RECORDS)
-        self._memory = tuple(self._memory_of(tiles) for tiles in self._tiles)
-
-    def _memory_of(
-        self, tiles: slice
-    ) -> tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
-        """Parameters, record, scratch memory of its own, index of the trajectories and of the steps
-        of some tiles."""
-        lanes = slice(tiles.start * self.lanes, tiles.stop * self.lanes)
-        scratch = kernel_memory(rows.scratch_rows(self._form) * self.lanes)
-        indices = self.trajectory_index[lanes], self.step_index[lanes]
-        return self._parameters[tiles], self.record[tiles], scratch, *indices
+        self._memory = []
+        for tiles in self._tiles:
+            lanes = slice(tiles.start * self.lanes, tiles.stop * self.lanes)
+            scratch = kernel_memory(rows.scratch_rows(self._form) * self.lanes)
+            indices = self.trajectory_index[lanes], self.step_index[lanes]
+            self._memory.append((self._parameters[tiles], self.record[tiles], scratch, *indices))
 
     @property
     def _parameter_rows(self) -> int:

@@ -498,19 +498,13 @@ def _check_cable_values(robot: Robot) -> None:
                 )
 
 
-def _reach_and_gyration(robot: Robot) -> tuple[float, float]:
-    """Largest distance of a platform anchor from the centre of mass, and largest radius of gyration
-    [m]."""
-    reach = float(np.max(np.linalg.norm(robot.platform - robot.mass_center, axis=1)))
-    moment = float(np.linalg.eigvalsh(robot.inertia_tensor).max())
-    return reach, math.sqrt(max(moment, 0.0) / robot.mass)
-
-
 def _check_body(robot: Robot) -> None:
     """Checks that a body and cables of this size and form exist."""
     checks.check_widths(robot.base, robot.pulley_radius, robot.swivel_radius)
     if not robot.point_mass:
-        checks.check_reach(*_reach_and_gyration(robot))
+        reach = float(np.max(np.linalg.norm(robot.platform - robot.mass_center, axis=1)))
+        moment = float(np.linalg.eigvalsh(robot.inertia_tensor).max())
+        checks.check_reach(reach, math.sqrt(max(moment, 0.0) / robot.mass))
     if robot.kind == "spatial":
         checks.check_inertia(robot.inertia, robot.inertia_tensor)
     heights = cable_vectors(robot.base, robot.platform, robot.home)[:, -1]

@@ -287,8 +287,10 @@ class Steering:
         :meth:`due`."""
         due = self.due(memory)
         if np.any(due):
-            rows = due[..., None, None]
-            actions = _appended(memory.actions, self._clipped(action), rows)
+            later = memory.actions[..., 1:, :]  # without the oldest action
+            newest = self._clipped(action)[..., None, :]
+            moved = np.concatenate([later, newest], axis=-2)
+            actions = np.where(due[..., None, None], moved, memory.actions)
             memory = replace(memory, actions=actions)
         if memory.law is None:
             episode_start = None
@@ -327,11 +329,3 @@ class Steering:
             if block in blocks:
                 shifted[block] = motion[..., order, :] + blocks[block]
         return shifted
-
-
-def _appended(values: Array, newest: Array, rows: NDArray[np.bool_]) -> Array:
-    """Values (..., length, size) without the oldest and with the newest, in the marked rows."""
-    later = values[..., 1:, :]
-    newest = newest[..., None, :]
-    moved = np.concatenate([later, newest], axis=-2)
-    return np.where(rows, moved, values)
