@@ -139,23 +139,20 @@ def recompute(
     chosen |= _sample(others, count - len(chosen))
     jobs = {key: Job.of(record.cell) for key, record in chosen.items()}
     for key, computed in backend(jobs, say, ()):
-        yield _compared(chosen[key], computed)
+        stored = chosen[key]
+        before = single_records([stored])
+        after = single_records([computed])
+        yield Recomputed(
+            cell=stored.cell,
+            stored=tuple(_value(record.result) for record in before),
+            computed=tuple(_value(record.result) for record in after),
+            is_equal=all(map(_are_equal, before, after)),
+        )
 
 
 def _sample(records: Mapping[str, Record], count: int) -> dict[str, Record]:
     keys = random.SystemRandom().sample(sorted(records), min(count, len(records)))
     return {key: records[key] for key in keys}
-
-
-def _compared(stored: Record, computed: Record) -> Recomputed:
-    before = single_records([stored])
-    after = single_records([computed])
-    return Recomputed(
-        cell=stored.cell,
-        stored=tuple(_value(record.result) for record in before),
-        computed=tuple(_value(record.result) for record in after),
-        is_equal=all(map(_are_equal, before, after)),
-    )
 
 
 def _are_equal(stored: Record, computed: Record) -> bool:

@@ -102,7 +102,9 @@ def scores(records: Sequence[Record]) -> list[Score]:
         cell = record.cell
         if not isinstance(cell, PolicyCell):
             continue
-        best_known = _best_known_payload(cell, references)
+        best_known = None
+        if cell.motion_key in references:
+            best_known = references[cell.motion_key].payload
         reference = None
         if best_known and cell.criterion == "task":
             reference = best_known * _attainable(cell, sticks)
@@ -359,14 +361,6 @@ def _values(entry: Sequence[Score]) -> Array | None:
     if not values or len(values) < len(entry):
         return None
     return np.array(values)
-
-
-def _best_known_payload(cell: PolicyCell, references: Mapping[str, BestKnown]) -> float | None:
-    """Best known payload for the motion of a cell [kg]; None if there is none."""
-    reference = references.get(cell.motion_key)
-    if reference is None:
-        return None
-    return reference.payload
 
 
 def _attainable(cell: PolicyCell, sticks: Mapping[tuple[str, str], Yardstick]) -> float:

@@ -13,7 +13,6 @@ from typing import Any
 from cablebot_gym.benchmark.cells import (
     BestKnownCell,
     Cell,
-    DrawnCell,
     PolicyCell,
     SurveyCell,
     TimingCell,
@@ -224,9 +223,13 @@ def suite_cells(
     for env_id, names in policies.items():
         if suite.best_known:
             for block in suite.blocks:
-                cells += _best_known_cells(block, env_id, seed_text)
-            for block in suite.blocks:
-                cells += _drawn_cells(block, env_id, seed_text, seed)
+                if block.is_nominal:
+                    cells += _best_known_cells(block, env_id, seed_text)
+            for block in suite.blocks:  # the yardsticks of surveys under uncertainty
+                uncertainty = block.conditions.get("uncertainty")
+                if block.survey and uncertainty is not None:
+                    motions = _best_known_cells(block, env_id, seed_text)
+                    cells += drawn_cells(motions, uncertainty, seed)
         for block in suite.blocks:
             if not block.env_ids:
                 cells += _policy_cells(block, env_id, names, seed_text, seed)
@@ -239,19 +242,8 @@ def suite_cells(
 
 
 def _best_known_cells(block: Block, env_id: str, seed_text: str | None) -> list[BestKnownCell]:
-    """Cells of the best known payloads of a block."""
-    if not block.is_nominal:
-        return []
+    """Cells of the best known payloads on the motions of a block."""
     return [BestKnownCell(env_id=env_id, **task) for task in _tasks(env_id, block, seed_text)]
-
-
-def _drawn_cells(block: Block, env_id: str, seed_text: str | None, seed: int) -> list[DrawnCell]:
-    """Cells of the yardstick of a survey under uncertainty."""
-    uncertainty = block.conditions.get("uncertainty")
-    if not block.survey or uncertainty is None:
-        return []
-    motions = [BestKnownCell(env_id=env_id, **task) for task in _tasks(env_id, block, seed_text)]
-    return drawn_cells(motions, uncertainty, seed)
 
 
 def _policy_cells(

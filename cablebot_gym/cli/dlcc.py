@@ -165,21 +165,16 @@ def _print_results(
     print_payloads(results, _criteria(policy, search)[1])
     for result in results:
         if result.details.violation_seed is not None and not result.details.stochastic:
-            print(f"{result.criterion}: this command repeats the failure:")
-            print(f"  {_failure_command(result, policy.name, episode)}")
-
-
-def _failure_command(result: DLCCResult, policy: str, episode: options.EpisodeOptions) -> str:
-    """The command line that repeats and records the episode with the limiting violation."""
-    return options.command_again(
-        "rollout",
-        result.conditions.env_id,
-        policy=policy,
-        payload=repr(result.failed_payload or 0.0),
-        criterion=None if result.criterion == "task" else result.criterion,
-        out="failure.csv",
-        episode=replace(episode, seed=result.details.violation_seed),
-    )
+            command = options.command_again(
+                "rollout",
+                result.conditions.env_id,
+                policy=policy.name,
+                payload=repr(result.failed_payload or 0.0),
+                criterion=None if result.criterion == "task" else result.criterion,
+                out="failure.csv",
+                episode=replace(episode, seed=result.details.violation_seed),
+            )
+            print(f"{result.criterion}: this command repeats the failure:\n  {command}")
 
 
 def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:

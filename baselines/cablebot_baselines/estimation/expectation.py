@@ -60,6 +60,9 @@ class Expectation:
             lag = lags.applied(lag, np.array([lags.low, lags.high]))
         shortest, longest = lag.tolist()
         spread = partial(_spread, robot, uncertainty)
+        friction_spread = spread("coulomb_friction")
+        if friction_spread and uncertainty.parameters["coulomb_friction"].each:
+            friction_spread /= np.sqrt(robot.cables)  # of the mean friction
         return cls(
             robot=_expected(robot, uncertainty),
             delay=uncertainty.delay_range,
@@ -67,7 +70,7 @@ class Expectation:
             mass_spread=spread("platform_mass", relative=False),
             payload_spread=_relative_spread(uncertainty, "payload"),
             strength_spread=spread("motor_strength"),
-            friction_spread=_friction_spread(robot, uncertainty),
+            friction_spread=friction_spread,
             inertia_spread=spread("pulley_inertia"),
             damping_spread=spread("damping", relative=False),
             stiffness_spread=spread("stiffness"),
@@ -138,14 +141,6 @@ def _relative_spread(uncertainty: Uncertainty, name: str) -> float:
     distribution = uncertainty.parameters[name]
     lower, upper = distribution.deviation(np.array([_LOWER, _UPPER]))
     return float(upper - lower) / 2
-
-
-def _friction_spread(robot: Robot, uncertainty: Uncertainty) -> float:
-    """Standard deviation of the mean Coulomb friction of all motors as a fraction of it."""
-    spread = _spread(robot, uncertainty, "coulomb_friction")
-    if spread and uncertainty.parameters["coulomb_friction"].each:
-        spread /= np.sqrt(robot.cables)
-    return spread
 
 
 def _wrench_spread(robot: Robot, uncertainty: Uncertainty) -> Array:

@@ -287,9 +287,13 @@ class Steering:
         :meth:`due`."""
         due = self.due(memory)
         if np.any(due):
+            # to ±1, and the position to the unit ball
+            clipped = np.clip(np.asarray(action, float), -1.0, 1.0)
+            position = clipped[..., :3]
+            length = np.linalg.norm(position, axis=-1, keepdims=True)
+            position /= np.maximum(length, 1.0)
             later = memory.actions[..., 1:, :]  # without the oldest action
-            newest = self._clipped(action)[..., None, :]
-            moved = np.concatenate([later, newest], axis=-2)
+            moved = np.concatenate([later, clipped[..., None, :]], axis=-2)
             actions = np.where(due[..., None, None], moved, memory.actions)
             memory = replace(memory, actions=actions)
         if memory.law is None:
@@ -298,15 +302,6 @@ class Steering:
         applied, law = self.law.respond(shifted, memory.law, episode_start)
         memory = replace(memory, step=memory.step + 1, law=law)
         return applied, memory
-
-    def _clipped(self, action: Array) -> Array:
-        """Clips an action to ±1, and its position to the unit ball."""
-        action = np.asarray(action, float)
-        action = np.clip(action, -1.0, 1.0)
-        position = action[..., :3]
-        length = np.linalg.norm(position, axis=-1, keepdims=True)
-        position /= np.maximum(length, 1.0)
-        return action
 
     def _spline(self, weights: Array, memory: Memory) -> Array:
         """Spline (..., orders, n) from weights (..., orders, memory_length) and the control
