@@ -146,7 +146,14 @@ def markdown(results: Results) -> str:
     text += _notes_text(records, boards)
     if results.seed_text is not None:
         text += _hidden_text(results.seed_text)
-    return f"{text}\n{_definitions(records)}\n{_origin(results)}"
+    # suite, command and versions that all results have
+    common = _common(_versions(records))
+    versions = ", ".join(f"{name} {version}" for name, version in common.items())
+    summary = find_suite(results.suite).summary
+    origin = (
+        f"Suite `{results.suite}` ({summary}), computed by `{results.command}` with {versions}."
+    )
+    return f"{text}\n{_definitions(records)}\n{origin}\n"
 
 
 def _section(title: str, rows: Sequence[Sequence[str]]) -> str:
@@ -268,16 +275,6 @@ def _bounds_text(cells: Sequence[PolicyCell]) -> str:
     if len(environments) == 1:
         return next(iter(environments))
     return "; ".join(f"{text} ({', '.join(env_ids)})" for text, env_ids in environments.items())
-
-
-def _origin(results: Results) -> str:
-    """Suite, command and versions that all results have."""
-    common = _common(_versions(results.records))
-    versions = ", ".join(f"{name} {version}" for name, version in common.items())
-    summary = find_suite(results.suite).summary
-    return (
-        f"Suite `{results.suite}` ({summary}), computed by `{results.command}` with {versions}.\n"
-    )
 
 
 def library_tables(records: Sequence[Record]) -> str:

@@ -314,25 +314,26 @@ def _tasks(env_id: str, block: Block, seed_text: str | None) -> list[dict[str, A
     """Tasks of a block as fields of cells: the motion, and in ``library`` blocks also the robot and
     the error bounds."""
     if block.motion == "library":
-        names = [*library(), *(ELASTIC + name for name in library())]
-        return [_own_task(name) for name in names if fitting_env_id(name) == env_id]
+        tasks = []
+        for name in (*library(), *(ELASTIC + name for name in library())):
+            if fitting_env_id(name) != env_id:
+                continue
+            robot = find_robot(name)
+            trajectory = default_trajectory(robot)
+            if isinstance(trajectory, str):
+                trajectory = {"name": trajectory}
+            task = {
+                "robot_name": name,
+                "trajectory": to_jsonable(trajectory),
+                "error_bounds": to_jsonable(find_error_bounds(None, robot)),
+            }
+            tasks.append(task)
+        return tasks
     bounds = to_jsonable(find_error_bounds(None, find_robot(env_robot(env_id))))
     return [
         {"trajectory": motion, "error_bounds": bounds}
         for motion in _motions(env_id, block, seed_text)
     ]
-
-
-def _own_task(name: str) -> dict[str, Any]:
-    robot = find_robot(name)
-    trajectory = default_trajectory(robot)
-    if isinstance(trajectory, str):
-        trajectory = {"name": trajectory}
-    return {
-        "robot_name": name,
-        "trajectory": to_jsonable(trajectory),
-        "error_bounds": to_jsonable(find_error_bounds(None, robot)),
-    }
 
 
 def _motions(env_id: str, block: Block, seed_text: str | None) -> list[dict[str, Any]]:

@@ -14,25 +14,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from cablebot_gym.bounds.best_known import (
-    BestKnownPayload,
-    Replay,
-    _Case,
-    _case,
-    find_best_known,
-)
+from cablebot_gym.bounds.best_known import BestKnownPayload, Replay, _Case, _case, find_best_known
 from cablebot_gym.bounds.tightening import Tightening
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
-from cablebot_gym.planning import (
-    Follower,
-    Infeasible,
-    Margins,
-    MotionProgram,
-    PlannedMotion,
-    State,
-)
+from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, PlannedMotion, State
 from cablebot_gym.robots import Robot
 from cablebot_gym.uncertainty import PARAMETERS, Uncertainty, find_uncertainty, scaled_tensor
 from cablebot_gym.utils.checks import whole

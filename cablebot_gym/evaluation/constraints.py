@@ -12,13 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs import TERMINATION_REASONS
-from cablebot_gym.envs.limits import (
-    is_held,
-    is_taut,
-    is_unsaturated,
-    minimum_tension,
-    within_bound,
-)
+from cablebot_gym.envs.limits import is_held, is_taut, is_unsaturated, minimum_tension, within_bound
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import choice

@@ -42,9 +42,7 @@ from cablebot_gym.robots.parts import (
     Plane,
     Transmission,
 )
-from cablebot_gym.robots.record import (
-    Robot,
-)
+from cablebot_gym.robots.record import Robot
 
 __all__ = [
     "COORDINATE_NAMES",

@@ -431,16 +431,7 @@ def _check_fields(robot: Robot) -> None:
         raise ValueError(
             f"sources must be a table of texts by the name of the field, not {robot.sources!r}"
         )
-    checks.check_ranges(robot.ranges, _fields_with_numbers(robot))
-    if robot.weightless and robot.cables <= robot.coordinates:
-        raise ValueError(
-            f"base_anchors: {KIND_TEXTS[robot.kind]} without gravity needs at least {robot.coordinates + 1} cables, "
-            f"not {robot.cables}: add cables"
-        )
-
-
-def _fields_with_numbers(robot: Robot) -> dict[str, Any]:
-    """Values of the fields that have one number, or one per motor, by name as in ``ranges``."""
+    # the fields that have one number, or one per motor, by name as in ``ranges``
     values = {
         name: getattr(robot, name)
         for name in ("mass", "gravity", "minimum_tension", "maximum_tension")
@@ -448,7 +439,12 @@ def _fields_with_numbers(robot: Robot) -> dict[str, Any]:
     for part in (robot.motors, robot.transmission):
         prefix = type(part).__name__.lower()
         values |= {f"{prefix}.{field}": value for field, value in vars(part).items()}
-    return values
+    checks.check_ranges(robot.ranges, values)
+    if robot.weightless and robot.cables <= robot.coordinates:
+        raise ValueError(
+            f"base_anchors: {KIND_TEXTS[robot.kind]} without gravity needs at least {robot.coordinates + 1} cables, "
+            f"not {robot.cables}: add cables"
+        )
 
 
 def _check_shapes(robot: Robot) -> None:

@@ -154,7 +154,9 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     try:
         write(temporary)
         # The mode of an ordinary new file: temporary files are private.
-        os.chmod(temporary, 0o666 & ~_umask())
+        mask = os.umask(0)  # it is read by setting it
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
         os.replace(temporary, path)
     except BaseException as error:
         temporary.unlink(missing_ok=True)
@@ -166,9 +168,3 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
 def atomic_write_text(path: Path, text: str) -> None:
     """Writes ``text`` to ``path`` in UTF-8, see :func:`atomic_write`."""
     atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
