@@ -20,17 +20,14 @@ HOME_RISE = 0.1 / math.sqrt(0.1**2 + 0.47**2 + ((2 * 0.148 - 0.47) / math.sqrt(3
 (0, -2b/√3, 0.1)."""
 
 
-def with_motors(robot, **changes):
-    return robot.replace(motors=robot.motors.replace(**changes))
-
-
 # --- by hand ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("minimum", [0.0, 5.0, 70.0])
 def test_static_hang_is_limited_by_the_weakest_motor(minimum):
     """And a minimum tension needs ballast."""
-    robot = with_motors(SPATIAL, stall_torque=(10.0, 10.0, 10.0, 5.0, 10.0, 10.0))
+    motors = SPATIAL.motors.replace(stall_torque=(10.0, 10.0, 10.0, 5.0, 10.0, 10.0))
+    robot = SPATIAL.replace(motors=motors)
     result = exact_payload(
         robot,
         find_trajectory("dwell-spatial", 6),
