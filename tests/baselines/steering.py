@@ -10,23 +10,13 @@ from oracles.episodes import ROBOTS
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.network import Network
-from cablebot_baselines.learned.steering import (
-    Shift,
-    Steering,
-)
+from cablebot_baselines.learned.steering import Shift, Steering
 from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.policies import load_policy
 
 PLANAR_ID, SPATIAL_ID, _, FLEX_SPATIAL_ID = PAPER_ENV_IDS
 
-FEATURES = (
-    "pose",
-    "actions",
-    "error",
-    "time_since_start",
-    "time_to_go_decays",
-    "model_payload",
-)
+FEATURES = ("pose", "actions", "error", "time_since_start", "time_to_go_decays", "model_payload")
 
 
 def steering_of(env_id=PLANAR_ID, base=None, action_mapping=None, features=FEATURES):

@@ -81,9 +81,7 @@ def test_filter_is_better_than_forward_kinematics(env_id):
 
 def test_filter_finds_the_pose_behind_the_springs():
     errors, *_ = run(
-        "CableBot-FlexPlanar-v0",
-        ExtendedKalmanFilter(find_robot("flex-planar")),
-        law="composite",
+        "CableBot-FlexPlanar-v0", ExtendedKalmanFilter(find_robot("flex-planar")), law="composite"
     )
     assert np.abs(errors[..., :2]).max() < 1e-4  # the springs deflect by centimetres of cable
 

@@ -131,10 +131,7 @@ def test_invalid_parameters_are_rejected(make):
 
 @pytest.mark.parametrize(
     ("env_id", "base", "changes"),
-    [
-        (SPATIAL_ID, Base(), {"gains": (7.0, 3.0)}),
-        (PLANAR_ID, Base(), {"minimum_tension": 2.0}),
-    ],
+    [(SPATIAL_ID, Base(), {"gains": (7.0, 3.0)}), (PLANAR_ID, Base(), {"minimum_tension": 2.0})],
 )
 def test_parameters_of_a_base_reach_the_law(env_id, base, changes):
     robot = ROBOTS[env_id]

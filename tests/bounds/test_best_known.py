@@ -175,12 +175,7 @@ def test_payload_is_close_to_an_independent_collocation(env_id, nodes):
 def test_hang_within_narrow_bounds_has_the_static_payload():
     hang = {"name": "dwell-spatial", "duration": 0.1}
     bounds = {"position": 1e-5, "rotation": 1e-5}
-    tight = find_best_known(
-        SPATIAL_ID,
-        trajectory=hang,
-        error_bounds=bounds,
-        cache=False,
-    )
+    tight = find_best_known(SPATIAL_ID, trajectory=hang, error_bounds=bounds, cache=False)
     assert tight.verified
     assert tight.payload == pytest.approx(
         exact_payload(SPATIAL, find_trajectory(hang, 6)).payload, rel=2e-3

@@ -16,10 +16,7 @@ pytest.importorskip("casadi")
 
 PLANAR_ID = "CableBot-Planar-v0"
 LINE = {"name": "line-planar", "duration": 0.4, "dwell": 0.0}
-HEAVIER = {
-    "parameters": {"payload": {"low": 0.03, "high": 0.03}},
-    "sensors": {"position": 1e-3},
-}
+HEAVIER = {"parameters": {"payload": {"low": 0.03, "high": 0.03}}, "sensors": {"position": 1e-3}}
 
 
 def strength(deviation):

@@ -20,11 +20,7 @@ CAMERA = find_robot("stadium-camera")
 @each_of(PLANAR, SPATIAL)
 def test_payload_limit_is_the_closed_form(robot):
     motion = f"smooth-circle-{robot.kind}"
-    exact = exact_payload(
-        robot,
-        find_trajectory(motion, robot.kind),
-        minimum_tension=1.0,
-    )
+    exact = exact_payload(robot, find_trajectory(motion, robot.kind), minimum_tension=1.0)
     check = check_motion(robot, trajectory=motion)
     # which looks at more instants
     assert exact.payload <= check.limit.largest <= 1.005 * exact.payload
@@ -39,16 +35,7 @@ def test_payload_is_held_up_to_the_limit():
     ]
     assert "2, 3 at the torque limit" in limit.reason
     pose = np.array([[*limit.pose]])
-    assert [
-        bool(
-            holds(
-                CAMERA,
-                pose,
-                payload,
-            )[0]
-        )
-        for payload in (limit.largest, 200.0)
-    ] == [
+    assert [bool(holds(CAMERA, pose, payload)[0]) for payload in (limit.largest, 200.0)] == [
         True,
         False,
     ]

@@ -79,10 +79,7 @@ def _rough(robot):
     lag = np.linspace(0.0, 0.02, robot.cables)
     return with_transmission(
         robot, coulomb_friction=tuple(friction.tolist()), load_friction=tuple(per_load.tolist())
-    ).replace(
-        name=f"rough-{robot.name}",
-        motors=robot.motors.replace(lag=tuple(lag.tolist())),
-    )
+    ).replace(name=f"rough-{robot.name}", motors=robot.motors.replace(lag=tuple(lag.tolist())))
 
 
 def with_transmission(robot, **changes):
@@ -172,8 +169,7 @@ def random_states(robot, count, seed=1, reach=0.6):
     some beyond ± 1."""
     rng = np.random.default_rng(seed)
     pose = rng.uniform(
-        *(reach * (robot.pose_bounds - robot.home) + robot.home),
-        (count, robot.coordinates),
+        *(reach * (robot.pose_bounds - robot.home) + robot.home), (count, robot.coordinates)
     )
     velocity = rng.uniform(-1, 1, pose.shape)
     actions = rng.uniform(-0.7, 1.2, (count, robot.cables))
@@ -278,33 +274,18 @@ def evaluated(plant, torques):
     2."""
     robot = plant.robot
     torque_row = rows.FIRST_CABLE_RECORD + rows.TORQUE
-    plant._write(
-        plant.record,
-        torque_row,
-        np.arange(plant.count),
-        torques,
-        rows.CABLE_RECORDS,
-    )
+    plant._write(plant.record, torque_row, np.arange(plant.count), torques, rows.CABLE_RECORDS)
     accelerations = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
     evaluate = _evaluation(plant._form, plant.lanes)
     (_, _, scratch, _, _) = plant._memory[0]
-    evaluate(
-        plant.unilateral,
-        plant._parameters,
-        plant.record,
-        scratch,
-        accelerations,
-    )
+    evaluate(plant.unilateral, plant._parameters, plant.record, scratch, accelerations)
     return plant._read(accelerations, 0, robot.coordinates), plant.per_cable(rows.TENSION)
 
 
 def advance(plant, torques, duration, substeps):
     """Constant torques of free motors; nobody reads the errors."""
     plant.set_action(
-        np.broadcast_to(
-            torques / plant.robot.stall_torque,
-            (plant.count, plant.robot.cables),
-        )
+        np.broadcast_to(torques / plant.robot.stall_torque, (plant.count, plant.robot.cables))
     )
     plant.advance(*no_reference(plant.robot), substeps=substeps, step=duration / substeps)
 
@@ -380,11 +361,7 @@ def energies(robot, state, cable="bilateral", mass=None):
         kinetic = kinetic + np.sum(robot.motor_inertia * state.speed**2, axis=-1) / 2
         potential = (
             potential
-            + np.sum(
-                spring_torques(robot, state, cable) ** 2 / robot.stiffness,
-                axis=-1,
-            )
-            / 2
+            + np.sum(spring_torques(robot, state, cable) ** 2 / robot.stiffness, axis=-1) / 2
         )
     return kinetic, potential
 

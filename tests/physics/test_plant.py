@@ -107,11 +107,7 @@ def python_period(robot, mass, state, action, lagged, substeps, step, cable):
     request."""
     stall = robot.stall_torque
     lag = robot.motor_lag
-    request = stall * np.clip(
-        action,
-        -1,
-        1,
-    ) - robot.speed_slope * drive_speed(robot, state)
+    request = stall * np.clip(action, -1, 1) - robot.speed_slope * drive_speed(robot, state)
 
     def lagged_request(time):
         exponent = np.divide(-time, lag, out=np.full_like(lag, -np.inf), where=lag > 0)
@@ -128,13 +124,7 @@ def python_period(robot, mass, state, action, lagged, substeps, step, cable):
         applied.append(torque(start, states[-1]))
 
         def rates(time, state, start=start):
-            return textbook_rates(
-                robot,
-                state,
-                torque(start + time, state),
-                cable,
-                mass,
-            )[0]
+            return textbook_rates(robot, state, torque(start + time, state), cable, mass)[0]
 
         states.append(runge_kutta_step(rates, states[-1], step))
     return states, np.stack(applied), lagged_request(substeps * step)
@@ -160,10 +150,7 @@ def check_record(plant, states, applied, tensions, lines):
     distance = np.linalg.norm(errors[..., : robot.dimensions], axis=-1)
     turned = np.abs(errors[..., robot.dimensions :]).max(axis=(0, 2), initial=0)
     record = record_of(plant)
-    for row, peaks in (
-        (rows.POSITION_PEAK, distance.max(axis=0)),
-        (rows.ROTATION_PEAK, turned),
-    ):
+    for row, peaks in ((rows.POSITION_PEAK, distance.max(axis=0)), (rows.ROTATION_PEAK, turned)):
         assert_allclose(record[:, row], peaks, rtol=0, atol=1e-13)
     return distance.argmax(axis=0).tolist()
 
@@ -200,11 +187,7 @@ def test_control_period_is_that_of_a_python_loop(robot, cable):
         peak_steps.update(check_record(plant, states, applied, tensions, lines))
         motors = (plant.motor_angle, plant.motor_speed) if robot.flexible else (0 * action,) * 2
         state = State(plant.pose, plant.velocity, *motors)
-        for value, expected in zip(
-            vars(state).values(),
-            vars(states[-1]).values(),
-            strict=True,
-        ):
+        for value, expected in zip(vars(state).values(), vars(states[-1]).values(), strict=True):
             assert_allclose(value, expected, rtol=1e-13, atol=1e-12)
     assert len(peak_steps) > 3  # the peak is not always at the end or the start
 
