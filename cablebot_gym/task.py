@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -42,37 +42,31 @@ class ErrorBounds:
         bound."""
         return max(0.1, 2 * self.position)
 
-    def replace(self, **changes: float) -> ErrorBounds:
-        """A copy with the bounds in ``changes`` replaced."""
-        return replace(self, **changes)
-
 
 def find_error_bounds(
-    error_bounds: ErrorBounds | Mapping[str, float] | None, robot: Robot | None = None
+    error_bounds: ErrorBounds | Mapping[str, float] | None, robot: Robot
 ) -> ErrorBounds:
     """Error bounds from an :class:`ErrorBounds` or from ``{"position": …, "rotation": …}``.
 
     Args:
         error_bounds: the bounds; None and omitted keys stand for the defaults.
         robot: robot to which they apply, whose data come first. Without data, its position bound is
-            10 mm, at most 1 % and at least 0.1 % of the width of its base. None if it is not known
-            yet.
+            10 mm, at most 1 % and at least 0.1 % of the width of its base.
 
     Raises:
         ValueError: if a key is unknown, a bound is not positive, or the position bound exceeds the
             diagonal of the robot's workspace.
     """
     if not isinstance(error_bounds, ErrorBounds):
-        own = ErrorBounds() if robot is None else _usual_error_bounds(robot)
+        own = _usual_error_bounds(robot)
         given = mapping("error_bounds", error_bounds or {}, vars(own))
         error_bounds = record("error_bounds", ErrorBounds, vars(own) | given)
-    if robot is not None:
-        largest = float(np.linalg.norm(np.diff(robot.pose_bounds[:, : robot.dimensions], axis=0)))
-        if error_bounds.position > largest:
-            raise ValueError(
-                f"error_bounds.position must be at most {largest:.3g} m, the diagonal of the workspace of robot "
-                f"{robot.name!r}, not {error_bounds.position:g} m: a bound of 10 mm is 0.01"
-            )
+    largest = float(np.linalg.norm(np.diff(robot.pose_bounds[:, : robot.dimensions], axis=0)))
+    if error_bounds.position > largest:
+        raise ValueError(
+            f"error_bounds.position must be at most {largest:.3g} m, the diagonal of the workspace of robot "
+            f"{robot.name!r}, not {error_bounds.position:g} m: a bound of 10 mm is 0.01"
+        )
     return error_bounds
 
 

@@ -12,11 +12,11 @@ from importlib.metadata import version as version_of
 from importlib.util import find_spec
 from pathlib import Path
 
-from cablebot_gym import PUBLIC_MODULES
-
 sys.path.insert(0, str(Path(__file__).parent))
 
 ROOT = Path(__file__).parents[1]
+PUBLIC_MODULES = (ROOT / "docs" / "public_modules.txt").read_text(encoding="utf-8").split()
+"""Modules with a page, from which other packages may import."""
 
 
 def internal_modules() -> dict[str, str]:

@@ -13,7 +13,7 @@ from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.bounds import best_known
 from cablebot_gym.physics.compiling import code_cache
-from cablebot_gym.physics.compiling.loading import njit
+from cablebot_gym.physics.compiling.loading import cached_njit
 from cablebot_gym.planning import PlannedMotion, library
 from cablebot_gym.report import recording
 from cablebot_gym.report.replay import Replay
@@ -55,7 +55,7 @@ def compiled_code(folder, monkeypatch):
         return 3 * number
 
     def use():
-        compiled = njit(cache=True)(triple)
+        compiled = cached_njit(triple)
         assert compiled(2) == 6
         return not compiled.stats.cache_hits
 

@@ -5,12 +5,13 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from oracles.episodes import ROBOTS
 
 from cablebot_baselines.classical import Composite, FeedbackLinearization, make_robust
 from cablebot_baselines.classical.adaptive import make_adaptive
-from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
+from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
-from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL, find_robot
+from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -49,11 +50,11 @@ def test_one_part_decides_table_6_and_none_decides_hardware(env_id, name, payloa
 
     Two thirds of that of ``hardware`` do not return without any single part.
     """
-    law = make_adaptive(find_robot(env_robot(env_id)))
+    law = make_adaptive(ROBOTS[env_id])
     evaluate = partial(evaluate_dlcc, law, env_id, payload_known=payload_known)
     payload = evaluate(uncertainty=name, draws=512).payload
     lost = evaluate(resolution=0.01).payload - payload
-    uncertainty = find_uncertainty(name, find_robot(env_robot(env_id)))
+    uncertainty = find_uncertainty(name, ROBOTS[env_id])
     sources = parts_of(uncertainty)
     returned = 2 / 3
     if name == "table6":

@@ -11,13 +11,7 @@ import pytest
 
 from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import (
-    ELASTIC,
-    find_robot,
-    library,
-    load_robot,
-    robot_names,
-)
+from cablebot_gym.robots import ELASTIC, find_robot, library, load_robot, robot_names
 from cablebot_gym.robots.ranges import with_values
 
 every_robot = pytest.mark.parametrize("name", library())

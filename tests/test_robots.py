@@ -165,18 +165,10 @@ ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
             {"inertia": ((0.6, 0.1, 0.0), (0.0, 0.6, 0.0), (0.0, 0.0, 1.1))},
             "the tensor must be symmetric",
         ),
-        (
-            SPATIAL,
-            {"inertia": (0.58, 0.58, -1.16)},
-            "all principal moments must be greater than 0",
-        ),
+        (SPATIAL, {"inertia": (0.58, 0.58, -1.16)}, "all principal moments must be greater than 0"),
         (SPATIAL, {"plane": "vertical"}, "plane is for planar robots"),
         (PLANAR, {"swivel_radius": 0.01}, "swivel_radius is for robots in space"),
-        (
-            PLANAR,
-            {"center_of_mass": (0.1, 0.0)},
-            "center_of_mass must be empty for a point mass",
-        ),
+        (PLANAR, {"center_of_mass": (0.1, 0.0)}, "center_of_mass must be empty for a point mass"),
         (CAMERA, {"home_pose": (9.0, 0.0, 3.0)}, "no positive tensions hold home_pose"),
         (
             CAMERA,
@@ -185,11 +177,7 @@ ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
         ),
         (CAMERA, {"base_anchors": ONE_ABOVE}, r"upside down they would\. z points down here"),
         (CRANE, {"center_of_mass": (1.0, 0.0, 0.0)}, "no positive tensions hold home_pose"),
-        (
-            SPATIAL,
-            {"minimum_tension": -1.0},
-            "minimum_tension must be a finite number at least 0",
-        ),
+        (SPATIAL, {"minimum_tension": -1.0}, "minimum_tension must be a finite number at least 0"),
         (
             SPATIAL,
             {"minimum_tension": 5.0, "maximum_tension": 5.0},

@@ -38,8 +38,7 @@ def stacked(reference):
 
 
 @pytest.mark.parametrize(
-    ("robot", "radius", "constants"),
-    [("planar", 0.2165, []), ("spatial", 0.1, [0.1] * 4)],
+    ("robot", "radius", "constants"), [("planar", 0.2165, []), ("spatial", 0.1, [0.1] * 4)]
 )
 def test_paper_circle_is_that_of_tables_1_and_3(robot, radius, constants):
     t = np.linspace(0, 1, 501)
@@ -179,10 +178,7 @@ def test_motion_of_a_file_is_an_object_class_or_function(tmp_path, monkeypatch):
             "one object, so that environments share one table"
         )
     lost = r"raised RuntimeError: lost \(own_motion_of_a_test\.py, line 10\)"
-    for name, message in (
-        ("number", "gives 3, which is no Trajectory"),
-        ("broken", lost),
-    ):
+    for name, message in (("number", "gives 3, which is no Trajectory"), ("broken", lost)):
         with pytest.raises(ValueError, match=message):
             find_trajectory(f"{path}:{name}", 2)
 
@@ -249,21 +245,9 @@ def chain(*motions):
             6,
             "unknown trajectory 'circle-planar'; .*; did you mean 'circle-spatial'",
         ),
-        (
-            Dwell(name="drift", pose=(0.0, 0.0)),
-            6,
-            "'drift' has 2 coordinates and the robot has 6",
-        ),
-        (
-            {"name": "line-planar", "duration": "fast"},
-            2,
-            "duration must be .* not 'fast'",
-        ),
-        (
-            {"name": "line-planar", "dwell": -0.1},
-            2,
-            "dwell must be .* at least 0 s, not -0.1",
-        ),
+        (Dwell(name="drift", pose=(0.0, 0.0)), 6, "'drift' has 2 coordinates and the robot has 6"),
+        ({"name": "line-planar", "duration": "fast"}, 2, "duration must be .* not 'fast'"),
+        ({"name": "line-planar", "dwell": -0.1}, 2, "dwell must be .* at least 0 s, not -0.1"),
         (
             chain(LINE, LINE),
             2,
@@ -275,11 +259,7 @@ def chain(*motions):
             'starts with a nonzero acceleration .* or give it "dwell": 0.3',
         ),
         (chain(0.3, LINE), 2, "must be a list that starts with a motion"),
-        (
-            chain(LINE, -0.3),
-            2,
-            "dwell 2 must be a finite number greater than 0 s",
-        ),
+        (chain(LINE, -0.3), 2, "dwell 2 must be a finite number greater than 0 s"),
         ({"name": "loop-planar", "seed": -1}, 2, "seed must be an integer of at least 0"),
         ({"name": "loop-spatial", "reach": [0.1]}, 6, "reach must be 3 numbers"),
     ],
@@ -302,21 +282,9 @@ def test_wrong_request_raises(trajectory, kind, message):
             {"radius": 0.1, "center": (0, 0, 0, 0)},
             "center must be .x, y., .x, y, φ., .x, y, z. or ",
         ),
-        (
-            SmoothCircle,
-            {"radius": 0.1, "center": (0, float("nan"))},
-            "center must be finite",
-        ),
-        (
-            PointToPoint,
-            {"start": (0, 0), "end": POSE},
-            "start has 2 coordinates and end has 6",
-        ),
-        (
-            BetweenDwells,
-            {"motion": find_trajectory("loop-planar", 2)},
-            "motion has dwells already",
-        ),
+        (SmoothCircle, {"radius": 0.1, "center": (0, float("nan"))}, "center must be finite"),
+        (PointToPoint, {"start": (0, 0), "end": POSE}, "start has 2 coordinates and end has 6"),
+        (BetweenDwells, {"motion": find_trajectory("loop-planar", 2)}, "motion has dwells already"),
     ],
 )
 def test_unphysical_field_raises(make, fields, message):

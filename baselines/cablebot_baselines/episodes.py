@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+State = TypeVar("State")
 
 
 def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -32,3 +34,24 @@ def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArr
     if state is None:
         start = np.array(True)
     return np.broadcast_to(start, shape)
+
+
+def merged(starts: NDArray[np.bool_], initial: State, following: State) -> State:
+    """The initial state of the episodes that start, and the following state of the others.
+
+    Args:
+        starts: which of the N episodes start, (N,).
+        initial: record of arrays, or named tuples of arrays, with N rows each.
+        following: record of the same class.
+    """
+
+    def either(old: Any, new: Any) -> Any:
+        if isinstance(new, tuple):
+            return type(new)(*map(either, old, new))
+        further_axes = (1,) * (new.ndim - 1)
+        return np.where(starts.reshape(-1, *further_axes), old, new)
+
+    values = {name: either(getattr(initial, name), new) for name, new in vars(following).items()}
+    kind: Any = type(following)
+    state: State = kind(**values)
+    return state

@@ -6,13 +6,12 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, DrawnCell, PolicyCell, TimingCell
-from cablebot_gym.benchmark.engine import Backend, Job, MessageCallback, run_jobs
+from cablebot_gym.benchmark.engine import Backend, Job, MessageCallback
 from cablebot_gym.benchmark.leaderboard import Results
-from cablebot_gym.benchmark.records import Record, compute, single_records
+from cablebot_gym.benchmark.records import Record, single_records
 from cablebot_gym.benchmark.seeds import evaluation_seed
 from cablebot_gym.benchmark.suites import find_suite, suite_cells
 from cablebot_gym.isolation.installed import public_entry
@@ -138,29 +137,22 @@ def recompute(
             others[cell.key] = record
     chosen = _sample(best_known, max(1, count // BEST_KNOWN_FRACTION))
     chosen |= _sample(others, count - len(chosen))
-    jobs = []
-    for key, record in chosen.items():
-        cell = record.cell
-        job = Job(key=key, compute=partial(compute, cell), kind=(type(cell), cell.env_id))
-        jobs.append(job)
-    for key, computed in run_jobs(jobs, backend, say=say):
-        yield _compared(chosen[key], computed)
+    jobs = {key: Job.of(record.cell) for key, record in chosen.items()}
+    for key, computed in backend(jobs, say, ()):
+        stored = chosen[key]
+        before = single_records([stored])
+        after = single_records([computed])
+        yield Recomputed(
+            cell=stored.cell,
+            stored=tuple(_value(record.result) for record in before),
+            computed=tuple(_value(record.result) for record in after),
+            is_equal=all(map(_are_equal, before, after)),
+        )
 
 
 def _sample(records: Mapping[str, Record], count: int) -> dict[str, Record]:
     keys = random.SystemRandom().sample(sorted(records), min(count, len(records)))
     return {key: records[key] for key in keys}
-
-
-def _compared(stored: Record, computed: Record) -> Recomputed:
-    before = single_records([stored])
-    after = single_records([computed])
-    return Recomputed(
-        cell=stored.cell,
-        stored=tuple(_value(record.result) for record in before),
-        computed=tuple(_value(record.result) for record in after),
-        is_equal=all(map(_are_equal, before, after)),
-    )
 
 
 def _are_equal(stored: Record, computed: Record) -> bool:

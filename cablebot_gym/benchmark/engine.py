@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
@@ -28,8 +28,6 @@ Progress = Callable[[int, int], None]
 class Job:
     """A computation that runs in any process."""
 
-    key: str
-    """Key of the result; jobs with the same key have the same result."""
     compute: Callable[[], Any]
     """The computation, which can be pickled: a ``functools.partial`` of a module-level function."""
     kind: Hashable
@@ -38,6 +36,11 @@ class Job:
     def __call__(self) -> Any:
         """Result of the computation."""
         return self.compute()
+
+    @classmethod
+    def of(cls, cell: Cell) -> Job:
+        """The computation of a cell."""
+        return cls(compute=partial(compute, cell), kind=(type(cell), cell.env_id))
 
 
 Backend = Callable[
@@ -58,25 +61,6 @@ def local(workers: int) -> Backend:
         )
 
     return run
-
-
-def run_jobs(
-    jobs: Iterable[Job],
-    backend: Backend,
-    *,
-    say: MessageCallback,
-    returned: tuple[type[Exception], ...] = (),
-) -> Iterator[tuple[str, Any]]:
-    """Yields the key and the result of each job in order of completion. Jobs with the same key run
-    once.
-
-    Args:
-        jobs: jobs in the order of their start.
-        backend: see :func:`local` and :func:`~cablebot_gym.benchmark.ray_backend.on_ray`.
-        say: called with messages of the workers.
-        returned: types of exceptions that are results; others are raised.
-    """
-    return backend({job.key: job for job in jobs}, say, returned)
 
 
 def run_cells(
@@ -100,18 +84,11 @@ def run_cells(
             pending.append(cell)
         else:
             done[key] = record
-    jobs: list[Job] = []
-    timings: list[Job] = []
+    jobs: dict[str, Job] = {}
+    timings: dict[str, Job] = {}
     for cell in sorted(pending, key=_cost, reverse=True):
-        job = Job(
-            key=cell.key,
-            compute=partial(compute, cell),
-            kind=(type(cell), cell.env_id),
-        )
-        if isinstance(cell, TimingCell):
-            timings.append(job)
-        else:
-            jobs.append(job)
+        group = timings if isinstance(cell, TimingCell) else jobs
+        group[cell.key] = Job.of(cell)
     progress(len(done), len(cells))
     for key, record in _computed(jobs, timings, backend, say):
         if isinstance(record, processes.WorkerDied):
@@ -126,13 +103,13 @@ def run_cells(
 
 
 def _computed(
-    jobs: list[Job], timings: list[Job], backend: Backend, say: MessageCallback
+    jobs: Mapping[str, Job], timings: Mapping[str, Job], backend: Backend, say: MessageCallback
 ) -> Iterator[tuple[str, Any]]:
     """Key and record of each job, or why its process died; the timings come when no other job
     runs."""
     died = (processes.WorkerDied,)
-    yield from run_jobs(jobs, backend, say=say, returned=died)
-    yield from run_jobs(timings, local(1), say=say, returned=died)
+    yield from backend(jobs, say, died)
+    yield from local(1)(timings, say, died)
 
 
 def _cost(cell: Cell) -> float:

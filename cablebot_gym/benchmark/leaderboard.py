@@ -146,7 +146,14 @@ def markdown(results: Results) -> str:
     text += _notes_text(records, boards)
     if results.seed_text is not None:
         text += _hidden_text(results.seed_text)
-    return f"{text}\n{_definitions(records)}\n{_origin(results)}"
+    # suite, command and versions that all results have
+    common = _common(_versions(records))
+    versions = ", ".join(f"{name} {version}" for name, version in common.items())
+    summary = find_suite(results.suite).summary
+    origin = (
+        f"Suite `{results.suite}` ({summary}), computed by `{results.command}` with {versions}."
+    )
+    return f"{text}\n{_definitions(records)}\n{origin}\n"
 
 
 def _section(title: str, rows: Sequence[Sequence[str]]) -> str:
@@ -270,16 +277,6 @@ def _bounds_text(cells: Sequence[PolicyCell]) -> str:
     return "; ".join(f"{text} ({', '.join(env_ids)})" for text, env_ids in environments.items())
 
 
-def _origin(results: Results) -> str:
-    """Suite, command and versions that all results have."""
-    common = _common(_versions(results.records))
-    versions = ", ".join(f"{name} {version}" for name, version in common.items())
-    summary = find_suite(results.suite).summary
-    return (
-        f"Suite `{results.suite}` ({summary}), computed by `{results.command}` with {versions}.\n"
-    )
-
-
 def library_tables(records: Sequence[Record]) -> str:
     """Markdown tables of the robots with their own motions; empty if the records have none."""
     return "\n".join(map(_table, tables.library_rows(records)))
@@ -311,21 +308,12 @@ def _best_known_rows(references: Iterable[BestKnown]) -> list[list[str]]:
     for (env_id, title), group in groups.items():
         if len(group) == 1:
             title = tables.task_title(group[0].cell)
-        rows.append([env_id, title, *_best_known_numbers(group), _best_known_note(group)])
+        medians = []
+        for name in ("payload", "total_mass"):
+            values = [best.result[name] for best in group if best.result.get(name) is not None]
+            medians.append(f"{np.median(values):.3f}" if values else "–")
+        rows.append([env_id, title, *medians, _best_known_note(group)])
     return rows
-
-
-def _best_known_numbers(group: Sequence[BestKnown]) -> list[str]:
-    """Medians of payload and total mass."""
-    results = [best.result for best in group]
-    texts = []
-    for values in (
-        [result.get("payload") for result in results],
-        [result.get("total_mass") for result in results],
-    ):
-        numbers = [value for value in values if value is not None]
-        texts.append(f"{np.median(numbers):.3f}" if numbers else "–")
-    return texts
 
 
 def _best_known_note(group: Sequence[BestKnown]) -> str:

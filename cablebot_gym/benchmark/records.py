@@ -8,12 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cablebot_gym.benchmark.cells import (
-    Cell,
-    SurveyCell,
-    canonical,
-    cell_from_dict,
-)
+from cablebot_gym.benchmark.cells import Cell, SurveyCell, canonical, cell_from_dict
 from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.foreign import foreign_object

@@ -99,8 +99,21 @@ def scores(records: Sequence[Record]) -> list[Score]:
     sticks = yardsticks(records)
     policy_scores = []
     for record in single_records(records):
-        if isinstance(record.cell, PolicyCell):
-            policy_scores.append(_score(record, record.cell, references, sticks))
+        cell = record.cell
+        if not isinstance(cell, PolicyCell):
+            continue
+        best_known = None
+        if cell.motion_key in references:
+            best_known = references[cell.motion_key].payload
+        reference = None
+        if best_known and cell.criterion == "task":
+            reference = best_known * _attainable(cell, sticks)
+        score = None
+        if reference and (record.error is None or record.final):
+            score = (record.result.get("payload") or 0.0) / reference
+        policy_scores.append(
+            Score(cell=cell, result=record.result, best_known=best_known, score=score)
+        )
     return policy_scores
 
 
@@ -284,7 +297,11 @@ def _leaderboard(
     group: Sequence[Score],
     timings: Mapping[str, Mapping[str, Any]],
 ) -> Leaderboard:
-    entries = _entries(group)
+    scores_of: dict[tuple[str, Column], list[Score]] = {}
+    for score in group:
+        scores_of.setdefault((score.cell.policy, Column.of(score.cell)), []).append(score)
+    # motions are compared in pairs, and therefore in the same order
+    entries = {key: tuple(sorted(entry, key=_motion)) for key, entry in scores_of.items()}
     motions: dict[Column, int] = {}
     for (_, column), entry in entries.items():
         motions[column] = max(motions.get(column, 0), len(entry))
@@ -338,47 +355,12 @@ def _motion(score: Score) -> str:
     return canonical(dict(score.cell.trajectory))
 
 
-def _entries(group: Sequence[Score]) -> dict[tuple[str, Column], tuple[Score, ...]]:
-    """Scores by policy and column. Motions are compared in pairs, and therefore in the same
-    order."""
-    entries: dict[tuple[str, Column], list[Score]] = {}
-    for score in group:
-        entries.setdefault((score.cell.policy, Column.of(score.cell)), []).append(score)
-    for entry in entries.values():
-        entry.sort(key=_motion)
-    return {key: tuple(entry) for key, entry in entries.items()}
-
-
 def _values(entry: Sequence[Score]) -> Array | None:
     """Fractions of the motions; None unless every motion has one."""
     values = [score.score for score in entry if score.score is not None]
     if not values or len(values) < len(entry):
         return None
     return np.array(values)
-
-
-def _score(
-    record: Record,
-    cell: PolicyCell,
-    references: Mapping[str, BestKnown],
-    sticks: Mapping[tuple[str, str], Yardstick],
-) -> Score:
-    best_known = _best_known_payload(cell, references)
-    reference = None
-    if best_known and cell.criterion == "task":
-        reference = best_known * _attainable(cell, sticks)
-    score = None
-    if reference and (record.error is None or record.final):
-        score = (record.result.get("payload") or 0.0) / reference
-    return Score(cell=cell, result=record.result, best_known=best_known, score=score)
-
-
-def _best_known_payload(cell: PolicyCell, references: Mapping[str, BestKnown]) -> float | None:
-    """Best known payload for the motion of a cell [kg]; None if there is none."""
-    reference = references.get(cell.motion_key)
-    if reference is None:
-        return None
-    return reference.payload
 
 
 def _attainable(cell: PolicyCell, sticks: Mapping[tuple[str, str], Yardstick]) -> float:

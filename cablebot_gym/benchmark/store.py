@@ -57,7 +57,8 @@ class Store:
         atomic_write_text(self._path(record.cell, record.source), text)
 
     def _path(self, cell: Cell, source: str) -> Path:
-        return self._folder / f"{cell.stem}-{_hash(cell.to_dict())[:12]}-{source}.json"
+        digest = hashlib.sha256(canonical(cell.to_dict()).encode()).hexdigest()
+        return self._folder / f"{cell.stem}-{digest[:12]}-{source}.json"
 
     def _read(self, path: Path, cell: Cell) -> Record | None:
         """The record in a file; None, with a message, if the file is not as it was written for the
@@ -71,7 +72,3 @@ class Store:
             pass
         self._say(f"{path} is damaged; its cell is computed again")
         return None
-
-
-def _hash(data: dict[str, Any]) -> str:
-    return hashlib.sha256(canonical(data).encode()).hexdigest()

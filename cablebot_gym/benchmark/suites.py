@@ -13,7 +13,6 @@ from typing import Any
 from cablebot_gym.benchmark.cells import (
     BestKnownCell,
     Cell,
-    DrawnCell,
     PolicyCell,
     SurveyCell,
     TimingCell,
@@ -110,11 +109,6 @@ class Suite:
     """Whether to compute the best known payloads."""
     timing: bool = False
     """Whether to measure the computing time per action of every policy."""
-
-    @property
-    def hidden(self) -> int:
-        """Number of hidden motions of each environment. They need a seed text."""
-        return max((block.motions for block in self.blocks if block.motion == "hidden"), default=0)
 
 
 def _suites() -> Iterator[Suite]:
@@ -229,9 +223,13 @@ def suite_cells(
     for env_id, names in policies.items():
         if suite.best_known:
             for block in suite.blocks:
-                cells += _best_known_cells(block, env_id, seed_text)
-            for block in suite.blocks:
-                cells += _drawn_cells(block, env_id, seed_text, seed)
+                if block.is_nominal:
+                    cells += _best_known_cells(block, env_id, seed_text)
+            for block in suite.blocks:  # the yardsticks of surveys under uncertainty
+                uncertainty = block.conditions.get("uncertainty")
+                if block.survey and uncertainty is not None:
+                    motions = _best_known_cells(block, env_id, seed_text)
+                    cells += drawn_cells(motions, uncertainty, seed)
         for block in suite.blocks:
             if not block.env_ids:
                 cells += _policy_cells(block, env_id, names, seed_text, seed)
@@ -244,19 +242,8 @@ def suite_cells(
 
 
 def _best_known_cells(block: Block, env_id: str, seed_text: str | None) -> list[BestKnownCell]:
-    """Cells of the best known payloads of a block."""
-    if not block.is_nominal:
-        return []
+    """Cells of the best known payloads on the motions of a block."""
     return [BestKnownCell(env_id=env_id, **task) for task in _tasks(env_id, block, seed_text)]
-
-
-def _drawn_cells(block: Block, env_id: str, seed_text: str | None, seed: int) -> list[DrawnCell]:
-    """Cells of the yardstick of a survey under uncertainty."""
-    uncertainty = block.conditions.get("uncertainty")
-    if not block.survey or uncertainty is None:
-        return []
-    motions = [BestKnownCell(env_id=env_id, **task) for task in _tasks(env_id, block, seed_text)]
-    return drawn_cells(motions, uncertainty, seed)
 
 
 def _policy_cells(
@@ -267,14 +254,17 @@ def _policy_cells(
     seed: int,
 ) -> list[PolicyCell]:
     included = _included(block, names)
+    tasks = _tasks(env_id, block, seed_text)
     cells: list[PolicyCell] = []
     if block.survey:
         for name, conditions in product(included, block.combinations(env_id)):
-            motions = _survey_motions(block, env_id, name, seed_text)
+            # the motions of the policy in one trajectory with a list of seeds
+            count = surveyed_motions(name, env_id, block.surveyed or block.motions)
+            seeds = [task["trajectory"]["seed"] for task in tasks[:count]]
+            motions = tasks[0] | {"trajectory": tasks[0]["trajectory"] | {"seed": seeds}}
             data = {"env_id": env_id, "policy": name, **motions, "seed": seed}
             cells.append(SurveyCell(**data | conditions))
         return cells
-    tasks = _tasks(env_id, block, seed_text)
     for task, name, conditions in product(tasks, included, block.combinations(env_id)):
         data = {"env_id": env_id, "policy": name, **task} | conditions
         if block.one_at_a_time and data["uncertainty"] is None:
@@ -285,17 +275,6 @@ def _policy_cells(
                 data["resolution"] = OWN_RESOLUTION * payload_range[1]
         cells.append(PolicyCell(seed=seed, **data))
     return cells
-
-
-def _survey_motions(
-    block: Block, env_id: str, policy: str, seed_text: str | None
-) -> dict[str, Any]:
-    """The task of a policy as fields of a survey: its motions in one trajectory with a list of
-    seeds."""
-    count = surveyed_motions(policy, env_id, block.surveyed or block.motions)
-    tasks = _tasks(env_id, block, seed_text)[:count]
-    seeds = [task["trajectory"]["seed"] for task in tasks]
-    return tasks[0] | {"trajectory": tasks[0]["trajectory"] | {"seed": seeds}}
 
 
 def surveyed_motions(policy: str, env_id: str, motions: int) -> int:
@@ -335,25 +314,26 @@ def _tasks(env_id: str, block: Block, seed_text: str | None) -> list[dict[str, A
     """Tasks of a block as fields of cells: the motion, and in ``library`` blocks also the robot and
     the error bounds."""
     if block.motion == "library":
-        names = [*library(), *(ELASTIC + name for name in library())]
-        return [_own_task(name) for name in names if fitting_env_id(name) == env_id]
+        tasks = []
+        for name in (*library(), *(ELASTIC + name for name in library())):
+            if fitting_env_id(name) != env_id:
+                continue
+            robot = find_robot(name)
+            trajectory = default_trajectory(robot)
+            if isinstance(trajectory, str):
+                trajectory = {"name": trajectory}
+            task = {
+                "robot_name": name,
+                "trajectory": to_jsonable(trajectory),
+                "error_bounds": to_jsonable(find_error_bounds(None, robot)),
+            }
+            tasks.append(task)
+        return tasks
     bounds = to_jsonable(find_error_bounds(None, find_robot(env_robot(env_id))))
     return [
         {"trajectory": motion, "error_bounds": bounds}
         for motion in _motions(env_id, block, seed_text)
     ]
-
-
-def _own_task(name: str) -> dict[str, Any]:
-    robot = find_robot(name)
-    trajectory = default_trajectory(robot)
-    if isinstance(trajectory, str):
-        trajectory = {"name": trajectory}
-    return {
-        "robot_name": name,
-        "trajectory": to_jsonable(trajectory),
-        "error_bounds": to_jsonable(find_error_bounds(None, robot)),
-    }
 
 
 def _motions(env_id: str, block: Block, seed_text: str | None) -> list[dict[str, Any]]:

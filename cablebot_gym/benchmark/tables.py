@@ -177,13 +177,8 @@ def _payload(score: scores.Score) -> str:
         return "error"
     if score.payload is None:
         return score.payload_text
-    digits = _digits(score.payload)
+    digits = f"{float(f'{score.payload:.4g}'):g}"  # without an exponent for tonnes
     return f"≥ {digits}" if score.result.get("scan_ended") else digits
-
-
-def _digits(payload: float) -> str:
-    """Four digits, without an exponent for tonnes."""
-    return f"{float(f'{payload:.4g}'):g}"
 
 
 def task_title(cell: Cell) -> str:

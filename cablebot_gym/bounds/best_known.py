@@ -43,7 +43,7 @@ from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds, to_jsonable
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
-from cablebot_gym.utils.files import cache_folder, read_cached
+from cablebot_gym.utils.files import cache_folder, json_text, read_cached
 
 MESH_TOLERANCE = 0.001
 """Relative change of the payload below which the mesh refinement stops."""
@@ -157,7 +157,7 @@ class BestKnownPayload:
 
     def to_json(self) -> str:
         """The result as JSON, indented."""
-        return json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        return json_text(self.to_dict())
 
     def __str__(self) -> str:
         bounds = f"{1e3 * (self.error_bounds['position'] or 0):g} mm"
@@ -283,25 +283,32 @@ class _Case:
         return round(self.trajectory.duration * self.control_frequency)
 
     @property
+    def conditions(self) -> dict[str, Any]:
+        """Keywords of the environment in which the replays run."""
+        return {
+            "robot": self.robot,
+            "trajectory": self.trajectory,
+            "error_bounds": self.error_bounds,
+            "control_frequency": self.control_frequency,
+        }
+
+    @property
     def substeps(self) -> int:
-        """Physics steps per control period of the environment."""
-        settings = make_settings(
-            robot=self.robot,
-            count=1,
-            trajectory=self.trajectory,
-            control_frequency=self.control_frequency,
-        )
-        return settings.substeps
+        """Number of physics steps in a control period of the environment."""
+        return make_settings(count=1, **self.conditions).substeps
 
     @property
     def file(self) -> str:
         """Name of the cache file."""
-        data = {
-            "env_id": self.env_id,
-            "error_bounds": self.error_bounds,
-            "control_frequency": self.control_frequency,
-        }
-        return f"best-{fingerprint('cablebot_gym.bounds.best_known', self.robot, self.trajectory, **data)}.npz"
+        key = fingerprint(
+            "cablebot_gym.bounds.best_known",
+            self.robot,
+            self.trajectory,
+            env_id=self.env_id,
+            error_bounds=self.error_bounds,
+            control_frequency=self.control_frequency,
+        )
+        return f"best-{key}.npz"
 
     @property
     def follower(self) -> Follower:
@@ -517,17 +524,7 @@ class _Case:
             yield replay, episode
 
     def _record(self, policy: Any, payload: float, **keywords: Any) -> Rollout:
-        """The episode of a policy with a payload [kg] and further keywords of the environment."""
-        return record_rollout(
-            policy,
-            self.env_id,
-            payload=payload,
-            robot=self.robot,
-            trajectory=self.trajectory,
-            error_bounds=self.error_bounds,
-            control_frequency=self.control_frequency,
-            **keywords,
-        )
+        return record_rollout(policy, self.env_id, payload=payload, **self.conditions | keywords)
 
     def _first_motion(
         self, program: MotionProgram, start: PlannedMotion, margins: Margins

@@ -14,26 +14,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from cablebot_gym.bounds.best_known import (
-    BestKnownPayload,
-    Replay,
-    _Case,
-    _case,
-    find_best_known,
-)
+from cablebot_gym.bounds.best_known import BestKnownPayload, Replay, _Case, _case, find_best_known
 from cablebot_gym.bounds.tightening import Tightening
-from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.envs.single import CableBotEnv
-from cablebot_gym.evaluation.rollout import Rollout, record_rollout
+from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
-from cablebot_gym.planning import (
-    Follower,
-    Infeasible,
-    Margins,
-    MotionProgram,
-    PlannedMotion,
-    State,
-)
+from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, PlannedMotion, State
 from cablebot_gym.robots import Robot
 from cablebot_gym.uncertainty import PARAMETERS, Uncertainty, find_uncertainty, scaled_tensor
 from cablebot_gym.utils.checks import whole
@@ -216,12 +202,9 @@ class _DrawnCase(_Case):
         checked = find_uncertainty(uncertainty, nominal)
         env = gym.make(
             case.env_id,
-            robot=nominal,
-            trajectory=case.trajectory,
-            error_bounds=case.error_bounds,
-            control_frequency=case.control_frequency,
             uncertainty=checked,
             max_episode_steps=None,
+            **case.conditions,
         ).unwrapped
         assert isinstance(env, CableBotEnv)
         env.reset(seed=seed)
@@ -260,15 +243,10 @@ class _DrawnCase(_Case):
         return low + (payload - true_low) * (high - low) / (true_high - true_low)
 
     @property
-    def substeps(self) -> int:
-        settings = make_settings(
-            robot=self.draw.nominal,
-            count=1,
-            trajectory=self.trajectory,
-            control_frequency=self.control_frequency,
-            uncertainty=self.draw.uncertainty,
-        )
-        return settings.substeps
+    def conditions(self) -> dict[str, Any]:
+        """Those of the nominal robot with the uncertainty that draws this one."""
+        draw = self.draw
+        return super().conditions | {"robot": draw.nominal, "uncertainty": draw.uncertainty}
 
     @property
     def follower(self) -> Follower:
@@ -321,21 +299,13 @@ class _DrawnCase(_Case):
         )
 
     def _record(self, policy: Any, payload: float, **keywords: Any) -> Rollout:
-        draw = self.draw
-        conditions: dict[str, Any] = {
-            "robot": draw.nominal,
-            "trajectory": self.trajectory,
-            "error_bounds": self.error_bounds,
-            "control_frequency": self.control_frequency,
-            "uncertainty": draw.uncertainty,
-        }
-        return record_rollout(
+        """Records the episode of this seed."""
+        return super()._record(
             policy,
-            self.env_id,
-            payload=self.nominal_payload(payload),
-            seed=draw.seed,
-            noise_seed=draw.seed,
-            **conditions | keywords,
+            self.nominal_payload(payload),
+            seed=self.draw.seed,
+            noise_seed=self.draw.seed,
+            **keywords,
         )
 
     def _record_tracking(self, policy: Callable[[Array], Array], payload: float) -> Rollout:

@@ -70,7 +70,11 @@ def compare(
 
     cablebot compare CableBot-Spatial-v0 --policies fl,robust,adaptive --payload 0:9:0.5 --out results
     """
-    from cablebot_gym.evaluation.comparison import compare_over_payloads, compare_policies
+    from cablebot_gym.evaluation.comparison import (
+        PayloadComparison,
+        compare_over_payloads,
+        compare_policies,
+    )
 
     env_id = options.fitting_id(env_id, episode.robot)
     options.check_figure_folder(out, "comparison.json", "comparison.png")
@@ -93,18 +97,12 @@ def compare(
     if as_json:
         print(comparison.to_json())
         return
-    _print(comparison)
-    if has_isolated:
-        print(f"seed {episode.seed}")
-
-
-def _print(comparison: Comparison | PayloadComparison) -> None:
-    from cablebot_gym.evaluation.comparison import PayloadComparison
-
     if isinstance(comparison, PayloadComparison):
         print_payload_comparison(comparison)
     else:
         print_comparison(comparison)
+    if has_isolated:
+        print(f"seed {episode.seed}")
 
 
 def _write(comparison: Comparison | PayloadComparison, folder: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from cablebot_gym.cli import options
 from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.console import print_table, say
+from cablebot_gym.utils.files import atomic_write_text, json_text
 
 if TYPE_CHECKING:
     from cablebot_gym.evaluation.result import DLCCResult
@@ -107,7 +107,7 @@ def dlcc(
         if not as_json:
             _print_results(results, loaded, episode, search)
     if as_json:
-        print(_json(data))
+        print(json_text(data))
     elif has_isolated:
         print(f"seed {episode.seed}")
 
@@ -147,10 +147,9 @@ def _results(
 
 def _write(results: list[DLCCResult], folder: Path) -> None:
     from cablebot_gym.plotting.figures import save_figures
-    from cablebot_gym.utils.files import atomic_write_text
 
     path = folder / "result.json"
-    atomic_write_text(path, _json([result.to_dict() for result in results]) + "\n")
+    atomic_write_text(path, json_text([result.to_dict() for result in results]) + "\n")
     written = [path]
     for result in results:
         written += save_figures(result, folder)
@@ -166,25 +165,16 @@ def _print_results(
     print_payloads(results, _criteria(policy, search)[1])
     for result in results:
         if result.details.violation_seed is not None and not result.details.stochastic:
-            print(f"{result.criterion}: this command repeats the failure:")
-            print(f"  {_failure_command(result, policy.name, episode)}")
-
-
-def _json(data: list[dict[str, Any]]) -> str:
-    return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
-
-
-def _failure_command(result: DLCCResult, policy: str, episode: options.EpisodeOptions) -> str:
-    """The command line that repeats and records the episode with the limiting violation."""
-    return options.command_again(
-        "rollout",
-        result.conditions.env_id,
-        policy=policy,
-        payload=repr(result.failed_payload or 0.0),
-        criterion=None if result.criterion == "task" else result.criterion,
-        out="failure.csv",
-        episode=replace(episode, seed=result.details.violation_seed),
-    )
+            command = options.command_again(
+                "rollout",
+                result.conditions.env_id,
+                policy=policy.name,
+                payload=repr(result.failed_payload or 0.0),
+                criterion=None if result.criterion == "task" else result.criterion,
+                out="failure.csv",
+                episode=replace(episode, seed=result.details.violation_seed),
+            )
+            print(f"{result.criterion}: this command repeats the failure:\n  {command}")
 
 
 def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:

@@ -67,13 +67,13 @@ def examine() -> Iterator[Finding]:
         "plans and best known payloads": _plans,
         "policies": _policies,
     }
+    for env_id in ENV_IDS:
+        checks[f"self-test {env_id}"] = partial(_statics_test, env_id)
     for name, check in checks.items():
         try:
             yield from check()
         except Exception as error:
-            yield _fault(name, error)
-    for env_id in ENV_IDS:
-        yield _run_test(f"self-test {env_id}", partial(_statics_test, env_id))
+            yield Finding(name=name, ok=False, text=f"{type(error).__name__}: {error}")
 
 
 def _python() -> Iterator[Finding]:
@@ -165,19 +165,7 @@ def _policies() -> Iterator[Finding]:
     )
 
 
-def _run_test(name: str, test: Callable[[], str]) -> Finding:
-    """The finding of a test that returns its result as text, or raises."""
-    try:
-        return Finding(name=name, ok=True, text=test())
-    except Exception as error:
-        return _fault(name, error)
-
-
-def _fault(name: str, error: Exception) -> Finding:
-    return Finding(name=name, ok=False, text=f"{type(error).__name__}: {error}")
-
-
-def _statics_test(env_id: str) -> str:
+def _statics_test(env_id: str) -> Iterator[Finding]:
     """Applies the static torques of the textbook equations to the compiled plant, which must then
     stay at rest.
 
@@ -206,7 +194,8 @@ def _statics_test(env_id: str) -> str:
         raise ArithmeticError(
             f"the platform moves by {1e3 * distance:.3g} mm under static torques, so the compiled physics are wrong"
         )
-    return f"{PAYLOAD:g} kg at rest under static torques, within {1e3 * distance:.0e} mm"
+    text = f"{PAYLOAD:g} kg at rest under static torques, within {1e3 * distance:.0e} mm"
+    yield Finding(name=f"self-test {env_id}", ok=True, text=text)
 
 
 def print_findings(findings: Iterable[Finding]) -> bool:

@@ -6,8 +6,9 @@ import json
 import math
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from cablebot_gym.cli.options import (
@@ -49,13 +50,6 @@ def check(
     """
     if out is not None and out.suffix not in (".svg", ".png", ".pdf"):
         raise ValueError(f"--out must end in .svg, .png or .pdf, not {out.name!r}")
-    _check(name, payload, trajectory, out, as_json)
-
-
-def _check(
-    name: str, payload: float | None, trajectory: Any, out: Path | None, as_json: bool
-) -> None:
-    """Prints and draws the check of a robot."""
     from cablebot_gym.bounds.robot_check import check_model, check_motion
 
     model = _loaded(name)
@@ -263,7 +257,7 @@ def _sag_lines(check: RobotCheck, motion: MotionCheck) -> list[str]:
     if not motion.cables:
         why = (
             "the motion is not held"
-            if any(_densities(check))
+            if np.any(check.robot.cable_density)
             else "the cables have no mass; set cable_density"
         )
         return [f"sag        not checked: {why}"]
@@ -285,7 +279,3 @@ def _sag_lines(check: RobotCheck, motion: MotionCheck) -> list[str]:
         moved.append(f"{1e3 * max(map(abs, motion.settled[d:])):.2f} mrad")
     text = f"sag and weight move the home pose by {' and '.join(moved)}"
     return [*lines, f"           {text}, tensions by up to {motion.settled_tension:.0%}"]
-
-
-def _densities(check: RobotCheck) -> list[float]:
-    return [float(value) for value in check.robot.per_motor(check.robot.cable_density)]

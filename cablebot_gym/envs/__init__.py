@@ -39,9 +39,6 @@ ENV_IDS = tuple(ENV_ROBOTS)
 PAPER_ENV_IDS = ENV_IDS[:4]
 """Ids of the environments with the paper's robots, for which the leaderboard has results."""
 
-FLEXIBLE_ENV_IDS = tuple(env_id for env_id in ENV_IDS if "-Flex" in env_id)
-"""Ids of the environments whose robots have joint springs or elastic cables."""
-
 TERMINATION_REASONS = ("", "tracking_error", "slack", "workspace", "non_finite", "violation")
 """Name of each code in ``info["termination_reason"]``. Code 0, the empty string, means "not
 terminated"."""

@@ -169,15 +169,13 @@ class ObservationLayout:
             components = str(block.start)
             if block.size > 1:
                 components += f"–{block.start + block.size - 1}"
-            numbers = [_distinct(values) for values in (block.low, block.high, block.scale)]
+            numbers = []
+            for values in (block.low, block.high, block.scale):
+                distinct = dict.fromkeys(f"{value:.3g}" for value in values)
+                numbers.append(", ".join(distinct))
             row = (components, f"`{block.name}`", block.unit, *numbers, block.meaning)
             lines.append(f"| {' | '.join(row)} |")
         return "\n".join(lines)
-
-
-def _distinct(values: tuple[float, ...]) -> str:
-    """The different values among some, as text."""
-    return ", ".join(dict.fromkeys(f"{value:.3g}" for value in values))
 
 
 def _constant(values: Array) -> Array:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from cablebot_gym.envs import TERMINATION_REASONS, limits
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics import kernel
 from cablebot_gym.physics.compiling import entry_point, inline
+from cablebot_gym.physics.kernel import rows
 
 _TRACKING_ERROR, _SLACK, _WORKSPACE, _NON_FINITE, _VIOLATION = range(1, len(TERMINATION_REASONS))
 
@@ -49,16 +49,19 @@ INFO_CABLES = (
 )
 """Names of the quantities of info with one value per cable."""
 
-_TIME, _ACTION_TIME, _PAYLOAD = (
-    INFO_SCALARS.index(name) for name in ("time", "action_time", "payload")
-)
-_POSITION = INFO_SCALARS.index("tracking_error")
-_ROTATION = INFO_SCALARS.index("rotation_error")
-_POSITION_PEAK = INFO_SCALARS.index("tracking_error_peak")
-_ROTATION_PEAK = INFO_SCALARS.index("rotation_error_peak")
-_FIRST_TERM, _VIOLATED, _COST = (
-    INFO_SCALARS.index(name) for name in ("reward_inside", "violated", "cost")
-)
+(
+    _TIME,
+    _ACTION_TIME,
+    _PAYLOAD,
+    _POSITION,
+    _ROTATION,
+    _POSITION_PEAK,
+    _ROTATION_PEAK,
+    _FIRST_TERM,
+    *_,
+    _VIOLATED,
+    _COST,
+) = range(len(INFO_SCALARS))
 _INSIDE_TERM, _POSITION_TERM, _ROTATION_TERM, _SATURATION_TERM, _VIOLATION_TERM = range(
     len(REWARD_TERMS)
 )
@@ -207,7 +210,7 @@ def _row(lane, row):
 
 @inline
 def _cable_row(lane, cable, row):
-    first_row = kernel.FIRST_CABLE_RECORD + kernel.CABLE_RECORDS * cable
+    first_row = rows.FIRST_CABLE_RECORD + rows.CABLE_RECORDS * cable
     return lane.record[(first_row + row) * lane.lanes + lane.at]
 
 
@@ -336,13 +339,13 @@ def _measure(lane, batch, readings, m, observation):
         return readings.shape[0]
     n = batch.workspace.shape[1]
     for j in range(n):
-        observation[j] = _row(lane, kernel.POSE + j)
-        observation[n + j] = _row(lane, kernel.VELOCITY + j)
+        observation[j] = _row(lane, rows.POSE + j)
+        observation[n + j] = _row(lane, rows.VELOCITY + j)
     if not batch.flexible:
         return 2 * n
     for i in range(m):
-        observation[2 * n + i] = _cable_row(lane, i, kernel.MOTOR_ANGLE)
-        observation[2 * n + m + i] = _cable_row(lane, i, kernel.MOTOR_SPEED)
+        observation[2 * n + i] = _cable_row(lane, i, rows.MOTOR_ANGLE)
+        observation[2 * n + m + i] = _cable_row(lane, i, rows.MOTOR_SPEED)
     return 2 * n + 2 * m
 
 
@@ -363,13 +366,13 @@ def _check_state(lane, batch, cables):
     """Whether the state is finite, and whether the pose is inside the workspace."""
     finite, inside = True, True
     for j in range(batch.workspace.shape[1]):
-        coordinate = _row(lane, kernel.POSE + j)
-        finite &= math.isfinite(coordinate) and math.isfinite(_row(lane, kernel.VELOCITY + j))
+        coordinate = _row(lane, rows.POSE + j)
+        finite &= math.isfinite(coordinate) and math.isfinite(_row(lane, rows.VELOCITY + j))
         inside &= (coordinate >= batch.workspace[0, j]) & (coordinate <= batch.workspace[1, j])
     if batch.flexible:
         for i in range(cables):
-            finite &= math.isfinite(_cable_row(lane, i, kernel.MOTOR_ANGLE))
-            finite &= math.isfinite(_cable_row(lane, i, kernel.MOTOR_SPEED))
+            finite &= math.isfinite(_cable_row(lane, i, rows.MOTOR_ANGLE))
+            finite &= math.isfinite(_cable_row(lane, i, rows.MOTOR_SPEED))
     return finite, inside
 
 
@@ -380,14 +383,14 @@ def _state_info(lane, batch, finite, reference, info):
     coordinates = batch.workspace.shape[1]
     square, rotation = 0.0, 0.0
     for j in range(coordinates):
-        difference = _row(lane, kernel.POSE + j) - reference[1 + j]
+        difference = _row(lane, rows.POSE + j) - reference[1 + j]
         if j < batch.dimensions:
             square += difference * difference
         else:
             rotation = max(rotation, abs(difference))
     position = math.sqrt(square)
-    position_peak = max(position, _row(lane, kernel.POSITION_PEAK))
-    rotation_peak = max(rotation, _row(lane, kernel.ROTATION_PEAK))
+    position_peak = max(position, _row(lane, rows.POSITION_PEAK))
+    rotation_peak = max(rotation, _row(lane, rows.ROTATION_PEAK))
     if not finite:  # comparisons with NaN are false and would hide it
         position = position_peak = LARGEST
         if coordinates > batch.dimensions:
@@ -403,15 +406,15 @@ def _step_info(fresh, lane, batch, stall, cables):
     """Fills the quantities of the cables and returns :class:`_Cables`."""
     any_slack, taut, within_maximum, held, excess = False, True, True, True, 0.0
     for i in range(stall.shape[0]):
-        action = _cable_row(lane, i, kernel.DEMAND)
-        torque = _cable_row(lane, i, kernel.TORQUE)
-        least_tension = _cable_row(lane, i, kernel.LEAST_TENSION)
-        largest_tension = _cable_row(lane, i, kernel.LARGEST_TENSION)
-        slack = _cable_row(lane, i, kernel.SLACK) > 0.0
+        action = _cable_row(lane, i, rows.DEMAND)
+        torque = _cable_row(lane, i, rows.TORQUE)
+        least_tension = _cable_row(lane, i, rows.LEAST_TENSION)
+        largest_tension = _cable_row(lane, i, rows.LARGEST_TENSION)
+        slack = _cable_row(lane, i, rows.SLACK) > 0.0
         margin = stall[i] - abs(torque) if fresh else stall[i] * (1.0 - abs(action))
-        cables[_TENSION, i] = _finite(_cable_row(lane, i, kernel.TENSION))
+        cables[_TENSION, i] = _finite(_cable_row(lane, i, rows.TENSION))
         cables[_TORQUE, i] = _finite(torque)
-        cables[_SPEED, i] = _finite(_cable_row(lane, i, kernel.SPEED))
+        cables[_SPEED, i] = _finite(_cable_row(lane, i, rows.SPEED))
         cables[_COMMANDED, i] = action
         cables[_MARGIN, i] = margin
         cables[_LEAST_TENSION, i] = _finite(least_tension)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cablebot_gym import kinematics
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import Measurement
-from cablebot_gym.physics import kernel
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import Plant
 from cablebot_gym.robots import Robot
 
@@ -72,10 +72,10 @@ class Sensors:
             values = [angles, speeds]
         if self._measurement.tensions:
             if fresh:  # the record has no tensions yet, but the torques at rest
-                torques = plant.per_cable(kernel.TORQUE)[env_indices]
+                torques = plant.per_cable(rows.TORQUE)[env_indices]
                 values.append(torques / robot.pulley_radius)
             else:
-                values.append(plant.per_cable(kernel.TENSION)[env_indices])
+                values.append(plant.per_cable(rows.TENSION)[env_indices])
         if self._measurement.imu:
             axes = self._velocity.shape[-1]
             acceleration = np.zeros_like(pose[:, :axes])

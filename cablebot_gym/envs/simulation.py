@@ -19,12 +19,11 @@ from cablebot_gym.envs.sensors import Sensors
 from cablebot_gym.envs.settings import Settings, check_options, make_settings
 from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics import kernel
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.physics.rest import equilibrium_torques, motor_start
 from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.task import Task, at_rest, start_pose
-from cablebot_gym.trajectories import Reference
 from cablebot_gym.uncertainty import PARAMETERS, RobotArrays, Uncertainty, draw_size
 from cablebot_gym.utils.threads import call_all
 
@@ -248,9 +247,22 @@ class Simulation:
             noise_seeds = np.array(checked["noise_seed"], object)
             self.streams.noise_seeds[env_indices] = noise_seeds[env_indices]
         self.streams.start_episode(env_indices)
-        payload = self._nominal_payload(env_indices, episode)
+        if episode.payload_range is None:
+            payload = self._values_of(env_indices, episode.payload)
+        else:
+            low, high = episode.payload_range
+            uniform = self.streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
+            payload = low + (high - low) * uniform
         start = episode.trajectory(0.0)
-        pose = self._start_pose(env_indices, episode, start)
+        robot = episode.robot
+        if episode.initial_error is None:
+            nominal = start_pose(robot, episode.trajectory, episode.error_bounds)
+        else:
+            nominal = start.position + episode.initial_error
+        pose = np.broadcast_to(nominal, (self.count, robot.coordinates))[env_indices]
+        if episode.initial_error_range is not None:
+            uniform = self.streams.uniform(env_indices, Purpose.START, robot.coordinates)
+            pose = pose + episode.initial_error_range * (2 * uniform - 1)
         velocity = np.broadcast_to(start.velocity, pose.shape)
         # So far only the streams have changed, which reset() restores after an error. A table that
         # prepare() has added and nobody follows does no harm.
@@ -272,29 +284,6 @@ class Simulation:
         self._bind()  # the tables and the noise may be new arrays
         self._measure(env_indices, fresh=True)
         outcome.outcome(True, env_indices, *self._outcome_arguments)
-
-    def _nominal_payload(self, env_indices: NDArray[np.int64], episode: Settings) -> Array:
-        """Nominal payloads [kg], (k,)."""
-        if episode.payload_range is None:
-            return self._values_of(env_indices, episode.payload)
-        low, high = episode.payload_range
-        uniform = self.streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
-        return low + (high - low) * uniform
-
-    def _start_pose(
-        self, env_indices: NDArray[np.int64], episode: Settings, start: Reference
-    ) -> Array:
-        """Start poses, (k, n)."""
-        robot = episode.robot
-        if episode.initial_error is None:
-            nominal = start_pose(robot, episode.trajectory, episode.error_bounds)
-        else:
-            nominal = start.position + episode.initial_error
-        pose = np.broadcast_to(nominal, (self.count, robot.coordinates))[env_indices]
-        if episode.initial_error_range is not None:
-            uniform = self.streams.uniform(env_indices, Purpose.START, robot.coordinates)
-            pose = pose + episode.initial_error_range * (2 * uniform - 1)
-        return pose
 
     def _store_settings(
         self, env_indices: NDArray[np.int64], episode: Settings, payload: Array, *, rests: bool
@@ -357,7 +346,7 @@ class Simulation:
             parameters = pack_parameters(drawn)
         shape = (len(env_indices), parameters.shape[-1])
         robot_parameters = np.array(np.broadcast_to(parameters, shape))
-        robot_parameters[:, kernel.MASS] += true_payload  # the plant knows one mass
+        robot_parameters[:, rows.MASS] += true_payload  # the plant knows one mass
         moved = any(PARAMETERS[name].position for name in uncertainty.parameters)
         try:
             torque = equilibrium_torques(

@@ -9,15 +9,14 @@ from cablebot_gym.evaluation.comparison import (
     compare_over_payloads,
     compare_policies,
 )
-from cablebot_gym.evaluation.constraints import CRITERIA, DLCCMonitor, Verdict, Violation
+from cablebot_gym.evaluation.constraints import DLCCMonitor, Verdict, Violation
 from cablebot_gym.evaluation.evaluator import evaluate_dlcc
 from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.evaluation.timing import ActionTimes, time_actions
 from cablebot_gym.policies import PolicyError
-from cablebot_gym.task import ErrorBounds, Task
+from cablebot_gym.task import ErrorBounds
 
 __all__ = [
-    "CRITERIA",
     "ActionTimes",
     "Comparison",
     "DLCCMonitor",
@@ -25,7 +24,6 @@ __all__ = [
     "ErrorBounds",
     "PayloadComparison",
     "PolicyError",
-    "Task",
     "Verdict",
     "Violation",
     "compare_over_payloads",

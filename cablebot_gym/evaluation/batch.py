@@ -416,7 +416,7 @@ class Batch:
             raise self.dependent(alone, carried)
 
     def try_alone(
-        self, payload: float, draws: int, required: int, count: StepCount | None = None
+        self, payload: float, draws: int, required: int, count: StepCount | None
     ) -> Trial:
         """Tries a payload in fresh draws, each alone in its batch, so that an isolated policy has a
         fresh process for each.

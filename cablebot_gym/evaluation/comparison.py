@@ -3,7 +3,6 @@ and tensions."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
@@ -29,6 +28,7 @@ from cablebot_gym.policies import LoadedPolicy, Wrapper, name_of
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number, numbers
 from cablebot_gym.utils.console import chosen_progress
+from cablebot_gym.utils.files import json_text
 
 CONFIDENCE = 0.95
 """Confidence of every interval."""
@@ -232,7 +232,7 @@ class Comparison:
 
     def to_json(self) -> str:
         """The comparison as JSON, indented."""
-        return json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        return json_text(self.to_dict())
 
     def __str__(self) -> str:
         conditions = self.conditions
@@ -285,7 +285,7 @@ class PayloadComparison:
 
     def to_json(self) -> str:
         """The comparison as JSON, indented."""
-        return json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        return json_text(self.to_dict())
 
     def __str__(self) -> str:
         return "\n".join(map(str, self.comparisons))

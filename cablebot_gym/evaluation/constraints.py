@@ -12,13 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.envs import TERMINATION_REASONS
-from cablebot_gym.envs.limits import (
-    is_held,
-    is_taut,
-    is_unsaturated,
-    minimum_tension,
-    within_bound,
-)
+from cablebot_gym.envs.limits import is_held, is_taut, is_unsaturated, minimum_tension, within_bound
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import choice
@@ -249,19 +243,15 @@ class Judge:
         if slack.any():
             cable = info["slack"].argmax(axis=1)
             self._fail("slack", slack, time, index=cable + 1, bound=bound)
-        self._check_largest_tension(info, running)
+        tensions = info["largest_tensions"]
+        largest = tensions.max(axis=1)
+        np.maximum(self._largest_tension, largest, out=self._largest_tension, where=running)
+        cable = tensions.argmax(axis=1) + 1
+        self._check_upper("overload", largest, self._largest_bound, time, running, index=cable)
         self._check_errors(info, running)
         ended = running & terminated
         if ended.any():
             self._fail("terminated", ended, time, reason=_REASONS[info["termination_reason"]])
-
-    def _check_largest_tension(self, info: Mapping[str, Array], running: NDArray[np.bool_]) -> None:
-        tensions = info["largest_tensions"]
-        bound = self._largest_bound
-        largest = tensions.max(axis=1)
-        np.maximum(self._largest_tension, largest, out=self._largest_tension, where=running)
-        cable = tensions.argmax(axis=1) + 1
-        self._check_upper("overload", largest, bound, info["time"], running, index=cable)
 
     def _check_errors(self, info: Mapping[str, Array], running: NDArray[np.bool_]) -> None:
         position = info["tracking_error_peak"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
@@ -11,6 +10,7 @@ from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Criterion, Violation
 from cablebot_gym.evaluation.rollout import Rollout
+from cablebot_gym.utils.files import json_text
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -201,7 +201,7 @@ class DLCCResult:
 
     def to_json(self) -> str:
         """The result as JSON, indented."""
-        return json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        return json_text(self.to_dict())
 
     def __str__(self) -> str:
         conditions = self.conditions

@@ -32,11 +32,7 @@ from cablebot_gym.evaluation.batch import (
 from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.evaluation.repetition import first_difference
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
-from cablebot_gym.evaluation.statistics import (
-    fewest_draws,
-    plausible_successes,
-    required_successes,
-)
+from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes, required_successes
 from cablebot_gym.policies import PolicyError
 
 SCAN_POINTS = 64

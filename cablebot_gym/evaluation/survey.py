@@ -361,8 +361,13 @@ class _Search:
             trial = motion.trial(row.payload, [robot], iter([verdict]))
             motion.fail(trial, [robot])
 
-    def _repeated_episodes(self) -> tuple[list[Row], list[Verdict]]:
-        """The carried episodes that are repeated, chosen at random."""
+    def _repeat(self) -> None:
+        """Repeats carried episodes, chosen at random: in a batch of their own for a policy of this project, else each
+        alone.
+
+        Raises:
+            PolicyError: if they differ.
+        """
         rows: list[Row] = []
         verdicts: list[Verdict] = []
         for motion in self._motions:
@@ -371,16 +376,8 @@ class _Search:
                     rows.append(Row(motion.below.payload, seed, motion.index))
                 verdicts += motion.below.verdicts
         chosen = self._rng.permutation(len(rows))[:REPEATED].tolist()
-        return [rows[index] for index in chosen], [verdicts[index] for index in chosen]
-
-    def _repeat(self) -> None:
-        """Repeats carried episodes: in a batch of their own for a policy of this project, else each
-        alone.
-
-        Raises:
-            PolicyError: if they differ.
-        """
-        rows, verdicts = self._repeated_episodes()
+        rows = [rows[index] for index in chosen]
+        verdicts = [verdicts[index] for index in chosen]
         if not rows:
             return
         if self._batch.policy.shipped:

@@ -43,18 +43,12 @@ class TimedPolicy:
         reset_policy(self._policy, self.name, lambda: tasks)
         self.reset_time = time.perf_counter() - start
 
-    def predict(
-        self,
-        observation: Array,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[Array, Any]:
+    def predict(self, *arguments: Any, **keywords: Any) -> tuple[Array, Any]:
         """Action of the policy."""
         start = time.perf_counter()
-        action, state = self._policy.predict(observation, state, episode_start, deterministic)
+        result = self._policy.predict(*arguments, **keywords)
         self.times.append(time.perf_counter() - start)
-        return action, state
+        return result
 
 
 @dataclass(frozen=True, kw_only=True)

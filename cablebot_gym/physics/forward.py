@@ -11,12 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.physics import kernel
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import form_of, pack_parameters
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import all_finite
-
-ITERATIONS = 50
-"""Largest number of poses that the iteration tries."""
 
 TOLERANCE = 1e-12
 """Size of a step after which the iteration ends: sum over the coordinates [m, rad]; with cables
@@ -40,26 +38,24 @@ class ForwardKinematics:
 
 @lru_cache(maxsize=64)
 def _prepared(robot: Robot) -> tuple[kernel.Form, Array, float]:
-    """Form and parameters for ``kernel.Compiled.locate``, and the tolerance. Springs need no code
+    """Form and parameters for ``entry_points.Compiled.locate``, and the tolerance. Springs need no code
     of their own."""
     form = form_of(robot)._replace(jointed=False, elastic=False, load_friction=False)
-    rows = pack_parameters(robot)
+    parameters = pack_parameters(robot)
     m = robot.cables
-    rows[kernel.MASS] = _DAMPING * m
-    rows[kernel.GRAVITY] = 0.0
-    rows[kernel.INERTIA : kernel.INERTIA + 3] = _DAMPING * max(np.sum(robot.platform**2), 1e-6)
+    parameters[rows.MASS] = _DAMPING * m
+    parameters[rows.GRAVITY] = 0.0
+    parameters[rows.INERTIA : rows.INERTIA + 3] = _DAMPING * max(np.sum(robot.platform**2), 1e-6)
     if form.lopsided:
-        first = kernel.body_parameter(m) + kernel.PRODUCTS
-        rows[first : first + 3] = 0.0
-    first = kernel.FIRST_CABLE_PARAMETER + kernel.INERTIA_PER_RADIUS2
-    rows[first : kernel.body_parameter(m) : kernel.CABLE_PARAMETERS] = 1.0
+        first = rows.body_parameter(m) + rows.PRODUCTS
+        parameters[first : first + 3] = 0.0
+    first = rows.FIRST_CABLE_PARAMETER + rows.INERTIA_PER_RADIUS2
+    parameters[first : rows.body_parameter(m) : rows.CABLE_PARAMETERS] = 1.0
     home = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)
-    return form, rows, TOLERANCE * max(1.0, float(home.max()))
+    return form, parameters, TOLERANCE * max(1.0, float(home.max()))
 
 
-def forward_kinematics(
-    robot: Robot, lengths: ArrayLike, guess: ArrayLike, *, iterations: int = ITERATIONS
-) -> ForwardKinematics:
+def forward_kinematics(robot: Robot, lengths: ArrayLike, guess: ArrayLike) -> ForwardKinematics:
     """The poses whose cable lengths are nearest to the given ones, near a guess.
 
     Six cables admit several poses. The iteration converges to that of the guess, for example the
@@ -69,7 +65,6 @@ def forward_kinematics(
         robot: nominal robot.
         lengths: cable lengths, (..., m) with m ≥ n [m].
         guess: initial poses, (..., n) or (n,).
-        iterations: largest number of poses that the iteration tries.
 
     Raises:
         ValueError: if the shapes do not match the robot or each other, or a number is not finite.
@@ -91,11 +86,11 @@ def forward_kinematics(
     squares = np.empty(count)
     ended = np.empty(count, bool)
     form, parameters, tolerance = _prepared(robot)
-    lanes = 1 if count == 1 else kernel.LANES
-    memory = np.empty(len(parameters) * lanes), np.empty(kernel.scratch_rows(form) * lanes)
+    lanes = 1 if count == 1 else rows.LANES
+    memory = np.empty(len(parameters) * lanes), np.empty(rows.scratch_rows(form) * lanes)
     wanted = np.ascontiguousarray(lengths).reshape(-1, m)
     locate = kernel.compiled(form, lanes).locate
-    locate(parameters, iterations, tolerance, *memory, wanted, found, squares, ended)
+    locate(parameters, tolerance, *memory, wanted, found, squares, ended)
     return ForwardKinematics(
         pose=pose, residual=np.sqrt(squares / m).reshape(shape), converged=ended.reshape(shape)
     )

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import form_of, pack_parameters
 from cablebot_gym.physics.textbook import InverseDynamics
 from cablebot_gym.robots import Robot
@@ -72,7 +73,7 @@ def inverse_dynamics(
     else:
         form, packed = _prepared(robot)
         items = masses.reshape(-1), motion.reshape(3, -1, robot.coordinates)
-        kernel.compiled(form, kernel.LANES).required(
+        kernel.compiled(form, rows.LANES).required(
             packed, float(minimum), *_memory(form), *items, results.reshape(4, -1, robot.cables)
         )
     tensions, torques, speeds, accelerations = results
@@ -111,7 +112,7 @@ def demands(robot: Robot, mass: Array, motion: Array) -> Demands:
     structure = np.empty((*mass.shape, m, n))
     load, y = np.empty((2, *mass.shape, n))
     speeds, accelerations = pulleys = np.empty((2, *mass.shape, m))
-    kernel.compiled(form, kernel.LANES).demanded(
+    kernel.compiled(form, rows.LANES).demanded(
         packed,
         *_memory(form),
         mass.reshape(-1),
@@ -148,6 +149,6 @@ def _checked(
 def _memory(form: kernel.Form) -> tuple[Array, Array]:
     """Memory of the kernel for the parameters of a tile and for its scratch values."""
     return (
-        np.empty(kernel.parameter_rows(form) * kernel.LANES),
-        np.empty(kernel.scratch_rows(form) * kernel.LANES),
+        np.empty(rows.parameter_rows(form) * rows.LANES),
+        np.empty(rows.scratch_rows(form) * rows.LANES),
     )

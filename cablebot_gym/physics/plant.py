@@ -10,10 +10,11 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import kernel
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.textbook import cable_lengths
 from cablebot_gym.robots import Cable, Robot
 from cablebot_gym.uncertainty import RobotArrays
@@ -46,56 +47,56 @@ def pack_parameters(robot: RobotArrays) -> Array:
     for N robots."""
     batch = robot.base.shape[:-2]
     form = form_of(robot)
-    rows = np.zeros((*batch, kernel.parameter_rows(form)))
+    parameters = np.zeros((*batch, rows.parameter_rows(form)))
     d = robot.dimensions
     radius = robot.pulley_radius
     moments = np.diagonal(robot.inertia_tensor, axis1=-2, axis2=-1)
-    rows[..., kernel.MASS] = robot.mass
-    rows[..., kernel.INERTIA : kernel.INERTIA + 3] = moments
-    rows[..., kernel.GRAVITY] = robot.gravity_vector[-1]
-    rows[..., kernel.FRICTION_SPEED] = robot.transmission.friction_speed
+    parameters[..., rows.MASS] = robot.mass
+    parameters[..., rows.INERTIA : rows.INERTIA + 3] = moments
+    parameters[..., rows.GRAVITY] = robot.gravity_vector[-1]
+    parameters[..., rows.FRICTION_SPEED] = robot.transmission.friction_speed
     if form.lopsided:
-        body = rows[..., kernel.body_parameter(robot.cables) :]
-        body[..., kernel.PRODUCTS : kernel.PRODUCTS + 3] = _products_of_inertia(robot)
-        body[..., kernel.CENTER : kernel.CENTER + d] = robot.mass_center
-    cables = np.zeros((*batch, robot.cables, kernel.CABLE_PARAMETERS))
-    cables[..., kernel.BASE : kernel.BASE + d] = robot.base
-    cables[..., kernel.PLATFORM : kernel.PLATFORM + d] = robot.platform - robot.mass_center
-    cables[..., kernel.PER_RADIUS] = 1 / radius
-    cables[..., kernel.INERTIA_PER_RADIUS2] = robot.pulley_inertia / radius**2
-    cables[..., kernel.DAMPING_PER_RADIUS2] = robot.damping / radius**2
-    cables[..., kernel.STALL] = robot.stall_torque
-    cables[..., kernel.SLOPE] = robot.speed_slope
-    cables[..., kernel.LAG] = robot.motor_lag
-    cables[..., kernel.COULOMB_FRICTION] = robot.coulomb_friction
+        body = parameters[..., rows.body_parameter(robot.cables) :]
+        body[..., rows.PRODUCTS : rows.PRODUCTS + 3] = _products_of_inertia(robot)
+        body[..., rows.CENTER : rows.CENTER + d] = robot.mass_center
+    cables = np.zeros((*batch, robot.cables, rows.CABLE_PARAMETERS))
+    cables[..., rows.BASE : rows.BASE + d] = robot.base
+    cables[..., rows.PLATFORM : rows.PLATFORM + d] = robot.platform - robot.mass_center
+    cables[..., rows.PER_RADIUS] = 1 / radius
+    cables[..., rows.INERTIA_PER_RADIUS2] = robot.pulley_inertia / radius**2
+    cables[..., rows.DAMPING_PER_RADIUS2] = robot.damping / radius**2
+    cables[..., rows.STALL] = robot.stall_torque
+    cables[..., rows.SLOPE] = robot.speed_slope
+    cables[..., rows.LAG] = robot.motor_lag
+    cables[..., rows.COULOMB_FRICTION] = robot.coulomb_friction
     if robot.flexible:
         home_length = cable_lengths(robot, robot.home)
     if robot.jointed:
-        cables[..., kernel.STIFFNESS] = robot.stiffness
-        cables[..., kernel.PER_MOTOR_INERTIA] = 1 / robot.motor_inertia
-        cables[..., kernel.MOTOR_DAMPING] = robot.motor_damping
-        cables[..., kernel.HOME_LENGTH] = home_length
+        cables[..., rows.STIFFNESS] = robot.stiffness
+        cables[..., rows.PER_MOTOR_INERTIA] = 1 / robot.motor_inertia
+        cables[..., rows.MOTOR_DAMPING] = robot.motor_damping
+        cables[..., rows.HOME_LENGTH] = home_length
     if form.stretches:
-        stretch = np.zeros((*batch, robot.cables, kernel.STRETCH_PARAMETERS))
-        stretch[..., kernel.RADIUS] = radius
-        stretch[..., kernel.LOAD_FRICTION] = robot.load_friction
+        stretch = np.zeros((*batch, robot.cables, rows.STRETCH_PARAMETERS))
+        stretch[..., rows.RADIUS] = radius
+        stretch[..., rows.LOAD_FRICTION] = robot.load_friction
         if robot.swivel is not None:
-            stretch[..., kernel.SWIVEL] = robot.swivel
+            stretch[..., rows.SWIVEL] = robot.swivel
         if robot.elastic:
-            stretch[..., kernel.PER_PULLEY_INERTIA] = 1 / robot.pulley_inertia
-            stretch[..., kernel.AXIAL_STIFFNESS] = robot.axial_stiffness
-            stretch[..., kernel.AXIAL_DAMPING] = robot.axial_damping
-            stretch[..., kernel.FULL_LENGTH] = home_length + robot.extra_length
-            stretch[..., kernel.EXTRA_LENGTH] = robot.extra_length
-        start = kernel.stretch_parameter(robot.cables, form.lopsided)
-        rows[..., start:] = stretch.reshape(*batch, -1)
-    rows[..., _cable_rows(robot)] = cables.reshape(*batch, -1)
-    return rows
+            stretch[..., rows.PER_PULLEY_INERTIA] = 1 / robot.pulley_inertia
+            stretch[..., rows.AXIAL_STIFFNESS] = robot.axial_stiffness
+            stretch[..., rows.AXIAL_DAMPING] = robot.axial_damping
+            stretch[..., rows.FULL_LENGTH] = home_length + robot.extra_length
+            stretch[..., rows.EXTRA_LENGTH] = robot.extra_length
+        start = rows.stretch_parameter(robot.cables, form.lopsided)
+        parameters[..., start:] = stretch.reshape(*batch, -1)
+    parameters[..., _cable_rows(robot)] = cables.reshape(*batch, -1)
+    return parameters
 
 
 def _cable_rows(robot: RobotArrays) -> slice:
     """Rows of the parameters of all cables."""
-    return slice(kernel.FIRST_CABLE_PARAMETER, kernel.body_parameter(robot.cables))
+    return slice(rows.FIRST_CABLE_PARAMETER, rows.body_parameter(robot.cables))
 
 
 def kernel_memory(*shape: int) -> Array:
@@ -106,13 +107,6 @@ def kernel_memory(*shape: int) -> Array:
     memory = np.zeros(count + line // 8)
     start = -memory.ctypes.data % line // 8
     return memory[start : start + count].reshape(shape)
-
-
-def _parts_of(tiles: int, parts: int) -> tuple[slice, ...]:
-    """Tiles of each of at most ``parts`` parts, which are nearly equal."""
-    parts = min(parts, tiles)
-    edges = [tiles * part // parts for part in range(parts + 1)]
-    return tuple(slice(start, stop) for start, stop in pairwise(edges))
 
 
 FEW_ROBOTS = 4
@@ -140,11 +134,13 @@ class Plant:
         self.robot = robot
         self.count = count
         self.unilateral = cable == "unilateral"
-        self.lanes = 1 if count <= FEW_ROBOTS else kernel.LANES
+        self.lanes = 1 if count <= FEW_ROBOTS else rows.LANES
         tiles = -(-count // self.lanes)  # rounded up
         self.width = tiles * self.lanes
         """Number of lanes in memory: N plus the padding of the last tile."""
-        self._tiles = _parts_of(tiles, parts)
+        parts = min(parts, tiles)
+        edges = [tiles * part // parts for part in range(parts + 1)]  # nearly equal parts
+        self._tiles = tuple(slice(start, stop) for start, stop in pairwise(edges))
         self.parts = tuple(
             slice(tile.start * self.lanes, min(tile.stop * self.lanes, count))
             for tile in self._tiles
@@ -152,7 +148,7 @@ class Plant:
         """Robots of each part of the batch."""
         self._form = form_of(robot)
         self._parameters = kernel_memory(tiles, self._parameter_rows * self.lanes)
-        self.record = kernel_memory(tiles, kernel.record_rows(self._form) * self.lanes)
+        self.record = kernel_memory(tiles, rows.record_rows(self._form) * self.lanes)
         """The kernel's record; ``kernel`` defines its rows."""
         self.trajectory_index = np.zeros(self.width, np.int64)
         """Index of the reference trajectory of each lane, shape (width,)."""
@@ -184,32 +180,27 @@ class Plant:
     def _bind(self) -> None:
         """Makes the views of the arrays, which copies and pickles lose, and finds the function."""
         self._advance = kernel.compiled(self._form, self.lanes).advance
-        start = kernel.FIRST_CABLE_RECORD + kernel.DEMAND
-        self._action = self._view(self.record, start, self.robot.cables, kernel.CABLE_RECORDS)
-        self._memory = tuple(self._memory_of(tiles) for tiles in self._tiles)
-
-    def _memory_of(
-        self, tiles: slice
-    ) -> tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
-        """Parameters, record, scratch memory of its own, index of the trajectories and of the steps
-        of some tiles."""
-        lanes = slice(tiles.start * self.lanes, tiles.stop * self.lanes)
-        scratch = kernel_memory(kernel.scratch_rows(self._form) * self.lanes)
-        indices = self.trajectory_index[lanes], self.step_index[lanes]
-        return self._parameters[tiles], self.record[tiles], scratch, *indices
+        start = rows.FIRST_CABLE_RECORD + rows.DEMAND
+        self._action = self._view(self.record, start, self.robot.cables, rows.CABLE_RECORDS)
+        self._memory = []
+        for tiles in self._tiles:
+            lanes = slice(tiles.start * self.lanes, tiles.stop * self.lanes)
+            scratch = kernel_memory(rows.scratch_rows(self._form) * self.lanes)
+            indices = self.trajectory_index[lanes], self.step_index[lanes]
+            self._memory.append((self._parameters[tiles], self.record[tiles], scratch, *indices))
 
     @property
     def _parameter_rows(self) -> int:
-        return kernel.parameter_rows(self._form)
+        return rows.parameter_rows(self._form)
 
-    def _view(self, memory: Array, row: int, rows: int, stride: int = 1) -> Array:
+    def _view(self, memory: Array, row: int, row_count: int, stride: int = 1) -> Array:
         """View of rows of a tiled memory, shape (tiles, rows, lanes)."""
         tiled = memory.reshape(memory.shape[0], -1, self.lanes)
-        return tiled[:, row : row + rows * stride : stride]
+        return tiled[:, row : row + row_count * stride : stride]
 
-    def _read(self, memory: Array, row: int, rows: int, stride: int = 1) -> Array:
-        view = self._view(memory, row, rows, stride)
-        return view.transpose(0, 2, 1).reshape(self.width, rows)[: self.count].copy()
+    def _read(self, memory: Array, row: int, row_count: int, stride: int = 1) -> Array:
+        view = self._view(memory, row, row_count, stride)
+        return view.transpose(0, 2, 1).reshape(self.width, row_count)[: self.count].copy()
 
     def _write(self, memory: Array, row: int, index: Array, values: Array, stride: int = 1) -> None:
         view = self._view(memory, row, values.shape[-1], stride)
@@ -221,22 +212,22 @@ class Plant:
 
     def _write_cables(self, row: int, index: ArrayLike, values: ArrayLike) -> None:
         """Writes a row of the record per cable, values (len(index), m)."""
-        start = kernel.FIRST_CABLE_RECORD + row
+        start = rows.FIRST_CABLE_RECORD + row
         values = np.asarray(values, float)
-        self._write(self.record, start, np.asarray(index), values, kernel.CABLE_RECORDS)
+        self._write(self.record, start, np.asarray(index), values, rows.CABLE_RECORDS)
 
-    def set_parameters(self, index: Array, rows: Array) -> None:
+    def set_parameters(self, index: Array, parameters: Array) -> None:
         """Sets the parameters of the robots at ``index`` and resets their external wrench to zero.
 
         Args:
             index: robots, shape (k,).
-            rows: parameters from :func:`pack_parameters`, shape (k, parameter rows).
+            parameters: values from :func:`pack_parameters`, shape (k, parameter rows).
         """
-        rows = np.asarray(rows, float)
-        self._write(self._parameters, 0, np.asarray(index), rows)
-        cables = rows[:, _cable_rows(self.robot)]
-        lags = cables[:, kernel.LAG :: kernel.CABLE_PARAMETERS]
-        frictions = cables[:, kernel.COULOMB_FRICTION :: kernel.CABLE_PARAMETERS]
+        parameters = np.asarray(parameters, float)
+        self._write(self._parameters, 0, np.asarray(index), parameters)
+        cables = parameters[:, _cable_rows(self.robot)]
+        lags = cables[:, rows.LAG :: rows.CABLE_PARAMETERS]
+        frictions = cables[:, rows.COULOMB_FRICTION :: rows.CABLE_PARAMETERS]
         self._has_lag |= bool(np.any(lags))
         self._has_friction |= bool(np.any(frictions))
 
@@ -255,15 +246,15 @@ class Plant:
         wrench[:, : np.shape(force)[-1]] = force
         if moment is not None:
             wrench[:, 6 - np.shape(moment)[-1] :] = moment
-        self._write(self._parameters, kernel.FORCE, np.asarray(index), wrench)
+        self._write(self._parameters, rows.FORCE, np.asarray(index), wrench)
 
     def set_state(self, index: Array, pose: Array, velocity: Array) -> None:
         """Resets the robots at ``index`` to poses X and velocities Ẋ, each (len(index), n), and to
         control step 0."""
         index = np.asarray(index)
-        self._write(self.record, 0, index, np.zeros((len(index), kernel.record_rows(self._form))))
-        self._write(self.record, kernel.POSE, index, np.asarray(pose, float))
-        self._write(self.record, kernel.VELOCITY, index, np.asarray(velocity, float))
+        self._write(self.record, 0, index, np.zeros((len(index), rows.record_rows(self._form))))
+        self._write(self.record, rows.POSE, index, np.asarray(pose, float))
+        self._write(self.record, rows.VELOCITY, index, np.asarray(velocity, float))
         self.step_index[index] = 0
         if self.count - 1 in index:
             self.step_index[self.count :] = 0
@@ -274,20 +265,20 @@ class Plant:
 
         With elastic cables and without joint springs they are those of the pulleys.
         """
-        self._write_cables(kernel.MOTOR_ANGLE, index, angle)
-        self._write_cables(kernel.MOTOR_SPEED, index, speed)
+        self._write_cables(rows.MOTOR_ANGLE, index, angle)
+        self._write_cables(rows.MOTOR_SPEED, index, speed)
 
     def set_pulleys(self, index: Array, angle: Array, speed: Array) -> None:
         """Sets pulley angles β and speeds β̇, each (len(index), m), between joint springs and
         elastic cables."""
-        start = kernel.pulley_record(self.robot.cables)
+        start = rows.pulley_record(self.robot.cables)
         for row, values in enumerate((angle, speed)):
             self._write(
                 self.record,
                 start + row,
                 np.asarray(index),
                 np.asarray(values, float),
-                kernel.PULLEY_RECORDS,
+                rows.PULLEY_RECORDS,
             )
 
     def set_torques(self, index: Array, torques: Array) -> None:
@@ -295,10 +286,10 @@ class Plant:
 
         A lag starts from them, within the stall torques.
         """
-        row = kernel.FIRST_CABLE_PARAMETER + kernel.STALL
-        stall = self._read(self._parameters, row, self.robot.cables, kernel.CABLE_PARAMETERS)[index]
-        self._write_cables(kernel.TORQUE, index, torques)
-        self._write_cables(kernel.LAGGED, index, np.clip(torques, -stall, stall))
+        row = rows.FIRST_CABLE_PARAMETER + rows.STALL
+        stall = self._read(self._parameters, row, self.robot.cables, rows.CABLE_PARAMETERS)[index]
+        self._write_cables(rows.TORQUE, index, torques)
+        self._write_cables(rows.LAGGED, index, np.clip(torques, -stall, stall))
 
     def set_action(self, action: Array) -> None:
         """Sets the actions of all robots, shape (N, m), or (m,) for one robot."""
@@ -307,7 +298,7 @@ class Plant:
         elif self.width == self.count:
             self._action[...] = action.reshape(-1, self.lanes, self.robot.cables).transpose(0, 2, 1)
         else:
-            self._write_cables(kernel.DEMAND, np.arange(self.count), action)
+            self._write_cables(rows.DEMAND, np.arange(self.count), action)
 
     def advance(self, references: Array, ends: Array, *, substeps: int, step: float) -> None:
         """Advances all robots by one control period of ``substeps`` RK4 steps.
@@ -352,22 +343,22 @@ class Plant:
     @property
     def pose(self) -> Array:
         """Poses X, shape (N, n)."""
-        return self._read(self.record, kernel.POSE, self.robot.coordinates)
+        return self._read(self.record, rows.POSE, self.robot.coordinates)
 
     @property
     def velocity(self) -> Array:
         """Velocities Ẋ, shape (N, n)."""
-        return self._read(self.record, kernel.VELOCITY, self.robot.coordinates)
+        return self._read(self.record, rows.VELOCITY, self.robot.coordinates)
 
     @property
     def motor_angle(self) -> Array:
         """Motor angles β′ of flexible robots, shape (N, m) [rad]."""
-        return self.per_cable(kernel.MOTOR_ANGLE)
+        return self.per_cable(rows.MOTOR_ANGLE)
 
     @property
     def motor_speed(self) -> Array:
         """Motor speeds β̇′ of flexible robots, shape (N, m) [rad/s]."""
-        return self.per_cable(kernel.MOTOR_SPEED)
+        return self.per_cable(rows.MOTOR_SPEED)
 
     @property
     def pulley_angle(self) -> Array:
@@ -384,10 +375,10 @@ class Plant:
         return self.motor_speed
 
     def _pulley(self, row: int) -> Array:
-        start = kernel.pulley_record(self.robot.cables) + row
-        return self._read(self.record, start, self.robot.cables, kernel.PULLEY_RECORDS)
+        start = rows.pulley_record(self.robot.cables) + row
+        return self._read(self.record, start, self.robot.cables, rows.PULLEY_RECORDS)
 
     def per_cable(self, row: int) -> Array:
-        """A row of the record per cable, such as ``kernel.TENSION``, shape (N, m)."""
-        start = kernel.FIRST_CABLE_RECORD + row
-        return self._read(self.record, start, self.robot.cables, kernel.CABLE_RECORDS)
+        """A row of the record per cable, such as ``rows.TENSION``, shape (N, m)."""
+        start = rows.FIRST_CABLE_RECORD + row
+        return self._read(self.record, start, self.robot.cables, rows.CABLE_RECORDS)

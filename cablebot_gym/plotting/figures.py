@@ -350,7 +350,14 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
     instant."""
     time = profile.times
     marker = _marker(time)
-    low, high = _torque_range(profile)
+    # the limits, and requested torques up to half a stall torque beyond them
+    drawn = profile.requested
+    if drawn is None:
+        drawn = profile.torques
+    least, most = profile.lower.min(), profile.upper.max()
+    stall = float((profile.upper - profile.lower).max()) / 2
+    low = max(min(least, drawn.min()), least - stall / 2) - 0.15 * stall
+    high = min(max(most, drawn.max()), most + stall / 2) + 0.15 * stall
     edges = np.pad(time, 1, mode="edge")  # where the outlines of the shaded areas close
     panels = _panel_grid(figure, profile.torques.shape[1], "motor", "torque [N·m]")
     for motor, axes in enumerate(panels):
@@ -398,20 +405,6 @@ def _marker(times: Array) -> str:
     if len(times) <= _FEW:
         return "."
     return ""
-
-
-def _torque_range(profile: TorqueProfile) -> tuple[float, float]:
-    """Range of the torque axis [N·m]: the limits, and requested torques up to half a stall torque
-    beyond them."""
-    lower = profile.lower
-    upper = profile.upper
-    requested = profile.requested
-    if requested is None:
-        requested = profile.torques
-    stall = float((upper - lower).max()) / 2
-    low = max(min(lower.min(), requested.min()), lower.min() - stall / 2)
-    high = min(max(upper.max(), requested.max()), upper.max() + stall / 2)
-    return float(low - 0.15 * stall), float(high + 0.15 * stall)
 
 
 def _draw_mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:

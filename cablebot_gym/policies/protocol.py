@@ -274,18 +274,15 @@ def reset_policy(policy: Policy, name: str, tasks: Callable[[], tuple[Task, ...]
     method = getattr(policy, "reset", None)
     if method is None:
         return
-    arguments = (tasks(),) if _takes_tasks(method) else ()
+    # a parameter ``tasks`` or a required positional one
+    takes_tasks = "tasks" in inspect.signature(method).parameters or required_arguments(method)
+    arguments = (tasks(),) if takes_tasks else ()
     try:
         method(*arguments)
     except (KeyboardInterrupt, PolicyError):
         raise
     except BaseException as error:
         raise PolicyError.of(name, raised(error, where=" in reset()")) from error
-
-
-def _takes_tasks(method: Callable[..., Any]) -> bool:
-    """Whether a method has a parameter ``tasks`` or a required positional one."""
-    return "tasks" in inspect.signature(method).parameters or bool(required_arguments(method))
 
 
 def required_arguments(function: Callable[..., Any]) -> list[str]:

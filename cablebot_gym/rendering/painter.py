@@ -231,7 +231,10 @@ class Painter:
             if is_slack:
                 self._paint_slack_cable(base, end)
             else:
-                self._paint_tight_cable(base, end, float(tension))
+                fraction = float(tension) / full_tension(robot)
+                width = 1.6 + 2.4 * min(max(fraction, 0.0), 1.0)
+                start, stop = self._camera.project([base, end])
+                self._line(start, stop, tension_colour(fraction), width)
         reference = self.task.trajectory(moment.time).position
         target = self._camera.project(points_in_space(robot, reference))
         self._circle(palette.VERMILLION, target, 3.2, 1.3)
@@ -262,12 +265,6 @@ class Painter:
             direction = np.cross(direction, chord) / max(length, 1e-9)
         points = self._camera.project(base + along * chord + sag * direction)
         self._dashed(points, palette.GREY, 1.6, 6)
-
-    def _paint_tight_cable(self, base: Array, end: Array, tension: float) -> None:
-        fraction = tension / full_tension(self.task.robot)
-        width = 1.6 + 2.4 * min(max(fraction, 0.0), 1.0)
-        start, stop = self._camera.project([base, end])
-        self._line(start, stop, tension_colour(fraction), width)
 
     def _paint_motors(self, moment: Moment) -> None:
         """Paints a bar of the applied torque for each motor. The scale beyond its present U± is

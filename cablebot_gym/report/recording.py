@@ -44,7 +44,11 @@ def record_all(
         else:
             yield key, stored
     for key, result in processes.run(
-        jobs, workers=workers, kind=_kind, say=say, returned=(processes.WorkerDied,)
+        jobs,
+        workers=workers,
+        kind=lambda job: job.args[0].env_id,  # these need the same compiled code
+        say=say,
+        returned=(processes.WorkerDied,),
     ):
         if isinstance(result, processes.WorkerDied):
             result = str(result)
@@ -62,12 +66,6 @@ def record(cell: Cell, payload: float | None) -> ReplayResult:
         return replays(cast(PolicyCell, cell), payload)
     except Exception as error:
         return f"No episode: {' '.join(str(error).split())}"
-
-
-def _kind(job: partial[ReplayResult]) -> str:
-    """Jobs of one kind need the same compiled code."""
-    cell: Cell = job.args[0]
-    return cell.env_id
 
 
 def _path(folder: Path, cell: Cell, payload: float | None) -> Path:

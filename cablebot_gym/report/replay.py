@@ -145,7 +145,12 @@ def compress(rollout: Rollout) -> Replay:
     """A recorded episode as a replay."""
     channels = _channels(rollout, max(1, round(rollout.task.control_frequency / RATE)))
     table = np.concatenate(list(channels.values()), axis=1)
-    low, high, data = _pack(table)
+    low = table.min(axis=0)
+    high = table.max(axis=0)
+    span = np.where(high > low, high - low, 1.0)
+    levels = np.rint((table - low) / span * LEVELS).astype(np.int64)
+    steps = np.diff(levels, axis=0, prepend=0).T.astype("<i2")
+    packed = zlib.compress(steps.tobytes(), 9)
     violation = rollout.verdict.violation
     violation_text = ""
     violation_time = None
@@ -163,7 +168,7 @@ def compress(rollout: Rollout) -> Replay:
         channels={name: values.shape[1] for name, values in channels.items()},
         low=low.tolist(),
         high=high.tolist(),
-        data=data,
+        data=base64.b64encode(packed).decode("ascii"),
     )
 
 
@@ -226,14 +231,3 @@ def _peaks(rollout: Rollout, name: str, starts: Sequence[int]) -> Array:
     """An error at the start, and its largest values between successive frames, as a column."""
     peaks = np.maximum.reduceat(rollout.arrays[f"{name}_peak"], starts)
     return np.append(rollout.start[name], peaks)[:, None]
-
-
-def _pack(table: Array) -> tuple[Array, Array, str]:
-    """Minimum, maximum and encoded samples of the components of a table, as in a :class:`Replay`."""
-    low = table.min(axis=0)
-    high = table.max(axis=0)
-    span = np.where(high > low, high - low, 1.0)
-    levels = np.rint((table - low) / span * LEVELS).astype(np.int64)
-    steps = np.diff(levels, axis=0, prepend=0).T.astype("<i2")
-    packed = zlib.compress(steps.tobytes(), 9)
-    return low, high, base64.b64encode(packed).decode("ascii")

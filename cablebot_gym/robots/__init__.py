@@ -12,7 +12,6 @@ possible. All values are in SI units and radians, motor speeds in rad/s.
 * ``names``: robots by name and from files.
 """
 
-from cablebot_gym.robots.checks import LARGEST_PULLEY, LARGEST_REACH, LARGEST_SIZE
 from cablebot_gym.robots.names import (
     ELASTIC,
     find_robot,
@@ -40,13 +39,10 @@ from cablebot_gym.robots.parts import (
     Defaults,
     Kind,
     Motors,
-    PerMotor,
     Plane,
     Transmission,
 )
-from cablebot_gym.robots.record import (
-    Robot,
-)
+from cablebot_gym.robots.record import Robot
 
 __all__ = [
     "COORDINATE_NAMES",
@@ -55,9 +51,6 @@ __all__ = [
     "FLEX_SPATIAL",
     "GRAVITY",
     "KIND_TEXTS",
-    "LARGEST_PULLEY",
-    "LARGEST_REACH",
-    "LARGEST_SIZE",
     "PAPER_PAYLOAD_MAX",
     "PLANAR",
     "ROBOTS",
@@ -67,7 +60,6 @@ __all__ = [
     "Defaults",
     "Kind",
     "Motors",
-    "PerMotor",
     "Plane",
     "Robot",
     "Transmission",

@@ -46,7 +46,12 @@ def check_widths(base: Array, pulley_radius: Array, swivel_radius: Any) -> None:
 
 
 def check_reach(reach: float, gyration: float) -> None:
-    """Checks that the platform anchors are not in millimetres."""
+    """Checks that the platform anchors are not in millimetres.
+
+    Args:
+        reach: largest distance of a platform anchor from the centre of mass [m].
+        gyration: largest radius of gyration [m].
+    """
     if reach > LARGEST_REACH * gyration:
         raise ValueError(
             f"platform_anchors reach {reach:g} m from the centre of mass, and the radius of gyration is "

@@ -28,11 +28,11 @@ from cablebot_gym.robots.parts import (
 from cablebot_gym.utils.checks import choice, number, numbers, record
 
 
-def _per_motor(name: Literal["motors", "transmission"], field: str) -> cached_property[Array]:
+def _per_motor(field: str, part: str = "transmission") -> cached_property[Array]:
     """Property of a :class:`Robot` with a value of its motors or its transmission, shape (m,)."""
 
     def values(robot: Robot) -> Array:
-        value = getattr(getattr(robot, name), field)
+        value = getattr(getattr(robot, part), field)
         if value is None or (field == "motor_damping" and not robot.jointed):
             springs = "elastic cables" if field == "axial_stiffness" else "joint springs"
             raise ValueError(
@@ -251,31 +251,31 @@ class Robot:
         """A value of the motors or the transmission as an array, shape (m,)."""
         return _frozen(np.broadcast_to(np.asarray(value, float), (self.cables,)))
 
-    pulley_radius = _per_motor("transmission", "pulley_radius")
+    pulley_radius = _per_motor("pulley_radius")
     """Pulley radius r, shape (m,) [m]."""
-    pulley_inertia = _per_motor("transmission", "pulley_inertia")
+    pulley_inertia = _per_motor("pulley_inertia")
     """Pulley inertia J, shape (m,) [kg·m²]."""
-    damping = _per_motor("transmission", "damping")
+    damping = _per_motor("damping")
     """Pulley damping c, shape (m,) [N·m·s/rad]."""
-    stiffness = _per_motor("transmission", "stiffness")
+    stiffness = _per_motor("stiffness")
     """Joint stiffness K of a flexible robot, shape (m,) [N·m/rad]."""
-    motor_inertia = _per_motor("transmission", "motor_inertia")
+    motor_inertia = _per_motor("motor_inertia")
     """Motor inertia J′ of a flexible robot, shape (m,) [kg·m²]."""
-    motor_damping = _per_motor("transmission", "motor_damping")
+    motor_damping = _per_motor("motor_damping")
     """Motor damping c′ of a flexible robot, shape (m,) [N·m·s/rad]."""
-    coulomb_friction = _per_motor("transmission", "coulomb_friction")
+    coulomb_friction = _per_motor("coulomb_friction")
     """Coulomb friction τ_c, shape (m,) [N·m]."""
-    load_friction = _per_motor("transmission", "load_friction")
+    load_friction = _per_motor("load_friction")
     """Friction per load μ, shape (m,)."""
-    axial_stiffness = _per_motor("transmission", "axial_stiffness")
+    axial_stiffness = _per_motor("axial_stiffness")
     """Axial stiffness EA of elastic cables, shape (m,) [N]."""
-    axial_damping = _per_motor("transmission", "axial_damping")
+    axial_damping = _per_motor("axial_damping")
     """Axial damping ηA of elastic cables, shape (m,) [N·s]."""
-    extra_length = _per_motor("transmission", "extra_length")
+    extra_length = _per_motor("extra_length")
     """Length of the elastic cables between pulley and base anchor, shape (m,) [m]."""
-    motor_lag = _per_motor("motors", "lag")
+    motor_lag = _per_motor("lag", "motors")
     """Time constants of the lag of the requested torque, shape (m,) [s]."""
-    stall_torque = _per_motor("motors", "stall_torque")
+    stall_torque = _per_motor("stall_torque", "motors")
     """Stall torque τ_s, shape (m,) [N·m]."""
 
     @cached_property
@@ -431,16 +431,7 @@ def _check_fields(robot: Robot) -> None:
         raise ValueError(
             f"sources must be a table of texts by the name of the field, not {robot.sources!r}"
         )
-    checks.check_ranges(robot.ranges, _fields_with_numbers(robot))
-    if robot.weightless and robot.cables <= robot.coordinates:
-        raise ValueError(
-            f"base_anchors: {KIND_TEXTS[robot.kind]} without gravity needs at least {robot.coordinates + 1} cables, "
-            f"not {robot.cables}: add cables"
-        )
-
-
-def _fields_with_numbers(robot: Robot) -> dict[str, Any]:
-    """Values of the fields that have one number, or one per motor, by name as in ``ranges``."""
+    # the fields that have one number, or one per motor, by name as in ``ranges``
     values = {
         name: getattr(robot, name)
         for name in ("mass", "gravity", "minimum_tension", "maximum_tension")
@@ -448,7 +439,12 @@ def _fields_with_numbers(robot: Robot) -> dict[str, Any]:
     for part in (robot.motors, robot.transmission):
         prefix = type(part).__name__.lower()
         values |= {f"{prefix}.{field}": value for field, value in vars(part).items()}
-    return values
+    checks.check_ranges(robot.ranges, values)
+    if robot.weightless and robot.cables <= robot.coordinates:
+        raise ValueError(
+            f"base_anchors: {KIND_TEXTS[robot.kind]} without gravity needs at least {robot.coordinates + 1} cables, "
+            f"not {robot.cables}: add cables"
+        )
 
 
 def _check_shapes(robot: Robot) -> None:
@@ -498,19 +494,13 @@ def _check_cable_values(robot: Robot) -> None:
                 )
 
 
-def _reach_and_gyration(robot: Robot) -> tuple[float, float]:
-    """Largest distance of a platform anchor from the centre of mass, and largest radius of gyration
-    [m]."""
-    reach = float(np.max(np.linalg.norm(robot.platform - robot.mass_center, axis=1)))
-    moment = float(np.linalg.eigvalsh(robot.inertia_tensor).max())
-    return reach, math.sqrt(max(moment, 0.0) / robot.mass)
-
-
 def _check_body(robot: Robot) -> None:
     """Checks that a body and cables of this size and form exist."""
     checks.check_widths(robot.base, robot.pulley_radius, robot.swivel_radius)
     if not robot.point_mass:
-        checks.check_reach(*_reach_and_gyration(robot))
+        reach = float(np.max(np.linalg.norm(robot.platform - robot.mass_center, axis=1)))
+        moment = float(np.linalg.eigvalsh(robot.inertia_tensor).max())
+        checks.check_reach(reach, math.sqrt(max(moment, 0.0) / robot.mass))
     if robot.kind == "spatial":
         checks.check_inertia(robot.inertia, robot.inertia_tensor)
     heights = cable_vectors(robot.base, robot.platform, robot.home)[:, -1]

@@ -17,8 +17,6 @@ m, angles in rad and times in s; z points down.
 """
 
 from cablebot_gym.trajectories.base import (
-    BLEND,
-    COORDINATES,
     ORDERS,
     Reference,
     Trajectory,
@@ -26,7 +24,6 @@ from cablebot_gym.trajectories.base import (
 )
 from cablebot_gym.trajectories.loops import (
     FIRST_HELD_OUT_SEED,
-    HARMONICS,
     TRAINING_SEEDS,
     RandomLoop,
     held_out_seeds,
@@ -40,25 +37,14 @@ from cablebot_gym.trajectories.motions import (
 )
 from cablebot_gym.trajectories.names import TRAJECTORIES, find_trajectory, trajectory_names
 from cablebot_gym.trajectories.sequences import (
-    DWELL,
-    MEETING_TOLERANCE,
-    REST_TOLERANCE,
     BetweenDwells,
     Chain,
 )
-from cablebot_gym.trajectories.spline import SPLINE_DEGREE, SPLINE_ERROR, Waypoints
+from cablebot_gym.trajectories.spline import Waypoints
 
 __all__ = [
-    "BLEND",
-    "COORDINATES",
-    "DWELL",
     "FIRST_HELD_OUT_SEED",
-    "HARMONICS",
-    "MEETING_TOLERANCE",
     "ORDERS",
-    "REST_TOLERANCE",
-    "SPLINE_DEGREE",
-    "SPLINE_ERROR",
     "TRAINING_SEEDS",
     "TRAJECTORIES",
     "BetweenDwells",

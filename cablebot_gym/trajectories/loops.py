@@ -116,8 +116,12 @@ class RandomLoop(Motion):
         """Fraction of the acceleration, c of shape (n,), and (a, b) of shape (2, HARMONICS, n)."""
         n = self.coordinates
         groups = _GROUPS[self.coordinates]
-        # Changing the order of the numbers would change the curve of every seed.
-        numbers = _uniform(self.seed, 1 + len(groups) + n + 2 * HARMONICS * n)
+        # Numbers in [0, 1): numpy keeps the raw bits stable, but not its distributions. 53 bits fill
+        # the mantissa of a float. Changing the order of the numbers would change the curve of every
+        # seed.
+        generator = np.random.Philox(np.random.SeedSequence(self.seed))
+        bits = generator.random_raw(1 + len(groups) + n + 2 * HARMONICS * n)
+        numbers = (bits >> np.uint64(11)).astype(float) / 2.0**53
         fraction, sizes, offset, waves = np.split(numbers, np.cumsum([1, len(groups), n]))
         waves = (2 * waves.reshape(2, HARMONICS, n) - 1) / _ORDERS[:, None] ** 3
         center = np.array(self.center)
@@ -132,7 +136,11 @@ class RandomLoop(Motion):
             center[group] += (1 - size) * reach * (2 * offset[group] - 1) / math.sqrt(dimensions)
             to_start = center[group] + scale * series[:, group] - self.start[group]
             distance += np.sum(to_start**2, axis=1) / reach**2
-        waves = _shifted(waves, phases[np.argmin(distance)])
+        phase = phases[np.argmin(distance)]  # where the curve begins
+        cosine = np.cos(phase * _ORDERS)[:, None]
+        sine = np.sin(phase * _ORDERS)[:, None]
+        along, across = waves
+        waves = np.stack([along * cosine + across * sine, across * cosine - along * sine])
         return LEAST_FRACTION + (1 - LEAST_FRACTION) * float(fraction[0]), center, waves
 
     def _phase(self, fraction: Array) -> Array:
@@ -180,14 +188,6 @@ _SAMPLES = 1001
 """Number of times or phases at which :class:`RandomLoop` samples its peaks."""
 
 
-def _uniform(seed: int, count: int) -> Array:
-    """Numbers in [0, 1) that depend on the seed only. numpy keeps the raw bits stable, but not its
-    distributions."""
-    # 53 bits fill the mantissa of a float.
-    bits = np.random.Philox(np.random.SeedSequence(seed)).random_raw(count)
-    return (bits >> np.uint64(11)).astype(float) / 2.0**53
-
-
 def _series(waves: Array, phase: Array) -> Array:
     """Derivatives 0 to 4 of ``Σ_k (a_k cos kφ + b_k sin kφ)`` with respect to the phase φ (...),
     shape (5, ..., n)."""
@@ -198,11 +198,3 @@ def _series(waves: Array, phase: Array) -> Array:
         cosines = (factor * sines[order + 1]) @ waves[0]
         derivatives.append(cosines + (factor * sines[order]) @ waves[1])
     return np.stack(derivatives)
-
-
-def _shifted(waves: Array, phase: float) -> Array:
-    """Coefficients (a, b) of the series that begins at a phase of another one."""
-    cosine = np.cos(phase * _ORDERS)[:, None]
-    sine = np.sin(phase * _ORDERS)[:, None]
-    along, across = waves
-    return np.stack([along * cosine + across * sine, across * cosine - along * sine])

@@ -3,12 +3,13 @@ atomic writes."""
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from cablebot_gym.utils.foreign import foreign_bytes, foreign_text
 
@@ -134,6 +135,11 @@ def check_writable_file(path: Path) -> None:
         raise ValueError(f"cannot write {str(path)!r}: it is a folder; choose another name")
 
 
+def json_text(data: Any) -> str:
+    """Data as indented JSON; NaN and infinity raise an error."""
+    return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+
+
 def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     """Calls ``write`` with a temporary file beside ``path`` and then moves the file to ``path``.
 
@@ -148,7 +154,9 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     try:
         write(temporary)
         # The mode of an ordinary new file: temporary files are private.
-        os.chmod(temporary, 0o666 & ~_umask())
+        mask = os.umask(0)  # it is read by setting it
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
         os.replace(temporary, path)
     except BaseException as error:
         temporary.unlink(missing_ok=True)
@@ -160,9 +168,3 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
 def atomic_write_text(path: Path, text: str) -> None:
     """Writes ``text`` to ``path`` in UTF-8, see :func:`atomic_write`."""
     atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -5,32 +5,22 @@ from itertools import pairwise
 
 import gymnasium as gym
 import numpy as np
+from oracles.episodes import ROBOTS
 
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.network import Network
-from cablebot_baselines.learned.steering import (
-    Shift,
-    Steering,
-)
-from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
+from cablebot_baselines.learned.steering import Shift, Steering
+from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.policies import load_policy
-from cablebot_gym.robots import find_robot
 
 PLANAR_ID, SPATIAL_ID, _, FLEX_SPATIAL_ID = PAPER_ENV_IDS
 
-FEATURES = (
-    "pose",
-    "actions",
-    "error",
-    "time_since_start",
-    "time_to_go_decays",
-    "model_payload",
-)
+FEATURES = ("pose", "actions", "error", "time_since_start", "time_to_go_decays", "model_payload")
 
 
 def steering_of(env_id=PLANAR_ID, base=None, action_mapping=None, features=FEATURES):
-    robot = find_robot(env_robot(env_id))
+    robot = ROBOTS[env_id]
     return Steering(
         robot, base=base or Base(), action_mapping=action_mapping or Shift(), features=features
     )
@@ -65,7 +55,7 @@ def observations(env_id, steps, envs=4):
     tasks."""
     env = gym.make_vec(env_id, num_envs=envs)
     observation, _ = env.reset(seed=3, options={"payload": np.linspace(0.0, 1.5, envs)})
-    policy = load_policy("motor-pd" if "Flex" in env_id else "fl", find_robot(env_robot(env_id)))
+    policy = load_policy("motor-pd" if "Flex" in env_id else "fl", ROBOTS[env_id])
     rows = []
     for _ in range(steps):
         rows.append(observation.copy())

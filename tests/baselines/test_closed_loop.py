@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from oracles.episodes import ROBOTS
 
 from cablebot_baselines.classical import Composite, MotorPD, make_robust
-from cablebot_gym.envs import PAPER_ENV_IDS, env_robot, fitting_env_id
+from cablebot_gym.envs import PAPER_ENV_IDS, fitting_env_id
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.policies import policy_entries
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, find_robot
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
 
 ENTRIES = policy_entries().values()
 LARGE = ("adaptive", "nmpc", "observing", "trajopt")
@@ -50,7 +51,7 @@ def test_only_laws_for_a_known_robot_fail_unloaded_on_others(entry):
     needs none."""
     carried = {}
     for env_id in entry.env_ids:
-        kind = find_robot(env_robot(env_id)).kind
+        kind = ROBOTS[env_id].kind
         results = []
         for seed in (1, 2):
             compared = compare_policies(

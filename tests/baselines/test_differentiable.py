@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
+from oracles.plants import each_of
 from oracles.platforms import CRANE, TURNING
 
 import cablebot_gym  # noqa: F401  # registers the ids
@@ -39,7 +40,7 @@ def tensors(robot, values):
     return [torch.tensor(value) for value in vars(values).values()][: 5 if robot.flexible else 3]
 
 
-@pytest.mark.parametrize("robot", RIGID, ids=lambda robot: robot.name)
+@each_of(*RIGID)
 def test_actuation_equals_the_compiled_inverse_dynamics(robot):
     x, mass = motion(robot)
     derivatives = (x.position, x.velocity, x.acceleration)
@@ -52,7 +53,7 @@ def test_actuation_equals_the_compiled_inverse_dynamics(robot):
     assert_allclose(result.action.numpy(), action, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("robot", [FLEX_PLANAR, FLEX_SPATIAL], ids=lambda robot: robot.name)
+@each_of(FLEX_PLANAR, FLEX_SPATIAL)
 def test_actions_with_springs_equal_difference_quotients(robot):
     name = "loop-planar" if robot.planar else "loop-spatial"
     reference = find_trajectory(name, robot.coordinates)

@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from oracles.episodes import ROBOTS
 from scipy.stats import chi2
 
 from cablebot_baselines.estimation import (
@@ -14,7 +15,6 @@ from cablebot_baselines.estimation import (
     FilterErrors,
     KinematicEstimator,
 )
-from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import find_robot
@@ -29,7 +29,7 @@ def run(
 ):
     """Errors of pose and velocity (steps, N, 2n) in closed loop, normalised squared errors of the
     filter, and the largest tracking error of the last step."""
-    robot = find_robot(env_robot(env_id))
+    robot = ROBOTS[env_id]
     env = gym.make_vec(
         env_id,
         num_envs=count,
@@ -66,7 +66,7 @@ def run(
 @pytest.mark.landing
 @pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-Spatial-v0"])
 def test_filter_is_better_than_forward_kinematics(env_id):
-    robot = find_robot(env_robot(env_id))
+    robot = ROBOTS[env_id]
     noise = {"measurement": ENCODERS, "uncertainty": WHITE}
     expected = FilterErrors.of(find_uncertainty(WHITE, robot), robot)
     errors, squares, _ = run(env_id, ExtendedKalmanFilter(robot, expected), **noise)
@@ -81,9 +81,7 @@ def test_filter_is_better_than_forward_kinematics(env_id):
 
 def test_filter_finds_the_pose_behind_the_springs():
     errors, *_ = run(
-        "CableBot-FlexPlanar-v0",
-        ExtendedKalmanFilter(find_robot("flex-planar")),
-        law="composite",
+        "CableBot-FlexPlanar-v0", ExtendedKalmanFilter(find_robot("flex-planar")), law="composite"
     )
     assert np.abs(errors[..., :2]).max() < 1e-4  # the springs deflect by centimetres of cable
 
@@ -99,7 +97,7 @@ def test_filter_finds_the_pose_behind_the_springs():
 def test_homing_removes_zero_errors_of_sensors(env_id, law, zero_error):
     """With the raw motor angles the laws for springs fail at once: the zero error is centimetres of
     cable."""
-    robot = find_robot(env_robot(env_id))
+    robot = ROBOTS[env_id]
     errors, _, tracking_error = run(
         env_id,
         ExtendedKalmanFilter(robot, FilterErrors.usual(robot, homing=True)),
@@ -135,7 +133,7 @@ POSITION, ROTATION = 2e-3, 2e-3
 def homed(env_id, law, count, errors):
     """Errors of the pose (steps, N, n) and their normalised squares (steps, N) with an error of the
     start pose that the filter expects."""
-    robot = find_robot(env_robot(env_id))
+    robot = ROBOTS[env_id]
     uncertainty = find_uncertainty(errors, robot)
     start = POSITION / np.sqrt(3), ROTATION / np.sqrt(3)
     expected = FilterErrors.of(uncertainty, robot, start=start)
@@ -171,7 +169,7 @@ SENSORS = {
 def test_errors_are_as_large_as_the_filter_states(env_id, law):
     """Zeros taken once at the nominal start pose would give thousands instead of one: the errors of
     the pose and of the zeros belong together."""
-    robot = find_robot(env_robot(env_id))
+    robot = ROBOTS[env_id]
     errors, squares = homed(env_id, law, 32, SENSORS)
     degrees = 32 * 2 * robot.coordinates
     low, high = chi2.ppf([0.001, 0.999], degrees) / degrees

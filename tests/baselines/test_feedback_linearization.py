@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from oracles.plants import each_of
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.observation import observation_layout
@@ -45,7 +46,7 @@ def random_observations(robot, count):
 # --- the law ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("robot", [PLANAR, SPATIAL])
+@each_of(PLANAR, SPATIAL)
 @pytest.mark.parametrize(
     ("motors", "gains", "minimum"), [(None, "paper", 5.0), (STRONG, (123.0, 4.5), 17.0)]
 )
@@ -77,7 +78,7 @@ def test_actions_equal_the_paper_s_equations(robot, motors, gains, minimum):
 # --- in the loop ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("robot", [SQUARE, SPATIAL])
+@each_of(SQUARE, SPATIAL)
 def test_closed_loop_tracks_the_reference_within_a_millimetre(robot):
     """Also with four cables in the plane; the plant has the tensions that the law requests."""
     law = FeedbackLinearization(robot, minimum_tension=3.0)

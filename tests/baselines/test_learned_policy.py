@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from oracles.episodes import ROBOTS
 from steering import (
     PLANAR_ID,
     SPATIAL_ID,
@@ -24,9 +25,8 @@ from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_baselines.learned.steering import Shift
 from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.suites import find_policies
-from cablebot_gym.envs import env_robot
 from cablebot_gym.policies import load_policy
-from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL, find_robot
+from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.utils import code_hash
 
@@ -54,7 +54,7 @@ def test_motion_of_a_base_alone_is_the_task_soon():
 def test_zero_network_equals_the_base_law():
     """Of the planar robot, which starts on its reference."""
     bundle = bundle_of(scale=0.0)
-    robot = find_robot(env_robot(bundle.env_id))
+    robot = ROBOTS[bundle.env_id]
     rows, tasks = observations(bundle.env_id, 30)
     policy = LearnedPolicy(bundle, robot)
     law = bundle.base.make(robot)
@@ -131,13 +131,10 @@ def test_invalid_parameters_are_rejected(make):
 
 @pytest.mark.parametrize(
     ("env_id", "base", "changes"),
-    [
-        (SPATIAL_ID, Base(), {"gains": (7.0, 3.0)}),
-        (PLANAR_ID, Base(), {"minimum_tension": 2.0}),
-    ],
+    [(SPATIAL_ID, Base(), {"gains": (7.0, 3.0)}), (PLANAR_ID, Base(), {"minimum_tension": 2.0})],
 )
 def test_parameters_of_a_base_reach_the_law(env_id, base, changes):
-    robot = find_robot(env_robot(env_id))
+    robot = ROBOTS[env_id]
     rows, _ = observations(env_id, 20, envs=2)
     changed = dataclasses.replace(base, **changes)
     assert np.any(run(base.make(robot), rows) != run(changed.make(robot), rows))

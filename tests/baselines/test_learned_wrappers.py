@@ -13,11 +13,7 @@ from steering import network_of
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy
-from cablebot_baselines.learned.wrappers import (
-    PayloadCurriculum,
-    Steered,
-    make_steered_vec,
-)
+from cablebot_baselines.learned.wrappers import PayloadCurriculum, Steered, make_steered_vec
 
 PLANAR_ID = "CableBot-Planar-v0"
 SPATIAL_ID = "CableBot-Spatial-v0"

@@ -11,12 +11,7 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("casadi")
 
-from cablebot_baselines.optimal.horizon import (
-    HORIZON,
-    ExpectedRobot,
-    HorizonProgram,
-    Target,
-)
+from cablebot_baselines.optimal.horizon import HORIZON, ExpectedRobot, HorizonProgram, Target
 from cablebot_baselines.optimal.nmpc import NMPC, TUNING, NonlinearMPC
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning.stage_functions import TENSION
@@ -93,9 +88,7 @@ def test_planned_motion_keeps_the_limits_between_its_instants():
 
     requested = reference(program.instants)
     target = Target(
-        reference=requested,
-        last_velocity=zero,
-        error_bounds=ErrorBounds(position=0.03),
+        reference=requested, last_velocity=zero, error_bounds=ErrorBounds(position=0.03)
     )
     plan = program.plan(home, zero, target, robot=ExpectedRobot(mass=mass), iterations=8)
     fine = np.linspace(0.0, HORIZON, 201)

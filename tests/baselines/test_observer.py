@@ -7,6 +7,7 @@ from driving import drive
 from gymnasium.vector import AutoresetMode
 from numpy.testing import assert_allclose
 from oracles.bits import compare_ways
+from oracles.episodes import ROBOTS
 from oracles.plants import FLEX_UNEQUAL, QUAD, UNEQUAL, each_of, nightly, random_motion
 from oracles.platforms import CAMERA, CRANE, TURNING
 
@@ -16,7 +17,6 @@ from cablebot_baselines.classical.observer_law import ObserverLaw
 from cablebot_baselines.estimation import filtering
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.estimation.filtering import delayed_weights, dynamics_of
-from cablebot_gym.envs import env_robot
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import find_robot
 from cablebot_gym.uncertainty import ExternalWrench, Uncertainty, find_uncertainty
@@ -33,7 +33,7 @@ LARGEST = {
 
 def observing(env_id, uncertainty, largest_payload):
     """The adaptive law of a robot behind an observer."""
-    robot = find_robot(env_robot(env_id))
+    robot = ROBOTS[env_id]
     expectation = Expectation.of(robot, uncertainty)
     if robot.flexible:
         law = make_composite(expectation.robot)
@@ -44,7 +44,7 @@ def observing(env_id, uncertainty, largest_payload):
 
 def episodes(env_id, uncertainty, payload, steps, **keywords):
     """Estimates of every step, the truth, and the peaks of the position error of N episodes."""
-    robot = find_robot(env_robot(env_id))
+    robot = ROBOTS[env_id]
     uncertainty = find_uncertainty(uncertainty, robot)
     law = observing(env_id, uncertainty, LARGEST[env_id])
     env = gym.make_vec(
@@ -134,7 +134,7 @@ def test_rates_of_the_weights_are_their_derivatives():
 def test_mass_is_found_within_the_motion(env_id):
     """In motion, on robots of `hardware`. A planar robot has no weight: it shows its mass when it
     accelerates."""
-    kind = find_robot(env_robot(env_id)).kind
+    kind = ROBOTS[env_id].kind
     payload = np.linspace(0.0, LARGEST[env_id], 6)
     estimates, truth, errors = episodes(
         env_id, "hardware", payload, 500, trajectory={"name": f"loop-{kind}", "seed": 0}

@@ -7,13 +7,14 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from oracles.episodes import ROBOTS
 
 from cablebot_baselines.optimal import trajopt
 from cablebot_gym import ENV_IDS
-from cablebot_gym.envs import env_robot, fitting_env_id
+from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.planning import Infeasible
 from cablebot_gym.policies import load_policy, policy_entries
-from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL, find_robot
+from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
 
 ENTRIES = policy_entries()
 
@@ -39,7 +40,7 @@ class Episode:
     """An episode of a robot, and a policy that acts in it alone."""
 
     def __init__(self, name, env_id, motion, payload):
-        kind = find_robot(env_robot(env_id)).kind
+        kind = ROBOTS[env_id].kind
         trajectory = {"name": f"loop-{kind}", "seed": motion, "dwell": 0.0}
         if ENTRIES[name.partition(":")[0]].plans:  # of a loop it takes seconds to minutes
             trajectory = {"name": "line-planar", "duration": 0.4 + motion / 50, "dwell": 0.0}
@@ -101,7 +102,7 @@ def test_row_of_a_batch_acts_as_an_episode_alone(name, env_id):
 def test_robot_of_another_kind_is_refused_with_policies_that_support_it(name):
     """A user's robot is judged by its kind."""
     for env_id in set(ENV_IDS) - set(ENTRIES[name].env_ids):
-        robot = find_robot(env_robot(env_id)).replace(name="own", mass=3.0)
+        robot = ROBOTS[env_id].replace(name="own", mass=3.0)
         supporting = [other for other, entry in ENTRIES.items() if env_id in entry.env_ids]
         message = f"'{name}' does not support robot 'own'.*: use one of {', '.join(supporting)}$"
         with pytest.raises(ValueError, match=message):
@@ -113,7 +114,7 @@ LAWS = [name for name, entry in ENTRIES.items() if entry.kind == "classical"]
 
 @pytest.mark.parametrize("name", LAWS)
 def test_law_rejects_tasks_and_observations_of_another_robot(name):
-    robot = find_robot(env_robot(ENTRIES[name].env_ids[0]))
+    robot = ROBOTS[ENTRIES[name].env_ids[0]]
     law = load_policy(name, robot)
     other = "CableBot-Spatial-v0" if robot.kind == "planar" else "CableBot-Planar-v0"
     env = gym.make(other)

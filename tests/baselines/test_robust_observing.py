@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from oracles.episodes import ROBOTS
 from scipy.linalg import solve_continuous_lyapunov
 
 from cablebot_baselines.classical import BoundedRobustPD
 from cablebot_baselines.classical.robust_design import Peaks, RobustDesign
 from cablebot_baselines.estimation.expectation import Expectation
-from cablebot_gym.envs import env_robot
-from cablebot_gym.robots import find_robot
 from cablebot_gym.uncertainty import find_uncertainty
 
 PERIOD = 2e-3
@@ -21,7 +20,7 @@ PEAKS = Peaks(jump=5.0, pulley_speed=40.0, pulley_acceleration=500.0)
 
 
 def design(env_id, uncertainty="hardware", payload=2.0, peaks=PEAKS, **changes):
-    robot = find_robot(env_robot(env_id))
+    robot = ROBOTS[env_id]
     expectation = Expectation.of(robot, find_uncertainty(uncertainty, robot))
     return RobustDesign(
         expectation=replace(expectation, **changes),

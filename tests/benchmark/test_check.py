@@ -1,6 +1,7 @@
 """Check of stored results: rows that are missing, of chosen motions, or with another payload."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -46,14 +47,9 @@ def chosen_motion(records):
     return changed
 
 
-def another_seed(records):
+def last_with(records, **changes):
     *others, last = records
-    return [*others, replace(last, cell=replace(last.cell, seed=1))]
-
-
-def another_robot(records):
-    *others, last = records
-    return [*others, replace(last, cell=replace(last.cell, robot_name="flex-planar"))]
+    return [*others, replace(last, cell=replace(last.cell, **changes))]
 
 
 @pytest.mark.parametrize(
@@ -63,8 +59,8 @@ def another_robot(records):
         (lambda records: records[1:], 1, 0),  # the first best known payload
         (lambda records: records[:-1], 1, 0),  # the last motion of a policy
         (chosen_motion, 3, 3),
-        (another_seed, 1, 1),
-        (another_robot, 1, 1),
+        (partial(last_with, seed=1), 1, 1),
+        (partial(last_with, robot_name="flex-planar"), 1, 1),
     ],
 )
 def test_rows_of_results_are_those_of_their_suite(honest, change, missing, unexpected):

@@ -11,7 +11,7 @@ import pytest
 
 from cablebot_gym.benchmark import ray_backend
 from cablebot_gym.benchmark.cells import PolicyCell
-from cablebot_gym.benchmark.engine import Job, run_cells, run_jobs
+from cablebot_gym.benchmark.engine import Job, run_cells
 from cablebot_gym.benchmark.ray_backend import on_ray
 from cablebot_gym.benchmark.records import compute
 from cablebot_gym.benchmark.store import Store
@@ -61,8 +61,8 @@ def raises():
 
 
 def run(address, computations, returned=(WorkerDied,)):
-    jobs = [Job(key=key, compute=compute, kind=None) for key, compute in computations.items()]
-    return dict(run_jobs(jobs, on_ray(address), say=print, returned=returned))
+    jobs = {key: Job(compute=compute, kind=None) for key, compute in computations.items()}
+    return dict(on_ray(address)(jobs, print, returned))
 
 
 @pytest.mark.landing

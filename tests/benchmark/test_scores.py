@@ -14,12 +14,7 @@ from cablebot_gym.benchmark.cells import (
 )
 from cablebot_gym.benchmark.leaderboard import Results, markdown, origins_text
 from cablebot_gym.benchmark.records import Record
-from cablebot_gym.benchmark.scores import (
-    RANKED_MOTIONS,
-    error_tables,
-    leaderboards,
-    scores,
-)
+from cablebot_gym.benchmark.scores import RANKED_MOTIONS, error_tables, leaderboards, scores
 from cablebot_gym.benchmark.tables import error_rows
 
 PLANAR = "CableBot-Planar-v0"

@@ -31,10 +31,7 @@ def results():
 
 def test_rows_of_the_leaderboard_are_of_today_or_of_its_board(results):
     """Excludes a row of a policy that has changed since: it would stand beside those of today."""
-    origins = {
-        "of board 2026-2": set(),
-        "after board 2026-2, on its first 20 motions": set(),
-    }
+    origins = {"of board 2026-2": set(), "after board 2026-2, on its first 20 motions": set()}
     for record in records_of(results["leaderboard"], PolicyCell):
         origins[record.versions["rows"]].add(record.cell.policy)
     board, later = origins.values()

@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import chain
 
 import pytest
+from oracles.episodes import ROBOTS
 
 from cablebot_gym.benchmark.cells import (
     BestKnownCell,
@@ -24,9 +25,8 @@ from cablebot_gym.benchmark.suites import (
     suite_cells,
     surveyed_motions,
 )
-from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
+from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.policies import policy_entries
-from cablebot_gym.robots import find_robot
 from cablebot_gym.trajectories import find_trajectory, held_out_seeds
 from cablebot_gym.uncertainty import find_uncertainty
 
@@ -84,7 +84,7 @@ def test_cells_of_a_suite_are_valid(name):
     else:
         assert with_best_known == (with_score if find_suite(name).best_known else set())
     for env_id, uncertainty, count in draws:
-        assert find_uncertainty(uncertainty, find_robot(env_robot(env_id))).random == (count > 1)
+        assert find_uncertainty(uncertainty, ROBOTS[env_id]).random == (count > 1)
     for cell in motions.values():
         find_trajectory(dict(cell.trajectory), cell.robot.kind)
 

@@ -8,12 +8,7 @@ import simulated_boards
 
 from cablebot_gym.benchmark.cells import BestKnownCell
 from cablebot_gym.benchmark.records import Record
-from cablebot_gym.benchmark.yardstick import (
-    FEWEST,
-    drawn_cells,
-    yardstick,
-    yardsticks,
-)
+from cablebot_gym.benchmark.yardstick import FEWEST, drawn_cells, yardstick, yardsticks
 
 PLANAR_ID = "CableBot-Planar-v0"
 CIRCLE = BestKnownCell(env_id=PLANAR_ID, trajectory={"name": "circle-planar"})

@@ -1,7 +1,6 @@
 """The best known payload: an independent collocation, and a replay in a fresh environment."""
 
 import dataclasses
-import sys
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -176,12 +175,7 @@ def test_payload_is_close_to_an_independent_collocation(env_id, nodes):
 def test_hang_within_narrow_bounds_has_the_static_payload():
     hang = {"name": "dwell-spatial", "duration": 0.1}
     bounds = {"position": 1e-5, "rotation": 1e-5}
-    tight = find_best_known(
-        SPATIAL_ID,
-        trajectory=hang,
-        error_bounds=bounds,
-        cache=False,
-    )
+    tight = find_best_known(SPATIAL_ID, trajectory=hang, error_bounds=bounds, cache=False)
     assert tight.verified
     assert tight.payload == pytest.approx(
         exact_payload(SPATIAL, find_trajectory(hang, 6)).payload, rel=2e-3
@@ -299,10 +293,3 @@ def test_infeasible_problem_names_the_limit(arguments, message, monkeypatch):
     monkeypatch.setattr(best_known, "_FIRST_MESHES", 1)
     with pytest.raises(ValueError, match=message):
         find_best_known(PLANAR_ID, cache=False, **arguments)
-
-
-def test_missing_casadi_is_reported_first(monkeypatch):
-    monkeypatch.setitem(sys.modules, "casadi", None)
-    monkeypatch.setattr(best_known._Case, "solve", lambda *_: pytest.fail("searched"))
-    with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
-        find_best_known(PLANAR_ID)

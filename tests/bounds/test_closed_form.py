@@ -20,22 +20,15 @@ HOME_RISE = 0.1 / math.sqrt(0.1**2 + 0.47**2 + ((2 * 0.148 - 0.47) / math.sqrt(3
 (0, -2b/√3, 0.1)."""
 
 
-def with_motors(robot, **changes):
-    return robot.replace(motors=robot.motors.replace(**changes))
-
-
 # --- by hand ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("minimum", [0.0, 5.0, 70.0])
 def test_static_hang_is_limited_by_the_weakest_motor(minimum):
     """And a minimum tension needs ballast."""
-    robot = with_motors(SPATIAL, stall_torque=(10.0, 10.0, 10.0, 5.0, 10.0, 10.0))
-    result = exact_payload(
-        robot,
-        find_trajectory("dwell-spatial", 6),
-        minimum_tension=minimum,
-    )
+    motors = SPATIAL.motors.replace(stall_torque=(10.0, 10.0, 10.0, 5.0, 10.0, 10.0))
+    robot = SPATIAL.replace(motors=motors)
+    result = exact_payload(robot, find_trajectory("dwell-spatial", 6), minimum_tension=minimum)
     assert result.payload == pytest.approx(6 * (5 / 0.05) * HOME_RISE / 9.81 - 10, rel=1e-12)
     assert result.total_mass == pytest.approx(result.payload + 10)
     assert (result.time, result.motor, result.kind, result.line) == (0.0, 4, "torque", "upper")
@@ -74,15 +67,7 @@ class Jolted:
 
     def __call__(self, times):
         reference = Dwell(pose=(0.0, 0.0), duration=self.duration)(times)
-        reference.acceleration[
-            np.isclose(
-                times,
-                self.at,
-                rtol=0,
-                atol=1e-9,
-            ),
-            0,
-        ] = self.acceleration
+        reference.acceleration[np.isclose(times, self.at, rtol=0, atol=1e-9), 0] = self.acceleration
         return reference
 
 
@@ -124,11 +109,7 @@ def test_interval_around_zero_payload_is_chosen(mass, below):
     force_x, force_y = -10 * anchors.sum(axis=0)
     # Between cables 1 and 2, T_2 = 10 + w_y + w_x / √3, between 2 and 3 it is 10 + w_y - w_x / √3.
     low_mass, high_mass = ((side * math.sqrt(3) * (5 - force_y) - force_x) / 10 for side in (1, -1))
-    result = exact_payload(
-        robot,
-        Jolted(at=0.5, acceleration=10.0),
-        minimum_tension=10.0,
-    )
+    result = exact_payload(robot, Jolted(at=0.5, acceleration=10.0), minimum_tension=10.0)
     if below:
         assert (result.lowest, result.payload) == pytest.approx((-mass, low_mass - mass), abs=1e-9)
         assert (result.motor, result.time, result.line) == (2, 0.5, "upper")
@@ -141,11 +122,7 @@ def test_interval_around_zero_payload_is_chosen(mass, below):
 
 
 @pytest.mark.parametrize(
-    ("robot", "minimum", "total"),
-    [
-        (SPATIAL, 0.0, 11.80),
-        (PLANAR, 5.0, 2.07),
-    ],
+    ("robot", "minimum", "total"), [(SPATIAL, 0.0, 11.80), (PLANAR, 5.0, 2.07)]
 )
 def test_mass_on_the_papers_circle_matches_independent_runs(robot, minimum, total):
     # Before the jump of acceleration at 0.5 s for the planar robot, after it for the spatial:
@@ -187,10 +164,7 @@ def random_case(kind, rng):
     robot = robot.replace(
         base_anchors=base,
         mass=robot.mass * rng.uniform(0.6, 1.2),
-        motors=Motors(
-            stall_torque=torques,
-            free_speed=rng.uniform(800, 2000) * RPM,
-        ),
+        motors=Motors(stall_torque=torques, free_speed=rng.uniform(800, 2000) * RPM),
         transmission=drums,
     )
     fields = {"radius": rng.uniform(0.04, 0.1), "duration": rng.uniform(1.0, 2.0)}
@@ -237,12 +211,7 @@ def bisected(robot, trajectory, minimum):
 @pytest.mark.parametrize("kind", ["spatial", "planar-3", "planar-4", "planar-5"])
 def test_closed_form_matches_bisection(kind, seed):
     robot, trajectory, minimum = random_case(kind, np.random.default_rng(seed))
-    result = exact_payload(
-        robot,
-        trajectory,
-        minimum_tension=minimum,
-        frequency=FREQUENCY,
-    )
+    result = exact_payload(robot, trajectory, minimum_tension=minimum, frequency=FREQUENCY)
     expected = bisected(robot, trajectory, minimum)
     assert (result.lowest, result.payload) == pytest.approx(expected, abs=1e-6)
 

@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from oracles.plants import each_of
 
 from cablebot_gym.bounds import best_known
 from cablebot_gym.bounds.best_known import find_best_known
@@ -15,10 +16,7 @@ pytest.importorskip("casadi")
 
 PLANAR_ID = "CableBot-Planar-v0"
 LINE = {"name": "line-planar", "duration": 0.4, "dwell": 0.0}
-HEAVIER = {
-    "parameters": {"payload": {"low": 0.03, "high": 0.03}},
-    "sensors": {"position": 1e-3},
-}
+HEAVIER = {"parameters": {"payload": {"low": 0.03, "high": 0.03}}, "sensors": {"position": 1e-3}}
 
 
 def strength(deviation):
@@ -86,7 +84,7 @@ def test_hardware_draw_is_verified_in_its_own_draw_only(monkeypatch):
     assert any(verdict.violation for verdict, _ in replay(other, actions, payload))
 
 
-@pytest.mark.parametrize("robot", [PLANAR, SPATIAL, FLEX_SPATIAL])
+@each_of(PLANAR, SPATIAL, FLEX_SPATIAL)
 def test_drawn_robot_has_the_true_parameters(robot):
     env = gym.make(fitting_env_id(robot), uncertainty="hardware").unwrapped
     env.reset(seed=5)

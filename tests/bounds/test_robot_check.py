@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from oracles.plants import each_of
 
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.bounds.robot_check import check_model, check_motion, modes, segment_distance
@@ -16,14 +17,10 @@ from cablebot_gym.trajectories import find_trajectory
 CAMERA = find_robot("stadium-camera")
 
 
-@pytest.mark.parametrize("robot", [PLANAR, SPATIAL], ids=["planar", "spatial"])
+@each_of(PLANAR, SPATIAL)
 def test_payload_limit_is_the_closed_form(robot):
     motion = f"smooth-circle-{robot.kind}"
-    exact = exact_payload(
-        robot,
-        find_trajectory(motion, robot.kind),
-        minimum_tension=1.0,
-    )
+    exact = exact_payload(robot, find_trajectory(motion, robot.kind), minimum_tension=1.0)
     check = check_motion(robot, trajectory=motion)
     # which looks at more instants
     assert exact.payload <= check.limit.largest <= 1.005 * exact.payload
@@ -38,16 +35,7 @@ def test_payload_is_held_up_to_the_limit():
     ]
     assert "2, 3 at the torque limit" in limit.reason
     pose = np.array([[*limit.pose]])
-    assert [
-        bool(
-            holds(
-                CAMERA,
-                pose,
-                payload,
-            )[0]
-        )
-        for payload in (limit.largest, 200.0)
-    ] == [
+    assert [bool(holds(CAMERA, pose, payload)[0]) for payload in (limit.largest, 200.0)] == [
         True,
         False,
     ]
@@ -90,7 +78,7 @@ def test_ceiling_is_the_payload_at_rest_for_the_maximum_tension():
     assert check_motion(SPATIAL, trajectory="dwell-spatial", payload=9.0).possible
 
 
-@pytest.mark.parametrize("robot", [SPATIAL, FLEX_SPATIAL], ids=lambda robot: robot.name)
+@each_of(SPATIAL, FLEX_SPATIAL)
 def test_stall_torque_holds_the_payload_at_the_start(robot):
     """At the start pose, half the position bound lower."""
     motion = find_trajectory("circle-spatial", 6)

@@ -38,14 +38,12 @@ SCALES["largest_tension"] = 1
 """Columns of the table, and how they are scaled."""
 
 
-def weak(observation):
-    return 0.9 * np.ones(6)
-
-
 @pytest.fixture(scope="module")
 def comparison():
     options = {"payload": 1.25, "payload_known": False, "uncertainty": "table6", "draws": 3}
-    return compare_policies(["fl", weak], SPATIAL, trajectory=MOTION, **options)
+    return compare_policies(
+        ["fl", lambda observation: 0.9 * np.ones(6)], SPATIAL, trajectory=MOTION, **options
+    )
 
 
 def test_table_has_the_numbers_of_the_comparison(comparison, capsys, monkeypatch):

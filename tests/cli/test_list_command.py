@@ -3,12 +3,12 @@
 from collections import defaultdict
 
 import pytest
+from oracles.episodes import ROBOTS
 
 from cablebot_gym import ENV_IDS
 from cablebot_gym.cli.listing import _trajectory_fields, _uncertainty_fields
-from cablebot_gym.envs import env_robot
 from cablebot_gym.policies import policy_entries
-from cablebot_gym.robots import find_robot, robot_names
+from cablebot_gym.robots import robot_names
 from cablebot_gym.trajectories import TRAJECTORIES, find_trajectory, trajectory_names
 from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES, find_uncertainty
 
@@ -42,5 +42,5 @@ def test_listed_fields_make_the_named_uncertainty(name):
                     values[group][key] = entry["value"]
                 else:
                     values[group] = entry["value"]
-        robot = find_robot(env_robot(env_id))
+        robot = ROBOTS[env_id]
         assert find_uncertainty(dict(values), robot) == find_uncertainty(name, robot)

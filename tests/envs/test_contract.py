@@ -41,10 +41,7 @@ def test_import_registers_without_loading_heavy_libraries():
         "print([m for m in ('numba', 'torch', 'scipy', 'mujoco', 'matplotlib') if m in sys.modules])\n"
     )
     ended = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        capture_output=True,
-        text=True,
-        timeout=HANG,
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=HANG
     )
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.splitlines() == [str(list(cablebot_gym.ENV_IDS)), "[]"]

@@ -39,10 +39,7 @@ VECTOR_KEYWORDS = [
 
 @pytest.mark.parametrize(
     ("construct", "keywords", "words"),
-    [
-        *((gym.make, *row) for row in KEYWORDS),
-        *((gym.make_vec, *row) for row in VECTOR_KEYWORDS),
-    ],
+    [*((gym.make, *row) for row in KEYWORDS), *((gym.make_vec, *row) for row in VECTOR_KEYWORDS)],
 )
 def test_bad_keyword_raises(construct, keywords, words):
     with pytest.raises((TypeError, ValueError), match=words):

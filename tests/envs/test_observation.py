@@ -3,14 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.episodes import (
-    PLANAR,
-    ROBOTS,
-    SPATIAL,
-    make,
-    random_actions,
-    two_ids,
-)
+from oracles.episodes import PLANAR, ROBOTS, SPATIAL, make, random_actions, two_ids
 
 from cablebot_gym.envs.observation import LAST_ACTIONS, observation_layout
 from cablebot_gym.policies import load_policy

@@ -62,16 +62,10 @@ class Case:
 CASES = {
     "payload": Case(2.0, {"start", "rewards", "payload", "tracking_error"}),
     "payload_known": Case(
-        False,
-        {"start"},
-        {"rewards", "payload", "tracking_error"},
-        {"payload": 2.0},
+        False, {"start"}, {"rewards", "payload", "tracking_error"}, {"payload": 2.0}
     ),
     "model_payload_factor": Case(
-        0.5,
-        {"start"},
-        {"rewards", "payload", "tracking_error", "tensions"},
-        {"payload": 2.0},
+        0.5, {"start"}, {"rewards", "payload", "tracking_error", "tensions"}, {"payload": 2.0}
     ),
     "trajectory": Case("line-planar", {"start", "rewards", "tensions"}),
     "initial_error": Case([0.001, 0.0], {"start", "rewards", "tracking_error"}),
@@ -86,9 +80,7 @@ CASES = {
         {"payload", "terminated"},
     ),
     "error_bounds": Case(
-        {"position": 0.02, "rotation": 0.02},
-        {"rewards", "reward_position"},
-        {"observations"},
+        {"position": 0.02, "rotation": 0.02}, {"rewards", "reward_position"}, {"observations"}
     ),
 }
 
@@ -147,12 +139,7 @@ def test_redundant_cables_hold_each_payload_after_a_reset():
     for payload in (0.0, 5.0):
         _, info = env.reset(options={"payload": payload})
         minimum = textbook.allocated_minimum(robot)
-        torques = textbook.static_torque(
-            robot,
-            robot.mass + payload,
-            env.pose,
-            minimum=minimum,
-        )
+        torques = textbook.static_torque(robot, robot.mass + payload, env.pose, minimum=minimum)
         assert_array_equal(info["torques"], torques)
 
 
@@ -160,11 +147,7 @@ def test_redundant_cables_hold_each_payload_after_a_reset():
 def test_delayed_motors_start_within_the_stall_torque(payload):
     robot = ROBOTS[FLEX_SPATIAL]
     parameters = {"motor_strength": {"low": -0.1, "high": -0.05}}
-    env = make(
-        FLEX_SPATIAL,
-        payload=payload,
-        uncertainty={"parameters": parameters, "delay": 2},
-    )
+    env = make(FLEX_SPATIAL, payload=payload, uncertainty={"parameters": parameters, "delay": 2})
     observation, info = env.reset(seed=0)
     stall = env.truth["motor_strength"]
     held = np.minimum(info["torques"], stall)

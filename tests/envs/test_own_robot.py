@@ -11,13 +11,7 @@ from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.evaluator import default_payload_max
-from cablebot_gym.robots import (
-    PLANAR,
-    Defaults,
-    Motors,
-    Robot,
-    find_robot,
-)
+from cablebot_gym.robots import PLANAR, Defaults, Motors, Robot, find_robot
 from cablebot_gym.task import find_error_bounds
 from cablebot_gym.trajectories import find_trajectory
 
@@ -31,8 +25,7 @@ BASE = Robot(
     home_pose=(0.2, 0.3),
 )
 HANGING = BASE.replace(
-    base_anchors=[(*corner, -3.0) for corner in CORNERS],
-    home_pose=(0.2, 0.3, -1.0),
+    base_anchors=[(*corner, -3.0) for corner in CORNERS], home_pose=(0.2, 0.3, -1.0)
 )
 ROBOTS = {
     "planar": BASE,

@@ -7,14 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from numpy.testing import assert_array_equal
-from oracles.episodes import (
-    FLEX_SPATIAL,
-    PLANAR,
-    SPATIAL,
-    check_equal,
-    make,
-    make_vector,
-)
+from oracles.episodes import FLEX_SPATIAL, PLANAR, SPATIAL, check_equal, make, make_vector
 
 from cablebot_gym.rendering.moment import Moment
 from cablebot_gym.rendering.painter import import_pygame

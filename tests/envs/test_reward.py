@@ -3,15 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.episodes import (
-    FLEX_SPATIAL,
-    PLANAR,
-    ROBOTS,
-    SPATIAL,
-    make_vector,
-    rigid_ids,
-    rollout,
-)
+from oracles.episodes import FLEX_SPATIAL, PLANAR, ROBOTS, SPATIAL, make_vector, rigid_ids, rollout
 from oracles.episodes import make as make_any
 
 from cablebot_gym.envs import TERMINATION_REASONS

@@ -2,21 +2,11 @@
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.episodes import (
-    PLANAR,
-    make,
-    make_vector,
-    wrenches,
-)
+from oracles.episodes import PLANAR, make, make_vector, wrenches
 from scipy import stats
 
 from cablebot_gym.envs.streams import BLOCK, NormalRows, Purpose, Streams
-from cablebot_gym.uncertainty import (
-    ExternalWrench,
-    ParameterDistribution,
-    SensorNoise,
-    Uncertainty,
-)
+from cablebot_gym.uncertainty import ExternalWrench, ParameterDistribution, SensorNoise, Uncertainty
 
 MASS = {"platform_mass": ParameterDistribution(low=-0.2, high=0.2)}
 FORCES = ExternalWrench(force_std=1.0)

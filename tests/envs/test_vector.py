@@ -8,15 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.testing import assert_array_equal
-from oracles.episodes import (
-    PLANAR,
-    ROBOTS,
-    check_equal,
-    each_id,
-    make,
-    make_vector,
-    two_ids,
-)
+from oracles.episodes import PLANAR, ROBOTS, check_equal, each_id, make, make_vector, two_ids
 
 from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.settings import KEYWORDS, RESET_OPTIONS

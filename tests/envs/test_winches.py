@@ -3,14 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles.episodes import (
-    PLANAR,
-    ROBOTS,
-    SPATIAL,
-    make,
-    rigid_ids,
-    rollout,
-)
+from oracles.episodes import PLANAR, ROBOTS, SPATIAL, make, rigid_ids, rollout
 
 from cablebot_gym.envs.sensors import inertial
 from cablebot_gym.evaluation import evaluate_dlcc

@@ -17,12 +17,7 @@ from numpy.testing import assert_array_equal
 import cablebot_gym
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.bounds import exact_payload
-from cablebot_gym.evaluation import (
-    DLCCMonitor,
-    ErrorBounds,
-    PolicyError,
-    evaluate_dlcc,
-)
+from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, PolicyError, evaluate_dlcc
 from cablebot_gym.evaluation.batch import noise_seed
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.evaluation.search import SCAN_POINTS

@@ -31,14 +31,6 @@ def draw_seeds(seed, draws):
     return [int(word) >> 11 for word in words]
 
 
-def spread(**parameters):
-    """Uniform ± a fraction of each parameter, one deviation for all motors."""
-    ranges = {}
-    for name, half in parameters.items():
-        ranges[name] = {"low": -half, "high": half, "each": False}
-    return {"parameters": ranges}
-
-
 # --- by hand: a constant pull -----------------------------------------------------------------------------------------
 
 PULL = 12.0
@@ -89,7 +81,7 @@ def true_masses(uncertainty, seed, draws):
 @pytest.mark.parametrize(("draws", "probability", "required"), [(20, 0.95, 19), (80, 0.6, 56)])
 def test_payload_is_an_order_statistic_of_the_draws(draws, probability, required):
     """With 20 draws the fraction counts, with 80 the 95/95 lower tolerance bound."""
-    unknown = spread(platform_mass=0.1)
+    unknown = {"parameters": {"platform_mass": {"low": -0.1, "high": 0.1}}}
     # Only the sum of platform and payload counts.
     capacities = nominal_capacity() + 10 - true_masses(unknown, 3, draws)
     assert np.ptp(capacities) > 1.0

@@ -7,6 +7,7 @@ from oracles.mujoco_model import MujocoRobot
 from oracles.plants import (
     FLEX_QUAD,
     State,
+    each_of,
     evaluated,
     free_motors,
     loaded_plant,
@@ -19,7 +20,8 @@ from oracles.plants import (
 from oracles.platforms import CAMERA, SWIVELLED
 
 from cablebot_gym.exporters import export_mjcf
-from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.robots import find_robot, robot_names
 
 pytest.importorskip("mujoco", reason="needs the extra cablebot-gym[mujoco]")
@@ -86,9 +88,8 @@ def test_accelerations_are_those_of_the_plant(name):
     platform = []
     motors = []
     for lane, action in enumerate(actions):
-        peer.set_state(state.pose[lane], state.velocity[lane])
+        peer.set_lane(state, lane)
         if robot.flexible:
-            peer.set_motors(state.angle[lane], state.speed[lane])
             motors.append(peer.motor_accelerations(action))
         platform.append(peer.accelerations(action))
     assert worst_relative_error(np.array(platform), expected) <= 1e-9
@@ -124,7 +125,7 @@ def after_one_second(name):
         plant.set_action(holding + change)
         plant.advance(*no_reference(robot), substeps=1, step=STEP)
         peer.step(torques / robot.stall_torque + change)
-        assert plant.per_cable(kernel.TENSION).min() > 0
+        assert plant.per_cable(rows.TENSION).min() > 0
     end = plant.pose[0]
     return np.abs(end - robot.home).max(), np.abs(end - peer.state()[0]).max()
 
@@ -144,7 +145,7 @@ def test_motion_with_elastic_cables_near_home_is_nearly_that_of_the_plant(name):
     assert error < 0.02 * moved
 
 
-@pytest.mark.parametrize("robot", [FLEX_QUAD, find_robot("flex-stadium-camera")])
+@each_of(FLEX_QUAD, find_robot("flex-stadium-camera"))
 def test_springs_only_pull(robot):
     """With all springs unwound the platform falls."""
     robot = with_transmission(robot, pulley_inertia=1e-12)

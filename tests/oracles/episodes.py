@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import env_robot
-from cablebot_gym.physics import kernel
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.robots import find_robot
 
 PLANAR = "CableBot-Planar-v0"
@@ -45,7 +45,7 @@ def motion(name, env_id):
 def wrenches(env):
     """Present external force and moment of each environment, (N, 6)."""
     plant = env._simulation._plant
-    return plant._read(plant._parameters, kernel.FORCE, 6)
+    return plant._read(plant._parameters, rows.FORCE, 6)
 
 
 def random_actions(env, steps, low=0.0, high=0.8, seed=0):

@@ -16,14 +16,7 @@ from scipy.spatial.transform import Rotation
 from cablebot_gym.exporters.mjcf import mjcf_tree
 from cablebot_gym.kinematics import euler_rate_matrix, euler_rate_matrix_rate
 
-_SWITCHED_OFF = (
-    "contact",
-    "constraint",
-    "sensor",
-    "warmstart",
-    "island",
-    "autoreset",
-)
+_SWITCHED_OFF = ("contact", "constraint", "sensor", "warmstart", "island", "autoreset")
 """Flags: parts of MuJoCo that have nothing to do here, and its silent reset of a state that has
 blown up."""
 
@@ -107,6 +100,12 @@ class MujocoRobot:
         self.data.qpos[self._platform_positions :] = np.asarray(angle) * self.robot.pulley_radius
         self.data.qvel[self._platform_speeds :] = np.asarray(speed) * self.robot.pulley_radius
 
+    def set_lane(self, state, lane):
+        """The state of one robot of a batch, with its motors."""
+        self.set_state(state.pose[lane], state.velocity[lane])
+        if self.robot.flexible:
+            self.set_motors(state.angle[lane], state.speed[lane])
+
     def set_free_lengths(self, lengths):
         """Makes the cables elastic with free lengths l (m,) [m]: one-sided springs EA/l, and
         dampers also if slack.
@@ -153,10 +152,7 @@ class MujocoRobot:
             return qacc
         pose, velocity = self.state()
         turning = euler_rate_matrix_rate(pose[3:], velocity[3:]) @ velocity[3:]
-        return np.append(
-            qacc[:3],
-            np.linalg.solve(euler_rate_matrix(pose[3:]), qacc[3:] - turning),
-        )
+        return np.append(qacc[:3], np.linalg.solve(euler_rate_matrix(pose[3:]), qacc[3:] - turning))
 
     def motor_accelerations(self, torques):
         """``β̈′`` of a flexible robot in the present state under motor torques of shape (m,) [N·m],

@@ -44,12 +44,7 @@ def line_robot(*, inertia, free_speed, damping):
     """Two cables along x and two against it, so long that they stay parallel."""
     return Robot(
         name="line",
-        base_anchors=(
-            (10.0, 0.01),
-            (10.0, -0.01),
-            (-10.0, 0.01),
-            (-10.0, -0.01),
-        ),
+        base_anchors=((10.0, 0.01), (10.0, -0.01), (-10.0, 0.01), (-10.0, -0.01)),
         mass=1.0,
         motors=Motors(stall_torque=5.0, free_speed=free_speed),
         transmission=Transmission(pulley_radius=0.05, pulley_inertia=inertia, damping=damping),

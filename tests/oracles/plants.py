@@ -10,18 +10,11 @@ import numpy as np
 import pytest
 
 from cablebot_gym import kinematics
-from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics import textbook
 from cablebot_gym.physics.compiling import entry_point
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.kernel.integrate import _load_tile, _note_tensions
 from cablebot_gym.physics.kernel.motors import subtract_friction, torque_row
-from cablebot_gym.physics.kernel.rows import (
-    CABLE_RECORDS,
-    CABLE_ROWS,
-    FIRST_CABLE,
-    FIRST_CABLE_RECORD,
-    TAUT,
-    TORQUE,
-)
 from cablebot_gym.physics.kernel.stage import acceleration_row, stage_dynamics, stage_kinematics
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.robots import PLANAR, SPATIAL, Motors, Transmission
@@ -86,10 +79,7 @@ def _rough(robot):
     lag = np.linspace(0.0, 0.02, robot.cables)
     return with_transmission(
         robot, coulomb_friction=tuple(friction.tolist()), load_friction=tuple(per_load.tolist())
-    ).replace(
-        name=f"rough-{robot.name}",
-        motors=robot.motors.replace(lag=tuple(lag.tolist())),
-    )
+    ).replace(name=f"rough-{robot.name}", motors=robot.motors.replace(lag=tuple(lag.tolist())))
 
 
 def with_transmission(robot, **changes):
@@ -174,8 +164,7 @@ def random_states(robot, count, seed=1, reach=0.6):
     some beyond ± 1."""
     rng = np.random.default_rng(seed)
     pose = rng.uniform(
-        *(reach * (robot.pose_bounds - robot.home) + robot.home),
-        (count, robot.coordinates),
+        *(reach * (robot.pose_bounds - robot.home) + robot.home), (count, robot.coordinates)
     )
     velocity = rng.uniform(-1, 1, pose.shape)
     actions = rng.uniform(-0.7, 1.2, (count, robot.cables))
@@ -221,9 +210,9 @@ def loaded_plant(robot, state, cable="bilateral", mass=None):
     count = len(state.pose)
     plant = Plant(robot, count, cable=cable)
     every = np.arange(count)
-    rows = np.tile(pack_parameters(robot), (count, 1))
-    rows[:, kernel.MASS] = robot.mass if mass is None else mass
-    plant.set_parameters(every, rows)
+    parameters = np.tile(pack_parameters(robot), (count, 1))
+    parameters[:, rows.MASS] = robot.mass if mass is None else mass
+    plant.set_parameters(every, parameters)
     plant.set_state(every, state.pose, state.velocity)
     if robot.flexible:
         plant.set_motors(every, state.angle, state.speed)
@@ -256,12 +245,12 @@ def _evaluation(form, lanes):
             r = record[tile]
             _load_tile(form, r, w, lanes)
             for i in range(form.cables):
-                row = FIRST_CABLE + CABLE_ROWS * i
-                rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
+                row = rows.FIRST_CABLE + rows.CABLE_ROWS * i
+                rec = rows.FIRST_CABLE_RECORD + rows.CABLE_RECORDS * i
                 for at in range(lanes):
-                    w[(row + torque_row(form)) * lanes + at] = r[(rec + TORQUE) * lanes + at]
+                    w[(row + torque_row(form)) * lanes + at] = r[(rec + rows.TORQUE) * lanes + at]
                     # All cables taut at first: the record may belong to other torques.
-                    w[(row + TAUT) * lanes + at] = 1.0
+                    w[(row + rows.TAUT) * lanes + at] = 1.0
             stage_kinematics(form, form.flexible, p, w, lanes)
             subtract_friction(form, p, w, lanes)
             stage_dynamics(form, unilateral, p, w, lanes)
@@ -279,34 +268,19 @@ def evaluated(plant, torques):
     """Accelerations (N, n) and tensions (N, m) from the compiled kernel at the current states, N ≥
     2."""
     robot = plant.robot
-    torque_row = kernel.FIRST_CABLE_RECORD + kernel.TORQUE
-    plant._write(
-        plant.record,
-        torque_row,
-        np.arange(plant.count),
-        torques,
-        kernel.CABLE_RECORDS,
-    )
+    torque_row = rows.FIRST_CABLE_RECORD + rows.TORQUE
+    plant._write(plant.record, torque_row, np.arange(plant.count), torques, rows.CABLE_RECORDS)
     accelerations = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
     evaluate = _evaluation(plant._form, plant.lanes)
     (_, _, scratch, _, _) = plant._memory[0]
-    evaluate(
-        plant.unilateral,
-        plant._parameters,
-        plant.record,
-        scratch,
-        accelerations,
-    )
-    return plant._read(accelerations, 0, robot.coordinates), plant.per_cable(kernel.TENSION)
+    evaluate(plant.unilateral, plant._parameters, plant.record, scratch, accelerations)
+    return plant._read(accelerations, 0, robot.coordinates), plant.per_cable(rows.TENSION)
 
 
 def advance(plant, torques, duration, substeps):
     """Constant torques of free motors; nobody reads the errors."""
     plant.set_action(
-        np.broadcast_to(
-            torques / plant.robot.stall_torque,
-            (plant.count, plant.robot.cables),
-        )
+        np.broadcast_to(torques / plant.robot.stall_torque, (plant.count, plant.robot.cables))
     )
     plant.advance(*no_reference(plant.robot), substeps=substeps, step=duration / substeps)
 
@@ -382,11 +356,7 @@ def energies(robot, state, cable="bilateral", mass=None):
         kinetic = kinetic + np.sum(robot.motor_inertia * state.speed**2, axis=-1) / 2
         potential = (
             potential
-            + np.sum(
-                spring_torques(robot, state, cable) ** 2 / robot.stiffness,
-                axis=-1,
-            )
-            / 2
+            + np.sum(spring_torques(robot, state, cable) ** 2 / robot.stiffness, axis=-1) / 2
         )
     return kinetic, potential
 

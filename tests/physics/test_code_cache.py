@@ -5,7 +5,7 @@ import importlib
 import pytest
 
 from cablebot_gym.physics.compiling import code_cache
-from cablebot_gym.physics.compiling.loading import njit
+from cablebot_gym.physics.compiling.loading import cached_njit
 
 HELPER = "cached_helper"
 CALLER = "cached_caller"
@@ -18,7 +18,7 @@ def triple(number):
 def hits(function=triple, argument=2, expected=6):
     """Calls a function as a new process would. Returns the number of signatures that were read from
     disk."""
-    compiled = njit(cache=True)(function)
+    compiled = cached_njit(function)
     assert compiled(argument) == expected
     return sum(compiled.stats.cache_hits.values())
 
@@ -71,7 +71,7 @@ def test_change_of_a_helper_in_another_file_compiles_again(folders, tmp_path, mo
     )
 
     def run(addend, factor, expected):
-        source = "from cablebot_gym.physics.compiling.loading import njit\n"
+        source = "from numba import njit\n"
         source += "@njit\ndef add(number):\n    return number + "
         helper.write_text(f"{source}{addend}\nFACTOR = {factor}\n", encoding="utf-8")
         for name in (HELPER, CALLER):

@@ -19,9 +19,7 @@ from cablebot_gym.physics.distribution import (
     largest_scale,
     least_norm,
 )
-from cablebot_gym.physics.distribution import (
-    unchecked_least_largest_action as least_action,
-)
+from cablebot_gym.physics.distribution import unchecked_least_largest_action as least_action
 from cablebot_gym.robots import find_robot
 
 COGIRO = find_robot("cogiro")
@@ -109,30 +107,12 @@ def test_least_largest_action_is_that_of_a_linear_program(kind, count):
     structure, load, lower, upper = held_items(kind, count)
     items, cables, _ = structure.shape
     rng = np.random.default_rng(6)
-    slope = (
-        rng.uniform(
-            0.5,
-            1.5,
-            (items, cables),
-        )
-        * rng.choice([-1, 1], (items, cables))
-        / 1000
-    )
+    slope = rng.uniform(0.5, 1.5, (items, cables)) * rng.choice([-1, 1], (items, cables)) / 1000
     offset = rng.uniform(-0.3, 0.3, (items, cables))
     steep = slope[:, :, None] * np.eye(cables)
     eye = np.broadcast_to(np.eye(cables), steep.shape)
     column = np.ones((items, cables, 1))
-    balance = np.concatenate(
-        [
-            -np.swapaxes(
-                structure,
-                1,
-                2,
-            ),
-            0 * load[:, :, None],
-        ],
-        axis=2,
-    )
+    balance = np.concatenate([-np.swapaxes(structure, 1, 2), 0 * load[:, :, None]], axis=2)
     less = [
         np.dstack(sides)
         for sides in ((steep, -column), (-steep, -column), (eye, 0 * column), (-eye, 0 * column))
@@ -146,15 +126,7 @@ def test_least_largest_action_is_that_of_a_linear_program(kind, count):
         [(-np.inf, np.inf)] * cables + [(0.0, np.inf)],
     )
     for smoothing in (1e-6, 1e-2):
-        solution = least_action(
-            structure,
-            load,
-            lower,
-            slope,
-            offset,
-            upper,
-            smoothing=smoothing,
-        )
+        solution = least_action(structure, load, lower, slope, offset, upper, smoothing=smoothing)
         check_tensions(solution, lower, upper)
         actions = np.abs(slope * solution.tensions + offset).max(axis=1)
         bound = np.sqrt((1 + smoothing * cables) / (1 + smoothing))
@@ -265,12 +237,7 @@ def test_infeasible_load_gets_the_least_wrench_error():
         assert len(fails) > 5
         for k in fails:
             matrix = -weights[:, None] * structure[k].T
-            best = lsq_linear(
-                matrix,
-                weights * load[k],
-                (lower[k], upper[k]),
-                "bvls",
-            ).cost
+            best = lsq_linear(matrix, weights * load[k], (lower[k], upper[k]), "bvls").cost
             error = np.sum((weights * solution.missing[k]) ** 2) / 2
             assert best * (1 - 1e-9) <= error <= best * (1 + 1e-4) + 1e-4
 
@@ -292,13 +259,4 @@ def test_impossible_structures_have_finite_tensions():
     assert proof.status.tolist() == [SINGULAR, INFEASIBLE, HELD]
     assert_allclose(proof.direction[0], [-1, 0, 0, 1, 0, 0], atol=1e-9)
     assert_allclose(proof.excess[:2], [10.0, 7.0])
-    assert np.isnan(
-        largest_scale(
-            structure[0],
-            load[0],
-            load[0],
-            0.0,
-            1.0,
-            1.0,
-        ).largest
-    )
+    assert np.isnan(largest_scale(structure[0], load[0], load[0], 0.0, 1.0, 1.0).largest)

@@ -25,7 +25,8 @@ from oracles.plants import (
 
 from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.envs.single import CableBotEnv
-from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.robots import Transmission
 from cablebot_gym.trajectories import Dwell
 
@@ -78,24 +79,12 @@ def test_steps_are_those_of_a_python_loop(robot, cable):
             _, tension = rates(robot, state, torques, cable)
             slack += np.sum(tension <= 0)
             state = runge_kutta_step(
-                lambda _, state, u=torques: rates(
-                    robot,
-                    state,
-                    u,
-                    cable,
-                )[0],
-                state,
-                step,
+                lambda _, state, u=torques: rates(robot, state, u, cable)[0], state, step
             )
             plant.set_action(actions[members])
             plant.advance(*no_reference(robot), substeps=1, step=step)
-            assert_allclose(
-                plant.per_cable(kernel.TENSION),
-                tension,
-                rtol=1e-9,
-                atol=1e-7,
-            )
-            assert_array_equal(plant.per_cable(kernel.SLACK), tension <= 0)
+            assert_allclose(plant.per_cable(rows.TENSION), tension, rtol=1e-9, atol=1e-7)
+            assert_array_equal(plant.per_cable(rows.SLACK), tension <= 0)
         assert slack > 0 or len(members) == 1
         for name, value in vars(elastic_state_of(plant)).items():
             assert_allclose(value, getattr(state, name), rtol=1e-9, atol=1e-9)
@@ -138,7 +127,7 @@ def test_energy_is_kept_while_slack_comes_and_goes(robot):
     slack = []
     for _ in range(20):
         advance(plant, torques, 0.01, 200)
-        slack.append(plant.per_cable(kernel.SLACK) > 0)
+        slack.append(plant.per_cable(rows.SLACK) > 0)
         assert_allclose(total(), start, rtol=1e-6, atol=1e-3)
     assert np.abs(plant.pose - state.pose).max() > 0.05
     assert np.any(np.any(slack, axis=0) & ~np.all(slack, axis=0))
@@ -165,22 +154,10 @@ def test_default_substeps_keep_stiff_cables_stable(robot):
     settings = make_settings(robot=robot, count=1, trajectory=motion)
     pose = robot.home[None]
     still = 0 * pose
-    tensions = textbook.required_tensions(
-        robot,
-        robot.mass,
-        pose,
-        still,
-        still,
-        minimum=20.0,
-    )
+    tensions = textbook.required_tensions(robot, robot.mass, pose, still, still, minimum=20.0)
     motor, pulley = textbook.rest_angles(robot, tensions, pose)
     state = ElasticState(pose, still + 1e-3, motor, 0 * motor, pulley, 0 * pulley)
     plant = plant_at(robot, state)
     for _ in range(100):
-        advance(
-            plant,
-            holding_torques(robot, state),
-            settings.period,
-            settings.substeps,
-        )
+        advance(plant, holding_torques(robot, state), settings.period, settings.substeps)
     assert np.abs(plant.pose - robot.home).max() < 1e-2

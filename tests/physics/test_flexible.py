@@ -21,13 +21,7 @@ from scipy.linalg import eigh
 
 from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import (
-    FLEX_PLANAR,
-    FLEX_SPATIAL,
-    PLANAR,
-    SPATIAL,
-    Transmission,
-)
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Transmission
 
 
 @pytest.mark.parametrize(("flexible", "rigid"), [(FLEX_PLANAR, PLANAR), (FLEX_SPATIAL, SPATIAL)])
@@ -51,11 +45,7 @@ def test_flexible_robots_have_the_values_of_table_5(flexible, rigid):
     [
         (PLANAR, {"stiffness": 3.0}, "needs stiffness and motor_inertia"),
         (PLANAR, {"motor_damping": 0.01}, "has no motor_damping"),
-        (
-            FLEX_PLANAR,
-            {"motor_inertia": None},
-            "needs stiffness and motor_inertia",
-        ),
+        (FLEX_PLANAR, {"motor_inertia": None}, "needs stiffness and motor_inertia"),
     ],
 )
 def test_unphysical_transmission_raises(robot, changes, message):
@@ -115,12 +105,7 @@ def test_named_substeps_are_the_fewest_stable_ones(robot, changes):
     state, torques = holding_state(robot, robot.home)
     speeds = []
     for step in (1 / (500 * least), 2.9 / fastest):
-        nudged = State(
-            state.pose,
-            state.velocity + 1e-6,
-            state.angle,
-            state.speed + 1e-6,
-        )
+        nudged = State(state.pose, state.velocity + 1e-6, state.angle, state.speed + 1e-6)
         plant = loaded_plant(robot, nudged)
         for _ in range(50):
             advance(plant, torques, 20 * step, 20)

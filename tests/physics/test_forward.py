@@ -69,10 +69,7 @@ def test_batch_equals_its_items(name):
     for index in range(0, 40, 3):
         alone = forward_kinematics(robot, lengths[index], guess[index])
         assert_array_equal(alone.pose, batch.pose[index])
-        assert (alone.residual, alone.converged) == (
-            batch.residual[index],
-            batch.converged[index],
-        )
+        assert (alone.residual, alone.converged) == (batch.residual[index], batch.converged[index])
 
 
 def test_lengths_of_another_robot_raise():

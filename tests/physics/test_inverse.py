@@ -21,13 +21,7 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import PLANAR, SPATIAL
 
-every_robot = each_of(
-    PLANAR,
-    QUAD,
-    SPATIAL,
-    UNEQUAL,
-    *nightly(NINE, FLEX_UNEQUAL, *ROUGH),
-)
+every_robot = each_of(PLANAR, QUAD, SPATIAL, UNEQUAL, *nightly(NINE, FLEX_UNEQUAL, *ROUGH))
 TRIPOD = CAMERA.replace(name="tripod", base_anchors=(*CAMERA.base_anchors[:2], (0.1, 4.0, 0.0)))
 """As many cables as coordinates in space."""
 TRIANGLE = TURNING.replace(
@@ -88,11 +82,7 @@ def test_member_of_a_batch_has_the_bits_it_has_alone(robot, shape):
     batch = inverse_dynamics(robot, *motion, minimum=2.0)
     assert batch.tensions.shape == (*shape, robot.cables)
     for index in np.ndindex(shape):
-        alone = inverse_dynamics(
-            robot,
-            *(values[index] for values in motion),
-            minimum=2.0,
-        )
+        alone = inverse_dynamics(robot, *(values[index] for values in motion), minimum=2.0)
         for name, values in vars(alone).items():
             assert_array_equal(getattr(batch, name)[index], values)
 
@@ -109,10 +99,4 @@ def test_arguments_are_broadcast(robot):
     with pytest.raises(ValueError, match="broadcast"):
         inverse_dynamics(robot, mass[:3], pose, velocity, at_rest)
     with pytest.raises(ValueError, match="coordinates"):
-        inverse_dynamics(
-            NINE if robot is UNEQUAL else SPATIAL,
-            mass,
-            pose,
-            velocity,
-            at_rest,
-        )
+        inverse_dynamics(NINE if robot is UNEQUAL else SPATIAL, mass, pose, velocity, at_rest)

@@ -36,19 +36,13 @@ def accelerations_of_mujoco(peer, state, torques, wrench=None):
     platform = []
     motors = []
     for lane, torque in enumerate(torques):
-        load_state(peer, state, lane)
+        peer.set_lane(state, lane)
         if wrench is not None:
             peer.set_wrench(*(vectors[lane] for vectors in wrench))
         platform.append(peer.accelerations(torque))
         if peer.robot.flexible:
             motors.append(peer.motor_accelerations(torque))
     return np.array(platform), np.array(motors)
-
-
-def load_state(peer, state, lane):
-    peer.set_state(state.pose[lane], state.velocity[lane])
-    if peer.robot.flexible:
-        peer.set_motors(state.angle[lane], state.speed[lane])
 
 
 @every_kind
@@ -78,22 +72,9 @@ def test_elastic_cables_are_the_one_sided_springs_of_mujoco(robot, spread):
     """Their damping while taut; MuJoCo's dampers push slack cables, too. The pulleys stand
     still."""
     damping = 30.0 if spread < 1 else 0.0
-    robot = with_transmission(
-        robot,
-        axial_stiffness=2e4,
-        axial_damping=damping,
-        extra_length=0.3,
-    )
+    robot = with_transmission(robot, axial_stiffness=2e4, axial_damping=damping, extra_length=0.3)
     state, _ = random_states(robot, STATES, seed=24, reach=0.4)
-    tensions = 400 * (
-        1
-        + spread
-        * np.random.default_rng(25).uniform(
-            -1,
-            1,
-            (STATES, robot.cables),
-        )
-    )
+    tensions = 400 * (1 + spread * np.random.default_rng(25).uniform(-1, 1, (STATES, robot.cables)))
     _, angle = textbook.rest_angles(robot, tensions, state.pose)
     free_lengths = (
         textbook.cable_lengths(robot, robot.home) + robot.extra_length - robot.pulley_radius * angle
@@ -104,11 +85,7 @@ def test_elastic_cables_are_the_one_sided_springs_of_mujoco(robot, spread):
         peer.set_state(state.pose[lane], state.velocity[lane])
         peer.set_free_lengths(free_lengths[lane])
         expected.append(peer.accelerations(np.zeros(robot.cables)))
-    plant = loaded_plant(
-        robot,
-        State(state.pose, state.velocity, angle, 0 * angle),
-        "unilateral",
-    )
+    plant = loaded_plant(robot, State(state.pose, state.velocity, angle, 0 * angle), "unilateral")
     acceleration, tension = evaluated(plant, 0 * angle)
     assert np.all(tension > 0) == (spread < 1)
     assert worst_relative_error(acceleration, np.array(expected)) <= 1e-9

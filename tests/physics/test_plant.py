@@ -25,7 +25,8 @@ from oracles.plants import (
     textbook_rates,
 )
 
-from cablebot_gym.physics import kernel, textbook
+from cablebot_gym.physics import textbook
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import FEW_ROBOTS, pack_parameters
 
 # --- one lane and a tile of lanes ---------------------------------------------------------------------------------
@@ -58,7 +59,7 @@ def run_with_late_reset(robot, cable, members, count):
         plant.advance(references, np.array([24, 11, 19]), substeps=3, step=step)
         records.append(record_of(plant))
     # Otherwise a tile is compared with a tile.
-    assert plant.lanes == (1 if len(members) == 1 else kernel.LANES)
+    assert plant.lanes == (1 if len(members) == 1 else rows.LANES)
     return np.stack(records)
 
 
@@ -67,7 +68,7 @@ def run_with_late_reset(robot, cable, members, count):
 @every_kind
 def test_lane_of_a_batch_has_the_bits_of_a_robot_alone(robot, cable, count):
     tiled = run_with_late_reset(robot, cable, np.arange(count), count)
-    slack = tiled[:, :, kernel.FIRST_CABLE_RECORD + kernel.SLACK :: kernel.CABLE_RECORDS]
+    slack = tiled[:, :, rows.FIRST_CABLE_RECORD + rows.SLACK :: rows.CABLE_RECORDS]
     assert count < 33 or 0.02 < np.mean(slack > 0) < 0.98
     assert np.all(np.isfinite(tiled))
     for lane in {0, 1, count - 2, count - 1}:
@@ -107,11 +108,7 @@ def python_period(robot, mass, state, action, lagged, substeps, step, cable):
     request."""
     stall = robot.stall_torque
     lag = robot.motor_lag
-    request = stall * np.clip(
-        action,
-        -1,
-        1,
-    ) - robot.speed_slope * drive_speed(robot, state)
+    request = stall * np.clip(action, -1, 1) - robot.speed_slope * drive_speed(robot, state)
 
     def lagged_request(time):
         exponent = np.divide(-time, lag, out=np.full_like(lag, -np.inf), where=lag > 0)
@@ -128,13 +125,7 @@ def python_period(robot, mass, state, action, lagged, substeps, step, cable):
         applied.append(torque(start, states[-1]))
 
         def rates(time, state, start=start):
-            return textbook_rates(
-                robot,
-                state,
-                torque(start + time, state),
-                cable,
-                mass,
-            )[0]
+            return textbook_rates(robot, state, torque(start + time, state), cable, mass)[0]
 
         states.append(runge_kutta_step(rates, states[-1], step))
     return states, np.stack(applied), lagged_request(substeps * step)
@@ -147,12 +138,12 @@ def check_record(plant, states, applied, tensions, lines):
     least = np.min(tensions, axis=0)
     assert np.any(least < tensions[0])
     expected = {
-        kernel.TORQUE: applied[0],
-        kernel.SPEED: drive_speed(robot, states[0]),
-        kernel.TENSION: tensions[0],
-        kernel.LEAST_TENSION: least,
-        kernel.LARGEST_TENSION: np.max(tensions, axis=0),
-        kernel.SLACK: np.sum(np.stack(tensions) <= 0, axis=0),
+        rows.TORQUE: applied[0],
+        rows.SPEED: drive_speed(robot, states[0]),
+        rows.TENSION: tensions[0],
+        rows.LEAST_TENSION: least,
+        rows.LARGEST_TENSION: np.max(tensions, axis=0),
+        rows.SLACK: np.sum(np.stack(tensions) <= 0, axis=0),
     }
     for row, values in expected.items():
         assert_allclose(plant.per_cable(row), values, rtol=1e-12, atol=1e-12)
@@ -160,10 +151,7 @@ def check_record(plant, states, applied, tensions, lines):
     distance = np.linalg.norm(errors[..., : robot.dimensions], axis=-1)
     turned = np.abs(errors[..., robot.dimensions :]).max(axis=(0, 2), initial=0)
     record = record_of(plant)
-    for row, peaks in (
-        (kernel.POSITION_PEAK, distance.max(axis=0)),
-        (kernel.ROTATION_PEAK, turned),
-    ):
+    for row, peaks in ((rows.POSITION_PEAK, distance.max(axis=0)), (rows.ROTATION_PEAK, turned)):
         assert_allclose(record[:, row], peaks, rtol=0, atol=1e-13)
     return distance.argmax(axis=0).tolist()
 
@@ -200,11 +188,7 @@ def test_control_period_is_that_of_a_python_loop(robot, cable):
         peak_steps.update(check_record(plant, states, applied, tensions, lines))
         motors = (plant.motor_angle, plant.motor_speed) if robot.flexible else (0 * action,) * 2
         state = State(plant.pose, plant.velocity, *motors)
-        for value, expected in zip(
-            vars(state).values(),
-            vars(states[-1]).values(),
-            strict=True,
-        ):
+        for value, expected in zip(vars(state).values(), vars(states[-1]).values(), strict=True):
             assert_allclose(value, expected, rtol=1e-13, atol=1e-12)
     assert len(peak_steps) > 3  # the peak is not always at the end or the start
 
@@ -222,7 +206,7 @@ def test_reference_stays_at_the_last_line(robot):
         plant.set_action(action)
         plant.advance(references, np.array([19, end]), substeps=2, step=1e-3)
     error = np.linalg.norm((plant.pose - references[1, end])[:, : robot.dimensions], axis=1)
-    behind = record_of(plant)[:, kernel.POSITION_PEAK] - error
+    behind = record_of(plant)[:, rows.POSITION_PEAK] - error
     assert np.all((behind >= -1e-12) & (behind <= 0.01))  # as far as it moves in one step
 
 
@@ -236,12 +220,12 @@ def test_lagged_torque_starts_within_the_stall_torque(lag, held):
     robot = robot.replace(motors=robot.motors.replace(lag=lag))
     plant = loaded_plant(robot, State(*np.zeros((2, 1, 2)), *np.zeros((2, 1, 4))))
     plant.set_torques(np.array([0]), held * robot.stall_torque[None])
-    assert_array_equal(plant.per_cable(kernel.TORQUE)[0], held * robot.stall_torque)
+    assert_array_equal(plant.per_cable(rows.TORQUE)[0], held * robot.stall_torque)
     plant.set_action(np.zeros((1, 4)))
     for period in range(3):
         plant.advance(*no_reference(robot), substeps=2, step=1e-3)
         lagged = robot.stall_torque * math.exp(-period * 2e-3 / lag)
-        assert_allclose(plant.per_cable(kernel.TORQUE)[0], lagged, rtol=1e-12)
+        assert_allclose(plant.per_cable(rows.TORQUE)[0], lagged, rtol=1e-12)
 
 
 # --- external wrench ----------------------------------------------------------------------------------------------
@@ -256,8 +240,8 @@ def test_wrench_lasts_until_it_or_the_parameters_are_set_anew():
     def check_wrenches():
         """Of all lanes in memory, the padding included."""
         tiles = plant._parameters.reshape(len(plant.record), -1, plant.lanes)
-        rows = tiles[:, kernel.FORCE : kernel.FIRST_CABLE_PARAMETER]
-        assert_array_equal(rows.transpose(0, 2, 1).reshape(plant.width, 6), expected)
+        wrenches = tiles[:, rows.FORCE : rows.FIRST_CABLE_PARAMETER]
+        assert_array_equal(wrenches.transpose(0, 2, 1).reshape(plant.width, 6), expected)
 
     check_wrenches()
     wrench = np.arange(1.0, 13.0).reshape(2, 6)
@@ -301,7 +285,7 @@ def test_state_that_is_not_finite_spares_its_neighbours(robot, spoilt, bad):
     neighbours = np.setdiff1d(np.arange(33), sick)
     assert_array_equal(record[neighbours], healthy[neighbours])
     # An infinite action is clipped like any other action above 1.
-    finite = np.isfinite(record[sick, kernel.POSITION_PEAK])
+    finite = np.isfinite(record[sick, rows.POSITION_PEAK])
     assert finite.tolist() == [spoilt == "action" and np.isinf(bad)] * 2
 
 

@@ -11,10 +11,7 @@ from cablebot_gym.physics import textbook
 
 LOWER_WINCHES = CRANE.replace(  # four cables come from below and pull downwards
     name="lower-winches",
-    base_anchors=[
-        *CRANE.base_anchors[:4],
-        *((x, y, 8.0) for x, y, _ in CRANE.base_anchors[4:]),
-    ],
+    base_anchors=[*CRANE.base_anchors[:4], *((x, y, 8.0) for x, y, _ in CRANE.base_anchors[4:])],
     platform_anchors=[
         *CRANE.platform_anchors[:4],
         *((x, y, z + 1.0) for x, y, z in CRANE.platform_anchors[4:]),

@@ -21,6 +21,7 @@ from cablebot_gym.physics.compiling.inlining import inline
 from cablebot_gym.physics.compiling.python_first import EntryPoint, compiled_at_once, entry_point
 from cablebot_gym.physics.forward import forward_kinematics
 from cablebot_gym.physics.inverse import demands, inverse_dynamics
+from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import FEW_ROBOTS, form_of
 from cablebot_gym.robots import ROBOTS, find_robot, robot_names
 
@@ -28,9 +29,13 @@ EVERYTHING = ELASTIC[-1]
 
 
 @pytest.fixture
-def fresh(monkeypatch, tmp_path):
-    """Makes entry points of a new process whose cache is empty, and forbids to compile them."""
+def empty_cache(monkeypatch, tmp_path):
     monkeypatch.setattr(code_cache, "code_folders", lambda: [tmp_path])
+
+
+@pytest.fixture
+def fresh(monkeypatch, empty_cache):
+    """Makes entry points of a new process whose cache is empty, and forbids to compile them."""
 
     def compile_nothing(*arguments):
         raise AssertionError("it is compiled")
@@ -88,7 +93,7 @@ def test_all_forms_have_the_same_bits(robot, count, monkeypatch):
     form = form_of(robot)
     rigid = form._replace(jointed=False, elastic=False, load_friction=False)
     entries = []
-    for lanes, form_of_entry in product((1, kernel.LANES), (form, rigid)):
+    for lanes, form_of_entry in product((1, rows.LANES), (form, rigid)):
         entries += kernel.compiled(form_of_entry, lanes)
     names = compare_ways(monkeypatch, *entries)
     for cable in ("unilateral", "bilateral"):
@@ -119,27 +124,23 @@ def problems():
     return structure, load
 
 
-STRUCTURE, LOAD = problems()
-CALLS = {
-    "solve_least_norm": lambda: distribution.least_norm(STRUCTURE, LOAD, 1.0, 20.0),
-    "solve_least_largest": lambda: distribution.unchecked_least_largest_action(
-        STRUCTURE, LOAD, 1.0, 0.5, 0.1, 20.0
-    ),
-    "solve_central": lambda: distribution.central(STRUCTURE, LOAD, 1.0, 0.05, 0.1),
-    "solve_feasible": lambda: distribution.feasible(STRUCTURE, LOAD, 1.0, 20.0),
-    "solve_interval": lambda: distribution.largest_scale(
-        STRUCTURE, LOAD, LOAD[::-1], 1.0, 20.0, 10.0
-    ),
-}
-
-
-@pytest.mark.parametrize("name", CALLS)
-def test_python_and_compiled_tensions_have_the_same_bits(name, monkeypatch):
+def test_python_and_compiled_tensions_have_the_same_bits(monkeypatch):
     """Excludes a power or a sum that Python rounds in another way."""
-    module = central_tensions if name == "solve_central" else tension_problems
-    names = compare_ways(monkeypatch, getattr(module, name))
-    CALLS[name]()
-    assert names == {name}
+    entries = (
+        tension_problems.solve_least_norm,
+        tension_problems.solve_least_largest,
+        tension_problems.solve_feasible,
+        tension_problems.solve_interval,
+        central_tensions.solve_central,
+    )
+    names = compare_ways(monkeypatch, *entries)
+    structure, load = problems()
+    distribution.least_norm(structure, load, 1.0, 20.0)
+    distribution.unchecked_least_largest_action(structure, load, 1.0, 0.5, 0.1, 20.0)
+    distribution.feasible(structure, load, 1.0, 20.0)
+    distribution.largest_scale(structure, load, load[::-1], 1.0, 20.0, 10.0)
+    distribution.central(structure, load, 1.0, 0.05, 0.1)
+    assert len(names) == len(entries)
 
 
 @pytest.mark.parametrize("env_id", ["CableBot-Planar-v0", "CableBot-FlexSpatial-v0"])
@@ -248,16 +249,12 @@ def test_ctrl_c_leaves_the_arrays_as_before():
     @entry_point(seconds=lambda *_: 0.0)
     def interrupted(values):
         values[:] = 1.0
-        stop()
+        raise KeyboardInterrupt
 
     values = np.zeros(3)
     with pytest.raises(KeyboardInterrupt):
         interrupted(values)
     np.testing.assert_array_equal(values, np.zeros(3))
-
-
-def stop():
-    raise KeyboardInterrupt
 
 
 # --- when code is compiled ----------------------------------------------------------------------------------------
@@ -269,9 +266,8 @@ def double(values):
 
 
 @pytest.fixture
-def doubling(monkeypatch, tmp_path):
+def doubling(monkeypatch, tmp_path, empty_cache):
     """A new entry point, which estimates one second for each value, and an empty cache."""
-    monkeypatch.setattr(code_cache, "code_folders", lambda: [tmp_path])
     monkeypatch.setattr(python_first, "LONGEST_CALL", 1.5)
     return lambda: EntryPoint(double, len, robot=str(tmp_path))
 
@@ -293,17 +289,10 @@ def test_code_is_compiled_when_the_estimate_is_spent(doubling, caplog):
     assert len(entry.compiled.signatures) == 1
 
 
-def test_long_call_is_compiled_at_once(doubling):
-    entry = doubling()
-    kept = entry.present
-    entry(np.ones(2))
-    assert entry.present is entry.compiled
-    kept(np.ones(1))
-    assert entry.left == python_first.BUDGET
-
-
-def test_stored_code_is_used_at_once(doubling):
-    doubling()(np.ones(2))
+def test_long_call_is_compiled_at_once_and_stored_code_is_used_at_once(doubling):
+    first = doubling()
+    first(np.ones(2))
+    assert first.present is first.compiled
     entry = doubling()
     entry(np.ones(1))
     assert sum(entry.compiled.stats.cache_hits.values()) == 1
@@ -325,7 +314,7 @@ def test_first_call_is_compiled_where_no_later_one_may_take_long(doubling):
 
 @each_of(*ROBOTS.values())
 def test_large_batch_is_compiled_at_once(robot, fresh):
-    entry = kernel.compiled(form_of(robot), kernel.LANES).advance
+    entry = kernel.compiled(form_of(robot), rows.LANES).advance
     fresh(entry, outcome.outcome)
     plant = loaded_plant(robot, random_states(robot, 1024)[0])
     with pytest.raises(AssertionError, match="it is compiled"):
@@ -353,18 +342,16 @@ def test_first_steps_compile_nothing(env_id, fresh):
 
 def test_only_a_function_that_rounds_once_is_exact():
     assert is_exact(python_fma())
-    assert not is_exact(lambda a, b, c: a * b + c)
 
     def flushing(a, b, c):
         result = python_fma()(a, b, c)
         return result if abs(result) >= 2.3e-308 else 0.0
 
-    assert not is_exact(flushing)
-
     def overflowing(a, b, c):
         return python_fma()(a, b, c) if math.isfinite(a * b) else a * b
 
-    assert not is_exact(overflowing)
+    for inexact in (lambda a, b, c: a * b + c, flushing, overflowing):
+        assert not is_exact(inexact)
 
 
 def test_code_is_compiled_at_once_without_an_exact_function(monkeypatch):

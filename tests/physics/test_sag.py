@@ -61,10 +61,7 @@ def integrated(across, rise, tension, weight):
     return positions, end.sol(positions)[0], end.y[2, -1]
 
 
-@pytest.mark.parametrize(
-    ("across", "rise", "tension", "weight"),
-    [*CASES, *TAUT, *SLACK],
-)
+@pytest.mark.parametrize(("across", "rise", "tension", "weight"), [*CASES, *TAUT, *SLACK])
 def test_catenary_is_the_integrated_equilibrium(across, rise, tension, weight):
     _, below, more = integrated(across, rise, tension, weight)
     depth, extra = catenary(across, rise, tension, weight)
@@ -89,9 +86,7 @@ def test_stiffness_factor_is_the_derivative_of_the_chord():
     less = sag(robot, robot.home, tension - step).extra_length
     straight = loose.length / robot.axial_stiffness
     assert_allclose(
-        loose.stiffness_factor,
-        straight / (straight - (more - less) / (2 * step)),
-        rtol=2e-3,
+        loose.stiffness_factor, straight / (straight - (more - less) / (2 * step)), rtol=2e-3
     )
     assert (loose.stiffness_factor < 0.9).all()
 
@@ -118,12 +113,7 @@ def test_settled_platform_is_in_equilibrium_with_its_cables(robot):
     for step in 1e-4 * np.eye(robot.coordinates):
         weight.append((energy(robot.home + step) - energy(robot.home - step)) / 2e-4)
     largest = np.abs(load).max()
-    assert_allclose(
-        -structure.T @ settled.tensions,
-        load + weight,
-        rtol=1e-6,
-        atol=1e-6 * largest,
-    )
+    assert_allclose(-structure.T @ settled.tensions, load + weight, rtol=1e-6, atol=1e-6 * largest)
     soft = loose.length / robot.axial_stiffness if robot.elastic else 0.0
     stretch = (
         settled.tensions - straight

@@ -17,11 +17,7 @@ from cablebot_gym.robots import PLANAR, SPATIAL
 def least_by_linear_program(structure, load, minimum, cost):
     cables = structure.shape[0]
     return linprog(
-        cost,
-        A_eq=-structure.T,
-        b_eq=load,
-        bounds=[(minimum, None)] * cables,
-        method="highs",
+        cost, A_eq=-structure.T, b_eq=load, bounds=[(minimum, None)] * cables, method="highs"
     )
 
 

@@ -18,19 +18,8 @@ from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Margins, MotionProgram
-from cablebot_gym.planning.stage_functions import (
-    TENSION,
-    flexible_stage,
-    rigid_stage,
-    start_stage,
-)
-from cablebot_gym.robots import (
-    FLEX_PLANAR,
-    FLEX_SPATIAL,
-    PLANAR,
-    SPATIAL,
-    find_robot,
-)
+from cablebot_gym.planning.stage_functions import TENSION, flexible_stage, rigid_stage, start_stage
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, find_robot
 from cablebot_gym.task import ErrorBounds, start_pose
 from cablebot_gym.trajectories import find_trajectory
 
@@ -56,23 +45,12 @@ def check_actions(robot, actions, torque, speed, acceleration, tolerance):
 
 
 @each_of(
-    rubbing(PLANAR),
-    rubbing(SPATIAL),
-    rubbing(find_robot("cogiro")),
-    rubbing(find_robot("ttk4900")),
+    rubbing(PLANAR), rubbing(SPATIAL), rubbing(find_robot("cogiro")), rubbing(find_robot("ttk4900"))
 )
 def test_rigid_stage_agrees_with_inverse_dynamics(robot):
     mass, x, v, a = random_motion(robot, (1,), spread=0.1)
     n = robot.coordinates
-    inverse = textbook.inverse_dynamics(
-        robot,
-        mass,
-        x,
-        v,
-        a,
-        minimum=6.0,
-        strict=False,
-    )
+    inverse = textbook.inverse_dynamics(robot, mass, x, v, a, minimum=6.0, strict=False)
     state = np.concatenate([x[0], v[0], a[0], inverse.tensions[0] / TENSION])
     balanced, unbalanced = (
         np.array(rigid_stage(robot, 0.004)(np.append(state, total)))[:, 0]
@@ -97,13 +75,7 @@ def check_flexible_stage(robot, state, mass, motors, torque, tensions, springs, 
 @each_of(rubbing(FLEX_PLANAR), rubbing(FLEX_SPATIAL))
 def test_flexible_stage_agrees_with_inverse_dynamics(robot):
     mass, *state = random_motion(robot, (1,), spread=0.1)
-    inverse = textbook.inverse_dynamics(
-        robot,
-        mass,
-        *state,
-        minimum=6.0,
-        strict=False,
-    )
+    inverse = textbook.inverse_dynamics(robot, mass, *state, minimum=6.0, strict=False)
     # The spring torque is the torque of a rigid motor: r T + J β̈ + c β̇.
     springs = inverse.torques[0]
     angle = textbook.pulley_angle(robot, state[0][0]) + springs / robot.stiffness
@@ -129,13 +101,7 @@ def test_elastic_stage_agrees_with_inverse_dynamics(name):
     mass, *state = random_motion(robot, (1,), spread=0.1)
     minimum = textbook.allocated_minimum(robot)
     rigid = find_robot(name)
-    inverse = textbook.inverse_dynamics(
-        rigid,
-        mass,
-        *state,
-        minimum=minimum,
-        strict=False,
-    )
+    inverse = textbook.inverse_dynamics(rigid, mass, *state, minimum=minimum, strict=False)
     tensions = inverse.tensions[0]
     # The motors turn with the rigid cables, so that the damping of the elastic ones has no force.
     angle, _ = textbook.rest_angles(robot, inverse.tensions, state[0])
@@ -154,9 +120,7 @@ SPRING_CAMERA = with_transmission(find_robot("stadium-camera"), stiffness=200.0,
 
 
 @each_of(FLEX_SPATIAL, find_robot("flex-stadium-camera"), SPRING_CAMERA)
-def test_start_of_a_flexible_robot_is_that_of_the_environment(
-    robot,
-):
+def test_start_of_a_flexible_robot_is_that_of_the_environment(robot):
     """The tensions of redundant cables at rest are not linear in the payload."""
     env = gym.make(fitting_env_id(robot), robot=robot, payload=3.1)
     observation, _ = env.reset(seed=0)
@@ -222,8 +186,7 @@ def test_assembled_derivatives_equal_casadis_own(robot, lightest):
 
 
 @pytest.mark.parametrize(
-    ("inertia", "free_speed", "damping"),
-    [(0.0, 1e9, 0.0), (0.0, 100.0, 0.0), (0.02, 100.0, 0.05)],
+    ("inertia", "free_speed", "damping"), [(0.0, 1e9, 0.0), (0.0, 100.0, 0.0), (0.02, 100.0, 0.05)]
 )
 def test_motion_in_one_dimension_has_the_payload_in_closed_form(inertia, free_speed, damping):
     drive = {"inertia": inertia, "free_speed": free_speed, "damping": damping}

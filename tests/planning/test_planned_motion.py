@@ -216,11 +216,7 @@ def test_motion_is_a_trajectory_that_rests_outside_its_duration():
     [
         (PLANAR, {"position": -1e-3}, "margins: position must be"),
         (PLANAR, {"action": 1.0}, "margins: action must be"),
-        (
-            SPATIAL,
-            {"position": BOUNDS.position},
-            "position must be below the error bound",
-        ),
+        (SPATIAL, {"position": BOUNDS.position}, "position must be below the error bound"),
         (FLEX_PLANAR, {"tension": 4.5}, "at most 4 N for 'flex-planar'"),
         (
             PLANAR.replace(maximum_tension=7.0),

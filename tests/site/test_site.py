@@ -20,15 +20,7 @@ pytestmark = [
 ]
 
 PAGES = (
-    *(
-        "index",
-        "getting-started",
-        "environments",
-        "policies",
-        "dlcc",
-        "leaderboard",
-        "reference",
-    ),
+    *("index", "getting-started", "environments", "policies", "dlcc", "leaderboard", "reference"),
     *("faq", "uncertainty", "training", "your-own/policy", "paper"),
     *(
         "generated/environments/CableBot-Spatial-v0",

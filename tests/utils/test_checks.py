@@ -5,14 +5,7 @@ import math
 
 import pytest
 
-from cablebot_gym.utils.checks import (
-    choice,
-    mapping,
-    number,
-    numbers,
-    record,
-    whole,
-)
+from cablebot_gym.utils.checks import choice, mapping, number, numbers, record, whole
 
 
 @dataclasses.dataclass

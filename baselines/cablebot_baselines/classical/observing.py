@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.classical.flexible import Composite
@@ -77,20 +76,17 @@ class Observing(ObserverLaw):
         law.outer = design.outer
         return law
 
-    def _by_motion(self, count: int) -> list[tuple[_Law, NDArray[np.intp]]]:
-        """The law of each motion, and its rows of a batch of ``count`` episodes."""
-        if not self._tasks:
-            return [(self._unknown, np.arange(count))]
-        return [
-            (self._of_motions[id(task.trajectory)], rows)
-            for task, rows in self._rows_by_motion(count)
-        ]
-
     def _act(self, blocks: dict[str, Array], estimate: RobotEstimate) -> tuple[Array, Array]:
         count = len(estimate.mass)
         requested = np.empty((count, self.robot.cables))
         action = np.empty_like(requested)
-        for law, rows in self._by_motion(count):
+        laws = [(self._unknown, np.arange(count))]
+        if self._tasks:
+            laws = [
+                (self._of_motions[id(task.trajectory)], rows)
+                for task, rows in self._rows_by_motion(count)
+            ]
+        for law, rows in laws:
             of_motion = {name: values[rows] for name, values in blocks.items()}
             requested[rows], action[rows] = self._of_law(law, of_motion, estimate.of(rows))
         return requested, action

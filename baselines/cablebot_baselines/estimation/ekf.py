@@ -8,10 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cablebot_baselines.estimation.drives import PulleyTorque, pulley_torque
+from cablebot_baselines.episodes import merged
+from cablebot_baselines.estimation.drives import pulley_torque
 from cablebot_baselines.estimation.errors import FilterErrors
-from cablebot_baselines.estimation.kalman import Columns, KalmanState, merged
-from cablebot_baselines.estimation.linearised import Accelerated, accelerated
+from cablebot_baselines.estimation.kalman import Columns, KalmanState
+from cablebot_baselines.estimation.linearised import accelerated
 from cablebot_baselines.estimation.sensor_model import (
     Prediction,
     SensorModel,
@@ -272,30 +273,24 @@ class ExtendedKalmanFilter:
         predicted = mean.copy()
         predicted[:, columns.pose] = pose + displacement + period**2 / 2 * acceleration
         predicted[:, columns.velocity] = velocity + period * acceleration
-        return Prediction(
-            mean=predicted,
-            acceleration=acceleration,
-            by_state=self._acceleration_gradient(motion, pulled),
-            motion=motion,
-            pulled=pulled,
-        )
-
-    def _acceleration_gradient(self, motion: Accelerated, pulled: PulleyTorque) -> Array:
-        """Gradient of the acceleration with respect to the state, (N, n, k)."""
-        columns = self._columns
-        n = self.robot.coordinates
         by_pose, _ = motion.by_pose
         by_mass, _ = motion.by_mass
         by_torque, _ = motion.by_torque
-        count = len(by_pose)
-        gradient = np.zeros((count, n, columns.total))
-        gradient[:, :, columns.pose] = by_pose
-        gradient[:, :, columns.velocity] = self._period / 2 * by_pose
-        gradient[:, :, columns.disturbance] = np.eye(n)
-        gradient[:, :, columns.mass] = by_mass
+        n = robot.coordinates
+        by_state = np.zeros((len(by_pose), n, columns.total))
+        by_state[:, :, columns.pose] = by_pose
+        by_state[:, :, columns.velocity] = period / 2 * by_pose
+        by_state[:, :, columns.disturbance] = np.eye(n)
+        by_state[:, :, columns.mass] = by_mass
         for error_columns, factor in pulled.errors:
-            gradient[:, :, error_columns] = factor[..., None, :] * by_torque
-        return gradient
+            by_state[:, :, error_columns] = factor[..., None, :] * by_torque
+        return Prediction(
+            mean=predicted,
+            acceleration=acceleration,
+            by_state=by_state,
+            motion=motion,
+            pulled=pulled,
+        )
 
     def _predicted_covariance(self, covariance: Array, prediction: Prediction) -> Array:
         """Covariance after one control period."""

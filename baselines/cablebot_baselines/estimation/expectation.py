@@ -4,6 +4,7 @@ uncertainty."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -58,27 +59,30 @@ class Expectation:
             lags = uncertainty.parameters["motor_lag"]
             lag = lags.applied(lag, np.array([lags.low, lags.high]))
         shortest, longest = lag.tolist()
-        noise = uncertainty.sensors or SensorNoise()
+        spread = partial(_spread, robot, uncertainty)
+        friction_spread = spread("coulomb_friction")
+        if friction_spread and uncertainty.parameters["coulomb_friction"].each:
+            friction_spread /= np.sqrt(robot.cables)  # of the mean friction
         return cls(
             robot=_expected(robot, uncertainty),
             delay=uncertainty.delay_range,
             lag=(shortest, longest),
-            mass_spread=_spread(robot, uncertainty, "platform_mass", relative=False),
+            mass_spread=spread("platform_mass", relative=False),
             payload_spread=_relative_spread(uncertainty, "payload"),
-            strength_spread=_spread(robot, uncertainty, "motor_strength"),
-            friction_spread=_friction_spread(robot, uncertainty),
-            inertia_spread=_spread(robot, uncertainty, "pulley_inertia"),
-            damping_spread=_spread(robot, uncertainty, "damping", relative=False),
-            stiffness_spread=_spread(robot, uncertainty, "stiffness"),
+            strength_spread=spread("motor_strength"),
+            friction_spread=friction_spread,
+            inertia_spread=spread("pulley_inertia"),
+            damping_spread=spread("damping", relative=False),
+            stiffness_spread=spread("stiffness"),
             anchor_spread=float(
                 np.hypot(
-                    _spread(robot, uncertainty, "base_anchors", relative=False),
-                    _spread(robot, uncertainty, "platform_anchors", relative=False),
+                    spread("base_anchors", relative=False),
+                    spread("platform_anchors", relative=False),
                 )
             ),
             wrench_spread=_wrench_spread(robot, uncertainty),
             wrench_time=_wrench_time(uncertainty),
-            noise=noise,
+            noise=uncertainty.sensors or SensorNoise(),
         )
 
     def effect_times(self, period: float) -> tuple[float, float]:
@@ -93,10 +97,10 @@ class Expectation:
 def _expected(robot: Robot, uncertainty: Uncertainty) -> Robot:
     """The robot with the median of each parameter of motors and transmission, without lag."""
     changes: dict[str, Any] = {}
-    for name in ("pulley_inertia", "damping", "stiffness", "motor_inertia", "motor_damping"):
+    names = ("pulley_inertia", "damping", "stiffness", "motor_inertia", "motor_damping")
+    for name in (*names, "coulomb_friction"):
         if PARAMETERS[name].belongs_to(robot):
             changes[name] = _median(robot, uncertainty, name)
-    changes["coulomb_friction"] = _median(robot, uncertainty, "coulomb_friction")
     transmission = robot.transmission.replace(**changes)
     stall = _median(robot, uncertainty, "motor_strength")
     motors = robot.motors.replace(lag=0.0, stall_torque=stall)
@@ -137,14 +141,6 @@ def _relative_spread(uncertainty: Uncertainty, name: str) -> float:
     distribution = uncertainty.parameters[name]
     lower, upper = distribution.deviation(np.array([_LOWER, _UPPER]))
     return float(upper - lower) / 2
-
-
-def _friction_spread(robot: Robot, uncertainty: Uncertainty) -> float:
-    """Standard deviation of the mean Coulomb friction of all motors as a fraction of it."""
-    spread = _spread(robot, uncertainty, "coulomb_friction")
-    if spread and uncertainty.parameters["coulomb_friction"].each:
-        spread /= np.sqrt(robot.cables)
-    return spread
 
 
 def _wrench_spread(robot: Robot, uncertainty: Uncertainty) -> Array:

@@ -6,12 +6,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablebot_baselines.estimation.errors import FilterErrors
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.textbook import times_vector
 from cablebot_gym.robots import Robot
+
+LEAST_DEVIATION = 1e-6
+"""Least deviation of a reading, in its unit. The arithmetic needs it for exact sensors."""
 
 
 class Columns:
@@ -118,7 +120,8 @@ class Readings:
 
         Args:
             innovation: reading minus its prediction, (N, j).
-            variance: variance of the independent errors, broadcast to (N, j).
+            variance: variance of the independent errors, broadcast to (N, j);
+                :data:`LEAST_DEVIATION` is added.
             parts: columns of the state and the gradient with respect to them, broadcast to (N, j,
                 columns); a number stands for a multiple of the identity. Empty columns are skipped.
         """
@@ -132,7 +135,7 @@ class Readings:
             if np.ndim(part) == 0:
                 part = part * identity
             gradient[:, :, columns] += part
-        variances = np.broadcast_to(variance, innovation.shape)
+        variances = np.broadcast_to(variance + LEAST_DEVIATION**2, innovation.shape)
         self._innovations.append(innovation)
         self._gradients.append(gradient)
         self._variances.append(variances)
@@ -173,14 +176,3 @@ def _solved(left: Array, right: Array) -> Array:
         with suppress(np.linalg.LinAlgError):
             solutions[episode] = np.linalg.solve(left[episode], right[episode])
     return solutions
-
-
-def merged(starts: NDArray[np.bool_], initial: KalmanState, following: KalmanState) -> KalmanState:
-    """The initial state of the episodes that start, and the following state of the others."""
-    arrays = {}
-    for name, values in vars(following).items():
-        initial_values = getattr(initial, name)
-        further_axes = (1,) * (values.ndim - 1)
-        mask = starts.reshape(-1, *further_axes)
-        arrays[name] = np.where(mask, initial_values, values)
-    return KalmanState(**arrays)

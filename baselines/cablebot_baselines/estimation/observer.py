@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cablebot_baselines.episodes import merged
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.estimation.filtering import (
     Drives,
@@ -19,7 +20,7 @@ from cablebot_baselines.estimation.filtering import (
     predict,
     weigh,
 )
-from cablebot_baselines.estimation.observer_state import ObserverState, RobotEstimate, merged
+from cablebot_baselines.estimation.observer_state import ObserverState, RobotEstimate
 from cablebot_gym.envs.observation import Blocks
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook

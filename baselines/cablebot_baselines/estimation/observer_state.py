@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,23 +54,3 @@ class ObserverState:
     """Last motor speeds of a flexible robot, (N, m) [rad/s]; zero for a rigid robot."""
     dynamics: Dynamics
     """Motion with the estimates, at the pose half a control period later."""
-
-
-def merged(
-    starts: NDArray[np.bool_], initial: ObserverState, following: ObserverState
-) -> ObserverState:
-    """The initial state of the episodes that start, and the following state of the others."""
-
-    def either(old: Array, new: Array) -> Array:
-        further_axes = (1,) * (new.ndim - 1)
-        mask = starts.reshape(-1, *further_axes)
-        return np.where(mask, old, new)
-
-    values: dict[str, Any] = {}
-    for name, new in vars(following).items():
-        old = getattr(initial, name)
-        if isinstance(new, Dynamics):
-            values[name] = Dynamics(*map(either, old, new))
-        else:
-            values[name] = either(old, new)
-    return ObserverState(**values)

@@ -24,9 +24,6 @@ from cablebot_gym.uncertainty import SensorNoise
 
 Array = NDArray[Any]
 
-LEAST_DEVIATION = 1e-6
-"""Least deviation of a reading, in its unit. The arithmetic needs it for exact sensors."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prediction:
@@ -83,7 +80,7 @@ class SensorModel:
         by_base, by_platform = self._anchor_gradients(pose)
         readings.add(
             blocks["motor_angle"] - self._predicted_angle(mean, pose, deflection),
-            self.errors.noise.motor_angle**2 + LEAST_DEVIATION**2,
+            self.errors.noise.motor_angle**2,
             (columns.pose, turning + compliance * by_pose),
             (columns.zero, 1.0),
             (columns.quantisation, 1.0),
@@ -95,7 +92,7 @@ class SensorModel:
         if "tensions" in blocks:
             readings.add(
                 blocks["tensions"] - torque / robot.pulley_radius - mean[:, columns.cell],
-                self.errors.noise.tension**2 + LEAST_DEVIATION**2,
+                self.errors.noise.tension**2,
                 (columns.pose, by_pose / robot.pulley_radius[:, None]),
                 (columns.mass, by_mass / robot.pulley_radius[:, None]),
                 (columns.cell, 1.0),
@@ -175,7 +172,7 @@ class SensorModel:
         identity = np.eye(robot.cables)
         readings.add(
             angle - self._predicted_angle(mean, earlier, deflection),
-            self.errors.noise.motor_angle**2 + LEAST_DEVIATION**2,
+            self.errors.noise.motor_angle**2,
             (columns.pose, turning),
             (columns.velocity, -ago * turning),
             (columns.disturbance, ago**2 / 2 * turning),
@@ -211,7 +208,7 @@ class SensorModel:
                 parts.append((part, by_anchors))
         readings.add(
             blocks["motor_speed"] - predicted,
-            self.errors.noise.motor_speed**2 + LEAST_DEVIATION**2,
+            self.errors.noise.motor_speed**2,
             *parts,
         )
 
@@ -231,7 +228,7 @@ class SensorModel:
             expected = (motion.tensions + state.tensions) / 2
         readings.add(
             blocks["tensions"] - np.maximum(expected, 0.0) - prediction.mean[:, columns.cell],
-            self.errors.noise.tension**2 + LEAST_DEVIATION**2,
+            self.errors.noise.tension**2,
             (columns.pose, motion.by_pose[1]),
             *(
                 (part, factor[..., None, :] * motion.by_torque[1])
@@ -247,7 +244,7 @@ class SensorModel:
         euler = slice(columns.pose.stop - 3, columns.pose.stop)
         readings.add(
             blocks["orientation"] - mean[:, euler] - mean[:, columns.orientation],
-            orientation_deviations(self.errors.noise) ** 2 + LEAST_DEVIATION**2,
+            orientation_deviations(self.errors.noise) ** 2,
             (euler, 1.0),
             (columns.orientation, 1.0),
         )
@@ -266,7 +263,7 @@ class SensorModel:
         turning = slice(columns.velocity.stop - 3, columns.velocity.stop)
         readings.add(
             blocks["angular_rate"] - textbook.times_vector(to_omega, rates),
-            noise.angular_rate**2 + LEAST_DEVIATION**2,
+            noise.angular_rate**2,
             (turning, to_omega),
         )
         free = prediction.acceleration[:, :3] - robot.gravity_vector
@@ -275,7 +272,7 @@ class SensorModel:
         force = textbook.times_vector(to_platform, free)
         readings.add(
             blocks["specific_force"] - force[0],
-            noise.specific_force**2 + LEAST_DEVIATION**2,
+            noise.specific_force**2,
             (slice(0, columns.total), to_platform[0] @ prediction.by_state[:, :3]),
             # the direction of gravity in the platform frame
             (

@@ -10,64 +10,42 @@ import typer
 
 from cablebot_gym.utils.console import command_line, notes_console, progress
 
-EnvId = Annotated[
-    str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0.")
-]
-Out = Annotated[
-    Path, typer.Option(help="Folder of the run: checkpoint, policies, evaluations, logs.")
-]
-Algo = Annotated[
-    str | None,
-    typer.Option(help="ppo, sac or tqc. Default: ppo."),
-]
-Config = Annotated[
-    Path | None,
-    typer.Option(help="YAML file of hyperparameters by environment, or the name of a shipped one."),
-]
-Seed = Annotated[
-    int | None, typer.Option(help="Seed of weights, exploration and environments. Default: 0.")
-]
-Timesteps = Annotated[
-    int | None,
-    typer.Option(
-        help="Number of actions over all environments. Default: n_timesteps of the configuration."
-    ),
-]
-Resume = Annotated[
-    bool,
-    typer.Option(
-        "--resume", help="Continue the run in --out from its checkpoint, with its settings."
-    ),
-]
-EvalEvery = Annotated[
-    int | None,
-    typer.Option(help="Timesteps between two evaluations. Default: 1/20 of all timesteps."),
-]
-CheckpointEvery = Annotated[
-    int | None,
-    typer.Option(help="Timesteps between two checkpoints. Default: 1/20 of all timesteps."),
-]
-Evaluation = Annotated[
-    str | None,
-    typer.Option(
-        help='Keyword arguments of evaluate_dlcc as JSON, such as \'{"uncertainty": "table6", "draws": 32}\'.'
-    ),
-]
-Threads = Annotated[int | None, typer.Option(help="Number of torch's threads. Default: 1.")]
-
 
 def train(
-    env_id: EnvId,
-    out: Out,
-    algo: Algo = None,
-    config: Config = None,
-    seed: Seed = None,
-    timesteps: Timesteps = None,
-    resume: Resume = False,
-    eval_every: EvalEvery = None,
-    checkpoint_every: CheckpointEvery = None,
-    evaluation: Evaluation = None,
-    threads: Threads = None,
+    env_id: Annotated[
+        str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0.")
+    ],
+    out: Annotated[Path, "Folder of the run: checkpoint, policies, evaluations, logs."],
+    algo: Annotated[str | None, "ppo, sac or tqc. Default: ppo."] = None,
+    config: Annotated[
+        Path | None,
+        "YAML file of hyperparameters by environment, or the name of a shipped one.",
+    ] = None,
+    seed: Annotated[
+        int | None, "Seed of weights, exploration and environments. Default: 0."
+    ] = None,
+    timesteps: Annotated[
+        int | None,
+        "Number of actions over all environments. Default: n_timesteps of the configuration.",
+    ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume", help="Continue the run in --out from its checkpoint, with its settings."
+        ),
+    ] = False,
+    eval_every: Annotated[
+        int | None, "Timesteps between two evaluations. Default: 1/20 of all timesteps."
+    ] = None,
+    checkpoint_every: Annotated[
+        int | None, "Timesteps between two checkpoints. Default: 1/20 of all timesteps."
+    ] = None,
+    evaluation: Annotated[
+        str | None,
+        "Keyword arguments of evaluate_dlcc as JSON, such as "
+        '\'{"uncertainty": "table6", "draws": 32}\'.',
+    ] = None,
+    threads: Annotated[int | None, "Number of torch's threads. Default: 1."] = None,
 ) -> None:
     """Train a learned policy and write the one with the largest DLCC to best.zip.
 

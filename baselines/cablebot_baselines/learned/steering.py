@@ -287,8 +287,14 @@ class Steering:
         :meth:`due`."""
         due = self.due(memory)
         if np.any(due):
-            rows = due[..., None, None]
-            actions = _appended(memory.actions, self._clipped(action), rows)
+            # to ±1, and the position to the unit ball
+            clipped = np.clip(np.asarray(action, float), -1.0, 1.0)
+            position = clipped[..., :3]
+            length = np.linalg.norm(position, axis=-1, keepdims=True)
+            position /= np.maximum(length, 1.0)
+            later = memory.actions[..., 1:, :]  # without the oldest action
+            moved = np.concatenate([later, clipped[..., None, :]], axis=-2)
+            actions = np.where(due[..., None, None], moved, memory.actions)
             memory = replace(memory, actions=actions)
         if memory.law is None:
             episode_start = None
@@ -296,15 +302,6 @@ class Steering:
         applied, law = self.law.respond(shifted, memory.law, episode_start)
         memory = replace(memory, step=memory.step + 1, law=law)
         return applied, memory
-
-    def _clipped(self, action: Array) -> Array:
-        """Clips an action to ±1, and its position to the unit ball."""
-        action = np.asarray(action, float)
-        action = np.clip(action, -1.0, 1.0)
-        position = action[..., :3]
-        length = np.linalg.norm(position, axis=-1, keepdims=True)
-        position /= np.maximum(length, 1.0)
-        return action
 
     def _spline(self, weights: Array, memory: Memory) -> Array:
         """Spline (..., orders, n) from weights (..., orders, memory_length) and the control
@@ -327,11 +324,3 @@ class Steering:
             if block in blocks:
                 shifted[block] = motion[..., order, :] + blocks[block]
         return shifted
-
-
-def _appended(values: Array, newest: Array, rows: NDArray[np.bool_]) -> Array:
-    """Values (..., length, size) without the oldest and with the newest, in the marked rows."""
-    later = values[..., 1:, :]
-    newest = newest[..., None, :]
-    moved = np.concatenate([later, newest], axis=-2)
-    return np.where(rows, moved, values)

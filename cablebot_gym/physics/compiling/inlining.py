@@ -15,7 +15,7 @@ from functools import partial
 
 import numba
 
-from cablebot_gym.physics.compiling.loading import collection_paused, njit
+from cablebot_gym.physics.compiling.loading import collection_paused
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
@@ -29,7 +29,7 @@ except (ImportError, AttributeError) as error:
         numba.__version__,
         error,
     )
-    lean_helper = partial(njit, error_model="numpy")
+    lean_helper = partial(numba.njit, error_model="numpy")
 
 inline = partial(lean_helper, forceinline=True)
 """Decorator of functions that are inlined into all compiled functions that call them. They use

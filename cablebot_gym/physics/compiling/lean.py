@@ -12,7 +12,7 @@ from typing import Any
 
 from llvmlite.binding import Linkage
 from llvmlite.ir.instructions import CallInstr
-from numba import types
+from numba import njit, types
 from numba.core import ir
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
@@ -23,7 +23,6 @@ from numba.core.runtime.nrt import rtsys
 from numba.core.untyped_passes import IRProcessing
 
 from cablebot_gym.physics.compiling.constants import ConstantType
-from cablebot_gym.physics.compiling.loading import njit
 
 _NAMES = {
     JITCodeLibrary: "add_ir_module add_linking_library codegen enable_object_caching finalize "
@@ -214,7 +213,7 @@ class HelperCompiler(CompilerBase):
 
 def lean_helper(function: Callable[..., Any], *, forceinline: bool) -> Any:
     """Decorator of a helper, see :mod:`inlining`."""
-    dispatcher = njit(
+    dispatcher = njit(  # type: ignore[call-overload]  # the types lack options
         forceinline=forceinline,
         error_model="numpy",
         no_cpython_wrapper=True,

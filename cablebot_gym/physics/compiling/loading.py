@@ -53,30 +53,18 @@ def load_numba() -> None:
         linalg.ensure_blas = ensure_blas
 
 
-def njit(function: Any = None, *, cache: bool = False, robot: str = "", **options: Any) -> Any:
-    """:func:`numba.njit` with the cache of this package.
+def cached_njit(function: Any, robot: str = "", **options: Any) -> Any:
+    """:func:`numba.njit` that stores compiled code on disk, see
+    :class:`~cablebot_gym.physics.compiling.code_cache.CodeCache`.
 
     Args:
-        function: function to compile; None for a decorator.
-        cache: whether compiled code is stored on disk, see
-            :class:`~cablebot_gym.physics.compiling.code_cache.CodeCache`.
+        function: function to compile.
         robot: the robot for which code is compiled, in words; empty for functions of all robots.
         options: options of :func:`numba.njit`.
     """
-
-    def decorate(function: Any) -> Any:
-        compiled = numba.njit(**options)(function)
-        if cache:
-            compiled._cache = CodeCache(function, _ANNOUNCEMENTS.announcer(robot or None))
-        return compiled
-
-    return decorate if function is None else decorate(function)
-
-
-def is_stored(compiled: Any, signature: tuple[Any, ...]) -> bool:
-    """Whether there is machine code on disk for types of arguments of a function with a cache."""
-    stored: bool = compiled._cache.is_stored(signature, compiled.targetctx)
-    return stored
+    compiled = numba.njit(**options)(function)
+    compiled._cache = CodeCache(function, _ANNOUNCEMENTS.announcer(robot))
+    return compiled
 
 
 class _Announcements:
@@ -87,10 +75,10 @@ class _Announcements:
         self._announced: set[str] = set()
         self._latest = "functions of all robots"
 
-    def announcer(self, robot: str | None) -> Callable[[], None]:
-        """Function to call before the compilation of code for a robot; None for the robot that was
+    def announcer(self, robot: str) -> Callable[[], None]:
+        """Function to call before the compilation of code for a robot; empty for the robot that was
         named last."""
-        if robot is not None:
+        if robot:
             self._latest = robot
         return lambda: self._announce(robot or self._latest)
 

@@ -17,7 +17,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 
 from cablebot_gym.physics.compiling.fused import fma, python_fma
-from cablebot_gym.physics.compiling.loading import is_stored, load_numba, njit
+from cablebot_gym.physics.compiling.loading import cached_njit, load_numba
 
 BUDGET = 2.0
 """Estimated time of Python before an entry point is compiled [s]. With about the time of its
@@ -53,7 +53,7 @@ class EntryPoint:
         flat: whether all its arrays are indexed by numbers only, without slices. Python reads them
             faster then.
         in_python: other values in Python for variables that the function closes over.
-        robot: see :func:`~cablebot_gym.physics.compiling.njit`.
+        robot: see :func:`~cablebot_gym.physics.compiling.loading.cached_njit`.
     """
 
     def __init__(
@@ -65,9 +65,9 @@ class EntryPoint:
         in_python: Mapping[str, Any] | None = None,
         robot: str = "",
     ) -> None:
-        self.compiled = njit(
-            cache=True, robot=robot, nogil=True, error_model="numpy", no_cfunc_wrapper=True
-        )(function)
+        self.compiled = cached_njit(
+            function, robot, nogil=True, error_model="numpy", no_cfunc_wrapper=True
+        )
         self.left = BUDGET
         """Estimated time of Python that may still be spent [s]."""
         self._seconds = seconds
@@ -117,7 +117,7 @@ class EntryPoint:
         kind = _kind_of(arguments)
         if kind not in self._not_stored:
             signature = tuple(map(self.compiled.typeof_pyval, arguments))
-            if is_stored(self.compiled, signature):
+            if self.compiled._cache.is_stored(signature, self.compiled.targetctx):
                 return True
             self._not_stored.add(kind)
         return False

@@ -38,7 +38,7 @@ class Compiled(NamedTuple):
     needs, ``−Sᵀ T = load``, and pulley speeds and pulley accelerations (2, N, m). The coordinates
     of S and load are those of y."""
     locate: Any
-    """``(parameters, iterations, tolerance, p, w, lengths, pose, squares, ended)``: poses (N, n),
+    """``(parameters, tolerance, p, w, lengths, pose, squares, ended)``: poses (N, n),
     which are the guesses before, of cable lengths (N, m); sums of the squared length errors and
     whether the last step was below the tolerance, (N,). ``parameters`` have mass and inertia for
     the damping, no gravity, and J/r² = 1."""
@@ -46,11 +46,6 @@ class Compiled(NamedTuple):
 
 STEPS_TO_LOCATE = 8
 """Usual number of steps of the forward kinematics."""
-
-
-def _stage_seconds(form: Form) -> float:
-    """Estimated time of Python for one stage of the integration of one robot [s]."""
-    return 1e-5 + 1.5e-6 * form.cables * form.coordinates**2
 
 
 @cache
@@ -62,7 +57,8 @@ def compiled(form: Form, lanes: int) -> Compiled:
     compile_form = partial(entry_point, robot=form.robot_text, flat=True)
     # the layout of a record depends on the lanes, unlike that of motions
     compile_motion = partial(compile_form, in_python={"lanes": 1})
-    stage = _stage_seconds(form)
+    # estimated time of Python for one stage of the integration of one robot [s]
+    stage = 1e-5 + 1.5e-6 * form.cables * form.coordinates**2
 
     def seconds_to_advance(*arguments: Any) -> float:
         step, substeps = arguments[9:11]
@@ -97,10 +93,8 @@ def compiled(form: Form, lanes: int) -> Compiled:
     def demanded(parameters, p, w, mass, motion, structure, load, y, results):
         demanded_tiles(form, lanes, parameters, p, w, mass, motion, structure, load, y, results)
 
-    @compile_motion(seconds=lambda *arguments: STEPS_TO_LOCATE * stage * len(arguments[5]))
-    def locate(parameters, iterations, tolerance, p, w, lengths, pose, squares, ended):
-        locate_tiles(
-            form, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended
-        )
+    @compile_motion(seconds=lambda *arguments: STEPS_TO_LOCATE * stage * len(arguments[4]))
+    def locate(parameters, tolerance, p, w, lengths, pose, squares, ended):
+        locate_tiles(form, lanes, parameters, tolerance, p, w, lengths, pose, squares, ended)
 
     return Compiled(advance, required, demanded, locate)

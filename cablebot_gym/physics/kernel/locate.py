@@ -27,11 +27,11 @@ from cablebot_gym.physics.kernel.stage import (
 )
 from cablebot_gym.physics.kernel.taut import solve_lane
 
+_ITERATIONS = 50  # largest number of poses that are tried
+
 
 @inline
-def locate_tiles(
-    form, lanes, parameters, iterations, tolerance, p, w, lengths, pose, squares, ended
-):
+def locate_tiles(form, lanes, parameters, tolerance, p, w, lengths, pose, squares, ended):
     """Poses of given cable lengths: Gauss-Newton steps of all lanes in tiles.
 
     The dynamics at rest solve ``(m I₃, I) y = −Σ row_i (t_i + μ_i row_i·y)``. With the excess of
@@ -54,7 +54,7 @@ def locate_tiles(
                 w[(row + TAUT) * lanes + at] = 1.0
             w[SQUARES * lanes + at] = np.inf
             w[ENDED * lanes + at] = 0.0
-        for _ in range(iterations):
+        for _ in range(_ITERATIONS):
             stage_kinematics(form, True, p, w, lanes)
             for at in range(lanes):
                 w[TRIAL * lanes + at] = 0.0
