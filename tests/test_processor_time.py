@@ -20,24 +20,21 @@ def session_of(*times, passes=True):
     return session.exitstatus, list(judge.verdicts())
 
 
-def test_run_within_the_limits_passes():
-    assert session_of(LIMIT, 0.1) == (0, [])
-
-
-def test_slow_test_fails_the_run_and_is_named():
-    status, verdicts = session_of(0.1, 2 * LIMIT)
-    assert status == 1
-    assert [text.endswith("test_1") for text in verdicts] == [True]
-
-
-def test_many_fast_tests_fail_the_run():
-    status, verdicts = session_of(*[LIMIT] * (int(TOTAL / LIMIT) + 1))
-    assert status == 1
-    assert "all together" in verdicts[0]
-
-
-def test_status_of_a_failed_run_stays():
-    assert session_of(2 * LIMIT, passes=False)[0] == 2
+@pytest.mark.parametrize(
+    ("times", "passes", "status", "words"),
+    [
+        ((LIMIT, 0.1), True, 0, []),
+        ((0.1, 2 * LIMIT), True, 1, ["test_1"]),
+        ((LIMIT,) * int(TOTAL / LIMIT + 1), True, 1, ["all together"]),
+        ((2 * LIMIT,), False, 2, ["test_0"]),
+    ],
+    ids=["within the limits", "one slow test", "many fast tests", "failed before"],
+)
+def test_run_fails_where_a_test_or_all_together_cost_too_much(times, passes, status, words):
+    ended, verdicts = session_of(*times, passes=passes)
+    assert ended == status
+    assert len(verdicts) == len(words)
+    assert all(word in verdict for word, verdict in zip(words, verdicts, strict=True))
 
 
 def test_nested_parts_done_once_are_counted_once(monkeypatch):

@@ -4,28 +4,22 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import subprocess
 import sys
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 from numba import njit
 from numba.core import event
-from numpy.testing import assert_array_equal
-from oracles.plants import loaded_plant, no_reference, random_states
 
 from cablebot_gym.physics.compiling import (
     compile_time_constant,
-    compiled_at_once,
     fma,
     helper,
     inline,
     inlining,
 )
 from cablebot_gym.physics.kernel.arithmetic import sincos
-from cablebot_gym.robots import ROBOTS
 
 
 class Compilations(event.Listener):
@@ -105,7 +99,7 @@ def test_inlined_function_that_allocates_raises():
 
 
 LEAN = "cablebot_gym.physics.compiling.lean"
-"""What :data:`MOVED` cannot import."""
+"""The module that extends numba."""
 
 
 def horner(inline, helper):
@@ -149,34 +143,3 @@ def test_missing_name_of_a_class_of_numba_is_noticed(monkeypatch):
     monkeypatch.setitem(lean._NAMES, lean.CompilerBase, "state gone")
     with pytest.raises(ImportError, match="CompilerBase has no gone"):
         lean._check_names()
-
-
-MOVED = """
-import sys
-import numba.core.codegen
-del numba.core.codegen.JITCodeLibrary
-from test_inlining import moved
-moved().tofile(sys.argv[1])
-"""
-
-
-def moved():
-    """Record of planar robots after a control period of compiled code."""
-    state, actions = random_states(ROBOTS["planar"], 3)
-    plant = loaded_plant(ROBOTS["planar"], state, "unilateral")
-    plant.set_action(actions)
-    with compiled_at_once():
-        plant.advance(*no_reference(plant.robot), substeps=2, step=1e-3)
-    return plant.record
-
-
-@pytest.mark.nightly
-def test_ordinary_functions_of_numba_move_a_robot_to_the_same_bits(tmp_path, monkeypatch):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    path = tmp_path / "record"
-    folders = [str(Path(__file__).parents[level]) for level in (0, 1)]
-    subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path[:0] = {folders!r}\n{MOVED}", str(path)],
-        check=True,
-    )
-    assert_array_equal(np.fromfile(path), moved().ravel())
