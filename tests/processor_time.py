@@ -50,7 +50,8 @@ def probe():
 class Stopwatch:
     """Processor time of the tests of one process, without what is done once for several tests."""
 
-    def __init__(self):
+    def __init__(self, clock=spent):
+        self._clock = clock
         self.once = 0.0
         self._depth = 0
         self._since = 0.0
@@ -90,14 +91,14 @@ class Stopwatch:
     def _begin(self):
         if threading.current_thread() is threading.main_thread():
             if self._depth == 0:
-                self._since = spent()
+                self._since = self._clock()
             self._depth += 1
 
     def _end(self):
         if threading.current_thread() is threading.main_thread():
             self._depth -= 1
             if self._depth == 0:
-                self.once += spent() - self._since
+                self.once += self._clock() - self._since
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef):
@@ -110,14 +111,14 @@ class Stopwatch:
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item):
         """A test begins."""
-        self._start = spent() - self.once
+        self._start = self._clock() - self.once
         return (yield)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self, item, call):
         """The last report of a test has its time, as on the machine of the limits."""
         if call.when == "teardown":
-            seconds = spent() - self.once - self._start
+            seconds = self._clock() - self.once - self._start
             if seconds > LIMIT:
                 seconds /= max(1.0, probe() / PROBE)
             item.user_properties.append((NAME, seconds))

@@ -37,10 +37,8 @@ def test_run_fails_where_a_test_or_all_together_cost_too_much(times, passes, sta
     assert all(word in verdict for word, verdict in zip(words, verdicts, strict=True))
 
 
-def test_nested_parts_done_once_are_counted_once(monkeypatch):
-    clock = iter([10.0, 13.0])
-    monkeypatch.setattr("processor_time.spent", lambda: next(clock))
-    stopwatch = Stopwatch()
+def test_nested_parts_done_once_are_counted_once():
+    stopwatch = Stopwatch(clock=iter([10.0, 13.0]).__next__)
     with stopwatch.counted_once(), stopwatch.counted_once():
         pass
     assert stopwatch.once == pytest.approx(3.0)
