@@ -112,7 +112,7 @@ def _equations(robot: Robot) -> str:
     for title, name in headings.items():
         text += f"\n### {title}\n\n{sections[name].strip()}\n"
     readable = "Readable code: {py:mod}`cablebot_gym.physics.textbook`."
-    return f"{text}\n{readable} Compiled code: `cablebot_gym/physics/kernel.py`."
+    return f"{text}\n{readable} Compiled code: `cablebot_gym/physics/kernel/`."
 
 
 def _policies(env_id: str) -> str:
