@@ -69,11 +69,17 @@ FILES = source_files()
 
 
 @cache
+def tree(module):
+    """Syntax tree of a module."""
+    return ast.parse(FILES[module].read_text(encoding="utf-8"))
+
+
+@cache
 def imports(module):
     """Modules of all packages that a module imports anywhere in its code, with the name that it
     takes from each."""
     imported = []
-    for node in ast.walk(ast.parse(FILES[module].read_text(encoding="utf-8"))):
+    for node in ast.walk(tree(module)):
         if isinstance(node, ast.Import):
             imported += [(alias.name, "") for alias in node.names if alias.name in FILES]
         elif isinstance(node, ast.ImportFrom):
@@ -153,6 +159,28 @@ def test_other_packages_import_only_public_names():
             assert not name.startswith("_"), f"{module} imports {name} from {imported}"
             if imported.startswith("cablebot_gym"):
                 assert imported in public, f"{module} imports {imported}"
+
+
+FORMATS = ("cablebot_winches.importers.caspr", "cablebot_winches.importers.wirex")
+"""Readers that get a file from ``import_robot``."""
+
+
+def test_public_functions_take_a_path_as_text():
+    """``save("out.csv")`` raised an AttributeError. That the bodies keep to these annotations is
+    checked by mypy; the command line makes its own paths."""
+    for module in FILES:
+        package = module.split(".")[0]
+        is_public = package != "cablebot_gym" or module in cablebot_gym.PUBLIC_MODULES
+        if module in FORMATS or ".cli" in module or not is_public:
+            continue
+        classes = [node for node in tree(module).body if isinstance(node, ast.ClassDef)]
+        for node in sum([holder.body for holder in classes], tree(module).body):
+            if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+                for argument in (*node.args.args, *node.args.kwonlyargs):
+                    types = argument.annotation and ast.unparse(argument.annotation).split(" | ")
+                    assert not types or "Path" not in types or "str" in types, (
+                        f"{module}.{node.name}"
+                    )
 
 
 @pytest.mark.parametrize("package", ["cablebot_reproduction", "cablebot_winches"])

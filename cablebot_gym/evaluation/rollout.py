@@ -68,7 +68,7 @@ class Rollout:
         )
         return Moment.from_info(self.task.robot, self.stall_torque, state["true_pose"], state)
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Writes ``.npz`` (the arrays by name) or ``.csv`` (one column per number, vectors as
         name_1, name_2, …).
 
@@ -76,7 +76,8 @@ class Rollout:
             ValueError: if the path has another suffix.
         """
         check_suffix(path)
-        atomic_write(path, self._write_npz if path.suffix == ".npz" else self._write_csv)
+        is_npz = str(path).endswith(".npz")
+        atomic_write(path, self._write_npz if is_npz else self._write_csv)
 
     def _write_npz(self, path: Path) -> None:
         np.savez_compressed(path, allow_pickle=False, **self.arrays)
@@ -246,13 +247,13 @@ def record_rollout(
     return recorder.rollouts(verdicts)[0]
 
 
-def check_suffix(path: Path) -> None:
+def check_suffix(path: str | Path) -> None:
     """Checks the suffix of a recording's path.
 
     Raises:
         ValueError: if the suffix is unknown. The message lists the valid ones.
     """
-    if path.suffix not in SUFFIXES:
+    if Path(path).suffix not in SUFFIXES:
         raise ValueError(
             f"cannot record to {str(path)!r}: the file name must end in {' or '.join(SUFFIXES)}"
         )

@@ -54,7 +54,7 @@ class TrainingOptions(TypedDict, total=False):
 
     algorithm: str | None
     """``ppo``, ``sac`` or ``tqc``; by default ``ppo``."""
-    config: Path | None
+    config: str | Path | None
     """YAML file with RL-Zoo's keys; by default the shipped one."""
     seed: int | None
     """Seed of weights, exploration and environments; by default 0."""
@@ -76,7 +76,7 @@ class TrainingOptions(TypedDict, total=False):
 def train(
     env_id: str,
     *,
-    out: Path,
+    out: str | Path,
     resume: bool = False,
     progress: runs.Progress | None = None,
     say: runs.Say | None = None,
@@ -134,7 +134,7 @@ def train(
 
 
 def _open_run(
-    env_id: str, out: Path, resume: bool, options: TrainingOptions
+    env_id: str, out: str | Path, resume: bool, options: TrainingOptions
 ) -> tuple[runs.TrainingResult, Config]:
     """State of the run, with defaults of the options that are not given, and its configuration."""
     for name in options:
