@@ -329,7 +329,7 @@ def compare_policies(
             f"not {len(wrappers_of)}"
         )
     payload = number("payload", payload, least=0, unit="kg")
-    shared = Conditions.of(env_id, **conditions)
+    shared = Conditions.of(env_id, compare_policies, **conditions)
     metrics = []
     isolated = True
     foreign_before = foreign_policies()

@@ -236,7 +236,7 @@ def record_rollout(
             finite actions.
     """
     payload = number("payload", payload, least=0, unit="kg")
-    shared = Conditions.of(env_id, draws=1, **conditions)
+    shared = Conditions.of(env_id, record_rollout, draws=1, **conditions)
     batch = Batch(policy, shared, name=name, wrappers=wrappers)
     recorder = Recorder([0])
     with chosen_progress(progress, f"{batch.policy.name} on {env_id}", "steps") as step:

@@ -138,7 +138,7 @@ def survey(
             raise ValueError(f"a survey has its own {keyword}: remove it from the keywords")
     if not motions:
         raise ValueError("a survey needs motions: pass at least one")
-    checked = Conditions.of(env_id, **conditions)
+    checked = Conditions.of(env_id, survey, **conditions)
     batch = Batch(policy, checked, name=name, motions=motions)
     if robots is None:
         robots = ROBOTS if checked.uncertainty.random else 1

@@ -38,7 +38,7 @@ from cablebot_baselines.learned.export import network_from_sb3
 from cablebot_baselines.learned.recipe import make_training_envs, steered_env
 from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, SteeredVector
 from cablebot_baselines.learned.wrappers.layers import layers
-from cablebot_gym.utils.checks import unexpected_keyword_error
+from cablebot_gym.utils.checks import check_keywords
 
 PARTS = 20
 """Default number of evaluations and of checkpoints in a run."""
@@ -137,9 +137,7 @@ def _open_run(
     env_id: str, out: str | Path, resume: bool, options: TrainingOptions
 ) -> tuple[runs.TrainingResult, Config]:
     """State of the run, with defaults of the options that are not given, and its configuration."""
-    for name in options:
-        if name not in TrainingOptions.__annotations__:
-            raise unexpected_keyword_error(name, TrainingOptions.__annotations__)
+    check_keywords(options, TrainingOptions.__annotations__, train)
     algorithm = options.get("algorithm") or "ppo"
     algorithm_class(algorithm)
     if not resume:
