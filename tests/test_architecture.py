@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 ORDER = (
     *(
         "utils",
+        "env_ids",
         "kinematics",
         "robots",
         "exporters",

@@ -3,7 +3,9 @@
 import inspect
 from importlib import import_module
 
+import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import cablebot_gym
 from cablebot_gym.evaluation.conditions import Conditions
@@ -12,6 +14,17 @@ ID = "CableBot-Planar-v0"
 ARGUMENTS = {"policy": "fl", "policies": ["fl"], "env_id": ID, "payloads": [1.0]}
 ARGUMENTS |= {"motions": ["line-planar"], "robot": "planar", "count": 1}
 """Values of the arguments that functions with keywords need."""
+
+OF_A_ROBOT = {
+    "find_robot": lambda call, robot: call(robot).stall_torque,
+    "find_trajectory": lambda call, robot: call("line-point", robot).duration,
+    "inverse_dynamics": lambda call, robot: call(robot, 50.0, CENTRE, 0 * CENTRE, CENTRE).tensions,
+    "load_policy": lambda call, robot: call("fl", robot).robot.stall_torque,
+    "normalised_action": lambda call, robot: call(robot, np.ones(4), np.ones(4)),
+    "observation_layout": lambda call, robot: call(robot, "winches").per_scale,
+}
+"""Values of the public functions of a robot."""
+CENTRE = np.array([0.0, 0.0, -12.0])
 
 
 def with_keywords():
@@ -45,3 +58,16 @@ def test_unknown_keyword_error_lists_those_of_the_function():
 
 def test_package_shows_only_its_public_names():
     assert dir(cablebot_gym) == sorted(cablebot_gym.__all__)
+
+
+def test_functions_of_a_robot_take_its_name_and_its_environment():
+    """With a Robot, find_trajectory raised an IndexError; with a name, others an AttributeError."""
+    robot = cablebot_gym.find_robot("stadium-camera")
+    for name in cablebot_gym.__all__:
+        call = getattr(cablebot_gym, name)
+        if inspect.isfunction(call) and {"robot", "kind"} & {*inspect.signature(call).parameters}:
+            value = OF_A_ROBOT[name](call, robot)
+            for given in ("stadium-camera", "CableBot-Point-v0"):
+                assert_array_equal(OF_A_ROBOT[name](call, given), value)
+            with pytest.raises(ValueError, match="did you mean 'stadium-camera'"):
+                OF_A_ROBOT[name](call, "stadium-camra")

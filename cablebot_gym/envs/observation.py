@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.envs.limits import SLACK_TIME
 from cablebot_gym.kinematics import Array
-from cablebot_gym.measurement import POSE, Measurement
-from cablebot_gym.robots import GRAVITY, Robot
+from cablebot_gym.measurement import POSE, Measurement, find_measurement
+from cablebot_gym.robots import GRAVITY, Robot, find_robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory
 
@@ -190,9 +190,11 @@ def preview_name(ahead: float) -> str:
     return f"preview_{round(ahead * 1e3)}ms"
 
 
-@lru_cache(maxsize=64)
-def observation_layout(robot: Robot, measurement: Measurement = POSE) -> ObservationLayout:
-    """Layout for a robot and a measurement, whose blocks come first.
+def observation_layout(
+    robot: Robot | str, measurement: Measurement | str = POSE
+) -> ObservationLayout:
+    """Layout for a robot, as for :func:`~cablebot_gym.robots.names.find_robot`, and a measurement,
+    whose blocks come first.
 
     The bounds of poses are the workspace, enlarged by a factor of 1.5 about its centre. That of the
     payload is 1000 kg, or the mass whose weight is the pull of all motors together at stall, if
@@ -211,6 +213,12 @@ def observation_layout(robot: Robot, measurement: Measurement = POSE) -> Observa
     * time to go: 1 s; slack time: the 0.1 s after which a slack cable terminates the episode;
       actions: 1.
     """
+    robot = find_robot(robot)
+    return _layout(robot, find_measurement(measurement, robot))
+
+
+@lru_cache(maxsize=64)
+def _layout(robot: Robot, measurement: Measurement) -> ObservationLayout:
     sizes = _sizes(robot)
     readings = _readings(robot, sizes)
     blocks = [readings[name] for name in measurement.sizes(robot)]

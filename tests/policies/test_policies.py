@@ -129,7 +129,7 @@ def test_factory_of_a_module_makes_a_policy(module):
 def test_robot_may_be_named_or_be_that_of_an_environment():
     for robot in ("CableBot-Spatial-v0", "spatial", SPATIAL):
         assert load_policy("fl", robot).robot is SPATIAL
-    message = r"unknown environment or robot 'CableBot-Spatal-v0'.*did you mean 'CableBot-S"
+    message = r"unknown robot 'CableBot-Spatal-v0'.*did you mean 'CableBot-S"
     with pytest.raises(ValueError, match=message):
         load_policy("fl", "CableBot-Spatal-v0")
 
