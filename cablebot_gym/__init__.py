@@ -139,6 +139,7 @@ PUBLIC_MODULES = (
     "cablebot_gym.utils.console",
     "cablebot_gym.utils.files",
     "cablebot_gym.utils.palette",
+    "cablebot_gym.utils.results",
     "cablebot_gym.video.recording",
 )
 """Modules with further public names, for packages that add controllers. All others are internal."""

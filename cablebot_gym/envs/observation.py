@@ -15,6 +15,7 @@ from cablebot_gym.measurement import POSE, Measurement, find_measurement
 from cablebot_gym.robots import GRAVITY, Robot, find_robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory
+from cablebot_gym.utils.results import Printed
 
 PREVIEWS = (0.02, 0.05, 0.1, 0.2)
 """Preview times: how far ahead the observation shows the reference [s]."""
@@ -59,8 +60,8 @@ class Block:
         return slice(self.start, self.start + self.size)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ObservationLayout:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ObservationLayout(Printed):
     """Named blocks of the observation of one robot. Methods accept one observation (size,) or a
     batch (N, size)."""
 
@@ -73,6 +74,10 @@ class ObservationLayout:
     def size(self) -> int:
         """Number of components."""
         return self.blocks[-1].start + self.blocks[-1].size
+
+    def __str__(self) -> str:
+        names = ", ".join(self.slices())
+        return f"observation of robot {self.robot_name!r}, {self.size} components: {names}"
 
     def slices(self) -> dict[str, slice]:
         """Slice of each block by name."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
@@ -11,6 +10,7 @@ from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Criterion, Violation
 from cablebot_gym.evaluation.rollout import Rollout
+from cablebot_gym.utils.results import Result
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,8 +78,8 @@ class Details:
         return data | ({"wrappers": wrappers} if wrappers else {})
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DLCCResult:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DLCCResult(Result):
     """Dynamic load carrying capacity (DLCC) of a policy in an environment. ``print(result)`` shows
     a summary."""
 
@@ -198,10 +198,6 @@ class DLCCResult:
             **self.details.to_dict(),
             "versions": versions(),
         }
-
-    def to_json(self) -> str:
-        """The result as JSON, indented."""
-        return json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
 
     def __str__(self) -> str:
         conditions = self.conditions

@@ -23,13 +23,14 @@ from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.console import chosen_progress
 from cablebot_gym.utils.files import atomic_write
+from cablebot_gym.utils.results import Printed
 
 SUFFIXES = (".npz", ".csv")
 """File name suffixes of recordings."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rollout:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Rollout(Printed):
     """A recorded episode. It has a moment at the start and one after every control step; ``len`` is
     their number."""
 
@@ -57,6 +58,11 @@ class Rollout:
     def __len__(self) -> int:
         return 1 + len(self.arrays["time"])
 
+    def __str__(self) -> str:
+        outcome = "carried" if self.verdict.carried else self.verdict.violation
+        robot = self.task.robot.name
+        return f"{robot}, {self.task.trajectory.name}, {self.payload:g} kg, {len(self)} moments: {outcome}"
+
     def moment(self, index: int) -> Moment:
         """Moment 0 is the start; moment k is the end of control step k; moment −1 is the last
         one."""
@@ -75,9 +81,9 @@ class Rollout:
         Raises:
             ValueError: if the path has another suffix.
         """
+        path = Path(path)
         check_suffix(path)
-        is_npz = str(path).endswith(".npz")
-        atomic_write(path, self._write_npz if is_npz else self._write_csv)
+        atomic_write(path, self._write_npz if path.suffix == ".npz" else self._write_csv)
 
     def _write_npz(self, path: Path) -> None:
         np.savez_compressed(path, allow_pickle=False, **self.arrays)

@@ -211,19 +211,6 @@ class UnexpectedKeywordError(TypeError, ValueError):
     errors of arguments."""
 
 
-def unexpected_keyword_error(name: str, names: Iterable[str]) -> UnexpectedKeywordError:
-    """The error to raise for an unknown keyword argument: in Python's own words, for which other
-    libraries look.
-
-    Args:
-        name: the unknown keyword.
-        names: the valid keywords.
-    """
-    return UnexpectedKeywordError(
-        f"got an unexpected keyword argument {name!r}; {_choices_text(name, names, '')}"
-    )
-
-
 def check_keywords(
     given: Iterable[str], valid: Collection[str], *functions: Callable[..., Any]
 ) -> None:
@@ -235,7 +222,8 @@ def check_keywords(
         functions: the functions, whose own keywords the message lists, too.
 
     Raises:
-        UnexpectedKeywordError: if a keyword is unknown.
+        UnexpectedKeywordError: if a keyword is unknown; in Python's own words, for which other
+            libraries look.
     """
     for name in given:
         if name not in valid:
@@ -243,7 +231,9 @@ def check_keywords(
             for function in functions:
                 parameters = inspect.signature(function).parameters.values()
                 names += [own.name for own in parameters if own.kind is own.KEYWORD_ONLY]
-            raise unexpected_keyword_error(name, [*names, *valid])
+            raise UnexpectedKeywordError(
+                f"got an unexpected keyword argument {name!r}; {_choices_text(name, [*names, *valid], '')}"
+            )
 
 
 def _choices_text(name: object, names: Iterable[str], otherwise: str) -> str:

@@ -122,11 +122,11 @@ class Bundle:
         text = json.dumps(data, ensure_ascii=False)
         arrays: dict[str, Any] = {_MEMBER: np.array(text), **self.network.to_arrays()}
 
-        def write(temporary: Path) -> None:
+        def _write(temporary: Path) -> None:
             with temporary.open("wb") as file:
                 np.savez_compressed(file, **arrays)
 
-        atomic_write(path, write)
+        atomic_write(path, _write)
 
     @classmethod
     def load(cls, path: str | Path) -> Bundle:

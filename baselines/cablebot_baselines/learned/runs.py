@@ -38,6 +38,7 @@ from cablebot_gym.robots import find_robot
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import command_line
 from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, read_text
+from cablebot_gym.utils.results import Printed
 
 HYPERPARAMS = Path(__file__).parent / "hyperparams"
 """Folder of the shipped configurations."""
@@ -106,8 +107,8 @@ class Interrupted(KeyboardInterrupt):
         self.timesteps = timesteps
 
 
-@dataclass(kw_only=True)
-class TrainingResult:
+@dataclass(kw_only=True, repr=False)
+class TrainingResult(Printed):
     """Result of a run up to its last checkpoint; without ``out``, the content of ``run.json``."""
 
     out: Path
