@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.bounds.tightening import Tightening
-from cablebot_gym.envs import check_robot, env_robot
+from cablebot_gym.envs import check_robot
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.settings import default_trajectory, make_settings
 from cablebot_gym.evaluation.batch import versions
@@ -255,7 +255,7 @@ def _case(
     control_frequency: float = 500.0,
 ) -> _Case:
     check_robot(env_id, robot)
-    robot = find_robot(env_robot(env_id) if robot is None else robot)
+    robot = find_robot(env_id if robot is None else robot)
     motion = find_trajectory(
         default_trajectory(robot) if trajectory is None else trajectory, robot.kind
     )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.envs import check_robot, env_robot
+from cablebot_gym.envs import check_robot
 from cablebot_gym.envs.settings import KEYWORDS
 from cablebot_gym.evaluation.constraints import Criterion, find_criterion
 from cablebot_gym.robots import Robot, private_robot
@@ -98,9 +98,8 @@ class Conditions:
         if draws is not None:
             draws = whole("draws", draws, least=1)
         check_robot(env_id, robot)
-        if robot is None:
-            robot = env_robot(env_id)
-        nominal = private_robot(robot)  # others may change their objects, before and later
+        # others may change their objects, before and later
+        nominal = private_robot(env_id if robot is None else robot)
         bounds = deepcopy(find_error_bounds(error_bounds, nominal))
         name = uncertainty if isinstance(uncertainty, str | None) else "custom"
         return cls(
