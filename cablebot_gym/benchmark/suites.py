@@ -20,7 +20,7 @@ from cablebot_gym.benchmark.cells import (
 from cablebot_gym.benchmark.scores import RANKED_MOTIONS
 from cablebot_gym.benchmark.seeds import hidden_seeds
 from cablebot_gym.benchmark.yardstick import drawn_cells
-from cablebot_gym.envs import PAPER_ENV_IDS, env_robot, fitting_env_id
+from cablebot_gym.envs import PAPER_ENV_IDS, fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.isolation.installed import public_entries, public_entry
@@ -83,7 +83,7 @@ class Block:
         conditions = dict(self.conditions)
         if self.one_at_a_time:
             name = conditions["uncertainty"]
-            errors = find_uncertainty(name, find_robot(env_robot(env_id))).errors()
+            errors = find_uncertainty(name, find_robot(env_id)).errors()
             alone = [f"{name}{ERROR_SEPARATOR}{error}" for error in errors]
             conditions["uncertainty"] = [None, *alone, name]
         values = []
@@ -329,7 +329,7 @@ def _tasks(env_id: str, block: Block, seed_text: str | None) -> list[dict[str, A
             }
             tasks.append(task)
         return tasks
-    bounds = to_jsonable(find_error_bounds(None, find_robot(env_robot(env_id))))
+    bounds = to_jsonable(find_error_bounds(None, find_robot(env_id)))
     return [
         {"trajectory": motion, "error_bounds": bounds}
         for motion in _motions(env_id, block, seed_text)
@@ -337,7 +337,7 @@ def _tasks(env_id: str, block: Block, seed_text: str | None) -> list[dict[str, A
 
 
 def _motions(env_id: str, block: Block, seed_text: str | None) -> list[dict[str, Any]]:
-    kind = find_robot(env_robot(env_id)).kind
+    kind = find_robot(env_id).kind
     if block.motion in ("circle", "paper"):
         name = f"{block.motion}-{kind}"
         return [{"name": name}] if name in TRAJECTORIES else []
@@ -360,7 +360,7 @@ def _check_loadable(name: str, env_ids: Sequence[str]) -> None:
     errors: list[Exception] = []
     for env_id in env_ids:
         try:
-            IsolatedPolicy(name, find_robot(env_robot(env_id))).close()
+            IsolatedPolicy(name, env_id).close()
         except (ValueError, PolicyError) as error:
             errors.append(error)
     if len(errors) == len(env_ids):

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.bounds.tightening import Tightening
-from cablebot_gym.envs import check_robot, env_robot
+from cablebot_gym.envs import check_robot
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.settings import default_trajectory, make_settings
 from cablebot_gym.evaluation.batch import versions
@@ -43,7 +43,8 @@ from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds, to_jsonable
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
-from cablebot_gym.utils.files import cache_folder, json_text, read_cached
+from cablebot_gym.utils.files import cache_folder, read_cached
+from cablebot_gym.utils.results import Result
 
 MESH_TOLERANCE = 0.001
 """Relative change of the payload below which the mesh refinement stops."""
@@ -115,8 +116,8 @@ class Replay:
         return text if self.violation is None else f"{text}; fails: {self.violation}"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BestKnownPayload:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BestKnownPayload(Result):
     """Largest known payload for which a motion and its inputs stay within all limits: a lower
     bound."""
 
@@ -154,10 +155,6 @@ class BestKnownPayload:
         data = {item.name: getattr(self, item.name) for item in fields(self) if item.repr}
         replays = [asdict(replay) for replay in self.replays]
         return data | {"meshes": [list(mesh) for mesh in self.meshes], "replays": replays}
-
-    def to_json(self) -> str:
-        """The result as JSON, indented."""
-        return json_text(self.to_dict())
 
     def __str__(self) -> str:
         bounds = f"{1e3 * (self.error_bounds['position'] or 0):g} mm"
@@ -258,7 +255,7 @@ def _case(
     control_frequency: float = 500.0,
 ) -> _Case:
     check_robot(env_id, robot)
-    robot = find_robot(env_robot(env_id) if robot is None else robot)
+    robot = find_robot(env_id if robot is None else robot)
     motion = find_trajectory(
         default_trajectory(robot) if trajectory is None else trajectory, robot.kind
     )

@@ -35,6 +35,7 @@ from cablebot_gym.robots.ranges import with_values
 from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
+from cablebot_gym.utils.results import Printed
 
 SAMPLES = 201
 """Number of instants of a motion that are checked, evenly spaced."""
@@ -102,8 +103,8 @@ class CableSag:
     """Stiffness over that of a straight cable; None if the robot's cables do not stretch."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RobotCheck:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class RobotCheck(Printed):
     """Result of :func:`check_model`: all that needs no motion."""
 
     robot: Robot
@@ -120,6 +121,11 @@ class RobotCheck:
     """Softest and stiffest mode with locked and with free motors, see :func:`modes`."""
     substeps: int | None
     """Suggested number of physics steps per control period; None if the springs need too many."""
+
+    def __str__(self) -> str:
+        return (
+            f"{self.robot.name}: holds {self.home.least:.4g} to {self.home.largest:.4g} kg at home"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """The result as JSON-able data; None for an infinite number."""

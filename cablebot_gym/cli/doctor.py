@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 import typer
 
-from cablebot_gym.envs import ENV_IDS, env_robot
+from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.physics.compiling import compiled_at_once
 from cablebot_gym.physics.compiling.code_cache import REMEDY, code_folders, is_damaged, is_temporary
 from cablebot_gym.physics.textbook import (
@@ -149,7 +149,7 @@ def _policies() -> Iterator[Finding]:
         try:
             entry: PolicyEntry = point.load()
             for env_id in entry.env_ids:
-                entry.factory(find_robot(env_robot(env_id)))
+                entry.factory(find_robot(env_id))
         except Exception as error:
             extra_missing = isinstance(error, ImportError) and f"pip install '{PACKAGE}[" in str(
                 error
@@ -172,7 +172,7 @@ def _statics_test(env_id: str) -> Iterator[Finding]:
     Raises:
         ArithmeticError: if the platform moves.
     """
-    kind = find_robot(env_robot(env_id)).kind
+    kind = find_robot(env_id).kind
     env = gym.make(env_id, trajectory=f"dwell-{kind}", initial_error=0.0, payload=PAYLOAD)
     try:
         _, info = env.reset(seed=0)

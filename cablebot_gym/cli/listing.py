@@ -74,13 +74,13 @@ def _uncertainty_fields(name: str) -> list[dict[str, Any]]:
 
     A field whose value depends on the robot has one entry for each value.
     """
-    from cablebot_gym.envs import ENV_IDS, env_robot
+    from cablebot_gym.envs import ENV_IDS
     from cablebot_gym.robots import find_robot
     from cablebot_gym.uncertainty import find_uncertainty
 
     entries: list[dict[str, Any]] = []
     for env_id in ENV_IDS:
-        uncertainty = find_uncertainty(name, find_robot(env_robot(env_id)))
+        uncertainty = find_uncertainty(name, find_robot(env_id))
         for path, (value, unit) in _set_values(uncertainty).items():
             for entry in entries:
                 if (entry["field"], entry["value"]) == (path, value):
@@ -133,12 +133,12 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
 
 
 def _environment_rows() -> list[list[str]]:
-    from cablebot_gym.envs import ENV_IDS, env_robot
+    from cablebot_gym.envs import ENV_IDS
     from cablebot_gym.robots import find_robot
 
     rows = [["id", "robot", "cables", "coordinates", "transmission"]]
     for env_id in ENV_IDS:
-        robot = find_robot(env_robot(env_id))
+        robot = find_robot(env_id)
         rows.append([env_id, robot.name, str(robot.cables), str(robot.coordinates), robot.springs])
     return rows
 

@@ -309,13 +309,13 @@ def robot_of(env_id: str, task: TaskOptions) -> Robot:
     Raises:
         ValueError: if the id is unknown, the robot does not fit, or there is no such motion.
     """
-    from cablebot_gym.envs import check_robot, env_robot
+    from cablebot_gym.envs import check_robot
     from cablebot_gym.envs.settings import default_trajectory
     from cablebot_gym.robots import find_robot
     from cablebot_gym.trajectories import find_trajectory
 
     check_robot(env_id, task.robot)
-    robot = find_robot(task.robot or env_robot(env_id))
+    robot = find_robot(task.robot or env_id)
     note_waypoints(robot, find_trajectory(task.trajectory or default_trajectory(robot), robot.kind))
     return robot
 

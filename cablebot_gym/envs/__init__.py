@@ -7,19 +7,8 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
+from cablebot_gym.env_ids import ENV_ROBOTS
 from cablebot_gym.utils.checks import unknown_name_error
-
-ENV_ROBOTS = {
-    "CableBot-Planar-v0": "planar",
-    "CableBot-Spatial-v0": "spatial",
-    "CableBot-FlexPlanar-v0": "flex-planar",
-    "CableBot-FlexSpatial-v0": "flex-spatial",
-    "CableBot-Point-v0": "stadium-camera",
-    "CableBot-PlanarPlatform-v0": "ttk4900",
-    "CableBot-FlexPoint-v0": "flex-stadium-camera",
-    "CableBot-FlexPlanarPlatform-v0": "flex-ttk4900",
-}
-"""Name of the robot of each environment id."""
 
 ENV_KINDS = {
     "CableBot-Planar-v0": ("planar", False),

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.envs.limits import SLACK_TIME
 from cablebot_gym.kinematics import Array
-from cablebot_gym.measurement import POSE, Measurement
-from cablebot_gym.robots import GRAVITY, Robot
+from cablebot_gym.measurement import POSE, Measurement, find_measurement
+from cablebot_gym.robots import GRAVITY, Robot, find_robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory
+from cablebot_gym.utils.results import Printed
 
 PREVIEWS = (0.02, 0.05, 0.1, 0.2)
 """Preview times: how far ahead the observation shows the reference [s]."""
@@ -59,8 +60,8 @@ class Block:
         return slice(self.start, self.start + self.size)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ObservationLayout:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ObservationLayout(Printed):
     """Named blocks of the observation of one robot. Methods accept one observation (size,) or a
     batch (N, size)."""
 
@@ -73,6 +74,10 @@ class ObservationLayout:
     def size(self) -> int:
         """Number of components."""
         return self.blocks[-1].start + self.blocks[-1].size
+
+    def __str__(self) -> str:
+        names = ", ".join(self.slices())
+        return f"observation of robot {self.robot_name!r}, {self.size} components: {names}"
 
     def slices(self) -> dict[str, slice]:
         """Slice of each block by name."""
@@ -188,9 +193,11 @@ def preview_name(ahead: float) -> str:
     return f"preview_{round(ahead * 1e3)}ms"
 
 
-@lru_cache(maxsize=64)
-def observation_layout(robot: Robot, measurement: Measurement = POSE) -> ObservationLayout:
-    """Layout for a robot and a measurement, whose blocks come first.
+def observation_layout(
+    robot: Robot | str, measurement: Measurement | str = POSE
+) -> ObservationLayout:
+    """Layout for a robot, as for :func:`~cablebot_gym.robots.names.find_robot`, and a measurement,
+    whose blocks come first.
 
     The bounds of poses are the workspace, enlarged by a factor of 1.5 about its centre. That of the
     payload is 1000 kg, or the mass whose weight is the pull of all motors together at stall, if
@@ -209,6 +216,12 @@ def observation_layout(robot: Robot, measurement: Measurement = POSE) -> Observa
     * time to go: 1 s; slack time: the 0.1 s after which a slack cable terminates the episode;
       actions: 1.
     """
+    robot = find_robot(robot)
+    return _layout(robot, find_measurement(measurement, robot))
+
+
+@lru_cache(maxsize=64)
+def _layout(robot: Robot, measurement: Measurement) -> ObservationLayout:
     sizes = _sizes(robot)
     readings = _readings(robot, sizes)
     blocks = [readings[name] for name in measurement.sizes(robot)]

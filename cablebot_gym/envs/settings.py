@@ -26,11 +26,11 @@ from cablebot_gym.task import ErrorBounds, at_rest, check_workspace, find_error_
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 from cablebot_gym.utils.checks import (
+    check_keywords,
     choice,
     mapping,
     number,
     numbers,
-    unexpected_keyword_error,
     whole,
 )
 
@@ -312,7 +312,9 @@ class Settings:
     observation_dtype: Annotated[
         str,
         Keyword(
-            lambda name, value, scope: choice(name, value, OBSERVATION_DTYPES),
+            lambda name, value, scope: choice(
+                name, getattr(value, "__name__", value), OBSERVATION_DTYPES
+            ),
             'number type of the observation and its space; "float32" for learning',
         ),
     ] = "float64"
@@ -417,9 +419,7 @@ def make_settings(*, robot: str | dict[str, Any] | Robot, count: int, **keywords
         TypeError: if a keyword is unknown.
         ValueError: if a value is invalid; the message names the keyword.
     """
-    for name in keywords:
-        if name not in KEYWORDS:
-            raise unexpected_keyword_error(name, KEYWORDS)
+    check_keywords(keywords, KEYWORDS, make_settings)
     robot = find_robot(robot)
     check_simulated(robot)
     values = _DEFAULTS | keywords

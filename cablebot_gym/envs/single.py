@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from cablebot_gym.envs import SpecChecked
 from cablebot_gym.envs.outcome import info_dict
 from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
-from cablebot_gym.envs.settings import keyword_table
+from cablebot_gym.envs.settings import KEYWORDS, keyword_table
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
 from cablebot_gym.uncertainty import PARAMETERS
-from cablebot_gym.utils.checks import whole
+from cablebot_gym.utils.checks import check_keywords, whole
 
 
 class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
@@ -338,6 +338,7 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": RATE}  # noqa: RUF012 - Gymnasium's
 
     def __init__(self, *, robot: Any, render_mode: str | None = None, **keywords: Any) -> None:
+        check_keywords(keywords, KEYWORDS, type(self))
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
         self._simulation = Simulation(robot, (), keywords)
         self.settings = self._simulation.settings

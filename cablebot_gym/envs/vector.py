@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from cablebot_gym.envs import SpecChecked
 from cablebot_gym.envs.outcome import info_dict
 from cablebot_gym.envs.pictures import RATE, Pictures, check_render_mode
+from cablebot_gym.envs.settings import KEYWORDS
 from cablebot_gym.envs.simulation import Simulation
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
-from cablebot_gym.utils.checks import choice, whole
+from cablebot_gym.utils.checks import check_keywords, choice, whole
 
 VectorStep = tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 
@@ -122,6 +123,7 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         threads: int = 1,
         **keywords: Any,
     ) -> None:
+        check_keywords(keywords, KEYWORDS, type(self))
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
         self.num_envs = whole("num_envs", num_envs, least=1)
         if max_episode_steps is not None:

@@ -28,7 +28,7 @@ from cablebot_gym.policies import LoadedPolicy, Wrapper, name_of
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number, numbers
 from cablebot_gym.utils.console import chosen_progress
-from cablebot_gym.utils.files import json_text
+from cablebot_gym.utils.results import Result
 
 CONFIDENCE = 0.95
 """Confidence of every interval."""
@@ -139,8 +139,8 @@ _PER_DRAW = (*QUANTITIES, "carried", "ended")
 """Quantities of every draw in the data of a comparison."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Comparison(Result):
     """Comparison of policies over the same draws. ``print(comparison)`` shows a summary."""
 
     conditions: Conditions
@@ -230,10 +230,6 @@ class Comparison:
             "policies": policies,
         }
 
-    def to_json(self) -> str:
-        """The comparison as JSON, indented."""
-        return json_text(self.to_dict())
-
     def __str__(self) -> str:
         conditions = self.conditions
         plural = "" if self.draws == 1 else "s"
@@ -258,8 +254,8 @@ class Comparison:
         return "\n".join(lines)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PayloadComparison:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PayloadComparison(Result):
     """Comparisons of the same policies with increasing payloads. ``print(comparison)`` shows a
     summary."""
 
@@ -282,10 +278,6 @@ class PayloadComparison:
             "payloads": self.payloads.tolist(),
             "comparisons": [comparison.to_dict() for comparison in self.comparisons],
         }
-
-    def to_json(self) -> str:
-        """The comparison as JSON, indented."""
-        return json_text(self.to_dict())
 
     def __str__(self) -> str:
         return "\n".join(map(str, self.comparisons))
@@ -329,7 +321,7 @@ def compare_policies(
             f"not {len(wrappers_of)}"
         )
     payload = number("payload", payload, least=0, unit="kg")
-    shared = Conditions.of(env_id, **conditions)
+    shared = Conditions.of(env_id, compare_policies, **conditions)
     metrics = []
     isolated = True
     foreign_before = foreign_policies()

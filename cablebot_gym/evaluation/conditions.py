@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
-from cablebot_gym.envs import check_robot, env_robot
+import numpy as np
+
+from cablebot_gym.envs import check_robot
+from cablebot_gym.envs.settings import KEYWORDS
 from cablebot_gym.evaluation.constraints import Criterion, find_criterion
 from cablebot_gym.robots import Robot, private_robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds, payload_model_text
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
-from cablebot_gym.utils.checks import whole
+from cablebot_gym.utils.checks import check_keywords, whole
 
 _RESERVED = (
     "payload",
@@ -56,6 +59,7 @@ class Conditions:
     def of(
         cls,
         env_id: str,
+        function: Callable[..., Any] | None = None,
         *,
         robot: str | dict[str, Any] | Robot | None = None,
         criterion: str = "task",
@@ -66,6 +70,7 @@ class Conditions:
         **keywords: Any,
     ) -> Conditions:
         """Checked conditions. None stands for the default of the robot or of the environment.
+        Messages about keywords list those of ``function``, which passes them on, too.
 
         ``keywords`` are those of the environment. Normalised or float32 observations are refused:
         policies read SI units in float64. A Stable-Baselines3 model that was trained on normalised
@@ -77,12 +82,14 @@ class Conditions:
         for keyword in _RESERVED:
             if keyword in keywords:
                 raise ValueError(f"{keyword} is set by the evaluation: remove it from the keywords")
+        valid = [name for name in KEYWORDS if name not in _RESERVED]
+        check_keywords(keywords, valid, function or cls.of, cls.of)
         if keywords.get("normalised_observation"):
             raise ValueError(
                 "policies are evaluated with observations in SI units: "
                 "remove normalised_observation"
             )
-        if keywords.get("observation_dtype", "float64") != "float64":
+        if keywords.get("observation_dtype", np.float64) not in (np.float64, "float64"):
             raise ValueError(
                 "policies are evaluated with observations in float64: remove observation_dtype"
             )
@@ -91,9 +98,8 @@ class Conditions:
         if draws is not None:
             draws = whole("draws", draws, least=1)
         check_robot(env_id, robot)
-        if robot is None:
-            robot = env_robot(env_id)
-        nominal = private_robot(robot)  # others may change their objects, before and later
+        # others may change their objects, before and later
+        nominal = private_robot(env_id if robot is None else robot)
         bounds = deepcopy(find_error_bounds(error_bounds, nominal))
         name = uncertainty if isinstance(uncertainty, str | None) else "custom"
         return cls(

@@ -93,7 +93,7 @@ def evaluate_dlcc(
     choice("search", search, SEARCHES)
     number("probability", probability, above=0, below=1)
     number("confidence", confidence, above=0.5, below=1)
-    checked = Conditions.of(env_id, **conditions)
+    checked = Conditions.of(env_id, evaluate_dlcc, **conditions)
     batch = Batch(policy, checked, name=name, wrappers=wrappers)
     if payload_max is None:
         trajectory = batch.task.trajectory

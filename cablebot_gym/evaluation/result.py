@@ -10,7 +10,7 @@ from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Criterion, Violation
 from cablebot_gym.evaluation.rollout import Rollout
-from cablebot_gym.utils.files import json_text
+from cablebot_gym.utils.results import Result
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,8 +78,8 @@ class Details:
         return data | ({"wrappers": wrappers} if wrappers else {})
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DLCCResult:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DLCCResult(Result):
     """Dynamic load carrying capacity (DLCC) of a policy in an environment. ``print(result)`` shows
     a summary."""
 
@@ -198,10 +198,6 @@ class DLCCResult:
             **self.details.to_dict(),
             "versions": versions(),
         }
-
-    def to_json(self) -> str:
-        """The result as JSON, indented."""
-        return json_text(self.to_dict())
 
     def __str__(self) -> str:
         conditions = self.conditions

@@ -23,13 +23,14 @@ from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.console import chosen_progress
 from cablebot_gym.utils.files import atomic_write
+from cablebot_gym.utils.results import Printed
 
 SUFFIXES = (".npz", ".csv")
 """File name suffixes of recordings."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rollout:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Rollout(Printed):
     """A recorded episode. It has a moment at the start and one after every control step; ``len`` is
     their number."""
 
@@ -57,6 +58,11 @@ class Rollout:
     def __len__(self) -> int:
         return 1 + len(self.arrays["time"])
 
+    def __str__(self) -> str:
+        outcome = "carried" if self.verdict.carried else self.verdict.violation
+        robot = self.task.robot.name
+        return f"{robot}, {self.task.trajectory.name}, {self.payload:g} kg, {len(self)} moments: {outcome}"
+
     def moment(self, index: int) -> Moment:
         """Moment 0 is the start; moment k is the end of control step k; moment −1 is the last
         one."""
@@ -68,13 +74,14 @@ class Rollout:
         )
         return Moment.from_info(self.task.robot, self.stall_torque, state["true_pose"], state)
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Writes ``.npz`` (the arrays by name) or ``.csv`` (one column per number, vectors as
         name_1, name_2, …).
 
         Raises:
             ValueError: if the path has another suffix.
         """
+        path = Path(path)
         check_suffix(path)
         atomic_write(path, self._write_npz if path.suffix == ".npz" else self._write_csv)
 
@@ -235,7 +242,7 @@ def record_rollout(
             finite actions.
     """
     payload = number("payload", payload, least=0, unit="kg")
-    shared = Conditions.of(env_id, draws=1, **conditions)
+    shared = Conditions.of(env_id, record_rollout, draws=1, **conditions)
     batch = Batch(policy, shared, name=name, wrappers=wrappers)
     recorder = Recorder([0])
     with chosen_progress(progress, f"{batch.policy.name} on {env_id}", "steps") as step:
@@ -246,13 +253,13 @@ def record_rollout(
     return recorder.rollouts(verdicts)[0]
 
 
-def check_suffix(path: Path) -> None:
+def check_suffix(path: str | Path) -> None:
     """Checks the suffix of a recording's path.
 
     Raises:
         ValueError: if the suffix is unknown. The message lists the valid ones.
     """
-    if path.suffix not in SUFFIXES:
+    if Path(path).suffix not in SUFFIXES:
         raise ValueError(
             f"cannot record to {str(path)!r}: the file name must end in {' or '.join(SUFFIXES)}"
         )

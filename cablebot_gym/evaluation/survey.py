@@ -33,6 +33,7 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import PolicyError
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.checks import number, whole
+from cablebot_gym.utils.results import Printed
 
 ROBOTS = 19
 """Default number of random robots of each motion."""
@@ -84,8 +85,8 @@ class MotionPayload:
         return None if self.above is None else self.above.violation
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SurveyResult:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SurveyResult(Printed):
     """The payloads of a policy over several motions."""
 
     resolutions: tuple[float, ...]
@@ -99,6 +100,9 @@ class SurveyResult:
     def payloads(self) -> Array:
         """Payloads of the motions [kg], (motions,); 0 where a robot fails unloaded."""
         return np.array([motion.payload or 0.0 for motion in self.motions])
+
+    def __str__(self) -> str:
+        return f"{len(self.motions)} motions, {np.mean(self.payloads):.3f} kg on average"
 
 
 def survey(
@@ -138,7 +142,7 @@ def survey(
             raise ValueError(f"a survey has its own {keyword}: remove it from the keywords")
     if not motions:
         raise ValueError("a survey needs motions: pass at least one")
-    checked = Conditions.of(env_id, **conditions)
+    checked = Conditions.of(env_id, survey, **conditions)
     batch = Batch(policy, checked, name=name, motions=motions)
     if robots is None:
         robots = ROBOTS if checked.uncertainty.random else 1

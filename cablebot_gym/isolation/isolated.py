@@ -34,8 +34,8 @@ from cablebot_gym.isolation.server import (
     START,
 )
 from cablebot_gym.policies.protocol import Array, LoadedPolicy, PolicyError, declarations, say
-from cablebot_gym.policies.spec import POLICY_SUFFIXES, PolicySpec, as_robot
-from cablebot_gym.robots import Robot
+from cablebot_gym.policies.spec import POLICY_SUFFIXES, PolicySpec
+from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
 
@@ -87,7 +87,7 @@ class IsolatedPolicy:
         self._in_batch = False
         self._deadline = number("deadline", deadline, above=0, unit="s")
         self._spec = PolicySpec.parse(name)
-        robot = as_robot(robot)
+        robot = find_robot(robot)
         self._cables = robot.cables
         if not all(isinstance(wrapper, (str, Path)) for wrapper in wrappers):
             raise ValueError(

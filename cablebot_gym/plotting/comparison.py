@@ -158,13 +158,13 @@ def _conditions(comparison: Comparison, payload: str = "") -> str:
     return f"{robot}, {payload}{conditions.payload_model}; {draws}"
 
 
-def save_comparison(comparison: Comparison | PayloadComparison, folder: Path) -> Path:
+def save_comparison(comparison: Comparison | PayloadComparison, folder: str | Path) -> Path:
     """Writes ``comparison.png``. An interrupted call leaves no partial file.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    path = folder / "comparison.png"
+    path = Path(folder, "comparison.png")
     draw: Callable[[Any], Figure] = draw_payload_comparison
     if isinstance(comparison, Comparison):
         draw = draw_comparison

@@ -223,7 +223,7 @@ def draw_success(result: DLCCResult) -> Figure:
     return figure
 
 
-def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
+def save_figures(result: DLCCResult, folder: str | Path) -> list[Path]:
     """Writes ``torques-<criterion>.png`` and ``path-<criterion>.png``.
 
     Several draws add ``success-<criterion>.png``, and joint springs ``springs-<criterion>.png``.
@@ -245,10 +245,9 @@ def save_figures(result: DLCCResult, folder: Path) -> list[Path]:
         figures["success"] = draw_success(result)
     if "spring_deflection" in result.rollout.arrays:
         figures["springs"] = draw_springs(result)
-    folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in figures.items():
-        path = folder / f"{name}-{result.criterion}.png"
+        path = Path(folder, f"{name}-{result.criterion}.png")
         atomic_write(path, partial(figure.savefig, dpi=DPI, format="png"))
         paths.append(path)
     return paths

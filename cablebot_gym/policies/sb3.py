@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from cablebot_gym.envs import ENV_ROBOTS
+from cablebot_gym.env_ids import ENV_ROBOTS
 from cablebot_gym.policies.adapters import NormalisedPolicy, WrappedPolicy
 from cablebot_gym.policies.protocol import Policy
 from cablebot_gym.policies.wrappers import NORMALISED, Stack, Wrapper, statistics

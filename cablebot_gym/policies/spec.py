@@ -15,7 +15,6 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.policies.adapters import as_policy
 from cablebot_gym.policies.options import (
@@ -35,7 +34,7 @@ from cablebot_gym.policies.protocol import (
 )
 from cablebot_gym.policies.sb3 import behind_wrappers, load_model, statistics_beside
 from cablebot_gym.policies.wrappers import Wrapper
-from cablebot_gym.robots import Robot, find_robot, robot_names
+from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.utils.checks import unknown_name_error
 from cablebot_gym.utils.files import check_not_a_file
 from cablebot_gym.utils.imports import import_object
@@ -227,7 +226,7 @@ def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = 
             not support the kind of the robot. The message lists the valid names.
         PolicyError: if the code of the policy tries to end the process.
     """
-    return load(name, as_robot(robot), wrappers=wrappers).policy
+    return load(name, find_robot(robot), wrappers=wrappers).policy
 
 
 def load(
@@ -285,22 +284,6 @@ def load(
         wrappers=tuple(getattr(target, "wrappers", ())),
         notes=(note,) if note else (),
     )
-
-
-def as_robot(robot: Robot | str) -> Robot:
-    """The robot of an environment id; otherwise as :func:`~cablebot_gym.robots.names.find_robot`.
-
-    Raises:
-        ValueError: if the name is unknown.
-    """
-    if isinstance(robot, Robot):
-        return robot
-    names = [*ENV_ROBOTS, *robot_names()]
-    if robot not in names and not Path(robot).suffix and not Path(robot).exists():
-        raise unknown_name_error(
-            "environment or robot", robot, names, ", a robot file, or pass a Robot"
-        )
-    return find_robot(ENV_ROBOTS.get(robot, robot))
 
 
 def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from cablebot_gym.env_ids import ENV_ROBOTS
 from cablebot_gym.robots.paper import ROBOTS
 from cablebot_gym.robots.parts import Defaults
 from cablebot_gym.robots.record import Robot
@@ -60,6 +61,8 @@ def private_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
     Raises:
         ValueError: as :func:`find_robot`.
     """
+    if isinstance(robot, str):
+        robot = ENV_ROBOTS.get(robot, robot)
     if isinstance(robot, str) and robot in _PAPER_ROBOTS:
         paper_robot: Robot = pickle.loads(_PAPER_ROBOTS[robot])
         return paper_robot
@@ -108,7 +111,7 @@ def _with_motion_beside(defaults: Defaults, folder: Path) -> Defaults:
 
 
 def find_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
-    """A robot from a name, from a TOML or JSON file, from the data of
+    """A robot from a name or an environment id, from a TOML or JSON file, from the data of
     :meth:`~cablebot_gym.robots.record.Robot.to_dict`, or from a
     :class:`~cablebot_gym.robots.record.Robot`.
 
@@ -124,7 +127,7 @@ def find_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
         return Robot.from_dict(robot)
     if isinstance(robot, (str, Path)) and Path(robot).suffix.lower() in (".toml", ".json"):
         return load_robot(robot)
-    name = str(robot)
+    name = ENV_ROBOTS.get(str(robot), str(robot))
     if name in ROBOTS:
         return ROBOTS[name]
     if name.removeprefix(ELASTIC) not in library():
@@ -134,5 +137,7 @@ def find_robot(robot: str | Path | Mapping[str, Any] | Robot) -> Robot:
             robot,
             f"{forms}; `cablebot robot import` of cablebot-winches makes one from CASPR and WireX files",
         )
-        raise unknown_name_error("robot", robot, robot_names(), f", {forms}, or pass a Robot")
+        raise unknown_name_error(
+            "robot", robot, [*robot_names(), *ENV_ROBOTS], f", {forms}, or pass a Robot"
+        )
     return _library_robot(name)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.robots import COORDINATE_NAMES, Kind
+from cablebot_gym.robots import COORDINATE_NAMES, Kind, Robot, find_robot
 from cablebot_gym.trajectories.base import (
     COORDINATES,
     ORDERS,
@@ -212,7 +212,7 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
 ``paper-…``, the paper's circles as printed, and ``dwell-…``."""
 
 
-def trajectory_names(kind: Kind | int | None = None) -> list[str]:
+def trajectory_names(kind: Robot | int | str | None = None) -> list[str]:
     """Names in :data:`TRAJECTORIES`.
 
     Args:
@@ -234,13 +234,14 @@ def _kinds_of(name: str) -> set[Kind]:
     return set(_kinds(TRAJECTORIES[name]().coordinates))
 
 
-def _kinds(kind: Kind | int) -> list[Kind]:
-    """The kind, or the kinds with this number of coordinates."""
-    return [name for name, n in COORDINATES.items() if kind in (name, n)]
+def _kinds(kind: Any) -> list[Kind]:
+    """The kind, that of the robot, or the kinds with this number of coordinates."""
+    kinds = [name for name, n in COORDINATES.items() if kind in (name, n)]
+    return kinds or [find_robot(kind).kind]
 
 
 def find_trajectory(
-    trajectory: str | Path | Mapping[str, Any] | Trajectory, kind: Kind | int
+    trajectory: str | Path | Mapping[str, Any] | Trajectory, kind: Robot | int | str
 ) -> Trajectory:
     """A trajectory for a robot from a name, from a dict with a name and fields, or from a
     trajectory object.
@@ -255,7 +256,8 @@ def find_trajectory(
             waypoints, see :class:`~cablebot_gym.trajectories.spline.Waypoints`, with dwells as the
             named motions; its columns are ``t`` [s] and the coordinates [m, rad]. Without ``t`` it
             needs a duration: ``{"name": "file.csv", "duration": 4.0}``.
-        kind: the robot's kind, or its number of coordinates n.
+        kind: the robot, as for :func:`~cablebot_gym.robots.names.find_robot`, its kind, or its
+            number of coordinates n.
 
     Raises:
         ValueError: if the name, a field or a value is invalid, or the trajectory is for another

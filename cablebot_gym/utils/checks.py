@@ -4,8 +4,9 @@ the argument."""
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import Any, TypeVar
@@ -210,17 +211,29 @@ class UnexpectedKeywordError(TypeError, ValueError):
     errors of arguments."""
 
 
-def unexpected_keyword_error(name: str, names: Iterable[str]) -> UnexpectedKeywordError:
-    """The error to raise for an unknown keyword argument: in Python's own words, for which other
-    libraries look.
+def check_keywords(
+    given: Iterable[str], valid: Collection[str], *functions: Callable[..., Any]
+) -> None:
+    """Checks keywords that functions pass on.
 
     Args:
-        name: the unknown keyword.
-        names: the valid keywords.
+        given: the keywords.
+        valid: the valid ones.
+        functions: the functions, whose own keywords the message lists, too.
+
+    Raises:
+        UnexpectedKeywordError: if a keyword is unknown; in Python's own words, for which other
+            libraries look.
     """
-    return UnexpectedKeywordError(
-        f"got an unexpected keyword argument {name!r}; {_choices_text(name, names, '')}"
-    )
+    for name in given:
+        if name not in valid:
+            names = []
+            for function in functions:
+                parameters = inspect.signature(function).parameters.values()
+                names += [own.name for own in parameters if own.kind is own.KEYWORD_ONLY]
+            raise UnexpectedKeywordError(
+                f"got an unexpected keyword argument {name!r}; {_choices_text(name, [*names, *valid], '')}"
+            )
 
 
 def _choices_text(name: object, names: Iterable[str], otherwise: str) -> str:

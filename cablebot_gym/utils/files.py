@@ -32,7 +32,7 @@ def cache_folder() -> Path:
     return Path(user_cache) / "cablebot_gym"
 
 
-def read_cached(path: Path, decode: Callable[[bytes], _Value]) -> _Value | None:
+def read_cached(path: str | Path, decode: Callable[[bytes], _Value]) -> _Value | None:
     """The content of a cache file, decoded; None if it is missing or damaged. A log line reports a
     damaged file.
 
@@ -55,7 +55,7 @@ JSON_FORM = "a .json file on the command line, and its data in Python"
 """Form of files with data of an uncertainty or a measurement, in messages."""
 
 
-def read_text(path: Path) -> str:
+def read_text(path: str | Path) -> str:
     """The text of a file that a person gives by its path.
 
     Raises:
@@ -81,14 +81,14 @@ def check_not_a_file(kind: str, name: object, forms: str) -> None:
         raise ValueError(f"{form} {str(name)!r} has no form of a {kind}; use {forms}")
 
 
-def check_writable_dir(folder: Path) -> None:
+def check_writable_dir(folder: str | Path) -> None:
     """Checks that files can be written to a folder, or that the folder can be created. Nothing is
     left behind.
 
     Raises:
         ValueError: if files cannot be written.
     """
-    existing = folder.absolute()
+    existing = Path(folder).absolute()
     # Path.exists raises in closed folders.
     while not os.path.exists(existing) and existing != existing.parent:
         existing = existing.parent
@@ -101,7 +101,7 @@ def check_writable_dir(folder: Path) -> None:
         ) from error
 
 
-def is_writable_dir(folder: Path) -> bool:
+def is_writable_dir(folder: str | Path) -> bool:
     """Whether files can be written to a folder, or the folder can be created."""
     try:
         check_writable_dir(folder)
@@ -110,26 +110,27 @@ def is_writable_dir(folder: Path) -> bool:
     return True
 
 
-def check_new_file(path: Path) -> None:
+def check_new_file(path: str | Path) -> None:
     """Checks that a file that a user may edit later is not there yet, and can be written.
 
     Raises:
         ValueError: if it is there.
         OSError: if it cannot be written.
     """
-    if path.exists():
+    if os.path.exists(path):
         raise ValueError(
             f"{str(path)!r} exists and may have been edited: delete it, or choose another --out"
         )
     check_writable_file(path)
 
 
-def check_writable_file(path: Path) -> None:
+def check_writable_file(path: str | Path) -> None:
     """Checks that a file can be written. Nothing is left behind.
 
     Raises:
         ValueError: if the folder is not writable, or ``path`` is a folder.
     """
+    path = Path(path)
     check_writable_dir(path.parent)
     if path.is_dir():
         raise ValueError(f"cannot write {str(path)!r}: it is a folder; choose another name")
@@ -140,13 +141,14 @@ def json_text(data: Any) -> str:
     return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
 
 
-def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
+def atomic_write(path: str | Path, write: Callable[[Path], object]) -> None:
     """Calls ``write`` with a temporary file beside ``path`` and then moves the file to ``path``.
 
     A missing folder is created. After an interrupt or an error the previous file at ``path`` is
     unchanged. The temporary file has the same suffix because some writers choose the format by
     suffix.
     """
+    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
     os.close(handle)
@@ -165,6 +167,6 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
         raise
 
 
-def atomic_write_text(path: Path, text: str) -> None:
+def atomic_write_text(path: str | Path, text: str) -> None:
     """Writes ``text`` to ``path`` in UTF-8, see :func:`atomic_write`."""
     atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -25,7 +25,7 @@ _SHOWN = 100
 """Number of characters of wrong data that messages repeat."""
 
 
-def foreign_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
+def foreign_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
     """The content of a file. A pipe or a device is refused: reading it could wait forever.
 
     Args:
@@ -43,10 +43,10 @@ def foreign_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
         raise ValueError(
             f"{str(path)!r} has {status.st_size:,} bytes; at most {largest:,} are valid"
         )
-    return path.read_bytes()
+    return Path(path).read_bytes()
 
 
-def foreign_text(path: Path) -> str:
+def foreign_text(path: str | Path) -> str:
     """The text of a file, UTF-8 with or without a byte order mark.
 
     Raises:

@@ -103,7 +103,7 @@ class VideoPainter:
         return np.pad(times, (0, round(END_TIME * rate)), constant_values=self.duration)
 
 
-def check_picture(path: Path, time: float | None) -> None:
+def check_picture(path: str | Path, time: float | None) -> None:
     """Checks that a picture can be written to a path, and its time.
 
     Raises:
@@ -116,7 +116,7 @@ def check_picture(path: Path, time: float | None) -> None:
 
 
 def write_picture(
-    path: Path,
+    path: str | Path,
     episodes: Sequence[Episode],
     *,
     time: float | None = None,
@@ -136,6 +136,7 @@ def write_picture(
             all episodes.
         ImportError: if a package is missing; the message gives the extra to install.
     """
+    path = Path(path)
     check_picture(path, time)
     painter = VideoPainter(episodes, size)
     if time is None:
@@ -151,7 +152,7 @@ def write_picture(
     atomic_write(path, lambda temporary: image.save(temporary, format=kind))
 
 
-def check_video(path: Path) -> None:
+def check_video(path: str | Path) -> None:
     """Checks that a video can be written to a path.
 
     Raises:
@@ -163,7 +164,8 @@ def check_video(path: Path) -> None:
     _check_file(path, SUFFIXES, "video")
 
 
-def _check_file(path: Path, suffixes: tuple[str, ...], kind: str) -> None:
+def _check_file(path: str | Path, suffixes: tuple[str, ...], kind: str) -> None:
+    path = Path(path)
     if path.suffix not in suffixes:
         raise ValueError(
             f"cannot write a {kind} to {str(path)!r}: the file name has to end in {' or '.join(suffixes)}"
@@ -190,7 +192,7 @@ def check_speed(speed: float) -> float:
 
 
 def write_video(
-    path: Path,
+    path: str | Path,
     episodes: Sequence[Episode],
     *,
     speed: float = SPEED,
@@ -212,6 +214,7 @@ def write_video(
         ImportError: if the package that writes the format is missing; the message gives the extra
             to install.
     """
+    path = Path(path)
     check_video(path)
     check_speed(speed)
     if any(side % 2 for side in size):

@@ -14,7 +14,7 @@ from PIL import Image
 
 from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.tables import leaderboard_rows
-from cablebot_gym.envs import ENV_ROBOTS
+from cablebot_gym.env_ids import ENV_ROBOTS
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import Robot

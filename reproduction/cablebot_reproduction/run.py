@@ -47,7 +47,10 @@ machines."""
 
 
 def run(
-    out: Path, only: Sequence[str] = (), *, progress: Callable[[int, int, str], None] | None = None
+    out: str | Path,
+    only: Sequence[str] = (),
+    *,
+    progress: Callable[[int, int, str], None] | None = None,
 ) -> dict[str, Any]:
     """Runs parts and writes their figures, ``results.json`` and the page to a folder.
 
@@ -69,6 +72,7 @@ def run(
     for name in only:
         choice("part", name, PARTS)
     import_matplotlib()
+    out = Path(out)
     check_writable_dir(out)
     names = [name for name in PARTS if not only or name in only]
     results: dict[str, Any] = {"versions": versions(), "numbers": {}, "parts": {}}
@@ -92,11 +96,11 @@ def run(
     return results
 
 
-def save_figure(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: str | Path) -> None:
     """Writes a figure with reproducible bytes."""
     from matplotlib import rc_context
 
-    with rc_context({"svg.hashsalt": path.stem}):
+    with rc_context({"svg.hashsalt": Path(path).stem}):
         write = partial(figure.savefig, format="svg", metadata={"Date": None})
         atomic_write(path, write)
 

@@ -75,8 +75,8 @@ def test_tasks_of_a_batch_have_the_same_error_bounds():
 def test_saved_bundle_equals_the_bundle(tmp_path):
     bundle = springs()
     path = tmp_path / "made" / "bundle.zip"
-    bundle.save(path)
-    loaded = Bundle.load(path)
+    bundle.save(str(path))
+    loaded = Bundle.load(str(path))
     for name in ("env_id", "base", "action_mapping", "features", "card"):
         assert getattr(loaded, name) == getattr(bundle, name)
     loaded.save(tmp_path / "again.zip")

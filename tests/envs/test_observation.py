@@ -87,7 +87,7 @@ def test_pose_and_velocity_become_tracking_errors():
 
 def test_observation_in_float32_is_the_rounded_one():
     double = make(PLANAR, normalised_observation=True)
-    env = make(PLANAR, normalised_observation=True, observation_dtype="float32")
+    env = make(PLANAR, normalised_observation=True, observation_dtype=np.float32)
     expected = double.reset(seed=0)[0]
     rounded = env.reset(seed=0)[0]
     for action in random_actions(env, 2, -1, 1):

@@ -133,7 +133,7 @@ def test_files_of_both_criteria_without_pyplot(results, tmp_path, monkeypatch):
         results["violent"], policy="runs/$a_{/" + "long/" * 30 + "model_$.zip"
     )
     task = figures.save_figures(odd_name, folder)
-    paper = figures.save_figures(results["planar"], folder)
+    paper = figures.save_figures(results["planar"], str(folder))
     assert [path.name for path in task] == ["torques-task.png", "path-task.png"]
     assert [path.name for path in paper] == ["torques-paper.png", "path-paper.png"]
     assert sorted(folder.iterdir()) == sorted(task + paper)

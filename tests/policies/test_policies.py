@@ -126,14 +126,6 @@ def test_factory_of_a_module_makes_a_policy(module):
     assert load_policy(f"{name}:made", SPATIAL).robot == 2.0
 
 
-def test_robot_may_be_named_or_be_that_of_an_environment():
-    for robot in ("CableBot-Spatial-v0", "spatial", SPATIAL):
-        assert load_policy("fl", robot).robot is SPATIAL
-    message = r"unknown environment or robot 'CableBot-Spatal-v0'.*did you mean 'CableBot-S"
-    with pytest.raises(ValueError, match=message):
-        load_policy("fl", "CableBot-Spatal-v0")
-
-
 def test_class_is_made_for_the_robot_of_the_evaluation():
     batch = Batch(Constant, Conditions.of(PLANAR_ID))
     assert (batch.policy.name, batch.policy.policy.robot.name) == ("Constant", "planar")

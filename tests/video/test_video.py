@@ -74,7 +74,7 @@ def test_file_contains_every_picture(tmp_path, lost, suffix, read, rate):
     path = tmp_path / f"lost{suffix}"
     progress = []
     write_video(
-        path, [lost, lost], speed=1.0, size=SMALL, progress=lambda *done: progress.append(done)
+        str(path), [lost, lost], speed=1.0, size=SMALL, progress=lambda *done: progress.append(done)
     )
     painter = VideoPainter([lost, lost], SMALL)
     count = len(painter.times(1.0, rate))

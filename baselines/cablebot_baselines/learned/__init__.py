@@ -8,7 +8,7 @@ from cablebot_gym.policies import Policy
 from cablebot_gym.robots import Robot
 
 
-def load_bundle(path: Path, robot: Robot) -> Policy | None:
+def load_bundle(path: str | Path, robot: Robot) -> Policy | None:
     """Loads a policy from a bundle for a nominal robot; returns None if the file is not a bundle.
 
     Raises:

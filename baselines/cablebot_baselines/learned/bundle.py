@@ -104,7 +104,7 @@ class Bundle:
             self, action_mapping=mapping, network=network, card={"note": "the base law alone"}
         )
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Writes the bundle atomically.
 
         Raises:
@@ -122,21 +122,21 @@ class Bundle:
         text = json.dumps(data, ensure_ascii=False)
         arrays: dict[str, Any] = {_MEMBER: np.array(text), **self.network.to_arrays()}
 
-        def write(temporary: Path) -> None:
+        def _write(temporary: Path) -> None:
             with temporary.open("wb") as file:
                 np.savez_compressed(file, **arrays)
 
-        atomic_write(path, write)
+        atomic_write(path, _write)
 
     @classmethod
-    def load(cls, path: Path) -> Bundle:
+    def load(cls, path: str | Path) -> Bundle:
         """Loads a bundle.
 
         Raises:
             ValueError: if the file is not a bundle, is damaged, has a newer format, or was trained
                 on an observation that differs from that of its environment in this version.
         """
-        if not path.is_file():
+        if not Path(path).is_file():
             raise ValueError(f"policy file {str(path)!r} does not exist")
         try:
             data, arrays = _read(path)
@@ -162,7 +162,7 @@ class Bundle:
             ) from error
 
 
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
+def _read(path: str | Path) -> tuple[dict[str, Any], dict[str, Array]]:
     """Reads the JSON and the network's arrays from a file.
 
     Raises:
@@ -181,7 +181,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     return data, arrays
 
 
-def is_bundle(path: Path) -> bool:
+def is_bundle(path: str | Path) -> bool:
     """Whether a file looks like a bundle: a zip with the member that holds the JSON."""
     try:
         with zipfile.ZipFile(path) as file:

@@ -38,6 +38,7 @@ from cablebot_gym.robots import find_robot
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import command_line
 from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, read_text
+from cablebot_gym.utils.results import Printed
 
 HYPERPARAMS = Path(__file__).parent / "hyperparams"
 """Folder of the shipped configurations."""
@@ -106,8 +107,8 @@ class Interrupted(KeyboardInterrupt):
         self.timesteps = timesteps
 
 
-@dataclass(kw_only=True)
-class TrainingResult:
+@dataclass(kw_only=True, repr=False)
+class TrainingResult(Printed):
     """Result of a run up to its last checkpoint; without ``out``, the content of ``run.json``."""
 
     out: Path
@@ -127,12 +128,13 @@ class TrainingResult:
     """Largest payload of the curriculum at present [kg]; None without a curriculum."""
 
     @classmethod
-    def load(cls, out: Path) -> TrainingResult:
+    def load(cls, out: str | Path) -> TrainingResult:
         """Loads the result of the run in a folder.
 
         Raises:
             ValueError: if there is none, or it is damaged.
         """
+        out = Path(out)
         if not (out / STATE).is_file():
             raise ValueError(
                 f"there is no run to resume in {str(out)!r}. Omit --resume to start one"
@@ -169,7 +171,9 @@ class TrainingResult:
         return text
 
 
-def open_run(out: Path, env_id: str, options: Mapping[str, Any], *, resume: bool) -> TrainingResult:
+def open_run(
+    out: str | Path, env_id: str, options: Mapping[str, Any], *, resume: bool
+) -> TrainingResult:
     """State of a new run, or of the run in ``out``. Writes no file.
 
     Args:
@@ -183,6 +187,7 @@ def open_run(out: Path, env_id: str, options: Mapping[str, Any], *, resume: bool
         ValueError: if an option is invalid, ``out`` already contains a run, or there is no such run
             to resume.
     """
+    out = Path(out)
     check_writable_dir(out)
     settings: dict[str, Any] = {"env_id": env_id}
     settings |= {name: value for name, value in options.items() if value is not None}
@@ -198,11 +203,11 @@ def open_run(out: Path, env_id: str, options: Mapping[str, Any], *, resume: bool
                 f"{str(out)!r} already contains a run: add --resume, or choose another --out"
             )
     settings["config"] = read_yaml(env_id, config or Path(settings["algorithm"]))
-    settings["config_file"] = config and config.name
+    settings["config_file"] = config and Path(config).name
     return TrainingResult(out=out, settings={"seed": 0, "threads": 1, **settings})
 
 
-def _resumed(out: Path, settings: dict[str, Any], config: Path | None) -> TrainingResult:
+def _resumed(out: Path, settings: dict[str, Any], config: str | Path | None) -> TrainingResult:
     """State of the run in ``out``, which must have been started with these settings."""
     state = TrainingResult.load(out)
     if config is not None:
@@ -221,7 +226,7 @@ def _resumed(out: Path, settings: dict[str, Any], config: Path | None) -> Traini
     return state
 
 
-def read_yaml(env_id: str, path: Path) -> dict[str, Any]:
+def read_yaml(env_id: str, path: str | Path) -> dict[str, Any]:
     """Reads the unchecked configuration of an environment; the key ``default`` holds for
     environments without a key.
 
@@ -235,6 +240,7 @@ def read_yaml(env_id: str, path: Path) -> dict[str, Any]:
     import yaml  # imported here: only training needs it
 
     shipped = sorted(file.stem for file in HYPERPARAMS.glob("*.yaml"))
+    path = Path(path)
     if str(path) in shipped:  # even if a folder of that name exists
         path = HYPERPARAMS / f"{path}.yaml"
     try:
@@ -389,7 +395,7 @@ class Run:
 
 
 @contextmanager
-def checkpoint_errors(out: Path) -> Iterator[None]:
+def checkpoint_errors(out: str | Path) -> Iterator[None]:
     """Raises a ValueError in place of any error within the context, which reads the checkpoint in
     ``out``."""
     try:

@@ -38,7 +38,7 @@ from cablebot_baselines.learned.export import network_from_sb3
 from cablebot_baselines.learned.recipe import make_training_envs, steered_env
 from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, SteeredVector
 from cablebot_baselines.learned.wrappers.layers import layers
-from cablebot_gym.utils.checks import unexpected_keyword_error
+from cablebot_gym.utils.checks import check_keywords
 
 PARTS = 20
 """Default number of evaluations and of checkpoints in a run."""
@@ -54,7 +54,7 @@ class TrainingOptions(TypedDict, total=False):
 
     algorithm: str | None
     """``ppo``, ``sac`` or ``tqc``; by default ``ppo``."""
-    config: Path | None
+    config: str | Path | None
     """YAML file with RL-Zoo's keys; by default the shipped one."""
     seed: int | None
     """Seed of weights, exploration and environments; by default 0."""
@@ -76,7 +76,7 @@ class TrainingOptions(TypedDict, total=False):
 def train(
     env_id: str,
     *,
-    out: Path,
+    out: str | Path,
     resume: bool = False,
     progress: runs.Progress | None = None,
     say: runs.Say | None = None,
@@ -134,12 +134,10 @@ def train(
 
 
 def _open_run(
-    env_id: str, out: Path, resume: bool, options: TrainingOptions
+    env_id: str, out: str | Path, resume: bool, options: TrainingOptions
 ) -> tuple[runs.TrainingResult, Config]:
     """State of the run, with defaults of the options that are not given, and its configuration."""
-    for name in options:
-        if name not in TrainingOptions.__annotations__:
-            raise unexpected_keyword_error(name, TrainingOptions.__annotations__)
+    check_keywords(options, TrainingOptions.__annotations__, train)
     algorithm = options.get("algorithm") or "ppo"
     algorithm_class(algorithm)
     if not resume:

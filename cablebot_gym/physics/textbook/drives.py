@@ -29,7 +29,7 @@ from cablebot_gym.physics.textbook.platform import (
     pulley_motion,
     tension_distribution,
 )
-from cablebot_gym.robots import Cable, Robot
+from cablebot_gym.robots import Cable, Robot, find_robot
 from cablebot_gym.uncertainty import RobotArrays
 
 MINIMUM_TENSION = 5.0
@@ -464,7 +464,7 @@ class InverseDynamics:
 
 
 def inverse_dynamics(
-    robot: RobotArrays,
+    robot: RobotArrays | str,
     mass: ArrayLike,
     pose: ArrayLike,
     velocity: ArrayLike,
@@ -475,6 +475,8 @@ def inverse_dynamics(
 ) -> InverseDynamics:
     """Tensions, torques and pulley motion for a motion. The arguments are as in
     :func:`required_tensions`."""
+    if isinstance(robot, str):
+        robot = find_robot(robot)
     pose = np.asarray(pose, float)
     velocity = np.asarray(velocity, float)
     acceleration = np.asarray(acceleration, float)
@@ -503,9 +505,11 @@ def torque_limits(robot: Robot, speed: ArrayLike) -> tuple[Array, Array]:
     return -robot.stall_torque - drop, robot.stall_torque - drop
 
 
-def normalised_action(robot: RobotArrays, torques: ArrayLike, speed: ArrayLike) -> Array:
+def normalised_action(robot: RobotArrays | str, torques: ArrayLike, speed: ArrayLike) -> Array:
     """Action a = (τ + (τ_s/ω_n) speed)/τ_s for torques [N·m] at motor speeds [rad/s], each (...,
     m)."""
+    if isinstance(robot, str):
+        robot = find_robot(robot)
     requested = as_numbers(torques) + robot.speed_slope * as_numbers(speed)
     action: Array = requested / robot.stall_torque
     return action

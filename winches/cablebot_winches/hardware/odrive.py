@@ -79,13 +79,14 @@ def plain_wiring(ports: Sequence[str], robot: Robot) -> tuple[Winch, ...]:
     return tuple(winches)
 
 
-def read_wiring(path: Path, robot: Robot) -> tuple[Winch, ...]:
+def read_wiring(path: str | Path, robot: Robot) -> tuple[Winch, ...]:
     """Winches from a TOML file with a table ``[[winch]]`` for each cable, whose keys are the fields
     of :class:`Winch`.
 
     Raises:
         ValueError: if the file cannot be read, or does not have one axis for each cable.
     """
+    path = Path(path)
     try:
         tables = tomllib.loads(read_text(path)).get("winch", [])
     except OSError as error:

@@ -42,7 +42,7 @@ class DriveResult:
     """Columns of the log by name, each (periods,): those that ``cablebot identify`` reads.
     Readings are NaN where a reply is lost, and torques where none is commanded."""
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Writes the log as a CSV file. Empty cells stand for NaN."""
         atomic_write(path, self._write)
 

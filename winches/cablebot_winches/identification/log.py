@@ -172,13 +172,14 @@ def valid_columns(robot: Robot) -> list[str]:
     return valid
 
 
-def read_log(path: Path, robot: Robot) -> Log:
+def read_log(path: str | Path, robot: Robot) -> Log:
     """A log from a CSV file whose first line names the columns in any order.
 
     Raises:
         ValueError: if the file cannot be read, a column is unknown or missing, or a cell is no
             number. The message names the file.
     """
+    path = Path(path)
     try:
         rows = [row for row in csv.reader(read_text(path).splitlines()) if any(row)]
     except (OSError, csv.Error) as error:

@@ -105,7 +105,7 @@ class ImportedRobot:
         return self.robot.sources
 
 
-def read_xml(path: Path) -> ElementTree.Element:
+def read_xml(path: str | Path) -> ElementTree.Element:
     """The root of an XML file.
 
     Its document type is not read. Entities are refused: expanded, they can grow without limit.

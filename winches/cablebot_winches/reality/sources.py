@@ -57,7 +57,7 @@ SOURCES = _sources()
 
 
 def read_logs(
-    source: Source, folder: Path | None = None, open_url: Callable[..., Any] = urlopen
+    source: Source, folder: str | Path | None = None, open_url: Callable[..., Any] = urlopen
 ) -> dict[str, bytes]:
     """Contents of the files of a source by their paths in the repository.
 
@@ -81,12 +81,12 @@ def read_logs(
     return logs
 
 
-def _found(source: Source, path: str, folder: Path) -> bytes:
+def _found(source: Source, path: str, folder: str | Path) -> bytes:
     """Content of a file below a folder. The hash decides: the names of files of different folders
     are the same, and a copy may have a prefix."""
     name = PurePosixPath(path).name
     others = 0
-    for candidate in sorted(folder.rglob(f"*{name}")):
+    for candidate in sorted(Path(folder).rglob(f"*{name}")):
         if candidate.is_file():
             content = candidate.read_bytes()
             if _digest(content) == source.files[path]:
