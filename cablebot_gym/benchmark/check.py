@@ -6,12 +6,13 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from cablebot_gym.benchmark.cells import BestKnownCell, Cell, DrawnCell, PolicyCell, TimingCell
-from cablebot_gym.benchmark.engine import Backend, Job, MessageCallback
+from cablebot_gym.benchmark.engine import Backend, MessageCallback
 from cablebot_gym.benchmark.leaderboard import Results
-from cablebot_gym.benchmark.records import Record, single_records
+from cablebot_gym.benchmark.records import Record, compute, single_records
 from cablebot_gym.benchmark.seeds import evaluation_seed
 from cablebot_gym.benchmark.suites import find_suite, suite_cells
 from cablebot_gym.isolation.installed import public_entry
@@ -137,7 +138,7 @@ def recompute(
             others[cell.key] = record
     chosen = _sample(best_known, max(1, count // BEST_KNOWN_FRACTION))
     chosen |= _sample(others, count - len(chosen))
-    jobs = {key: Job.of(record.cell) for key, record in chosen.items()}
+    jobs = {key: partial(compute, record.cell) for key, record in chosen.items()}
     for key, computed in backend(jobs, say, ()):
         stored = chosen[key]
         before = single_records([stored])

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from operator import attrgetter
 from typing import Any
 
 from cablebot_gym.benchmark.cells import Cell, DrawnCell, PolicyCell, SurveyCell, TimingCell
@@ -24,24 +22,9 @@ Progress = Callable[[int, int], None]
 """Called with the number of finished jobs and the total number of jobs."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Job:
-    """A computation that runs in any process."""
-
-    compute: Callable[[], Any]
-    """The computation, which can be pickled: a ``functools.partial`` of a module-level function."""
-    kind: Hashable
-    """Jobs of one kind need the same compiled code."""
-
-    def __call__(self) -> Any:
-        """Result of the computation."""
-        return self.compute()
-
-    @classmethod
-    def of(cls, cell: Cell) -> Job:
-        """The computation of a cell."""
-        return cls(compute=partial(compute, cell), kind=(type(cell), cell.env_id))
-
+Job = Callable[[], Any]
+"""A computation that runs in any process: a ``functools.partial`` of a module-level function, which can
+be pickled."""
 
 Backend = Callable[
     [Mapping[str, Job], MessageCallback, tuple[type[Exception], ...]], Iterator[tuple[str, Any]]
@@ -56,9 +39,7 @@ def local(workers: int) -> Backend:
     def run(
         jobs: Mapping[str, Job], say: MessageCallback, returned: tuple[type[Exception], ...]
     ) -> Iterator[Any]:
-        return processes.run(
-            jobs, workers=workers, kind=attrgetter("kind"), say=say, returned=returned
-        )
+        return processes.run(jobs, workers=workers, say=say, returned=returned)
 
     return run
 
@@ -88,7 +69,7 @@ def run_cells(
     timings: dict[str, Job] = {}
     for cell in sorted(pending, key=_cost, reverse=True):
         group = timings if isinstance(cell, TimingCell) else jobs
-        group[cell.key] = Job.of(cell)
+        group[cell.key] = partial(compute, cell)
     progress(len(done), len(cells))
     for key, record in _computed(jobs, timings, backend, say):
         if isinstance(record, processes.WorkerDied):

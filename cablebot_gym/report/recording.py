@@ -46,7 +46,6 @@ def record_all(
     for key, result in processes.run(
         jobs,
         workers=workers,
-        kind=lambda job: job.args[0].env_id,  # these need the same compiled code
         say=say,
         returned=(processes.WorkerDied,),
     ):

@@ -14,7 +14,7 @@ import sys
 import threading
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from multiprocessing import resource_tracker
@@ -71,7 +71,6 @@ def run(
     tasks: Mapping[str, Task],
     *,
     workers: int,
-    kind: Callable[[Task], Hashable],
     say: Callable[[str], None],
     returned: tuple[type[Exception], ...] = (),
 ) -> Iterator[tuple[str, Any]]:
@@ -85,8 +84,6 @@ def run(
         tasks: computations by key. With ``workers`` = 1 they run one after the other in this
             process.
         workers: number of processes.
-        kind: returns the kind of a computation; computations of one kind need the same compiled
-            code, see :func:`leaders_first`.
         say: called with each message that workers log to ``cablebot_gym``; repeated messages are
             dropped.
         returned: exception types that are yielded in place of a result, such as
@@ -94,7 +91,7 @@ def run(
     """
     results = _sequential
     if workers > 1 and tasks:
-        results = _Pool(min(workers, len(tasks)), leaders_first(tasks, kind), say).results
+        results = _Pool(min(workers, len(tasks)), say).results
     # The loop alone refers to the iterator, which therefore ends the processes at any error.
     for key, failure, result in results(tasks):
         if failure is None:
@@ -124,17 +121,6 @@ def _sequential(tasks: Mapping[str, Task]) -> Iterator[tuple[str, Exception | No
         yield key, *_outcome(task)
 
 
-def leaders_first(tasks: Mapping[str, Task], kind: Callable[[Task], Hashable]) -> list[str]:
-    """The keys of the tasks, with one computation of each kind first.
-
-    Two workers that need the same kernel at the same time would both compile it.
-    """
-    leaders: dict[Hashable, str] = {}
-    for key, task in tasks.items():
-        leaders.setdefault(kind(task), key)
-    return list(dict.fromkeys([*leaders.values(), *tasks]))
-
-
 class _Worker:
     """A process and its current computation."""
 
@@ -160,18 +146,17 @@ class _Worker:
 
 
 class _Pool:
-    """Processes that share computations, in the order of ``keys``."""
+    """Processes that share computations, in their order."""
 
-    def __init__(self, size: int, keys: list[str], say: Callable[[str], None]) -> None:
+    def __init__(self, size: int, say: Callable[[str], None]) -> None:
         self._size = size
-        self._keys = keys
         self._say = say
         self._reported: set[str] = set()
         self._workers: list[_Worker] = []
 
     def results(self, tasks: Mapping[str, Task]) -> Iterator[tuple[str, Exception | None, Any]]:
         """Key, error and result of each computation in the order of completion."""
-        queue = deque(self._keys)
+        queue = deque(tasks)
         deaths = Counter[str]()
 
         def submit_next(worker: _Worker) -> None:

@@ -80,7 +80,7 @@ def computing(payload):
 
     def backend(jobs, say, returned):
         for key, job in jobs.items():
-            (cell,) = job.compute.args
+            (cell,) = job.args
             yield key, record(cell, payload)
 
     return backend

@@ -11,7 +11,7 @@ import pytest
 
 from cablebot_gym.benchmark import ray_backend
 from cablebot_gym.benchmark.cells import PolicyCell
-from cablebot_gym.benchmark.engine import Job, run_cells
+from cablebot_gym.benchmark.engine import run_cells
 from cablebot_gym.benchmark.ray_backend import on_ray
 from cablebot_gym.benchmark.records import compute
 from cablebot_gym.benchmark.store import Store
@@ -60,8 +60,7 @@ def raises():
     raise KeyError("no such gain")
 
 
-def run(address, computations, returned=(WorkerDied,)):
-    jobs = {key: Job(compute=compute, kind=None) for key, compute in computations.items()}
+def run(address, jobs, returned=(WorkerDied,)):
     return dict(on_ray(address)(jobs, print, returned))
 
 

@@ -88,7 +88,7 @@ def run(store, outcomes=None, cells=(CELL, OTHER), progress=lambda *step: None):
 
     def backend(jobs, say, returned):
         for key, job in jobs.items():
-            cell = job.compute.args[0]
+            cell = job.args[0]
             computed.append(cell)
             outcome = (outcomes or {}).get(
                 cell.policy if isinstance(cell, PolicyCell) else ""

@@ -48,7 +48,7 @@ def waits_for(marker):
 
 
 def started(tasks, *, workers=2, say=print, **keywords):
-    return run(tasks, workers=workers, kind=lambda task: task.func, say=say, **keywords)
+    return run(tasks, workers=workers, say=say, **keywords)
 
 
 one_or_two = pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.landing)])
