@@ -316,6 +316,7 @@ def robot_file(tmp_path):
     return path
 
 
+@pytest.mark.landing
 def test_defaults_of_a_robot_file_reach_environments_and_scores(robot_file):
     env = make(PLANAR_ID, robot=str(robot_file))
     env.reset(seed=0)

@@ -12,8 +12,8 @@ from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
 
 ENTRIES = policy_entries().values()
-LARGE = ("adaptive", "nmpc", "observing", "trajopt")
-"""Policies that estimate or plan at each step, or before."""
+LARGE = ("adaptive", "composite", "motor-pd", "nmpc", "observing", "trajopt")
+"""Policies that estimate or plan, and those with the short physics steps of joint springs."""
 
 
 def cases():

@@ -79,6 +79,7 @@ def test_filter_is_better_than_forward_kinematics(env_id):
     assert (size[n:] < raw_size[n:] / 5).all()
 
 
+@pytest.mark.landing
 def test_filter_finds_the_pose_behind_the_springs():
     errors, *_ = run(
         "CableBot-FlexPlanar-v0", ExtendedKalmanFilter(find_robot("flex-planar")), law="composite"
@@ -86,6 +87,7 @@ def test_filter_finds_the_pose_behind_the_springs():
     assert np.abs(errors[..., :2]).max() < 1e-4  # the springs deflect by centimetres of cable
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize(
     ("env_id", "law", "zero_error"),
     [

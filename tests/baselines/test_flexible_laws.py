@@ -61,12 +61,13 @@ def test_motor_pd_tracks_a_smooth_motion_closely():
     assert loop.arrays["tracking_error_peak"].max() < 2e-4
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize(
     ("law", "name", "holds"),
     [
-        pytest.param("motor-pd", "flex-expo-lucia", True, marks=pytest.mark.landing),
+        ("motor-pd", "flex-expo-lucia", True),
         ("motor-pd", "flex-gch-klaus", True),
-        pytest.param("composite", "flex-ipanema-3", False, marks=pytest.mark.nightly),
+        ("composite", "flex-ipanema-3", False),
     ],
 )
 def test_redundant_elastic_cables_stay_taut(law, name, holds):

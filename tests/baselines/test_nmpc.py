@@ -182,6 +182,7 @@ def test_fallback_tracks_the_reference_when_all_plans_fail(failing, caplog):
     assert policy.fallbacks == 0
 
 
+@pytest.mark.landing
 def test_last_plan_bridges_failures_until_its_end(failing):
     """With a payload that the reference itself does not allow."""
     policy = failing(20, 24)

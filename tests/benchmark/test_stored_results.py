@@ -44,6 +44,7 @@ def records_of(results, kind):
     return [record for record in results.records if isinstance(record.cell, kind)]
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize("name", ["leaderboard", "library"])
 def test_results_have_the_cells_of_their_suite(results, name):
     """The only errors are missed deadlines."""

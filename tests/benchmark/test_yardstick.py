@@ -15,6 +15,7 @@ CIRCLE = BestKnownCell(env_id=PLANAR_ID, trajectory={"name": "circle-planar"})
 LOOP = BestKnownCell(env_id=PLANAR_ID, trajectory={"name": "loop-planar", "seed": 7})
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize("family", simulated_boards.RATIOS)
 def test_interval_covers_the_quantile_of_any_distribution(family):
     """Quantiles of a normal distribution covered 49 % of skewed ratios."""

@@ -80,6 +80,7 @@ def test_replay_verifies_the_actions(line):
         assert 0.0097 < verdict.position_peak == stored.position_peak <= 0.01
 
 
+@pytest.mark.landing
 @pytest.mark.usefixtures("quick")
 def test_best_known_total_mass_is_that_of_a_heavier_robot(line):
     robot = PLANAR.replace(mass=PLANAR.mass + 0.5)
@@ -113,6 +114,7 @@ def test_each_replay_has_to_verify(monkeypatch, line, failed):
     assert not best_known._case(PLANAR_ID, trajectory=LINE).solve(lambda _: None).verified
 
 
+@pytest.mark.landing
 def test_replay_has_to_hold_at_finer_steps_too(monkeypatch, line):
     case = best_known._case(PLANAR_ID, trajectory=LINE)
     refinements = []
@@ -213,6 +215,7 @@ def solved(monkeypatch, line):
     return calls
 
 
+@pytest.mark.landing
 def test_cached_result_equals_the_computed_one(solved, cache, line):
     assert find_best_known(PLANAR_ID, cache=False).payload == 1.0
     assert cached_best_known(PLANAR_ID) is None

@@ -208,7 +208,15 @@ def bisected(robot, trajectory, minimum):
 
 
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("kind", ["spatial", "planar-3", "planar-4", "planar-5"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("spatial", marks=pytest.mark.landing),
+        "planar-3",
+        "planar-4",
+        "planar-5",
+    ],
+)
 def test_closed_form_matches_bisection(kind, seed):
     robot, trajectory, minimum = random_case(kind, np.random.default_rng(seed))
     result = exact_payload(robot, trajectory, minimum_tension=minimum, frequency=FREQUENCY)
@@ -230,6 +238,7 @@ def test_bad_argument_is_rejected(arguments, named):
         exact_payload(PLANAR, find_trajectory("paper-spatial", 6))
 
 
+@pytest.mark.landing
 def test_redundant_cables_have_the_best_tensions():
     """A linear program finds tensions within both limits just below the payload, and none just
     above it."""

@@ -58,6 +58,7 @@ def test_heavier_payload_of_a_draw_is_counted_by_its_nominal_mass():
     assert result.ratio == pytest.approx(1 / 1.03, abs=0.003)
 
 
+@pytest.mark.landing
 def test_delayed_actions_are_sent_earlier():
     """The motion accelerates at once, so the first held steps cost payload."""
     result = drawn({"delay": 1})

@@ -22,10 +22,11 @@ def findings():
     return {finding.name: finding for finding in examine()}
 
 
+@pytest.mark.landing
 def test_installation_has_no_fault():
     by_name = findings()
     for finding in by_name.values():
-        assert finding.ok, finding
+        assert finding.ok is not False, finding  # None: a missing extra
     assert {f"self-test {env_id}" for env_id in ENV_IDS} <= set(by_name)
     assert re.search(r"numba \d.*numpy 2", by_name["requirements"].text)
     assert "torch 2" in by_name["extra sb3"].text

@@ -21,6 +21,7 @@ def without_display(monkeypatch):
         monkeypatch.delenv(name, raising=False)
 
 
+@pytest.mark.landing
 def test_gymnasium_check_env_passes_without_display(without_display):
     """It makes the environment again in every render mode, including ``human``."""
     env = gym.make("CableBot-FlexPlanar-v0", render_mode="human")

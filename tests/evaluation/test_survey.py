@@ -115,6 +115,7 @@ class SharesRows(FeedbackLinearization):
         return action * (0.5 if len(observation) < 4 else 1.0), state
 
 
+@pytest.mark.landing
 def test_policy_that_needs_other_rows_is_refused():
     with pytest.raises(PolicyError, match="depends on the other episodes of its batch"):
         survey(SharesRows(find_robot("planar")), PLANAR, 2 * MOTIONS)

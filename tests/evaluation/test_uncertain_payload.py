@@ -180,6 +180,7 @@ def test_failures_are_those_of_single_episodes():
     assert (len(payloads), payloads[0], payloads[-1]) == (SCAN_POINTS, 0, 8)
 
 
+@pytest.mark.landing
 def test_margins_are_those_of_the_tightest_single_episodes():
     result = searched()
     carried = [verdict for verdict in verdicts(result.payload) if verdict.carried]
@@ -246,6 +247,7 @@ def test_payloads_share_the_parameters_of_a_draw():
     assert repeated.x == observer.x
 
 
+@pytest.mark.landing
 def test_batch_size_does_not_change_the_result(monkeypatch):
     default = searched()
     monkeypatch.setattr(batch_module, "BATCH", 100)
