@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-State = TypeVar("State")
+_State = TypeVar("_State")
 
 
 def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -36,7 +36,7 @@ def first_steps(state: Any, episode_start: Any, shape: tuple[int, ...]) -> NDArr
     return np.broadcast_to(start, shape)
 
 
-def merged(starts: NDArray[np.bool_], initial: State, following: State) -> State:
+def merged(starts: NDArray[np.bool_], initial: _State, following: _State) -> _State:
     """The initial state of the episodes that start, and the following state of the others.
 
     Args:
@@ -53,5 +53,5 @@ def merged(starts: NDArray[np.bool_], initial: State, following: State) -> State
 
     values = {name: either(getattr(initial, name), new) for name, new in vars(following).items()}
     kind: Any = type(following)
-    state: State = kind(**values)
+    state: _State = kind(**values)
     return state
