@@ -47,6 +47,12 @@ def probe():
     return time.process_time() - start
 
 
+def is_busy():
+    """Whether the cores had more work in the last minute than two processes of tests: caches and
+    cores that they share make a test slower than the probe says."""
+    return hasattr(os, "getloadavg") and os.getloadavg()[0] > max(2, os.cpu_count()) + 1
+
+
 class Stopwatch:
     """Processor time of the tests of one process, without what is done once for several tests."""
 
@@ -146,8 +152,8 @@ class Judge:
             yield f"{total:.0f} s of processor time all together, at most {TOTAL:.0f} s"
 
     def pytest_sessionfinish(self, session):
-        """The run fails."""
-        if session.exitstatus == 0 and any(self.verdicts()):
+        """The run fails, unless other work makes all of it slower."""
+        if session.exitstatus == 0 and any(self.verdicts()) and not is_busy():
             session.exitstatus = 1
 
     def pytest_terminal_summary(self, terminalreporter):

@@ -21,16 +21,20 @@ def session_of(*times, passes=True):
 
 
 @pytest.mark.parametrize(
-    ("times", "passes", "status", "words"),
+    ("times", "load", "passes", "status", "words"),
     [
-        ((LIMIT, 0.1), True, 0, []),
-        ((0.1, 2 * LIMIT), True, 1, ["test_1"]),
-        ((LIMIT,) * int(TOTAL / LIMIT + 1), True, 1, ["all together"]),
-        ((2 * LIMIT,), False, 2, ["test_0"]),
+        ((LIMIT, 0.1), 0.0, True, 0, []),
+        ((0.1, 2 * LIMIT), 0.0, True, 1, ["test_1"]),
+        ((0.1, 2 * LIMIT), 1e3, True, 0, ["test_1"]),
+        ((LIMIT,) * int(TOTAL / LIMIT + 1), 0.0, True, 1, ["all together"]),
+        ((2 * LIMIT,), 0.0, False, 2, ["test_0"]),
     ],
-    ids=["within the limits", "one slow test", "many fast tests", "failed before"],
+    ids=["within the limits", "one slow test", "busy machine", "many fast tests", "failed before"],
 )
-def test_run_fails_where_a_test_or_all_together_cost_too_much(times, passes, status, words):
+def test_run_fails_where_a_test_or_all_together_cost_too_much(
+    times, load, passes, status, words, monkeypatch
+):
+    monkeypatch.setattr("os.getloadavg", lambda: (load,) * 3, raising=False)
     ended, verdicts = session_of(*times, passes=passes)
     assert ended == status
     assert len(verdicts) == len(words)

@@ -111,6 +111,7 @@ def test_error_of_a_policy_names_its_line(cablebot, toys):
     assert "no factory today" in made.message(2)
 
 
+@pytest.mark.landing
 def test_wrapper_reaches_the_policy(cablebot, tmp_path):
     path = tmp_path / "toy_weak.py"
     path.write_text(WRAPPERS)
