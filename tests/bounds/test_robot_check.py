@@ -93,7 +93,7 @@ def test_stall_torque_holds_the_payload_at_the_start(robot):
 @pytest.mark.parametrize(
     ("robot", "motion"), [(SPATIAL, "paper-spatial"), (FLEX_PLANAR, "circle-planar")]
 )
-def test_hold_payload_is_unlimited_without_weight_or_rest(robot, motion):
+def test_hold_payload_is_unlimited_for_a_weightless_robot_or_one_that_keeps_moving(robot, motion):
     trajectory = find_trajectory(motion, robot.kind)
     assert hold_payload(robot, trajectory, ErrorBounds()) == math.inf
 

@@ -54,7 +54,7 @@ def test_each_motion_has_its_own_robots(drawn):
     assert len(set(seeds)) == 2 * 4
 
 
-def test_motions_that_follow_change_neither_robots_nor_payloads_of_a_motion(monkeypatch):
+def test_motion_keeps_its_robots_and_payloads_when_more_motions_follow(monkeypatch):
     """A random payload below the result may find a failure: the company of a motion must not decide
     which ones it tries."""
     tried = []

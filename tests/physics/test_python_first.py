@@ -227,7 +227,7 @@ def test_compiled_code_computes_what_python_cannot(name):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
-def test_state_without_finite_numbers_has_the_same_bits(value):
+def test_state_of_nan_or_infinity_has_the_same_bits(value):
     """Excludes an error of Python where compiled code computes infinity."""
     robot = ROBOTS["planar"]
     results = []
@@ -301,7 +301,7 @@ def test_long_call_is_compiled_at_once_and_stored_code_is_used_at_once(doubling)
     assert other.present is not other.compiled
 
 
-def test_first_call_is_compiled_where_no_later_one_may_take_long(doubling):
+def test_first_call_is_compiled_where_later_ones_must_be_short(doubling):
     """Excludes seconds of compilation in the loop that drives a real robot."""
     entry = doubling()
     with compiled_at_once():
@@ -324,7 +324,7 @@ def test_large_batch_is_compiled_at_once(robot, fresh):
 
 
 @pytest.mark.parametrize("env_id", ENV_IDS)
-def test_first_steps_compile_nothing(env_id, fresh):
+def test_first_steps_run_in_python(env_id, fresh):
     """Excludes seconds of compilation before the first step, also of the distribution of
     tensions."""
     form = form_of(find_robot(env_robot(env_id)))
@@ -354,7 +354,7 @@ def test_only_a_function_that_rounds_once_is_exact():
         assert not is_exact(inexact)
 
 
-def test_code_is_compiled_at_once_without_an_exact_function(monkeypatch):
+def test_inexact_multiply_add_lets_code_compile_at_once(monkeypatch):
     """Excludes wrong bits with a C library that rounds twice."""
     monkeypatch.setattr(fused, "_candidates", lambda: [lambda a, b, c: a * b + c])
     python_fma.cache_clear()
