@@ -23,11 +23,8 @@ import numpy as np
 from markdown_table import markdown_table
 from scipy.stats import chi2
 
-from cablebot_baselines.estimation import (
-    Estimated,
-    ExtendedKalmanFilter,
-    FilterErrors,
-)
+from cablebot_baselines.estimation import Estimated, Expectation, WinchEstimator
+from cablebot_baselines.estimation.expectation import UNKNOWN_START
 from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.batch import versions
@@ -175,18 +172,18 @@ def conditions(env_id: str, case: dict[str, str]) -> dict[str, Any]:
     return options
 
 
-def estimator(env_id: str, case: dict[str, str]) -> ExtendedKalmanFilter | None:
+def estimator(env_id: str, case: dict[str, str]) -> WinchEstimator | None:
     """The filter of a case, which knows the standard deviations of the errors; None for the
     estimator of this name without errors."""
     robot = find_robot(env_robot(env_id))
     if not case["errors"] or not case["estimator"].startswith("ekf"):
         return None
-    start = None
+    start = UNKNOWN_START
     if case["estimator"] == "ekf-homed":
         position, rotation = START.get(case["disturbance"], (0.0, 0.0))
         start = position / math.sqrt(3), rotation / math.sqrt(3)
     uncertainty = find_uncertainty(conditions(env_id, case)["uncertainty"], robot)
-    return ExtendedKalmanFilter(robot, FilterErrors.of(uncertainty, robot, start=start))
+    return WinchEstimator(robot, Expectation.of(robot, uncertainty, start_spread=start))
 
 
 def consistency(env_id: str, case: dict[str, str]) -> float | None:

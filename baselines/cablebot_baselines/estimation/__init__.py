@@ -1,22 +1,24 @@
 """Estimators: pose and velocity from the sensors of winches and platform, so that any policy runs
 with them."""
 
-from cablebot_baselines.estimation.ekf import ExtendedKalmanFilter
-from cablebot_baselines.estimation.errors import FilterErrors
 from cablebot_baselines.estimation.estimated import (
     Estimated,
     KinematicEstimator,
+    WinchEstimator,
     ekf,
     ekf_homed,
     fk,
+    usual_expectation,
 )
+from cablebot_baselines.estimation.expectation import Expectation
 
 __all__ = [
     "Estimated",
-    "ExtendedKalmanFilter",
-    "FilterErrors",
+    "Expectation",
     "KinematicEstimator",
+    "WinchEstimator",
     "ekf",
     "ekf_homed",
     "fk",
+    "usual_expectation",
 ]

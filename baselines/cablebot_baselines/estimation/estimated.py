@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.episodes import first_steps
-from cablebot_baselines.estimation.ekf import ExtendedKalmanFilter
-from cablebot_baselines.estimation.errors import FilterErrors
+from cablebot_baselines.estimation.expectation import UNKNOWN_START, Expectation
+from cablebot_baselines.estimation.observer import RobotObserver
+from cablebot_baselines.estimation.observer_state import ObserverState
+from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.envs.observation import ObservationLayout, observation_layout
 from cablebot_gym.measurement import POSE
 from cablebot_gym.physics import textbook
@@ -19,8 +21,55 @@ from cablebot_gym.physics.forward import forward_kinematics
 from cablebot_gym.policies.protocol import Policy, declarations, reset_policy
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
+from cablebot_gym.uncertainty import (
+    ExternalWrench,
+    ParameterDistribution,
+    SensorNoise,
+    Uncertainty,
+)
 
 Array = NDArray[Any]
+
+DATA_SHEET = SensorNoise(
+    motor_angle=1e-4, motor_speed=1e-2, tension=0.4, angular_rate=4e-3, specific_force=2e-2
+)
+"""White noise of a servo drive, a load cell and the IMU MTi-300."""
+
+ZERO_ERROR = 0.3e-3
+"""Zero error of a calibrated cable length [m]."""
+
+CELL_BIAS = 0.01
+"""Bias of a load cell as a fraction of the tension at the stall torque."""
+
+START_SPREAD = (1.5e-4, 3.5e-4)
+"""Standard deviations of a start pose that motion capture finds [m, rad], as in the uncertainty
+``hardware``."""
+
+DIVERGED = 1e6
+"""Value of a part of the state, in its unit, above which an estimator starts anew."""
+
+
+def usual_expectation(robot: Robot, *, homing: bool = False) -> Expectation:
+    """Errors of data sheets for a robot whose other errors are unknown.
+
+    With homing the start pose is found by motion capture, and the zeros of motor angles and load
+    cells are unknown.
+    """
+    full_scale = float(robot.stall_torque.min() / robot.pulley_radius.max())
+    zero = ZERO_ERROR / float(robot.pulley_radius.min())
+    cell = CELL_BIAS * full_scale
+    if homing:
+        zero = 1.0
+        cell = full_scale
+    few_percent = ParameterDistribution(low=-0.03, high=0.03)
+    uncertainty = Uncertainty(
+        parameters={"platform_mass": few_percent, "motor_strength": few_percent},
+        wrench=ExternalWrench(force_std=0.5, moment_std=0.05, correlation_time=0.1),
+        sensors=DATA_SHEET,
+        sensor_bias=SensorNoise(motor_angle=zero, tension=cell, tilt=3.5e-3, yaw=17.5e-3),
+    )
+    spread = START_SPREAD if homing else UNKNOWN_START
+    return Expectation.of(robot, uncertainty, start_spread=spread)
 
 
 class Estimator(Protocol):
@@ -87,6 +136,60 @@ class KinematicEstimator:
         return {"pose": pose, "velocity": velocity}, pose
 
 
+class WinchEstimator:
+    """Pose and velocity by a :class:`~cablebot_baselines.estimation.observer.RobotObserver` that
+    reads the sensors of winches and platform.
+
+    Args:
+        robot: nominal robot.
+        expectation: what is expected of the robot and its sensors; None for
+            :func:`usual_expectation`.
+    """
+
+    def __init__(self, robot: Robot, expectation: Expectation | None = None) -> None:
+        self.robot = robot
+        self.expectation = expectation or usual_expectation(robot)
+        self.observer: RobotObserver | None = None
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Makes the observer for sensors, control period and start poses of the tasks."""
+        largest = max(self.robot.mass, exact_payload(self.robot, tasks[0].trajectory).payload)
+        self.observer = RobotObserver(
+            self.expectation,
+            1 / tasks[0].control_frequency,
+            largest_payload=largest,
+            measurement=tasks[0].measurement,
+            start_pose=np.array([task.start_pose for task in tasks]),
+        )
+
+    def update(
+        self, blocks: dict[str, Array], state: ObserverState | None, starts: NDArray[np.bool_]
+    ) -> tuple[dict[str, Array], ObserverState]:
+        """Pose and velocity, motor angles without their zero errors and tensions without their
+        biases, and the next state. Diverged episodes start anew.
+
+        Raises:
+            RuntimeError: before the first :meth:`reset`.
+        """
+        if self.observer is None:
+            raise RuntimeError("call reset(tasks) first: the tasks tell the sensors")
+        if state is not None:
+            variance = np.diagonal(state.covariance, axis1=-2, axis2=-1)
+            values = np.concatenate([state.mean, np.sqrt(np.abs(variance))], axis=-1)
+            starts = starts | ~(np.abs(values) < DIVERGED).all(axis=-1)
+        state = self.observer.update(blocks, state, starts)
+        columns = self.observer.columns
+        mean = state.mean
+        estimated = {
+            "pose": mean[:, columns.pose],
+            "velocity": mean[:, columns.velocity],
+            "motor_angle": blocks["motor_angle"] - mean[:, columns.zero],
+        }
+        if "tensions" in blocks:
+            estimated["tensions"] = blocks["tensions"] - mean[:, columns.cell]
+        return estimated, state
+
+
 class Estimated:
     """A policy that reads pose and velocity, for environments that measure winches only.
 
@@ -96,8 +199,7 @@ class Estimated:
     Args:
         policy: any policy that reads pose and velocity.
         robot: nominal robot.
-        estimator: the estimator; None for an
-            :class:`~cablebot_baselines.estimation.ekf.ExtendedKalmanFilter`.
+        estimator: the estimator; None for a :class:`WinchEstimator`.
     """
 
     measurement = "winches"
@@ -105,7 +207,7 @@ class Estimated:
     def __init__(self, policy: Policy, robot: Robot, estimator: Estimator | None = None) -> None:
         self.policy = policy
         self.robot = robot
-        self.estimator = estimator or ExtendedKalmanFilter(robot)
+        self.estimator = estimator or WinchEstimator(robot)
         self.unsaturated_actions, self.stochastic, _ = declarations(policy)
         self._full = observation_layout(robot)
         self._measured: ObservationLayout | None = None
@@ -163,16 +265,14 @@ class Estimated:
 
 
 def ekf(robot: Robot, policy: Policy) -> Estimated:
-    """A policy behind the extended Kalman filter, the estimator ``ekf``."""
+    """A policy behind the observer, the estimator ``ekf``."""
     return Estimated(policy, robot)
 
 
 def ekf_homed(robot: Robot, policy: Policy) -> Estimated:
     """The same, with motor angles and load cells zeroed at the start pose, the estimator
     ``ekf-homed``."""
-    return Estimated(
-        policy, robot, ExtendedKalmanFilter(robot, FilterErrors.usual(robot, homing=True))
-    )
+    return Estimated(policy, robot, WinchEstimator(robot, usual_expectation(robot, homing=True)))
 
 
 def fk(robot: Robot, policy: Policy) -> Estimated:

@@ -11,11 +11,15 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
-from cablebot_gym.uncertainty import PARAMETERS, SensorNoise, Uncertainty
+from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, SensorNoise, Uncertainty
 
 _LOWER, _MEDIAN, _UPPER = 0.15866, 0.5, 0.84134
 """Probabilities of the mean of a normal distribution and of one standard deviation on both
 sides."""
+
+
+UNKNOWN_START = (1.0, 1.0)
+"""Standard deviations of an unknown start pose [m, rad]. Any large ones give the same estimates."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,21 +48,35 @@ class Expectation:
     """Standard deviation of the stiffness of a joint spring as a fraction of it."""
     anchor_spread: float
     """Standard deviation of the length of a cable by the positions of its anchors [m]."""
+    wrench_mean: Array
+    """Mean of the wrench on the platform, (n,) [N, N·m]."""
     wrench_spread: Array
-    """Standard deviation of the wrench on the platform, (n,) [N, N·m]."""
+    """Standard deviation of the wrench, (n,) [N, N·m]."""
     wrench_time: float
     """Time for which the wrench is constant [s]."""
     noise: SensorNoise
     """White noise of the sensors."""
+    bias: SensorNoise
+    """Constant errors of the sensors."""
+    start_spread: tuple[float, float]
+    """Standard deviations of the start pose, which matter where it is not measured [m, rad]."""
 
     @classmethod
-    def of(cls, robot: Robot, uncertainty: Uncertainty) -> Expectation:
+    def of(
+        cls,
+        robot: Robot,
+        uncertainty: Uncertainty,
+        *,
+        start_spread: tuple[float, float] = UNKNOWN_START,
+    ) -> Expectation:
         """The expectation for an uncertainty of a nominal robot."""
         lag = np.array([np.mean(robot.motor_lag)] * 2)
         if "motor_lag" in uncertainty.parameters:
             lags = uncertainty.parameters["motor_lag"]
             lag = lags.applied(lag, np.array([lags.low, lags.high]))
         shortest, longest = lag.tolist()
+        wrench = uncertainty.wrench or ExternalWrench(correlation_time=1.0)
+        wrench_mean, wrench_spread = wrench.statistics(robot)
         spread = partial(_spread, robot, uncertainty)
         friction_spread = spread("coulomb_friction")
         if friction_spread and uncertainty.parameters["coulomb_friction"].each:
@@ -80,9 +98,12 @@ class Expectation:
                     spread("platform_anchors", relative=False),
                 )
             ),
-            wrench_spread=_wrench_spread(robot, uncertainty),
-            wrench_time=_wrench_time(uncertainty),
+            wrench_mean=wrench_mean,
+            wrench_spread=wrench_spread,
+            wrench_time=wrench.correlation_time,
             noise=uncertainty.sensors or SensorNoise(),
+            bias=uncertainty.sensor_bias or SensorNoise(),
+            start_spread=start_spread,
         )
 
     def effect_times(self, period: float) -> tuple[float, float]:
@@ -142,17 +163,3 @@ def _relative_spread(uncertainty: Uncertainty, name: str) -> float:
     lower, upper = distribution.deviation(np.array([_LOWER, _UPPER]))
     return float(upper - lower) / 2
 
-
-def _wrench_spread(robot: Robot, uncertainty: Uncertainty) -> Array:
-    """Standard deviation of the wrench, including its mean, (n,)."""
-    if uncertainty.wrench is None:
-        return np.zeros(robot.coordinates)
-    mean, std = uncertainty.wrench.statistics(robot)
-    spread: Array = np.hypot(mean, std)
-    return spread
-
-
-def _wrench_time(uncertainty: Uncertainty) -> float:
-    if uncertainty.wrench is None:
-        return 1.0
-    return uncertainty.wrench.correlation_time

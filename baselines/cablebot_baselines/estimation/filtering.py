@@ -314,11 +314,14 @@ def _accelerate(dynamics, torque, wrench, acceleration):
 
 
 @helper
-def _write_slopes(dynamics, gradient, acceleration, wrench, mass, slopes):
-    """Derivatives of Ẍ of a robot with respect to the state, from those of the torques."""
+def _write_slopes(dynamics, gradient, by_pose, acceleration, wrench, mass, slopes):
+    """Derivatives of Ẍ of a robot with respect to the state, from those of the torques and those
+    with respect to the pose at constant torques."""
     n, m = dynamics.torque_slope.shape
     slopes[:] = 0.0
     for a in range(n):
+        for b in range(n):
+            slopes[a, b] = by_pose[a, b]
         for j in range(m):
             _add_multiple(slopes[a], dynamics.torque_slope[a, j], gradient[j])
         for b in range(n):
@@ -388,7 +391,7 @@ def _add_jumps(torque_slope, jumps, period, covariance):
 
 @entry_point(seconds=lambda dynamics, torque, gradient, *_: _product_seconds(gradient))
 def predict(
-    dynamics, torque, gradient, growth, jumps, wrench, mass, period, decay, mean, covariance
+    dynamics, torque, gradient, by_pose, growth, jumps, wrench, mass, period, decay, mean, covariance
 ):
     """Changes means and covariances to those after one control period.
 
@@ -396,6 +399,7 @@ def predict(
         dynamics: motion in the middle of the period.
         torque: mean torques on the pulleys, (N, m) [N·m].
         gradient: their derivatives with respect to the state, (N, m, size).
+        by_pose: derivatives of Ẍ with respect to the pose at constant torques, (N, n, n).
         growth: variances that the period adds, (N, size).
         jumps: standard deviations of the torques, which move the platform at once, (N, m) [N·m].
         wrench: index of the first component of the wrench in the state.
@@ -415,7 +419,9 @@ def predict(
         robot_dynamics = _dynamics_of_robot(dynamics, i)
         estimated_wrench = mean[i, wrench : wrench + n]
         _accelerate(robot_dynamics, torque[i], estimated_wrench, acceleration)
-        _write_slopes(robot_dynamics, gradient[i], acceleration, wrench, mass, slopes)
+        _write_slopes(
+            robot_dynamics, gradient[i], by_pose[i], acceleration, wrench, mass, slopes
+        )
         _write_transition(slopes, wrench, period, decay, transition)
         _move(acceleration, wrench, period, decay, mean[i])
         # F P Fᵀ = F (F P)ᵀ

@@ -20,9 +20,18 @@ from cablebot_baselines.estimation.filtering import (
     predict,
     weigh,
 )
-from cablebot_baselines.estimation.observer_state import ObserverState, RobotEstimate
+from cablebot_baselines.estimation.observer_state import Columns, ObserverState, RobotEstimate
+from cablebot_baselines.estimation.sensors import (
+    STEP,
+    Period,
+    PoseSensors,
+    Readings,
+    WinchSensors,
+    varied,
+)
 from cablebot_gym.envs.observation import Blocks
 from cablebot_gym.kinematics import Array
+from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import times_vector
 
@@ -76,58 +85,50 @@ class RobotObserver:
     """
 
     def __init__(
-        self, expectation: Expectation, period: float, *, largest_payload: ArrayLike
+        self,
+        expectation: Expectation,
+        period: float,
+        *,
+        largest_payload: ArrayLike,
+        measurement: Measurement = POSE,
+        start_pose: ArrayLike | None = None,
     ) -> None:
         self.expectation = expectation
         self.robot = textbook.joint_equivalent(expectation.robot)
         self.period = period
         self.largest_payload = np.asarray(largest_payload, float)
+        self.columns = Columns(self.robot, expectation, measurement)
         self._effect_times = expectation.effect_times(period)
         decay = np.exp(-period / expectation.wrench_time)
         self._wrench_decay = float(decay)
-        self._set_columns()
+        self._measurement = measurement
         robot = self.robot
         is_position = np.arange(robot.coordinates) < robot.dimensions
         anchor_distances = np.linalg.norm(robot.platform, axis=-1)
         platform_size = float(np.mean(anchor_distances)) or 1.0
         unit = np.where(is_position, 1.0, 1.0 / platform_size)
         self._acceleration_noise = ACCELERATION_NOISE * unit
-        noise = expectation.noise
-        pose_noise = np.where(is_position, noise.position, noise.rotation)
-        velocity_noise = np.where(is_position, noise.velocity, noise.rotation_rate)
-        reading_noise = np.concatenate([pose_noise, velocity_noise])
-        self._reading_variance = reading_noise**2 + 1e-14  # exact sensors
-        self._reading_gradient = np.eye(self._mass, self._size)
+        self._pose = PoseSensors(expectation, self.columns)
+        self._winches = None
+        if measurement.winches:
+            poses = np.atleast_2d(robot.home if start_pose is None else start_pose)
+            self._winches = WinchSensors(expectation, self.columns, measurement, poses, period)
         self._motors = np.stack([robot.stall_torque, robot.speed_slope])
         self._least_growth = self._growth_without_mass()
-
-    def _set_columns(self) -> None:
-        """Lays out the mean of :class:`ObserverState`."""
-        n = self.robot.coordinates
-        m = self.robot.cables
-        springs = m * self.robot.flexible
-        self._pose = slice(0, n)
-        self._velocity = slice(n, 2 * n)
-        self._mass = 2 * n
-        self._strength = slice(self._mass + 1, self._mass + 1 + m)
-        self._delay = self._strength.stop
-        self._wrench = slice(self._delay + 1, self._delay + 1 + n)
-        self._zero = slice(self._wrench.stop, self._wrench.stop + springs)
-        self._size = self._zero.stop
 
     def estimate(self, state: ObserverState) -> RobotEstimate:
         """The estimates in a state of the filter."""
         mean = state.mean
-        zero = state.motor_angle
-        if self.robot.flexible:
-            zero = mean[:, self._zero]
+        zero = mean[:, self.columns.zero]
+        if not zero.size:
+            zero = state.motor_angle
         return RobotEstimate(
-            pose=mean[:, self._pose],
-            velocity=mean[:, self._velocity],
-            mass=mean[:, self._mass],
-            strength=mean[:, self._strength],
-            delay=mean[:, self._delay],
-            wrench=mean[:, self._wrench],
+            pose=mean[:, self.columns.pose],
+            velocity=mean[:, self.columns.velocity],
+            mass=mean[:, self.columns.mass],
+            strength=mean[:, self.columns.strength],
+            delay=mean[:, self.columns.delay],
+            wrench=mean[:, self.columns.wrench],
             zero=zero,
         )
 
@@ -154,10 +155,10 @@ class RobotObserver:
     def _initial(self, blocks: Blocks) -> ObserverState:
         """The state at the first observation: a robot at rest on its springs."""
         robot = self.robot
-        pose = blocks["pose"]
-        count = len(pose)
         mean, variance = self._prior(blocks)
-        covariance = variance[:, :, None] * np.eye(self._size)
+        covariance = variance[:, :, None] * np.eye(self.columns.total)
+        pose = mean[:, self.columns.pose].copy()
+        count = len(pose)
         # the torque is affine in the mass
         light = self._holding_torque(robot.mass, pose)
         heavy = self._holding_torque(2 * robot.mass, pose)
@@ -169,6 +170,9 @@ class RobotObserver:
         if robot.flexible:
             angle = blocks["motor_angle"]
             speed = blocks["motor_speed"]
+        if self._winches is not None:
+            self._winches.correct_at_rest(blocks, mean, covariance)
+        elif robot.flexible:
             self._correct_at_rest(mean, covariance, holding, angle)
         return ObserverState(
             mean=mean,
@@ -177,6 +181,7 @@ class RobotObserver:
             holding=holding,
             motor_angle=angle,
             motor_speed=speed,
+            tensions=light / robot.pulley_radius,
             dynamics=self._dynamics(mean),
         )
 
@@ -192,18 +197,20 @@ class RobotObserver:
         unknown_spread = largest / np.sqrt(12)
         payload_spread = np.where(is_known, known_spread, unknown_spread)
         count = len(payload)
-        mean = np.zeros((count, self._size))
-        mean[:, self._pose] = blocks["pose"]
-        mean[:, self._velocity] = blocks["velocity"]
-        mean[:, self._mass] = robot.mass + payload
-        mean[:, self._strength] = 1.0
-        mean[:, self._delay] = np.mean(self._effect_times)
+        mean = np.zeros((count, self.columns.total))
+        mean[:, self.columns.mass] = robot.mass + payload
+        mean[:, self.columns.strength] = 1.0
+        mean[:, self.columns.delay] = np.mean(self._effect_times)
         variance = np.zeros_like(mean)
-        variance[:, : self._mass] = self._reading_variance
-        variance[:, self._mass] = payload_spread**2 + expected.mass_spread**2
-        variance[:, self._strength] = expected.strength_spread**2
-        variance[:, self._delay] = np.ptp(self._effect_times) ** 2 / 12
-        variance[:, self._wrench] = expected.wrench_spread**2
+        variance[:, self.columns.mass] = payload_spread**2 + expected.mass_spread**2
+        variance[:, self.columns.strength] = expected.strength_spread**2
+        variance[:, self.columns.delay] = np.ptp(self._effect_times) ** 2 / 12
+        mean[:, self.columns.wrench] = expected.wrench_mean
+        variance[:, self.columns.wrench] = expected.wrench_spread**2
+        if self._winches is None:
+            self._pose.start(blocks, mean, variance)
+        else:
+            self._winches.start(blocks, mean, variance)
         return mean, variance
 
     def _correct_at_rest(
@@ -214,20 +221,20 @@ class RobotObserver:
         robot = self.robot
         expected = self.expectation
         stiffness = robot.stiffness
-        pose = mean[:, self._pose]
-        mass = mean[:, self._mass, None]
+        pose = mean[:, self.columns.pose]
+        mass = mean[:, self.columns.mass, None]
         torque = stiffness * (angle - textbook.pulley_angle(robot, pose))
         innovation = torque - holding[..., 0] * mass - holding[..., 1]
         stiffness_error = expected.stiffness_spread * torque / stiffness
         anchor_error = expected.anchor_spread / robot.pulley_radius
-        zeros = np.arange(self._size)[self._zero]
+        zeros = np.arange(self.columns.total)[self.columns.zero]
         covariance[:, zeros, zeros] = stiffness_error**2 + anchor_error**2
         winding = (stiffness / robot.pulley_radius)[:, None]
         count = len(mean)
-        gradient = np.zeros((count, robot.cables, self._size))
-        gradient[..., self._pose] = -(winding * textbook.jacobian(robot, pose))
-        gradient[..., self._zero] = np.diag(stiffness)
-        gradient[..., self._mass] = holding[..., 0]
+        gradient = np.zeros((count, robot.cables, self.columns.total))
+        gradient[..., self.columns.pose] = -(winding * textbook.jacobian(robot, pose))
+        gradient[..., self.columns.zero] = np.diag(stiffness)
+        gradient[..., self.columns.mass] = holding[..., 0]
         noise = (stiffness * expected.noise.motor_angle) ** 2 + _EPS
         variance = np.repeat(noise[None], count, axis=0)
         correct(innovation, gradient, variance, mean, covariance)
@@ -244,44 +251,48 @@ class RobotObserver:
         """Prediction over one control period, and correction by the sensors."""
         mean = state.mean.copy()
         covariance = state.covariance.copy()
-        count = len(mean)
         torque_errors = self._torque_errors(blocks)
         jumps = torque_errors
         if self.robot.flexible:
             torque, torque_gradient = self._spring_torques(blocks, state)
-            jumps = np.zeros_like(torque_errors)
+            jumps = self._spring_errors(blocks)
         else:
             torque, torque_gradient = self._rigid_torques(blocks, state)
+        by_pose = np.zeros_like(state.dynamics.mobility)
+        period = None
+        if self._winches is not None:
+            by_pose = self._acceleration_by_pose(state, torque)
+            period = self._last_period(blocks, state, torque, torque_gradient, by_pose)
         predict(
             state.dynamics,
             torque,
             torque_gradient,
+            by_pose,
             self._growth(mean),
             jumps,
-            self._wrench.start,
-            self._mass,
+            self.columns.wrench.start,
+            self.columns.mass,
             self.period,
             self._wrench_decay,
             mean,
             covariance,
         )
-        readings = np.concatenate([blocks["pose"], blocks["velocity"]], axis=-1)
-        innovation = readings - mean[:, : self._mass]
-        gradient = np.repeat(self._reading_gradient[None], count, axis=0)
-        variance = np.repeat(self._reading_variance[None], count, axis=0)
+        mean[:, self.columns.wrench] += (1 - self._wrench_decay) * self.expectation.wrench_mean
+        if period is None or self._winches is None:
+            readings = [self._pose.read(blocks, mean)]
+        else:
+            readings = self._winches.read(blocks, mean, period, state.tensions)
         if self.robot.flexible:
             # The balance concerns the period before: its gradient refers to the predicted state,
             # which hardly differs.
             excess, slopes = self._motor_balance(blocks, state, torque, torque_gradient)
-            noise = self._balance_variance(torque_errors)
-            innovation = np.concatenate([innovation, excess], axis=-1)
-            gradient = np.concatenate([gradient, slopes], axis=-2)
-            variance = np.concatenate([variance, noise], axis=-1)
-        correct(innovation, gradient, variance, mean, covariance)
-        delay = mean[:, self._delay]
-        mass = mean[:, self._mass]
-        mean[:, self._delay] = np.clip(delay, *self._effect_times)
-        mean[:, self._mass] = np.maximum(mass, self.robot.mass / 2)
+            noise = self._balance_variance(blocks, torque_errors)
+            readings.append(Readings(excess, slopes, noise))
+        Readings.joined(readings).correct(mean, covariance)
+        delay = mean[:, self.columns.delay]
+        mass = mean[:, self.columns.mass]
+        mean[:, self.columns.delay] = np.clip(delay, *self._effect_times)
+        mean[:, self.columns.mass] = np.maximum(mass, self.robot.mass / 2)
         return ObserverState(
             mean=mean,
             covariance=covariance,
@@ -289,15 +300,74 @@ class RobotObserver:
             holding=state.holding,
             motor_angle=blocks.get("motor_angle", state.motor_angle),
             motor_speed=blocks.get("motor_speed", state.motor_speed),
+            tensions=state.tensions if period is None else period.tensions,
             dynamics=self._dynamics(mean),
         )
+
+    def _acceleration_by_pose(self, state: ObserverState, torque: Array) -> Array:
+        """Derivative of the acceleration with respect to the pose at constant torques (N, m), (N, n,
+        n)."""
+        columns = self.columns
+        velocity = state.mean[:, columns.velocity]
+        middle = state.mean[:, columns.pose] + self.period / 2 * velocity
+        poses, masses = varied(middle, state.mean[:, columns.mass])
+        accelerations, _ = textbook.forward_dynamics(
+            self.robot, masses[:-1], poses[:-1], velocity, torque, cable="bilateral"
+        )
+        slopes: Array = np.moveaxis(accelerations[1:] - accelerations[0], 0, -1) / STEP
+        return slopes
+
+    def _last_period(
+        self,
+        blocks: Blocks,
+        state: ObserverState,
+        torque: Array,
+        torque_gradient: Array,
+        by_pose: Array,
+    ) -> Period:
+        """Motion in the control period that began with a state."""
+        robot = self.robot
+        columns = self.columns
+        dynamics = state.dynamics
+        velocity = state.mean[:, columns.velocity]
+        acceleration = dynamics.acceleration(torque, state.mean[:, columns.wrench])
+        gradient = dynamics.torque_slope @ torque_gradient
+        gradient[..., columns.pose] += by_pose
+        gradient[..., columns.wrench] += dynamics.mobility
+        force_per_mass = dynamics.bias_per_mass
+        force_per_mass = force_per_mass + times_vector(dynamics.matrix_per_mass, acceleration)
+        gradient[..., columns.mass] -= times_vector(dynamics.mobility, force_per_mass)
+        middle = state.mean[:, columns.pose] + self.period / 2 * velocity
+        pulley_acceleration = textbook.pulley_acceleration(robot, middle, velocity, acceleration)
+        drag = robot.pulley_inertia * pulley_acceleration + robot.damping * dynamics.pulley_speed
+        rotor_error = self.expectation.inertia_spread * robot.pulley_inertia * pulley_acceleration
+        torque_error = np.hypot(rotor_error, self._torque_errors(blocks))
+        if not robot.flexible:
+            torque_error = np.hypot(torque_error, self._friction_error())
+        return Period(
+            torque_error=torque_error,
+            torque_gradient=torque_gradient,
+            acceleration=acceleration,
+            gradient=gradient,
+            tensions=(torque - drag) / robot.pulley_radius,
+        )
+
+    def _spring_errors(self, blocks: Blocks) -> Array:
+        """Deviations of the spring torques by the readings of the motor angles where they are input
+        without a reading of the pose, (N, m) [N·m]."""
+        errors = np.zeros_like(blocks["motor_angle"])
+        if self._winches is not None:
+            angle_noise = self.expectation.noise.motor_angle
+            variance = angle_noise**2 + self._winches.quantisation(blocks["motor_speed"])
+            errors += self.robot.stiffness * np.sqrt(variance)
+        return errors
 
     def _growth(self, mean: Array) -> Array:
         """Variances that one control period adds, (N, size)."""
         count = len(mean)
-        mass_drift = MASS_DRIFT * mean[:, self._mass]
+        mass_drift = MASS_DRIFT * mean[:, self.columns.mass]
         variance = np.repeat(self._least_growth[None], count, axis=0)
-        variance[:, self._mass] = mass_drift**2 * self.period
+        variance[:, self.columns.mass] = mass_drift**2 * self.period
         return variance
 
     def _growth_without_mass(self) -> Array:
@@ -306,14 +376,14 @@ class RobotObserver:
         expected = self.expectation
         acceleration_density = self._acceleration_noise**2
         forgotten = 1 - self._wrench_decay**2
-        variance = np.zeros(self._size)
-        variance[self._velocity] = acceleration_density * period
-        variance[self._pose] = acceleration_density * period**3 / 3
-        variance[self._wrench] = forgotten * expected.wrench_spread**2
-        variance[self._strength] = STRENGTH_DRIFT**2 * period
-        if self.robot.flexible:
+        variance = np.zeros(self.columns.total)
+        variance[self.columns.velocity] = acceleration_density * period
+        variance[self.columns.pose] = acceleration_density * period**3 / 3
+        variance[self.columns.wrench] = forgotten * expected.wrench_spread**2
+        variance[self.columns.strength] = STRENGTH_DRIFT**2 * period
+        if self._winches is None and self.robot.flexible:
             drift = OFFSET_DRIFT * expected.anchor_spread / self.robot.pulley_radius
-            variance[self._zero] = drift**2 * period
+            variance[self.columns.zero] = drift**2 * period
         return variance
 
     def _rigid_torques(self, blocks: Blocks, state: ObserverState) -> tuple[Array, Array]:
@@ -321,24 +391,24 @@ class RobotObserver:
         to the state, (N, m, size)."""
         robot = self.robot
         dynamics = state.dynamics
-        strength = state.mean[:, self._strength]
+        strength = state.mean[:, self.columns.strength]
         speed = dynamics.pulley_speed
         drives = self._last_drives(blocks, state, speed)
         torque = drives.torque - textbook.coulomb_torque(robot, speed)
         torque = torque / (1 + textbook.load_friction(robot, speed))
-        gradient = np.zeros((*speed.shape, self._size))
+        gradient = np.zeros((*speed.shape, self.columns.total))
         speed_slope = strength * robot.speed_slope + robot.damping
         rate_slope = speed_slope / robot.pulley_radius
-        gradient[..., self._velocity] = rate_slope[..., None] * dynamics.structure
+        gradient[..., self.columns.velocity] = rate_slope[..., None] * dynamics.structure
         self._set_drive_gradient(gradient, drives)
         return torque, gradient
 
     def _set_drive_gradient(self, gradient: Array, drives: Drives) -> None:
         """Writes the derivatives of the motor torques, (N, m, size), but for those by the speed."""
         strength_slope = drives.per_strength[..., None]
-        gradient[..., self._mass] = drives.per_mass
-        gradient[..., self._strength] = strength_slope * np.eye(self.robot.cables)
-        gradient[..., self._delay] = drives.per_delay
+        gradient[..., self.columns.mass] = drives.per_mass
+        gradient[..., self.columns.strength] = strength_slope * np.eye(self.robot.cables)
+        gradient[..., self.columns.delay] = drives.per_delay
 
     def _spring_torques(self, blocks: Blocks, state: ObserverState) -> tuple[Array, Array]:
         """Mean torques of the springs of a flexible robot, (N, m), and their derivatives, (N, m,
@@ -352,13 +422,22 @@ class RobotObserver:
         middle = now.pose + period / 2 * now.velocity
         stiffness = textbook.joint_stiffness(robot, middle)
         twist = mean_angle - now.zero - textbook.pulley_angle(robot, middle)
-        gradient = np.zeros((*twist.shape, self._size))
+        gradient = np.zeros((*twist.shape, self.columns.total))
         # β = (l₀ − l)/r, so a displacement winds the spring by S/r.
         winding = (stiffness / robot.pulley_radius)[..., None]
-        gradient[..., self._pose] = winding * state.dynamics.structure
+        gradient[..., self.columns.pose] = winding * state.dynamics.structure
         zero_slope = -np.eye(robot.cables)
-        gradient[..., self._zero] = zero_slope * stiffness[..., None, :]
-        return stiffness * twist, gradient
+        gradient[..., self.columns.zero] = zero_slope * stiffness[..., None, :]
+        if self._winches is not None:
+            anchor_error, by_anchors = self._winches.anchor_error(state.mean, middle)
+            twist = twist - anchor_error
+            gradient[..., self.columns.anchor] = -stiffness[..., None] * by_anchors
+        torque = stiffness * twist
+        if self.columns.compliance.stop > self.columns.compliance.start:
+            identity = np.eye(robot.cables)
+            torque = torque / (1 + state.mean[:, self.columns.compliance])
+            gradient[..., self.columns.compliance] = -torque[..., None] * identity
+        return torque, gradient
 
     def _motor_balance(
         self, blocks: Blocks, state: ObserverState, spring: Array, spring_gradient: Array
@@ -368,7 +447,10 @@ class RobotObserver:
         robot = self.robot
         speed = blocks["motor_speed"]
         mean_speed = (speed + state.motor_speed) / 2
-        drives = self._last_drives(blocks, state, mean_speed)
+        drive_speed = mean_speed
+        if self._winches is not None:
+            drive_speed = state.motor_speed
+        drives = self._last_drives(blocks, state, drive_speed)
         friction = textbook.motor_friction(robot, mean_speed, spring)
         speed_change = speed - state.motor_speed
         rotor_torque = robot.motor_inertia * speed_change / self.period
@@ -377,39 +459,49 @@ class RobotObserver:
         self._set_drive_gradient(gradient, drives)
         return excess, gradient
 
-    def _balance_variance(self, errors: Array) -> Array:
+    def _balance_variance(self, blocks: Blocks, errors: Array) -> Array:
         """Variance of the torque balance of the motors in one control period, with errors of their
         torques, each (N, m) [N²·m²]."""
         robot = self.robot
         noise = self.expectation.noise
         speed = robot.motor_inertia * noise.motor_speed * np.sqrt(2) / self.period
         angle = robot.stiffness * noise.motor_angle
-        correlated_periods = robot.cables * FRICTION_TIME / self.period
-        friction = self.expectation.friction_spread * robot.coulomb_friction
-        friction = friction * np.sqrt(correlated_periods)
+        friction = self._friction_error()
         variance: Array = speed**2 + angle**2 + friction**2 + errors**2 + _EPS
+        if self._winches is not None:
+            quantisation = self._winches.quantisation(blocks["motor_speed"])
+            variance = variance + robot.stiffness**2 * quantisation
         return variance
+
+    def _friction_error(self) -> Array:
+        """Standard deviation of independent errors of the motors' friction in each control period
+        with the same mean over the correlation time, (m,) [N·m]."""
+        correlated_periods = self.robot.cables * FRICTION_TIME / self.period
+        friction = self.expectation.friction_spread * self.robot.coulomb_friction
+        error: Array = friction * np.sqrt(correlated_periods)
+        return error
 
     def _torque_errors(self, blocks: Blocks) -> Array:
         """Errors of the mean torques in one control period by changes of the actions, (N, m)."""
         robot = self.robot
-        actions = blocks["last_actions"].reshape(len(blocks["pose"]), -1, robot.cables)
+        actions = blocks["last_actions"].reshape(len(blocks["last_actions"]), -1, robot.cables)
         changes = np.ptp(actions, axis=1)
-        errors: Array = LAG_ERROR * robot.stall_torque * changes
+        lag_error = LAG_ERROR * (self.expectation.lag[1] > 0)
+        errors: Array = lag_error * robot.stall_torque * changes
         return errors
 
     def _dynamics(self, mean: Array) -> Dynamics:
         """Motion with the estimates of a mean, (N, size)."""
-        mass = mean[:, self._mass]
-        velocity = mean[:, self._velocity]
-        middle = mean[:, self._pose] + self.period / 2 * velocity
+        mass = mean[:, self.columns.mass]
+        velocity = mean[:, self.columns.velocity]
+        middle = mean[:, self.columns.pose] + self.period / 2 * velocity
         return dynamics_of(self.robot, mass, middle, velocity)
 
     # Actions
 
     def _last_drives(self, blocks: Blocks, state: ObserverState, speed: Array) -> Drives:
         """Mean torque of the motors in the last control period, at speeds (N, m) [rad/s]."""
-        delay = np.ascontiguousarray(state.mean[:, self._delay])
+        delay = np.ascontiguousarray(state.mean[:, self.columns.delay])
         weights, rates = delayed_weights(delay, self.period)
         sent = state.steps + 1
         return self._drives(blocks, weights, rates, sent, state, speed)
@@ -425,8 +517,8 @@ class RobotObserver:
     ) -> Drives:
         """Torque of the last actions, see :func:`~cablebot_baselines.estimation.filtering.weigh`."""
         actions = blocks["last_actions"].reshape(len(speed), -1, self.robot.cables)
-        strength = state.mean[:, self._strength]
-        mass = state.mean[:, self._mass]
+        strength = state.mean[:, self.columns.strength]
+        mass = state.mean[:, self.columns.mass]
         arguments = actions, weights, rates, sent, speed, strength, mass, state.holding
         drives = np.empty((4, *speed.shape))
         weigh(*map(np.ascontiguousarray, arguments), self._motors, drives)
@@ -438,7 +530,7 @@ class RobotObserver:
         """Pose, velocity, acceleration ``disturbance`` by the wrench and, of a flexible robot, motor
         angle without zero error and motor speed at the instant at which the next action takes
         effect, by block name."""
-        delay = state.mean[:, self._delay]
+        delay = state.mean[:, self.columns.delay]
         positive_delay = np.maximum(delay, _EPS)
         latest = np.minimum(1.0, self.period / positive_delay)
         weights = np.stack([latest, 1 - latest], axis=1)
@@ -446,7 +538,7 @@ class RobotObserver:
             ahead = self._flexible_at_effect(blocks, state, weights)
         else:
             ahead = self._rigid_at_effect(blocks, state, weights)
-        wrench = state.mean[:, self._wrench]
+        wrench = state.mean[:, self.columns.wrench]
         ahead["disturbance"] = times_vector(state.dynamics.mobility, wrench)
         return ahead
 
