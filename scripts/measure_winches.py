@@ -190,10 +190,10 @@ def consistency(env_id: str, case: dict[str, str]) -> float | None:
     """Squared errors of the pose by the covariance that the filter states, divided by the number of
     coordinates (NEES/n): mean of the draws and of the motion. None without a filter that knows the
     errors."""
-    kalman = estimator(env_id, case)
-    if kalman is None:
+    observing = estimator(env_id, case)
+    if observing is None:
         return None
-    n = kalman.robot.coordinates
+    n = observing.robot.coordinates
     env: Any = gym.make_vec(
         env_id,
         num_envs=DRAWS,
@@ -201,7 +201,7 @@ def consistency(env_id: str, case: dict[str, str]) -> float | None:
         max_episode_steps=None,
         **conditions(env_id, case),
     ).unwrapped
-    policy = Estimated(load_policy(LAWS[env_id], kalman.robot), kalman.robot, kalman)
+    policy = Estimated(load_policy(LAWS[env_id], observing.robot), observing.robot, observing)
     rows, _ = env.reset(seed=0)
     policy.reset(env.tasks)
     state = None
@@ -224,9 +224,9 @@ def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
     """The result of a case: payload [kg], None if it fails unloaded, and the limiting violation."""
     robot = find_robot(env_robot(env_id))
     policy: Any = "+".join(filter(None, [case["estimator"], LAWS[env_id]]))
-    kalman = estimator(env_id, case)
-    if kalman is not None:
-        policy = Estimated(load_policy(LAWS[env_id], robot), robot, kalman)
+    observing = estimator(env_id, case)
+    if observing is not None:
+        policy = Estimated(load_policy(LAWS[env_id], robot), robot, observing)
     draws = None
     if case["errors"] or case["disturbance"]:
         draws = DRAWS

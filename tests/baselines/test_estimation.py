@@ -11,9 +11,10 @@ from scipy.stats import chi2
 
 from cablebot_baselines.estimation import (
     Estimated,
-    ExtendedKalmanFilter,
-    FilterErrors,
+    Expectation,
     KinematicEstimator,
+    WinchEstimator,
+    usual_expectation,
 )
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.policies import load_policy
@@ -51,7 +52,7 @@ def run(
         actions, state = policy.predict(rows, state)
         estimate = state[0]
         true = np.concatenate([env.pose, env._simulation._plant.velocity], axis=-1)
-        if isinstance(estimator, ExtendedKalmanFilter):
+        if isinstance(estimator, WinchEstimator):
             errors.append(estimate.mean[:, :size] - true)
             inverse = np.linalg.inv(estimate.covariance[:, :size, :size])
             squares.append(np.einsum("ij,ijk,ik->i", errors[-1], inverse, errors[-1]))
@@ -68,8 +69,8 @@ def run(
 def test_filter_is_better_than_forward_kinematics(env_id):
     robot = ROBOTS[env_id]
     noise = {"measurement": ENCODERS, "uncertainty": WHITE}
-    expected = FilterErrors.of(find_uncertainty(WHITE, robot), robot)
-    errors, squares, _ = run(env_id, ExtendedKalmanFilter(robot, expected), **noise)
+    expected = Expectation.of(robot, find_uncertainty(WHITE, robot))
+    errors, squares, _ = run(env_id, WinchEstimator(robot, expected), **noise)
     raw, *_ = run(env_id, KinematicEstimator(robot), **noise)
     n = robot.coordinates
     assert 0.3 < squares.mean() / (2 * n) < 2
@@ -82,7 +83,7 @@ def test_filter_is_better_than_forward_kinematics(env_id):
 @pytest.mark.landing
 def test_filter_finds_the_pose_behind_the_springs():
     errors, *_ = run(
-        "CableBot-FlexPlanar-v0", ExtendedKalmanFilter(find_robot("flex-planar")), law="composite"
+        "CableBot-FlexPlanar-v0", WinchEstimator(find_robot("flex-planar")), law="composite"
     )
     assert np.abs(errors[..., :2]).max() < 1e-4  # the springs deflect by centimetres of cable
 
@@ -102,7 +103,7 @@ def test_homing_removes_zero_errors_of_sensors(env_id, law, zero_error):
     robot = ROBOTS[env_id]
     errors, _, tracking_error = run(
         env_id,
-        ExtendedKalmanFilter(robot, FilterErrors.usual(robot, homing=True)),
+        WinchEstimator(robot, usual_expectation(robot, homing=True)),
         law=law,
         measurement="winches+tensions",
         uncertainty={"sensor_bias": {"motor_angle": zero_error, "tension": 5.0}},
@@ -138,11 +139,11 @@ def homed(env_id, law, count, errors):
     robot = ROBOTS[env_id]
     uncertainty = find_uncertainty(errors, robot)
     start = POSITION / np.sqrt(3), ROTATION / np.sqrt(3)
-    expected = FilterErrors.of(uncertainty, robot, start=start)
+    expected = Expectation.of(robot, uncertainty, start_spread=start)
     turns = robot.coordinates - robot.dimensions
     pose_errors, squares, _ = run(
         env_id,
-        ExtendedKalmanFilter(robot, expected),
+        WinchEstimator(robot, expected),
         law=law,
         count=count,
         measurement=ENCODERS | {"tensions": True},

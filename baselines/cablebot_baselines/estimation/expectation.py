@@ -162,4 +162,3 @@ def _relative_spread(uncertainty: Uncertainty, name: str) -> float:
     distribution = uncertainty.parameters[name]
     lower, upper = distribution.deviation(np.array([_LOWER, _UPPER]))
     return float(upper - lower) / 2
-

@@ -391,7 +391,18 @@ def _add_jumps(torque_slope, jumps, period, covariance):
 
 @entry_point(seconds=lambda dynamics, torque, gradient, *_: _product_seconds(gradient))
 def predict(
-    dynamics, torque, gradient, by_pose, growth, jumps, wrench, mass, period, decay, mean, covariance
+    dynamics,
+    torque,
+    gradient,
+    by_pose,
+    growth,
+    jumps,
+    wrench,
+    mass,
+    period,
+    decay,
+    mean,
+    covariance,
 ):
     """Changes means and covariances to those after one control period.
 
@@ -419,9 +430,7 @@ def predict(
         robot_dynamics = _dynamics_of_robot(dynamics, i)
         estimated_wrench = mean[i, wrench : wrench + n]
         _accelerate(robot_dynamics, torque[i], estimated_wrench, acceleration)
-        _write_slopes(
-            robot_dynamics, gradient[i], by_pose[i], acceleration, wrench, mass, slopes
-        )
+        _write_slopes(robot_dynamics, gradient[i], by_pose[i], acceleration, wrench, mass, slopes)
         _write_transition(slopes, wrench, period, decay, transition)
         _move(acceleration, wrench, period, decay, mean[i])
         # F P Fᵀ = F (F P)ᵀ

@@ -11,15 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.episodes import merged
 from cablebot_baselines.estimation.expectation import Expectation
-from cablebot_baselines.estimation.filtering import (
-    Drives,
-    Dynamics,
-    correct,
-    delayed_weights,
-    dynamics_of,
-    predict,
-    weigh,
-)
+from cablebot_baselines.estimation.filtering import Dynamics, correct, dynamics_of, predict
 from cablebot_baselines.estimation.observer_state import Columns, ObserverState, RobotEstimate
 from cablebot_baselines.estimation.sensors import (
     STEP,
@@ -29,6 +21,7 @@ from cablebot_baselines.estimation.sensors import (
     WinchSensors,
     varied,
 )
+from cablebot_baselines.estimation.torques import LEAST_BALANCE_VARIANCE, Torques
 from cablebot_gym.envs.observation import Blocks
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE, Measurement
@@ -43,6 +36,10 @@ STRENGTH_DRIFT = 0.02
 """Growth of the standard deviation of a motor's strength in one second [√(1/s)]. It takes up friction
 and errors of the directions of the cables, which change along a motion."""
 
+EXACT_STRENGTH_DRIFT = 0.002
+"""The same where the strength is expected to be exact: the observer integrates the motion less exactly
+than it happens."""
+
 ACCELERATION_NOISE = 0.005
 """Root of the spectral density of the error of the model's acceleration [m/s² √s]; of angles, divided
 by the platform's size."""
@@ -51,18 +48,11 @@ OFFSET_DRIFT = 0.1
 """Growth of the standard deviation of a spring's zero angle in one second, in units of its initial
 one."""
 
-FRICTION_TIME = 0.1
-"""Correlation time of the error of a motor's friction [s]."""
-
-LAG_ERROR = 0.3
-"""Error of the mean torque in a control period, as a fraction of the change of the torque: the model
-has a delay in place of the motors' lag."""
-
 _AHEAD_STEPS = 4
 """Number of steps in which the motion of a flexible robot is predicted until an action takes
 effect."""
 
-_EPS = 1e-12
+_LEAST_DELAY = 1e-12
 
 
 class RobotObserver:
@@ -113,7 +103,7 @@ class RobotObserver:
         if measurement.winches:
             poses = np.atleast_2d(robot.home if start_pose is None else start_pose)
             self._winches = WinchSensors(expectation, self.columns, measurement, poses, period)
-        self._motors = np.stack([robot.stall_torque, robot.speed_slope])
+        self._torques = Torques(expectation, self.columns, period, self._winches)
         self._least_growth = self._growth_without_mass()
 
     def estimate(self, state: ObserverState) -> RobotEstimate:
@@ -144,10 +134,10 @@ class RobotObserver:
         """
         if state is None or starts.all():
             return self._initial(blocks)
-        following = self._following(blocks, state)
         if not starts.any():
-            return following
+            return self._following(blocks, state)
         initial = self._initial(blocks)
+        following = self._following(blocks, merged(starts, initial, state))
         return merged(starts, initial, following)
 
     # Start
@@ -235,7 +225,7 @@ class RobotObserver:
         gradient[..., self.columns.pose] = -(winding * textbook.jacobian(robot, pose))
         gradient[..., self.columns.zero] = np.diag(stiffness)
         gradient[..., self.columns.mass] = holding[..., 0]
-        noise = (stiffness * expected.noise.motor_angle) ** 2 + _EPS
+        noise = (stiffness * expected.noise.motor_angle) ** 2 + LEAST_BALANCE_VARIANCE
         variance = np.repeat(noise[None], count, axis=0)
         correct(innovation, gradient, variance, mean, covariance)
 
@@ -251,13 +241,7 @@ class RobotObserver:
         """Prediction over one control period, and correction by the sensors."""
         mean = state.mean.copy()
         covariance = state.covariance.copy()
-        torque_errors = self._torque_errors(blocks)
-        jumps = torque_errors
-        if self.robot.flexible:
-            torque, torque_gradient = self._spring_torques(blocks, state)
-            jumps = self._spring_errors(blocks)
-        else:
-            torque, torque_gradient = self._rigid_torques(blocks, state)
+        torque, torque_gradient = self._torques.on_pulleys(blocks, state)
         by_pose = np.zeros_like(state.dynamics.mobility)
         period = None
         if self._winches is not None:
@@ -269,7 +253,7 @@ class RobotObserver:
             torque_gradient,
             by_pose,
             self._growth(mean),
-            jumps,
+            self._torques.jumps(blocks),
             self.columns.wrench.start,
             self.columns.mass,
             self.period,
@@ -283,11 +267,7 @@ class RobotObserver:
         else:
             readings = self._winches.read(blocks, mean, period, state.tensions)
         if self.robot.flexible:
-            # The balance concerns the period before: its gradient refers to the predicted state,
-            # which hardly differs.
-            excess, slopes = self._motor_balance(blocks, state, torque, torque_gradient)
-            noise = self._balance_variance(blocks, torque_errors)
-            readings.append(Readings(excess, slopes, noise))
+            readings.append(self._torques.balance(blocks, state, torque, torque_gradient))
         Readings.joined(readings).correct(mean, covariance)
         delay = mean[:, self.columns.delay]
         mass = mean[:, self.columns.mass]
@@ -341,9 +321,9 @@ class RobotObserver:
         pulley_acceleration = textbook.pulley_acceleration(robot, middle, velocity, acceleration)
         drag = robot.pulley_inertia * pulley_acceleration + robot.damping * dynamics.pulley_speed
         rotor_error = self.expectation.inertia_spread * robot.pulley_inertia * pulley_acceleration
-        torque_error = np.hypot(rotor_error, self._torque_errors(blocks))
+        torque_error = np.hypot(rotor_error, self._torques.errors(blocks))
         if not robot.flexible:
-            torque_error = np.hypot(torque_error, self._friction_error())
+            torque_error = np.hypot(torque_error, self._torques.friction_error())
         return Period(
             torque_error=torque_error,
             torque_gradient=torque_gradient,
@@ -351,16 +331,6 @@ class RobotObserver:
             gradient=gradient,
             tensions=(torque - drag) / robot.pulley_radius,
         )
-
-    def _spring_errors(self, blocks: Blocks) -> Array:
-        """Deviations of the spring torques by the readings of the motor angles where they are input
-        without a reading of the pose, (N, m) [N·m]."""
-        errors = np.zeros_like(blocks["motor_angle"])
-        if self._winches is not None:
-            angle_noise = self.expectation.noise.motor_angle
-            variance = angle_noise**2 + self._winches.quantisation(blocks["motor_speed"])
-            errors += self.robot.stiffness * np.sqrt(variance)
-        return errors
 
     def _growth(self, mean: Array) -> Array:
         """Variances that one control period adds, (N, size)."""
@@ -380,115 +350,14 @@ class RobotObserver:
         variance[self.columns.velocity] = acceleration_density * period
         variance[self.columns.pose] = acceleration_density * period**3 / 3
         variance[self.columns.wrench] = forgotten * expected.wrench_spread**2
-        variance[self.columns.strength] = STRENGTH_DRIFT**2 * period
+        strength_drift = STRENGTH_DRIFT
+        if not expected.strength_spread:
+            strength_drift = EXACT_STRENGTH_DRIFT
+        variance[self.columns.strength] = strength_drift**2 * period
         if self._winches is None and self.robot.flexible:
             drift = OFFSET_DRIFT * expected.anchor_spread / self.robot.pulley_radius
             variance[self.columns.zero] = drift**2 * period
         return variance
-
-    def _rigid_torques(self, blocks: Blocks, state: ObserverState) -> tuple[Array, Array]:
-        """Mean torques on the pulleys of a rigid robot, (N, m), and their derivatives with respect
-        to the state, (N, m, size)."""
-        robot = self.robot
-        dynamics = state.dynamics
-        strength = state.mean[:, self.columns.strength]
-        speed = dynamics.pulley_speed
-        drives = self._last_drives(blocks, state, speed)
-        torque = drives.torque - textbook.coulomb_torque(robot, speed)
-        torque = torque / (1 + textbook.load_friction(robot, speed))
-        gradient = np.zeros((*speed.shape, self.columns.total))
-        speed_slope = strength * robot.speed_slope + robot.damping
-        rate_slope = speed_slope / robot.pulley_radius
-        gradient[..., self.columns.velocity] = rate_slope[..., None] * dynamics.structure
-        self._set_drive_gradient(gradient, drives)
-        return torque, gradient
-
-    def _set_drive_gradient(self, gradient: Array, drives: Drives) -> None:
-        """Writes the derivatives of the motor torques, (N, m, size), but for those by the speed."""
-        strength_slope = drives.per_strength[..., None]
-        gradient[..., self.columns.mass] = drives.per_mass
-        gradient[..., self.columns.strength] = strength_slope * np.eye(self.robot.cables)
-        gradient[..., self.columns.delay] = drives.per_delay
-
-    def _spring_torques(self, blocks: Blocks, state: ObserverState) -> tuple[Array, Array]:
-        """Mean torques of the springs of a flexible robot, (N, m), and their derivatives, (N, m,
-        size)."""
-        robot = self.robot
-        period = self.period
-        now = self.estimate(state)
-        angle_sum = blocks["motor_angle"] + state.motor_angle
-        speed_change = blocks["motor_speed"] - state.motor_speed
-        mean_angle = angle_sum / 2 - period / 12 * speed_change
-        middle = now.pose + period / 2 * now.velocity
-        stiffness = textbook.joint_stiffness(robot, middle)
-        twist = mean_angle - now.zero - textbook.pulley_angle(robot, middle)
-        gradient = np.zeros((*twist.shape, self.columns.total))
-        # β = (l₀ − l)/r, so a displacement winds the spring by S/r.
-        winding = (stiffness / robot.pulley_radius)[..., None]
-        gradient[..., self.columns.pose] = winding * state.dynamics.structure
-        zero_slope = -np.eye(robot.cables)
-        gradient[..., self.columns.zero] = zero_slope * stiffness[..., None, :]
-        if self._winches is not None:
-            anchor_error, by_anchors = self._winches.anchor_error(state.mean, middle)
-            twist = twist - anchor_error
-            gradient[..., self.columns.anchor] = -stiffness[..., None] * by_anchors
-        torque = stiffness * twist
-        if self.columns.compliance.stop > self.columns.compliance.start:
-            identity = np.eye(robot.cables)
-            torque = torque / (1 + state.mean[:, self.columns.compliance])
-            gradient[..., self.columns.compliance] = -torque[..., None] * identity
-        return torque, gradient
-
-    def _motor_balance(
-        self, blocks: Blocks, state: ObserverState, spring: Array, spring_gradient: Array
-    ) -> tuple[Array, Array]:
-        """Excess in the torque balance of the motors of a flexible robot, (N, m), and its
-        derivatives, (N, m, size), with the torques of the springs and their derivatives."""
-        robot = self.robot
-        speed = blocks["motor_speed"]
-        mean_speed = (speed + state.motor_speed) / 2
-        drive_speed = mean_speed
-        if self._winches is not None:
-            drive_speed = state.motor_speed
-        drives = self._last_drives(blocks, state, drive_speed)
-        friction = textbook.motor_friction(robot, mean_speed, spring)
-        speed_change = speed - state.motor_speed
-        rotor_torque = robot.motor_inertia * speed_change / self.period
-        excess = rotor_torque - (drives.torque - spring - friction)
-        gradient = -spring_gradient
-        self._set_drive_gradient(gradient, drives)
-        return excess, gradient
-
-    def _balance_variance(self, blocks: Blocks, errors: Array) -> Array:
-        """Variance of the torque balance of the motors in one control period, with errors of their
-        torques, each (N, m) [N²·m²]."""
-        robot = self.robot
-        noise = self.expectation.noise
-        speed = robot.motor_inertia * noise.motor_speed * np.sqrt(2) / self.period
-        angle = robot.stiffness * noise.motor_angle
-        friction = self._friction_error()
-        variance: Array = speed**2 + angle**2 + friction**2 + errors**2 + _EPS
-        if self._winches is not None:
-            quantisation = self._winches.quantisation(blocks["motor_speed"])
-            variance = variance + robot.stiffness**2 * quantisation
-        return variance
-
-    def _friction_error(self) -> Array:
-        """Standard deviation of independent errors of the motors' friction in each control period
-        with the same mean over the correlation time, (m,) [N·m]."""
-        correlated_periods = self.robot.cables * FRICTION_TIME / self.period
-        friction = self.expectation.friction_spread * self.robot.coulomb_friction
-        error: Array = friction * np.sqrt(correlated_periods)
-        return error
-
-    def _torque_errors(self, blocks: Blocks) -> Array:
-        """Errors of the mean torques in one control period by changes of the actions, (N, m)."""
-        robot = self.robot
-        actions = blocks["last_actions"].reshape(len(blocks["last_actions"]), -1, robot.cables)
-        changes = np.ptp(actions, axis=1)
-        lag_error = LAG_ERROR * (self.expectation.lag[1] > 0)
-        errors: Array = lag_error * robot.stall_torque * changes
-        return errors
 
     def _dynamics(self, mean: Array) -> Dynamics:
         """Motion with the estimates of a mean, (N, size)."""
@@ -497,33 +366,6 @@ class RobotObserver:
         middle = mean[:, self.columns.pose] + self.period / 2 * velocity
         return dynamics_of(self.robot, mass, middle, velocity)
 
-    # Actions
-
-    def _last_drives(self, blocks: Blocks, state: ObserverState, speed: Array) -> Drives:
-        """Mean torque of the motors in the last control period, at speeds (N, m) [rad/s]."""
-        delay = np.ascontiguousarray(state.mean[:, self.columns.delay])
-        weights, rates = delayed_weights(delay, self.period)
-        sent = state.steps + 1
-        return self._drives(blocks, weights, rates, sent, state, speed)
-
-    def _drives(
-        self,
-        blocks: Blocks,
-        weights: Array,
-        rates: Array,
-        sent: Array,
-        state: ObserverState,
-        speed: Array,
-    ) -> Drives:
-        """Torque of the last actions, see :func:`~cablebot_baselines.estimation.filtering.weigh`."""
-        actions = blocks["last_actions"].reshape(len(speed), -1, self.robot.cables)
-        strength = state.mean[:, self.columns.strength]
-        mass = state.mean[:, self.columns.mass]
-        arguments = actions, weights, rates, sent, speed, strength, mass, state.holding
-        drives = np.empty((4, *speed.shape))
-        weigh(*map(np.ascontiguousarray, arguments), self._motors, drives)
-        return Drives(*drives)
-
     # Prediction
 
     def at_effect(self, blocks: Blocks, state: ObserverState) -> Blocks:
@@ -531,7 +373,7 @@ class RobotObserver:
         angle without zero error and motor speed at the instant at which the next action takes
         effect, by block name."""
         delay = state.mean[:, self.columns.delay]
-        positive_delay = np.maximum(delay, _EPS)
+        positive_delay = np.maximum(delay, _LEAST_DELAY)
         latest = np.minimum(1.0, self.period / positive_delay)
         weights = np.stack([latest, 1 - latest], axis=1)
         if self.robot.flexible:
@@ -549,7 +391,7 @@ class RobotObserver:
         dynamics = state.dynamics
         speed = dynamics.pulley_speed
         rates = np.zeros_like(weights)
-        drives = self._drives(blocks, weights, rates, state.steps, state, speed)
+        drives = self._torques.drives(blocks, weights, rates, state.steps, state, speed)
         torque = drives.torque - textbook.coulomb_torque(self.robot, speed)
         torque = torque / (1 + textbook.load_friction(self.robot, speed))
         acceleration = dynamics.acceleration(torque, now.wrench)
@@ -574,7 +416,7 @@ class RobotObserver:
         stiffness = textbook.joint_stiffness(robot, pose)
         step = now.delay[:, None] / _AHEAD_STEPS
         for _ in range(_AHEAD_STEPS):
-            drives = self._drives(blocks, weights, rates, state.steps, state, speed)
+            drives = self._torques.drives(blocks, weights, rates, state.steps, state, speed)
             spring = stiffness * twist
             net_torque = drives.torque - spring - textbook.motor_friction(robot, speed, spring)
             speed = speed + step * net_torque / robot.motor_inertia

@@ -28,7 +28,7 @@ STEP = 1e-6
 START_ITERATIONS = 4
 """Number of linearisations at the start, where the pose changes most."""
 
-QUANTISED_TIME = 0.1
+QUANTISED_TIME = 0.03
 """Longest time for which the quantisation error of an encoder is taken as constant [s]."""
 
 
@@ -193,7 +193,7 @@ class WinchSensors:
                 by_compliance = deflection[..., None] * np.eye(robot.cables)
         angles = self._readings(
             blocks["motor_angle"] - predicted,
-            noise.motor_angle**2 + self._measurement.encoder_resolution**2 / 12,
+            self.angle_deviation**2,
             (columns.pose, turning + compliance * by_pose),
             (columns.mass, compliance[..., 0] * by_mass),
             (columns.zero, np.eye(robot.cables)),
@@ -235,6 +235,12 @@ class WinchSensors:
             parts.append(self._orientation(blocks, mean))
             parts += self._inertial(blocks, mean, period)
         return parts
+
+    @property
+    def angle_deviation(self) -> float:
+        """Standard deviation of a motor angle by noise and quantisation [rad]."""
+        quantisation = self._measurement.encoder_resolution / np.sqrt(12)
+        return float(np.hypot(self._expectation.noise.motor_angle, quantisation))
 
     def quantisation(self, speed: Array) -> Array:
         """Variance of the quantisation error of motor angles at speeds (N, m) [rad²], as large as
