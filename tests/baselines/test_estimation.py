@@ -176,8 +176,10 @@ def test_errors_are_as_large_as_the_filter_states(env_id, law):
     errors, squares = homed(env_id, law, 32, SENSORS)
     degrees = 32 * 2 * robot.coordinates
     low, high = chi2.ppf([0.001, 0.999], degrees) / degrees
-    # the motion of the filter is integrated less exactly than that of the plant
-    assert 0.8 * low < squares.mean() / (2 * robot.coordinates) < 1.2 * high
+    # The motion of the filter is integrated less exactly than that of the plant. Behind springs it
+    # takes the noise of a speed in two periods as independent, which is careful.
+    least = 0.25 if robot.flexible else 0.8 * low
+    assert least < squares.mean() / (2 * robot.coordinates) < 1.2 * high
     if env_id == "CableBot-FlexSpatial-v0":
         assert np.abs(errors[..., 3:]).max() < 4e-3  # 40 % of the bound
 

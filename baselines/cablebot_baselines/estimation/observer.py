@@ -64,14 +64,22 @@ class RobotObserver:
     mass.
 
     A flexible robot's platform is moved by its springs, whose torque K (β′ − β − zero) follows from
-    measured motor angles. The zeros take up errors of anchors and stiffness. The change of the
-    motor speeds compares this torque with that of the motors.
+    measured motor angles. The change of the motor speeds compares this torque with that of the
+    motors. The zeros take up errors of anchors and stiffness where the pose is measured.
+
+    Where winches are measured in place of the pose, errors of stiffness and anchors and the biases
+    of load cells and orientation are part of the state. The robot rests at the start pose, up to the
+    expected error. The first readings then correlate the errors of the pose with those of the zeros:
+    the angle at rest is ``β(X) + κ(X)/K`` plus the zero, and the tension is ``κ(X)/r`` plus the bias.
+    Later readings separate them.
 
     Args:
         expectation: expected robot and what differs from it.
         period: control period [s].
         largest_payload: largest payload that is considered possible if the payload is unknown, one
             or one for each of N episodes [kg].
+        measurement: the sensors.
+        start_pose: start poses of the tasks, (N, n) or (1, n), for winches; None for the home pose.
     """
 
     def __init__(
@@ -155,6 +163,7 @@ class RobotObserver:
         per_mass = (heavy - light) / robot.mass
         without_mass = light - per_mass * robot.mass
         holding = np.stack([per_mass, without_mass], axis=-1)
+        mass = mean[:, self.columns.mass, None].copy()
         angle = np.zeros((count, robot.cables))
         speed = angle
         if robot.flexible:
@@ -171,7 +180,7 @@ class RobotObserver:
             holding=holding,
             motor_angle=angle,
             motor_speed=speed,
-            tensions=light / robot.pulley_radius,
+            tensions=(per_mass * mass + without_mass) / robot.pulley_radius,
             dynamics=self._dynamics(mean),
         )
 
