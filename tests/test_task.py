@@ -1,6 +1,7 @@
 """Motions that leave the workspace raise before an episode starts, and the start pose."""
 
 import contextlib
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,8 +10,14 @@ from numpy.testing import assert_array_equal
 
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
-from cablebot_gym.task import ErrorBounds, at_rest, check_workspace, start_pose
-from cablebot_gym.trajectories import find_trajectory
+from cablebot_gym.task import (
+    ErrorBounds,
+    at_rest,
+    check_workspace,
+    motion_questions,
+    start_pose,
+)
+from cablebot_gym.trajectories import BetweenDwells, Waypoints, find_trajectory
 
 PLANAR_ID = "CableBot-Planar-v0"
 OUTSIDE = {"name": "smooth-circle-planar", "radius": 3.0}
@@ -30,7 +37,13 @@ def test_motion_may_leave_the_workspace_by_the_error_bounds(coordinate):
     motion = find_trajectory("paper-spatial", 6)
     poses = motion(np.linspace(0.0, motion.duration, 2001)).position
     bounds = ErrorBounds(position=0.01, rotation=0.02)
-    fields = {"name": "box", "kind": "spatial", "dimensions": 3, "coordinates": 6}
+    fields = {
+        "name": "box",
+        "kind": "spatial",
+        "dimensions": 3,
+        "coordinates": 6,
+        "weightless": True,
+    }
     for side in (0, 1):
         for beyond, fits in ((0.0, True), (0.005, True), (0.015, coordinate >= 3), (0.03, False)):
             box = np.array([poses.min(axis=0), poses.max(axis=0)])
@@ -38,6 +51,52 @@ def test_motion_may_leave_the_workspace_by_the_error_bounds(coordinate):
             robot = SimpleNamespace(**fields, pose_bounds=box)
             with contextlib.nullcontext() if fits else pytest.raises(ValueError, match="leaves"):
                 check_workspace(robot, motion, bounds)
+
+
+def line(*poses, blend=0.0):
+    """A motion through waypoints, one a second."""
+    times = tuple(range(len(poses)))
+    return BetweenDwells(motion=Waypoints(times=times, poses=poses, blend=blend))
+
+
+HALL = SPATIAL.replace(base_anchors=tuple(map(tuple, SPATIAL.base - [0, 0, 3])))
+HALL = HALL.replace(home_pose=(0, 0, -1.5, 0, 0, 0))
+WIDE = HALL.replace(workspace=((-2, 2), (-2, 2), (-3, 3), (-1, 1), (-1, 1), (-1, 1)))
+FAR = PLANAR.replace(name="far", home_pose=(0.3, -0.1), workspace=((-0.4, 0.4), (-0.2, 0.2)))
+LEVEL = (0, 0, 0)
+SQUARE = ((0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1), (0, 0))
+
+
+@pytest.mark.parametrize(
+    ("robot", "motion", "message"),
+    [
+        (
+            HALL,
+            line((0, 0, 1.5, *LEVEL), (0, 0, 1.6, *LEVEL)),
+            "z points down here. If it points up",
+        ),
+        (HALL, line((0, 0, 0.5, *LEVEL), (0, 0, -1.5, *LEVEL)), "change the motion or the work"),
+        (HALL, line((0, 0, -1.5, 5, 0, 0), (0, 0, -1, 5, 0, 0)), "multiply degrees by π/180"),
+        (HALL, line((0, 0, -1500, *LEVEL), (0, 0, -1e3, *LEVEL)), "divide millimetres by 1000"),
+        (
+            WIDE,
+            line((0, 0, 1.5, *LEVEL), (0, 0, 1.6, *LEVEL)),
+            "3 m from home_pose: is it mirrored",
+        ),
+        (WIDE, line((1, 2, -2.5, *LEVEL), (1, 1, -2, *LEVEL)), None),
+        (PLANAR, line(*SQUARE), 'by 61.2 mm at t = 2.86 s, .*give it "blend": 0.5'),
+        (PLANAR, line(*SQUARE, blend=0.5), None),
+        (FAR, line((-0.2, 0.0), (-0.1, 0.0)), "is it in the base frame of 'far'"),
+    ],
+)
+def test_motion_of_another_frame_or_unit_is_questioned(robot, motion, message):
+    """A robot check said what the robot carries below the floor."""
+    try:
+        check_workspace(robot, motion)
+        text = " ".join(motion_questions(robot, motion))
+    except ValueError as error:
+        text = str(error)
+    assert re.search(message or "^$", text), text
 
 
 # --- the start of an episode --------------------------------------------------------------------------------------

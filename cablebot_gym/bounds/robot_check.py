@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from cablebot_gym.envs.references import check_duration
 from cablebot_gym.envs.settings import check_simulated, default_trajectory, fewest_substeps
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
@@ -32,7 +33,12 @@ from cablebot_gym.physics.statics import (
 from cablebot_gym.rendering.projection import attached_points
 from cablebot_gym.robots import COORDINATE_NAMES, Robot
 from cablebot_gym.robots.ranges import with_values
-from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds
+from cablebot_gym.task import (
+    ErrorBounds,
+    check_workspace,
+    find_error_bounds,
+    motion_questions,
+)
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.results import Printed
@@ -165,7 +171,8 @@ class MotionCheck:
     settled_tension: float | None
     """Largest relative change of a tension at the home pose by sag and weight; None if unknown."""
     questions: tuple[str, ...]
-    """Pairs of cables that come close, with a remedy."""
+    """What may be meant otherwise: see :func:`~cablebot_gym.task.motion_questions`, and pairs of
+    cables that come close. Each has a remedy."""
 
     @property
     def held(self) -> bool:
@@ -245,6 +252,7 @@ def check_motion(
     motion = find_trajectory(
         default_trajectory(robot) if trajectory is None else trajectory, robot.kind
     )
+    check_duration(motion)
     payload = _payload_of(robot, payload)
     bounds = find_error_bounds(None, robot)
     check_workspace(robot, motion, bounds)
@@ -263,7 +271,7 @@ def check_motion(
         cables=cables,
         settled=settled,
         settled_tension=tension,
-        questions=tuple(_close_cables(robot, times, reference)),
+        questions=(*motion_questions(robot, motion), *_close_cables(robot, times, reference)),
     )
 
 
@@ -276,7 +284,7 @@ def _payload_of(robot: Robot, payload: float | None) -> float:
 # --- loads and limits ---------------------------------------------------------------------------------------------
 
 
-_ROUNDING = 1e-8  # least payloads below this fraction of the platform's mass are zero
+_ROUNDING = 1e-6  # least payloads below this fraction of the platform's mass are zero
 
 
 def payload_limit(robot: Robot, times: Array, reference: Reference, payload: float) -> PayloadLimit:

@@ -328,8 +328,8 @@ def payload_or_least(payload: float | None, robot: Robot) -> float:
 
 
 def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
-    """Prints the largest speeds and accelerations of a motion through waypoints, which its file
-    does not show."""
+    """Prints the largest speeds and accelerations of a motion through waypoints and its largest
+    distance from the lines between them, which its file does not show."""
     import numpy as np
 
     from cablebot_gym.trajectories import BetweenDwells, Waypoints
@@ -350,7 +350,9 @@ def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
         texts.append(f"largest {name} {' and '.join(peaks)}")
     span = f"{counted(len(motion.times), 'waypoint')} in {motion.duration:.4g} s"
     span += f" between dwells of {trajectory.dwell:g} s"
-    say(f"{motion.name}: {span}; {', '.join(texts)}")
+    farthest, time, _ = motion.deviation(d)
+    lines = f"at most {1e3 * farthest:.3g} mm from the lines between them, at t = {time + trajectory.dwell:.2f} s"
+    say(f"{motion.name}: {span}; {', '.join(texts)}; {lines}")
 
 
 def isolates(name: str, wrappers: Sequence[str], isolate: bool | None) -> bool:

@@ -117,8 +117,9 @@ class Robot:
     """
     workspace: tuple[tuple[float, float], ...] = ()
     """(low, high) of each coordinate [m, rad]. Empty: the bounding box of the base anchors, and
-    angles within ± 1 rad. If the home pose is below all anchors, the box begins at the lowest one;
-    its depth is its diagonal in plan."""
+    angles within ± 1 rad. If the home pose is below all anchors, the box begins at the lowest one.
+    It ends at z = 0, the floor, if the home pose is above it; otherwise its depth is its diagonal
+    in plan, and at least twice that of the home pose."""
     defaults: Defaults = dataclasses.field(default=Defaults(), compare=False, repr=False)
     """Default motion, error bounds and payload range. Robots that differ only in these are
     equal."""
@@ -240,10 +241,14 @@ class Robot:
         low, high = self.base.min(axis=0), self.base.max(axis=0)
         # A suspended platform hangs below its anchors, which then bound its workspace from above.
         has_depth = not (self.planar and self.weightless)
-        if has_depth and self.home_pose[self.dimensions - 1] >= high[-1]:
+        home = self.home_pose[self.dimensions - 1]
+        if has_depth and home >= high[-1]:
             depth = float(np.linalg.norm((high - low)[:-1]))
+            bottom = high[-1] + max(depth, 2 * (home - high[-1]))
+            if high[-1] < 0 and home < 0:  # the origin is on the floor
+                bottom = 0.0
             low = np.append(low[:-1], high[-1])
-            high = np.append(high[:-1], high[-1] + depth)
+            high = np.append(high[:-1], bottom)
         angles = np.ones(self.coordinates - self.dimensions)
         return _frozen([np.concatenate([low, -angles]), np.concatenate([high, angles])])
 
@@ -506,7 +511,7 @@ def _check_body(robot: Robot) -> None:
     heights = cable_vectors(robot.base, robot.platform, robot.home)[:, -1]
     if not robot.weightless and heights.max() < 0:
         raise ValueError(
-            f"all base anchors are below the platform at home_pose; {_vertical_remedy(robot)}"
+            f"all base anchors are below the platform at home_pose; {vertical_remedy(robot)}"
         )
     low, high = robot.pose_bounds
     if np.any(low >= high):
@@ -524,8 +529,11 @@ def _check_home(robot: Robot) -> None:
     """Checks that the cables hold the home pose."""
     low, high = robot.pose_bounds
     if np.any(robot.home < low) or np.any(robot.home > high):
+        workspace = "workspace"
+        if not robot.workspace:
+            workspace = "box of the base anchors, which is the workspace of a robot without one,"
         raise ValueError(
-            f"home_pose {robot.home_pose} lies outside the workspace {low.tolist()} to {high.tolist()}"
+            f"home_pose {robot.home_pose} lies outside the {workspace} {low.tolist()} to {high.tolist()}"
         )
     with np.errstate(invalid="ignore"):  # inside a swivel pulley
         lengths = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)
@@ -548,11 +556,11 @@ def _check_home(robot: Robot) -> None:
             problem = "the cables do not surround"
         remedy = "move the pose or the anchors"
         if _holds_upside_down(robot):
-            remedy = f"upside down they would. {_vertical_remedy(robot)}"
+            remedy = f"upside down they would. {vertical_remedy(robot)}"
         raise ValueError(f"{robot.name}: {problem} home_pose {robot.home_pose}; {remedy}")
 
 
-def _vertical_remedy(robot: Robot) -> str:
+def vertical_remedy(robot: Robot) -> str:
     """Direction of the vertical axis in words, and how to convert a frame in which it points up."""
     if robot.planar:
         return (

@@ -73,7 +73,7 @@ def _chain(kind: Kind, *motions: Any) -> Callable[..., BetweenDwells]:
 def _fields_of(name: Any) -> set[str]:
     """Fields of a named motion; empty if there is none of this name."""
     if is_waypoint_file(name):
-        return {"duration", "dwell", "times", "poses"}
+        return {"duration", "dwell", "blend", "times", "poses"}
     if name not in TRAJECTORIES:
         return set()
     return set(inspect.signature(TRAJECTORIES[name]).parameters) - {"name"}
@@ -253,8 +253,8 @@ def find_trajectory(
             :class:`~cablebot_gym.trajectories.base.Trajectory`, or the place of one:
             ``file.py:name`` or ``package.module:name``. The object there may also be a
             function or a class that makes the trajectory without arguments. ``file.csv`` has
-            waypoints, see :class:`~cablebot_gym.trajectories.spline.Waypoints`, with dwells as the
-            named motions; its columns are ``t`` [s] and the coordinates [m, rad]. Without ``t`` it
+            waypoints, see :class:`~cablebot_gym.trajectories.spline.Waypoints` and its ``blend``,
+            with dwells as the named motions; its columns are ``t`` [s] and the coordinates [m, rad]. Without ``t`` it
             needs a duration: ``{"name": "file.csv", "duration": 4.0}``.
         kind: the robot, as for :func:`~cablebot_gym.robots.names.find_robot`, its kind, or its
             number of coordinates n.
@@ -312,10 +312,11 @@ def _between_waypoints(
     *,
     duration: float | None = None,
     dwell: float = DWELL,
+    blend: float = 0.0,
     times: Any = None,
     poses: Any = None,
 ) -> BetweenDwells:
-    """The spline through the waypoints of a file between dwells, or through ``poses``, so that
+    """The motion through the waypoints of a file between dwells, or through ``poses``, so that
     stored data suffice.
 
     The duration scales the times of the file.
@@ -332,8 +333,8 @@ def _between_waypoints(
             if times is not None:
                 fractions = times / times[-1]
             times = fractions * number("duration", duration, above=0, unit="s")
-    spline = Waypoints(name=Path(name).name, times=times, poses=poses)
-    return BetweenDwells(motion=spline, dwell=dwell)
+    motion = Waypoints(name=Path(name).name, times=times, poses=poses, blend=blend)
+    return BetweenDwells(motion=motion, dwell=dwell)
 
 
 @cache

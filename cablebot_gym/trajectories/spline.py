@@ -1,4 +1,4 @@
-"""A spline through waypoints."""
+"""Motions through waypoints: a spline, or straight lines with blends."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.trajectories.base import POSE_SHAPES, Motion
-from cablebot_gym.utils.checks import numbers
+from cablebot_gym.trajectories.base import BLEND, POSE_SHAPES, Motion, unit_blend
+from cablebot_gym.trajectories.derivatives import scaled
+from cablebot_gym.utils.checks import number, numbers
 
 SPLINE_DEGREE = 5
 """Degree of the spline of :class:`Waypoints`: the least one with a continuous snap, which swings
@@ -21,23 +22,31 @@ SPLINE_ERROR = 1e-7
 """Largest distance of the spline from a waypoint, as a fraction of the largest coordinate or of
 1."""
 
+_RAMP = BLEND.integ()
+
 
 @dataclass(frozen=True, kw_only=True)
 class Waypoints(Motion):
-    """A spline through waypoints, from rest at the first one to rest at the last one; the motion is
-    C⁴.
+    """A motion from rest at the first waypoint to rest at the last one; it is C⁴.
 
-    Between waypoints the spline may swing, the more the less evenly they are spaced.
+    Without ``blend`` it is a spline through the waypoints. A spline swings between them: it rounds
+    corners on their outer side, see :meth:`deviation`. With ``blend`` it follows the straight lines
+    between them, each at constant speed. A blend from one velocity to the next cuts each corner on
+    its inner side.
 
     Raises:
-        ValueError: if there are fewer than two waypoints, a number is not finite, or the times do
-            not increase from 0.
+        ValueError: if there are fewer than two waypoints, a number is not finite, the times do not
+            increase from 0, or the blends overlap.
     """
 
     times: tuple[float, ...]
     """Times of the waypoints [s]; the first one is 0."""
     poses: tuple[tuple[float, ...], ...]
     """Poses of the waypoints, shape (k, n)."""
+    blend: float = 0.0
+    """Duration of the blends of the straight lines [s], at the start, at each corner and at the
+    end; 0 for a spline. The lines are shortened in time by one blend as a whole, so the duration
+    stays."""
     name: str = "waypoints"
     """Name shown in tables and error messages."""
     duration: float = dataclasses.field(init=False)
@@ -54,6 +63,13 @@ class Waypoints(Motion):
         object.__setattr__(self, "poses", tuple(map(tuple, poses.tolist())))
         object.__setattr__(self, "duration", float(times[-1]))
         super().__post_init__()
+        if self.blend:
+            shortest = float(np.diff(times).min())
+            longest = shortest / (1 + shortest / self.duration)
+            object.__setattr__(
+                self, "blend", number("blend", self.blend, above=0, most=longest, unit="s")
+            )
+            return
         missed = np.max(np.abs(self._spline(times / self.duration) - poses))
         if not missed <= SPLINE_ERROR * max(1.0, float(np.max(np.abs(poses)))):
             raise ValueError(
@@ -64,6 +80,34 @@ class Waypoints(Motion):
     def coordinates(self) -> int:
         """Number of coordinates n of the pose."""
         return len(self.poses[0])
+
+    @cached_property
+    def passing(self) -> Array:
+        """Times at which the motion is at the waypoints, or beside them in the middle of a blend,
+        shape (k,) [s]."""
+        return self.blend / 2 + np.array(self.times) * (1 - self.blend / self.duration)
+
+    def deviation(self, dimensions: int) -> tuple[float, float, float]:
+        """Largest distance of the position from the straight lines between the waypoints [m], its
+        time [s], and the length of the longest line there [m].
+
+        Args:
+            dimensions: number of coordinates of a position: 2 in a plane, 3 in space.
+        """
+        corners = np.array(self.poses)[:, :dimensions]
+        lines = np.diff(corners, axis=0)
+        times = np.linspace(0.0, self.duration, 20 * len(corners) + 1)
+        # the line of each time; between two blends there is one
+        index = np.searchsorted(self.passing[1:-1], times)
+        offset = self(times).position[:, :dimensions] - corners[index]
+        line = lines[index]
+        squared = np.maximum(np.sum(line**2, axis=1), np.finfo(float).tiny)
+        fraction = np.clip(np.sum(offset * line, axis=1) / squared, 0, 1)
+        distance = np.linalg.norm(offset - fraction[:, None] * line, axis=1)
+        farthest = int(np.argmax(distance))
+        near = lines[max(0, index[farthest] - 1) : index[farthest] + 2]
+        length = np.linalg.norm(near, axis=1).max()
+        return float(distance[farthest]), float(times[farthest]), float(length)
 
     @cached_property
     def _spline(self) -> Any:
@@ -88,7 +132,28 @@ class Waypoints(Motion):
             fractions, self.poses, SPLINE_DEGREE, t=knots, bc_type=(at_rest, at_rest)
         )
 
+    def _lines(self, time: Array) -> Array:
+        """Position to snap of the straight lines with blends, shape (5, ..., n)."""
+        velocities = np.diff(self.poses, axis=0) / np.diff(self.passing)[:, None]
+        rest = np.zeros((1, self.coordinates))
+        before = np.concatenate([rest, velocities])
+        change = np.concatenate([velocities, rest]) - before
+        nearest = np.searchsorted((self.passing[1:] + self.passing[:-1]) / 2, time)
+        since = time - self.passing[nearest]
+        # The velocity changes by a blend, so the position by its integral.
+        into = since + self.blend / 2
+        fraction = np.clip(into / self.blend, 0, 1)
+        ramp = np.empty((5, *time.shape))
+        ramp[0] = self.blend * _RAMP(fraction) + np.maximum(into - self.blend, 0)
+        ramp[1:] = scaled(unit_blend(fraction)[:4], 1 / self.blend)
+        derivatives: Array = ramp[..., None] * change[nearest]
+        derivatives[0] += np.array(self.poses)[nearest] + before[nearest] * since[..., None]
+        derivatives[1] += before[nearest]
+        return derivatives
+
     def _derivatives(self, time: Array) -> Array:
+        if self.blend:
+            return self._lines(time)
         fraction = time / self.duration
         derivatives = np.stack(
             [self._spline(fraction, nu=order) / self.duration**order for order in range(5)]

@@ -41,6 +41,15 @@ def test_payload_is_held_up_to_the_limit():
     ]
 
 
+def test_slow_motion_carries_nothing_but_the_platform():
+    """Rounding asked for a payload of 26 kg or 1e-7 kg, and times in ms passed."""
+    for name, duration in (("lemniscate-planar", 30.0), ("line-planar", 900.0)):
+        motion = {"name": name, "duration": duration}
+        assert check_motion(PLANAR, trajectory=motion).limit.least == 0
+    with pytest.raises(ValueError, match=r"lasts 900001 s: .* Is it in ms\? Then divide"):
+        check_motion(PLANAR, trajectory=motion | {"duration": 9e5, "dwell": 0.5})
+
+
 BIFILAR = Robot(
     name="bar on two cables in a plane",
     base_anchors=((-1.0, 0.0), (1.0, 0.0)),
