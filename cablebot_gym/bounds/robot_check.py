@@ -216,10 +216,22 @@ def check_model(robot: Robot, *, payload: float | None = None) -> RobotCheck:
         substeps = fewest_substeps(robot)
     except ValueError:  # springs that are much too stiff
         substeps = None
+    workspace = None
+    oscillations: list[Mode] = []
     if robot.hanging:
-        home = _hanging_limit(robot, payload)
-        workspace = None
+        try:
+            home = _hanging_limit(robot, payload)
+            oscillations = modes(robot, payload)
+        except ValueError:
+            home = PayloadLimit(
+                least=math.inf,
+                largest=-math.inf,
+                time=0.0,
+                pose=robot.home_pose,
+                reason="the platform does not hang near home_pose: move it, or correct center_of_mass",
+            )
     else:
+        oscillations = modes(robot, payload)
         home = payload_limit(robot, np.zeros(1), resting(robot.home[None]), payload)
         workspace = float(np.mean(holds(robot, _grid(robot), payload)))
     return RobotCheck(
@@ -227,7 +239,7 @@ def check_model(robot: Robot, *, payload: float | None = None) -> RobotCheck:
         payload=payload,
         home=home,
         workspace=workspace,
-        modes=tuple(modes(robot, payload)),
+        modes=tuple(oscillations),
         substeps=substeps,
     )
 

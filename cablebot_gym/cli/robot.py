@@ -136,12 +136,12 @@ def report(check: RobotCheck) -> list[str]:
             f"home       holds {_interval(home, robot)} at rest:",
             f"           {home.reason}",
         ]
-    if check.workspace is None:
-        lines.append(f"rest       hangs on its cables at the pose ({_numbers(home.pose)})")
-    else:
+    if check.workspace is not None:
         lines.append(
             f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation"
         )
+    elif home.least <= home.largest:
+        lines.append(f"rest       hangs on its cables at the pose ({_numbers(home.pose)})")
     for locked, text in ((True, "motors locked"), (False, "motors free")):
         frequencies = [
             f"{mode.frequency:.3g} Hz ({mode.direction})"
@@ -150,7 +150,7 @@ def report(check: RobotCheck) -> list[str]:
         ]
         if frequencies:
             lines.append(f"modes      {text}: softest {frequencies[0]}, stiffest {frequencies[1]}")
-    if not check.modes:
+    if not check.modes and not robot.hanging:
         lines.append("modes      none: the transmission is rigid and the cables do not stretch")
     if robot.hanging:
         lines.append("step       none: the simulation does not know fewer cables than coordinates")

@@ -28,6 +28,10 @@ from cablebot_gym.robots.parts import (
 from cablebot_gym.utils.checks import choice, number, numbers, record
 
 
+class HomePoseError(ValueError):
+    """The cables cannot hold the home pose of a robot."""
+
+
 def _per_motor(field: str, part: str = "transmission") -> cached_property[Array]:
     """Property of a :class:`Robot` with a value of its motors or its transmission, shape (m,)."""
 
@@ -510,13 +514,17 @@ def _check_body(robot: Robot) -> None:
         checks.check_inertia(robot.inertia, robot.inertia_tensor)
     heights = cable_vectors(robot.base, robot.platform, robot.home)[:, -1]
     if not robot.weightless and heights.max() < 0:
-        raise ValueError(
+        raise HomePoseError(
             f"all base anchors are below the platform at home_pose; {vertical_remedy(robot)}"
         )
     low, high = robot.pose_bounds
     if np.any(low >= high):
+        if robot.workspace:
+            raise ValueError("workspace must have low < high")
+        axis = COORDINATE_NAMES[robot.kind][int(np.argmax(low >= high))]
         raise ValueError(
-            "workspace must have low < high; give one if the base anchors lie on a line along an axis"
+            f"the {robot.cables} cables have base anchors with one {axis}, which span no workspace: add cables, or "
+            "give a workspace"
         )
     if robot.kind == "spatial" and max(abs(low[4]), abs(high[4])) >= math.pi / 2:
         raise ValueError(
@@ -532,13 +540,13 @@ def _check_home(robot: Robot) -> None:
         workspace = "workspace"
         if not robot.workspace:
             workspace = "box of the base anchors, which is the workspace of a robot without one,"
-        raise ValueError(
+        raise HomePoseError(
             f"home_pose {robot.home_pose} lies outside the {workspace} {low.tolist()} to {high.tolist()}"
         )
     with np.errstate(invalid="ignore"):  # inside a swivel pulley
         lengths = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)
     if not np.all(lengths >= 1e-6):  # NaN counts as too short
-        raise ValueError(
+        raise HomePoseError(
             "a cable has zero length at home_pose; move the pose away from its base anchor"
         )
     jacobian = structure_jacobian(robot.base, robot.platform, robot.home, robot.swivel)
@@ -546,7 +554,7 @@ def _check_home(robot: Robot) -> None:
     rank = np.linalg.matrix_rank(jacobian, tol=1e-9)
     if rank < min(robot.cables, robot.coordinates):
         free = checks.free_coordinate(robot.kind, jacobian)
-        raise ValueError(
+        raise HomePoseError(
             f"{robot.name}: at home_pose {robot.home_pose} the cables act in {rank} of {robot.coordinates} directions, "
             f"and {free} is free; move the pose or the anchors"
         )
@@ -557,7 +565,7 @@ def _check_home(robot: Robot) -> None:
         remedy = "move the pose or the anchors"
         if _holds_upside_down(robot):
             remedy = f"upside down they would. {vertical_remedy(robot)}"
-        raise ValueError(f"{robot.name}: {problem} home_pose {robot.home_pose}; {remedy}")
+        raise HomePoseError(f"{robot.name}: {problem} home_pose {robot.home_pose}; {remedy}")
 
 
 def vertical_remedy(robot: Robot) -> str:

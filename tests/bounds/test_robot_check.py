@@ -64,6 +64,13 @@ BIFILAR = Robot(
 )
 
 
+def test_platform_that_does_not_hang_is_described_all_the_same():
+    """Its check was one line about lengths."""
+    check = check_model(BIFILAR.replace(center_of_mass=(0.9, -3.0)))
+    assert check.home.least > check.home.largest
+    assert "correct center_of_mass" in check.home.reason
+
+
 @pytest.mark.parametrize(
     ("robot", "height", "length"),
     [(CAMERA, 18.0, math.hypot(18.0, 60.0, 40.0)), (BIFILAR, 1.0, math.hypot(1.0, 0.5))],
