@@ -22,12 +22,6 @@ if TYPE_CHECKING:
     from cablebot_gym.robots import Robot
     from cablebot_gym.trajectories import Trajectory
 
-EnvId = Annotated[
-    str,
-    typer.Argument(
-        metavar="ID", help="Environment id, such as CableBot-Spatial-v0. `cablebot list` shows all."
-    ),
-]
 FittingEnvId = Annotated[
     str | None,
     typer.Argument(
@@ -36,7 +30,7 @@ FittingEnvId = Annotated[
         "shows all.",
     ),
 ]
-"""The id of a command without another argument, for :func:`fitting_id`."""
+"""The id of a command, for :func:`fitting_id` or :func:`id_and_file`."""
 
 _POLICY = (
     "Name of an installed policy, a .zip file (bundle or SB3 model), package.module:factory, or "
@@ -98,6 +92,13 @@ LEAST_BOUND = 0.1
 """Least valid error bound [mm, mrad]. A smaller value is probably in metres or radians."""
 
 
+class FileData(dict[str, Any]):
+    """Data of a .json file."""
+
+    source: str
+    """The file, which stands for the data on a command line."""
+
+
 def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
     """The value of an option: JSON or the content of a .json file as data, and any other text
     unchanged.
@@ -106,7 +107,9 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
         ValueError: if the file cannot be read, or the JSON is invalid.
     """
     option = f"--{parameter.name}"
-    if text is not None and text.lower().endswith(".json"):
+    source = text or ""
+    is_file = source.lower().endswith(".json")
+    if is_file:
         try:
             text = read_text(Path(text))
         except OSError as error:
@@ -120,9 +123,13 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
     if text is None or not text.lstrip().startswith("{"):
         return text
     try:
-        return foreign_json(text)
+        data = foreign_json(text)
     except ValueError as error:
         raise ValueError(f"{option} is not valid JSON: {error}") from error
+    if is_file:
+        data = FileData(data)
+        data.source = source
+    return data
 
 
 TrajectoryData = Annotated[
@@ -265,6 +272,22 @@ def fitting_id(env_id: str | None, robot: str | None) -> str:
             f"give an environment id, one of {', '.join(ENV_IDS)}, or a robot with --robot"
         )
     return fitting_env_id(robot)
+
+
+def id_and_file(env_id: str | None, out: Path | None, robot: str | None) -> tuple[str, Path]:
+    """The environment id and the file of a command with both. A single argument is the file where
+    ``--robot`` determines the id.
+
+    Raises:
+        ValueError: if one of them is missing.
+    """
+    if out is None and env_id is not None and robot is not None:
+        env_id, out = None, Path(env_id)
+    if out is None:
+        raise ValueError(
+            "give an environment id, or a robot with --robot, and then a file to write"
+        )
+    return fitting_id(env_id, robot), out
 
 
 def with_seed(episode: EpisodeOptions, *, is_secret: bool) -> EpisodeOptions:

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cablebot_gym.cli.options import EnvId, EpisodeOptions, Payload, payload_or_least, robot_of
+from cablebot_gym.cli.options import (
+    EpisodeOptions,
+    FittingEnvId,
+    Payload,
+    id_and_file,
+    payload_or_least,
+    robot_of,
+)
 from cablebot_gym.cli.video import Size, pixels, print_verdicts, record_episodes
 from cablebot_gym.utils.console import say
 
@@ -16,9 +23,12 @@ if TYPE_CHECKING:
 
 
 def picture(
-    env_id: EnvId,
-    out: Annotated[Path, typer.Argument(help="File to write, ending in .png, .jpg or .webp.")],
     episode: EpisodeOptions,
+    env_id: FittingEnvId = None,
+    out: Annotated[
+        Path | None,
+        typer.Argument(metavar="FILE", help="File to write, ending in .png, .jpg or .webp."),
+    ] = None,
     policy: Annotated[
         str | None,
         "Policy as for `dlcc`, or several, separated by commas. The default shows the start pose.",
@@ -44,6 +54,7 @@ def picture(
     from cablebot_gym.video.recording import check_picture, write_picture
 
     width_and_height = pixels(size)
+    env_id, out = id_and_file(env_id, out, episode.robot)
     check_picture(out, time)
     if policy is not None:
         episodes = record_episodes(env_id, policy, payload, episode)
