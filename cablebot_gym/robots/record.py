@@ -521,10 +521,8 @@ def _check_body(robot: Robot) -> None:
     if np.any(low >= high):
         if robot.workspace:
             raise ValueError("workspace must have low < high")
-        axis = COORDINATE_NAMES[robot.kind][int(np.argmax(low >= high))]
         raise ValueError(
-            f"the {robot.cables} cables have base anchors with one {axis}, which span no workspace: add cables, or "
-            "give a workspace"
+            f"the base anchors of the {robot.cables} cables span no workspace: add cables, or give a workspace"
         )
     if robot.kind == "spatial" and max(abs(low[4]), abs(high[4])) >= math.pi / 2:
         raise ValueError(
@@ -537,11 +535,9 @@ def _check_home(robot: Robot) -> None:
     """Checks that the cables hold the home pose."""
     low, high = robot.pose_bounds
     if np.any(robot.home < low) or np.any(robot.home > high):
-        workspace = "workspace"
-        if not robot.workspace:
-            workspace = "box of the base anchors, which is the workspace of a robot without one,"
         raise HomePoseError(
-            f"home_pose {robot.home_pose} lies outside the {workspace} {low.tolist()} to {high.tolist()}"
+            f"home_pose {robot.home_pose} lies outside the workspace {low.tolist()} to {high.tolist()}; without "
+            "`workspace`, it is the box of the base anchors"
         )
     with np.errstate(invalid="ignore"):  # inside a swivel pulley
         lengths = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.trajectories.base import BLEND, POSE_SHAPES, Motion, unit_blend
-from cablebot_gym.trajectories.derivatives import scaled
+from cablebot_gym.trajectories.base import POSE_SHAPES, Motion
 from cablebot_gym.utils.checks import number, numbers
 
 SPLINE_DEGREE = 5
@@ -21,8 +20,6 @@ the least."""
 SPLINE_ERROR = 1e-7
 """Largest distance of the spline from a waypoint, as a fraction of the largest coordinate or of
 1."""
-
-_RAMP = BLEND.integ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,11 +63,9 @@ class Waypoints(Motion):
         if self.blend:
             shortest = float(np.diff(times).min())
             longest = shortest / (1 + shortest / self.duration)
-            object.__setattr__(
-                self, "blend", number("blend", self.blend, above=0, most=longest, unit="s")
-            )
+            number("blend", self.blend, above=0, below=longest, unit="s")
             return
-        missed = np.max(np.abs(self._spline(times / self.duration) - poses))
+        missed = np.max(np.abs(self._curve(times / self.duration) - poses))
         if not missed <= SPLINE_ERROR * max(1.0, float(np.max(np.abs(poses)))):
             raise ValueError(
                 "no smooth curve was found: the waypoints are spaced too unevenly in time; leave some out"
@@ -100,19 +95,38 @@ class Waypoints(Motion):
         # the line of each time; between two blends there is one
         index = np.searchsorted(self.passing[1:-1], times)
         offset = self(times).position[:, :dimensions] - corners[index]
-        line = lines[index]
-        squared = np.maximum(np.sum(line**2, axis=1), np.finfo(float).tiny)
-        fraction = np.clip(np.sum(offset * line, axis=1) / squared, 0, 1)
-        distance = np.linalg.norm(offset - fraction[:, None] * line, axis=1)
-        farthest = int(np.argmax(distance))
-        near = lines[max(0, index[farthest] - 1) : index[farthest] + 2]
-        length = np.linalg.norm(near, axis=1).max()
-        return float(distance[farthest]), float(times[farthest]), float(length)
+        squared = np.sum(lines**2, axis=1) + np.finfo(float).tiny  # waypoints may coincide
+        along = np.clip(np.sum(offset * lines[index], axis=1) / squared[index], 0, 1)
+        distance = np.linalg.norm(offset - along[:, None] * lines[index], axis=1)
+        worst = int(np.argmax(distance))
+        near = squared[max(0, index[worst] - 1) : index[worst] + 2]
+        return float(distance[worst]), float(times[worst]), float(np.sqrt(near.max()))
 
     @cached_property
-    def _spline(self) -> Any:
-        """The spline over the fraction of the duration, of which equations are better conditioned
+    def _curve(self) -> Any:
+        """The motion over the fraction of the duration, of which equations are better conditioned
         than over time."""
+        if self.blend:
+            return self._lines()
+        return self._spline()
+
+    def _lines(self) -> Any:
+        """Straight lines with blends."""
+        from scipy.interpolate import BPoly  # slow to import
+
+        fractions = self.passing / self.duration
+        sides = np.array([-0.5, 0.5]) * self.blend / self.duration
+        velocities = np.diff(self.poses, axis=0) / np.diff(fractions)[:, None]
+        velocities = np.pad(velocities, ((1, 1), (0, 0)))  # it rests before and after
+        # A blend runs from the end of a line to the start of the next one, both straight up to snap.
+        ends = np.zeros((len(fractions), 2, 5, self.coordinates))
+        ends[:, :, 1] = np.stack([velocities[:-1], velocities[1:]], axis=1)
+        ends[:, :, 0] = np.array(self.poses)[:, None] + sides[:, None] * ends[:, :, 1]
+        breaks = np.add.outer(fractions, sides).ravel()
+        return BPoly.from_derivatives(breaks, ends.reshape(len(breaks), 5, -1))
+
+    def _spline(self) -> Any:
+        """The spline through the waypoints."""
         from scipy.interpolate import make_interp_spline  # slow to import
 
         at_rest: Any = [(order, np.zeros(self.coordinates)) for order in range(1, 5)]
@@ -132,31 +146,10 @@ class Waypoints(Motion):
             fractions, self.poses, SPLINE_DEGREE, t=knots, bc_type=(at_rest, at_rest)
         )
 
-    def _lines(self, time: Array) -> Array:
-        """Position to snap of the straight lines with blends, shape (5, ..., n)."""
-        velocities = np.diff(self.poses, axis=0) / np.diff(self.passing)[:, None]
-        rest = np.zeros((1, self.coordinates))
-        before = np.concatenate([rest, velocities])
-        change = np.concatenate([velocities, rest]) - before
-        nearest = np.searchsorted((self.passing[1:] + self.passing[:-1]) / 2, time)
-        since = time - self.passing[nearest]
-        # The velocity changes by a blend, so the position by its integral.
-        into = since + self.blend / 2
-        fraction = np.clip(into / self.blend, 0, 1)
-        ramp = np.empty((5, *time.shape))
-        ramp[0] = self.blend * _RAMP(fraction) + np.maximum(into - self.blend, 0)
-        ramp[1:] = scaled(unit_blend(fraction)[:4], 1 / self.blend)
-        derivatives: Array = ramp[..., None] * change[nearest]
-        derivatives[0] += np.array(self.poses)[nearest] + before[nearest] * since[..., None]
-        derivatives[1] += before[nearest]
-        return derivatives
-
     def _derivatives(self, time: Array) -> Array:
-        if self.blend:
-            return self._lines(time)
         fraction = time / self.duration
         derivatives = np.stack(
-            [self._spline(fraction, nu=order) / self.duration**order for order in range(5)]
+            [self._curve(fraction, nu=order) / self.duration**order for order in range(5)]
         )
         at_end = (time <= 0) | (time >= self.duration)
         derivatives[1:, at_end] = 0.0  # exactly at rest, without rounding

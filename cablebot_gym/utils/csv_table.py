@@ -126,7 +126,7 @@ def _columns(heads: list[str], units: Mapping[str, str]) -> list[str]:
         raise ValueError(
             "its columns are separated by ';'. Save it with commas between columns and points in numbers"
         )
-    if all(map(_is_number, heads)):
+    if all(map(math.isfinite, map(_number, heads))):
         raise ValueError(f"it has no header. {valid}")
     names: list[str] = []
     for head in map(str.strip, heads):
@@ -151,17 +151,18 @@ def _numbers(line: int, row: list[str], header: list[str]) -> list[float]:
         raise ValueError(
             f"line {line} has {len(row)} values, and the first line {len(header)} columns"
         )
-    for name, text in zip(header, row, strict=True):
-        if not _is_number(text):
+    values = list(map(_number, row))
+    for name, text, value in zip(header, row, values, strict=True):
+        if math.isinf(value):
             raise ValueError(
                 f"line {line}: {name} is {text!r}, which is not a finite number with a decimal point"
             )
-    return [float(text.strip() or "nan") for text in row]
+    return values
 
 
-def _is_number(text: str) -> bool:
-    """Whether a cell is empty, NaN or a finite number."""
+def _number(text: str) -> float:
+    """The number of a cell: NaN if it is empty, and infinite if it is no finite number."""
     try:
-        return not math.isinf(float(text.strip() or "nan"))
+        return float(text.strip() or "nan")
     except ValueError:
-        return False
+        return math.inf

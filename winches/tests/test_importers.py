@@ -252,7 +252,7 @@ SQUARE = np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
                 "bodies": bodies(),
                 "cables": cables([(-2, 0, 2), (2, 0, 2)], [(-1, 0, 0), (1, 0, 0)]),
             },
-            "the 2 cables have base anchors with one y, .*: add cables",
+            "the base anchors of the 2 cables span no workspace: add cables",
         ),
     ],
 )
