@@ -306,6 +306,14 @@ def _unit_and_rate(
         return unit, (point_velocity - unit * length_rate) / length
 
 
+def nearest_fraction(point: Array, start: Array, line: Array) -> Array:
+    """Where a segment ``start + fraction · line`` is nearest to a point, arrays (..., d), shape
+    (..., 1), from 0 to 1."""
+    squared = np.sum(line**2, axis=-1, keepdims=True) + np.finfo(float).tiny  # it may be a point
+    fraction: Array = np.sum((point - start) * line, axis=-1, keepdims=True) / squared
+    return np.clip(fraction, 0, 1)
+
+
 def skew(vector: Array) -> Array:
     """The matrix of ``vector ×``, shape (..., 3, 3)."""
     matrix = np.zeros((*vector.shape, 3), vector.dtype)

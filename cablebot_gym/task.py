@@ -232,19 +232,21 @@ def motion_questions(robot: Robot, trajectory: Trajectory) -> list[str]:
     """
     d = robot.dimensions
     label = f"trajectory {trajectory.name!r}"
-    start = trajectory(0.0).position[:d]
-    home = robot.home[:d]
-    distance = np.linalg.norm(start - home)
-    size = np.linalg.norm(np.diff(robot.pose_bounds[:, :d], axis=0))
-    starts = f"{label} starts {distance:.3g} m from home_pose"
     questions = []
+    home = robot.home[:d]
+    start = trajectory(0.0).position[:d]
+    distance = np.linalg.norm(start - home)
+    size = np.linalg.norm(np.ptp(robot.pose_bounds[:, :d], axis=0))
     is_mirrored = 2 * abs(start[-1] + home[-1]) < abs(start[-1] - home[-1]) > size / 10
+    doubt = ""
     if is_mirrored and not robot.weightless:
-        questions.append(f"{starts}: is it mirrored? {vertical_remedy(robot)}")
+        doubt = f"is it mirrored? {vertical_remedy(robot)}"
     elif distance > size / 2:
-        questions.append(f"{starts}: is it in the base frame of {robot.name!r}?")
-    if isinstance(trajectory, BetweenDwells) and isinstance(trajectory.motion, Waypoints):
-        motion = trajectory.motion
+        doubt = f"is it in the base frame of {robot.name!r}?"
+    if doubt:
+        questions.append(f"{label} starts {distance:.3g} m from home_pose: {doubt}")
+    motion = getattr(trajectory, "motion", trajectory)
+    if isinstance(motion, Waypoints):
         farthest, time, length = motion.deviation(d)
         if farthest > length / 10:
             remedy = "shorten the blends"
@@ -252,9 +254,8 @@ def motion_questions(robot: Robot, trajectory: Trajectory) -> list[str]:
                 blend = f"{np.diff(motion.times).min() / 2:.2g}"
                 remedy = f'for straight lines, give it "blend": {blend}, a duration in s'
             questions.append(
-                f"{label} leaves the lines between its waypoints by {1e3 * farthest:.3g} mm at t = "
-                f"{time + trajectory.dwell:.2f} s, where they are {1e3 * length:.3g} mm long: is this meant? "
-                f"If not, {remedy}"
+                f"{label} leaves the lines between its waypoints by {1e3 * farthest:.3g} mm, {time:.2f} s after its "
+                f"start, where they are {1e3 * length:.3g} mm long: is this meant? If not, {remedy}"
             )
     return questions
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from cablebot_gym.envs.references import check_duration
 from cablebot_gym.envs.settings import check_simulated, default_trajectory, fewest_substeps
-from cablebot_gym.kinematics import Array
+from cablebot_gym.kinematics import Array, nearest_fraction
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, SINGULAR, least_norm
 from cablebot_gym.physics.hanging import RestPose, home_at_rest
@@ -216,24 +216,25 @@ def check_model(robot: Robot, *, payload: float | None = None) -> RobotCheck:
         substeps = fewest_substeps(robot)
     except ValueError:  # springs that are much too stiff
         substeps = None
-    workspace = None
     oscillations: list[Mode] = []
-    if robot.hanging:
-        try:
-            home = _hanging_limit(robot, payload)
-            oscillations = modes(robot, payload)
-        except ValueError:
-            home = PayloadLimit(
-                least=math.inf,
-                largest=-math.inf,
-                time=0.0,
-                pose=robot.home_pose,
-                reason="the platform does not hang near home_pose: move it, or correct center_of_mass",
-            )
-    else:
+    workspace = None
+    try:
         oscillations = modes(robot, payload)
-        home = payload_limit(robot, np.zeros(1), resting(robot.home[None]), payload)
-        workspace = float(np.mean(holds(robot, _grid(robot), payload)))
+        if robot.hanging:
+            home = _hanging_limit(robot, payload)
+        else:
+            home = payload_limit(robot, np.zeros(1), resting(robot.home[None]), payload)
+            workspace = float(np.mean(holds(robot, _grid(robot), payload)))
+    except ValueError:
+        if not robot.hanging:
+            raise
+        home = PayloadLimit(
+            least=math.inf,
+            largest=-math.inf,
+            time=0.0,
+            pose=robot.home_pose,
+            reason="the platform does not hang near home_pose: move it, or correct center_of_mass",
+        )
     return RobotCheck(
         robot=robot,
         payload=payload,
@@ -288,9 +289,7 @@ def check_motion(
 
 
 def _payload_of(robot: Robot, payload: float | None) -> float:
-    return number(
-        "payload", robot.defaults.payload(0.0) if payload is None else payload, least=0, unit="kg"
-    )
+    return number("payload", robot.defaults.payload(payload), least=0, unit="kg")
 
 
 # --- loads and limits ---------------------------------------------------------------------------------------------
@@ -554,18 +553,17 @@ def segment_distance(start: Array, end: Array, other_start: Array, other_end: Ar
     first = end - start
     second = other_end - other_start
     between = start - other_start
-    a = np.sum(first**2, axis=-1)
-    e = np.sum(second**2, axis=-1)
-    b = np.sum(first * second, axis=-1)
-    c = np.sum(first * between, axis=-1)
-    f = np.sum(second * between, axis=-1)
-    denominator = a * e - b * b
-    parallel = denominator <= 1e-12 * a * e
-    s = np.where(
-        parallel, 0.0, np.clip((b * f - c * e) / np.where(parallel, 1.0, denominator), 0, 1)
+    product = np.sum(first * second, axis=-1)
+    squared = np.sum(second**2, axis=-1)
+    # Where the lines are closest: the part of the first segment across the second one decides.
+    across = first * squared[..., None] - second * product[..., None]
+    denominator = np.sum(first * across, axis=-1)
+    parallel = denominator <= 1e-12 * np.sum(first**2, axis=-1) * squared
+    nearest = -np.sum(between * across, axis=-1) / np.where(parallel, 1.0, denominator)
+    s = np.where(parallel, 0.0, np.clip(nearest, 0, 1))
+    other = (
+        other_start + nearest_fraction(start + s[..., None] * first, other_start, second) * second
     )
-    t = np.clip((b * s + f) / e, 0, 1)
-    s = np.clip((b * t - c) / a, 0, 1)
-    gap = between + s[..., None] * first - t[..., None] * second
+    gap = start + nearest_fraction(other, start, first) * first - other
     distance: Array = np.linalg.norm(gap, axis=-1)
     return distance

@@ -343,39 +343,30 @@ def robot_of(env_id: str, task: TaskOptions) -> Robot:
     return robot
 
 
-def payload_or_least(payload: float | None, robot: Robot) -> float:
-    """The payload, or the least one of the robot's payload range if there is none [kg]."""
-    if payload is None:
-        return robot.defaults.payload(0.0)
-    return payload
-
-
 def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
     """Prints the largest speeds and accelerations of a motion through waypoints and its largest
     distance from the lines between them, which its file does not show."""
     import numpy as np
 
-    from cablebot_gym.trajectories import BetweenDwells, Waypoints
+    from cablebot_gym.trajectories import Waypoints
 
-    if not isinstance(trajectory, BetweenDwells) or not isinstance(trajectory.motion, Waypoints):
+    motion = getattr(trajectory, "motion", trajectory)
+    if not isinstance(motion, Waypoints):
         return
-    motion = trajectory.motion
     d = robot.dimensions
     reference = motion(np.linspace(0.0, motion.duration, 20 * len(motion.times) + 1))
-    texts = []
+    texts = [f"{motion.name}: {counted(len(motion.times), 'waypoint')} in {motion.duration:.4g} s"]
     for name, rates, unit in (
         ("speed", reference.velocity, "/s"),
         ("acceleration", reference.acceleration, "/s²"),
     ):
-        peaks = [f"{np.linalg.norm(rates[:, :d], axis=1).max():.3g} m{unit}"]
+        peak = f"{np.linalg.norm(rates[:, :d], axis=1).max():.3g} m{unit}"
         if robot.coordinates > d:
-            peaks.append(f"{np.abs(rates[:, d:]).max():.3g} rad{unit}")
-        texts.append(f"largest {name} {' and '.join(peaks)}")
-    span = f"{counted(len(motion.times), 'waypoint')} in {motion.duration:.4g} s"
-    span += f" between dwells of {trajectory.dwell:g} s"
+            peak += f" and {np.abs(rates[:, d:]).max():.3g} rad{unit}"
+        texts.append(f"largest {name} {peak}")
     farthest, time, _ = motion.deviation(d)
-    lines = f"at most {1e3 * farthest:.3g} mm from the lines between them, at t = {time + trajectory.dwell:.2f} s"
-    say(f"{motion.name}: {span}; {', '.join(texts)}; {lines}")
+    texts.append(f"at most {1e3 * farthest:.3g} mm from the lines between them, after {time:.2f} s")
+    say("; ".join(texts))
 
 
 def isolates(name: str, wrappers: Sequence[str], isolate: bool | None) -> bool:

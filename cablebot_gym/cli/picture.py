@@ -12,7 +12,6 @@ from cablebot_gym.cli.options import (
     FittingEnvId,
     Payload,
     id_and_file,
-    payload_or_least,
     robot_of,
 )
 from cablebot_gym.cli.video import Size, pixels, print_verdicts, record_episodes
@@ -78,6 +77,6 @@ def _at_rest(env_id: str, payload: float | None, episode: EpisodeOptions) -> Epi
 
     import_pygame()
     robot = robot_of(env_id, episode)
-    keywords = episode.keywords() | {"payload": payload_or_least(payload, robot)}
+    keywords = episode.keywords() | {"payload": robot.defaults.payload(payload)}
     rollout = record_rollout(lambda observation: np.zeros(robot.cables), env_id, **keywords)
     return described(env_id, robot.name), rollout

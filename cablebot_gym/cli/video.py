@@ -14,7 +14,6 @@ from cablebot_gym.cli.options import (
     PolicyNames,
     id_and_file,
     loaded_policies,
-    payload_or_least,
     robot_of,
     split_names,
 )
@@ -106,7 +105,7 @@ def record_episodes(
 
     robot = robot_of(env_id, episode)
     place = described(env_id, robot.name)
-    keywords = episode.keywords() | {"payload": payload_or_least(payload, robot)}
+    keywords = episode.keywords() | {"payload": robot.defaults.payload(payload)}
     import_pygame()
     episodes = []
     for loaded in loaded_policies(split_names(policy), robot, episode.wrappers, isolate=False):

@@ -248,11 +248,10 @@ class Robot:
         home = self.home_pose[self.dimensions - 1]
         if has_depth and home >= high[-1]:
             depth = float(np.linalg.norm((high - low)[:-1]))
-            bottom = high[-1] + max(depth, 2 * (home - high[-1]))
-            if high[-1] < 0 and home < 0:  # the origin is on the floor
-                bottom = 0.0
-            low = np.append(low[:-1], high[-1])
-            high = np.append(high[:-1], bottom)
+            low[-1] = high[-1]
+            high[-1] += max(depth, 2 * (home - high[-1]))
+            if home < 0:  # the origin is on the floor
+                high[-1] = 0.0
         angles = np.ones(self.coordinates - self.dimensions)
         return _frozen([np.concatenate([low, -angles]), np.concatenate([high, angles])])
 

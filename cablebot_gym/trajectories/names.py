@@ -28,12 +28,11 @@ from cablebot_gym.trajectories.motions import (
     SmoothCircle,
 )
 from cablebot_gym.trajectories.sequences import DWELL, BetweenDwells, Chain
-from cablebot_gym.trajectories.spline import Waypoints
+from cablebot_gym.trajectories.spline import Waypoints, is_waypoint_file, read_waypoints
 from cablebot_gym.utils.checks import mapping, number, unknown_name_error
 from cablebot_gym.utils.files import check_not_a_file
 from cablebot_gym.utils.imports import import_object
 from cablebot_gym.utils.user_code import raised
-from cablebot_gym.waypoints import is_waypoint_file, read_waypoints
 
 
 def _between_dwells(make: Callable[..., Trajectory], **fields: Any) -> Callable[..., BetweenDwells]:
@@ -323,16 +322,15 @@ def _between_waypoints(
     """
     if poses is None:
         times, poses = read_waypoints(Path(name), [COORDINATE_NAMES[kind] for kind in kinds])
-        if times is None and duration is None:
-            raise ValueError(
-                f'trajectory file {name!r} has no column t. Add it, or give a duration: {{"name": "{name}", '
-                '"duration": 4}'
-            )
+        if times is None:
+            times = np.arange(len(poses))
+            if duration is None:
+                raise ValueError(
+                    f'trajectory file {name!r} has no column t. Add it, or give a duration: {{"name": "{name}", '
+                    '"duration": 4}'
+                )
         if duration is not None:
-            fractions = np.linspace(0.0, 1.0, len(poses))
-            if times is not None:
-                fractions = times / times[-1]
-            times = fractions * number("duration", duration, above=0, unit="s")
+            times = times / times[-1] * number("duration", duration, above=0, unit="s")
     motion = Waypoints(name=Path(name).name, times=times, poses=poses, blend=blend)
     return BetweenDwells(motion=motion, dwell=dwell)
 

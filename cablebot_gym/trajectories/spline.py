@@ -1,17 +1,20 @@
-"""Motions through waypoints: a spline, or straight lines with blends."""
+"""Motions through waypoints: a spline, or straight lines with blends; and CSV files of waypoints."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cablebot_gym.kinematics import Array
+from cablebot_gym.kinematics import Array, nearest_fraction
 from cablebot_gym.trajectories.base import POSE_SHAPES, Motion
 from cablebot_gym.utils.checks import number, numbers
+from cablebot_gym.utils.csv_table import Table, column_name, read_table
 
 SPLINE_DEGREE = 5
 """Degree of the spline of :class:`Waypoints`: the least one with a continuous snap, which swings
@@ -94,13 +97,14 @@ class Waypoints(Motion):
         times = np.linspace(0.0, self.duration, 20 * len(corners) + 1)
         # the line of each time; between two blends there is one
         index = np.searchsorted(self.passing[1:-1], times)
-        offset = self(times).position[:, :dimensions] - corners[index]
-        squared = np.sum(lines**2, axis=1) + np.finfo(float).tiny  # waypoints may coincide
-        along = np.clip(np.sum(offset * lines[index], axis=1) / squared[index], 0, 1)
-        distance = np.linalg.norm(offset - along[:, None] * lines[index], axis=1)
-        worst = int(np.argmax(distance))
-        near = squared[max(0, index[worst] - 1) : index[worst] + 2]
-        return float(distance[worst]), float(times[worst]), float(np.sqrt(near.max()))
+        start, line = corners[index], lines[index]
+        position = self(times).position[:, :dimensions]
+        nearest = start + nearest_fraction(position, start, line) * line
+        distance = np.linalg.norm(position - nearest, axis=1)
+        worst = np.argmax(distance)
+        near = lines[max(0, index[worst] - 1) : index[worst] + 2]
+        length = np.linalg.norm(near, axis=1).max()
+        return float(distance[worst]), float(times[worst]), float(length)
 
     @cached_property
     def _curve(self) -> Any:
@@ -154,3 +158,54 @@ class Waypoints(Motion):
         at_end = (time <= 0) | (time >= self.duration)
         derivatives[1:, at_end] = 0.0  # exactly at rest, without rounding
         return derivatives
+
+
+def is_waypoint_file(name: object) -> bool:
+    """Whether the name of a motion is that of a file with waypoints."""
+    return isinstance(name, str) and name.lower().endswith(".csv")
+
+
+def read_waypoints(path: str | Path, kinds: Sequence[str]) -> tuple[Array | None, Array]:
+    """Times and poses of the waypoints in a CSV file, with the columns ``t`` [s] and the coordinates [m,
+    rad], z down; see :func:`~cablebot_gym.utils.csv_table.read_table`.
+
+    Args:
+        path: the file.
+        kinds: symbols of the coordinates, such as ``xyφ``, for each kind of robot that fits.
+
+    Returns:
+        Times from 0 on, shape (k,) [s], None if the file has no column ``t``; poses, shape (k, n)
+        [m, rad].
+
+    Raises:
+        ValueError: if the file is not such a table. The message names the line.
+    """
+    units = {"t": "s"}
+    for symbol in "".join(kinds):
+        units[column_name(symbol)] = "m" if symbol in "xyz" else "rad"
+    table = read_table(path, "trajectory file", units)
+    poses = _poses(table, kinds)
+    for name, values in table.columns.items():
+        table.refuse(name, np.isnan(values), ". A waypoint has a number in each column")
+    times = table.columns.get("t")
+    if times is None:
+        return None, poses
+    table.refuse_decrease("t", np.arange(len(times)))
+    return times - times[0], poses
+
+
+def _poses(table: Table, kinds: Sequence[str]) -> Array:
+    """Poses in the columns of a table, shape (k, n), which it has for one of the kinds."""
+    valid = []
+    for symbols in kinds:
+        names = [column_name(symbol) for symbol in symbols]
+        valid.append(",".join(["t", *names]))
+        if set(names) == table.columns.keys() - {"t"}:
+            poses = np.stack([table.columns[name] for name in names], axis=1)
+            if len(poses) < 2:
+                raise ValueError(f"{table.name}: it needs at least two waypoints")
+            return poses
+    raise ValueError(
+        f"{table.name}: its first line is '{','.join(table.columns)}'. It must be {' or '.join(valid)} "
+        "(t in s, lengths in m, angles in rad; without t, give a duration)"
+    )

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +19,6 @@ from cablebot_gym.utils.files import read_text
 
 _LETTERS = {"ψ": "psi", "θ": "theta", "φ": "phi"}
 """Names of angles, as their symbols can be hard to type. Files may have the symbols too."""
-
-_NAME_AND_UNIT = re.compile(r"(.*?)\s*[\[(](.*)[\])]")
-"""Head of a column with its unit, such as ``x [m]`` or ``x (m)``."""
 
 _SAME_UNIT = str.maketrans("", "", " ·*⋅")
 """N·m may be written as Nm."""
@@ -121,18 +117,14 @@ def read_table(path: str | Path, kind: str, units: Mapping[str, str]) -> Table:
 
 def _columns(heads: list[str], units: Mapping[str, str]) -> list[str]:
     """Names of the columns from the cells of the first line."""
-    valid = f"Its first line must name columns of {', '.join(units)}"
     if ";" in heads[0]:
         raise ValueError(
             "its columns are separated by ';'. Save it with commas between columns and points in numbers"
         )
-    if all(map(math.isfinite, map(_number, heads))):
-        raise ValueError(f"it has no header. {valid}")
     names: list[str] = []
-    for head in map(str.strip, heads):
-        match = _NAME_AND_UNIT.fullmatch(head)
-        name, unit = match.groups() if match else (head, "")
-        name = column_name(name)
+    for head in heads:
+        name, _, unit = head.rstrip("] ").partition("[")
+        name = column_name(name.strip())
         if name not in units:
             raise unknown_name_error("column", name, units)
         if name in names:
