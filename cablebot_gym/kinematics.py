@@ -6,7 +6,7 @@ z)``, that of a platform in a plane ``(x, y, φ)``, and that of a platform in sp
 φ)`` with the rotation ``R = Rz(φ) Ry(θ) Rx(ψ)``. z points down. Lengths are in m, angles in rad.
 ``euler`` are the angles (ψ, θ, φ), shape (..., 3).
 
-All functions also accept object arrays, such as arrays of CasADi symbols, so the same equations
+All functions but segment_distance also accept object arrays, such as arrays of CasADi symbols, so the same equations
 serve numbers and symbolic derivatives.
 """
 
@@ -306,12 +306,27 @@ def _unit_and_rate(
         return unit, (point_velocity - unit * length_rate) / length
 
 
-def nearest_fraction(point: Array, start: Array, line: Array) -> Array:
-    """Where a segment ``start + fraction · line`` is nearest to a point, arrays (..., d), shape
-    (..., 1), from 0 to 1."""
-    squared = np.sum(line**2, axis=-1, keepdims=True) + np.finfo(float).tiny  # it may be a point
-    fraction: Array = np.sum((point - start) * line, axis=-1, keepdims=True) / squared
-    return np.clip(fraction, 0, 1)
+def segment_distance(start: Array, end: Array, other_start: Array, other_end: Array) -> Array:
+    """Distance of two segments, which may be points, arrays (..., d) of numbers, shape (...) [m]."""
+    first = end - start
+    second = other_end - other_start
+    between = start - other_start
+    tiny = np.finfo(float).tiny  # for points
+    a = np.sum(first**2, axis=-1) + tiny
+    e = np.sum(second**2, axis=-1) + tiny
+    b = np.sum(first * second, axis=-1)
+    c = np.sum(first * between, axis=-1)
+    f = np.sum(second * between, axis=-1)
+    denominator = a * e - b * b
+    parallel = denominator <= 1e-12 * a * e
+    s = np.where(
+        parallel, 0.0, np.clip((b * f - c * e) / np.where(parallel, 1.0, denominator), 0, 1)
+    )
+    t = np.clip((b * s + f) / e, 0, 1)
+    s = np.clip((b * t - c) / a, 0, 1)
+    gap = between + s[..., None] * first - t[..., None] * second
+    distance: Array = np.linalg.norm(gap, axis=-1)
+    return distance
 
 
 def skew(vector: Array) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 
 from cablebot_gym.envs.references import check_duration
 from cablebot_gym.envs.settings import check_simulated, default_trajectory, fewest_substeps
-from cablebot_gym.kinematics import Array, nearest_fraction
+from cablebot_gym.kinematics import Array, segment_distance
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, SINGULAR, least_norm
 from cablebot_gym.physics.hanging import RestPose, home_at_rest
@@ -546,24 +546,3 @@ def _close_cables(robot: Robot, times: Array, reference: Reference) -> Iterator[
                 f"cables {i + 1} and {j + 1} come within {1e3 * distance[index]:.0f} mm {place}: do they touch? If so, "
                 "move an anchor or change the motion"
             )
-
-
-def segment_distance(start: Array, end: Array, other_start: Array, other_end: Array) -> Array:
-    """Distance of two segments, arrays (..., d), shape (...) [m]."""
-    first = end - start
-    second = other_end - other_start
-    between = start - other_start
-    product = np.sum(first * second, axis=-1)
-    squared = np.sum(second**2, axis=-1)
-    # Where the lines are closest: the part of the first segment across the second one decides.
-    across = first * squared[..., None] - second * product[..., None]
-    denominator = np.sum(first * across, axis=-1)
-    parallel = denominator <= 1e-12 * np.sum(first**2, axis=-1) * squared
-    nearest = -np.sum(between * across, axis=-1) / np.where(parallel, 1.0, denominator)
-    s = np.where(parallel, 0.0, np.clip(nearest, 0, 1))
-    other = (
-        other_start + nearest_fraction(start + s[..., None] * first, other_start, second) * second
-    )
-    gap = start + nearest_fraction(other, start, first) * first - other
-    distance: Array = np.linalg.norm(gap, axis=-1)
-    return distance

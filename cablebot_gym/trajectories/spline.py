@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.kinematics import Array, nearest_fraction
+from cablebot_gym.kinematics import Array, segment_distance
 from cablebot_gym.trajectories.base import POSE_SHAPES, Motion
 from cablebot_gym.utils.checks import number, numbers
 from cablebot_gym.utils.csv_table import Table, column_name, read_table
@@ -93,17 +93,14 @@ class Waypoints(Motion):
             dimensions: number of coordinates of a position: 2 in a plane, 3 in space.
         """
         corners = np.array(self.poses)[:, :dimensions]
-        lines = np.diff(corners, axis=0)
         times = np.linspace(0.0, self.duration, 20 * len(corners) + 1)
         # the line of each time; between two blends there is one
         index = np.searchsorted(self.passing[1:-1], times)
-        start, line = corners[index], lines[index]
         position = self(times).position[:, :dimensions]
-        nearest = start + nearest_fraction(position, start, line) * line
-        distance = np.linalg.norm(position - nearest, axis=1)
+        distance = segment_distance(position, position, corners[index], corners[index + 1])
         worst = np.argmax(distance)
-        near = lines[max(0, index[worst] - 1) : index[worst] + 2]
-        length = np.linalg.norm(near, axis=1).max()
+        near = corners[max(0, index[worst] - 1) : index[worst] + 3]
+        length = np.linalg.norm(np.diff(near, axis=0), axis=1).max()
         return float(distance[worst]), float(times[worst]), float(length)
 
     @cached_property
