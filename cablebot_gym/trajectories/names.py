@@ -131,8 +131,6 @@ _SPATIAL_CIRCLE: dict[str, Any] = {
 _LEVEL = (0.0, 0.0, 0.0)
 
 TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
-    "paper-planar": partial(PaperCircle, name="paper-planar", **_PLANAR_CIRCLE),
-    "paper-spatial": partial(PaperCircle, name="paper-spatial", **_SPATIAL_CIRCLE),
     # The loops have about the radii of the paper's circles, and their accelerations are above those
     # of the circles (35 and 16 m/s²). Loops in space start low, where motors hold more at
     # rest than the cables carry along the motion: this payload measures the dynamics. For the same
@@ -192,6 +190,8 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
         },
         stroke=4.0,
     ),
+    "paper-planar": partial(PaperCircle, name="paper-planar", **_PLANAR_CIRCLE),
+    "paper-spatial": partial(PaperCircle, name="paper-spatial", **_SPATIAL_CIRCLE),
 }
 """Factories of the named motions. Each accepts the fields of its class as optional keywords, and
 ``dwell`` if the motion is :class:`~cablebot_gym.trajectories.sequences.BetweenDwells`: all except
