@@ -6,8 +6,8 @@ z)``, that of a platform in a plane ``(x, y, φ)``, and that of a platform in sp
 φ)`` with the rotation ``R = Rz(φ) Ry(θ) Rx(ψ)``. z points down. Lengths are in m, angles in rad.
 ``euler`` are the angles (ψ, θ, φ), shape (..., 3).
 
-All functions but segment_distance also accept object arrays, such as arrays of CasADi symbols, so the same equations
-serve numbers and symbolic derivatives.
+All functions but segment_distance also accept object arrays, such as arrays of CasADi symbols, so
+the same equations serve numbers and symbolic derivatives.
 """
 
 from __future__ import annotations
@@ -312,11 +312,11 @@ def segment_distance(start: Array, end: Array, other_start: Array, other_end: Ar
     second = other_end - other_start
     between = start - other_start
     tiny = np.finfo(float).tiny  # for points
-    a = np.sum(first**2, axis=-1) + tiny
-    e = np.sum(second**2, axis=-1) + tiny
-    b = np.sum(first * second, axis=-1)
-    c = np.sum(first * between, axis=-1)
-    f = np.sum(second * between, axis=-1)
+    a = np.vecdot(first, first) + tiny
+    e = np.vecdot(second, second) + tiny
+    b = np.vecdot(first, second)
+    c = np.vecdot(first, between)
+    f = np.vecdot(second, between)
     denominator = a * e - b * b
     parallel = denominator <= 1e-12 * a * e
     s = np.where(

@@ -53,8 +53,7 @@ def test_motion_may_leave_the_workspace_by_the_error_bounds(coordinate):
                 check_workspace(robot, motion, bounds)
 
 
-HALL = SPATIAL.replace(base_anchors=tuple(map(tuple, SPATIAL.base - [0, 0, 3])))
-HALL = HALL.replace(home_pose=(0, 0, -1.5, 0, 0, 0))
+HALL = SPATIAL.replace(base_anchors=SPATIAL.base - [0, 0, 3], home_pose=(0, 0, -1.5, 0, 0, 0))
 WIDE = HALL.replace(workspace=(*[(-2, 2)] * 2, (-3, 3), *[(-1, 1)] * 3))
 FAR = PLANAR.replace(home_pose=(0.3, -0.1), workspace=((-0.4, 0.4), (-0.2, 0.2)))
 SQUARE = ((0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1), (0, 0))
@@ -65,7 +64,7 @@ def square(blend):
 
 
 def at(*pose):
-    return Dwell(pose=(*pose, 0, 0)[:6])
+    return Dwell(pose=(*pose, 0, 0))
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,6 @@ def test_duration_scales_the_times_of_the_file(write_file):
     ("text", "message"),
     [
         ("", "it is empty. Its first line must name columns of t, x, y$"),
-        ("0,0,0\n1,1,1\n", "unknown column '0'; choose one of t, x, y"),
         ("t;x;y\n0;0;0\n", "separated by ';'. Save it with commas"),
         ("t,x\n0,0\n", r"its first line is 't,x'. It must be t,x,y .t in s, lengths in m"),
         ("t,x,x\n0,0,0\n", "column 'x' appears twice"),

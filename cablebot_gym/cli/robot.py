@@ -129,13 +129,10 @@ def report(check: RobotCheck) -> list[str]:
     )
     if robot.maximum_tension != math.inf:
         lines.append(f"cables     at most {robot.maximum_tension:g} N in each")
-    if home.largest < home.least:
-        lines += ["home       no payload can be held at rest:", f"           {home.reason}"]
-    else:
-        lines += [
-            f"home       holds {_interval(home, robot)} at rest:",
-            f"           {home.reason}",
-        ]
+    held = "no payload can be held"
+    if home.largest >= home.least:
+        held = f"holds {_interval(home, robot)}"
+    lines += [f"home       {held} at rest:", f"           {home.reason}"]
     if check.workspace is not None:
         lines.append(
             f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation"

@@ -110,7 +110,7 @@ def _motions_of(
     ):
         fields = own_fields
         if motion != "line":
-            fields = {"center": center} | fields
+            fields = {"center": center} | own_fields
         name = f"{motion}-{kind}"
         motions[name] = _between_dwells(make, name=name, **fields)
     out = {"name": f"line-{kind}", "duration": stroke}
@@ -208,16 +208,12 @@ def trajectory_names(kind: Robot | int | str | None = None) -> list[str]:
     if kind is None:
         return list(TRAJECTORIES)
     kinds = _kinds(kind)
-    return [name for name in TRAJECTORIES if not _kinds_of(name).isdisjoint(kinds)]
+    return [name for name in TRAJECTORIES if _kind_of(name) in kinds]
 
 
-def _kinds_of(name: str) -> set[Kind]:
-    """Kinds of robots of a named motion: the longest kind that ends its name, else those with its
-    coordinates."""
-    endings = [kind for kind in COORDINATES if name.endswith(f"-{kind}")]
-    if endings:
-        return {max(endings, key=len)}
-    return set(_kinds(TRAJECTORIES[name]().coordinates))
+def _kind_of(name: str) -> Kind:
+    """Kind of robots of a named motion: the longest one that ends its name."""
+    return max((kind for kind in COORDINATES if name.endswith(f"-{kind}")), key=len)
 
 
 def _kinds(kind: Any) -> list[Kind]:
@@ -280,7 +276,7 @@ def _named(fields: dict[str, Any], kinds: list[Kind]) -> Trajectory:
     if is_waypoint_file(name):
         mapping("trajectory", fields, sorted(_fields_of(name)))
         return _between_waypoints(str(name), kinds, **fields)
-    if isinstance(name, str) and name in TRAJECTORIES and not _kinds_of(name).isdisjoint(kinds):
+    if isinstance(name, str) and name in TRAJECTORIES and _kind_of(name) in kinds:
         mapping("trajectory", fields, sorted(_fields_of(name)))
         motion = TRAJECTORIES[name](**fields)
         if motion.coordinates == COORDINATES[kinds[0]]:

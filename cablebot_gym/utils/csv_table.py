@@ -55,7 +55,7 @@ class Table:
         Raises:
             ValueError: if a cell is wrong.
         """
-        for row in np.flatnonzero(is_wrong):
+        for row in np.flatnonzero(is_wrong).tolist():
             value = self.columns[column][row]
             text = "empty" if math.isnan(value) else f"{value:.12g}"
             raise ValueError(f"{self.name}: line {self.line(row)}: {column} is {text}{problem}")
