@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.task import (
@@ -89,6 +90,11 @@ def test_motion_of_another_frame_or_unit_is_questioned(robot, motion, message):
     except ValueError as error:
         text = str(error)
     assert re.search(message, text)
+
+
+def test_environment_warns_where_a_check_asks():
+    with pytest.warns(UserWarning, match="leaves the lines between its waypoints"):
+        make_settings(robot=PLANAR, count=1, trajectory=square(0.0))
 
 
 # --- the start of an episode --------------------------------------------------------------------------------------

@@ -111,7 +111,7 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
     is_file = source.lower().endswith(".json")
     if is_file:
         try:
-            text = read_text(Path(text))
+            text = read_text(source)
         except OSError as error:
             raise ValueError(
                 f"{option}: cannot read {text!r} ({error.strerror or error})"
@@ -282,7 +282,8 @@ def id_and_file(env_id: str | None, out: Path | None, robot: str | None) -> tupl
         ValueError: if one of them is missing.
     """
     if out is None and env_id is not None and robot is not None:
-        env_id, out = None, Path(env_id)
+        out = Path(env_id)
+        env_id = None
     if out is None:
         raise ValueError(
             "give an environment id, or a robot with --robot, and then a file to write"

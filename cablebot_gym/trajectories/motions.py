@@ -19,8 +19,8 @@ from cablebot_gym.utils.checks import number
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Circle(Motion):
-    """A turn on a circle about a pose."""
+class Circle(Motion):
+    """A turn on a circle about a pose, with the fields that both kinds of it share."""
 
     radius: float
     """Radius of the circle [m]; > 0. Table 1: 0.2165, Table 3: 0.1."""
@@ -34,7 +34,7 @@ class _Circle(Motion):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PaperCircle(_Circle):
+class PaperCircle(Circle):
     """The paper's circle (Tables 1 and 3). The motion accelerates over one half turn and
     decelerates over the other.
 
@@ -59,7 +59,7 @@ class PaperCircle(_Circle):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SmoothCircle(_Circle):
+class SmoothCircle(Circle):
     """One C⁴ turn on the paper's circle from the same start. The angle goes from 0 to 2π along
     :data:`~cablebot_gym.trajectories.base.BLEND`.
 
