@@ -8,28 +8,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.envs.settings import make_settings
-from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
-from cablebot_gym.task import (
-    ErrorBounds,
-    at_rest,
-    check_workspace,
-    motion_questions,
-    start_pose,
-)
+from cablebot_gym.task import ErrorBounds, at_rest, check_workspace, start_pose
 from cablebot_gym.trajectories import BetweenDwells, Dwell, Waypoints, find_trajectory
-
-PLANAR_ID = "CableBot-Planar-v0"
-OUTSIDE = {"name": "smooth-circle-planar", "radius": 3.0}
-
-
-def test_motion_outside_the_workspace_raises():
-    with pytest.raises(
-        ValueError,
-        match=r"'smooth-circle-planar' leaves the workspace of 'planar' at t = 0.000 s: x = 3 ",
-    ):
-        evaluate_dlcc("fl", PLANAR_ID, trajectory=OUTSIDE)
 
 
 @pytest.mark.parametrize("coordinate", range(6))
@@ -85,14 +68,16 @@ def at(*pose):
 def test_motion_of_another_frame_or_unit_is_questioned(robot, motion, message):
     """A robot check said what the robot carries below the floor."""
     try:
-        check_workspace(robot, motion)
-        text = " ".join(motion_questions(robot, motion))
+        text = " ".join(check_motion(robot, trajectory=motion).questions)
     except ValueError as error:
         text = str(error)
     assert re.search(message, text)
 
 
-def test_environment_warns_where_a_check_asks():
+def test_environment_refuses_what_a_check_refuses_and_warns_where_it_asks():
+    place = r"leaves the workspace of 'planar' at t = 0.000 s: x = 3 "
+    with pytest.raises(ValueError, match=place):
+        make_settings(robot=PLANAR, count=1, trajectory=Dwell(pose=(3, 0)))
     with pytest.warns(UserWarning, match="leaves the lines between its waypoints"):
         make_settings(robot=PLANAR, count=1, trajectory=square(0.0))
 
