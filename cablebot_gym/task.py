@@ -254,8 +254,8 @@ def motion_questions(robot: Robot, trajectory: Trajectory) -> list[str]:
                 blend = f"{np.diff(motion.times).min() / 2:.2g}"
                 remedy = f'for straight lines, give it "blend": {blend}, a duration in s'
             questions.append(
-                f"{label} leaves the lines between its waypoints by {1e3 * farthest:.3g} mm, {time:.2f} s after its "
-                f"start, where they are {1e3 * length:.3g} mm long: is this meant? If not, {remedy}"
+                f"{label} leaves the lines between its waypoints by {1e3 * farthest:.4g} mm, {time:.2f} s after its "
+                f"start, where they are {1e3 * length:.4g} mm long: is this meant? If not, {remedy}"
             )
     return questions
 

@@ -61,7 +61,7 @@ def at(*pose):
         (WIDE, at(0, 0, 1.5, 0), "3 m from home_pose: is it mirrored"),
         (WIDE, at(1, 2, -2.5, 0), "^$"),
         (FAR, Dwell(pose=(-0.2, 0)), "is it in the base frame of 'planar'"),
-        (PLANAR, square(0.0), 'by 61.2 mm, 2.56 s after its start, .*give it "blend": 0.5'),
+        (PLANAR, square(0.0), 'by 61.22 mm, 2.56 s after its start, .*give it "blend": 0.5'),
         (PLANAR, square(0.5), "^$"),
     ],
 )

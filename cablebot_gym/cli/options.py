@@ -366,7 +366,7 @@ def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
             peak += f" and {np.abs(rates[:, d:]).max():.3g} rad{unit}"
         texts.append(f"largest {name} {peak}")
     farthest, time, _ = motion.deviation(d)
-    texts.append(f"at most {1e3 * farthest:.3g} mm from the lines between them, after {time:.2f} s")
+    texts.append(f"at most {1e3 * farthest:.4g} mm from the lines between them, after {time:.2f} s")
     say("; ".join(texts))
 
 
