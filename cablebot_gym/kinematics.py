@@ -6,8 +6,8 @@ z)``, that of a platform in a plane ``(x, y, φ)``, and that of a platform in sp
 φ)`` with the rotation ``R = Rz(φ) Ry(θ) Rx(ψ)``. z points down. Lengths are in m, angles in rad.
 ``euler`` are the angles (ψ, θ, φ), shape (..., 3).
 
-All functions also accept object arrays, such as arrays of CasADi symbols, so the same equations
-serve numbers and symbolic derivatives.
+All functions but segment_distance also accept object arrays, such as arrays of CasADi symbols, so
+the same equations serve numbers and symbolic derivatives.
 """
 
 from __future__ import annotations
@@ -304,6 +304,29 @@ def _unit_and_rate(
         unit = vectors / length
         length_rate = np.sum(unit * point_velocity, axis=-1, keepdims=True)
         return unit, (point_velocity - unit * length_rate) / length
+
+
+def segment_distance(start: Array, end: Array, other_start: Array, other_end: Array) -> Array:
+    """Distance of two segments, which may be points, arrays (..., d) of numbers, shape (...) [m]."""
+    first = end - start
+    second = other_end - other_start
+    between = start - other_start
+    tiny = np.finfo(float).tiny  # for points
+    a = np.vecdot(first, first) + tiny
+    e = np.vecdot(second, second) + tiny
+    b = np.vecdot(first, second)
+    c = np.vecdot(first, between)
+    f = np.vecdot(second, between)
+    denominator = a * e - b * b
+    parallel = denominator <= 1e-12 * a * e
+    s = np.where(
+        parallel, 0.0, np.clip((b * f - c * e) / np.where(parallel, 1.0, denominator), 0, 1)
+    )
+    t = np.clip((b * s + f) / e, 0, 1)
+    s = np.clip((b * t - c) / a, 0, 1)
+    gap = between + s[..., None] * first - t[..., None] * second
+    distance: Array = np.linalg.norm(gap, axis=-1)
+    return distance
 
 
 def skew(vector: Array) -> Array:

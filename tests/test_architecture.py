@@ -24,7 +24,6 @@ ORDER = (
         "robots",
         "exporters",
         "measurement",
-        "waypoints",
         "trajectories",
         "uncertainty",
         "task",

@@ -105,6 +105,10 @@ def test_workspace_is_the_box_of_the_anchors_or_the_given_one():
     assert_allclose(low, [*corners.min(axis=0), 0, -1, -1, -1], rtol=1e-15)
     assert_allclose(high, [*corners.max(axis=0), diagonal, 1, 1, 1], rtol=1e-15)
     assert_array_equal(WALLED.pose_bounds, [[-0.3, -0.2], [0.3, 0.4]])
+    for anchors, home, floor in ((-3, -2, 0), (-0.5, 0.1, 0.7435), (0, 2.5, 5)):
+        base = np.add(SPATIAL.base, [0, 0, anchors])
+        robot = SPATIAL.replace(base_anchors=base, home_pose=(0, 0, home, 0, 0, 0))
+        assert_allclose(robot.pose_bounds[:, 2], (anchors, floor), rtol=1e-4)
 
 
 def test_robots_are_found_by_name():

@@ -87,10 +87,12 @@ def test_positions_follow_a_blend_that_is_smooth_at_its_ends():
 
 
 SPLINE = Waypoints(times=(0.0, 1.0, 2.5, 3.0), poses=((0, 0), (0.1, 0.1), (0.1, -0.1), (0, 0)))
+LINES = Waypoints(times=SPLINE.times, poses=SPLINE.poses, blend=0.4, name="lines")
 
 
 SMOOTH = [
     SPLINE,
+    LINES,
     *(find_trajectory({"name": "loop-point", "seed": seed}, 3) for seed in (0, 8, 10_424)),
     *(TRAJECTORIES[name]() for name in TRAJECTORIES if not name.startswith(("paper", "circle"))),
 ]

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from cablebot_gym.envs.references import check_duration
 from cablebot_gym.envs.settings import check_simulated, default_trajectory, fewest_substeps
-from cablebot_gym.kinematics import Array
+from cablebot_gym.kinematics import Array, segment_distance
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import HELD, SINGULAR, least_norm
 from cablebot_gym.physics.hanging import RestPose, home_at_rest
@@ -32,7 +33,12 @@ from cablebot_gym.physics.statics import (
 from cablebot_gym.rendering.projection import attached_points
 from cablebot_gym.robots import COORDINATE_NAMES, Robot
 from cablebot_gym.robots.ranges import with_values
-from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds
+from cablebot_gym.task import (
+    ErrorBounds,
+    check_workspace,
+    find_error_bounds,
+    motion_questions,
+)
 from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.results import Printed
@@ -165,7 +171,8 @@ class MotionCheck:
     settled_tension: float | None
     """Largest relative change of a tension at the home pose by sag and weight; None if unknown."""
     questions: tuple[str, ...]
-    """Pairs of cables that come close, with a remedy."""
+    """What may be meant otherwise: see :func:`~cablebot_gym.task.motion_questions`, and pairs of
+    cables that come close. Each has a remedy."""
 
     @property
     def held(self) -> bool:
@@ -209,18 +216,31 @@ def check_model(robot: Robot, *, payload: float | None = None) -> RobotCheck:
         substeps = fewest_substeps(robot)
     except ValueError:  # springs that are much too stiff
         substeps = None
-    if robot.hanging:
-        home = _hanging_limit(robot, payload)
-        workspace = None
-    else:
-        home = payload_limit(robot, np.zeros(1), resting(robot.home[None]), payload)
-        workspace = float(np.mean(holds(robot, _grid(robot), payload)))
+    oscillations: list[Mode] = []
+    workspace = None
+    try:
+        oscillations = modes(robot, payload)
+        if robot.hanging:
+            home = _hanging_limit(robot, payload)
+        else:
+            home = payload_limit(robot, np.zeros(1), resting(robot.home[None]), payload)
+            workspace = float(np.mean(holds(robot, _grid(robot), payload)))
+    except ValueError:
+        if not robot.hanging:
+            raise
+        home = PayloadLimit(
+            least=math.inf,
+            largest=-math.inf,
+            time=0.0,
+            pose=robot.home_pose,
+            reason="the platform does not hang near home_pose: move it, or correct center_of_mass",
+        )
     return RobotCheck(
         robot=robot,
         payload=payload,
         home=home,
         workspace=workspace,
-        modes=tuple(modes(robot, payload)),
+        modes=tuple(oscillations),
         substeps=substeps,
     )
 
@@ -245,6 +265,7 @@ def check_motion(
     motion = find_trajectory(
         default_trajectory(robot) if trajectory is None else trajectory, robot.kind
     )
+    check_duration(motion)
     payload = _payload_of(robot, payload)
     bounds = find_error_bounds(None, robot)
     check_workspace(robot, motion, bounds)
@@ -263,20 +284,18 @@ def check_motion(
         cables=cables,
         settled=settled,
         settled_tension=tension,
-        questions=tuple(_close_cables(robot, times, reference)),
+        questions=(*motion_questions(robot, motion), *_close_cables(robot, times, reference)),
     )
 
 
 def _payload_of(robot: Robot, payload: float | None) -> float:
-    return number(
-        "payload", robot.defaults.payload(0.0) if payload is None else payload, least=0, unit="kg"
-    )
+    return number("payload", robot.defaults.payload(payload), least=0, unit="kg")
 
 
 # --- loads and limits ---------------------------------------------------------------------------------------------
 
 
-_ROUNDING = 1e-8  # least payloads below this fraction of the platform's mass are zero
+_ROUNDING = 1e-6  # least payloads below this fraction of the platform's mass are zero
 
 
 def payload_limit(robot: Robot, times: Array, reference: Reference, payload: float) -> PayloadLimit:
@@ -527,25 +546,3 @@ def _close_cables(robot: Robot, times: Array, reference: Reference) -> Iterator[
                 f"cables {i + 1} and {j + 1} come within {1e3 * distance[index]:.0f} mm {place}: do they touch? If so, "
                 "move an anchor or change the motion"
             )
-
-
-def segment_distance(start: Array, end: Array, other_start: Array, other_end: Array) -> Array:
-    """Distance of two segments, arrays (..., d), shape (...) [m]."""
-    first = end - start
-    second = other_end - other_start
-    between = start - other_start
-    a = np.sum(first**2, axis=-1)
-    e = np.sum(second**2, axis=-1)
-    b = np.sum(first * second, axis=-1)
-    c = np.sum(first * between, axis=-1)
-    f = np.sum(second * between, axis=-1)
-    denominator = a * e - b * b
-    parallel = denominator <= 1e-12 * a * e
-    s = np.where(
-        parallel, 0.0, np.clip((b * f - c * e) / np.where(parallel, 1.0, denominator), 0, 1)
-    )
-    t = np.clip((b * s + f) / e, 0, 1)
-    s = np.clip((b * t - c) / a, 0, 1)
-    gap = between + s[..., None] * first - t[..., None] * second
-    distance: Array = np.linalg.norm(gap, axis=-1)
-    return distance

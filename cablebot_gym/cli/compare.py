@@ -87,7 +87,7 @@ def compare(
     common: dict[str, Any] = {"draws": draws, "progress": True, **episode.keywords()}
     comparison: Comparison | PayloadComparison
     if payloads is None:
-        payloads = [options.payload_or_least(None, robot)]
+        payloads = [robot.defaults.payload()]
     if len(payloads) == 1:
         comparison = compare_policies(loaded, env_id, payload=payloads[0], **common)
     else:

@@ -6,7 +6,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Annotated
 
-from cablebot_gym.cli.options import Payload, RobotName, payload_or_least
+from cablebot_gym.cli.options import Payload, RobotName
 from cablebot_gym.utils.console import say
 
 
@@ -31,7 +31,7 @@ def export(
         raise ValueError(f"--out must end in .xml, not {out.name!r}")
     check_new_file(out)
     robot = find_robot(name)
-    payload = payload_or_least(payload, robot)
+    payload = robot.defaults.payload(payload)
     number("payload", payload, least=0, unit="kg")
     torques = None
     if not robot.hanging:  # it may swing at home

@@ -136,10 +136,10 @@ def _environment_rows() -> list[list[str]]:
     from cablebot_gym.envs import ENV_IDS
     from cablebot_gym.robots import find_robot
 
-    rows = [["id", "robot", "cables", "coordinates", "transmission"]]
+    rows = [["id", "robot", "cables", "transmission"]]
     for env_id in ENV_IDS:
         robot = find_robot(env_id)
-        rows.append([env_id, robot.name, str(robot.cables), str(robot.coordinates), robot.springs])
+        rows.append([env_id, robot.name, str(robot.cables), robot.springs])
     return rows
 
 

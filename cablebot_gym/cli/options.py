@@ -22,12 +22,6 @@ if TYPE_CHECKING:
     from cablebot_gym.robots import Robot
     from cablebot_gym.trajectories import Trajectory
 
-EnvId = Annotated[
-    str,
-    typer.Argument(
-        metavar="ID", help="Environment id, such as CableBot-Spatial-v0. `cablebot list` shows all."
-    ),
-]
 FittingEnvId = Annotated[
     str | None,
     typer.Argument(
@@ -36,7 +30,7 @@ FittingEnvId = Annotated[
         "shows all.",
     ),
 ]
-"""The id of a command without another argument, for :func:`fitting_id`."""
+"""The id of a command, for :func:`fitting_id` or :func:`id_and_file`."""
 
 _POLICY = (
     "Name of an installed policy, a .zip file (bundle or SB3 model), package.module:factory, or "
@@ -98,6 +92,13 @@ LEAST_BOUND = 0.1
 """Least valid error bound [mm, mrad]. A smaller value is probably in metres or radians."""
 
 
+class FileData(dict[str, Any]):
+    """Data of a .json file."""
+
+    source: str
+    """The file, which stands for the data on a command line."""
+
+
 def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
     """The value of an option: JSON or the content of a .json file as data, and any other text
     unchanged.
@@ -106,9 +107,11 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
         ValueError: if the file cannot be read, or the JSON is invalid.
     """
     option = f"--{parameter.name}"
-    if text is not None and text.lower().endswith(".json"):
+    source = text or ""
+    is_file = source.lower().endswith(".json")
+    if is_file:
         try:
-            text = read_text(Path(text))
+            text = read_text(source)
         except OSError as error:
             raise ValueError(
                 f"{option}: cannot read {text!r} ({error.strerror or error})"
@@ -120,9 +123,13 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
     if text is None or not text.lstrip().startswith("{"):
         return text
     try:
-        return foreign_json(text)
+        data = foreign_json(text)
     except ValueError as error:
         raise ValueError(f"{option} is not valid JSON: {error}") from error
+    if is_file:
+        data = FileData(data)
+        data.source = source
+    return data
 
 
 TrajectoryData = Annotated[
@@ -267,6 +274,23 @@ def fitting_id(env_id: str | None, robot: str | None) -> str:
     return fitting_env_id(robot)
 
 
+def id_and_file(env_id: str | None, out: Path | None, robot: str | None) -> tuple[str, Path]:
+    """The environment id and the file of a command with both. A single argument is the file where
+    ``--robot`` determines the id.
+
+    Raises:
+        ValueError: if one of them is missing.
+    """
+    if out is None and env_id is not None and robot is not None:
+        out = Path(env_id)
+        env_id = None
+    if out is None:
+        raise ValueError(
+            "give an environment id, or a robot with --robot, and then a file to write"
+        )
+    return fitting_id(env_id, robot), out
+
+
 def with_seed(episode: EpisodeOptions, *, is_secret: bool) -> EpisodeOptions:
     """The options with a secret seed if they have none and a policy is isolated."""
     if episode.seed is None and is_secret:
@@ -320,37 +344,30 @@ def robot_of(env_id: str, task: TaskOptions) -> Robot:
     return robot
 
 
-def payload_or_least(payload: float | None, robot: Robot) -> float:
-    """The payload, or the least one of the robot's payload range if there is none [kg]."""
-    if payload is None:
-        return robot.defaults.payload(0.0)
-    return payload
-
-
 def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
-    """Prints the largest speeds and accelerations of a motion through waypoints, which its file
-    does not show."""
+    """Prints the largest speeds and accelerations of a motion through waypoints and its largest
+    distance from the lines between them, which its file does not show."""
     import numpy as np
 
-    from cablebot_gym.trajectories import BetweenDwells, Waypoints
+    from cablebot_gym.trajectories import Waypoints
 
-    if not isinstance(trajectory, BetweenDwells) or not isinstance(trajectory.motion, Waypoints):
+    motion = getattr(trajectory, "motion", trajectory)
+    if not isinstance(motion, Waypoints):
         return
-    motion = trajectory.motion
     d = robot.dimensions
     reference = motion(np.linspace(0.0, motion.duration, 20 * len(motion.times) + 1))
-    texts = []
+    texts = [f"{motion.name}: {counted(len(motion.times), 'waypoint')} in {motion.duration:.4g} s"]
     for name, rates, unit in (
         ("speed", reference.velocity, "/s"),
         ("acceleration", reference.acceleration, "/s²"),
     ):
-        peaks = [f"{np.linalg.norm(rates[:, :d], axis=1).max():.3g} m{unit}"]
+        peak = f"{np.linalg.norm(rates[:, :d], axis=1).max():.3g} m{unit}"
         if robot.coordinates > d:
-            peaks.append(f"{np.abs(rates[:, d:]).max():.3g} rad{unit}")
-        texts.append(f"largest {name} {' and '.join(peaks)}")
-    span = f"{counted(len(motion.times), 'waypoint')} in {motion.duration:.4g} s"
-    span += f" between dwells of {trajectory.dwell:g} s"
-    say(f"{motion.name}: {span}; {', '.join(texts)}")
+            peak += f" and {np.abs(rates[:, d:]).max():.3g} rad{unit}"
+        texts.append(f"largest {name} {peak}")
+    farthest, time, _ = motion.deviation(d)
+    texts.append(f"at most {1e3 * farthest:.4g} mm from the lines between them, after {time:.2f} s")
+    say("; ".join(texts))
 
 
 def isolates(name: str, wrappers: Sequence[str], isolate: bool | None) -> bool:

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cablebot_gym.cli.options import EnvId, EpisodeOptions, Payload, payload_or_least, robot_of
+from cablebot_gym.cli.options import (
+    EpisodeOptions,
+    FittingEnvId,
+    Payload,
+    id_and_file,
+    robot_of,
+)
 from cablebot_gym.cli.video import Size, pixels, print_verdicts, record_episodes
 from cablebot_gym.utils.console import say
 
@@ -16,9 +22,12 @@ if TYPE_CHECKING:
 
 
 def picture(
-    env_id: EnvId,
-    out: Annotated[Path, typer.Argument(help="File to write, ending in .png, .jpg or .webp.")],
     episode: EpisodeOptions,
+    env_id: FittingEnvId = None,
+    out: Annotated[
+        Path | None,
+        typer.Argument(metavar="FILE", help="File to write, ending in .png, .jpg or .webp."),
+    ] = None,
     policy: Annotated[
         str | None,
         "Policy as for `dlcc`, or several, separated by commas. The default shows the start pose.",
@@ -44,6 +53,7 @@ def picture(
     from cablebot_gym.video.recording import check_picture, write_picture
 
     width_and_height = pixels(size)
+    env_id, out = id_and_file(env_id, out, episode.robot)
     check_picture(out, time)
     if policy is not None:
         episodes = record_episodes(env_id, policy, payload, episode)
@@ -67,6 +77,6 @@ def _at_rest(env_id: str, payload: float | None, episode: EpisodeOptions) -> Epi
 
     import_pygame()
     robot = robot_of(env_id, episode)
-    keywords = episode.keywords() | {"payload": payload_or_least(payload, robot)}
+    keywords = episode.keywords() | {"payload": robot.defaults.payload(payload)}
     rollout = record_rollout(lambda observation: np.zeros(robot.cables), env_id, **keywords)
     return described(env_id, robot.name), rollout

@@ -129,19 +129,16 @@ def report(check: RobotCheck) -> list[str]:
     )
     if robot.maximum_tension != math.inf:
         lines.append(f"cables     at most {robot.maximum_tension:g} N in each")
-    if home.largest < home.least:
-        lines += ["home       no payload can be held at rest:", f"           {home.reason}"]
-    else:
-        lines += [
-            f"home       holds {_interval(home, robot)} at rest:",
-            f"           {home.reason}",
-        ]
-    if check.workspace is None:
-        lines.append(f"rest       hangs on its cables at the pose ({_numbers(home.pose)})")
-    else:
+    held = "no payload can be held"
+    if home.largest >= home.least:
+        held = f"holds {_interval(home, robot)}"
+    lines += [f"home       {held} at rest:", f"           {home.reason}"]
+    if check.workspace is not None:
         lines.append(
             f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation"
         )
+    elif home.least <= home.largest:
+        lines.append(f"rest       hangs on its cables at the pose ({_numbers(home.pose)})")
     for locked, text in ((True, "motors locked"), (False, "motors free")):
         frequencies = [
             f"{mode.frequency:.3g} Hz ({mode.direction})"
@@ -150,7 +147,7 @@ def report(check: RobotCheck) -> list[str]:
         ]
         if frequencies:
             lines.append(f"modes      {text}: softest {frequencies[0]}, stiffest {frequencies[1]}")
-    if not check.modes:
+    if not check.modes and not robot.hanging:
         lines.append("modes      none: the transmission is rigid and the cables do not stretch")
     if robot.hanging:
         lines.append("step       none: the simulation does not know fewer cables than coordinates")

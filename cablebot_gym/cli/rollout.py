@@ -13,7 +13,6 @@ from cablebot_gym.cli.options import (
     PolicyName,
     fitting_id,
     loaded_policy,
-    payload_or_least,
     robot_of,
 )
 
@@ -44,7 +43,7 @@ def rollout(
     check_writable_file(out)
     env_id = fitting_id(env_id, episode.robot)
     robot = robot_of(env_id, episode)
-    payload = payload_or_least(payload, robot)
+    payload = robot.defaults.payload(payload)
     loaded = loaded_policy(policy, robot, episode.wrappers, isolate=isolate)
     record = record_rollout(
         loaded,

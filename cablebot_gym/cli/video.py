@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cablebot_gym.cli.options import (
-    EnvId,
     EpisodeOptions,
+    FittingEnvId,
     Payload,
     PolicyNames,
+    id_and_file,
     loaded_policies,
-    payload_or_least,
     robot_of,
     split_names,
 )
@@ -47,10 +47,12 @@ def pixels(size: str | None) -> tuple[int, int]:
 
 
 def video(
-    env_id: EnvId,
-    out: Annotated[Path, typer.Argument(help="File to write, ending in .mp4 or .gif.")],
     policy: PolicyNames,
     episode: EpisodeOptions,
+    env_id: FittingEnvId = None,
+    out: Annotated[
+        Path | None, typer.Argument(metavar="FILE", help="File to write, ending in .mp4 or .gif.")
+    ] = None,
     payload: Payload = None,
     size: Size = None,
     speed: Speed = SPEED,
@@ -68,6 +70,7 @@ def video(
     from cablebot_gym.video.recording import check_speed, check_video, write_video
 
     width_and_height = pixels(size)
+    env_id, out = id_and_file(env_id, out, episode.robot)
     check_video(out)
     check_speed(speed)
     episodes = record_episodes(env_id, policy, payload, episode)
@@ -102,7 +105,7 @@ def record_episodes(
 
     robot = robot_of(env_id, episode)
     place = described(env_id, robot.name)
-    keywords = episode.keywords() | {"payload": payload_or_least(payload, robot)}
+    keywords = episode.keywords() | {"payload": robot.defaults.payload(payload)}
     import_pygame()
     episodes = []
     for loaded in loaded_policies(split_names(policy), robot, episode.wrappers, isolate=False):

@@ -30,6 +30,19 @@ FAILED_STEPS = 0.1
 steps only."""
 
 
+def check_duration(trajectory: Trajectory) -> None:
+    """Checks the duration of a motion.
+
+    Raises:
+        ValueError: if it is longer than :data:`LONGEST_MOTION`.
+    """
+    if not 0 < trajectory.duration <= LONGEST_MOTION:
+        raise ValueError(
+            f"trajectory {trajectory.name!r} lasts {trajectory.duration:g} s: its duration must be > 0 and at most "
+            f"{LONGEST_MOTION:g} s. Is it in ms? Then divide its times by 1000"
+        )
+
+
 class ReferenceTables:
     """Tables of the motions that the environments of a batch follow, one table per motion.
 
@@ -109,11 +122,8 @@ class ReferenceTables:
 
     def _tabulate(self, trajectory: Trajectory) -> tuple[Array, Array]:
         label = f"trajectory {trajectory.name!r}"
+        check_duration(trajectory)
         duration = trajectory.duration
-        if not 0 < duration <= LONGEST_MOTION:
-            raise ValueError(
-                f"{label} lasts {duration} s: its duration must be > 0 and at most {LONGEST_MOTION:g} s"
-            )
         steps = int(np.ceil(duration * self._frequency - 1e-9)) + 1
         if steps > MOST_STEPS:
             raise ValueError(

@@ -22,7 +22,14 @@ from cablebot_gym.measurement import Measurement, find_measurement
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import fastest_decay_rate, highest_frequency
 from cablebot_gym.robots import KIND_TEXTS, Cable, Robot, find_robot, has_paper_geometry
-from cablebot_gym.task import ErrorBounds, at_rest, check_workspace, find_error_bounds, start_pose
+from cablebot_gym.task import (
+    ErrorBounds,
+    at_rest,
+    check_workspace,
+    find_error_bounds,
+    motion_questions,
+    start_pose,
+)
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 from cablebot_gym.utils.checks import (
@@ -433,7 +440,7 @@ def make_settings(*, robot: str | dict[str, Any] | Robot, count: int, **keywords
         values["trajectory"] = default_trajectory(robot)
     scope = Scope(robot, count)
     checked = {name: KEYWORDS[name].check(name, value, scope) for name, value in values.items()}
-    check_workspace(robot, checked["trajectory"], checked["error_bounds"])
+    _check_motion(robot, checked["trajectory"], checked["error_bounds"])
     if checked["cable"] == "bilateral" and np.any(robot.load_friction):
         raise ValueError(
             "cable='bilateral': load_friction is for cables that only pull. Omit cable, or set load_friction to 0"
@@ -487,8 +494,15 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
             checked[name] = RESET_OPTIONS[name](name, value, scope)
     if "trajectory" in checked:
         bounds = checked.get("error_bounds") or find_error_bounds(None, robot)
-        check_workspace(robot, checked["trajectory"], bounds)
+        _check_motion(robot, checked["trajectory"], bounds)
     return checked
+
+
+def _check_motion(robot: Robot, motion: Trajectory, bounds: ErrorBounds) -> None:
+    """Refuses a motion out of the workspace, and warns of one that may be meant otherwise."""
+    check_workspace(robot, motion, bounds)
+    for question in motion_questions(robot, motion):
+        logger.warn(question)
 
 
 @cache

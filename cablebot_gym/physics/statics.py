@@ -93,11 +93,17 @@ def required_load(robot: Robot, reference: Reference, payload: float) -> Array:
     )
 
 
+_NO_LOAD = 1e-9
+"""Force of a payload below which it makes no difference [N/kg]."""
+
+
 def feasible_payloads(robot: Robot, reference: Reference) -> ScaleInterval:
     """Interval of the payloads with which cables and motors follow a reference, at each of its K
     instants [kg]."""
     unloaded = required_load(robot, reference, 0.0)
     per_kilogram = required_load(robot, reference, 1.0) - unloaded
+    # A payload without a force, where the motion does not accelerate, has no limit but rounding.
+    per_kilogram[np.linalg.norm(per_kilogram, axis=-1) < _NO_LOAD] = 0.0
     structure = textbook.jacobian(robot, reference.position)
     least, largest = tension_bounds(robot, reference, robot.minimum_tension)
     heaviest = HEAVIEST * robot.mass

@@ -202,8 +202,8 @@ class Defaults:
             number("payload_range", high, above=low, unit="kg")
             object.__setattr__(self, "payload_range", (low, high))
 
-    def payload(self, default: float) -> float:
-        """Payload of an episode [kg]; ``default`` without a range."""
-        if self.payload_range is None:
-            return default
-        return self.payload_range[0]
+    def payload(self, payload: float | None = None) -> float:
+        """Payload of an episode [kg]; without one the least of the range, and without a range 0."""
+        if payload is not None:
+            return payload
+        return (self.payload_range or (0.0,))[0]

@@ -28,6 +28,10 @@ from cablebot_gym.robots.parts import (
 from cablebot_gym.utils.checks import choice, number, numbers, record
 
 
+class HomePoseError(ValueError):
+    """The cables cannot hold the home pose of a robot."""
+
+
 def _per_motor(field: str, part: str = "transmission") -> cached_property[Array]:
     """Property of a :class:`Robot` with a value of its motors or its transmission, shape (m,)."""
 
@@ -117,8 +121,9 @@ class Robot:
     """
     workspace: tuple[tuple[float, float], ...] = ()
     """(low, high) of each coordinate [m, rad]. Empty: the bounding box of the base anchors, and
-    angles within ± 1 rad. If the home pose is below all anchors, the box begins at the lowest one;
-    its depth is its diagonal in plan."""
+    angles within ± 1 rad. If the home pose is below all anchors, the box begins at the lowest one.
+    It ends at z = 0, the floor, if the home pose is above it; otherwise its depth is its diagonal
+    in plan, and at least twice that of the home pose."""
     defaults: Defaults = dataclasses.field(default=Defaults(), compare=False, repr=False)
     """Default motion, error bounds and payload range. Robots that differ only in these are
     equal."""
@@ -240,10 +245,13 @@ class Robot:
         low, high = self.base.min(axis=0), self.base.max(axis=0)
         # A suspended platform hangs below its anchors, which then bound its workspace from above.
         has_depth = not (self.planar and self.weightless)
-        if has_depth and self.home_pose[self.dimensions - 1] >= high[-1]:
+        home = self.home_pose[self.dimensions - 1]
+        if has_depth and home >= high[-1]:
             depth = float(np.linalg.norm((high - low)[:-1]))
-            low = np.append(low[:-1], high[-1])
-            high = np.append(high[:-1], high[-1] + depth)
+            low[-1] = high[-1]
+            high[-1] += max(depth, 2 * (home - high[-1]))
+            if home < 0:  # the origin is on the floor
+                high[-1] = 0.0
         angles = np.ones(self.coordinates - self.dimensions)
         return _frozen([np.concatenate([low, -angles]), np.concatenate([high, angles])])
 
@@ -505,13 +513,15 @@ def _check_body(robot: Robot) -> None:
         checks.check_inertia(robot.inertia, robot.inertia_tensor)
     heights = cable_vectors(robot.base, robot.platform, robot.home)[:, -1]
     if not robot.weightless and heights.max() < 0:
-        raise ValueError(
-            f"all base anchors are below the platform at home_pose; {_vertical_remedy(robot)}"
+        raise HomePoseError(
+            f"all base anchors are below the platform at home_pose; {vertical_remedy(robot)}"
         )
     low, high = robot.pose_bounds
     if np.any(low >= high):
+        if robot.workspace:
+            raise ValueError("workspace must have low < high")
         raise ValueError(
-            "workspace must have low < high; give one if the base anchors lie on a line along an axis"
+            f"the base anchors of the {robot.cables} cables span no workspace: add cables, or give a workspace"
         )
     if robot.kind == "spatial" and max(abs(low[4]), abs(high[4])) >= math.pi / 2:
         raise ValueError(
@@ -524,13 +534,14 @@ def _check_home(robot: Robot) -> None:
     """Checks that the cables hold the home pose."""
     low, high = robot.pose_bounds
     if np.any(robot.home < low) or np.any(robot.home > high):
-        raise ValueError(
-            f"home_pose {robot.home_pose} lies outside the workspace {low.tolist()} to {high.tolist()}"
+        raise HomePoseError(
+            f"home_pose {robot.home_pose} lies outside the workspace {low.tolist()} to {high.tolist()}; without "
+            "`workspace`, it is the box of the base anchors"
         )
     with np.errstate(invalid="ignore"):  # inside a swivel pulley
         lengths = cable_lengths(robot.base, robot.platform, robot.home, robot.swivel)
     if not np.all(lengths >= 1e-6):  # NaN counts as too short
-        raise ValueError(
+        raise HomePoseError(
             "a cable has zero length at home_pose; move the pose away from its base anchor"
         )
     jacobian = structure_jacobian(robot.base, robot.platform, robot.home, robot.swivel)
@@ -538,7 +549,7 @@ def _check_home(robot: Robot) -> None:
     rank = np.linalg.matrix_rank(jacobian, tol=1e-9)
     if rank < min(robot.cables, robot.coordinates):
         free = checks.free_coordinate(robot.kind, jacobian)
-        raise ValueError(
+        raise HomePoseError(
             f"{robot.name}: at home_pose {robot.home_pose} the cables act in {rank} of {robot.coordinates} directions, "
             f"and {free} is free; move the pose or the anchors"
         )
@@ -548,11 +559,11 @@ def _check_home(robot: Robot) -> None:
             problem = "the cables do not surround"
         remedy = "move the pose or the anchors"
         if _holds_upside_down(robot):
-            remedy = f"upside down they would. {_vertical_remedy(robot)}"
-        raise ValueError(f"{robot.name}: {problem} home_pose {robot.home_pose}; {remedy}")
+            remedy = f"upside down they would. {vertical_remedy(robot)}"
+        raise HomePoseError(f"{robot.name}: {problem} home_pose {robot.home_pose}; {remedy}")
 
 
-def _vertical_remedy(robot: Robot) -> str:
+def vertical_remedy(robot: Robot) -> str:
     """Direction of the vertical axis in words, and how to convert a frame in which it points up."""
     if robot.planar:
         return (

@@ -19,7 +19,22 @@ from cablebot_gym.utils.checks import number
 
 
 @dataclass(frozen=True, kw_only=True)
-class PaperCircle(Motion):
+class Circle(Motion):
+    """A turn on a circle about a pose, with the fields that both kinds of it share."""
+
+    radius: float
+    """Radius of the circle [m]; > 0. Table 1: 0.2165, Table 3: 0.1."""
+    center: tuple[float, ...]
+    """Center pose, shape (n,); all coordinates except x and y stay constant. Table 3: (0, 0, 0.1,
+    0.1, 0.1, 0.1)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        number("radius", self.radius, above=0, unit="m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperCircle(Circle):
     """The paper's circle (Tables 1 and 3). The motion accelerates over one half turn and
     decelerates over the other.
 
@@ -33,19 +48,10 @@ class PaperCircle(Motion):
         ValueError: if a length, time or pose is invalid.
     """
 
-    radius: float
-    """Radius of the circle [m]; > 0. Table 1: 0.2165, Table 3: 0.1."""
-    center: tuple[float, ...]
-    """Center pose, shape (n,); all coordinates except x and y stay constant. Table 3: (0, 0, 0.1,
-    0.1, 0.1, 0.1)."""
     duration: float = 1.0
     """Duration of the turn [s]; > 0. Tables 1 and 3: 1 s."""
     name: str = "paper-circle"
     """Name shown in tables and error messages."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        number("radius", self.radius, above=0, unit="m")
 
     def _derivatives(self, time: Array) -> Array:
         angle = turn_from_rest(time / self.duration)
@@ -53,7 +59,7 @@ class PaperCircle(Motion):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SmoothCircle(Motion):
+class SmoothCircle(Circle):
     """One C⁴ turn on the paper's circle from the same start. The angle goes from 0 to 2π along
     :data:`~cablebot_gym.trajectories.base.BLEND`.
 
@@ -61,18 +67,10 @@ class SmoothCircle(Motion):
         ValueError: if a length, time or pose is invalid.
     """
 
-    radius: float
-    """Radius of the circle [m]; > 0."""
-    center: tuple[float, ...]
-    """Center pose, shape (n,); all coordinates except x and y stay constant."""
     duration: float = 2.0
     """Duration of the turn [s]; > 0."""
     name: str = "smooth-circle"
     """Name shown in tables and error messages."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        number("radius", self.radius, above=0, unit="m")
 
     def _derivatives(self, time: Array) -> Array:
         return circle(self.center, self.radius, 2 * np.pi * self._blend(time))

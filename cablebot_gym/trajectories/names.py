@@ -28,12 +28,11 @@ from cablebot_gym.trajectories.motions import (
     SmoothCircle,
 )
 from cablebot_gym.trajectories.sequences import DWELL, BetweenDwells, Chain
-from cablebot_gym.trajectories.spline import Waypoints
+from cablebot_gym.trajectories.spline import Waypoints, is_waypoint_file, read_waypoints
 from cablebot_gym.utils.checks import mapping, number, unknown_name_error
 from cablebot_gym.utils.files import check_not_a_file
 from cablebot_gym.utils.imports import import_object
 from cablebot_gym.utils.user_code import raised
-from cablebot_gym.waypoints import is_waypoint_file, read_waypoints
 
 
 def _between_dwells(make: Callable[..., Trajectory], **fields: Any) -> Callable[..., BetweenDwells]:
@@ -73,7 +72,7 @@ def _chain(kind: Kind, *motions: Any) -> Callable[..., BetweenDwells]:
 def _fields_of(name: Any) -> set[str]:
     """Fields of a named motion; empty if there is none of this name."""
     if is_waypoint_file(name):
-        return {"duration", "dwell", "times", "poses"}
+        return {"duration", "dwell", "blend", "times", "poses"}
     if name not in TRAJECTORIES:
         return set()
     return set(inspect.signature(TRAJECTORIES[name]).parameters) - {"name"}
@@ -83,129 +82,116 @@ def _motions_of(
     kind: Kind,
     *,
     center: tuple[float, ...],
-    size: float,
-    out: tuple[float, ...],
-    pace: float,
-    loop: dict[str, tuple[float, ...]],
+    circle: dict[str, Any],
+    line: dict[str, Any],
+    lemniscate: dict[str, Any],
+    loop: dict[str, Any],
+    stroke: float,
 ) -> dict[str, Callable[..., Trajectory]]:
-    """Named motions of a kind about a center: half width ``size`` [m] and duration about ``pace``
-    [s].
+    """Named motions of a kind, from the fields of their classes.
 
-    Lines run from ``center − (size, size/2) − out`` to the opposite pose. ``loop`` has the fields
-    of :class:`~cablebot_gym.trajectories.loops.RandomLoop` other than the center.
+    Args:
+        kind: kind of the robots.
+        center: pose of the dwell, and center of the other motions that have no center of their own.
+        circle: the circle. The smooth one takes twice its duration.
+        line: the line.
+        lemniscate: the lemniscate.
+        loop: the random loops.
+        stroke: duration of each line of the chain, which goes out and back [s].
     """
-    across = np.array(out) + np.pad([size, size / 2], (0, len(out) - 2))
-    start = tuple((center - across).tolist())
-    end = tuple((center + across).tolist())
+    smooth_circle = circle | {"duration": 2 * circle["duration"]}
     motions: dict[str, Callable[..., Trajectory]] = {}
-
-    def add(motion: str, make: Callable[..., Trajectory], **fields: Any) -> None:
+    for motion, make, own_fields in (
+        ("circle", PaperCircle, circle),
+        ("smooth-circle", SmoothCircle, smooth_circle),
+        ("line", PointToPoint, line),
+        ("lemniscate", Lemniscate, lemniscate),
+        ("loop", RandomLoop, loop),
+    ):
+        fields = own_fields
+        if motion != "line":
+            fields = {"center": center} | own_fields
         name = f"{motion}-{kind}"
         motions[name] = _between_dwells(make, name=name, **fields)
-
-    add("circle", PaperCircle, radius=size, center=center, duration=pace)
-    add("smooth-circle", SmoothCircle, radius=size, center=center, duration=2 * pace)
-    add("line", PointToPoint, start=start, end=end, duration=pace)
-    amplitude = (size, size / 2)
-    add("lemniscate", Lemniscate, amplitude=amplitude, center=center, duration=2 * pace)
-    add("loop", RandomLoop, center=center, **loop)
-    back = {"name": f"line-{kind}", "start": end, "end": start}
-    motions[f"chain-{kind}"] = _chain(kind, {"name": f"line-{kind}"}, DWELL, back)
+    out = {"name": f"line-{kind}", "duration": stroke}
+    back = out | {"start": line["end"], "end": line["start"]}
+    motions[f"chain-{kind}"] = _chain(kind, out, DWELL, back)
     motions[f"dwell-{kind}"] = partial(Dwell, name=f"dwell-{kind}", pose=center)
     return motions
 
 
-_PLANAR_CIRCLE: dict[str, Any] = {"radius": 0.2165, "center": (0.0, 0.0)}  # Table 1
-# Table 3
-_SPATIAL_CIRCLE: dict[str, Any] = {"radius": 0.1, "center": (0.0, 0.0, 0.1, 0.1, 0.1, 0.1)}
+_PLANAR_CIRCLE: dict[str, Any] = {"radius": 0.2165, "center": (0.0, 0.0), "duration": 1.0}
+"""Table 1."""
+_SPATIAL_CIRCLE: dict[str, Any] = {
+    "radius": 0.1,
+    "center": (0.0, 0.0, 0.1, 0.1, 0.1, 0.1),
+    "duration": 1.0,
+}
+"""Table 3."""
+_LEVEL = (0.0, 0.0, 0.0)
 
 TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
-    "circle-planar": _between_dwells(PaperCircle, name="circle-planar", **_PLANAR_CIRCLE),
-    "circle-spatial": _between_dwells(PaperCircle, name="circle-spatial", **_SPATIAL_CIRCLE),
-    "paper-planar": partial(PaperCircle, name="paper-planar", **_PLANAR_CIRCLE),
-    "paper-spatial": partial(PaperCircle, name="paper-spatial", **_SPATIAL_CIRCLE),
-    "smooth-circle-planar": _between_dwells(
-        SmoothCircle, name="smooth-circle-planar", **_PLANAR_CIRCLE
-    ),
-    "smooth-circle-spatial": _between_dwells(
-        SmoothCircle, name="smooth-circle-spatial", **_SPATIAL_CIRCLE
-    ),
-    "dwell-planar": partial(Dwell, name="dwell-planar", pose=(0.0, 0.0)),
-    "dwell-spatial": partial(Dwell, name="dwell-spatial", pose=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)),
-    "line-planar": _between_dwells(
-        PointToPoint, name="line-planar", start=(-0.1, -0.1), end=(0.1, 0.15)
-    ),
-    "line-spatial": _between_dwells(
-        PointToPoint,
-        name="line-spatial",
-        start=(-0.05, -0.05, 0.1, 0.0, 0.0, 0.0),
-        end=(0.05, 0.05, 0.15, 0.05, 0.05, 0.05),
-    ),
-    "lemniscate-planar": _between_dwells(
-        Lemniscate, name="lemniscate-planar", amplitude=(0.2, 0.1), center=(0.0, 0.0)
-    ),
-    "lemniscate-spatial": _between_dwells(
-        Lemniscate,
-        name="lemniscate-spatial",
-        amplitude=(0.1, 0.05),
-        center=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0),
-    ),
     # The loops have about the radii of the paper's circles, and their accelerations are above those
     # of the circles (35 and 16 m/s²). Loops in space start low, where motors hold more at
     # rest than the cables carry along the motion: this payload measures the dynamics. For the same
     # reason they are level on average and their reach in depth and tilt is small, in which the
     # tensions at rest change fast.
-    "loop-planar": _between_dwells(
-        RandomLoop,
-        name="loop-planar",
-        center=(0.0, 0.0),
-        start=(0.0, 0.0),
-        reach=(0.2165,),
-        acceleration=(36.0,),
-    ),
-    "loop-spatial": _between_dwells(
-        RandomLoop,
-        name="loop-spatial",
-        center=(0.0, 0.0, 0.115, 0.0, 0.0, 0.0),
-        start=(0.0, 0.0, 0.2, 0.0, 0.0, 0.0),
-        reach=(0.11, 0.005, 0.01),
-        acceleration=(22.0, 5.0, 8.0),
-    ),
-    # Pick, dwell and place: out and back along the named lines.
-    "chain-planar": _chain(
+    **_motions_of(
         "planar",
-        {"name": "line-planar", "duration": 1.0},
-        DWELL,
-        {"name": "line-planar", "start": (0.1, 0.15), "end": (-0.1, -0.1), "duration": 1.0},
-    ),
-    "chain-spatial": _chain(
-        "spatial",
-        {"name": "line-spatial", "duration": 1.0},
-        DWELL,
-        {
-            "name": "line-spatial",
-            "start": (0.05, 0.05, 0.15, 0.05, 0.05, 0.05),
-            "end": (-0.05, -0.05, 0.1, 0.0, 0.0, 0.0),
-            "duration": 1.0,
+        center=(0.0, 0.0),
+        circle=_PLANAR_CIRCLE,
+        line={"start": (-0.1, -0.1), "end": (0.1, 0.15)},
+        lemniscate={"amplitude": (0.2, 0.1)},
+        loop={
+            "start": (0.0, 0.0),
+            "reach": (0.2165,),
+            "acceleration": (36.0,),
         },
+        stroke=1.0,
+    ),
+    **_motions_of(
+        "spatial",
+        center=(0.0, 0.0, 0.1, *_LEVEL),
+        circle=_SPATIAL_CIRCLE,
+        line={"start": (-0.05, -0.05, 0.1, *_LEVEL), "end": (0.05, 0.05, 0.15, 0.05, 0.05, 0.05)},
+        lemniscate={"amplitude": (0.1, 0.05)},
+        loop={
+            "center": (0.0, 0.0, 0.115, *_LEVEL),
+            "start": (0.0, 0.0, 0.2, *_LEVEL),
+            "reach": (0.11, 0.005, 0.01),
+            "acceleration": (22.0, 5.0, 8.0),
+        },
+        stroke=1.0,
     ),
     # Sized for the robots of the environments, stadium-camera and ttk4900.
     **_motions_of(
         "point",
         center=(0.0, 0.0, -12.0),
-        size=10.0,
-        out=(0.0, 0.0, -2.0),
-        pace=10.0,
-        loop={"start": (0.0, 0.0, -6.0), "reach": (5.0, 0.5), "acceleration": (14.0, 4.0)},
+        circle={"radius": 10.0, "duration": 10.0},
+        line={"start": (-10.0, -5.0, -10.0), "end": (10.0, 5.0, -14.0), "duration": 10.0},
+        lemniscate={"amplitude": (10.0, 5.0), "duration": 20.0},
+        loop={
+            "start": (0.0, 0.0, -6.0),
+            "reach": (5.0, 0.5),
+            "acceleration": (14.0, 4.0),
+        },
+        stroke=10.0,
     ),
     **_motions_of(
         "planar-platform",
-        center=(0.0, 0.0, 0.0),
-        size=0.15,
-        out=(0.0, 0.0, 0.05),
-        pace=4.0,
-        loop={"start": (0.0, 0.15, 0.0), "reach": (0.15, 0.02), "acceleration": (25.0, 30.0)},
+        center=_LEVEL,
+        circle={"radius": 0.15, "duration": 4.0},
+        line={"start": (-0.15, -0.075, -0.05), "end": (0.15, 0.075, 0.05), "duration": 4.0},
+        lemniscate={"amplitude": (0.15, 0.075), "duration": 8.0},
+        loop={
+            "start": (0.0, 0.15, 0.0),
+            "reach": (0.15, 0.02),
+            "acceleration": (25.0, 30.0),
+        },
+        stroke=4.0,
     ),
+    "paper-planar": partial(PaperCircle, name="paper-planar", **_PLANAR_CIRCLE),
+    "paper-spatial": partial(PaperCircle, name="paper-spatial", **_SPATIAL_CIRCLE),
 }
 """Factories of the named motions. Each accepts the fields of its class as optional keywords, and
 ``dwell`` if the motion is :class:`~cablebot_gym.trajectories.sequences.BetweenDwells`: all except
@@ -222,16 +208,12 @@ def trajectory_names(kind: Robot | int | str | None = None) -> list[str]:
     if kind is None:
         return list(TRAJECTORIES)
     kinds = _kinds(kind)
-    return [name for name in TRAJECTORIES if not _kinds_of(name).isdisjoint(kinds)]
+    return [name for name in TRAJECTORIES if _kind_of(name) in kinds]
 
 
-def _kinds_of(name: str) -> set[Kind]:
-    """Kinds of robots of a named motion: the longest kind that ends its name, else those with its
-    coordinates."""
-    endings = [kind for kind in COORDINATES if name.endswith(f"-{kind}")]
-    if endings:
-        return {max(endings, key=len)}
-    return set(_kinds(TRAJECTORIES[name]().coordinates))
+def _kind_of(name: str) -> Kind:
+    """Kind of robots of a named motion: the longest one that ends its name."""
+    return max((kind for kind in COORDINATES if name.endswith(f"-{kind}")), key=len)
 
 
 def _kinds(kind: Any) -> list[Kind]:
@@ -253,8 +235,8 @@ def find_trajectory(
             :class:`~cablebot_gym.trajectories.base.Trajectory`, or the place of one:
             ``file.py:name`` or ``package.module:name``. The object there may also be a
             function or a class that makes the trajectory without arguments. ``file.csv`` has
-            waypoints, see :class:`~cablebot_gym.trajectories.spline.Waypoints`, with dwells as the
-            named motions; its columns are ``t`` [s] and the coordinates [m, rad]. Without ``t`` it
+            waypoints, see :class:`~cablebot_gym.trajectories.spline.Waypoints` and its ``blend``,
+            with dwells as the named motions; its columns are ``t`` [s] and the coordinates [m, rad]. Without ``t`` it
             needs a duration: ``{"name": "file.csv", "duration": 4.0}``.
         kind: the robot, as for :func:`~cablebot_gym.robots.names.find_robot`, its kind, or its
             number of coordinates n.
@@ -294,7 +276,7 @@ def _named(fields: dict[str, Any], kinds: list[Kind]) -> Trajectory:
     if is_waypoint_file(name):
         mapping("trajectory", fields, sorted(_fields_of(name)))
         return _between_waypoints(str(name), kinds, **fields)
-    if isinstance(name, str) and name in TRAJECTORIES and not _kinds_of(name).isdisjoint(kinds):
+    if isinstance(name, str) and name in TRAJECTORIES and _kind_of(name) in kinds:
         mapping("trajectory", fields, sorted(_fields_of(name)))
         motion = TRAJECTORIES[name](**fields)
         if motion.coordinates == COORDINATES[kinds[0]]:
@@ -312,28 +294,28 @@ def _between_waypoints(
     *,
     duration: float | None = None,
     dwell: float = DWELL,
+    blend: float = 0.0,
     times: Any = None,
     poses: Any = None,
 ) -> BetweenDwells:
-    """The spline through the waypoints of a file between dwells, or through ``poses``, so that
+    """The motion through the waypoints of a file between dwells, or through ``poses``, so that
     stored data suffice.
 
     The duration scales the times of the file.
     """
     if poses is None:
         times, poses = read_waypoints(Path(name), [COORDINATE_NAMES[kind] for kind in kinds])
-        if times is None and duration is None:
-            raise ValueError(
-                f'trajectory file {name!r} has no column t. Add it, or give a duration: {{"name": "{name}", '
-                '"duration": 4}'
-            )
+        if times is None:
+            times = np.arange(len(poses))
+            if duration is None:
+                raise ValueError(
+                    f'trajectory file {name!r} has no column t. Add it, or give a duration: {{"name": "{name}", '
+                    '"duration": 4}'
+                )
         if duration is not None:
-            fractions = np.linspace(0.0, 1.0, len(poses))
-            if times is not None:
-                fractions = times / times[-1]
-            times = fractions * number("duration", duration, above=0, unit="s")
-    spline = Waypoints(name=Path(name).name, times=times, poses=poses)
-    return BetweenDwells(motion=spline, dwell=dwell)
+            times = times / times[-1] * number("duration", duration, above=0, unit="s")
+    motion = Waypoints(name=Path(name).name, times=times, poses=poses, blend=blend)
+    return BetweenDwells(motion=motion, dwell=dwell)
 
 
 @cache

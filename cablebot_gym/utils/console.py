@@ -97,7 +97,9 @@ def print_table(
     table = Table(**options)
     for index, name in enumerate(head):
         justify: JustifyMethod = "right" if right and index else "left"
-        table.add_column(name, justify=justify, overflow="fold")
+        # Names are copied, so they stay in one piece; rich would break them first.
+        has_names = not right and not any(" " in row[index] for row in body)
+        table.add_column(name, justify=justify, overflow="fold", no_wrap=has_names)
     for row in body:
         table.add_row(*row)
     console = results_console()
@@ -328,7 +330,8 @@ def command_line(command: str, *arguments: object, **options: Any) -> str:
         command: command of ``cablebot``.
         arguments: its positional arguments.
         options: values by the option's name in Python. True is a flag without value, a mapping
-            becomes JSON, and a list repeats the option. None, False and empty values are left out.
+            becomes JSON, or the name of the file that it comes from (``source``), and a list repeats
+            the option. None, False and empty values are left out.
     """
     words = ["cablebot", command, *map(str, arguments)]
     for name, option in options.items():
@@ -337,7 +340,9 @@ def command_line(command: str, *arguments: object, **options: Any) -> str:
             if value is None or value is False or value in ("", {}):
                 continue
             words.append(f"--{name.replace('_', '-')}")
-            if isinstance(value, Mapping):
+            if hasattr(value, "source"):  # data of a file
+                words.append(value.source)
+            elif isinstance(value, Mapping):
                 words.append(json.dumps(value, ensure_ascii=False))
             elif value is not True:
                 words.append(str(value))

@@ -7,7 +7,8 @@ import pytest
 from oracles.plants import each_of
 
 from cablebot_gym.bounds.closed_form import exact_payload
-from cablebot_gym.bounds.robot_check import check_model, check_motion, modes, segment_distance
+from cablebot_gym.bounds.robot_check import check_model, check_motion, modes
+from cablebot_gym.kinematics import segment_distance
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.statics import hold_payload, holds
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot, find_robot
@@ -41,6 +42,15 @@ def test_payload_is_held_up_to_the_limit():
     ]
 
 
+def test_slow_motion_carries_nothing_but_the_platform():
+    """Rounding asked for a payload of 26 kg or 1e-7 kg, and times in ms passed."""
+    for name, duration in (("lemniscate-planar", 30.0), ("line-planar", 900.0)):
+        motion = {"name": name, "duration": duration}
+        assert check_motion(PLANAR, trajectory=motion).limit.least == 0
+    with pytest.raises(ValueError, match=r"lasts 900001 s: .* Is it in ms\? Then divide"):
+        check_motion(PLANAR, trajectory=motion | {"duration": 9e5, "dwell": 0.5})
+
+
 BIFILAR = Robot(
     name="bar on two cables in a plane",
     base_anchors=((-1.0, 0.0), (1.0, 0.0)),
@@ -53,6 +63,13 @@ BIFILAR = Robot(
     motors=CAMERA.motors,
     transmission=CAMERA.transmission,
 )
+
+
+def test_platform_that_does_not_hang_is_described_all_the_same():
+    """Its check was one line about lengths."""
+    check = check_model(BIFILAR.replace(center_of_mass=(0.9, -3.0)))
+    assert check.home.least > check.home.largest
+    assert "correct center_of_mass" in check.home.reason
 
 
 @pytest.mark.parametrize(

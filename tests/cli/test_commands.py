@@ -100,6 +100,8 @@ ERRORS = (
     (f"video {PLANAR} video.mp4 {POLICY} --speed nan", 2, "speed must"),
     (f"video {PLANAR} video.avi {POLICY}", 2, "end in .mp4 or .gif"),
     (f"picture {PLANAR} a.gif {POLICY}", 2, "has to end in .png or .jpg or .webp"),
+    ("picture --robot ttk4900 a.gif", 2, "has to end in .png"),
+    ("picture a.png", 2, "or a robot with --robot, and then a file"),
     (f"picture {PLANAR} a.png {POLICY} --time 9", 2, "--time must be at most 1.6 s"),
     (
         "benchmark --suite huge",

@@ -19,6 +19,7 @@ from cablebot_gym.report.recording import _read as read_episodes
 from cablebot_gym.robots import PLANAR, find_robot
 from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.uncertainty import find_uncertainty
+from cablebot_gym.utils.console import command_line
 from cablebot_gym.utils.user_code import sentence_of_user_code
 from cablebot_gym.utils.workers import _portable
 
@@ -97,6 +98,12 @@ def training(path):
 
 def option(path):
     return _read_data(SimpleNamespace(name="trajectory"), str(path))
+
+
+def test_data_of_a_file_are_named_on_a_command_line(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text('{"delay": 1}')
+    assert command_line("dlcc", trajectory=option(path)) == f"cablebot dlcc --trajectory {path}"
 
 
 ALL_READERS = {name: read for name, (read, _) in READERS.items()} | {

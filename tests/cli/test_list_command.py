@@ -18,7 +18,8 @@ NAMES = (
 )
 
 
-def test_list_has_every_name_and_unit(cablebot):
+def test_list_has_every_name_and_unit_in_one_piece(cablebot, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     words = set(cablebot("list").out.replace("(", " ").split())
     for names in NAMES:
         assert set(names) <= words

@@ -42,7 +42,7 @@ exact_robots = daily(EXACT, "planar", "flex-planar", "cogiro")
 
 def at_rest(robot):
     """The exported robot with a payload, its mass [kg], and torques r T at rest at home."""
-    payload = robot.defaults.payload(0.0) + 0.1 * robot.mass
+    payload = robot.defaults.payload() + 0.1 * robot.mass
     mass = robot.mass + payload
     minimum = textbook.allocated_minimum(robot)
     torques = textbook.static_torque(robot, mass, robot.home, minimum=minimum)

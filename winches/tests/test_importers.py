@@ -247,6 +247,13 @@ SQUARE = np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
             "<platform> needs a number mass",
         ),
         ({"wcrfx": "<models/>"}, "<models> has no <robot>"),
+        (
+            {
+                "bodies": bodies(),
+                "cables": cables([(-2, 0, 2), (2, 0, 2)], [(-1, 0, 0), (1, 0, 0)]),
+            },
+            "the base anchors of the 2 cables span no workspace: add cables",
+        ),
     ],
 )
 def test_file_without_a_model_is_refused_in_one_sentence(write, texts, message):
@@ -263,6 +270,19 @@ def test_file_is_utf_8_with_or_without_a_mark(write, encoding, message):
     path.write_text(path.read_text(), encoding=encoding)
     with pytest.raises(ValueError, match=message):
         import_robot(path)
+
+
+def test_robot_that_no_pose_holds_is_written_with_a_question(write, tmp_path):
+    """The importer's own pose was refused, with no file in which to correct its cause."""
+    center = " ".join(map(str, CENTER))
+    base = [(x + z / 10, y, 2.0) for x, y, z in BASE]
+    text = cables(base, [(x, y, 0.1) for x, y, _ in BODY], "joint")
+    path = write(bodies=bodies().replace(center, "1 0 0"), cables=text)
+    imported = import_robot(path)
+    assert "the centre of mass is 1 m from the middle of the platform" in imported.question
+    (tmp_path / "toy.toml").write_text(imported.to_toml(), encoding="utf-8")
+    with pytest.raises(ValueError, match="no positive tensions hold home_pose"):
+        load_robot(tmp_path / "toy.toml")
 
 
 def test_cable_set_is_chosen_by_name(write):

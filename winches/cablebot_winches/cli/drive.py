@@ -120,7 +120,7 @@ def drive(
         check_writable_file(log)
     robot = robot_of(fitting_id(None, task.robot), task)
     if payload is None:
-        payload = robot.defaults.payload(0.0)
+        payload = robot.defaults.payload()
     loaded = load(policy, robot)
     pace = loop.Pace(real_time=winches.real_time or not winches.simulate)
     with _open_channels(robot, winches, task, payload) as (wiring, channels):

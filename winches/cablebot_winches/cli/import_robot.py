@@ -45,5 +45,7 @@ def import_file(
                 print(f"{label:<11}{name}: {text.removeprefix('assumed: ')}")
     for note in imported.notes:
         print(f"note       {note}")
+    if imported.question:
+        print(f"question   {imported.question}")
     atomic_write_text(out, imported.to_toml())
     say(f"wrote {out}. Change what is assumed there, then run: cablebot robot check {out}")

@@ -4,7 +4,7 @@ for missing ones."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,6 +13,8 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import GRAVITY, Motors, Plane, Robot, Transmission
+from cablebot_gym.robots.parts import as_tuples
+from cablebot_gym.robots.record import HomePoseError
 from cablebot_gym.utils.files import read_text
 from cablebot_winches.robot_file import to_toml
 
@@ -85,6 +87,14 @@ class FileValues:
     """Further content of the file, with the reason why it is left out."""
 
 
+class _UncheckedRobot(Robot):
+    """A robot for its file alone: no tensions hold its home pose."""
+
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            object.__setattr__(self, part.name, as_tuples(getattr(self, part.name)))
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImportedRobot:
     """A robot from a file of another program."""
@@ -94,6 +104,9 @@ class ImportedRobot:
     with ``assumed``."""
     notes: tuple[str, ...]
     """Further content of the file, with the reason why it is left out."""
+    question: str = ""
+    """Why no pose of the robot is held, with what may be wrong; empty if its home pose is held.
+    Its file has to be corrected before it can be loaded."""
 
     def to_toml(self) -> str:
         """The robot as a TOML file for :func:`~cablebot_gym.robots.names.load_robot`."""
@@ -152,7 +165,7 @@ def with_assumptions(values: FileValues) -> ImportedRobot:
     """The robot with the values of a file, and with assumptions for missing values.
 
     Raises:
-        ValueError: if no pose is found that positive tensions hold, or a value is not physical.
+        ValueError: if a value is not physical.
     """
     sources = dict(values.sources)
     robot_fields: dict[str, Any] = {
@@ -178,8 +191,8 @@ def with_assumptions(values: FileValues) -> ImportedRobot:
     robot_fields["motors"] = _motors(values, drum_radius, sources)
     robot_fields["transmission"] = _transmission(values, drum_radius, sources)
     notes = list(values.notes)
-    robot = _robot_at_home(values, robot_fields, sources, notes)
-    return ImportedRobot(robot=robot, notes=tuple(notes))
+    robot, question = _robot_at_home(values, robot_fields, sources, notes)
+    return ImportedRobot(robot=robot, notes=tuple(notes), question=question)
 
 
 def _drum_radius(values: FileValues, sources: dict[str, str]) -> float:
@@ -236,35 +249,44 @@ def _six_digits(value: float) -> float:
 
 def _robot_at_home(
     values: FileValues, robot_fields: dict[str, Any], sources: dict[str, str], notes: list[str]
-) -> Robot:
+) -> tuple[Robot, str]:
     """The robot at the home pose of the file, or at the first pose of a search that positive
-    tensions hold.
+    tensions hold; if none is held, the robot at the first pose, unchecked, and a question.
 
     If the home pose of the file is not held, ``notes`` gets a text that says so.
 
     Raises:
-        ValueError: if no pose is held. The message is that of the first pose.
+        ValueError: if another value is not physical.
     """
     first_error = None
+    first_pose: tuple[float, ...] = ()
     for pose in _home_poses(values):
         rounded_pose = tuple(_six_digits(coordinate) for coordinate in pose)
         try:
             robot = Robot(**robot_fields, home_pose=rounded_pose, sources=sources)
-        except ValueError as error:
+        except HomePoseError as error:
             if first_error is None:
                 first_error = error
+                first_pose = rounded_pose
             continue
         is_searched = values.home_pose is None or first_error is not None
         if not is_searched:
-            return robot
+            return robot, ""
         if values.home_pose is not None:
             notes.append(f"the initial pose is left out: {first_error}")
         text = (
             "assumed: on the vertical line through the middle of the base anchors, the held pose "
             "nearest to the middle"
         )
-        return robot.replace(sources={**sources, "home_pose": text})
-    raise ValueError(str(first_error))
+        return robot.replace(sources={**sources, "home_pose": text}), ""
+    if values.home_pose is None:
+        sources["home_pose"] = "assumed: the middle of the base anchors"
+    question = f"{first_error}. No other pose was found either"
+    if values.platform_anchors is not None and values.center_of_mass is not None:
+        offset = np.linalg.norm(values.center_of_mass - values.platform_anchors.mean(axis=0))
+        question += f", and the centre of mass is {offset:.3g} m from the middle of the platform anchors: is it right"
+    robot = _UncheckedRobot(**robot_fields, home_pose=first_pose, sources=sources)
+    return robot, f"{question}? Correct the values in the new file"
 
 
 def _home_poses(values: FileValues) -> Iterator[Array]:
