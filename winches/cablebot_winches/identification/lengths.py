@@ -189,7 +189,7 @@ def _measured_tension(robot: Robot, segment: Segment, motor: int, source: Source
     tension = tension_from_torque(robot, motor, torque, speed, acceleration)
     if robot.coulomb_friction[motor] > 0 or robot.load_friction[motor] > 0:
         # Friction takes any value at standstill.
-        tension[np.abs(speed) <= robot.transmission.friction_speed] = np.nan
+        tension[~segment.moves(motor, robot.transmission.friction_speed)] = np.nan
     return tension
 
 

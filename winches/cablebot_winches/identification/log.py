@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d, minimum_filter1d
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import COORDINATE_NAMES, Robot
@@ -38,6 +38,14 @@ Golay are different ones for a signal and its derivatives: they lose more of an 
 a torque.
 """
 
+ANGLE_SMOOTHING = 0.03
+"""The same where speeds are derivatives of angles. The noise of their second derivative would hide
+the inertia."""
+
+CLEAR = 4.0
+"""Speed from which the direction of friction is clear, over the ``friction_speed`` of the robot:
+there, smooth friction and dry friction, which winches have, differ by 3 %."""
+
 CUT = 4
 """Half width of the filter over its standard deviation."""
 
@@ -55,6 +63,8 @@ class Log:
     """Name of the file, for messages."""
     columns: Mapping[str, Array]
     """Values by the name of the column, each (K,). Empty cells are NaN."""
+    delay: float = 0.0
+    """Time constant with which the drives filter the speeds [s]; the segments undo it."""
 
     def motors(self) -> list[int]:
         """Indices of the motors with torque or current.
@@ -104,7 +114,11 @@ class Log:
             )
         period = float(np.median(steps))
         edges = [0, *(np.flatnonzero(steps > GAP * period) + 1), len(table)]
-        least = 2 * window_samples(period)
+        smoothing = SMOOTHING
+        if has_angles_alone(columns):
+            smoothing = ANGLE_SMOOTHING
+        width = max(1.0, smoothing / period)
+        least = 2 * window_samples(width)
         are_all_short = True
         for start, stop in pairwise(edges):
             rows = table[start:stop]
@@ -115,7 +129,7 @@ class Log:
             values = {}
             for index, column in enumerate(columns):
                 values[column] = np.interp(grid, rows[:, 0], rows[:, index])
-            yield Segment(period=period, columns=values)
+            yield Segment(period=period, width=width, delay=self.delay, columns=values)
         if are_all_short:
             raise ValueError(
                 f"{self.name}: no stretch without gaps has {least} samples, the least for a derivative"
@@ -128,30 +142,52 @@ class Segment:
 
     period: float
     """Sampling period [s]."""
+    width: float
+    """Standard deviation of the filter [samples]."""
+    delay: float
+    """Time constant with which the drives filter the speeds [s]."""
     columns: Mapping[str, Array]
     """Values by the name of the column, each (K,)."""
 
     def smooth(self, column: str, derivative: int = 0) -> Array:
         """A smoothed column or its derivative, without both ends, which have no full window."""
-        width = max(1.0, SMOOTHING / self.period)
-        signal: Array = gaussian_filter1d(self.columns[column], width, truncate=CUT)
+        signal: Array = gaussian_filter1d(self.columns[column], self.width, truncate=CUT)
         for _ in range(derivative):
             signal = np.gradient(signal, self.period)
-        margin = window_samples(self.period) // 2
+        margin = window_samples(self.width) // 2
         return signal[margin:-margin]
+
+    def moves(self, motor: int, friction_speed: float) -> NDArray[np.bool_]:
+        """Where friction has its full size throughout the window of the filter, which would blur a
+        reversal: the motor is :data:`CLEAR` times faster than the speed [rad/s] at which its
+        friction is smooth. A slow motor is faster than that speed and than a part of its largest."""
+        speed, _ = self.motion(motor)
+        largest = float(np.max(np.abs(speed)))
+        least = max(friction_speed, min(CLEAR * friction_speed, largest / CLEAR))
+        window = window_samples(self.width)
+        forward = minimum_filter1d(speed, window) > least
+        backward = maximum_filter1d(speed, window) < -least
+        return forward | backward
 
     def motion(self, motor: int) -> tuple[Array, Array]:
         """Speed [rad/s] and acceleration [rad/s²] of a motor."""
         column = f"speed_{motor + 1}"
         if column in self.columns:
-            return self.smooth(column), self.smooth(column, 1)
+            speed, acceleration, jerk = (self.smooth(column, order) for order in range(3))
+            return speed + self.delay * acceleration, acceleration + self.delay * jerk
         column = f"angle_{motor + 1}"
         return self.smooth(column, 1), self.smooth(column, 2)
 
 
-def window_samples(period: float) -> int:
-    """Odd number of samples of the window of the filter."""
-    return 2 * round(CUT * max(1.0, SMOOTHING / period)) + 1
+def window_samples(width: float) -> int:
+    """Odd number of samples of the window of a filter with a standard deviation in samples."""
+    return 2 * round(CUT * width) + 1
+
+
+def has_angles_alone(columns: Sequence[str]) -> bool:
+    """Whether a motor has an angle and no speed among the columns."""
+    angles = [column for column in columns if column.startswith("angle_")]
+    return any(angle.replace("angle", "speed") not in columns for angle in angles)
 
 
 def pose_columns(robot: Robot) -> list[str]:

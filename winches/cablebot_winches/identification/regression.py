@@ -89,7 +89,13 @@ class Fit:
     """Measured minus modelled response, (N,)."""
 
 
-def fit(samples: Samples, names: Sequence[str], values: Mapping[str, Array]) -> Fit:
+def fit(
+    samples: Samples,
+    names: Sequence[str],
+    values: Mapping[str, Array],
+    *,
+    alternatives: Sequence[Samples] = (),
+) -> Fit:
     """Parameters of each motor where the samples of each motor determine them, otherwise of all
     motors together.
 
@@ -99,6 +105,8 @@ def fit(samples: Samples, names: Sequence[str], values: Mapping[str, Array]) -> 
         samples: samples.
         names: names of the regressors.
         values: present values by name, each (m,).
+        alternatives: the samples under other assumptions. The intervals grow by the changes of the
+            estimates with them.
 
     Raises:
         ValueError: if torques or currents have the wrong sign, or the torque constant is not
@@ -110,6 +118,7 @@ def fit(samples: Samples, names: Sequence[str], values: Mapping[str, Array]) -> 
         motors = tuple(range(samples.regressors.shape[1]))
     _check_sign(samples)
     equations = _Equations(samples, names, values)
+    others = [_Equations(alternative, names, values) for alternative in alternatives]
     fitted = [*names]
     if samples.is_current:
         fitted.insert(0, CONSTANT)  # the equations expect it first
@@ -129,12 +138,12 @@ def fit(samples: Samples, names: Sequence[str], values: Mapping[str, Array]) -> 
             if name == "load_friction" and motors_are_joined:
                 reason = UNKNOWN_TENSIONS
             left_out.append(Estimate(name=name, motors=motors, reason=reason))
-    estimates, residual = equations.solve(groups)
+    estimates, residual = equations.solve(groups, others)
     for name in groups:
         is_wide = any(item.name == name and not item.is_determined for item in estimates)
         if is_wide and len(groups[name]) > 1:
             groups[name] = (motors,)
-            estimates, residual = equations.solve(groups)
+            estimates, residual = equations.solve(groups, others)
     order = [CONSTANT, *names]
     estimates = sorted(
         [*estimates, *left_out], key=lambda item: (order.index(item.name), item.motors)
@@ -179,11 +188,16 @@ class _Equations:
                 dependent.add(column.name)
         return next((name for name in REMEDIES if name in dependent), "")
 
-    def solve(self, groups: _Groups) -> tuple[list[Estimate], Array]:
+    def solve(
+        self, groups: _Groups, alternatives: Sequence[_Equations]
+    ) -> tuple[list[Estimate], Array]:
         """Estimates, and the residual (N,)."""
         columns = _columns(groups)
         jacobian, residual, values = self._solution(columns)
         widths = half_widths(jacobian, residual, self.samples.block)
+        for alternative in alternatives:
+            _, _, others = alternative._solution(columns)
+            widths = widths + np.abs(others - values)
         estimates = []
         for column, value, half_width in zip(columns, values, widths, strict=True):
             estimate = replace(column, value=float(value), half_width=float(half_width))
@@ -267,6 +281,15 @@ def half_widths(jacobian: Array, residual: Array, block: Array) -> Array:
     quantile = student.ppf((1 + CONFIDENCE) / 2, np.maximum(degrees, 1))
     widths: Array = np.where(blocks > 1, quantile * np.sqrt(variance) / scale, np.inf)
     return widths
+
+
+def jackknife_half_width(estimates: Sequence[float]) -> float:
+    """Half width of the interval of an estimate from those without one block each."""
+    count = len(estimates)
+    if count < 2:
+        return np.inf
+    variance = np.var(estimates) * (count - 1)
+    return float(student.ppf((1 + CONFIDENCE) / 2, count - 1) * np.sqrt(variance))
 
 
 def doubt(estimate: Estimate) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,16 @@ from numpy.typing import NDArray
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
 from cablebot_gym.uncertainty import PARAMETERS, ParameterDistribution, Uncertainty
+from cablebot_winches.identification.delay import speed_delay
 from cablebot_winches.identification.lengths import OFFSET, LengthFit, fit_lengths
 from cablebot_winches.identification.log import Log, pose_columns
-from cablebot_winches.identification.regression import CONFIDENCE, CONSTANT, Estimate, Fit, fit
+from cablebot_winches.identification.regression import (
+    CONFIDENCE,
+    CONSTANT,
+    Estimate,
+    Fit,
+    fit,
+)
 from cablebot_winches.identification.samples import (
     PLATFORM,
     Samples,
@@ -24,6 +31,10 @@ from cablebot_winches.identification.samples import (
 
 UNITS = {CONSTANT: "N·m/A", "pulley_radius": "m", OFFSET: "m"}
 """Units of parameters that are not in :data:`~cablebot_gym.uncertainty.PARAMETERS`."""
+
+
+DRY = 1e-9
+"""``friction_speed`` of dry friction [rad/s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,6 +135,10 @@ def identify(robot: Robot, logs: Sequence[Log], *, payload: float = 0.0) -> Iden
     source = f"identified by `cablebot identify` from {', '.join(log.name for log in logs)}"
     has_torques = any(log.motors() for log in logs)
     # Tensions from torques need the friction, and the friction needs the radius.
+    delay_width = 0.0
+    if has_torques:
+        delay, delay_width = speed_delay(robot, logs, payload)
+        logs = [replace(log, delay=delay) for log in logs]
     passes = 1 + (robot.flexible and has_torques)
     for _ in range(passes):
         lengths = fit_lengths(robot, logs, payload)
@@ -133,8 +148,10 @@ def identify(robot: Robot, logs: Sequence[Log], *, payload: float = 0.0) -> Iden
         responses = _length_responses(lengths)
         if has_torques:
             samples = drive_samples(robot, logs, payload)
+            alternatives = _alternatives(robot, logs, payload, delay_width)
             names = parameter_names(robot)
-            drives = fit(samples, names, {name: getattr(robot, name) for name in names})
+            values = {name: getattr(robot, name) for name in names}
+            drives = fit(samples, names, values, alternatives=alternatives)
             estimates += drives.estimates
             robot = _with_estimates(robot, drives.estimates, source)
             responses = _drive_responses(robot, samples, drives) + responses
@@ -151,6 +168,20 @@ def identify(robot: Robot, logs: Sequence[Log], *, payload: float = 0.0) -> Iden
         responses=tuple(responses),
         logs=tuple(log.name for log in logs),
     )
+
+
+def _alternatives(
+    robot: Robot, logs: Sequence[Log], payload: float, delay_width: float
+) -> list[Samples]:
+    """Samples of the drives with dry friction, and with the delay of the speeds at the end of its
+    interval."""
+    speed = robot.transmission.friction_speed
+    dry = robot.replace(transmission=robot.transmission.replace(friction_speed=DRY))
+    later = [replace(log, delay=log.delay + delay_width) for log in logs]
+    return [
+        drive_samples(dry, logs, payload, friction_speed=speed),
+        drive_samples(robot, later, payload),
+    ]
 
 
 def _length_responses(fits: Sequence[LengthFit]) -> list[Response]:
