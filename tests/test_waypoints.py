@@ -67,19 +67,25 @@ def test_duration_scales_the_times_of_the_file(write_file):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "it is empty. Its first line must be t,x,y, and"),
-        ("0,0,0\n1,1,1\n", "it has no header. Its first line must be t,x,y$"),
+        ("", "it is empty. Its first line must name columns of t, x, y$"),
+        ("0,0,0\n1,1,1\n", "it has no header. Its first line must name columns of t, x, y$"),
         ("t;x;y\n0;0;0\n", "separated by ';'. Save it with commas"),
+        ("t,x\n0,0\n", r"its first line is 't,x'. It must be t,x,y .t in s, lengths in m"),
+        ("t,x,x\n0,0,0\n", "column 'x' appears twice"),
+        ("t,X,y\n0,0,0\n", "unknown column 'X'; choose one of t, x, y; did you mean 'x'"),
+        ("t,x [mm],y\n0,0,0\n", r"column 'x \[mm\]' must be in m. Convert its numbers"),
+        ("t [s],x (m),y\n0,0,0\n", "it needs at least two waypoints"),
+        ("t,x,y\n0,0,0\n1,1\n", "line 3 has 2 values, and the first line 3 columns"),
+        ("t,x,y\n0,0,0\n1,1;5,1\n", "line 3: x is '1;5', which is not a finite number"),
+        ("t,x,y\n0,0,0\n1,inf,1\n", "line 3: x is 'inf', which is not a finite number"),
+        ("t,x,y\n0,0,0\n1,,1\n", "line 3: x is empty. A waypoint has a number in each column"),
         (
-            "t,x [mm],y\n0,0,0\n",
-            r"its first line is 't,x \[mm\],y'. It must be t,x,y .t in s, lengths in m",
+            "t,x,y\n0,0,0\n\n1,1,1\n1,1,1\n",
+            "line 5: t is 1, after 1 in line 4. It must increase: remove or correct a line",
         ),
-        ("t,x,y\n0,0,0\n1,1\n", "line 3 has 2 values, and the header has 3 columns"),
-        ("t,x,y\n0,0,0\n1,nan,1\n", "line 3: x is nan. All numbers must be finite"),
-        ("t,x,y\n0,0,0\n\n1,1,1\n1,0,0\n", "line 5 has t = 1 s after 1 s. Times must increase"),
         (
             "t,x,y\n0,0,0\n1,2000,0\n",
-            "a coordinate is 2000 m. Lengths are in metres: divide millimetres",
+            "line 3: x is 2000 m. Lengths are in metres: divide millimetres by 1000",
         ),
     ],
 )
