@@ -25,8 +25,11 @@ determine it better, because their speeds are constant, have the delay zero."""
 STEP = 0.004
 """Step of the search [s]."""
 
-ITERATIONS = 4
-"""Number of steps to the minimum of a parabola."""
+ITERATIONS = 5
+"""Largest number of steps to the minimum of a parabola."""
+
+NEGLIGIBLE = 2e-4
+"""Change of the delay with which the search ends [s]."""
 
 
 def speed_delay(robot: Robot, logs: Sequence[Log], payload: float) -> tuple[float, float]:
@@ -38,7 +41,10 @@ def speed_delay(robot: Robot, logs: Sequence[Log], payload: float) -> tuple[floa
     delay = 0.0
     for _ in range(ITERATIONS):
         squares = _squares(robot, logs, payload, delay)
-        delay += _minimum(squares.sum(axis=0))
+        change = _minimum(squares.sum(axis=0))
+        delay += change
+        if abs(change) < NEGLIGIBLE:
+            break
     changes = squares.sum(axis=0) - squares
     half_width = jackknife_half_width([_minimum(others) for others in changes])
     if not half_width < LARGEST:

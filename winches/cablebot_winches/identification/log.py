@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,7 +13,7 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d, minimum_filter1d
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import COORDINATE_NAMES, Robot
-from cablebot_gym.utils.files import read_text
+from cablebot_gym.utils.csv_table import Table, column_name, read_table
 
 COLUMNS = {
     "time": ("s", "time, which increases"),
@@ -49,20 +48,19 @@ there, smooth friction and dry friction, which winches have, differ by 3 %."""
 CUT = 4
 """Half width of the filter over its standard deviation."""
 
+LONGEST_PERIOD = 0.5
+"""Longest sampling period [s]: a longer one is in ms."""
+
 GAP = 5.0
 """A pause of more than so many median sampling periods divides a log."""
 
-_LETTERS = {"ψ": "psi", "θ": "theta", "φ": "phi"}
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Log:
+class Log(Table):
     """Columns of a log."""
 
-    name: str
-    """Name of the file, for messages."""
-    columns: Mapping[str, Array]
-    """Values by the name of the column, each (K,). Empty cells are NaN."""
+    file: str = ""
+    """Name of the file, for sources and figures."""
     delay: float = 0.0
     """Time constant with which the drives filter the speeds [s]; the segments undo it."""
 
@@ -102,16 +100,17 @@ class Log:
         columns have values.
 
         Raises:
-            ValueError: if the time does not increase, or no stretch has twice the window.
+            ValueError: if a column has no values, or no stretch has twice the window.
         """
         columns = ["time", *columns]
+        for column in columns:
+            if np.count_nonzero(np.isfinite(self.columns[column])) < 2:
+                raise ValueError(f"{self.name}: {column} has no values. Remove or fill the column")
         table = np.stack([self.columns[column] for column in columns], axis=1)
         table = table[np.isfinite(table).all(axis=1)]
+        if len(table) < 2:
+            raise ValueError(f"{self.name}: no line has values of all of {', '.join(columns)}")
         steps = np.diff(table[:, 0])
-        if not len(steps) or np.min(steps) <= 0:
-            raise ValueError(
-                f"{self.name}: time must increase, in s, and {columns[-1]} have values"
-            )
         period = float(np.median(steps))
         edges = [0, *(np.flatnonzero(steps > GAP * period) + 1), len(table)]
         smoothing = SMOOTHING
@@ -192,64 +191,53 @@ def has_angles_alone(columns: Sequence[str]) -> bool:
 
 def pose_columns(robot: Robot) -> list[str]:
     """Names of the columns of the pose."""
-    return [_LETTERS.get(symbol, symbol) for symbol in COORDINATE_NAMES[robot.kind]]
+    return [column_name(symbol) for symbol in COORDINATE_NAMES[robot.kind]]
 
 
-def valid_columns(robot: Robot) -> list[str]:
-    """Names of all columns that a log of a robot may have."""
-    valid = []
-    for column in COLUMNS:
+def column_units(robot: Robot) -> dict[str, str]:
+    """Units of all columns that a log of a robot may have, by their names."""
+    units = {}
+    for column, (unit, _) in COLUMNS.items():
         if column.endswith("_i"):
-            valid += [f"{column[:-1]}{motor + 1}" for motor in range(robot.cables)]
+            for motor in range(robot.cables):
+                units[f"{column[:-1]}{motor + 1}"] = unit
         elif column == "x, y, …":
-            valid += pose_columns(robot)
+            for index, name in enumerate(pose_columns(robot)):
+                units[name] = "m" if index < robot.dimensions else "rad"
         else:
-            valid.append(column)
-    return valid
+            units[column] = unit
+    return units
 
 
 def read_log(path: str | Path, robot: Robot) -> Log:
     """A log from a CSV file whose first line names the columns in any order.
 
+    Lines that repeat the line before are left out.
+
     Raises:
-        ValueError: if the file cannot be read, a column is unknown or missing, or a cell is no
-            number. The message names the file.
+        ValueError: if the file cannot be read, a column is unknown or missing, a cell is no number,
+            or the time does not increase. The message names the file and the line.
     """
     path = Path(path)
-    try:
-        rows = [row for row in csv.reader(read_text(path).splitlines()) if any(row)]
-    except (OSError, csv.Error) as error:
-        raise ValueError(f"cannot read log {str(path)!r}: {error}") from None
-    if not rows:
-        raise ValueError(f"{path.name}: the file is empty; its first line names the columns")
-    header = [name.strip() for name in rows[0]]
-    valid = valid_columns(robot)
-    unknown = [name for name in header if name not in valid]
-    if unknown:
-        raise ValueError(
-            f"{path.name}: unknown column {unknown[0]!r}; columns of {robot.name!r} are "
-            f"{', '.join(valid)}. Rename or remove it"
-        )
-    if len(set(header)) < len(header):
-        raise ValueError(f"{path.name}: a column appears twice; remove one")
-    log = Log(name=path.name, columns=dict(zip(header, _numbers(path, rows).T, strict=True)))
+    table = read_table(path, "log", column_units(robot))
+    is_new = np.zeros(len(table.lines), bool)
+    is_new[:1] = True
+    for values in table.columns.values():
+        both_empty = np.isnan(values[1:]) & np.isnan(values[:-1])
+        is_new[1:] |= (values[1:] != values[:-1]) & ~both_empty
+    log = Log(
+        name=table.name,
+        file=path.name,
+        columns={name: values[is_new] for name, values in table.columns.items()},
+        lines=tuple(line for line, new in zip(table.lines, is_new, strict=True) if new),
+    )
     log.require("time", purpose="a log")
+    log.refuse("time", np.isnan(log.columns["time"]), ". Each line needs a time")
+    log.refuse_decrease("time", np.arange(len(log.lines)))
+    steps = np.diff(log.columns["time"])
+    if len(steps) and np.median(steps) > LONGEST_PERIOD:
+        raise ValueError(
+            f"{log.name}: time grows by {np.median(steps):g} a line. It must be in s: divide "
+            "milliseconds by 1000"
+        )
     return log
-
-
-def _numbers(path: Path, rows: list[list[str]]) -> NDArray[np.float64]:
-    """Table of the cells below the header."""
-    table = np.full((len(rows) - 1, len(rows[0])), np.nan)
-    for index, row in enumerate(rows[1:]):
-        if len(row) != len(rows[0]):
-            raise ValueError(
-                f"{path.name}: row {index + 1} has {len(row)} cells, the first line {len(rows[0])}"
-            )
-        for column, cell in enumerate(row):
-            try:
-                table[index, column] = float(cell or "nan")
-            except ValueError:
-                raise ValueError(
-                    f"{path.name}: {cell!r} in row {index + 1} is no number; use decimal points"
-                ) from None
-    return table

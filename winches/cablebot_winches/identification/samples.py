@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
-from cablebot_winches.identification.log import Log, Segment, pose_columns
+from cablebot_winches.identification.log import CUT, SMOOTHING, Log, Segment, pose_columns
 
 BLOCKS = 40
 """Number of blocks in time over all logs. Errors of different blocks count as independent; a log
@@ -92,6 +92,12 @@ def drive_samples(
             pieces += _platform_pieces(robot, log, number, payload, friction_speed)
         else:
             pieces += _winch_pieces(robot, log, number, friction_speed)
+    if not any(len(piece.motor) for piece in pieces):
+        window = 2 * CUT * SMOOTHING
+        raise ValueError(
+            f"no motor moves: each needs speeds above {friction_speed:g} rad/s, the friction_speed of "
+            f"{robot.name!r}, throughout {1000 * window:.0f} ms. Log a motion, or lower friction_speed"
+        )
     joined = _Piece(*(np.concatenate(values) for values in zip(*map(_fields, pieces), strict=True)))
     return Samples(
         response=joined.response,

@@ -55,7 +55,7 @@ def test_friction_and_inertia_of_an_environment_are_identified(env_id, nominal, 
 def log_of_torques(true, seed, pretension):
     """Log with the torques of redundant cables, without load cells."""
     rng = np.random.default_rng(seed)
-    time, *motion = smooth_motion(true, rng, period=0.004)
+    time, *motion = smooth_motion(true, rng)
     tensions = textbook.required_tensions(true, true.mass, *motion, minimum=pretension)
     angle, _ = textbook.rest_angles(true, tensions, motion[0])
     speed = np.gradient(angle, time, axis=0)
