@@ -24,7 +24,7 @@ _GROUPS = {
 _COLUMNS = ("Where", "The paper", "Published", "Ours", "Conditions", "Verdict", "Evidence")
 
 
-_REFERENCE = re.compile(r"\s*The section \*(\w+)\*.*?\.(?=\s+[A-Z]|\s*$)", re.DOTALL)
+_REFERENCE = re.compile(r"\s*The section \*(\w+)\*.*?\.(?=\s+\D|\s*$)", re.DOTALL)
 """A sentence that points to a section."""
 
 

@@ -159,13 +159,14 @@ def identify(
     nominal = robot
     source = f"identified by `cablebot identify` from {', '.join(log.file for log in logs)}"
     has_torques = any(log.motors() for log in logs)
-    # Tensions from torques need the friction, and the friction needs the radius.
     delay_width = 0.0
     if has_torques:
         delay, delay_width = speed_delay(robot, logs, payload)
         logs = [replace(log, delay=delay) for log in logs]
+    # Tensions from torques need the friction, and the friction needs the radius.
     passes = 1 + (robot.flexible and has_torques)
     for _ in range(passes):
+        robot = robot.replace(sources=nominal.sources)
         lengths = fit_lengths(robot, logs, payload)
         estimates = [item for length in lengths for item in length.estimates]
         estimates.sort(key=lambda item: (item.name, item.motors))

@@ -196,11 +196,11 @@ def _winch_pieces(robot: Robot, log: Log, number: int, friction_speed: float) ->
             )
         source = tension if tension in log.columns else load
         for segment in log.segments([*drive_columns(log, motor), source]):
-            tension = segment.smooth(source)
+            pull = segment.smooth(source)
             if source == load:
                 _, acceleration = segment.motion(motor)
-                tension = tension * (robot.gravity + robot.pulley_radius[motor] * acceleration)
-            pieces.append(_motor_piece(robot, segment, number, motor, friction_speed, tension))
+                pull = pull * (robot.gravity + robot.pulley_radius[motor] * acceleration)
+            pieces.append(_motor_piece(robot, segment, number, motor, friction_speed, pull))
     return pieces
 
 
