@@ -28,6 +28,10 @@ STEP = 0.004
 ITERATIONS = 5
 """Largest number of steps to the minimum of a parabola."""
 
+RESOLUTION = 0.1
+"""Least half width of the interval of the delay over the sampling period. The filter of the signals
+changes the shape of a reversal, and with it the delay."""
+
 NEGLIGIBLE = 2e-4
 """Change of the delay with which the search ends [s]."""
 
@@ -49,7 +53,8 @@ def speed_delay(robot: Robot, logs: Sequence[Log], payload: float) -> tuple[floa
     half_width = jackknife_half_width([_minimum(others) for others in changes])
     if not half_width < LARGEST:
         return 0.0, LARGEST
-    return delay, half_width
+    period = max(float(np.median(np.diff(log.columns["time"]))) for log in logs)
+    return delay, max(half_width, RESOLUTION * period)
 
 
 def _squares(robot: Robot, logs: Sequence[Log], payload: float, delay: float) -> Array:

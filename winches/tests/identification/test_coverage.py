@@ -14,25 +14,34 @@ LEAST = 0.90
 
 
 def coverage(motion, case, count, **options):
-    """Determined estimates, and those whose interval holds the truth, by the parameter."""
+    """Estimates that rest on no given value, and those whose interval holds the truth, by the
+    parameter."""
     determined = dict.fromkeys(TRUTH, 0)
     covered = dict.fromkeys(TRUTH, 0)
     for seed in range(count):
         logs = [winch_log(seed, load, MOTIONS[motion], **CASES[case], **options) for load in LOADS]
         for item in identify(ROBOT, logs).estimates:
-            determined[item.name] += item.is_determined
-            error = abs(item.value - TRUTH[item.name])
-            covered[item.name] += item.is_determined and error <= item.half_width
+            if item.is_determined and not item.given:
+                determined[item.name] += 1
+                covered[item.name] += abs(item.value - TRUTH[item.name]) <= item.half_width
     return determined, covered
 
 
 @pytest.mark.landing
-@pytest.mark.parametrize("case", CASES)
-def test_intervals_of_imperfect_logs_cover_the_truth(case):
+@pytest.mark.parametrize(
+    ("case", "motion"),
+    [
+        ("reversals", "quick"),
+        ("encoder", "alike"),
+        ("dry friction", "alike"),
+        ("filtered speed", "fast"),
+    ],
+)
+def test_intervals_of_imperfect_logs_cover_the_truth(case, motion):
     """Windows of the filter that hold a reversal, the noise of twice differentiated encoder steps,
     friction that is not smooth, and speeds that come late would bias the estimates by several half
     widths."""
-    determined, covered = coverage("fast", case, FEW, duration=20.0)
+    determined, covered = coverage(motion, case, FEW, duration=20.0)
     assert min(determined.values()) == FEW
     assert min(covered.values()) >= stats.binom.ppf(0.001, FEW, CONFIDENCE), covered
 
@@ -42,8 +51,10 @@ def test_intervals_of_imperfect_logs_cover_the_truth(case):
 @pytest.mark.parametrize("case", CASES)
 def test_coverage_of_many_imperfect_logs(motion, case):
     determined, covered = coverage(motion, case, MANY)
-    rates = {name: covered[name] / max(determined[name], 1) for name in TRUTH}
-    shown = "  ".join(f"{name} {rate:.2f}" for name, rate in rates.items())
-    print(f"{motion:6} {case:15} {shown}")
-    assert min(determined.values()) > MANY / 2
-    assert min(rates.values()) >= LEAST
+    texts = [f"{name} {covered[name]} of {determined[name]}" for name in TRUTH]
+    print(f"{case:15} {motion:6} {', '.join(texts)}")
+    for name, count in determined.items():
+        # The window of the filter of angles is longer than a swing of the quick motion.
+        if (case, motion) != ("encoder", "quick"):
+            assert count > 0.9 * MANY, name
+        assert covered[name] >= LEAST * count, name

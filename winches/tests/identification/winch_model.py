@@ -1,6 +1,7 @@
 """Logs of a winch by a model of its own: torques at fine steps of time, then the sensors."""
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.signal import lfilter
 
 from cablebot_gym.robots import find_robot
@@ -15,19 +16,20 @@ TRUTH = {
 }
 FINE_STEP = 0.0005
 PERIOD = 0.005
-TORQUE_NOISE, SPEED_NOISE = 0.02, 0.01
+SPEED_NOISE = 0.01
 
 MOTIONS = {
     "slow": {"rate": 1.5, "first": 2.0, "growth": 0.4},
     "alike": {"rate": 1.5, "first": 5.0, "growth": 0.1},
     "fast": {"rate": 6.0, "first": 5.0, "growth": 0.5},
+    "quick": {"rate": 12.0, "first": 8.0, "growth": 0.8},
 }
 """Sinusoidal speeds whose amplitude grows: rate [rad/s], first amplitude [rad/s], growth [rad/s²].
 They reverse all the time."""
 
 CASES = {
     "reversals": {},
-    "encoder": {"encoder_steps": 8192},
+    "encoder": {"encoder_steps": 8192, "torque_noise": 0.003},
     "dry friction": {"friction_speed": 0.0},
     "filtered speed": {"speed_filter": 0.015},
 }
@@ -43,6 +45,7 @@ def winch_log(
     friction_speed=ROBOT.transmission.friction_speed,
     speed_filter=0.0,
     encoder_steps=0,
+    torque_noise=0.02,
 ):
     """Log of motor 1 that lifts and lowers a load [kg]: with the angle of an encoder, if it has
     steps, in place of the speed, whose filter has a time constant [s]. The friction speed of dry
@@ -64,10 +67,10 @@ def winch_log(
     rows = slice(None, None, round(PERIOD / FINE_STEP))
     count = len(time[rows])
     columns = {"time": time[rows], "load_1": np.full(count, load)}
-    columns["torque_1"] = torque[rows] + TORQUE_NOISE * rng.standard_normal(count)
+    columns["torque_1"] = torque[rows] + torque_noise * rng.standard_normal(count)
     if encoder_steps:
         step = 2 * np.pi / encoder_steps
-        angle = FINE_STEP * np.cumsum(speed)
+        angle = cumulative_trapezoid(speed, dx=FINE_STEP, initial=0)
         columns["angle_1"] = step * np.round(angle[rows] / step)
     else:
         if speed_filter:
