@@ -13,13 +13,13 @@ LEAST = 0.90
 """Least coverage over many logs."""
 
 
-def coverage(motion, case, count, **options):
+def coverage(motion, case, count):
     """Estimates that rest on no given value, and those whose interval holds the truth, by the
     parameter."""
     determined = dict.fromkeys(TRUTH, 0)
     covered = dict.fromkeys(TRUTH, 0)
     for seed in range(count):
-        logs = [winch_log(seed, load, MOTIONS[motion], **CASES[case], **options) for load in LOADS]
+        logs = [winch_log(seed, load, MOTIONS[motion], **CASES[case]) for load in LOADS]
         for item in identify(ROBOT, logs).estimates:
             if item.is_determined and not item.given:
                 determined[item.name] += 1
@@ -41,7 +41,7 @@ def test_intervals_of_imperfect_logs_cover_the_truth(case, motion):
     """Windows of the filter that hold a reversal, the noise of twice differentiated encoder steps,
     friction that is not smooth, and speeds that come late would bias the estimates by several half
     widths."""
-    determined, covered = coverage(motion, case, FEW, duration=20.0)
+    determined, covered = coverage(motion, case, FEW)
     assert min(determined.values()) == FEW
     assert min(covered.values()) >= stats.binom.ppf(0.001, FEW, CONFIDENCE), covered
 

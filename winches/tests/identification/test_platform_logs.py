@@ -29,6 +29,7 @@ def episode(env_id, robot, payload, trajectory):
     return noisy_log(robot, time, pose, signals, rng, payload=payload)
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize(
     ("env_id", "nominal", "motions"),
     [
@@ -85,6 +86,7 @@ def test_load_friction_of_the_robot_corrects_the_tensions_of_redundant_cables(el
         assert item.value == pytest.approx(2e3, rel=0.005)
 
 
+@pytest.mark.landing
 def test_stiffness_and_motor_friction_of_joint_springs_are_identified():
     rng = np.random.default_rng(0)
     truth = {

@@ -41,7 +41,7 @@ def winch_log(
     load,
     motion,
     *,
-    duration=40.0,
+    duration=20.0,
     friction_speed=ROBOT.transmission.friction_speed,
     speed_filter=0.0,
     encoder_steps=0,
