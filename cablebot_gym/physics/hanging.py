@@ -15,6 +15,10 @@ from cablebot_gym.robots import Robot
 _TOLERANCE = 1e-9
 """Largest error of lengths [m], and of forces as a fraction of the weight."""
 
+_NEUTRAL = 1e-6
+"""A frequency below this part of the largest one is a rounding error: nothing brings back a platform
+that turns about its only cable."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RestPose:
@@ -95,6 +99,6 @@ def hanging_pose(robot: Robot, mass: float, lengths: ArrayLike, near: ArrayLike)
         slack = int(np.argmin(tensions)) + 1
         raise ValueError(f"{robot.name}: cable {slack} is slack at rest with these lengths")
     frequencies, _ = textbook.locked_modes(robot, mass, pose, tensions)
-    if not frequencies[0] > 0:
+    if not frequencies[0] > _NEUTRAL * frequencies[-1]:
         raise ValueError(f"{robot.name}: the pose at rest near {start.tolist()} is not stable")
     return RestPose(pose=pose, tensions=tensions)

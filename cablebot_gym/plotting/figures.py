@@ -555,7 +555,7 @@ def _draw_error(
         mark_bound(axes, bound, unit)
         top = max(top, 1e3 * bound)
     span = _span(longest, float(longest[-1]))
-    axes.set(xlim=span, ylim=(0, 1.2 * top or 1.0), ylabel=f"{name} error [{unit}]")
+    axes.set(xlim=span, ylim=(0, 1.2 * top or 1.0), ylabel=f"{name} error\n[{unit}]")
 
 
 def mark_bound(

@@ -24,9 +24,25 @@ _GROUPS = {
 _COLUMNS = ("Where", "The paper", "Published", "Ours", "Conditions", "Verdict", "Evidence")
 
 
-def markdown(results: Results) -> str:
-    """The page. The figures are files in the same folder."""
-    return "\n\n".join(_blocks(results)) + "\n"
+_REFERENCE = re.compile(r"\s*The section \*(\w+)\*.*?\.(?=\s+\D|\s*$)", re.DOTALL)
+"""A sentence that points to a section."""
+
+
+def markdown(results: Results, *, has_errata: bool = True) -> str:
+    """The page. The figures are files in the same folder, and the errata if they are there.
+
+    Sentences that point to sections without their parts are left out.
+    """
+    blocks = _blocks(results)
+    if not has_errata:
+        blocks = (block for block in blocks if not block.startswith("[Errata]"))
+    text = "\n\n".join(blocks) + "\n"
+
+    def kept(sentence: re.Match[str]) -> str:
+        has_section = f"\n## {sentence[1]}\n" in text
+        return sentence[0] if has_section else ""
+
+    return _REFERENCE.sub(kept, text)
 
 
 def read(name: str) -> str:
@@ -51,7 +67,8 @@ def _blocks(results: Results) -> Iterator[str]:
         if not rows:
             continue
         yield f"## {kind.capitalize()}s"
-        yield f"{len(rows)} {kind}s: {tally(rows)}."
+        plural = "s" if len(rows) > 1 else ""
+        yield f"{len(rows)} {kind}{plural}: {tally(rows)}."
         cells = []
         for row in rows:
             paper = (row["place"], row["statement"], row["printed"])

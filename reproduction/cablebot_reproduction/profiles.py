@@ -110,7 +110,7 @@ def path_numbers(result: DLCCResult) -> Numbers:
         "within": error <= bound,
     }
     if not result.conditions.robot.planar:
-        numbers["peak_rotation_mrad"] = 1e3 * result.rollout.arrays["rotation_error"].max()
+        numbers["peak_rotation_mrad"] = 1e3 * result.rollout.arrays["rotation_error_peak"].max()
     return numbers
 
 

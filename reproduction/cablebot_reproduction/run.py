@@ -92,7 +92,8 @@ def run(
         results["rows"] = list(rows(results["numbers"]))
         text = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False)
         atomic_write_text(out / RESULTS, f"{text}\n")
-        atomic_write_text(out / PAGE, markdown(results))
+        page = markdown(results, has_errata=(out / "errata.md").exists())
+        atomic_write_text(out / PAGE, page)
     return results
 
 

@@ -37,6 +37,31 @@ def test_rows_and_page_follow_the_stored_numbers():
     assert len(STORED["rows"]) == 41
 
 
+def test_page_points_only_to_sections_that_it_has():
+    """Also if some parts were not run; a sentence may hold `Eq. 24`."""
+    whole = markdown(STORED)
+    assert whole.count("section *Interpretations*") > 2
+    few = {name: STORED["parts"][name] for name in ("fig12", "fig15", "scan")}
+    page = markdown(STORED | {"parts": few})
+    assert "section *Interpretations*" in page
+    page = markdown(STORED | {"parts": {name: few[name] for name in ("fig12", "fig15")}})
+    assert "section *" not in page
+    assert "the speed in U± on the payload of the state space" not in page
+    assert "both computed by the same method" in page
+
+
+def test_three_sentences_answer_why_the_capacities_differ():
+    _, _, rest = markdown(STORED).partition("## Why 2.2, 2.56 and 1.4 kg\n\n")
+    answer, details, *_ = rest.split("\n\n")
+    assert len(re.findall(r"\.(?=\s|$)", answer)) == 3
+    assert details.startswith("**2.2 kg, planar robot.**")
+
+
+def test_least_tension_is_that_between_control_instants():
+    """At the control instants it is T_min of the law."""
+    assert 4.8 < NUMBERS["fig5.least_tension_N"] < 5
+
+
 def test_no_sentence_of_the_page_lacks_a_number():
     """A misspelled name would drop its sentence or its paragraph."""
     package = Path(texts.__file__).parent
@@ -116,5 +141,8 @@ def test_command_writes_the_parts_that_are_named(tmp_path, monkeypatch, capsys):
     assert {name.partition(".")[0] for name in results["numbers"]} == {"sizes", "fig5"}
     assert {path.name for path in tmp_path.iterdir()} == {RESULTS, PAGE, "fig5.svg"}
     assert "1.tension" not in {row["key"] for row in results["rows"]}  # fig6 was not run
+    page = (tmp_path / PAGE).read_text(encoding="utf-8")
+    assert "section *Interpretations*" not in page
+    assert "errata.md" not in page
     assert typed("fig4") == 2
     assert "unknown part 'fig4'" in capsys.readouterr().err

@@ -7,7 +7,7 @@ from oracles.plants import with_transmission
 from oracles.platforms import CAMERA, DRIVE, SWIVELLED
 
 from cablebot_gym.envs.settings import make_settings
-from cablebot_gym.physics.hanging import hanging_pose
+from cablebot_gym.physics.hanging import hanging_pose, home_at_rest
 from cablebot_gym.robots import Robot
 
 LENGTH = 1.3
@@ -53,6 +53,19 @@ def test_platform_hangs_below_its_anchors():
 def test_lengths_without_a_pose_on_taut_cables_are_refused(lengths, guess):
     with pytest.raises(ValueError, match=r"slack|no pose at rest"):
         hanging_pose(BIFILAR, MASS, lengths, guess)
+
+
+@pytest.mark.parametrize("turn", np.linspace(-1, 1, 9))
+def test_platform_on_one_cable_is_refused_at_each_turn(turn):
+    """Nothing holds its turn about the cable: the frequency is zero but for rounding, which is
+    positive at some turns."""
+    robot = BIFILAR.replace(
+        base_anchors=[(0.1, 0.2, 0.0)],
+        platform_anchors=[(0.03, 0.02, -DROP)],
+        home_pose=(0.1, 0.2, LENGTH + DROP, 0.02, -0.03, turn),
+    )
+    with pytest.raises(ValueError, match="not stable"):
+        home_at_rest(robot, MASS, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def _closed_loop(robot: Robot, title: str) -> Outcome:
     numbers: Numbers = {
         "peak_error_mm": peak_error_mm(loop),
         "mean_error_mm": 1e3 * arrays["tracking_error"].mean(),
-        "least_tension_N": arrays["tensions"].min(),
+        "least_tension_N": arrays["least_tensions"].min(),
         "slack": arrays["slack"].any(),
         "carried": loop.verdict.carried,
     }

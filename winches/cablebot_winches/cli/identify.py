@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -31,6 +31,9 @@ def identify(
         "Folder for robot.toml, uncertainty.json, identification.json and figures; new or empty.",
     ],
     payload: Annotated[float, "Payload of logs with a pose and without a column payload [kg]."] = 0,
+    same_winches: Annotated[
+        bool, "All winches have the same friction and inertia, also those without a log."
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Identify friction, inertia and cable lengths of winches from logs, with confidence intervals.
@@ -51,25 +54,39 @@ def identify(
     from cablebot_gym.robots import find_robot
     from cablebot_gym.task import to_jsonable
     from cablebot_gym.utils.checks import number
-    from cablebot_gym.utils.files import atomic_write_text, check_writable_dir
+    from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, json_text
     from cablebot_winches.identification import identify, read_log
+    from cablebot_winches.identification.regression import CONFIDENCE
+    from cablebot_winches.identification.result import motors_text
     from cablebot_winches.robot_file import to_toml
 
     nominal = find_robot(robot)
     number("--payload", payload, least=0, unit="kg")
     if any((out / name).exists() for name in FILES):
         raise ValueError(f"{str(out)!r} has files of an identification: choose another --out")
-    result = identify(nominal, [read_log(path, nominal) for path in logs], payload=payload)
-    data = result.to_dict()
+    result = identify(
+        nominal,
+        [read_log(path, nominal) for path in logs],
+        payload=payload,
+        same_winches=same_winches,
+    )
     check_writable_dir(out)
-    texts = (to_toml(result.robot), _json(to_jsonable(result.uncertainty)), _json(data))
+    uncertainty = json_text(to_jsonable(result.uncertainty))
+    texts = (to_toml(result.robot), uncertainty, result.to_json())
     for name, text in zip(FILES, texts, strict=True):
         atomic_write_text(out / name, text)
     if as_json:
-        print(_json(data), end="")
+        print(result.to_json(), end="")
     else:
-        print_table(f"{nominal.name}: identified parameters", _rows(result))
-        print("\n".join(_residual_lines(result)))
+        rows, notes = _rows(result)
+        confidence = f"{100 * CONFIDENCE:g} % intervals"
+        print_table(f"{nominal.name}: identified parameters, {confidence}", rows)
+        print("\n".join([*notes, *_residual_lines(result)]))
+    if result.unknown_motors:
+        remedy = "they keep the values of the robot. If the winches are equal, add --same-winches"
+        say(f"{motors_text(result.unknown_motors)}: no log; {remedy}")
+    for question in result.questions:
+        say(f"question: {question}")
     say(f"wrote {', '.join([*FILES, *_figures(result, out)])} to {out}")
 
 
@@ -92,37 +109,43 @@ def _figures(result: Identification, folder: Path) -> list[str]:
     return names
 
 
-def _json(data: object) -> str:
-    return json.dumps(data, indent=1, ensure_ascii=False) + "\n"
-
-
-def _rows(result: Identification) -> list[list[str]]:
-    """Header and rows of the estimates."""
-    from cablebot_winches.identification.regression import CONFIDENCE
+def _rows(result: Identification) -> tuple[list[list[str]], list[str]]:
+    """Header and rows of the estimates, one line each, and the notes to which they refer."""
     from cablebot_winches.identification.result import shown_unit, unit_of
 
-    confidence = f"{100 * CONFIDENCE:g} % interval"
-    rows = [["parameter", "motors", "value", confidence, "unit", "determined"]]
+    rows = [["parameter", "motor", "value", "±", "unit", "determined"]]
+    notes: dict[str, int] = {}
     for item in result.estimates:
         unit, factor = shown_unit(unit_of(item.name))
-        value = "–"
-        interval = "–"
+        value = half_width = "–"
         if not math.isnan(item.value):
-            value, low, high = _texts(factor * item.value, factor * item.half_width)
-            interval = f"{low} to {high}"
-        motors = ", ".join(str(motor + 1) for motor in item.motors)
+            value, half_width = _texts(factor * item.value, factor * item.half_width)
         determined = "yes"
+        note = item.reason
         if item.reason:
-            determined = f"not determined: {item.reason}"
-        rows.append([item.name, motors, value, interval, unit, determined])
-    return rows
+            determined = "no"
+        elif item.given:
+            determined = "given"
+            note = f"given {item.given}"
+        if note:
+            determined += f" ({notes.setdefault(note, len(notes) + 1)})"
+        rows.append([item.name, _motors(item.motors), value, half_width, unit, determined])
+    return rows, [f"({number}) {note}" for note, number in notes.items()]
 
 
-def _texts(value: float, half_width: float) -> tuple[str, str, str]:
-    """A value and both ends of its interval with as many decimals as they need: two digits of the
-    half width, and at least four of the value."""
+def _motors(motors: Sequence[int]) -> str:
+    """Numbers of motors, such as ``1–4`` or ``1, 3``."""
+    first, last = motors[0] + 1, motors[-1] + 1
+    if last - first == len(motors) - 1 > 0:
+        return f"{first}–{last}"
+    return ", ".join(str(motor + 1) for motor in motors)
+
+
+def _texts(value: float, half_width: float) -> tuple[str, str]:
+    """A value and the half width of its interval with as many decimals as they need: two digits of
+    the half width, and at least four of the value."""
     if not math.isfinite(half_width):
-        return f"{value:.4g}", "−∞", "∞"
+        return f"{value:.4g}", "∞"
     first = math.floor(math.log10(max(abs(value), half_width, 1e-12)))
     last = first - 3
     if half_width > 0:
@@ -130,7 +153,7 @@ def _texts(value: float, half_width: float) -> tuple[str, str, str]:
     form = f".{max(0, -last)}f"
     if first < -3:
         form = f".{first - last + 1}g"
-    return f"{value:{form}}", f"{value - half_width:{form}}", f"{value + half_width:{form}}"
+    return f"{value:{form}}", f"{half_width:.2g}"
 
 
 def _residual_lines(result: Identification) -> list[str]:

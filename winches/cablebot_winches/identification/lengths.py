@@ -26,6 +26,7 @@ from cablebot_winches.identification.regression import (
     UNKNOWN_TENSIONS,
     Estimate,
     doubt,
+    given_text,
     half_widths,
     inseparable_text,
     unexplained,
@@ -189,7 +190,7 @@ def _measured_tension(robot: Robot, segment: Segment, motor: int, source: Source
     tension = tension_from_torque(robot, motor, torque, speed, acceleration)
     if robot.coulomb_friction[motor] > 0 or robot.load_friction[motor] > 0:
         # Friction takes any value at standstill.
-        tension[np.abs(speed) <= robot.transmission.friction_speed] = np.nan
+        tension[~segment.moves(motor, robot.transmission.friction_speed)] = np.nan
     return tension
 
 
@@ -278,7 +279,24 @@ def _fit(robot: Robot, motor: int, samples: LengthSamples, *, may_stretch: bool)
         estimates.append(
             _stiffness("axial_stiffness", motor, compliance, compliance_width, too_alike)
         )
-    return LengthFit(motor=motor, estimates=tuple(estimates), samples=samples, residual=residual)
+    given = []
+    if too_short:
+        given.append(given_text("pulley_radius", robot.pulley_radius[[motor]]))
+    if too_alike and robot.elastic:
+        given.append(given_text("axial_stiffness", robot.axial_stiffness[[motor]]))
+    return LengthFit(
+        motor=motor,
+        estimates=tuple(_given(item, given) for item in estimates),
+        samples=samples,
+        residual=residual,
+    )
+
+
+def _given(estimate: Estimate, given: Sequence[str]) -> Estimate:
+    """An estimate with the values of the robot that it rests on; none if it is refused."""
+    if not estimate.is_determined:
+        return estimate
+    return replace(estimate, given=", ".join(given))
 
 
 def _estimate(name: str, motor: int, value: float, half_width: float, reason: str) -> Estimate:
@@ -309,7 +327,8 @@ def _fit_joint(robot: Robot, motor: int, samples: LengthSamples) -> LengthFit:
     solution = np.linalg.lstsq(jacobian, twist, rcond=None)[0]
     residual = twist - jacobian @ solution
     widths = half_widths(jacobian, residual, blocks(samples.log, samples.time))
-    estimate = _stiffness("stiffness", motor, solution[0], widths[0], "")
+    stiffness = _stiffness("stiffness", motor, solution[0], widths[0], "")
+    estimate = _given(stiffness, [given_text("pulley_radius", robot.pulley_radius[[motor]])])
     return LengthFit(
         motor=motor, estimates=(estimate,), samples=samples, residual=radius * residual
     )

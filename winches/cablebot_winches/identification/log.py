@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d, minimum_filter1d
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import COORDINATE_NAMES, Robot
-from cablebot_gym.utils.files import read_text
+from cablebot_gym.utils.csv_table import Table, column_name, read_table
 
 COLUMNS = {
     "time": ("s", "time, which increases"),
@@ -38,23 +37,32 @@ Golay are different ones for a signal and its derivatives: they lose more of an 
 a torque.
 """
 
+ANGLE_SMOOTHING = 0.03
+"""The same where speeds are derivatives of angles. The noise of their second derivative would hide
+the inertia."""
+
+CLEAR = 4.0
+"""Speed from which the direction of friction is clear, over the ``friction_speed`` of the robot:
+there, smooth friction and dry friction, which winches have, differ by 3 %."""
+
 CUT = 4
 """Half width of the filter over its standard deviation."""
+
+LONGEST_PERIOD = 0.5
+"""Longest sampling period [s]: a longer one is in ms."""
 
 GAP = 5.0
 """A pause of more than so many median sampling periods divides a log."""
 
-_LETTERS = {"ψ": "psi", "θ": "theta", "φ": "phi"}
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Log:
+class Log(Table):
     """Columns of a log."""
 
-    name: str
-    """Name of the file, for messages."""
-    columns: Mapping[str, Array]
-    """Values by the name of the column, each (K,). Empty cells are NaN."""
+    file: str = ""
+    """Name of the file, for sources and figures."""
+    delay: float = 0.0
+    """Time constant with which the drives filter the speeds [s]; the segments undo it."""
 
     def motors(self) -> list[int]:
         """Indices of the motors with torque or current.
@@ -92,19 +100,24 @@ class Log:
         columns have values.
 
         Raises:
-            ValueError: if the time does not increase, or no stretch has twice the window.
+            ValueError: if a column has no values, or no stretch has twice the window.
         """
         columns = ["time", *columns]
+        for column in columns:
+            if np.count_nonzero(np.isfinite(self.columns[column])) < 2:
+                raise ValueError(f"{self.name}: {column} has no values. Remove or fill the column")
         table = np.stack([self.columns[column] for column in columns], axis=1)
         table = table[np.isfinite(table).all(axis=1)]
+        if len(table) < 2:
+            raise ValueError(f"{self.name}: no line has values of all of {', '.join(columns)}")
         steps = np.diff(table[:, 0])
-        if not len(steps) or np.min(steps) <= 0:
-            raise ValueError(
-                f"{self.name}: time must increase, in s, and {columns[-1]} have values"
-            )
         period = float(np.median(steps))
         edges = [0, *(np.flatnonzero(steps > GAP * period) + 1), len(table)]
-        least = 2 * window_samples(period)
+        smoothing = SMOOTHING
+        if has_angles_alone(columns):
+            smoothing = ANGLE_SMOOTHING
+        width = max(1.0, smoothing / period)
+        least = 2 * window_samples(width)
         are_all_short = True
         for start, stop in pairwise(edges):
             rows = table[start:stop]
@@ -115,7 +128,7 @@ class Log:
             values = {}
             for index, column in enumerate(columns):
                 values[column] = np.interp(grid, rows[:, 0], rows[:, index])
-            yield Segment(period=period, columns=values)
+            yield Segment(period=period, width=width, delay=self.delay, columns=values)
         if are_all_short:
             raise ValueError(
                 f"{self.name}: no stretch without gaps has {least} samples, the least for a derivative"
@@ -128,92 +141,105 @@ class Segment:
 
     period: float
     """Sampling period [s]."""
+    width: float
+    """Standard deviation of the filter [samples]."""
+    delay: float
+    """Time constant with which the drives filter the speeds [s]."""
     columns: Mapping[str, Array]
     """Values by the name of the column, each (K,)."""
 
     def smooth(self, column: str, derivative: int = 0) -> Array:
         """A smoothed column or its derivative, without both ends, which have no full window."""
-        width = max(1.0, SMOOTHING / self.period)
-        signal: Array = gaussian_filter1d(self.columns[column], width, truncate=CUT)
+        signal: Array = gaussian_filter1d(self.columns[column], self.width, truncate=CUT)
         for _ in range(derivative):
-            signal = np.gradient(signal, self.period)
-        margin = window_samples(self.period) // 2
+            rate = np.gradient(signal, self.period)
+            # Central differences flatten a sine; what they lack is a sixth of two more of them.
+            signal = rate - np.gradient(np.gradient(rate)) / 6
+        margin = window_samples(self.width) // 2
         return signal[margin:-margin]
+
+    def moves(self, motor: int, friction_speed: float) -> NDArray[np.bool_]:
+        """Where friction has its full size throughout the window of the filter, which would blur a
+        reversal: the motor is :data:`CLEAR` times faster than the speed [rad/s] at which its
+        friction is smooth. A slow motor is faster than that speed and than a part of its largest."""
+        speed, _ = self.motion(motor)
+        largest = float(np.max(np.abs(speed)))
+        least = max(friction_speed, min(CLEAR * friction_speed, largest / CLEAR))
+        window = window_samples(self.width)
+        forward = minimum_filter1d(speed, window) > least
+        backward = maximum_filter1d(speed, window) < -least
+        return forward | backward
 
     def motion(self, motor: int) -> tuple[Array, Array]:
         """Speed [rad/s] and acceleration [rad/s²] of a motor."""
         column = f"speed_{motor + 1}"
         if column in self.columns:
-            return self.smooth(column), self.smooth(column, 1)
+            speed, acceleration, jerk = (self.smooth(column, order) for order in range(3))
+            return speed + self.delay * acceleration, acceleration + self.delay * jerk
         column = f"angle_{motor + 1}"
         return self.smooth(column, 1), self.smooth(column, 2)
 
 
-def window_samples(period: float) -> int:
-    """Odd number of samples of the window of the filter."""
-    return 2 * round(CUT * max(1.0, SMOOTHING / period)) + 1
+def window_samples(width: float) -> int:
+    """Odd number of samples of the window of a filter with a standard deviation in samples."""
+    return 2 * round(CUT * width) + 1
+
+
+def has_angles_alone(columns: Sequence[str]) -> bool:
+    """Whether a motor has an angle and no speed among the columns."""
+    angles = [column for column in columns if column.startswith("angle_")]
+    return any(angle.replace("angle", "speed") not in columns for angle in angles)
 
 
 def pose_columns(robot: Robot) -> list[str]:
     """Names of the columns of the pose."""
-    return [_LETTERS.get(symbol, symbol) for symbol in COORDINATE_NAMES[robot.kind]]
+    return [column_name(symbol) for symbol in COORDINATE_NAMES[robot.kind]]
 
 
-def valid_columns(robot: Robot) -> list[str]:
-    """Names of all columns that a log of a robot may have."""
-    valid = []
-    for column in COLUMNS:
+def column_units(robot: Robot) -> dict[str, str]:
+    """Units of all columns that a log of a robot may have, by their names."""
+    units = {}
+    for column, (unit, _) in COLUMNS.items():
         if column.endswith("_i"):
-            valid += [f"{column[:-1]}{motor + 1}" for motor in range(robot.cables)]
+            for motor in range(robot.cables):
+                units[f"{column[:-1]}{motor + 1}"] = unit
         elif column == "x, y, …":
-            valid += pose_columns(robot)
+            for index, name in enumerate(pose_columns(robot)):
+                units[name] = "m" if index < robot.dimensions else "rad"
         else:
-            valid.append(column)
-    return valid
+            units[column] = unit
+    return units
 
 
 def read_log(path: str | Path, robot: Robot) -> Log:
     """A log from a CSV file whose first line names the columns in any order.
 
+    Lines that repeat the line before are left out.
+
     Raises:
-        ValueError: if the file cannot be read, a column is unknown or missing, or a cell is no
-            number. The message names the file.
+        ValueError: if the file cannot be read, a column is unknown or missing, a cell is no number,
+            or the time does not increase. The message names the file and the line.
     """
     path = Path(path)
-    try:
-        rows = [row for row in csv.reader(read_text(path).splitlines()) if any(row)]
-    except (OSError, csv.Error) as error:
-        raise ValueError(f"cannot read log {str(path)!r}: {error}") from None
-    if not rows:
-        raise ValueError(f"{path.name}: the file is empty; its first line names the columns")
-    header = [name.strip() for name in rows[0]]
-    valid = valid_columns(robot)
-    unknown = [name for name in header if name not in valid]
-    if unknown:
-        raise ValueError(
-            f"{path.name}: unknown column {unknown[0]!r}; columns of {robot.name!r} are "
-            f"{', '.join(valid)}. Rename or remove it"
-        )
-    if len(set(header)) < len(header):
-        raise ValueError(f"{path.name}: a column appears twice; remove one")
-    log = Log(name=path.name, columns=dict(zip(header, _numbers(path, rows).T, strict=True)))
+    table = read_table(path, "log", column_units(robot))
+    is_new = np.zeros(len(table.lines), bool)
+    is_new[:1] = True
+    for values in table.columns.values():
+        both_empty = np.isnan(values[1:]) & np.isnan(values[:-1])
+        is_new[1:] |= (values[1:] != values[:-1]) & ~both_empty
+    log = Log(
+        name=table.name,
+        file=path.name,
+        columns={name: values[is_new] for name, values in table.columns.items()},
+        lines=tuple(line for line, new in zip(table.lines, is_new, strict=True) if new),
+    )
     log.require("time", purpose="a log")
+    log.refuse("time", np.isnan(log.columns["time"]), ". Each line needs a time")
+    log.refuse_decrease("time", np.arange(len(log.lines)))
+    steps = np.diff(log.columns["time"])
+    if len(steps) and np.median(steps) > LONGEST_PERIOD:
+        raise ValueError(
+            f"{log.name}: time grows by {np.median(steps):g} a line. It must be in s: divide "
+            "milliseconds by 1000"
+        )
     return log
-
-
-def _numbers(path: Path, rows: list[list[str]]) -> NDArray[np.float64]:
-    """Table of the cells below the header."""
-    table = np.full((len(rows) - 1, len(rows[0])), np.nan)
-    for index, row in enumerate(rows[1:]):
-        if len(row) != len(rows[0]):
-            raise ValueError(
-                f"{path.name}: row {index + 1} has {len(row)} cells, the first line {len(rows[0])}"
-            )
-        for column, cell in enumerate(row):
-            try:
-                table[index, column] = float(cell or "nan")
-            except ValueError:
-                raise ValueError(
-                    f"{path.name}: {cell!r} in row {index + 1} is no number; use decimal points"
-                ) from None
-    return table

@@ -26,6 +26,12 @@ WIDEST = 0.5
 TOO_WIDE = f"the interval is wider than ± {100 * WIDEST:g} % of the value"
 """Start of the reason why a parameter with a wide interval is not determined."""
 
+LEAST_EFFECT = 0.1
+"""Least effect of a parameter on another one, as a part of the torque of the first, that is named."""
+
+LEAST_SINGULAR = 1e-6
+"""Least singular value of the columns of the Jacobian, over the largest, that a step follows."""
+
 LEAST_TOLERANCE = 0.01
 """Least part of the square of a regressor that the other regressors do not explain."""
 
@@ -72,6 +78,8 @@ class Estimate:
     """Half width of the interval of :data:`CONFIDENCE`."""
     reason: str = ""
     """Why the parameter is not determined; empty if it is."""
+    given: str = ""
+    """Values of the robot that this one rests on, such as ``load_friction = 0.03``."""
 
     @property
     def is_determined(self) -> bool:
@@ -89,9 +97,16 @@ class Fit:
     """Measured minus modelled response, (N,)."""
 
 
-def fit(samples: Samples, names: Sequence[str], values: Mapping[str, Array]) -> Fit:
+def fit(
+    samples: Samples,
+    names: Sequence[str],
+    values: Mapping[str, Array],
+    *,
+    alternatives: Sequence[Samples] = (),
+    same_winches: bool = False,
+) -> Fit:
     """Parameters of each motor where the samples of each motor determine them, otherwise of all
-    motors together.
+    motors together, or of equal winches.
 
     Parameters that the samples cannot separate from others keep their values.
 
@@ -99,6 +114,9 @@ def fit(samples: Samples, names: Sequence[str], values: Mapping[str, Array]) -> 
         samples: samples.
         names: names of the regressors.
         values: present values by name, each (m,).
+        alternatives: the samples under other assumptions. The intervals grow by the changes of the
+            estimates with them.
+        same_winches: whether all motors of the robot have the same parameters.
 
     Raises:
         ValueError: if torques or currents have the wrong sign, or the torque constant is not
@@ -106,14 +124,18 @@ def fit(samples: Samples, names: Sequence[str], values: Mapping[str, Array]) -> 
     """
     motors = tuple(np.unique(samples.motor).tolist())
     motors_are_joined = motors[0] < 0
-    if motors_are_joined:
+    if motors_are_joined or same_winches:
         motors = tuple(range(samples.regressors.shape[1]))
     _check_sign(samples)
     equations = _Equations(samples, names, values)
+    others = [_Equations(alternative, names, values) for alternative in alternatives]
     fitted = [*names]
     if samples.is_current:
         fitted.insert(0, CONSTANT)  # the equations expect it first
-    groups: _Groups = {name: tuple((motor,) for motor in motors) for name in fitted}
+    separate = tuple((motor,) for motor in motors)
+    if same_winches:
+        separate = (motors,)
+    groups: _Groups = dict.fromkeys(fitted, separate)
     left_out = []
     while True:
         name = equations.inseparable(groups)
@@ -129,12 +151,13 @@ def fit(samples: Samples, names: Sequence[str], values: Mapping[str, Array]) -> 
             if name == "load_friction" and motors_are_joined:
                 reason = UNKNOWN_TENSIONS
             left_out.append(Estimate(name=name, motors=motors, reason=reason))
-    estimates, residual = equations.solve(groups)
+    estimates, residual = equations.solve(groups, others)
     for name in groups:
         is_wide = any(item.name == name and not item.is_determined for item in estimates)
         if is_wide and len(groups[name]) > 1:
             groups[name] = (motors,)
-            estimates, residual = equations.solve(groups)
+            estimates, residual = equations.solve(groups, others)
+    estimates = equations.with_given(estimates, left_out)
     order = [CONSTANT, *names]
     estimates = sorted(
         [*estimates, *left_out], key=lambda item: (order.index(item.name), item.motors)
@@ -146,6 +169,14 @@ def inseparable_text(name: str) -> str:
     """Why the samples cannot separate a parameter from others, and the remedy."""
     state, remedy = REMEDIES[name]
     return f"the logs have {state}; {remedy}"
+
+
+def given_text(name: str, values: Array) -> str:
+    """A parameter with its values, one if they are equal."""
+    shown = [f"{value:.3g}" for value in values.tolist()]
+    if len(set(shown)) == 1:
+        return f"{name} = {shown[0]}"
+    return f"{name} = [{', '.join(shown)}]"
 
 
 def _check_sign(samples: Samples) -> None:
@@ -179,16 +210,47 @@ class _Equations:
                 dependent.add(column.name)
         return next((name for name in REMEDIES if name in dependent), "")
 
-    def solve(self, groups: _Groups) -> tuple[list[Estimate], Array]:
+    def solve(
+        self, groups: _Groups, alternatives: Sequence[_Equations]
+    ) -> tuple[list[Estimate], Array]:
         """Estimates, and the residual (N,)."""
         columns = _columns(groups)
         jacobian, residual, values = self._solution(columns)
         widths = half_widths(jacobian, residual, self.samples.block)
+        for alternative in alternatives:
+            _, _, others = alternative._solution(columns)
+            widths = widths + np.abs(others - values)
         estimates = []
         for column, value, half_width in zip(columns, values, widths, strict=True):
             estimate = replace(column, value=float(value), half_width=float(half_width))
             estimates.append(replace(estimate, reason=doubt(estimate)))
         return estimates, residual
+
+    def with_given(
+        self, estimates: Sequence[Estimate], left_out: Sequence[Estimate]
+    ) -> list[Estimate]:
+        """The estimates with the values of the robot that they rest on: those of left-out parameters
+        whose torque they would have to explain."""
+        if not estimates:
+            return []
+        jacobian, _, _ = self._solution(estimates)
+        norms = np.linalg.norm(jacobian, axis=0)
+        given: list[list[str]] = [[] for _ in estimates]
+        for item in left_out:
+            torque = self.samples.regressors[:, :, self.names.index(item.name)].sum(axis=1)
+            effects = np.linalg.lstsq(jacobian / norms, torque, rcond=None)[0]
+            for index, estimate in enumerate(estimates):
+                rows = jacobian[:, index] != 0
+                size = np.linalg.norm(torque[rows])
+                is_felt = abs(effects[index]) > LEAST_EFFECT * size
+                # The torque of this friction scales the equations of the platform.
+                if is_felt or item.reason == UNKNOWN_TENSIONS:
+                    values = self.values[item.name][list(estimate.motors)]
+                    given[index].append(given_text(item.name, values))
+        return [
+            replace(estimate, given=", ".join(texts))
+            for estimate, texts in zip(estimates, given, strict=True)
+        ]
 
     def _solution(self, columns: Sequence[Estimate]) -> tuple[Array, Array, Array]:
         """Jacobian (N, p), residual (N,) and values (p,) by the method of Gauss and Newton."""
@@ -220,7 +282,8 @@ class _Equations:
             jacobian = np.hstack([-members * torque[:, None] / constant**2, regressors / constant])
             residual = response - torque / constant[:, 0]
             scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
-            step = np.linalg.lstsq(jacobian / scale, residual, rcond=None)[0]
+            # Columns that others explain would make the steps huge.
+            step = np.linalg.lstsq(jacobian / scale, residual, rcond=LEAST_SINGULAR)[0]
             values = values + step / scale
             if np.linalg.norm(step) < 1e-9 * np.linalg.norm(response):
                 break
@@ -267,6 +330,15 @@ def half_widths(jacobian: Array, residual: Array, block: Array) -> Array:
     quantile = student.ppf((1 + CONFIDENCE) / 2, np.maximum(degrees, 1))
     widths: Array = np.where(blocks > 1, quantile * np.sqrt(variance) / scale, np.inf)
     return widths
+
+
+def jackknife_half_width(estimates: Sequence[float]) -> float:
+    """Half width of the interval of an estimate from those without one block each."""
+    count = len(estimates)
+    if count < 2:
+        return np.inf
+    variance = np.var(estimates) * (count - 1)
+    return float(student.ppf((1 + CONFIDENCE) / 2, count - 1) * np.sqrt(variance))
 
 
 def doubt(estimate: Estimate) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,18 +12,31 @@ from numpy.typing import NDArray
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
 from cablebot_gym.uncertainty import PARAMETERS, ParameterDistribution, Uncertainty
+from cablebot_gym.utils.results import Result
+from cablebot_winches.identification.delay import speed_delay
 from cablebot_winches.identification.lengths import OFFSET, LengthFit, fit_lengths
 from cablebot_winches.identification.log import Log, pose_columns
-from cablebot_winches.identification.regression import CONFIDENCE, CONSTANT, Estimate, Fit, fit
+from cablebot_winches.identification.regression import (
+    CONFIDENCE,
+    CONSTANT,
+    Estimate,
+    Fit,
+    fit,
+)
 from cablebot_winches.identification.samples import (
     PLATFORM,
     Samples,
     drive_samples,
     parameter_names,
 )
+from cablebot_winches.identification.units import questions
 
 UNITS = {CONSTANT: "N·m/A", "pulley_radius": "m", OFFSET: "m"}
 """Units of parameters that are not in :data:`~cablebot_gym.uncertainty.PARAMETERS`."""
+
+
+DRY = 1e-9
+"""``friction_speed`` of dry friction [rad/s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,8 +71,8 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Identification:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Identification(Result):
     """Result of an identification."""
 
     robot: Robot
@@ -72,6 +85,18 @@ class Identification:
     """Measured and modelled responses of all equations."""
     logs: tuple[str, ...]
     """Names of the logs."""
+    unknown_motors: tuple[int, ...]
+    """Indices of the motors without a log of a motion, which keep the values of the robot."""
+    questions: tuple[str, ...]
+    """Values far from those of the robot, which a wrong unit would explain, as sentences."""
+
+    def __str__(self) -> str:
+        determined = sum(item.is_determined for item in self.estimates)
+        text = f"{determined} of {len(self.estimates)} parameters of {self.robot.name!r} determined"
+        text += f" from {', '.join(self.logs)}."
+        if self.unknown_motors:
+            text += f" No log of {motors_text(self.unknown_motors)}."
+        return text
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data, motors counted from 1, and None in place of what is not finite."""
@@ -93,7 +118,13 @@ class Identification:
                     "measured_rms": response.measured_rms,
                 }
             )
-        return {"confidence": CONFIDENCE, "estimates": estimates, "residuals": residuals}
+        return {
+            "confidence": CONFIDENCE,
+            "estimates": estimates,
+            "residuals": residuals,
+            "unknown_motors": [motor + 1 for motor in self.unknown_motors],
+            "questions": list(self.questions),
+        }
 
 
 def unit_of(name: str) -> str:
@@ -110,22 +141,32 @@ def shown_unit(unit: str) -> tuple[str, float]:
     return unit, 1.0
 
 
-def identify(robot: Robot, logs: Sequence[Log], *, payload: float = 0.0) -> Identification:
+def identify(
+    robot: Robot, logs: Sequence[Log], *, payload: float = 0.0, same_winches: bool = False
+) -> Identification:
     """Identifies what the logs determine of the drives of a robot.
 
     Args:
         robot: robot with geometry and masses. Parameters that are not determined keep its values.
         logs: logs of :func:`~cablebot_winches.identification.log.read_log`.
         payload: payload of logs of a platform without a column for it [kg].
+        same_winches: whether all winches have the same friction, inertia and torque constant, also
+            those without a log.
 
     Raises:
         ValueError: if the logs have not what the equations need. The message names the column.
     """
-    source = f"identified by `cablebot identify` from {', '.join(log.name for log in logs)}"
+    nominal = robot
+    source = f"identified by `cablebot identify` from {', '.join(log.file for log in logs)}"
     has_torques = any(log.motors() for log in logs)
+    delay_width = 0.0
+    if has_torques:
+        delay, delay_width = speed_delay(robot, logs, payload)
+        logs = [replace(log, delay=delay) for log in logs]
     # Tensions from torques need the friction, and the friction needs the radius.
     passes = 1 + (robot.flexible and has_torques)
     for _ in range(passes):
+        robot = robot.replace(sources=nominal.sources)
         lengths = fit_lengths(robot, logs, payload)
         estimates = [item for length in lengths for item in length.estimates]
         estimates.sort(key=lambda item: (item.name, item.motors))
@@ -133,8 +174,12 @@ def identify(robot: Robot, logs: Sequence[Log], *, payload: float = 0.0) -> Iden
         responses = _length_responses(lengths)
         if has_torques:
             samples = drive_samples(robot, logs, payload)
+            alternatives = _alternatives(robot, logs, payload, delay_width)
             names = parameter_names(robot)
-            drives = fit(samples, names, {name: getattr(robot, name) for name in names})
+            values = {name: getattr(robot, name) for name in names}
+            drives = fit(
+                samples, names, values, alternatives=alternatives, same_winches=same_winches
+            )
             estimates += drives.estimates
             robot = _with_estimates(robot, drives.estimates, source)
             responses = _drive_responses(robot, samples, drives) + responses
@@ -144,13 +189,30 @@ def identify(robot: Robot, logs: Sequence[Log], *, payload: float = 0.0) -> Iden
             f"{logs[0].name}: no motor has a column torque_1 [N·m] or current_1 [A] for its friction, "
             f"nor angle_1 [rad] with the pose {pose} for its cable length"
         )
+    identified = {motor for item in estimates for motor in item.motors}
     return Identification(
         robot=robot,
+        unknown_motors=tuple(sorted(set(range(robot.cables)) - identified)),
+        questions=tuple(questions(nominal, logs, estimates)),
         uncertainty=_uncertainty(estimates),
         estimates=tuple(estimates),
         responses=tuple(responses),
-        logs=tuple(log.name for log in logs),
+        logs=tuple(log.file for log in logs),
     )
+
+
+def _alternatives(
+    robot: Robot, logs: Sequence[Log], payload: float, delay_width: float
+) -> list[Samples]:
+    """Samples of the drives with dry friction, and with the delay of the speeds at the end of its
+    interval."""
+    speed = robot.transmission.friction_speed
+    dry = robot.replace(transmission=robot.transmission.replace(friction_speed=DRY))
+    later = [replace(log, delay=log.delay + delay_width) for log in logs]
+    return [
+        drive_samples(dry, logs, payload, friction_speed=speed),
+        drive_samples(robot, later, payload),
+    ]
 
 
 def _length_responses(fits: Sequence[LengthFit]) -> list[Response]:
@@ -195,27 +257,52 @@ def _drive_responses(robot: Robot, samples: Samples, drives: Fit) -> list[Respon
 
 def _with_estimates(robot: Robot, estimates: Sequence[Estimate], source: str) -> Robot:
     """The robot with the determined parameters and their sources, and without their ranges."""
-    fields: dict[str, Array] = {}
-    widths: dict[str, float] = {}
-    for item in estimates:
-        if item.is_determined and item.name not in (CONSTANT, OFFSET):
-            field = fields.setdefault(item.name, np.array(getattr(robot, item.name)))
-            field[list(item.motors)] = float(f"{item.value:.6g}")
-            width = item.half_width / item.value
-            widths[item.name] = max(width, widths.get(item.name, 0.0))
     changes: dict[str, Any] = {}
     sources = dict(robot.sources)
     ranges = dict(robot.ranges)
-    for name, field in fields.items():
-        # The interval is in the uncertainty; a range may have one value for all motors only.
-        ranges.pop(f"transmission.{name}", None)
+    determined = [
+        item for item in estimates if item.is_determined and item.name not in (CONSTANT, OFFSET)
+    ]
+    for name in dict.fromkeys(item.name for item in determined):
+        items = [item for item in determined if item.name == name]
+        field = np.array(getattr(robot, name))
+        for item in items:
+            field[list(item.motors)] = float(f"{item.value:.6g}")
         changes[name] = tuple(field.tolist())
         if len(set(changes[name])) == 1:
             changes[name] = changes[name][0]
-        text = f"{source}; {100 * CONFIDENCE:g} % interval within ± {100 * widths[name]:.2g} %"
-        sources[f"transmission.{name}"] = text
+        key = f"transmission.{name}"
+        # The interval is in the uncertainty; a range may have one value for all motors only.
+        ranges.pop(key, None)
+        sources[key] = _source(items, robot.cables, source, sources.get(key, "not identified"))
     transmission = robot.transmission.replace(**changes)
     return robot.replace(transmission=transmission, sources=sources, ranges=ranges)
+
+
+def _source(items: Sequence[Estimate], motors: int, source: str, former: str) -> str:
+    """Source of the values of all motors, by motors where they differ."""
+    texts: dict[str, list[int]] = {}
+    for item in items:
+        width = 100 * item.half_width / item.value
+        text = f"{source}; {100 * CONFIDENCE:g} % interval within ± {width:.2g} %"
+        if item.given:
+            text += f"; given {item.given}"
+        texts.setdefault(text, []).extend(item.motors)
+    known = [motor for chosen in texts.values() for motor in chosen]
+    others = [motor for motor in range(motors) if motor not in known]
+    if others:
+        texts[former] = others
+    if len(texts) == 1:
+        return next(iter(texts))
+    return "; ".join(f"{motors_text(chosen)}: {text}" for text, chosen in texts.items())
+
+
+def motors_text(motors: Sequence[int]) -> str:
+    """Motors in words, counted from 1: ``motor 1``, or ``motors 2, 3, 4``."""
+    numbers = ", ".join(str(motor + 1) for motor in motors)
+    if len(motors) == 1:
+        return f"motor {numbers}"
+    return f"motors {numbers}"
 
 
 def _uncertainty(estimates: Sequence[Estimate]) -> Uncertainty:

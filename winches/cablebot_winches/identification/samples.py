@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
-from cablebot_winches.identification.log import Log, Segment, pose_columns
+from cablebot_winches.identification.log import CUT, SMOOTHING, Log, Segment, pose_columns
 
 BLOCKS = 40
 """Number of blocks in time over all logs. Errors of different blocks count as independent; a log
@@ -55,7 +55,13 @@ def parameter_names(robot: Robot) -> tuple[str, ...]:
     return "pulley_inertia", "damping", "coulomb_friction", "load_friction"
 
 
-def drive_samples(robot: Robot, logs: Sequence[Log], payload: float = 0.0) -> Samples:
+def drive_samples(
+    robot: Robot,
+    logs: Sequence[Log],
+    payload: float = 0.0,
+    *,
+    friction_speed: float | None = None,
+) -> Samples:
     """Samples of all logs: of single winches with known loads, or of a platform with measured
     poses.
 
@@ -63,6 +69,8 @@ def drive_samples(robot: Robot, logs: Sequence[Log], payload: float = 0.0) -> Sa
         robot: robot with geometry, masses and radii.
         logs: logs.
         payload: payload of logs without a column for it [kg].
+        friction_speed: speed that selects the samples, see :meth:`Segment.moves`. The default is
+            that of the robot.
 
     Raises:
         ValueError: if a log has not what an equation needs.
@@ -74,14 +82,22 @@ def drive_samples(robot: Robot, logs: Sequence[Log], payload: float = 0.0) -> Sa
         raise ValueError(
             "some motors have torques and others currents: identify them in separate commands"
         )
+    if friction_speed is None:
+        friction_speed = robot.transmission.friction_speed
     pieces: list[_Piece] = []
     for number, log in enumerate(logs):
         if not log.motors():
             continue
         if has_pose(robot, log):
-            pieces += _platform_pieces(robot, log, number, payload)
+            pieces += _platform_pieces(robot, log, number, payload, friction_speed)
         else:
-            pieces += _winch_pieces(robot, log, number)
+            pieces += _winch_pieces(robot, log, number, friction_speed)
+    if not any(len(piece.motor) for piece in pieces):
+        window = 2 * CUT * SMOOTHING
+        raise ValueError(
+            f"no motor moves: each needs speeds above {friction_speed:g} rad/s, the friction_speed of "
+            f"{robot.name!r}, throughout {1000 * window:.0f} ms. Log a motion, or lower friction_speed"
+        )
     joined = _Piece(*(np.concatenate(values) for values in zip(*map(_fields, pieces), strict=True)))
     return Samples(
         response=joined.response,
@@ -167,7 +183,7 @@ def _fields(piece: _Piece) -> tuple[Array, ...]:
     return tuple(vars(piece).values())
 
 
-def _winch_pieces(robot: Robot, log: Log, number: int) -> list[_Piece]:
+def _winch_pieces(robot: Robot, log: Log, number: int, friction_speed: float) -> list[_Piece]:
     """Samples of a log of winches with hanging masses or measured tensions."""
     pieces = []
     for motor in log.motors():
@@ -180,15 +196,17 @@ def _winch_pieces(robot: Robot, log: Log, number: int) -> list[_Piece]:
             )
         source = tension if tension in log.columns else load
         for segment in log.segments([*drive_columns(log, motor), source]):
-            _, acceleration = segment.motion(motor)
-            tensions = segment.smooth(source)
+            pull = segment.smooth(source)
             if source == load:
-                tensions = tensions * (robot.gravity + robot.pulley_radius[motor] * acceleration)
-            pieces.append(_motor_piece(robot, segment, number, motor, tensions))
+                _, acceleration = segment.motion(motor)
+                pull = pull * (robot.gravity + robot.pulley_radius[motor] * acceleration)
+            pieces.append(_motor_piece(robot, segment, number, motor, friction_speed, pull))
     return pieces
 
 
-def _platform_pieces(robot: Robot, log: Log, number: int, payload: float) -> list[_Piece]:
+def _platform_pieces(
+    robot: Robot, log: Log, number: int, payload: float, friction_speed: float
+) -> list[_Piece]:
     """Samples of a log of a platform: tensions from load cells or, with as many cables as
     coordinates, from the inverse dynamics; otherwise the equations of the platform."""
     motors = log.motors()
@@ -210,14 +228,14 @@ def _platform_pieces(robot: Robot, log: Log, number: int, payload: float) -> lis
         pose, velocity, acceleration = platform_motion(robot, segment)
         if not is_measured and not is_unique:
             wrench = textbook.load(robot, mass, pose, velocity, acceleration)
-            pieces.append(_platform_piece(robot, segment, number, pose, wrench))
+            pieces.append(_platform_piece(robot, segment, number, friction_speed, pose, wrench))
             continue
         tensions = None
         if not is_measured:
             tensions = textbook.required_tensions(robot, mass, pose, velocity, acceleration)
         for motor, cell in zip(motors, cells, strict=True):
             tension = segment.smooth(cell) if tensions is None else tensions[:, motor]
-            pieces.append(_motor_piece(robot, segment, number, motor, tension))
+            pieces.append(_motor_piece(robot, segment, number, motor, friction_speed, tension))
     return pieces
 
 
@@ -257,8 +275,10 @@ def _direction(robot: Robot, speed: Array) -> Array:
     return direction
 
 
-def _motor_piece(robot: Robot, segment: Segment, number: int, motor: int, tension: Array) -> _Piece:
-    """Samples of one motor. Those at standstill are left out, where friction takes any value."""
+def _motor_piece(
+    robot: Robot, segment: Segment, number: int, motor: int, friction_speed: float, tension: Array
+) -> _Piece:
+    """Samples of one motor where it moves."""
     speed, acceleration = segment.motion(motor)
     response = "torque"
     if f"torque_{motor + 1}" not in segment.columns:
@@ -266,7 +286,7 @@ def _motor_piece(robot: Robot, segment: Segment, number: int, motor: int, tensio
     load = load_torque(robot, motor, tension, speed, acceleration)
     regressors = np.zeros((len(load), robot.cables, 4))
     regressors[:, motor] = drive_factors(robot, speed, acceleration, load)
-    moves = np.abs(speed) > robot.transmission.friction_speed
+    moves = segment.moves(motor, friction_speed)
     return _Piece(
         segment.smooth(f"{response}_{motor + 1}")[moves],
         load[moves],
@@ -278,7 +298,7 @@ def _motor_piece(robot: Robot, segment: Segment, number: int, motor: int, tensio
 
 
 def _platform_piece(
-    robot: Robot, segment: Segment, number: int, pose: Array, wrench: Array
+    robot: Robot, segment: Segment, number: int, friction_speed: float, pose: Array, wrench: Array
 ) -> _Piece:
     """Samples of the equations of the platform, ``Sᵀ T = −w`` with the tensions ``T = (τ − friction
     − inertia)/r'``.
@@ -305,16 +325,17 @@ def _platform_piece(
         responses.append(pull * torque[:, None])
         without_load = drive_factors(robot, speed, acceleration, np.zeros(len(speed)))
         factors.append(pull[:, :, None] * without_load[:, None])
-        moves &= np.abs(speed) > robot.transmission.friction_speed
+        moves &= segment.moves(motor, friction_speed)
     instants = np.count_nonzero(moves)
+    rows = instants * robot.coordinates
     regressors = np.stack(factors, axis=2)[moves]
     return _Piece(
         np.sum(responses, axis=0)[moves].ravel(),
         (-wrench * scale)[moves].ravel(),
-        regressors.reshape(-1, *regressors.shape[2:]),
+        regressors.reshape(rows, *regressors.shape[2:]),
         np.tile(PLATFORM - np.arange(robot.coordinates), instants),
         np.repeat(segment.smooth("time")[moves], robot.coordinates),
-        np.full(instants * robot.coordinates, number),
+        np.full(rows, number),
     )
 
 

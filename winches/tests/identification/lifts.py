@@ -55,7 +55,7 @@ def lift(seed, load, speeds=(3, 12, 25), *, quantity="torque", motors=(1,), are_
         columns[f"speed_{motor}"] = speed + 0.01 * rng.standard_normal(len(speed))
         columns[f"{quantity}_{motor}"] = measured
         columns[f"load_{motor}"] = np.full(len(speed), load)
-    return Log(name=f"{load:g}kg.csv", columns=columns)
+    return Log(name=f"{load:g}kg.csv", file=f"{load:g}kg.csv", columns=columns)
 
 
 def by_motor(result):

@@ -18,7 +18,7 @@ def noisy_log(robot, time, pose, signals, rng, *, payload=None):
             columns[f"{quantity}_{motor + 1}"] = table[:, motor] + errors
     if payload is not None:
         columns["payload"] = np.full(len(time), payload)
-    return Log(name="motion.csv", columns=columns)
+    return Log(name="motion.csv", file="motion.csv", columns=columns)
 
 
 def smooth_motion(robot, rng, *, period=0.002, samples=6000):

@@ -47,6 +47,7 @@ def without(log, quantity):
     return Log(name=log.name, columns=columns)
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize(
     ("nominal", "has_cells"), [(PLANAR, True), (SPATIAL, False)], ids=["load cells", "dynamics"]
 )

@@ -1,5 +1,7 @@
 """Identification of single winches from lifts of known masses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from identification.lifts import ROBOT, TRUTH, lift
@@ -17,6 +19,7 @@ def by_name(logs, robot=ROBOT):
     return {item.name: item for item in identify(robot, logs).estimates}
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize("quantity", ["torque", "current"])
 def test_intervals_cover_the_truth_as_often_as_they_say(quantity):
     """The errors of neighbouring samples are alike: intervals of independent errors would be
@@ -25,7 +28,7 @@ def test_intervals_cover_the_truth_as_often_as_they_say(quantity):
     if quantity == "torque":
         del covered["torque_constant"]
     for seed in range(SEEDS):
-        logs = [lift(seed, load, quantity=quantity) for load in (1.0, 5.0)]
+        logs = [lift(seed, load, (3, 8, 16, 25), quantity=quantity) for load in (1.0, 5.0)]
         estimates = by_name(logs)
         assert estimates.keys() == covered.keys()
         for name, item in estimates.items():
@@ -69,6 +72,59 @@ def test_undetermined_parameter_is_refused_with_its_remedy(quantity, lifts, name
     assert has_range == (not estimates["pulley_inertia"].is_determined)
     if quantity == "current":
         assert estimates["torque_constant"].is_determined
+
+
+@pytest.mark.parametrize(
+    ("quantity", "lifts", "name", "given"),
+    [
+        ("torque", [(5.0, (3, 12, 25), False, None)], "coulomb_friction", "load_friction = 0.051"),
+        ("torque", [(5.0, (3, 12, 25), False, None)], "damping", ""),
+        (
+            "current",
+            [(5.0, (12,), True, 300)],
+            "torque_constant",
+            "load_friction = 0.051, damping = 0.00071, coulomb_friction = 0.027",
+        ),
+        ("torque", [(load, (3, 12, 25), False, None) for load in (1, 5)], "coulomb_friction", ""),
+    ],
+    ids=["one load", "of no effect", "one direction", "two loads"],
+)
+def test_values_that_an_estimate_rests_on_are_given(quantity, lifts, name, given):
+    """With one load, load friction looks like Coulomb friction; in one direction, friction looks
+    like another torque constant. The sources say so, too."""
+    logs = []
+    for load, speeds, are_constant, count in lifts:
+        log = lift(0, load, speeds, quantity=quantity, are_constant=are_constant)
+        logs.append(replace(log, columns={key: log.columns[key][:count] for key in log.columns}))
+    result = identify(ROBOT, logs)
+    item = next(item for item in result.estimates if item.name == name)
+    assert item.is_determined
+    assert item.given == given
+    source = result.robot.sources.get(f"transmission.{name}", given)
+    assert source.endswith(given) or f"given {given}; motors 2, 3, 4" in source
+
+
+def test_sources_are_those_of_each_motor():
+    """A log of winch 1 does not make a robot with friction in one winch look identified."""
+    robot = with_transmission(ROBOT, damping=0.0)
+    result = identify(robot, [lift(0, load) for load in (1.0, 5.0)])
+    source = result.robot.sources["transmission.damping"]
+    assert source.startswith("motor 1: identified by")
+    assert "; motors 2, 3, 4: fitted to the currents" in source
+    assert result.unknown_motors == (1, 2, 3)
+    assert repr(result) == str(result)
+    assert str(result).endswith("determined from 1kg.csv, 5kg.csv. No log of motors 2, 3, 4.")
+
+
+def test_same_winches_have_the_parameters_of_the_one_with_a_log():
+    logs = [lift(0, load) for load in (1.0, 5.0)]
+    result = identify(ROBOT, logs, same_winches=True)
+    assert not result.unknown_motors
+    for item in result.estimates:
+        assert item.motors == (0, 1, 2, 3)
+    assert result.robot.damping == pytest.approx([TRUTH["damping"]] * 4, rel=0.4)
+    assert "motor" not in result.robot.sources["transmission.damping"]
+    assert not result.uncertainty.parameters["damping"].each
 
 
 def test_motors_share_a_parameter_that_needs_all_of_them():

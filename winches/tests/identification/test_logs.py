@@ -1,5 +1,6 @@
 """Columns of logs: errors that name the column and the remedy."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +24,9 @@ def test_log_of_a_file_has_its_values(tmp_path):
 @pytest.mark.parametrize(
     ("without", "rename", "message"),
     [
-        ((), {"speed_1": "speed1"}, "unknown column 'speed1'; columns of 'ttk4900' are time, ang"),
+        ((), {"speed_1": "speed1"}, "unknown column 'speed1'; .* did you mean 'speed_1'"),
         ((), {"speed_1": "speed_5"}, "unknown column 'speed_5'"),
-        ((), {"speed_1": "time"}, "a column appears twice"),
+        ((), {"speed_1": "time"}, "column 'time' appears twice"),
         (("time",), {}, "a log needs the columns time; add them to the first line"),
         (
             ("torque_1",),
@@ -47,26 +48,82 @@ def test_wrong_columns_raise(tmp_path, without, rename, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "the file is empty"),
-        ("time,speed_1\n0,1,2\n", "row 1 has 3 cells, the first line 2"),
-        ("time,speed_1\n0,1\n1,1;5\n", "'1;5' in row 2 is no number"),
+        ("", "it is empty"),
+        ("time,speed_1\n0,1,2\n", "line 2 has 3 values, and the first line 2 columns"),
+        ("time,speed_1\n0,1\n1,1;5\n", "line 3: speed_1 is '1;5'"),
+        ("time,speed_1 [rpm]\n0,1\n", "column 'speed_1 .rpm.' must be in rad/s"),
+        ("time,speed_1\n0,1\n,1\n", "line 3: time is empty"),
+        ("time,speed_1\n0,1\n0.1,2\n0.1,3\n", "line 4: time is 0.1, after 0.1 in line 3"),
+        ("time,speed_1\n0,1\n5,2\n10,3\n", "time grows by 5 a line. It must be in s"),
     ],
 )
 def test_malformed_file_raises(tmp_path, text, message):
     path = tmp_path / "a.csv"
     path.write_text(text)
-    with pytest.raises(ValueError, match=f"a.csv: {message}"):
+    with pytest.raises(ValueError, match=f"a.csv': {message}"):
         read_log(path, ROBOT)
 
 
-def test_time_that_does_not_increase_and_short_logs_raise():
+def test_repeated_lines_are_left_out(tmp_path):
+    """Loggers write a line twice. Empty cells are equal, too."""
+    path = tmp_path / "a.csv"
+    path.write_text("time,speed_1\n0,1\n1e-3,\n1e-3,\n2e-3,1\n")
+    log = read_log(path, ROBOT)
+    np.testing.assert_array_equal(log.columns["speed_1"], [1, np.nan, 1])
+    assert log.lines == (2, 3, 5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({name: slice(9) for name in lift(0, 5.0).columns}, "no stretch without gaps has 34 samp"),
+        ({"torque_1": np.nan}, "torque_1 has no values"),
+        ({"speed_1": 0.0}, "no motor moves: each needs speeds above 0.5 rad/s, the friction_speed"),
+    ],
+    ids=["short", "empty column", "standstill"],
+)
+def test_log_without_samples_raises(changes, message):
+    """The right column is named."""
     columns = dict(lift(0, 5.0).columns)
-    backwards = Log(name="a.csv", columns=columns | {"time": columns["time"][::-1]})
-    with pytest.raises(ValueError, match="time must increase"):
-        identify(ROBOT, [backwards])
-    short = Log(name="a.csv", columns={name: values[:9] for name, values in columns.items()})
-    with pytest.raises(ValueError, match="no stretch without gaps has"):
-        identify(ROBOT, [short])
+    for name, change in changes.items():
+        if isinstance(change, slice):
+            columns[name] = columns[name][change]
+        else:
+            columns[name] = np.full(len(columns[name]), change)
+    with pytest.raises(ValueError, match=message):
+        identify(ROBOT, [Log(name="a.csv", columns=columns)])
+
+
+@pytest.mark.parametrize(
+    ("quantity", "column", "factor", "question"),
+    [
+        (
+            "torque",
+            "speed",
+            1 / (2 * np.pi),
+            "pulley_inertia of .* times that of the robot: are sp",
+        ),
+        ("torque", "speed", 30 / np.pi, "pulley_inertia of .* times that of the robot: are sp"),
+        ("torque", "speed", 180 / np.pi, "speed_1 reaches 1.43e.03 rad/s, and the free speed"),
+        ("torque", "load", 1e3, "the mean of torque_1 is .* and its load needs"),
+        ("current", "current", 1e3, "mean a supply of 0.021 V: are currents in A"),
+    ],
+    ids=["rev/s", "rpm", "°/s", "g", "mA"],
+)
+def test_wrong_units_are_questioned(quantity, column, factor, question):
+    logs = []
+    for load in (1.0, 5.0):
+        columns = dict(lift(0, load, quantity=quantity).columns)
+        columns[f"{column}_1"] = factor * columns[f"{column}_1"]
+        logs.append(Log(name="a.csv", columns=columns))
+    questions = identify(ROBOT, logs).questions
+    assert any(re.search(question, text) for text in questions), questions
+
+
+def test_right_units_are_not_questioned():
+    for quantity in ("torque", "current"):
+        logs = [lift(0, load, quantity=quantity) for load in (1.0, 5.0)]
+        assert not identify(ROBOT, logs).questions
 
 
 def test_identified_robot_survives_its_file(tmp_path):

@@ -29,6 +29,7 @@ def episode(env_id, robot, payload, trajectory):
     return noisy_log(robot, time, pose, signals, rng, payload=payload)
 
 
+@pytest.mark.landing
 @pytest.mark.parametrize(
     ("env_id", "nominal", "motions"),
     [
@@ -55,7 +56,7 @@ def test_friction_and_inertia_of_an_environment_are_identified(env_id, nominal, 
 def log_of_torques(true, seed, pretension):
     """Log with the torques of redundant cables, without load cells."""
     rng = np.random.default_rng(seed)
-    time, *motion = smooth_motion(true, rng, period=0.004)
+    time, *motion = smooth_motion(true, rng)
     tensions = textbook.required_tensions(true, true.mass, *motion, minimum=pretension)
     angle, _ = textbook.rest_angles(true, tensions, motion[0])
     speed = np.gradient(angle, time, axis=0)
@@ -85,6 +86,7 @@ def test_load_friction_of_the_robot_corrects_the_tensions_of_redundant_cables(el
         assert item.value == pytest.approx(2e3, rel=0.005)
 
 
+@pytest.mark.landing
 def test_stiffness_and_motor_friction_of_joint_springs_are_identified():
     rng = np.random.default_rng(0)
     truth = {

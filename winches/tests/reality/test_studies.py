@@ -3,6 +3,7 @@
 import csv
 import io
 import itertools
+from dataclasses import replace
 from zipfile import ZipFile
 
 import numpy as np
@@ -87,25 +88,52 @@ def test_friction_of_the_model_is_that_of_its_winches():
     assert ttk4900.model_friction(robot, weight, 0, speed) == pytest.approx(expected, rel=1e-3)
 
 
-def test_winch_is_predicted_from_the_others():
-    """Winch 3 needs 4 % more current than the others, in all lifts."""
-    robot = find_robot("ttk4900")
+def lifts_of(robot, *, hook=0.0, level=1.0, friction_factor=1.0):
+    """Lifts whose currents are in proportion to the masses with a hook [kg]. Winch 3 needs another
+    level of currents and has another friction with the large weight."""
     lifts = []
     for weight, winches in ttk4900.WINCHES.items():
         for winch, speed in itertools.product(winches, (3.0, 12.0, 25.0)):
-            friction = ttk4900.model_friction(robot, weight, winch, speed)
-            level = weight
+            mass = weight + hook
+            friction = ttk4900.model_friction(robot, mass, winch, speed)
             if winch == 3:
-                level *= 1.04
-            up, down = level * (1 + friction), level * (1 - friction)
+                mass *= level
+                friction *= friction_factor
+            up, down = mass * (1 + friction), mass * (1 - friction)
             lift = ttk4900.Lift(weight=weight, winch=winch, speed=speed, up=up, down=down)
             lifts.append(lift)
+    return lifts
+
+
+@pytest.mark.parametrize(
+    ("level", "friction_factor", "is_held"),
+    [(1.015, 1.0, True), (1.04, 1.0, False), (1.0, 0.5, False), (1.0, 1.5, False)],
+)
+def test_winch_is_predicted_from_the_others(level, friction_factor, is_held):
+    """The currents hold their goal neither with half nor with one and a half times the friction."""
+    robot = find_robot("ttk4900")
+    lifts = lifts_of(robot, level=level, friction_factor=friction_factor)
     rows = {item.quantity: item for item in ttk4900.predictions(robot, lifts)}
     friction = rows["friction over gravity, 5 kg, winch 3 from the others"]
-    assert friction.deviation == pytest.approx(0, abs=1e-3)
+    assert friction.deviation == pytest.approx(1 / friction_factor - 1, abs=1e-3)
     current = rows["largest deviation of the currents, 5 kg, winch 3 from the others"]
-    assert current.robot == pytest.approx(1 - 1 / 1.04, abs=1e-4)
-    assert current.held
+    assert current.held == is_held
+    if friction_factor == 1:
+        assert current.robot == pytest.approx(1 - 1 / level, abs=1e-4)
+
+
+def test_fit_with_the_hook_has_the_friction_of_lifts_with_a_hook():
+    """The masses without it make the constant friction too small."""
+    robot = find_robot("ttk4900")
+    lifts = lifts_of(robot, hook=0.23)
+    hook = ttk4900._hook(lifts)
+    assert hook == pytest.approx(0.23, abs=1e-3)
+    hooked = [replace(lift, hook=hook) for lift in lifts]
+    name = "coulomb_friction"
+    truth = robot.coulomb_friction[0]
+    assert ttk4900.fitted_friction(robot, hooked)[name].value == pytest.approx(truth, rel=0.01)
+    assert ttk4900.fitted_friction(robot, lifts)[name].value < 0.9 * truth
+    assert "would change by +0.00" in ttk4900._hook_effect(robot, lifts, hooked)
 
 
 # --- gch-klaus ------------------------------------------------------------------------------------
