@@ -339,7 +339,7 @@ def _draw_torques(figure: FigureBase, result: DLCCResult) -> None:
     action = abs(actions[step, motor])
     note = f"{1 - action:.1%} margin"
     if action > 1:
-        note = f"{action - 1:.1%} beyond the limit"
+        note = f"saturates, |a| = {action:.3f}"
     mark = Mark(step=int(step), motor=int(motor), name="tightest instant", note=note)
     torque_panels(figure, profile, mark)
 
@@ -372,7 +372,7 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
         if profile.requested is not None:
             # Where |a| ≤ 1 it equals the applied torque, which hides it.
             requested = profile.requested[:, motor]
-            label = "requested torque beyond the limits"
+            label = "requested torque, where the motor saturates"
             axes.plot(time, requested, "--", color=VERMILLION, linewidth=1.4, label=label)
         axes.plot(time, torque, color=BLUE, linewidth=1.8, marker=marker, label=profile.name)
         axes.set(xlim=_span(time, profile.end), ylim=(low, high))

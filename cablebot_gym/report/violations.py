@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from statistics import median
 from typing import Any
 
-from cablebot_gym.evaluation.constraints import KINDS
+from cablebot_gym.evaluation.constraints import KINDS, LIMIT_NAMES, ViolationKind
 
 BINS = 20
 """Number of equal parts of the motion."""
@@ -20,10 +20,10 @@ def violation_strips(violations: Iterable[Mapping[str, Any]]) -> list[dict[str, 
             [s] or None, see :class:`~cablebot_gym.evaluation.constraints.Violation`.
 
     Returns:
-        ``kind``; ``counts`` of :data:`BINS` parts; their sum ``count``; medians ``fraction`` and
+        ``limit``, its name; ``counts`` of :data:`BINS` parts; their sum ``count``; medians ``fraction`` and
         ``lead`` [s], which is None if no violation has one.
     """
-    groups: dict[str, list[Mapping[str, Any]]] = {kind: [] for kind in KINDS}
+    groups: dict[ViolationKind, list[Mapping[str, Any]]] = {kind: [] for kind in KINDS}
     for violation in violations:
         groups[violation["kind"]].append(violation)
     strips = []
@@ -36,7 +36,7 @@ def violation_strips(violations: Iterable[Mapping[str, Any]]) -> list[dict[str, 
         leads = [violation["lead"] for violation in group if violation.get("lead") is not None]
         strips.append(
             {
-                "kind": kind,
+                "limit": LIMIT_NAMES[kind],
                 "counts": counts,
                 "count": len(group),
                 "fraction": median(violation["fraction"] for violation in group),

@@ -81,7 +81,7 @@ def test_mark_is_at_the_least_torque_margin(result):
             assert marks[0].get_xydata().tolist() == [[time, arrays["torques"][step, motor]]]
             (note,) = axes.texts
             assert f"t = {time:.3f} s" in note.get_text()
-            assert ("beyond" in note.get_text()) == (margins.min() < 0)
+            assert ("saturates" in note.get_text()) == (margins.min() < 0)
 
 
 def test_errors_are_drawn_with_their_bounds(result):
