@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cablebot_gym.evaluation.constraints import DLCCMonitor
     from cablebot_gym.evaluation.evaluator import evaluate_dlcc
     from cablebot_gym.evaluation.rollout import record_rollout
-    from cablebot_gym.physics.textbook import inverse_dynamics, normalised_action
+    from cablebot_gym.physics.textbook import inverse_dynamics, linearise, normalised_action
     from cablebot_gym.policies.adapters import PolicyFactory
     from cablebot_gym.policies.protocol import Policy
     from cablebot_gym.policies.spec import load_policy
@@ -39,6 +39,7 @@ __all__ = [
     "find_robot",
     "find_trajectory",
     "inverse_dynamics",
+    "linearise",
     "load_policy",
     "normalised_action",
     "observation_layout",
@@ -57,6 +58,7 @@ _HOMES = {
     "find_robot": "cablebot_gym.robots",
     "find_trajectory": "cablebot_gym.trajectories",
     "inverse_dynamics": "cablebot_gym.physics.textbook",
+    "linearise": "cablebot_gym.physics.textbook",
     "load_policy": "cablebot_gym.policies.spec",
     "normalised_action": "cablebot_gym.physics.textbook",
     "observation_layout": "cablebot_gym.envs.observation",
