@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from cablebot_gym.envs import ENV_IDS, register_envs
+from cablebot_gym.utils.results import Printed
 
 if TYPE_CHECKING:
     from cablebot_gym.envs.observation import observation_layout
@@ -66,6 +67,16 @@ _HOMES = {
 }
 """Module of each name that is loaded on first use: an evaluation needs SciPy, an environment does
 not."""
+
+
+def _figure_png(result: Any) -> bytes | None:
+    """Figure of a result for notebooks; None without matplotlib, or if it has no figure."""
+    from cablebot_gym.plotting import figure_png
+
+    return figure_png(result)
+
+
+Printed.figure_png = _figure_png
 
 
 def __getattr__(name: str) -> Any:

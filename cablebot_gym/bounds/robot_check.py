@@ -140,8 +140,8 @@ class RobotCheck(Printed):
         }
 
 
-@dataclass(frozen=True, kw_only=True)
-class MotionCheck:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class MotionCheck(Printed):
     """Result of :func:`check_motion`."""
 
     trajectory: Trajectory
@@ -166,6 +166,10 @@ class MotionCheck:
     """Largest relative change of a tension at the home pose by sag and weight; None if unknown."""
     questions: tuple[str, ...]
     """Pairs of cables that come close, with a remedy."""
+
+    def __str__(self) -> str:
+        low, high = self.limit.least, self.limit.largest
+        return f"{self.trajectory.name}: followed exactly with {low:.4g} to {high:.4g} kg"
 
     @property
     def held(self) -> bool:

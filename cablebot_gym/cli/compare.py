@@ -57,7 +57,7 @@ def compare(
         "robot's payload range, else 0.",
     ] = None,
     draws: options.Draws = None,
-    out: Annotated[Path | None, "Folder for comparison.json and comparison.png."] = None,
+    out: Annotated[Path | None, "Folder for comparison.json, comparison.png and draws.csv."] = None,
     as_json: options.Json = False,
     isolate: options.Isolate = None,
 ) -> None:
@@ -77,7 +77,7 @@ def compare(
     )
 
     env_id = options.fitting_id(env_id, episode.robot)
-    options.check_figure_folder(out, "comparison.json", "comparison.png")
+    options.check_figure_folder(out, "comparison.json", "comparison.png", "draws.csv")
     payloads = None if payload is None else payload_grid(payload)
     names = options.split_names(policies)
     robot = options.robot_of(env_id, episode)
@@ -106,12 +106,15 @@ def compare(
 
 
 def _write(comparison: Comparison | PayloadComparison, folder: Path) -> None:
+    from cablebot_gym.evaluation.comparison import save_draws
     from cablebot_gym.plotting.comparison import save_comparison
     from cablebot_gym.utils.files import atomic_write_text
 
     path = folder / "comparison.json"
     atomic_write_text(path, comparison.to_json() + "\n")
-    say(f"wrote {path}, {save_comparison(comparison, folder)}")
+    draws = folder / "draws.csv"
+    save_draws(comparison, draws)
+    say(f"wrote {path}, {draws}, {save_comparison(comparison, folder)}")
 
 
 def payload_grid(text: str) -> list[float]:
@@ -153,7 +156,7 @@ def print_payload_comparison(comparison: PayloadComparison) -> None:
             rows.append([payload, *_cells(metrics, columns)])
             all_metrics.append(metrics)
             payload = ""
-    print_table(_title(lightest), rows)
+    print_table(lightest.describe(), rows)
     _print_notes(all_metrics)
     _note_not_isolated(lightest)
 
@@ -176,7 +179,7 @@ def print_comparison(comparison: Comparison) -> None:
     rows += [_cells(metrics, columns) for metrics in comparison.metrics]
     if results_console().width < _NARROW:
         rows = [list(row) for row in zip(*rows, strict=True)]
-    print_table(_title(comparison, f", payload {comparison.payload:g} kg"), rows)
+    print_table(comparison.describe(f"payload {comparison.payload:g} kg"), rows)
     reference, *compared = comparison.metrics
     for index, metrics in enumerate(compared, 1):
         changes = []
@@ -192,16 +195,6 @@ def _note_not_isolated(comparison: Comparison) -> None:
     """Prints a note about policies that could change the evaluation."""
     if comparison.not_isolated:
         print(f"not isolated: {', '.join(comparison.not_isolated)}: {options.NOT_ISOLATED}")
-
-
-def _title(comparison: Comparison, payload: str = "") -> str:
-    from cablebot_gym.envs import described
-
-    conditions = comparison.conditions
-    robot = described(conditions.env_id, comparison.task.robot.name)
-    draws = options.counted(comparison.draws, "draw")
-    uncertainty = conditions.uncertainty_name or "no uncertainty"
-    return f"{robot}{payload}, {conditions.payload_model}, {draws} of {uncertainty}"
 
 
 def _cells(metrics: PolicyMetrics, columns: Sequence[tuple[str, str, float]]) -> list[str]:

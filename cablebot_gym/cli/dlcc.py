@@ -190,32 +190,10 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
     for criterion in inapplicable:
         reason = "not applicable: the policy does not declare unsaturated_actions"
         rows.append([criterion, "n/a", "–", reason, "–"])
-    print_table(_title(results[0]), rows, right=False)
+    motion = results[0].details.environment["trajectory"].get("name", "")
+    print_table(results[0].describe(motion), rows, right=False)
     for note in _notes(results):
         print(note)
-
-
-def _title(result: DLCCResult) -> str:
-    from cablebot_gym.envs import described
-
-    conditions = result.conditions
-    details = result.details
-    words = [
-        described(conditions.env_id, conditions.robot.name),
-        result.policy,
-        details.environment["trajectory"].get("name", ""),
-        conditions.payload_model,
-    ]
-    if details.wrappers:
-        words.append(f"behind {', '.join(details.wrappers)}")
-    if conditions.uncertainty_name is not None:
-        words.append(conditions.uncertainty_name)
-    if details.stochastic:
-        words.append("stochastic policy")
-    if not result.ranked:
-        words.append("unranked")
-    words += result.trust
-    return ", ".join(words)
 
 
 def _row(result: DLCCResult) -> list[str]:

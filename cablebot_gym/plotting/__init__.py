@@ -1,5 +1,15 @@
 """Figures of evaluation results, comparisons and robots. Needs the extra ``plot``."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+from cablebot_gym.bounds.robot_check import RobotCheck
+from cablebot_gym.evaluation.comparison import Comparison, PayloadComparison
+from cablebot_gym.evaluation.result import DLCCResult
+from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.plotting.comparison import (
     draw_comparison,
     draw_payload_comparison,
@@ -8,6 +18,7 @@ from cablebot_gym.plotting.comparison import (
 from cablebot_gym.plotting.figures import (
     draw_path,
     draw_result,
+    draw_rollout,
     draw_springs,
     draw_success,
     draw_torques,
@@ -15,15 +26,41 @@ from cablebot_gym.plotting.figures import (
 )
 from cablebot_gym.plotting.robots import draw_robot
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = [
     "draw_comparison",
     "draw_path",
     "draw_payload_comparison",
     "draw_result",
     "draw_robot",
+    "draw_rollout",
     "draw_springs",
     "draw_success",
     "draw_torques",
+    "figure_png",
     "save_comparison",
     "save_figures",
 ]
+
+_DRAWINGS: dict[type, Callable[[Any], Figure]] = {
+    DLCCResult: draw_result,
+    Rollout: draw_rollout,
+    Comparison: draw_comparison,
+    PayloadComparison: draw_payload_comparison,
+    RobotCheck: draw_robot,
+}
+
+
+def figure_png(result: Any) -> bytes | None:
+    """Figure of a result as PNG; None without matplotlib, or if the result has no figure."""
+    draw = _DRAWINGS.get(type(result))
+    if draw is None:
+        return None
+    picture = BytesIO()
+    try:
+        draw(result).savefig(picture, format="png")
+    except ImportError:
+        return None
+    return picture.getvalue()

@@ -1,5 +1,6 @@
 """``cablebot compare``: table, options, files and messages."""
 
+import csv
 import json
 
 import numpy as np
@@ -79,6 +80,14 @@ def test_payloads_give_a_table_json_and_figure(cablebot, tmp_path):
     assert data["payloads"] == [0.0, 1.5, 3.0]
     assert data["comparisons"][1] == cablebot(f"{line} --payload 1.5 --json").data
     assert (tmp_path / "comparison.png").is_file()
+    with (tmp_path / "draws.csv").open(encoding="utf-8") as file:
+        draws = list(csv.DictReader(file))
+    assert [(float(row["payload [kg]"]), row["policy"]) for row in draws] == [
+        (payload, policy) for payload in data["payloads"] for policy in ("fl", "robust")
+    ]
+    values = data["comparisons"][1]["policies"][1]["per_draw"]
+    assert float(draws[3]["max_error [m]"]) == values["max_error"][0]
+    assert bool(int(draws[3]["carried"])) == values["carried"][0]
 
 
 @pytest.mark.parametrize(

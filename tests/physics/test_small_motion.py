@@ -16,7 +16,6 @@ from oracles.platforms import CAMERA, CRANE, SWIVELLED, TURNING
 
 from cablebot_gym import kinematics
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import Plant
 from cablebot_gym.robots import PLANAR
 
@@ -95,10 +94,6 @@ def plant_rates(robot, mass, states, actions):
             )
         if robot.elastic and robot.jointed:
             plant.set_pulleys(every, states[:, n : n + m], states[:, angles + n : angles + n + m])
-        lags = np.flatnonzero(robot.motor_lag)
-        torques = np.zeros((len(states), m))
-        torques[:, lags] = states[:, 2 * angles :]
-        plant.set_torques(every, torques)
         plant.set_action(actions)
         plant.advance(*no_reference(robot), substeps=1, step=step)
         names = [("pose", "velocity")]
@@ -107,7 +102,6 @@ def plant_rates(robot, mass, states, actions):
         if robot.jointed:
             names.append(("motor_angle", "motor_speed"))
         values = [getattr(plant, name) for pair in zip(*names, strict=True) for name in pair]
-        values.append(plant.per_cable(rows.LAGGED)[:, lags])
         rates.append((np.concatenate(values, axis=1) - states) / step)
     return 2 * rates[1] - rates[0]
 
@@ -115,16 +109,15 @@ def plant_rates(robot, mass, states, actions):
 @pytest.mark.landing
 @each_of(PLANAR, *ROUGH, ELASTIC[1], BOTH)
 def test_state_space_has_the_differences_of_the_plant(robot):
-    """Of friction, lag, springs, elastic cables, tensions and weight."""
+    """Of friction, springs, elastic cables, tensions and weight."""
+    robot = robot.replace(motors=robot.motors.replace(lag=0.0))
     mass, pose, _ = at_rest(robot)
     model = textbook.linearise(robot, pose, PAYLOAD)
     motors, pulleys = textbook.rest_angles(robot, model.tensions, pose)
     rest = np.concatenate(
         [pose, pulleys[: robot.cables * robot.elastic], motors[: robot.cables * robot.jointed]]
     )
-    lags = np.flatnonzero(robot.motor_lag)
-    torques = model.action * robot.stall_torque
-    rest = np.concatenate([rest, 0 * rest, torques[lags]])
+    rest = np.concatenate([rest, 0 * rest])
     assert len(model.states) == len(model.units) == len(rest) == len(model.A)
     nudge = 1e-4
     size = len(rest)

@@ -14,8 +14,6 @@ This module does not need torch.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import platform
 import shutil
@@ -25,7 +23,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, astuple, dataclass, field, fields, replace
-from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,15 +32,15 @@ from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.plotting.figures import DPI, add_legend, new_figure, set_title
+from cablebot_gym.plotting.figures import add_legend, new_figure, save_figure, set_title
 from cablebot_gym.robots import find_robot
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import command_line
 from cablebot_gym.utils.files import (
-    atomic_write,
     atomic_write_text,
     check_writable_dir,
     read_text,
+    write_csv,
 )
 from cablebot_gym.utils.palette import BLUE
 from cablebot_gym.utils.results import Printed
@@ -362,19 +359,15 @@ class Run:
         )
         if best is None or rank(payload) > rank(best.payload_kg):
             self._bundle(network).save(self.out / BEST)
-        table = io.StringIO()
-        writer = csv.writer(table, lineterminator="\n")
-        writer.writerow(item.name for item in fields(Evaluation))
-        writer.writerows(map(astuple, state.evaluations))
-        atomic_write_text(self.out / EVALUATIONS, table.getvalue())
+        head = [item.name for item in fields(Evaluation)]
+        write_csv(self.out / EVALUATIONS, [head, *map(astuple, state.evaluations)])
         return payload
 
     def finish(self, network: Network) -> None:
         """Writes the final policy and, if matplotlib is installed, the figure of the evaluations."""
         self._bundle(network).save(self.out / LAST)
         with suppress(ImportError):
-            figure = draw_learning_curve(self.state)
-            atomic_write(self.out / CURVE, partial(figure.savefig, dpi=DPI, format="png"))
+            save_figure(draw_learning_curve(self.state), self.out / CURVE)
 
     def _bundle(self, network: Network) -> Bundle:
         """A policy with its training record."""

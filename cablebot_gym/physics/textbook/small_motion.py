@@ -11,7 +11,11 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh, null_space
 
 from cablebot_gym.kinematics import Array, as_numbers
-from cablebot_gym.physics.textbook.drives import allocated_minimum, holding_torque, required_tensions
+from cablebot_gym.physics.textbook.drives import (
+    allocated_minimum,
+    holding_torque,
+    required_tensions,
+)
 from cablebot_gym.physics.textbook.platform import (
     cable_lengths,
     center_arm,
@@ -123,9 +127,7 @@ def linear_model(
         platform_stiffness = stiffness[..., :n, :n]
         platform_stiffness += tension_stiffness(robot, pose, tensions)
         platform_stiffness += weight_stiffness(robot, mass, pose)
-    return LinearModel(
-        inertia=inertia, damping=damping, stiffness=stiffness, motors=rows_of(motor)
-    )
+    return LinearModel(inertia=inertia, damping=damping, stiffness=stiffness, motors=rows_of(motor))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,17 +135,17 @@ class StateSpace:
     """Linear equations ``ẋ = A x + B u`` of the deviations x from a state at rest and u from the
     actions there, in SI units and radians.
 
-    The torques are those of actions that change continuously: within a control period, the
-    environments keep action and back-EMF of its start.
+    Actions act without the lag that motors may have, and change continuously: within a control
+    period, the environments keep the action and the torque drop of its start.
     """
 
     A: Array
-    """System matrix, shape (k, k)."""
+    """System matrix, shape (2k, 2k)."""
     B: Array
-    """Input matrix of the m actions, shape (k, m)."""
+    """Input matrix of the m actions, shape (2k, m)."""
     states: tuple[str, ...]
-    """Name of each state: coordinates of the pose X, angles of pulleys and motors that springs
-    separate, their rates, and the lagged torque of each motor with a lag."""
+    """Name of each state: coordinates of the pose X, angles of the pulleys at elastic cables and of
+    the motors at joint springs, and the rates of all."""
     units: tuple[str, ...]
     """Unit of each state. Actions have none."""
     pose: Array
@@ -185,51 +187,29 @@ def linearise(
         raise ValueError(f"no taut cables hold {robot.name} with {payload:g} kg at {pose.tolist()}")
     model = linear_model(robot, mass=mass, pose=pose, tensions=tensions)
     k = len(model.inertia)
-    lagged = np.flatnonzero(robot.motor_lag)
-    lag = robot.motor_lag[lagged]
-    slope = robot.speed_slope[lagged]
-    turned = model.motors[lagged]
-    rates = slice(k, 2 * k)
-    system = np.zeros((2 * k + len(lagged), 2 * k + len(lagged)))
-    inputs = np.zeros((len(system), robot.cables))
-    system[:k, rates] = np.eye(k)
-    system[rates, :k] = -np.linalg.solve(model.inertia, model.stiffness)
-    system[rates, rates] = -np.linalg.solve(model.inertia, model.damping)
-    by_torque = np.linalg.solve(model.inertia, model.motors.T)
-    inputs[rates] = by_torque * robot.stall_torque
-    # The lag delays the torque of the action and the drop along the torque-speed line.
-    system[rates, rates] += by_torque[:, lagged] @ (slope[:, None] * turned)
-    system[rates, 2 * k :] = by_torque[:, lagged]
-    system[2 * k :, rates] = -(slope / lag)[:, None] * turned
-    system[2 * k :, 2 * k :] = -np.diag(1 / lag)
-    inputs[:, lagged] = 0.0
-    inputs[2 * k + np.arange(len(lagged)), lagged] = robot.stall_torque[lagged] / lag
-    states, units = _states(robot)
+    system = np.eye(2 * k, k=k)
+    system[k:, :k] = -np.linalg.solve(model.inertia, model.stiffness)
+    system[k:, k:] = -np.linalg.solve(model.inertia, model.damping)
+    inputs = np.zeros((2 * k, robot.cables))
+    inputs[k:] = np.linalg.solve(model.inertia, model.motors.T) * robot.stall_torque
+    springs = []
+    if robot.elastic:
+        springs.append("pulley")
+    if robot.jointed:
+        springs.append("motor")
+    names = list(COORDINATE_NAMES[robot.kind])
+    for part in springs:
+        names += [f"{part} angle {motor + 1}" for motor in range(robot.cables)]
+    units = ["m"] * robot.dimensions + ["rad"] * (k - robot.dimensions)
     return StateSpace(
         A=system,
         B=inputs,
-        states=states,
-        units=units,
+        states=(*names, *(f"rate of {name}" for name in names)),
+        units=(*units, *(f"{unit}/s" for unit in units)),
         pose=pose,
         action=holding_torque(robot, robot.pulley_radius * tensions) / robot.stall_torque,
         tensions=tensions,
     )
-
-
-def _states(robot: Robot) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the states of :func:`linearise`."""
-    names = list(COORDINATE_NAMES[robot.kind])
-    angles = len(names) - robot.dimensions
-    motors = range(1, robot.cables + 1)
-    for part, moves in (("pulley", robot.elastic), ("motor", robot.jointed)):
-        if moves:
-            names += [f"{part} angle {motor}" for motor in motors]
-            angles += robot.cables
-    units = ["m"] * robot.dimensions + ["rad"] * angles
-    lags = [f"lagged torque {motor + 1}" for motor in np.flatnonzero(robot.motor_lag)]
-    rates = [f"rate of {name}" for name in names]
-    rate_units = [f"{unit}/s" for unit in units]
-    return (*names, *rates, *lags), (*units, *rate_units, *["N·m"] * len(lags))
 
 
 def tension_stiffness(robot: RobotArrays, pose: ArrayLike, tensions: ArrayLike) -> Array:
