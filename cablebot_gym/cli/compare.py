@@ -23,18 +23,8 @@ _NARROW = 150
 """Width of the terminal below which the table is transposed: one column for each policy
 [columns]."""
 
-_COLUMNS = (
-    ("mean_error", "error, mean [mm]", 1e3),
-    ("rms_error", "rms [mm]", 1e3),
-    ("max_error", "error, max [mm]", 1e3),
-    ("max_rotation", "rotation, max [mrad]", 1e3),
-    ("rms_torque", "torque, rms [N·m]", 1.0),
-    ("peak_torque", "peak [N·m]", 1.0),
-    ("torque_margin", "torque margin [%]", 100.0),
-    ("least_tension", "least tension [N]", 1.0),
-    ("largest_tension", "largest tension [N]", 1.0),
-)
-"""Quantity, heading and factor of the unit of each column."""
+_SHOWN_UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("%", 100.0)}
+"""Unit of a column and its factor, by the unit of the quantity where they differ."""
 
 _OVER_PAYLOAD = ("mean_error", "max_error", "max_rotation", "rms_torque")
 """Quantities that the table over the payload shows."""
@@ -162,10 +152,15 @@ def print_payload_comparison(comparison: PayloadComparison) -> None:
 
 
 def _columns(comparison: Comparison) -> list[tuple[str, str, float]]:
-    """The columns that the robot has: a point mass has no rotation."""
-    columns = list(_COLUMNS)
-    if comparison.task.robot.point_mass:
-        columns = [column for column in columns if column[0] != "max_rotation"]
+    """Quantity, heading and factor of the unit of each column."""
+    from cablebot_gym.evaluation.comparison import QUANTITIES
+
+    columns = []
+    for name, unit in QUANTITIES.items():
+        shown, factor = _SHOWN_UNITS.get(unit, (unit, 1.0))
+        # a point mass has no rotation
+        if name != "max_rotation" or not comparison.task.robot.point_mass:
+            columns.append((name, f"{name.replace('_', ' ')} [{shown}]", factor))
     return columns
 
 

@@ -299,17 +299,16 @@ class PayloadComparison(Result):
 def save_draws(comparison: Comparison | PayloadComparison, path: str | Path) -> None:
     """Writes a CSV file with a row for each payload, policy and draw. An interrupted call leaves no
     partial file."""
-    units = [f"{name} [{unit}]" for name, unit in QUANTITIES.items()]
-    rows: list[list[Any]] = [["payload [kg]", "policy", "seed", *units, "carried", "ended"]]
+    head = [f"{name} [{unit}]" for name, unit in QUANTITIES.items()]
+    rows: list[list[Any]] = [["payload [kg]", "policy", "seed", *head, "carried", "ended"]]
     if isinstance(comparison, PayloadComparison):
         compared = comparison.comparisons
     else:
         compared = (comparison,)
     for item in compared:
         for metrics in item.metrics:
-            columns = [getattr(metrics, name).tolist() for name in QUANTITIES]
-            # as numbers, which all programs read
-            columns += [metrics.carried.astype(int).tolist(), metrics.ended.astype(int).tolist()]
+            # 0 makes numbers of truth values, which all programs read
+            columns = [(0 + getattr(metrics, name)).tolist() for name in _PER_DRAW]
             for seed, *values in zip(item.draw_seeds, *columns, strict=True):
                 rows.append([item.payload, metrics.policy, seed, *values])
     write_csv(path, rows)
