@@ -76,7 +76,7 @@ def _figure_png(result: Any) -> bytes | None:
     return figure_png(result)
 
 
-Printed.figure_png = _figure_png
+Printed._repr_png_ = _figure_png
 
 
 def __getattr__(name: str) -> Any:

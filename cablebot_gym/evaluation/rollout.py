@@ -31,14 +31,14 @@ SUFFIXES = (".npz", ".csv")
 _POSES = ("pose", "true_pose", "reference_pose", "velocity")
 
 _UNITS = {
-    "s": ("time", "action_time"),
-    "kg": ("payload",),
-    "m": ("tracking_error", "tracking_error_peak"),
-    "rad": ("rotation_error", "rotation_error_peak", "motor_angle", "spring_deflection"),
-    "rad/s": ("motor_speeds", "motor_speed", "angular_rate"),
-    "m/s²": ("specific_force",),
-    "N": ("tensions", "least_tensions", "largest_tensions"),
-    "N·m": ("torques", "torque_margin"),
+    "s": "time action_time",
+    "kg": "payload",
+    "m": "tracking_error tracking_error_peak",
+    "rad": "rotation_error rotation_error_peak motor_angle spring_deflection orientation",
+    "rad/s": "motor_speeds motor_speed angular_rate",
+    "m/s²": "specific_force",
+    "N": "tensions least_tensions largest_tensions",
+    "N·m": "torques torque_margin",
 }
 """Names of arrays by unit."""
 
@@ -122,19 +122,17 @@ class Rollout(Printed):
         """Names of the columns of an array, with their units."""
         robot = self.task.robot
         if name in _POSES:
+            units = ["m"] * robot.dimensions + ["rad"] * 3
             per_time = ""
             if name == "velocity":
                 per_time = "/s"
-            columns = []
-            for index, letter in enumerate(COORDINATE_NAMES[robot.kind]):
-                unit = "m"
-                if index >= robot.dimensions:
-                    unit = "rad"
-                columns.append(f"{name}_{_LETTERS.get(letter, letter)} [{unit}{per_time}]")
-            return columns
+            return [
+                f"{name}_{_LETTERS.get(letter, letter)} [{unit}{per_time}]"
+                for letter, unit in zip(COORDINATE_NAMES[robot.kind], units, strict=False)
+            ]
         unit = ""
         for candidate, names in _UNITS.items():
-            if name.removeprefix("measured_") in names:
+            if name.removeprefix("measured_") in names.split():
                 unit = f" [{candidate}]"
         if name == "termination_reason":
             codes = [f"{code}={reason}" for code, reason in enumerate(TERMINATION_REASONS) if code]

@@ -1,15 +1,8 @@
 """Figures of evaluation results, comparisons and robots. Needs the extra ``plot``."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from cablebot_gym.bounds.robot_check import RobotCheck
-from cablebot_gym.evaluation.comparison import Comparison, PayloadComparison
-from cablebot_gym.evaluation.result import DLCCResult
-from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.plotting.comparison import (
     draw_comparison,
     draw_payload_comparison,
@@ -26,9 +19,6 @@ from cablebot_gym.plotting.figures import (
 )
 from cablebot_gym.plotting.robots import draw_robot
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = [
     "draw_comparison",
     "draw_path",
@@ -44,18 +34,19 @@ __all__ = [
     "save_figures",
 ]
 
-_DRAWINGS: dict[type, Callable[[Any], Figure]] = {
-    DLCCResult: draw_result,
-    Rollout: draw_rollout,
-    Comparison: draw_comparison,
-    PayloadComparison: draw_payload_comparison,
-    RobotCheck: draw_robot,
+_DRAWINGS: dict[str, Any] = {
+    "DLCCResult": draw_result,
+    "Rollout": draw_rollout,
+    "Comparison": draw_comparison,
+    "PayloadComparison": draw_payload_comparison,
+    "RobotCheck": draw_robot,
 }
+"""Drawing function by the type of the result."""
 
 
 def figure_png(result: Any) -> bytes | None:
     """Figure of a result as PNG; None without matplotlib, or if the result has no figure."""
-    draw = _DRAWINGS.get(type(result))
+    draw = _DRAWINGS.get(type(result).__name__)
     if draw is None:
         return None
     picture = BytesIO()

@@ -10,14 +10,11 @@ class Printed:
     """An object whose ``repr``, which notebooks show, is the sentence of its ``str``. They show the
     figure of a result, too."""
 
-    figure_png: ClassVar[Callable[[Any], bytes | None]] = lambda result: None
-    """The figure of a result as PNG; the package sets it, because figures need all results."""
+    _repr_png_: ClassVar[Callable[[Any], bytes | None]]
+    """The figure as PNG; the package sets it, because figures need the results."""
 
     def __repr__(self) -> str:
         return str(self)
-
-    def _repr_png_(self) -> bytes | None:
-        return self.figure_png()
 
 
 class Result(Printed):

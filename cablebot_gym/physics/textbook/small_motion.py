@@ -188,8 +188,8 @@ def linearise(
     model = linear_model(robot, mass=mass, pose=pose, tensions=tensions)
     k = len(model.inertia)
     system = np.eye(2 * k, k=k)
-    system[k:, :k] = -np.linalg.solve(model.inertia, model.stiffness)
-    system[k:, k:] = -np.linalg.solve(model.inertia, model.damping)
+    forces = np.hstack([model.stiffness, model.damping])
+    system[k:] = -np.linalg.solve(model.inertia, forces)
     inputs = np.zeros((2 * k, robot.cables))
     inputs[k:] = np.linalg.solve(model.inertia, model.motors.T) * robot.stall_torque
     springs = []
