@@ -106,7 +106,7 @@ def page_data(
             rows += _best_known_rows(board, references, cells)
     return {
         "rows": rows,
-        "start": _start(rows, cells.cells, boards),
+        "start": _start(rows, cells.cells),
         "cells": cells.cells,
         "robots": list(cells.robots.values()),
         "motions": list(cells.motions.values()),
@@ -182,26 +182,12 @@ def _index(values: dict[str, dict[str, Any]], value: dict[str, Any]) -> int:
     return list(values).index(key)
 
 
-def _start(
-    rows: Sequence[Mapping[str, Any]],
-    cells: Sequence[Mapping[str, Any]],
-    boards: Sequence[scores.Leaderboard],
-) -> int:
-    """Index of the row that the page opens: the largest payload on the circle of the first table
-    that has it.
+def _start(rows: Sequence[Mapping[str, Any]], cells: Sequence[Mapping[str, Any]]) -> int:
+    """Index of the row that the page opens: the largest payload of a policy on the circle of the
+    first table that has it.
 
     A row without an episode is opened only if none of these rows has one.
     """
-    if not boards:
-        return 0
-    circles = []
-    for board in boards:
-        for column in board.columns:
-            if column.motion.startswith("circle-"):
-                circles.append((board, column))
-    circles.append((boards[0], boards[0].columns[0]))
-    board, column = circles[0]
-    keys = {_row_key(board, policy, column) for policy in board.policies}
 
     def rank(index: int) -> tuple[bool, float]:
         row = rows[index]
@@ -210,7 +196,15 @@ def _start(
             payload = -1.0
         return cells[row["cells"][0]]["replays"] is not None, payload
 
-    shown = [index for index, row in enumerate(rows) if row["key"] in keys]
+    if not rows:
+        return 0
+    circles = [row for row in rows if row["motion"] == "circle"]
+    first = [*circles, rows[0]][0]
+    same = ("id", "motion", "condition")
+    shown = []
+    for index, row in enumerate(rows):
+        if row["policy"] != BEST_KNOWN and all(row[name] == first[name] for name in same):
+            shown.append(index)
     return max(shown, key=rank)
 
 
