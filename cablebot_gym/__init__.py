@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from cablebot_gym.envs import ENV_IDS, register_envs
+from cablebot_gym.utils.results import Printed
 
 if TYPE_CHECKING:
     from cablebot_gym.envs.observation import observation_layout
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from cablebot_gym.evaluation.constraints import DLCCMonitor
     from cablebot_gym.evaluation.evaluator import evaluate_dlcc
     from cablebot_gym.evaluation.rollout import record_rollout
-    from cablebot_gym.physics.textbook import inverse_dynamics, normalised_action
+    from cablebot_gym.physics.textbook import inverse_dynamics, linearise, normalised_action
     from cablebot_gym.policies.adapters import PolicyFactory
     from cablebot_gym.policies.protocol import Policy
     from cablebot_gym.policies.spec import load_policy
@@ -39,6 +40,7 @@ __all__ = [
     "find_robot",
     "find_trajectory",
     "inverse_dynamics",
+    "linearise",
     "load_policy",
     "normalised_action",
     "observation_layout",
@@ -57,6 +59,7 @@ _HOMES = {
     "find_robot": "cablebot_gym.robots",
     "find_trajectory": "cablebot_gym.trajectories",
     "inverse_dynamics": "cablebot_gym.physics.textbook",
+    "linearise": "cablebot_gym.physics.textbook",
     "load_policy": "cablebot_gym.policies.spec",
     "normalised_action": "cablebot_gym.physics.textbook",
     "observation_layout": "cablebot_gym.envs.observation",
@@ -64,6 +67,16 @@ _HOMES = {
 }
 """Module of each name that is loaded on first use: an evaluation needs SciPy, an environment does
 not."""
+
+
+def _figure_png(result: Any) -> bytes | None:
+    """Figure of a result for notebooks; None without matplotlib, or if it has no figure."""
+    from cablebot_gym.plotting import figure_png
+
+    return figure_png(result)
+
+
+Printed._repr_png_ = _figure_png
 
 
 def __getattr__(name: str) -> Any:

@@ -16,6 +16,7 @@ from cablebot_gym.robots import COORDINATE_NAMES, Cable, Robot
 from cablebot_gym.robots.record import vertical_remedy
 from cablebot_gym.trajectories import BetweenDwells, Reference, Trajectory, Waypoints
 from cablebot_gym.utils.checks import mapping, number, record
+from cablebot_gym.utils.results import Printed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,8 +89,8 @@ def _usual_error_bounds(robot: Robot) -> ErrorBounds:
     return record("error_bounds", ErrorBounds, usual | dict(robot.defaults.error_bounds or {}))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Task:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Task(Printed):
     """One episode as the controller knows it. It never contains the true payload, the true
     parameters or a seed."""
 
@@ -110,6 +111,13 @@ class Task:
     measurement: Measurement = POSE
     """Sensors of the observation, and the nominal resolution of the encoders; never the errors of
     the sensors."""
+
+    def __str__(self) -> str:
+        model = payload_model_text(self.payload_known)
+        return (
+            f"{self.robot.name}, {self.trajectory.name} of {self.trajectory.duration:g} s "
+            f"at {self.control_frequency:g} Hz, {model}"
+        )
 
     @property
     def steps(self) -> int:

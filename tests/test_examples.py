@@ -55,6 +55,14 @@ def your_reward(printed, folder):
     assert 800 > light > middle + 1 > heavy + 50
 
 
+def tune_gains(printed, folder):
+    """Gains that are too high fail unloaded."""
+    *others, best, too_high, largest = numbers(r" ([\d.]+) kg", printed)
+    assert max(others) < best == largest
+    assert too_high == 0
+    assert "payload None" in printed
+
+
 def many_at_once(printed, folder):
     fractions = numbers(FRACTION, printed)
     assert (len(fractions), fractions[0], fractions[-1]) == (8, 100, 0)
@@ -89,6 +97,7 @@ CHECKS = (
     your_robot,
     your_trajectory,
     your_reward,
+    tune_gains,
     many_at_once,
     what_if_it_is_heavier,
     record_a_video,

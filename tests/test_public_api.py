@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import cablebot_gym
-from cablebot_gym.bounds.robot_check import check_model
+from cablebot_gym.bounds.robot_check import check_model, check_motion
 from cablebot_gym.evaluation.comparison import compare_over_payloads
 from cablebot_gym.evaluation.conditions import Conditions
 
@@ -69,7 +69,10 @@ def test_repr_of_a_result_is_its_sentence():
     result = cablebot_gym.evaluate_dlcc("fl", ID, search="bisection", trajectory=motion)
     several = compare_over_payloads(["fl"], ID, payloads=[0.0], trajectory=motion)
     layout = cablebot_gym.observation_layout("spatial")
-    check = check_model(cablebot_gym.find_robot("planar"))
-    for item in (result, result.rollout, several, several.comparisons[0], layout, check):
+    planar = cablebot_gym.find_robot("planar")
+    results = [result, result.rollout, several, several.comparisons[0]]
+    checks = [layout, check_model(planar), check_motion(planar)]
+    for item in (*results, *checks, result.conditions, result.rollout.task):
         assert repr(item) == str(item)
         assert len(str(item)) < 300
+        assert "<" not in str(item)

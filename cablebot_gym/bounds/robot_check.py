@@ -146,8 +146,8 @@ class RobotCheck(Printed):
         }
 
 
-@dataclass(frozen=True, kw_only=True)
-class MotionCheck:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class MotionCheck(Printed):
     """Result of :func:`check_motion`."""
 
     trajectory: Trajectory
@@ -173,6 +173,10 @@ class MotionCheck:
     questions: tuple[str, ...]
     """What may be meant otherwise: see :func:`~cablebot_gym.task.motion_questions`, and pairs of
     cables that come close. Each has a remedy."""
+
+    def __str__(self) -> str:
+        low, high = self.limit.least, self.limit.largest
+        return f"{self.trajectory.name}: followed exactly with {low:.4g} to {high:.4g} kg"
 
     @property
     def held(self) -> bool:

@@ -23,18 +23,8 @@ _NARROW = 150
 """Width of the terminal below which the table is transposed: one column for each policy
 [columns]."""
 
-_COLUMNS = (
-    ("mean_error", "error, mean [mm]", 1e3),
-    ("rms_error", "rms [mm]", 1e3),
-    ("max_error", "error, max [mm]", 1e3),
-    ("max_rotation", "rotation, max [mrad]", 1e3),
-    ("rms_torque", "torque, rms [N·m]", 1.0),
-    ("peak_torque", "peak [N·m]", 1.0),
-    ("torque_margin", "torque margin [%]", 100.0),
-    ("least_tension", "least tension [N]", 1.0),
-    ("largest_tension", "largest tension [N]", 1.0),
-)
-"""Quantity, heading and factor of the unit of each column."""
+_SHOWN_UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("%", 100.0)}
+"""Unit of a column and its factor, by the unit of the quantity where they differ."""
 
 _OVER_PAYLOAD = ("mean_error", "max_error", "max_rotation", "rms_torque")
 """Quantities that the table over the payload shows."""
@@ -57,7 +47,7 @@ def compare(
         "robot's payload range, else 0.",
     ] = None,
     draws: options.Draws = None,
-    out: Annotated[Path | None, "Folder for comparison.json and comparison.png."] = None,
+    out: Annotated[Path | None, "Folder for comparison.json, comparison.png and draws.csv."] = None,
     as_json: options.Json = False,
     isolate: options.Isolate = None,
 ) -> None:
@@ -77,7 +67,7 @@ def compare(
     )
 
     env_id = options.fitting_id(env_id, episode.robot)
-    options.check_figure_folder(out, "comparison.json", "comparison.png")
+    options.check_figure_folder(out, "comparison.json", "comparison.png", "draws.csv")
     payloads = None if payload is None else payload_grid(payload)
     names = options.split_names(policies)
     robot = options.robot_of(env_id, episode)
@@ -106,12 +96,15 @@ def compare(
 
 
 def _write(comparison: Comparison | PayloadComparison, folder: Path) -> None:
+    from cablebot_gym.evaluation.comparison import save_draws
     from cablebot_gym.plotting.comparison import save_comparison
     from cablebot_gym.utils.files import atomic_write_text
 
     path = folder / "comparison.json"
     atomic_write_text(path, comparison.to_json() + "\n")
-    say(f"wrote {path}, {save_comparison(comparison, folder)}")
+    draws = folder / "draws.csv"
+    save_draws(comparison, draws)
+    say(f"wrote {path}, {draws}, {save_comparison(comparison, folder)}")
 
 
 def payload_grid(text: str) -> list[float]:
@@ -153,16 +146,21 @@ def print_payload_comparison(comparison: PayloadComparison) -> None:
             rows.append([payload, *_cells(metrics, columns)])
             all_metrics.append(metrics)
             payload = ""
-    print_table(_title(lightest), rows)
+    print_table(lightest.describe(), rows)
     _print_notes(all_metrics)
     _note_not_isolated(lightest)
 
 
 def _columns(comparison: Comparison) -> list[tuple[str, str, float]]:
-    """The columns that the robot has: a point mass has no rotation."""
-    columns = list(_COLUMNS)
-    if comparison.task.robot.point_mass:
-        columns = [column for column in columns if column[0] != "max_rotation"]
+    """Quantity, heading and factor of the unit of each column."""
+    from cablebot_gym.evaluation.comparison import QUANTITIES
+
+    columns = []
+    for name, unit in QUANTITIES.items():
+        shown, factor = _SHOWN_UNITS.get(unit, (unit, 1.0))
+        # a point mass has no rotation
+        if name != "max_rotation" or not comparison.task.robot.point_mass:
+            columns.append((name, f"{name.replace('_', ' ')} [{shown}]", factor))
     return columns
 
 
@@ -176,7 +174,7 @@ def print_comparison(comparison: Comparison) -> None:
     rows += [_cells(metrics, columns) for metrics in comparison.metrics]
     if results_console().width < _NARROW:
         rows = [list(row) for row in zip(*rows, strict=True)]
-    print_table(_title(comparison, f", payload {comparison.payload:g} kg"), rows)
+    print_table(comparison.describe(f"payload {comparison.payload:g} kg"), rows)
     reference, *compared = comparison.metrics
     for index, metrics in enumerate(compared, 1):
         changes = []
@@ -192,16 +190,6 @@ def _note_not_isolated(comparison: Comparison) -> None:
     """Prints a note about policies that could change the evaluation."""
     if comparison.not_isolated:
         print(f"not isolated: {', '.join(comparison.not_isolated)}: {options.NOT_ISOLATED}")
-
-
-def _title(comparison: Comparison, payload: str = "") -> str:
-    from cablebot_gym.envs import described
-
-    conditions = comparison.conditions
-    robot = described(conditions.env_id, comparison.task.robot.name)
-    draws = options.counted(comparison.draws, "draw")
-    uncertainty = conditions.uncertainty_name or "no uncertainty"
-    return f"{robot}{payload}, {conditions.payload_model}, {draws} of {uncertainty}"
 
 
 def _cells(metrics: PolicyMetrics, columns: Sequence[tuple[str, str, float]]) -> list[str]:

@@ -190,42 +190,24 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
     for criterion in inapplicable:
         reason = "not applicable: the policy does not declare unsaturated_actions"
         rows.append([criterion, "n/a", "–", reason, "–"])
-    print_table(_title(results[0]), rows, right=False)
+    motion = results[0].details.environment["trajectory"].get("name", "")
+    print_table(results[0].describe(motion), rows, right=False)
     for note in _notes(results):
         print(note)
 
 
-def _title(result: DLCCResult) -> str:
-    from cablebot_gym.envs import described
-
-    conditions = result.conditions
-    details = result.details
-    words = [
-        described(conditions.env_id, conditions.robot.name),
-        result.policy,
-        details.environment["trajectory"].get("name", ""),
-        conditions.payload_model,
-    ]
-    if details.wrappers:
-        words.append(f"behind {', '.join(details.wrappers)}")
-    if conditions.uncertainty_name is not None:
-        words.append(conditions.uncertainty_name)
-    if details.stochastic:
-        words.append("stochastic policy")
-    if not result.ranked:
-        words.append("unranked")
-    words += result.trust
-    return ", ".join(words)
-
-
 def _row(result: DLCCResult) -> list[str]:
     """Row of the table of one evaluation."""
+    from cablebot_gym.evaluation.constraints import LIMIT_NAMES
+
     details = result.details
     criterion = f"{result.criterion} (declared)" if details.declared else result.criterion
     draws = "" if result.assured is None else f", {options.counted(result.draws, 'draw')}"
     violation = result.violation_text
     if details.failures:
-        counts = [f"{kind} in {number}" for kind, number in details.failures.items()]
+        counts = []
+        for kind, number in details.failures.items():
+            counts.append(f"{LIMIT_NAMES[kind]} in {number}")
         violation = f"{', '.join(counts)} of {result.draws} draws; {violation}"
     if result.payload is None:
         margins = "–"
@@ -289,7 +271,9 @@ def _unloaded(result: DLCCResult) -> str:
 def _margins_text(result: DLCCResult) -> str:
     torque = result.details.margins["torque"]
     position = result.details.margins["position"]
-    parts = [f"torque {torque:.1%}" if torque >= 0 else f"torque {-torque:.1%} beyond the limit"]
+    parts = [f"torque {torque:.1%}"]
+    if torque < 0:
+        parts = [f"torque saturates, |a| = {1 - torque:.3f}"]
     parts += [f"position {position:.1%}"]
     if "rotation" in result.details.margins:
         parts.append(f"rotation {result.details.margins['rotation']:.1%}")

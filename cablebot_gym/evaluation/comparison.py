@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from cablebot_gym.policies import LoadedPolicy, Wrapper, name_of
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number, numbers
 from cablebot_gym.utils.console import chosen_progress
+from cablebot_gym.utils.files import write_csv
 from cablebot_gym.utils.results import Result
 
 CONFIDENCE = 0.95
@@ -128,12 +130,18 @@ class PolicyMetrics:
         return Estimate(mean=fraction, low=low, high=high)
 
 
-QUANTITIES = tuple(
-    item.name
-    for item in fields(PolicyMetrics)
-    if item.name not in ("policy", "isolated", "shipped", "carried", "ended", "error", "rotation")
-)
-"""Quantities of :class:`PolicyMetrics` that have an estimate."""
+QUANTITIES = {
+    "mean_error": "m",
+    "rms_error": "m",
+    "max_error": "m",
+    "max_rotation": "rad",
+    "rms_torque": "N·m",
+    "peak_torque": "N·m",
+    "torque_margin": "1",
+    "least_tension": "N",
+    "largest_tension": "N",
+}
+"""Quantities of :class:`PolicyMetrics` that have an estimate, and their units."""
 
 _PER_DRAW = (*QUANTITIES, "carried", "ended")
 """Quantities of every draw in the data of a comparison."""
@@ -230,12 +238,17 @@ class Comparison(Result):
             "policies": policies,
         }
 
-    def __str__(self) -> str:
+    def describe(self, *words: str) -> str:
+        """Robot, some words, payload model, and draws of the uncertainty."""
         conditions = self.conditions
-        plural = "" if self.draws == 1 else "s"
-        draws = f"{self.draws} draw{plural} of {conditions.uncertainty_name or 'no uncertainty'}"
+        draws = conditions.uncertainty_name or "no uncertainty"
+        if conditions.uncertainty_name or self.draws > 1:
+            draws = f"{self.draws} draw{'' if self.draws == 1 else 's'} of {draws}"
         robot = described(conditions.env_id, conditions.robot.name)
-        lines = [f"{robot}, {self.payload:g} kg, {draws}"]
+        return ", ".join([robot, *words, conditions.payload_model, draws])
+
+    def __str__(self) -> str:
+        lines = [self.describe(f"payload {self.payload:g} kg")]
         for index, metrics in enumerate(self.metrics):
             mean = metrics.estimate("mean_error")
             largest = metrics.estimate("max_error")
@@ -281,6 +294,24 @@ class PayloadComparison(Result):
 
     def __str__(self) -> str:
         return "\n".join(map(str, self.comparisons))
+
+
+def save_draws(comparison: Comparison | PayloadComparison, path: str | Path) -> None:
+    """Writes a CSV file with a row for each payload, policy and draw. An interrupted call leaves no
+    partial file."""
+    head = [f"{name} [{unit}]" for name, unit in QUANTITIES.items()]
+    rows: list[list[Any]] = [["payload [kg]", "policy", "seed", *head, "carried", "ended"]]
+    if isinstance(comparison, PayloadComparison):
+        compared = comparison.comparisons
+    else:
+        compared = (comparison,)
+    for item in compared:
+        for metrics in item.metrics:
+            # 0 makes numbers of truth values, which all programs read
+            columns = [(0 + getattr(metrics, name)).tolist() for name in _PER_DRAW]
+            for seed, *values in zip(item.draw_seeds, *columns, strict=True):
+                rows.append([item.payload, metrics.policy, seed, *values])
+    write_csv(path, rows)
 
 
 def compare_policies(

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.envs import check_robot
+from cablebot_gym.envs import check_robot, described
 from cablebot_gym.envs.settings import KEYWORDS
 from cablebot_gym.evaluation.constraints import Criterion, find_criterion
 from cablebot_gym.robots import Robot, private_robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds, payload_model_text
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
-from cablebot_gym.utils.checks import check_keywords, whole
+from cablebot_gym.utils.checks import UnexpectedKeywordError, check_keywords, whole
+from cablebot_gym.utils.results import Printed
 
 _RESERVED = (
     "payload",
@@ -28,8 +29,8 @@ _RESERVED = (
 """Keywords of the environment that an evaluation sets itself or does not support."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Conditions:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Conditions(Printed):
     """Conditions that all episodes of an evaluation share. :meth:`of` makes and checks them."""
 
     env_id: str
@@ -114,6 +115,20 @@ class Conditions:
             keywords=deepcopy(keywords),
         )
 
+    @classmethod
+    def of_episode(cls, env_id: str, function: Callable[..., Any], **keywords: Any) -> Conditions:
+        """Checked conditions of a single episode, as from :meth:`of`.
+
+        Raises:
+            ValueError: if an argument is invalid, or the number of ``draws`` is given.
+        """
+        if "draws" in keywords:
+            raise UnexpectedKeywordError(
+                "got an unexpected keyword argument 'draws'; "
+                f"{function.__name__} runs one episode: seed selects its draw"
+            )
+        return cls.of(env_id, function, draws=1, **keywords)
+
     @property
     def payload_known(self) -> bool:
         """Whether the payload is known to the policy."""
@@ -129,6 +144,11 @@ class Conditions:
         """Payload model in words: ``payload known``, ``payload unknown`` or
         ``payload model × 0.9``."""
         return payload_model_text(self.payload_known, self.model_payload_factor)
+
+    def __str__(self) -> str:
+        robot = described(self.env_id, self.robot.name)
+        uncertainty = self.uncertainty_name or "no uncertainty"
+        return f"{robot}, {self.criterion} criterion, {self.payload_model}, {uncertainty}"
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able fields of a result that describe the conditions. ``Details.environment`` has the

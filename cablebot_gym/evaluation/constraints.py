@@ -24,6 +24,17 @@ ViolationKind = Literal["torque", "slack", "overload", "position", "rotation", "
 KINDS: tuple[ViolationKind, ...] = get_args(ViolationKind)
 """Kinds of violations in the order in which the judge checks them."""
 
+LIMIT_NAMES: Mapping[str, str] = {
+    "torque": "torque limit",
+    "slack": "least tension",
+    "overload": "largest tension",
+    "position": "position error",
+    "rotation": "rotation error",
+    "terminated": "termination",
+}
+"""The limit that each kind of violation breaks, in words for tables. Not every cable below its least
+tension is slack."""
+
 NEAR = 0.9
 """Fraction of a limit from which on the lead of a violation counts."""
 
@@ -115,6 +126,15 @@ class Verdict:
     """Least tension of any cable at a physics step [N]; 0 before the first step."""
     largest_tension: float
     """Largest tension of any cable at a physics step [N]; 0 before the first step."""
+
+    @property
+    def outcome(self) -> str:
+        """``carried``, ``unfinished``, or ``not carried`` with the violation."""
+        if self.violation is not None:
+            return f"not carried: {self.violation}"
+        if self.carried:
+            return "carried"
+        return "unfinished"
 
 
 class Judge:

@@ -38,8 +38,7 @@ def first_difference(
         name = f"|a| of motor {index - 1}"
         if index < 2:
             name = ("position error / bound", "rotation error / bound")[index]
-        ends = [str(verdict.violation or "carried") for verdict in (original, repetition)]
-        outcome = " and then ".join(dict.fromkeys(ends))
+        outcome = " and then ".join(dict.fromkeys([original.outcome, repetition.outcome]))
         values = f"{peaks[index]:.6g} and then {repeated_peaks[index]:.6g}"
         return f"at {original.payload:.3f} kg: {outcome}, with a largest {name} of {values}"
     return None

@@ -199,26 +199,26 @@ class DLCCResult(Result):
             "versions": versions(),
         }
 
-    def __str__(self) -> str:
+    def describe(self, *words: str) -> str:
+        """Robot, policy, some words, payload model, uncertainty, and what a reader should know."""
         conditions = self.conditions
-        words = [
-            described(conditions.env_id, conditions.robot.name),
-            self.policy,
-            f"{self.criterion} criterion",
-            conditions.payload_model,
-        ]
+        robot = described(conditions.env_id, conditions.robot.name)
+        parts = [robot, self.policy, *words, conditions.payload_model]
         if conditions.uncertainty_name is not None:
-            words.append(conditions.uncertainty_name)
+            parts.append(conditions.uncertainty_name)
         if self.details.stochastic:
-            words.append("stochastic policy")
-        if self.details.declared:
-            words.append("unsaturated actions declared by the policy")
+            parts.append("stochastic policy")
         if self.details.wrappers:
-            words.append(f"behind {', '.join(self.details.wrappers)}")
+            parts.append(f"behind {', '.join(self.details.wrappers)}")
         if not self.ranked:
-            words.append("unranked (bisection)")
-        words += self.trust
-        text = f"{', '.join(words)}: {self._payload_text()}"
+            parts.append("unranked (bisection)")
+        return ", ".join([*parts, *self.trust])
+
+    def __str__(self) -> str:
+        criterion = [f"{self.criterion} criterion"]
+        if self.details.declared:
+            criterion.append("unsaturated actions declared by the policy")
+        text = f"{self.describe(*criterion)}: {self._payload_text()}"
         if self.assured is not None:
             text += f" ({self.assurance})"
         return text

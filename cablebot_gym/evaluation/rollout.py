@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,14 +18,32 @@ from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.policies import Wrapper
 from cablebot_gym.rendering.moment import Moment
+from cablebot_gym.robots import COORDINATE_NAMES
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.console import chosen_progress
-from cablebot_gym.utils.files import atomic_write
+from cablebot_gym.utils.files import atomic_write, write_csv
 from cablebot_gym.utils.results import Printed
 
 SUFFIXES = (".npz", ".csv")
 """File name suffixes of recordings."""
+
+_POSES = ("pose", "true_pose", "reference_pose", "velocity")
+
+_UNITS = {
+    "s": "time action_time",
+    "kg": "payload",
+    "m": "tracking_error tracking_error_peak",
+    "rad": "rotation_error rotation_error_peak motor_angle spring_deflection orientation",
+    "rad/s": "motor_speeds motor_speed angular_rate",
+    "m/s²": "specific_force",
+    "N": "tensions least_tensions largest_tensions",
+    "N·m": "torques torque_margin",
+}
+"""Names of arrays by unit."""
+
+_LETTERS = {"ψ": "psi", "θ": "theta", "φ": "phi"}
+"""Names of coordinates that other programs accept in the name of a column."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -59,9 +76,11 @@ class Rollout(Printed):
         return 1 + len(self.arrays["time"])
 
     def __str__(self) -> str:
-        outcome = "carried" if self.verdict.carried else self.verdict.violation
         robot = self.task.robot.name
-        return f"{robot}, {self.task.trajectory.name}, {self.payload:g} kg, {len(self)} moments: {outcome}"
+        motion = self.task.trajectory.name
+        return (
+            f"{robot}, {motion}, {self.payload:g} kg, {len(self)} moments: {self.verdict.outcome}"
+        )
 
     def moment(self, index: int) -> Moment:
         """Moment 0 is the start; moment k is the end of control step k; moment −1 is the last
@@ -75,34 +94,52 @@ class Rollout(Printed):
         return Moment.from_info(self.task.robot, self.stall_torque, state["true_pose"], state)
 
     def save(self, path: str | Path) -> None:
-        """Writes ``.npz`` (the arrays by name) or ``.csv`` (one column per number, vectors as
-        name_1, name_2, …).
+        """Writes ``.npz`` (the arrays by name) or ``.csv``: one column per number with its unit,
+        vectors as ``tensions_1 [N]``, poses as ``pose_x [m]``, and the codes of
+        ``termination_reason`` in place of a unit.
 
         Raises:
             ValueError: if the path has another suffix.
         """
         path = Path(path)
         check_suffix(path)
-        atomic_write(path, self._write_npz if path.suffix == ".npz" else self._write_csv)
-
-    def _write_npz(self, path: Path) -> None:
-        np.savez_compressed(path, allow_pickle=False, **self.arrays)
+        if path.suffix == ".csv":
+            self._write_csv(path)
+            return
+        arrays = self.arrays
+        atomic_write(path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays))
 
     def _write_csv(self, path: Path) -> None:
-        names = []
+        head: list[str] = []
         columns = []
         for name, array in self.arrays.items():
             flat = array.reshape(len(array), -1).astype(float)
-            names += (
-                [name]
-                if array.ndim == 1
-                else [f"{name}_{index + 1}" for index in range(flat.shape[1])]
-            )
+            head += self._columns(name, array)
             columns.append(flat)
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(names)
-            writer.writerows(np.concatenate(columns, axis=1).tolist())
+        write_csv(path, [head, *np.concatenate(columns, axis=1).tolist()])
+
+    def _columns(self, name: str, array: Array) -> list[str]:
+        """Names of the columns of an array, with their units."""
+        robot = self.task.robot
+        if name in _POSES:
+            units = ["m"] * robot.dimensions + ["rad"] * 3
+            per_time = ""
+            if name == "velocity":
+                per_time = "/s"
+            return [
+                f"{name}_{_LETTERS.get(letter, letter)} [{unit}{per_time}]"
+                for letter, unit in zip(COORDINATE_NAMES[robot.kind], units, strict=False)
+            ]
+        unit = ""
+        for candidate, names in _UNITS.items():
+            if name.removeprefix("measured_") in names.split():
+                unit = f" [{candidate}]"
+        if name == "termination_reason":
+            codes = [f"{code}={reason}" for code, reason in enumerate(TERMINATION_REASONS) if code]
+            unit = f" [{' '.join(codes)}]"
+        if array.ndim == 1:
+            return [f"{name}{unit}"]
+        return [f"{name}_{index + 1}{unit}" for index in range(array.shape[1])]
 
 
 class Recorder:
@@ -242,7 +279,7 @@ def record_rollout(
             finite actions.
     """
     payload = number("payload", payload, least=0, unit="kg")
-    shared = Conditions.of(env_id, record_rollout, draws=1, **conditions)
+    shared = Conditions.of_episode(env_id, record_rollout, **conditions)
     batch = Batch(policy, shared, name=name, wrappers=wrappers)
     recorder = Recorder([0])
     with chosen_progress(progress, f"{batch.policy.name} on {env_id}", "steps") as step:
@@ -253,13 +290,13 @@ def record_rollout(
     return recorder.rollouts(verdicts)[0]
 
 
-def check_suffix(path: str | Path) -> None:
+def check_suffix(path: str | Path, suffixes: Sequence[str] = SUFFIXES) -> None:
     """Checks the suffix of a recording's path.
 
     Raises:
         ValueError: if the suffix is unknown. The message lists the valid ones.
     """
-    if Path(path).suffix not in SUFFIXES:
+    if Path(path).suffix not in suffixes:
         raise ValueError(
-            f"cannot record to {str(path)!r}: the file name must end in {' or '.join(SUFFIXES)}"
+            f"cannot record to {str(path)!r}: the file name must end in {' or '.join(suffixes)}"
         )

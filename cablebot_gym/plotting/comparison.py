@@ -4,17 +4,14 @@ Extra ``plot``."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from cablebot_gym.envs import described
 from cablebot_gym.evaluation.comparison import Comparison, PayloadComparison
 from cablebot_gym.kinematics import Array
-from cablebot_gym.plotting.figures import DPI, add_legend, new_figure, set_title
-from cablebot_gym.utils.files import atomic_write
+from cablebot_gym.plotting.figures import add_legend, new_figure, save_figure, set_title
 from cablebot_gym.utils.palette import (
     BLACK,
     BLUE,
@@ -79,7 +76,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
         )
     grid[-1, 0].set_xlabel("time [s]")
     add_legend(figure, grid[0, 0])
-    title = [_conditions(comparison, f"payload {comparison.payload:g} kg, ")]
+    title = [comparison.describe(f"payload {comparison.payload:g} kg")]
     if comparison.draws > 1:
         band = "mean over draws, band from the 5th to the 95th percentile"
         if any(metrics.ended.any() for metrics in comparison.metrics):
@@ -127,7 +124,7 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
         axes.set_ylim(bottom=0)
     panels[-1].set(xlabel="payload [kg]", ylim=(-4, 104))
     add_legend(figure, panels[0])
-    title = [_conditions(common)]
+    title = [common.describe()]
     if common.draws > 1:
         title.append("mean over draws, with 95 % confidence")
     set_title(figure, *title)
@@ -148,16 +145,6 @@ def _line(index: int) -> dict[str, Any]:
     }
 
 
-def _conditions(comparison: Comparison, payload: str = "") -> str:
-    """Environment, payload, payload model and draws."""
-    conditions = comparison.conditions
-    robot = described(conditions.env_id, comparison.task.robot.name)
-    draws = "no uncertainty"
-    if conditions.uncertainty_name:
-        draws = f"{comparison.draws} draws of {conditions.uncertainty_name}"
-    return f"{robot}, {payload}{conditions.payload_model}; {draws}"
-
-
 def save_comparison(comparison: Comparison | PayloadComparison, folder: str | Path) -> Path:
     """Writes ``comparison.png``. An interrupted call leaves no partial file.
 
@@ -168,7 +155,7 @@ def save_comparison(comparison: Comparison | PayloadComparison, folder: str | Pa
     draw: Callable[[Any], Figure] = draw_payload_comparison
     if isinstance(comparison, Comparison):
         draw = draw_comparison
-    atomic_write(path, partial(draw(comparison).savefig, dpi=DPI, format="png"))
+    save_figure(draw(comparison), path)
     return path
 
 

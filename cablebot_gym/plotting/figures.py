@@ -1,4 +1,4 @@
-"""Figures of a DLCC result: torques and U± as in the paper's Figs. 10 and 12, paths as in Figs. 11
+"""Figures of a DLCC result or an episode: torques and U± as in the paper's Figs. 10 and 12, paths as in Figs. 11
 and 13.
 
 Needs the extra ``plot``. The figures need no window and no global state of matplotlib. Show them in
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,8 +20,10 @@ import numpy as np
 
 from cablebot_gym.envs import described
 from cablebot_gym.evaluation.result import DLCCResult
+from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.textbook import torque_limits
+from cablebot_gym.rendering.projection import points_downwards
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.files import atomic_write
 from cablebot_gym.utils.palette import BLUE, GREY, SHADE, SKY, VERMILLION
@@ -132,7 +134,7 @@ def draw_torques(result: DLCCResult) -> Figure:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     figure = new_figure(torques_height(result.rollout.task.robot.cables))
-    _draw_torques(figure, result)
+    _draw_torques(figure, result.rollout)
     _set_result_title(figure, result)
     return figure
 
@@ -144,7 +146,7 @@ def draw_path(result: DLCCResult) -> Figure:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
     figure = new_figure(_PATH_HEIGHT)
-    _draw_path(figure, result)
+    _draw_path(figure, result.rollout, result.details.error_bounds)
     _set_result_title(figure, result)
     return figure
 
@@ -155,12 +157,32 @@ def draw_result(result: DLCCResult) -> Figure:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    heights = [torques_height(result.rollout.task.robot.cables), _PATH_HEIGHT]
+    figure = _draw_both(result.rollout, result.details.error_bounds)
+    _set_result_title(figure, result)
+    return figure
+
+
+def draw_rollout(rollout: Rollout, title: str = "") -> Figure:
+    """Draws torques and path of a recorded episode in one figure, with the bounds of the task.
+
+    Args:
+        rollout: the episode.
+        title: title of the figure; the sentence of the rollout if empty.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
+    figure = _draw_both(rollout, vars(rollout.task.error_bounds))
+    set_title(figure, title or str(rollout))
+    return figure
+
+
+def _draw_both(rollout: Rollout, bounds: Mapping[str, float | None]) -> Figure:
+    heights = [torques_height(rollout.task.robot.cables), _PATH_HEIGHT]
     figure = new_figure(sum(heights))
     rows: Any = figure.subfigures(2, 1, height_ratios=heights)
-    _draw_torques(rows[0], result)
-    _draw_path(rows[1], result)
-    _set_result_title(figure, result)
+    _draw_torques(rows[0], rollout)
+    _draw_path(rows[1], rollout, bounds)
     return figure
 
 
@@ -171,15 +193,16 @@ def draw_springs(result: DLCCResult) -> Figure:
         ImportError: if matplotlib is missing; the message names the command that installs it.
         ValueError: if the robot has no joint springs, or its cables stretch.
     """
-    deflections = result.rollout.arrays.get("spring_deflection")
+    rollout = result.rollout
+    deflections = rollout.arrays.get("spring_deflection")
     if deflections is None:
         raise ValueError(
-            f"robot {result.rollout.task.robot.name!r} has no joint springs with cables that do not stretch"
+            f"robot {rollout.task.robot.name!r} has no joint springs with cables that do not stretch"
         )
     springs = deflections.shape[1]
     figure = new_figure(torques_height(springs))
-    times = result.rollout.arrays["time"]
-    span = _span(times, _end(result))
+    times = rollout.arrays["time"]
+    span = _span(times, _end(rollout))
     panels = _panel_grid(figure, springs, "spring", "deflection [rad]")
     label = "motor angle minus pulley angle"
     marker = _marker(times)
@@ -248,9 +271,14 @@ def save_figures(result: DLCCResult, folder: str | Path) -> list[Path]:
     paths = []
     for name, figure in figures.items():
         path = Path(folder, f"{name}-{result.criterion}.png")
-        atomic_write(path, partial(figure.savefig, dpi=DPI, format="png"))
+        save_figure(figure, path)
         paths.append(path)
     return paths
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Writes a figure as PNG. An interrupted call leaves no partial file."""
+    atomic_write(path, partial(figure.savefig, dpi=DPI, format="png"))
 
 
 _PATH_HEIGHT, _SUCCESS_HEIGHT = 4.4, 4.4
@@ -318,9 +346,8 @@ def _set_result_title(figure: FigureBase, result: DLCCResult) -> None:
     set_title(figure, *_result_title(result, draw))
 
 
-def _draw_torques(figure: FigureBase, result: DLCCResult) -> None:
+def _draw_torques(figure: FigureBase, rollout: Rollout) -> None:
     """The mark is at the first occurrence of the largest |a|."""
-    rollout = result.rollout
     robot = rollout.task.robot
     speeds = rollout.arrays["motor_speeds"]
     actions = rollout.arrays["commanded_action"]
@@ -333,13 +360,13 @@ def _draw_torques(figure: FigureBase, result: DLCCResult) -> None:
         lower=lower,
         upper=upper,
         requested=rollout.stall_torque * actions + (lower + upper) / 2,
-        end=_end(result),
+        end=_end(rollout),
     )
     step, motor = np.unravel_index(np.argmax(np.abs(actions)), actions.shape)
     action = abs(actions[step, motor])
     note = f"{1 - action:.1%} margin"
     if action > 1:
-        note = f"{action - 1:.1%} beyond the limit"
+        note = f"saturates, |a| = {action:.3f}"
     mark = Mark(step=int(step), motor=int(motor), name="tightest instant", note=note)
     torque_panels(figure, profile, mark)
 
@@ -372,7 +399,7 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
         if profile.requested is not None:
             # Where |a| ≤ 1 it equals the applied torque, which hides it.
             requested = profile.requested[:, motor]
-            label = "requested torque beyond the limits"
+            label = "requested torque, where the motor saturates"
             axes.plot(time, requested, "--", color=VERMILLION, linewidth=1.4, label=label)
         axes.plot(time, torque, color=BLUE, linewidth=1.8, marker=marker, label=profile.name)
         axes.set(xlim=_span(time, profile.end), ylim=(low, high))
@@ -385,11 +412,9 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
     add_legend(figure, labelled)
 
 
-def _end(result: DLCCResult) -> float:
+def _end(rollout: Rollout) -> float:
     """End of the last step of the episode [s]."""
-    return float(
-        result.rollout.arrays["action_time"][-1] + 1 / result.rollout.task.control_frequency
-    )
+    return float(rollout.arrays["action_time"][-1] + 1 / rollout.task.control_frequency)
 
 
 def _span(times: Array, end: float) -> tuple[float, float]:
@@ -453,18 +478,21 @@ def add_legend(figure: FigureBase, axes: Axes) -> None:
         text.set_parse_math(False)
 
 
-def _draw_path(figure: FigureBase, result: DLCCResult) -> None:
-    arrays = result.rollout.arrays
+def _draw_path(figure: FigureBase, rollout: Rollout, bounds: Mapping[str, float | None]) -> None:
+    arrays = rollout.arrays
+    robot = rollout.task.robot
     rotation_error = None
-    if not result.rollout.task.robot.point_mass:
+    if not robot.point_mass:
         rotation_error = arrays["rotation_error"]
     path = TravelledPath(
-        times=arrays["action_time"] + 1 / result.rollout.task.control_frequency,
+        times=arrays["action_time"] + 1 / rollout.task.control_frequency,
         pose=arrays["true_pose"],
         position_error=arrays["tracking_error"],
         rotation_error=rotation_error,
     )
-    path_panels(figure, result.rollout.task.trajectory, [path], **result.details.error_bounds)
+    plane = path_panels(figure, rollout.task.trajectory, [path], **bounds)
+    if points_downwards(robot, 1):
+        plane.invert_yaxis()
 
 
 def path_panels(
@@ -474,8 +502,9 @@ def path_panels(
     *,
     position: float | None,
     rotation: float | None,
-) -> None:
+) -> Axes:
     """Draws paths with the tube around their reference, errors with their bounds, and a legend.
+    Returns the axes of the paths.
 
     Args:
         figure: an empty figure.
@@ -496,6 +525,7 @@ def path_panels(
         _draw_error(errors, paths, "rotation", rotation, "mrad")
     errors.set_xlabel("time [s]")
     add_legend(figure, plane)
+    return plane
 
 
 def draw_plane(

@@ -18,6 +18,7 @@ from cablebot_gym.rendering.projection import (
     coinciding,
     drawing_views,
     outline,
+    points_downwards,
 )
 from cablebot_gym.robots import KIND_TEXTS
 from cablebot_gym.utils.palette import BLACK, BLUE, GREY, SKY, VERMILLION
@@ -86,8 +87,8 @@ def _draw_view(axes: Axes, check: RobotCheck, motion: MotionCheck | None, view: 
         axes.plot(*path.T, color=VERMILLION, linewidth=1.6, label="motion")
     across, along = view
     axes.set(xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[along]} [m]", aspect="equal")
-    if robot.planar or along == 2:
-        axes.invert_yaxis()  # y of a plane and z point down
+    if points_downwards(robot, along):
+        axes.invert_yaxis()
     _number_cables(axes, base, ends)
 
 

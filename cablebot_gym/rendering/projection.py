@@ -20,9 +20,9 @@ from cablebot_gym.robots import Robot
 FIELD_OF_VIEW = math.radians(32)
 """Angle of view across the shorter side of the fitted window [rad]."""
 
-_AZIMUTH = math.radians(22)
-_ELEVATION = math.radians(30)
-"""Direction of view of spatial robots [rad]. Planar robots are viewed from above."""
+_SPATIAL_VIEW = (math.radians(22), math.radians(30))
+_PLANAR_VIEW = (0.0, math.pi / 2)
+"""Azimuth and elevation of the view of spatial and planar robots [rad]."""
 
 
 def attached_points(poses: Array, points: Array) -> Array:
@@ -46,9 +46,17 @@ def points_in_space(robot: Robot, positions: Array) -> Array:
         return positions[..., :3]
     points = np.zeros((*positions.shape[:-1], 3))
     points[..., :2] = positions[..., :2]
-    if robot.plane == "horizontal":
+    if not points_downwards(robot, 1):
         points[..., 1] *= -1
     return points
+
+
+def points_downwards(robot: Robot, axis: int) -> bool:
+    """Whether axis 0, 1 or 2 of the base frame points downwards in pictures and drawings: z, and y
+    of a vertical plane."""
+    if robot.planar:
+        return axis == 1 and robot.plane == "vertical"
+    return axis == 2
 
 
 def drawing_views(robot: Robot) -> list[list[int]]:
@@ -57,6 +65,14 @@ def drawing_views(robot: Robot) -> list[list[int]]:
     if robot.planar:
         return [[0, 1]]
     return [[0, 1], [0, 2], [1, 2]]
+
+
+def view_direction(robot: Robot) -> tuple[float, float]:
+    """Azimuth and elevation of the view of a robot [rad], see :func:`fit_camera`. Planar robots are
+    viewed from above."""
+    if robot.planar:
+        return _PLANAR_VIEW
+    return _SPATIAL_VIEW
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,14 +172,11 @@ def fit_robot_camera(
     if robot.planar:
         margin = max(reach, 0.06)
         visible += [path + margin, path - margin]
-        azimuth = 0.0
-        elevation = math.pi / 2
     else:
         for x, y in product((reach, -reach), repeat=2):
             visible.append(path[::20] + np.array([x, y, 0]))
         visible.append(path + np.array([0, 0, HANG + 0.07]))
-        azimuth = _AZIMUTH
-        elevation = _ELEVATION
+    azimuth, elevation = view_direction(robot)
     return fit_camera(np.concatenate(visible), window, azimuth=azimuth, elevation=elevation)
 
 

@@ -28,8 +28,9 @@ from cablebot_gym.benchmark.tables import (
     motion_title,
     task_title,
 )
-from cablebot_gym.evaluation.constraints import Violation
+from cablebot_gym.evaluation.constraints import LIMIT_NAMES, Violation
 from cablebot_gym.rendering.moment import HANG, full_tension
+from cablebot_gym.rendering.projection import points_in_space, view_direction
 from cablebot_gym.report.replay import LEVELS, RATE, Replay, platform_points
 from cablebot_gym.report.violations import violation_strips
 from cablebot_gym.trajectories import find_trajectory
@@ -105,7 +106,7 @@ def page_data(
             rows += _best_known_rows(board, references, cells)
     return {
         "rows": rows,
-        "start": _start(rows, cells.cells, boards),
+        "start": _start(rows, cells.cells),
         "cells": cells.cells,
         "robots": list(cells.robots.values()),
         "motions": list(cells.motions.values()),
@@ -181,26 +182,12 @@ def _index(values: dict[str, dict[str, Any]], value: dict[str, Any]) -> int:
     return list(values).index(key)
 
 
-def _start(
-    rows: Sequence[Mapping[str, Any]],
-    cells: Sequence[Mapping[str, Any]],
-    boards: Sequence[scores.Leaderboard],
-) -> int:
-    """Index of the row that the page opens: the largest payload on the circle of the first table
-    that has it.
+def _start(rows: Sequence[Mapping[str, Any]], cells: Sequence[Mapping[str, Any]]) -> int:
+    """Index of the row that the page opens: the largest payload of a policy on the circle of the
+    first table that has it.
 
     A row without an episode is opened only if none of these rows has one.
     """
-    if not boards:
-        return 0
-    circles = []
-    for board in boards:
-        for column in board.columns:
-            if column.motion.startswith("circle-"):
-                circles.append((board, column))
-    circles.append((boards[0], boards[0].columns[0]))
-    board, column = circles[0]
-    keys = {_row_key(board, policy, column) for policy in board.policies}
 
     def rank(index: int) -> tuple[bool, float]:
         row = rows[index]
@@ -209,7 +196,15 @@ def _start(
             payload = -1.0
         return cells[row["cells"][0]]["replays"] is not None, payload
 
-    shown = [index for index, row in enumerate(rows) if row["key"] in keys]
+    if not rows:
+        return 0
+    circles = [row for row in rows if row["motion"] == "circle"]
+    first = [*circles, rows[0]][0]
+    same = ("id", "motion", "condition")
+    shown = []
+    for index, row in enumerate(rows):
+        if row["policy"] != BEST_KNOWN and all(row[name] == first[name] for name in same):
+            shown.append(index)
     return max(shown, key=rank)
 
 
@@ -315,12 +310,14 @@ def _note(entry: Sequence[scores.Score]) -> str:
 
 
 def _violation_text(entry: Sequence[scores.Score]) -> str:
-    """Limiting violation for one motion; the kinds of violation and their counts for several
+    """Limiting violation for one motion; the violated limits and their counts for several
     motions."""
-    violations = list(filter(None, map(_violation, entry)))
+    violations = [
+        Violation(**score.result["violation"]) for score in entry if score.result.get("violation")
+    ]
     if len(entry) > 1:
-        counts = Counter(violation.kind for violation in violations)
-        return ", ".join(f"{kind} {count} ×" for kind, count in counts.items())
+        counts = Counter(LIMIT_NAMES[violation.kind] for violation in violations)
+        return ", ".join(f"{limit} {count} ×" for limit, count in counts.items())
     if violations:
         return str(violations[0])
     return entry[0].error or ""
@@ -356,9 +353,9 @@ def _facts(score: scores.Score) -> list[list[str]]:
         return [["Not applicable", NOT_APPLICABLE]]
     intervals = [f"{low:.3f} to {high:.3f} kg" for low, high in result.get("feasible", [])]
     facts = [["Feasible payloads", ", ".join(intervals) or "none; the policy fails unloaded"]]
-    violation = _violation(score)
-    if violation is not None:
-        facts.append(["Limiting violation", str(violation)])
+    violation = _violation_text([score])
+    if violation:
+        facts.append(["Limiting violation", violation])
     if cell.draws > 1:
         verb = "is not assured to be"
         if result.get("assured"):
@@ -366,7 +363,8 @@ def _facts(score: scores.Score) -> list[list[str]]:
         bound = f"the 95/{100 * cell.probability:g} lower tolerance bound"
         facts.append(["Draws", f"{cell.draws}; the payload {verb} {bound}"])
     if result.get("failures"):
-        counts = ", ".join(f"{kind}: {count}" for kind, count in result["failures"].items())
+        failures = result["failures"].items()
+        counts = ", ".join(f"{LIMIT_NAMES[kind]}: {count}" for kind, count in failures)
         facts.append(["Violations of the draws at a larger payload", counts])
     if score.best_known is not None:
         facts.append(["Best known payload", f"{score.best_known:.3f} kg"])
@@ -375,23 +373,15 @@ def _facts(score: scores.Score) -> list[list[str]]:
     return facts
 
 
-def _violation(score: scores.Score) -> Violation | None:
-    """Limiting violation of a score with the bound of its cell; None without a violation."""
-    data = score.result.get("violation")
-    if not data:
-        return None
-    return Violation(**data | {"bound": score.cell.error_bounds.get(data["kind"])})
-
-
 def _robot(cell: Cell) -> dict[str, Any]:
-    """Constants of the picture of a robot."""
+    """Constants of the picture of a robot. ``axes`` are those of its base frame in the picture's
+    space."""
     robot = cell.robot
     points, cables = platform_points(robot)
-    middle = np.zeros(3)
-    visible = np.vstack([robot.base, robot.home[: robot.dimensions]])
+    visible = points_in_space(robot, np.vstack([robot.base, robot.home[: robot.dimensions]]))
     low = visible.min(axis=0)
     high = visible.max(axis=0)
-    middle[: robot.dimensions] = (low + high) / 2
+    azimuth, elevation = view_direction(robot)
     hang = HANG
     if robot.planar:
         hang = 0.0
@@ -400,10 +390,13 @@ def _robot(cell: Cell) -> dict[str, Any]:
         "base": robot.base.tolist(),
         "points": len(points),
         "cables": cables,
-        "middle": middle.tolist(),
+        "axes": points_in_space(robot, np.eye(robot.dimensions)).tolist(),
+        "middle": ((low + high) / 2).tolist(),
+        "azimuth": azimuth,
+        "elevation": elevation,
         "size": float(np.linalg.norm(high - low)),
-        "planar": robot.planar,
         "hang": hang,
+        "leastTension": robot.minimum_tension,
         "fullTension": full_tension(robot),
     }
 

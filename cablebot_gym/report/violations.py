@@ -6,7 +6,9 @@ from collections.abc import Iterable, Mapping
 from statistics import median
 from typing import Any
 
-from cablebot_gym.evaluation.constraints import KINDS
+import numpy as np
+
+from cablebot_gym.evaluation.constraints import KINDS, LIMIT_NAMES
 
 BINS = 20
 """Number of equal parts of the motion."""
@@ -20,7 +22,7 @@ def violation_strips(violations: Iterable[Mapping[str, Any]]) -> list[dict[str, 
             [s] or None, see :class:`~cablebot_gym.evaluation.constraints.Violation`.
 
     Returns:
-        ``kind``; ``counts`` of :data:`BINS` parts; their sum ``count``; medians ``fraction`` and
+        ``limit``, its name; ``counts`` of :data:`BINS` parts; their sum ``count``; medians ``fraction`` and
         ``lead`` [s], which is None if no violation has one.
     """
     groups: dict[str, list[Mapping[str, Any]]] = {kind: [] for kind in KINDS}
@@ -30,16 +32,14 @@ def violation_strips(violations: Iterable[Mapping[str, Any]]) -> list[dict[str, 
     for kind, group in groups.items():
         if not group:
             continue
-        counts = [0] * BINS
-        for violation in group:
-            counts[min(int(BINS * violation["fraction"]), BINS - 1)] += 1
+        fractions = [violation["fraction"] for violation in group]
         leads = [violation["lead"] for violation in group if violation.get("lead") is not None]
         strips.append(
             {
-                "kind": kind,
-                "counts": counts,
+                "limit": LIMIT_NAMES[kind],
+                "counts": np.histogram(fractions, BINS, (0, 1))[0].tolist(),
                 "count": len(group),
-                "fraction": median(violation["fraction"] for violation in group),
+                "fraction": median(fractions),
                 "lead": median(leads) if leads else None,
             }
         )

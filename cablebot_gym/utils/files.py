@@ -3,11 +3,12 @@ atomic writes."""
 
 from __future__ import annotations
 
+import csv
 import json
 import logging
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -165,6 +166,16 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> None:
         if isinstance(error, OSError):
             error.filename = str(path)  # a full disk has none, and the temporary name tells nothing
         raise
+
+
+def write_csv(path: str | Path, rows: Iterable[Iterable[Any]]) -> None:
+    """Writes rows as a CSV file in UTF-8, see :func:`atomic_write`."""
+
+    def _write(temporary: Path) -> None:
+        with temporary.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
+
+    atomic_write(path, _write)
 
 
 def atomic_write_text(path: str | Path, text: str) -> None:

@@ -1,12 +1,17 @@
 """What results have in common."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 from cablebot_gym.utils.files import json_text
 
 
 class Printed:
-    """An object whose ``repr``, which notebooks show, is the sentence of its ``str``."""
+    """An object whose ``repr``, which notebooks show, is the sentence of its ``str``. They show the
+    figure of a result, too."""
+
+    _repr_png_: ClassVar[Callable[[Any], bytes | None]]
+    """The figure as PNG; the package sets it, because figures need the results."""
 
     def __repr__(self) -> str:
         return str(self)

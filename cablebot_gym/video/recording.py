@@ -46,10 +46,11 @@ def note(rollout: Rollout, index: int) -> str:
     violation has the note "carried". Otherwise it is empty.
     """
     violation = rollout.verdict.violation
-    if violation is not None and (violation.time or 0.0) <= rollout.moment(index).time + 1e-9:
-        return f"not carried: {violation}"
-    if rollout.verdict.carried and index == len(rollout) - 1:
-        return "carried"
+    time = rollout.moment(-1).time
+    if violation is not None:
+        time = violation.time or 0.0
+    if time <= rollout.moment(index).time + 1e-9:
+        return rollout.verdict.outcome
     return ""
 
 

@@ -283,6 +283,35 @@ def test_interrupted_command_keeps_its_results_and_resumes(tmp_path, monkeypatch
     assert TrainingResult.load(out).evaluations[: len(stopped.evaluations)] == stopped.evaluations
 
 
+@pytest.mark.landing
+@pytest.mark.parametrize("interrupted", [2, 3])
+def test_signal_stops_an_evaluation_that_resuming_repeats(tmp_path, monkeypatch, interrupted):
+    """The first evaluation is that of the base law, the third that of the last policy."""
+    evaluations = []
+
+    def evaluate(policy, env_id, progress, **conditions):
+        evaluations.append(policy)
+        if len(evaluations) == interrupted:
+            signal.raise_signal(signal.SIGTERM)
+        progress(1, 2)
+        return SimpleNamespace(payload=1.0)
+
+    monkeypatch.setattr(runs, "evaluate_dlcc", evaluate)
+    out = tmp_path / "run"
+    with pytest.raises(runs.Interrupted):
+        run(out)
+    stopped = TrainingResult.load(out)
+    assert (stopped.timesteps, len(stopped.evaluations)) == (
+        128 * (interrupted - 1),
+        interrupted - 2,
+    )
+    result = training.train(PLANAR, out=out, resume=True)
+    assert [evaluation.timesteps for evaluation in result.evaluations] == [128, 256]
+    assert "no gain over the base law" in str(result)
+    assert (out / "last.zip").exists()
+    assert (out / "learning-curve.png").read_bytes().endswith(b"IEND\xaeB`\x82")
+
+
 def test_second_interrupt_stops_immediately(tmp_path):
     def step(done, total, text):
         if text.startswith("training"):
@@ -315,6 +344,8 @@ def test_best_policy_has_the_largest_evaluated_payload(tmp_path, monkeypatch):
         "2.0",
         "3.0",
     ]
+    for conditions in evaluations:
+        del conditions["progress"]
     assert evaluations == [{"criterion": "task", **QUICK}] * 5
 
 

@@ -1,5 +1,6 @@
 """``cablebot compare``: table, options, files and messages."""
 
+import csv
 import json
 
 import numpy as np
@@ -79,6 +80,13 @@ def test_payloads_give_a_table_json_and_figure(cablebot, tmp_path):
     assert data["payloads"] == [0.0, 1.5, 3.0]
     assert data["comparisons"][1] == cablebot(f"{line} --payload 1.5 --json").data
     assert (tmp_path / "comparison.png").is_file()
+    with (tmp_path / "draws.csv").open(encoding="utf-8") as file:
+        draws = list(csv.DictReader(file))
+    row = draws[3]
+    assert (row["payload [kg]"], row["policy"]) == ("1.5", "robust")
+    values = data["comparisons"][1]["policies"][1]["per_draw"]
+    for name, column in (("max_error", "max_error [m]"), ("carried", "carried")):
+        assert float(row[column]) == values[name][0]
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,17 @@ def test_options_reach_the_episode(cablebot, tmp_path):
         assert np.abs(before - after).max() > 1e-6
 
 
+@pytest.mark.landing
+def test_figure_of_an_episode_has_its_sentence(cablebot, tmp_path):
+    pytest.importorskip("matplotlib.figure")
+    path = tmp_path / "run.png"
+    printed = cablebot(f"rollout {PLANAR} --policy fl --payload 0.5 --out {path}").out
+    assert f"0.5 kg, task criterion: carried; recorded in {path}" in printed
+    assert path.read_bytes().endswith(b"IEND\xaeB`\x82")
+    message = cablebot(f"rollout {PLANAR} --policy fl --out run.xls").message(2)
+    assert "must end in .npz or .csv or .png" in message
+
+
 def test_early_end_is_stated_and_recorded(cablebot, toys, tmp_path):
     path = tmp_path / "run.csv"
     out = cablebot(f"rollout {SPATIAL} --policy {toys('limp')} --out {path}").out

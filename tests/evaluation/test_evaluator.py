@@ -21,6 +21,7 @@ from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, PolicyError, evalu
 from cablebot_gym.evaluation.batch import noise_seed
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.evaluation.search import SCAN_POINTS
+from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.robots import PLANAR, SPATIAL
 from cablebot_gym.trajectories import find_trajectory
 
@@ -318,5 +319,17 @@ def test_rollout_equals_an_episode_of_the_single_environment(tmp_path):
         for name, array in rollout.arrays.items():
             assert_array_equal(file[name], array)
     rollout.save(str(tmp_path / "run.csv"))
-    table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
-    assert_array_equal(table["tensions_6"], rollout.arrays["tensions"][:, 5])
+    head, *lines = (tmp_path / "run.csv").read_text().splitlines()
+    columns = dict(zip(head.split(","), np.loadtxt(lines, delimiter=",").T, strict=True))
+    assert_array_equal(columns["tensions_6 [N]"], rollout.arrays["tensions"][:, 5])
+    assert_array_equal(columns["true_pose_psi [rad]"], rollout.arrays["true_pose"][:, 3])
+    assert_array_equal(columns["velocity_z [m/s]"], rollout.arrays["velocity"][:, 2])
+    assert columns["payload [kg]"][0] == rollout.payload
+    reasons = "1=tracking_error 2=slack 3=workspace 4=non_finite 5=violation"
+    assert f"termination_reason [{reasons}]" in columns
+
+
+@pytest.mark.parametrize("function", [record_rollout, time_actions])
+def test_number_of_draws_of_one_episode_is_refused_in_a_sentence(function):
+    with pytest.raises(TypeError, match=f"'draws'; {function.__name__} runs one episode"):
+        function("fl", SPATIAL_ID, draws=3)

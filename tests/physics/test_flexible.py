@@ -5,19 +5,16 @@ import re
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 from oracles.plants import (
     State,
     advance,
     drive_speed,
-    flexible_robots,
     free_motors,
     holding_state,
     loaded_plant,
     state_of,
     with_transmission,
 )
-from scipy.linalg import eigh
 
 from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.physics import textbook
@@ -54,30 +51,6 @@ def test_unphysical_transmission_raises(robot, changes, message):
 
 
 # --- frequencies --------------------------------------------------------------------------------------------------
-
-
-@flexible_robots
-def test_frequencies_are_those_of_the_linearised_kernel(robot):
-    robot = free_motors(with_transmission(robot, damping=0.0, motor_damping=0.0))
-    period = 2e-3
-    nudge = 1e-5
-    state, torques = holding_state(robot, robot.home)
-    middle = state.columns()[0]
-    nudges = nudge * np.eye(len(middle))
-    sizes = np.cumsum([robot.coordinates, robot.coordinates, robot.cables])
-    starts = np.concatenate([middle + nudges, middle - nudges])
-    plant = loaded_plant(robot, State(*np.split(starts, sizes, axis=1)))
-    advance(plant, torques, period, 20)
-    ahead, behind = np.split(state_of(plant).columns(), 2)
-    rates = np.log(np.linalg.eigvals((ahead - behind).T / (2 * nudge)).astype(complex)) / period
-    tensions = textbook.required_tensions(
-        robot, robot.mass, robot.home, 0 * robot.home, 0 * robot.home, minimum=20.0
-    )
-    model = textbook.linear_model(robot, tensions=tensions)
-    squares = eigh(model.stiffness, model.inertia, eigvals_only=True)
-    oscillations = np.sort(np.abs(rates.imag))[::-2][: robot.cables]
-    assert_allclose(oscillations, np.sqrt(squares[::-1][: robot.cables]), rtol=1e-5)
-    assert textbook.highest_frequency(robot) == pytest.approx(oscillations[0], rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from cablebot_gym.bounds.robot_check import check_model
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
+from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.physics.textbook import pulley_angle
-from cablebot_gym.robots import PLANAR
+from cablebot_gym.rendering.projection import points_in_space
+from cablebot_gym.robots import PLANAR, find_robot
 
 pytest.importorskip("matplotlib.figure")
 
-from cablebot_gym.plotting import comparison, figures
+from cablebot_gym.plotting import comparison, draw_robot, figures
 
 PLANAR_ID = "CableBot-Planar-v0"
 SPATIAL_ID = "CableBot-Spatial-v0"
@@ -81,7 +84,7 @@ def test_mark_is_at_the_least_torque_margin(result):
             assert marks[0].get_xydata().tolist() == [[time, arrays["torques"][step, motor]]]
             (note,) = axes.texts
             assert f"t = {time:.3f} s" in note.get_text()
-            assert ("beyond" in note.get_text()) == (margins.min() < 0)
+            assert ("saturates" in note.get_text()) == (margins.min() < 0)
 
 
 def test_errors_are_drawn_with_their_bounds(result):
@@ -94,6 +97,33 @@ def test_errors_are_drawn_with_their_bounds(result):
     assert_allclose(millimetres, distance, atol=1e-9)
     for axes in errors:
         assert axes.get_lines()[1].get_ydata()[0] == 10.0
+
+
+@pytest.mark.parametrize(("name", "downwards"), [("planar", False), ("gch-klaus", True)])
+def test_y_points_as_in_the_pictures_of_the_robot(name, downwards):
+    """Downwards only where gravity does; the drawing of a robot had it so in every plane."""
+    robot = find_robot(name)
+    (path, *_) = figures.draw_rollout(short_episode(robot)).axes[robot.cables :]
+    for axes in (path, draw_robot(check_model(robot)).axes[0]):
+        assert axes.yaxis_inverted() == downwards
+    pictured = points_in_space(robot, np.array([0.0, 1.0]))
+    assert (pictured[1] > 0) == downwards
+
+
+def short_episode(robot):
+    motion = {"name": f"dwell-{robot.kind}", "duration": 0.02}
+    ids = {"planar": PLANAR_ID, "planar-platform": "CableBot-PlanarPlatform-v0"}
+    return record_rollout("fl", ids[robot.kind], robot=robot, trajectory=motion)
+
+
+@pytest.mark.landing
+def test_notebook_shows_the_figure_of_a_result_if_matplotlib_is_there(results, monkeypatch):
+    result = results["planar"]
+    for item in (result, result.rollout, check_model(PLANAR)):
+        assert item._repr_png_().startswith(b"\x89PNG")
+    assert result.conditions._repr_png_() is None
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert result._repr_png_() is None
 
 
 @pytest.mark.landing

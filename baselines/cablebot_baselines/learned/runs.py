@@ -7,15 +7,13 @@ A run's folder contains:
   algorithm's state.
 * ``best.zip``, the policy with the largest DLCC in the evaluations, and ``last.zip``, the final
   policy; both are a :class:`~cablebot_baselines.learned.bundle.Bundle`.
-* ``evaluations.csv``.
+* ``evaluations.csv``, and ``learning-curve.png`` at the end if matplotlib is installed.
 
 This module does not need torch.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import platform
 import shutil
@@ -27,18 +25,28 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.plotting.figures import add_legend, new_figure, save_figure, set_title
 from cablebot_gym.robots import find_robot
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import command_line
-from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, read_text
+from cablebot_gym.utils.files import (
+    atomic_write_text,
+    check_writable_dir,
+    read_text,
+    write_csv,
+)
+from cablebot_gym.utils.palette import BLUE
 from cablebot_gym.utils.results import Printed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 HYPERPARAMS = Path(__file__).parent / "hyperparams"
 """Folder of the shipped configurations."""
@@ -48,6 +56,7 @@ CHECKPOINT = "checkpoint"
 BEST = "best.zip"
 LAST = "last.zip"
 EVALUATIONS = "evaluations.csv"
+CURVE = "learning-curve.png"
 """Names of the files and folders of a run."""
 
 RESOLUTION = 0.05
@@ -150,6 +159,13 @@ class TrainingResult(Printed):
         return max(self.evaluations, key=lambda item: rank(item.payload_kg), default=None)
 
     @property
+    def last(self) -> Evaluation | None:
+        """Evaluation of the policy at ``timesteps``; None if it is not evaluated."""
+        if self.evaluations and self.evaluations[-1].timesteps == self.timesteps:
+            return self.evaluations[-1]
+        return None
+
+    @property
     def checkpoint(self) -> Path:
         """Folder of the algorithm's state."""
         return self.out / CHECKPOINT / str(self.timesteps)
@@ -168,7 +184,33 @@ class TrainingResult(Printed):
         )
         if self.best:
             text += f"; of the best policy: {kg(self.best.payload_kg)} ({self.out / BEST})"
+            if self.last:
+                text += f"; of the last policy: {kg(self.last.payload_kg)}"
+            resolution = self.settings["evaluation"].get("resolution", RESOLUTION)
+            if rank(self.best.payload_kg) < rank(self.base_payload_kg) + resolution:
+                text += f"; no gain over the base law within the resolution of {resolution:g} kg"
         return text
+
+
+def draw_learning_curve(result: TrainingResult) -> Figure:
+    """Draws the payload of each evaluation [kg], 0 if it fails unloaded, versus the timesteps.
+
+    Raises:
+        ImportError: if matplotlib is missing; the message names the command that installs it.
+    """
+    figure = new_figure(4.4)
+    axes = figure.subplots()
+    timesteps = [item.timesteps for item in result.evaluations]
+    payloads = [item.payload_kg or 0.0 for item in result.evaluations]
+    axes.plot(timesteps, payloads, color=BLUE, marker="o", markersize=3, label="policy")
+    base = result.base_payload_kg or 0.0
+    axes.axhline(base, color="black", linewidth=1.0, linestyle="--", label="base law alone")
+    axes.set(xlabel="timesteps", ylabel="DLCC [kg]")
+    axes.set_xlim(left=0)
+    axes.set_ylim(bottom=0)
+    add_legend(figure, axes)
+    set_title(figure, result.command())
+    return figure
 
 
 def open_run(
@@ -299,32 +341,33 @@ class Run:
 
     def start(self) -> None:
         """Evaluates the base law alone."""
-        self.report("evaluating the base law", 0)
-        self.state.base_payload_kg = self._dlcc(self._base.base_alone)
+        self.state.base_payload_kg = self._dlcc(self._base.base_alone, "evaluating the base law")
         self.report("starting", 0)  # the time left counts from here
 
     def evaluate(self, network: Network) -> float | None:
         """Evaluates a network [kg]; writes ``evaluations.csv``, and ``best.zip`` if no earlier
-        network was as good."""
+        network was as good.
+
+        Raises:
+            Interrupted: after a signal, within a control step.
+        """
         state = self.state
         best = state.best
-        self.report("evaluating", state.timesteps)
-        payload = self._dlcc(replace(self._base, network=network))
+        payload = self._dlcc(replace(self._base, network=network), "evaluating")
         state.evaluations.append(
             Evaluation(timesteps=state.timesteps, wall_s=self._wall_s(), payload_kg=payload)
         )
         if best is None or rank(payload) > rank(best.payload_kg):
             self._bundle(network).save(self.out / BEST)
-        table = io.StringIO()
-        writer = csv.writer(table, lineterminator="\n")
-        writer.writerow(item.name for item in fields(Evaluation))
-        writer.writerows(map(astuple, state.evaluations))
-        atomic_write_text(self.out / EVALUATIONS, table.getvalue())
+        head = [item.name for item in fields(Evaluation)]
+        write_csv(self.out / EVALUATIONS, [head, *map(astuple, state.evaluations)])
         return payload
 
     def finish(self, network: Network) -> None:
-        """Writes the final policy."""
+        """Writes the final policy and, if matplotlib is installed, the figure of the evaluations."""
         self._bundle(network).save(self.out / LAST)
+        with suppress(ImportError):
+            save_figure(draw_learning_curve(self.state), self.out / CURVE)
 
     def _bundle(self, network: Network) -> Bundle:
         """A policy with its training record."""
@@ -333,8 +376,8 @@ class Run:
         for name in ("env_id", "algorithm", "config", "seed", "threads"):
             card[name] = state.settings[name]
         payload = None
-        if state.evaluations and state.evaluations[-1].timesteps == state.timesteps:
-            payload = state.evaluations[-1].payload_kg
+        if state.last:
+            payload = state.last.payload_kg
         card |= {
             "timesteps": state.timesteps,
             "wall_s": self._wall_s(),
@@ -385,10 +428,19 @@ class Run:
             for number, handler in handlers.items():
                 signal.signal(number, handler)
 
-    def _dlcc(self, bundle: Bundle) -> float | None:
-        """DLCC of a bundle [kg]; None if it fails unloaded."""
+    def _dlcc(self, bundle: Bundle, text: str) -> float | None:
+        """DLCC of a bundle [kg]; None if it fails unloaded. Reports the progress with a text."""
+        done = self.state.timesteps
+        self.report(text, done)
+
+        def after_step(steps: int, expected: int) -> None:
+            if self.stopped:
+                raise Interrupted(done)
+            self.report(f"{text}, {steps / expected:.0%}", done)
+
         policy = LearnedPolicy(bundle, find_robot(env_robot(bundle.env_id)))
-        return evaluate_dlcc(policy, bundle.env_id, **self._conditions).payload
+        options = {"progress": after_step, **self._conditions}
+        return evaluate_dlcc(policy, bundle.env_id, **options).payload
 
     def _wall_s(self) -> float:
         return round(time.monotonic() - self._started, 3)

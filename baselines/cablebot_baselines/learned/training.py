@@ -85,8 +85,8 @@ def train(
     """Trains a learned policy with Stable-Baselines3.
 
     The same seed and number of threads on the same machine give the same weights, unless the run is
-    interrupted. SIGINT and SIGTERM stop a run after the current rollout, with a checkpoint; a
-    second SIGINT stops it immediately.
+    interrupted. SIGINT and SIGTERM stop a run after the current rollout, or within an evaluation,
+    with a checkpoint; a second SIGINT stops it immediately.
 
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
@@ -107,7 +107,7 @@ def train(
     """
     state, config = _open_run(env_id, out, resume, options)
     timesteps = state.settings["timesteps"]
-    if state.timesteps >= timesteps:
+    if state.timesteps >= timesteps and state.last:
         if say:
             say(
                 f"nothing to do: {state.timesteps} timesteps are done. Use --timesteps to train longer"
@@ -207,16 +207,27 @@ class _RunCallback(BaseCallback):
         self._run = run
         self._curriculum = curriculum
         self._saved = run.state.timesteps
-        self._evaluated = run.state.timesteps
+        self._evaluated = 0
+        if run.state.evaluations:
+            self._evaluated = run.state.evaluations[-1].timesteps
 
     def evaluate(self) -> None:
-        """Evaluates the model, unless this has just been done."""
+        """Evaluates the model, unless this has just been done.
+
+        Raises:
+            Interrupted: after a signal, when the checkpoint is written.
+        """
         state = self._run.state
         state.timesteps = self.model.num_timesteps
-        if self._evaluated < state.timesteps:
+        if self._evaluated >= state.timesteps:
+            return
+        try:
             payload = self._run.evaluate(network_from_sb3(self.model))
-            self.logger.record("eval/payload_kg", runs.rank(payload))
-            self._evaluated = state.timesteps
+        except runs.Interrupted:
+            self.save()
+            raise
+        self.logger.record("eval/payload_kg", runs.rank(payload))
+        self._evaluated = state.timesteps
 
     def save(self) -> None:
         """Writes a checkpoint."""

@@ -60,10 +60,12 @@ from cablebot_gym.physics.textbook.platform import (
 )
 from cablebot_gym.physics.textbook.small_motion import (
     LinearModel,
+    StateSpace,
     fastest_decay_rate,
     free_modes,
     highest_frequency,
     linear_model,
+    linearise,
     locked_modes,
     tension_stiffness,
     weight_stiffness,
@@ -75,6 +77,7 @@ __all__ = [
     "InverseDynamics",
     "LinearModel",
     "MotionEquations",
+    "StateSpace",
     "allocated_minimum",
     "bias",
     "cable_equivalent",
@@ -94,6 +97,7 @@ __all__ = [
     "joint_stiffness",
     "least_action_tensions",
     "linear_model",
+    "linearise",
     "load",
     "load_friction",
     "loaded_radius",

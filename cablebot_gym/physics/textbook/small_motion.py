@@ -11,6 +11,11 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh, null_space
 
 from cablebot_gym.kinematics import Array, as_numbers
+from cablebot_gym.physics.textbook.drives import (
+    allocated_minimum,
+    holding_torque,
+    required_tensions,
+)
 from cablebot_gym.physics.textbook.platform import (
     cable_lengths,
     center_arm,
@@ -18,8 +23,9 @@ from cablebot_gym.physics.textbook.platform import (
     jacobian_rate,
     mass_matrix,
 )
-from cablebot_gym.robots import Robot
+from cablebot_gym.robots import COORDINATE_NAMES, Robot, find_robot
 from cablebot_gym.uncertainty import RobotArrays
+from cablebot_gym.utils.checks import number, numbers
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,9 +40,13 @@ class LinearModel:
     """M, shape (..., k, k)."""
     damping: Array
     """C, shape (..., k, k): friction of motors and pulleys, slope of the torque-speed lines,
-    damping of the cables. Load friction is that of the stall torque."""
+    damping of the cables. Load friction is that of the torques at rest, without tensions that of
+    the stall torque."""
     stiffness: Array
     """K, shape (..., k, k)."""
+    motors: Array
+    """Gradient of the motor angles with respect to x, shape (..., m, k): its transpose times the
+    motor torques is their generalised force."""
 
 
 def linear_model(
@@ -71,11 +81,16 @@ def linear_model(
     stiffness = np.zeros_like(inertia)
     inertia[..., :n, :n] = mass_matrix(robot, mass, np.broadcast_to(pose, (*batch, n)))
 
-    def add(matrix: Array, weight: Array, *blocks: tuple[int, Array]) -> None:
-        """Adds BᵀWB for B with blocks of columns, each with its first column."""
+    def rows_of(*blocks: tuple[int, Array]) -> Array:
+        """Rows (..., m, k) with blocks of columns, each with its first column."""
         rows = np.zeros((*batch, m, size))
         for start, block in blocks:
             rows[..., start : start + block.shape[-1]] = block
+        return rows
+
+    def add(matrix: Array, weight: Array, *blocks: tuple[int, Array]) -> None:
+        """Adds BᵀWB for the rows B."""
+        rows = rows_of(*blocks)
         weights = np.broadcast_to(weight, (*batch, m))[..., None]
         matrix += rows.mT @ (weights * rows)
 
@@ -88,7 +103,10 @@ def linear_model(
         motor = (size - m, identity)
     add(inertia, robot.pulley_inertia, pulley)
     add(damping, robot.damping, pulley)
-    largest_friction = robot.coulomb_friction + robot.load_friction * robot.stall_torque
+    load_torque = robot.stall_torque
+    if tensions is not None:
+        load_torque = holding_torque(robot, robot.pulley_radius * as_numbers(tensions))
+    largest_friction = robot.coulomb_friction + robot.load_friction * load_torque
     friction_slope = largest_friction / robot.transmission.friction_speed
     add(damping, robot.speed_slope + friction_slope, motor)
     if robot.elastic:
@@ -109,7 +127,89 @@ def linear_model(
         platform_stiffness = stiffness[..., :n, :n]
         platform_stiffness += tension_stiffness(robot, pose, tensions)
         platform_stiffness += weight_stiffness(robot, mass, pose)
-    return LinearModel(inertia=inertia, damping=damping, stiffness=stiffness)
+    return LinearModel(inertia=inertia, damping=damping, stiffness=stiffness, motors=rows_of(motor))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StateSpace:
+    """Linear equations ``ẋ = A x + B u`` of the deviations x from a state at rest and u from the
+    actions there, in SI units and radians.
+
+    Actions act without the lag that motors may have, and change continuously: within a control
+    period, the environments keep the action and the torque drop of its start.
+    """
+
+    A: Array
+    """System matrix, shape (2k, 2k)."""
+    B: Array
+    """Input matrix of the m actions, shape (2k, m)."""
+    states: tuple[str, ...]
+    """Name of each state: coordinates of the pose X, angles of the pulleys at elastic cables and of
+    the motors at joint springs, and the rates of all."""
+    units: tuple[str, ...]
+    """Unit of each state. Actions have none."""
+    pose: Array
+    """Pose at rest X, shape (n,) [m, rad]."""
+    action: Array
+    """Actions at rest, shape (m,). Beyond ±1 the motors cannot hold the robot."""
+    tensions: Array
+    """Cable tensions at rest, shape (m,) [N]."""
+
+
+def linearise(
+    robot: Robot | str, pose: ArrayLike | None = None, payload: float = 0.0
+) -> StateSpace:
+    """Linear equations of a robot about a pose at rest, with taut cables.
+
+    Args:
+        robot: a robot, or its name.
+        pose: pose X, shape (n,) [m, rad]; None for the home pose.
+        payload: payload [kg].
+
+    Raises:
+        ValueError: if an argument is invalid, or no tensions hold the robot at the pose.
+    """
+    if isinstance(robot, str):
+        robot = find_robot(robot)
+    n = robot.coordinates
+    mass = robot.mass + number("payload", payload, least=0, unit="kg")
+    if pose is None:
+        pose = robot.home
+    pose = numbers("pose", pose, shapes=[(n,)])
+    still = np.zeros(n)
+    try:
+        tensions = required_tensions(
+            robot, mass, pose, still, still, minimum=allocated_minimum(robot)
+        )
+    except np.linalg.LinAlgError:
+        tensions = still
+    if tensions.min() <= 0:
+        raise ValueError(f"no taut cables hold {robot.name} with {payload:g} kg at {pose.tolist()}")
+    model = linear_model(robot, mass=mass, pose=pose, tensions=tensions)
+    k = len(model.inertia)
+    system = np.eye(2 * k, k=k)
+    forces = np.hstack([model.stiffness, model.damping])
+    system[k:] = -np.linalg.solve(model.inertia, forces)
+    inputs = np.zeros((2 * k, robot.cables))
+    inputs[k:] = np.linalg.solve(model.inertia, model.motors.T) * robot.stall_torque
+    springs = []
+    if robot.elastic:
+        springs.append("pulley")
+    if robot.jointed:
+        springs.append("motor")
+    names = list(COORDINATE_NAMES[robot.kind])
+    for part in springs:
+        names += [f"{part} angle {motor + 1}" for motor in range(robot.cables)]
+    units = ["m"] * robot.dimensions + ["rad"] * (k - robot.dimensions)
+    return StateSpace(
+        A=system,
+        B=inputs,
+        states=(*names, *(f"rate of {name}" for name in names)),
+        units=(*units, *(f"{unit}/s" for unit in units)),
+        pose=pose,
+        action=holding_torque(robot, robot.pulley_radius * tensions) / robot.stall_torque,
+        tensions=tensions,
+    )
 
 
 def tension_stiffness(robot: RobotArrays, pose: ArrayLike, tensions: ArrayLike) -> Array:

@@ -9,7 +9,7 @@ function limitFigure(entry) {
   for (const strip of entry.strips) {
     const row = element("tr"), cell = element("td", { class: "strip" });
     cell.append(histogram(strip, highest));
-    row.append(element("th", { scope: "row", text: strip.kind }), cell, element("td", { class: "number", text: String(strip.count) }),
+    row.append(element("th", { scope: "row", text: strip.limit }), cell, element("td", { class: "number", text: String(strip.count) }),
       element("td", { class: "number", text: strip.lead === null ? "–" : strip.lead.toFixed(strip.lead < 0.1 ? 3 : 2) }));
     table.append(row);
   }
@@ -35,7 +35,7 @@ function errorFigure(entry) {
 }
 
 function histogram(strip, highest) {
-  const bins = strip.counts.length, label = `${strip.kind}: ${strip.count} violations, median at ${percent(strip.fraction)} of the motion`;
+  const bins = strip.counts.length, label = `${strip.limit}: ${strip.count} violations, median at ${percent(strip.fraction)} of the motion`;
   const picture = drawing("svg", { viewBox: `0 0 ${bins} 1`, preserveAspectRatio: "none", role: "img", "aria-label": label });
   strip.counts.forEach((count, bin) => {
     const height = count / highest, bar = drawing("rect", { x: bin + 0.08, width: 0.84, y: 1 - height, height });

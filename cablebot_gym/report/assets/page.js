@@ -122,7 +122,7 @@ function drawCharts(frames, motion, robot, violationTime) {
   const plots = {
     "chart-action": { x: frames.times, series: motors, range: [-range, range], bounds: [-1, 1], label: "Action of each motor over time" },
     "chart-position": { ...error("position_error", 1e3, 1e3 * motion.bound), label: "Position error over time" },
-    "chart-tension": { x: frames.times, series: cables, bounds: [0], label: "Tension of each cable over time",
+    "chart-tension": { x: frames.times, series: cables, bounds: [robot.leastTension], label: "Tension of each cable over time",
       range: [Math.min(0, ...cables.flatMap((cable) => cable.values)), Math.max(1, ...cables.flatMap((cable) => cable.values))] },
   };
   find("figure-rotation").hidden = !frames.rotation_error;

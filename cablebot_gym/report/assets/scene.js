@@ -20,7 +20,8 @@ function makeScene(canvas) {
     return [...side(sorted), ...side(sorted.reverse())];
   }
   const turn = (a, b, c) => (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-  const solid = (point) => (point.length === 3 ? point : [point[0], point[1], 0]);
+  // A point of the base frame in the space of the picture.
+  const solid = (point) => [0, 1, 2].map((at) => point.reduce((sum, value, axis) => sum + value * robot.axes[axis][at], 0));
 
   function camera() {
     const [ca, sa, ce, se] = [Math.cos(view.azimuth), Math.sin(view.azimuth), Math.cos(view.elevation), Math.sin(view.elevation)];
@@ -29,7 +30,7 @@ function makeScene(canvas) {
     const eye = robot.middle.map((value, index) => value - view.distance * forward[index]);
     const focal = 0.5 * Math.min(canvas.width, canvas.height) / Math.tan(0.28);
     return (point) => {
-      const away = minus(solid(point), eye), depth = Math.max(dot(away, forward), 0.05);
+      const away = minus(point, eye), depth = Math.max(dot(away, forward), 0.05);
       return [canvas.width / 2 + focal * dot(away, right) / depth, canvas.height / 2 + focal * dot(away, down) / depth, focal / depth];
     };
   }
@@ -47,7 +48,7 @@ function makeScene(canvas) {
   function draw() {
     if (!frames) return;
     const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
-    const ratio = window.devicePixelRatio || 1, project = camera();
+    const ratio = window.devicePixelRatio || 1, inPicture = camera(), project = (point) => inPicture(solid(point));
     context.clearRect(0, 0, canvas.width, canvas.height);
     context.lineCap = context.lineJoin = "round";
     const path = motion.path.map(project), middle = project(frames.position[frame]);
@@ -97,8 +98,8 @@ function makeScene(canvas) {
       context.fill();
       context.globalAlpha = 1;
     }
-    const here = solid(frames.position[frame]), hung = [here[0], here[1], here[2] + (robot.hang && robot.hang + frames.radius)], ball = project(hung);
-    if (robot.hang) line([project(here), ball], { strokeStyle: colour("--ink"), lineWidth: 1.5 * ratio });
+    const here = solid(frames.position[frame]), hung = [here[0], here[1], here[2] + (robot.hang && robot.hang + frames.radius)], ball = inPicture(hung);
+    if (robot.hang) line([inPicture(here), ball], { strokeStyle: colour("--ink"), lineWidth: 1.5 * ratio });
     context.fillStyle = colour("--steel");
     context.strokeStyle = colour("--ink");
     context.lineWidth = ratio;
@@ -167,7 +168,7 @@ function makeScene(canvas) {
   return {
     draw,
     show(newRobot, newFrames, newMotion) {
-      if (!robot || robot !== newRobot) view = newRobot.planar ? { azimuth: 0, elevation: 1.35, distance: 1.55 * newRobot.size } : { azimuth: 0.4, elevation: 0.35, distance: 1.5 * newRobot.size };
+      if (!robot || robot !== newRobot) view = { azimuth: newRobot.azimuth, elevation: newRobot.elevation, distance: 1.55 * newRobot.size };
       [robot, frames, motion] = [newRobot, newFrames, newMotion];
       frame = Math.min(frame, frames.times.length - 1);
       fit();
