@@ -456,7 +456,8 @@ def _softened(robot: Robot, rest: RestPose) -> Robot:
         return robot
     loose = sag(robot, rest.pose, rest.tensions)
     straight = loose.length + robot.extra_length
-    softer = straight / (loose.length / loose.stiffness_factor + robot.extra_length)
+    factor = np.maximum(loose.stiffness_factor, 1e-9)  # 0 of a slack cable
+    softer = straight / (loose.length / factor + robot.extra_length)
     transmission = robot.transmission.replace(axial_stiffness=softer * robot.axial_stiffness)
     return robot.replace(transmission=transmission)
 

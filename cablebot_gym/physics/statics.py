@@ -151,11 +151,12 @@ def _hold_payload_of_redundant_cables(robot: Robot, pose: Array) -> float:
     there is none."""
     still = np.zeros_like(pose)
     largest = robot.stall_torque / robot.pulley_radius
-    least = textbook.allocated_minimum(robot)
     structure = textbook.jacobian(robot, pose)
     per_kilogram = textbook.load(robot, 1.0, pose, still, still)
     heaviest = (1 + HEAVIEST) * robot.mass
-    masses = largest_scale(structure, 0 * per_kilogram, per_kilogram, least, largest, heaviest)
+    masses = largest_scale(
+        structure, 0 * per_kilogram, per_kilogram, robot.minimum_tension, largest, heaviest
+    )
     if masses.status != HELD:
         return -math.inf
     return float(masses.largest) - robot.mass

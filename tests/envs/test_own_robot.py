@@ -58,7 +58,7 @@ def test_start_that_the_motors_cannot_hold_is_a_warning(construct):
     construct(PLANAR_ID, robot=BASE.to_dict()).reset(seed=0)  # without a warning
     motors = BASE.motors.replace(stall_torque=0.3)
     weak = BASE.replace(name=construct.__name__, plane="vertical", motors=motors)
-    message = r"cannot be held at the start of .*: motor \d needs .* All episodes fail"
+    message = r"cannot be held at the start of .*: no tensions from 1 N to 6 N .* All episodes fail"
     with pytest.warns(UserWarning, match=message):
         construct(fitting_env_id(weak), robot=weak)
 

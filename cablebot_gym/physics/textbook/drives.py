@@ -15,6 +15,8 @@ from cablebot_gym.kinematics import Array, as_numbers, times_vector
 from cablebot_gym.physics.distribution import (
     BARRIER,
     HELD,
+    largest_scale,
+    least_norm,
     unchecked_central,
     unchecked_least_largest_action,
 )
@@ -33,20 +35,45 @@ from cablebot_gym.robots import Cable, Robot, find_robot
 from cablebot_gym.uncertainty import RobotArrays
 
 MINIMUM_TENSION = 5.0
-"""Default minimum tension T_min of planar robots [N], for control laws and for springs at rest.
-With 0 the cables become slack at once in closed loop; a few newtons keep them taut."""
+"""Usual least tension T_min of redundant cables [N], for control laws and at rest, on robots as
+strong as the paper's planar one. With 0 the cables become slack at once in closed loop; a few
+newtons keep them taut."""
+
+USUAL_STRENGTH = 100.0
+"""Tension at the stall torque of the paper's planar robot [N]. On weaker robots the usual least
+tension is less in proportion."""
 
 TENSION_RESERVE = 1.2
 """Least tension that laws allocate, as a multiple of the robot's own ``minimum_tension``, if that
 is more."""
 
 
+@lru_cache(maxsize=64)
 def allocated_minimum(
     robot: Robot, usual: float = MINIMUM_TENSION, reserve: float = TENSION_RESERVE
 ) -> float:
-    """Least tension that laws allocate, and that the springs have at rest [N]: ``usual``, or more
-    for heavy cables."""
-    return max(usual, reserve * robot.minimum_tension)
+    """Least tension that laws allocate, and that redundant cables have at rest [N].
+
+    It is ``usual``, less for weak motors or cables, or more for heavy cables; at most half way
+    between the robot's ``minimum_tension`` and the largest tension that all cables can have at once
+    when they hold the platform at home.
+    """
+    strength = min(float(_largest_tensions(robot).min()), robot.maximum_tension)
+    weaker = usual * strength / USUAL_STRENGTH
+    minimum = max(min(usual, weaker), reserve * robot.minimum_tension)
+    if robot.cables <= robot.coordinates:
+        return minimum
+    structure = jacobian(robot, robot.home)
+    weight = bias(robot, robot.mass, robot.home, np.zeros(robot.coordinates))
+    # a common tension t pulls with −Sᵀ t; tensions ≥ 0 besides it hold weight and pull
+    common = largest_scale(structure, weight, structure.sum(axis=0), 0.0, np.inf, strength)
+    most = np.nan_to_num(common.largest)  # 0 if the platform is too heavy or the pose singular
+    return min(minimum, (robot.minimum_tension + float(most)) / 2)
+
+
+def _largest_tensions(robot: RobotArrays) -> Array:
+    """Largest tensions at rest by the stall torques and the maximum tension, (..., m) [N]."""
+    return np.minimum(robot.stall_torque / robot.pulley_radius, robot.maximum_tension)
 
 
 def static_torque(
@@ -55,11 +82,33 @@ def static_torque(
     """Torque r T at rest [N·m], shape (..., m). T and ``minimum`` are as in
     :func:`required_tensions`.
 
-    With elastic cables :func:`holding_torque` of it is the motor torque.
+    Where redundant cables would not hold the robot or exceed their largest tension, T is nearest to
+    ``minimum`` within the robot's bounds of the tension, or without its minimum tension if that
+    holds the robot. With elastic cables :func:`holding_torque` of it is the motor torque.
     """
     zero = np.zeros_like(np.asarray(pose, float))
     tensions = required_tensions(robot, mass, pose, zero, zero, minimum=minimum, strict=False)
+    if robot.cables > robot.coordinates:
+        wrench = load(robot, mass, pose, zero, zero)
+        _hold(robot, jacobian(robot, pose), wrench, minimum, tensions)
     return robot.pulley_radius * tensions
+
+
+def _hold(
+    robot: RobotArrays, structure: Array, wrench: Array, minimum: float, tensions: Array
+) -> None:
+    """Replaces tensions (..., m) that do not hold a wrench (..., n) at rest."""
+    largest = np.broadcast_to(_largest_tensions(robot), tensions.shape)
+    structure = np.broadcast_to(structure, (*tensions.shape, robot.coordinates))
+    for least in (robot.minimum_tension, 0.0):
+        missing = np.abs(wrench + times_vector(structure.mT, tensions)).max(axis=-1)
+        unheld = missing > 1e-6 * tensions.max(axis=-1)
+        unheld |= np.any(tensions > largest, axis=-1)
+        if not np.any(unheld):
+            return
+        found = least_norm(structure[unheld], wrench[unheld], least, largest[unheld], minimum)
+        held = (found.status == HELD)[:, None]
+        tensions[unheld] = np.where(held, found.tensions, tensions[unheld])
 
 
 def holding_torque(robot: RobotArrays, torque: Array) -> Array:
