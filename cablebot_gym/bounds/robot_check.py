@@ -359,7 +359,7 @@ def _hanging_limit(robot: Robot, payload: float) -> PayloadLimit:
     proportion to its mass."""
     rest = home_at_rest(robot, robot.mass, robot.minimum_tension)
     lightest = robot.mass * robot.minimum_tension / rest.tensions
-    upper = np.minimum(robot.stall_torque / robot.pulley_radius, robot.maximum_tension)
+    upper = textbook.largest_tensions(robot)
     heaviest = robot.mass * upper / rest.tensions
     too_light = robot.mass + payload < lightest.max()
     coefficients = np.zeros(robot.cables)

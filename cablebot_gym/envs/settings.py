@@ -500,9 +500,8 @@ def _note_unheld_pose(
 ) -> None:
     structure = textbook.jacobian(robot, pose)
     weight = textbook.bias(robot, robot.mass + payload, pose, np.zeros(robot.coordinates))
-    strength = robot.stall_torque / robot.pulley_radius
-    largest = np.minimum(strength, robot.maximum_tension)
-    if feasible(structure, weight, np.maximum(least, -strength), largest).status != HELD:
+    largest = textbook.largest_tensions(robot)
+    if feasible(structure, weight, np.maximum(least, -largest), largest).status != HELD:
         logger.warn(
             f"robot {robot.name!r} with {payload:g} kg cannot be held at the start of {motion!r}: no tensions from "
             f"{least:g} N to {largest.max():.3g} N balance it. All episodes fail; `cablebot robot check` shows what "

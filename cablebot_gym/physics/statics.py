@@ -134,9 +134,8 @@ def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds
     pose = start_pose(robot, trajectory, error_bounds)
     if not robot.weightless and robot.cables > robot.coordinates:
         return _hold_payload_of_redundant_cables(robot, pose)
-    minimum = textbook.allocated_minimum(robot)
-    empty = textbook.static_torque(robot, robot.mass, pose, minimum=minimum)
-    loaded = textbook.static_torque(robot, robot.mass + 1.0, pose, minimum=minimum)
+    empty = textbook.static_torque(robot, robot.mass, pose)
+    loaded = textbook.static_torque(robot, robot.mass + 1.0, pose)
     slope = np.abs(loaded - empty)
     sign = np.where(loaded < empty, -1.0, 1.0)
     room = robot.stall_torque - sign * empty

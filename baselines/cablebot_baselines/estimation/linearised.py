@@ -66,8 +66,7 @@ def static(robot: Robot, mass: Array, pose: Array) -> tuple[Array, Array, Array]
     """Torques at rest (N, m), and their gradients with respect to X (N, m, n) and the mass (N, m,
     1)."""
     poses, masses = _varied(pose, mass)
-    minimum = textbook.allocated_minimum(robot)
-    torques = textbook.static_torque(robot, masses, poses, minimum=minimum)
+    torques = textbook.static_torque(robot, masses, poses)
     by_pose, by_mass = _quotients(torques)
     return torques[0], by_pose, by_mass
 

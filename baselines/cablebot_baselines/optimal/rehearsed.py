@@ -241,9 +241,7 @@ class PlanSearch:
         if bias is not None:
             position += min(biases * bias.position, bounds.position / 4)
             rotation += min(biases * bias.rotation, bounds.rotation / 4)
-        tension = margins.tension
-        if robot.flexible:
-            tension = min(tension, SPRING_RESERVE * _reserve(robot))
+        tension = min(margins.tension, largest_tension_margin(robot))
         return replace(margins, position=position, rotation=rotation, tension=tension)
 
     def _split(self, profile: MarginProfile) -> tuple[Margins, MarginProfile]:
@@ -252,7 +250,8 @@ class PlanSearch:
         margins = self._margins(LEAST_MARGINS)
         robot = self._expectation.robot
         if robot.cables > robot.coordinates and not robot.flexible:
-            tension = margins.tension + float(profile.tension.max())
+            tension = margins.tension + profile.tension.max()
+            tension = min(float(tension), largest_tension_margin(robot))
             margins = replace(margins, tension=tension)
             profile = replace(profile, tension=np.zeros_like(profile.tension))
         return margins, profile
@@ -266,6 +265,15 @@ class PlanSearch:
         ceiling = np.maximum(SPRING_RESERVE * _reserve(robot) - least, 0.0)
         ceiling = ceiling + SPRING_RATE * profile.times
         return replace(profile, tension=np.minimum(profile.tension, ceiling))
+
+
+def largest_tension_margin(robot: Robot) -> float:
+    """Largest constant margin of a plan to the minimum and the maximum tension [N]: half of the
+    tensions between them remain. The springs can have it at the start, too."""
+    largest = (robot.maximum_tension - robot.minimum_tension) / 4
+    if robot.flexible:
+        largest = min(largest, SPRING_RESERVE * _reserve(robot))
+    return largest
 
 
 def _reserve(robot: Robot) -> float:
