@@ -19,7 +19,7 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.robots import GRAVITY, Robot
 from cablebot_gym.utils.checks import all_finite
 
-_LEAST_EXCESS = 1e-8
+_LEAST_EXCESS = 1e-10
 """Least extra length of a cable at its tension at rest in :func:`settle`, as a fraction of its chord.
 A plumb cable has none: without it, nothing would relate its tension to its length."""
 

@@ -4,77 +4,51 @@ import math
 
 import numpy as np
 
-from cablebot_gym.robots import Motors, Robot, Transmission
+from cablebot_gym.robots import PLANAR
+from oracles.platforms import CAMERA, CRANE, FLAT, HANGING, TURNING
 
-KINDS = ("planar", "planar-platform", "point", "spatial")
-CABLES = {"planar": (3, 8), "planar-platform": (4, 8), "point": (4, 8), "spatial": (6, 8)}
-"""Least and largest number of cables by kind."""
+KINDS = (PLANAR, HANGING, FLAT, TURNING, CAMERA, CRANE)
 
 
 def random_robot(seed):
-    """A robot that follows from a seed; candidates whose home pose no tensions hold are rejected."""
+    """The first variant of a robot, both of which follow from a seed, that its cables hold at
+    home."""
     rng = np.random.default_rng(seed)
-    for number in range(1000):
-        candidate = _candidate(rng, f"random-{seed}-{number}")
+    robot = KINDS[rng.integers(len(KINDS))]
+    while True:
         try:
-            return Robot(**candidate)
-        except ValueError:
-            continue
-    raise AssertionError(f"no robot was found for seed {seed}")
+            return robot.replace(name=f"random-{seed}", **_random_values(rng, robot))
+        except ValueError as error:
+            if "home_pose" not in str(error):
+                raise
 
 
-def _candidate(rng, name):
-    kind = KINDS[rng.integers(len(KINDS))]
-    in_plane = kind.startswith("planar")
-    is_vertical = in_plane and rng.random() < 0.6
-    cables = int(rng.integers(*CABLES[kind], endpoint=True))
-    size = 10 ** rng.uniform(-0.3, 1.0)
-    mass = 10 ** rng.uniform(-1.5, 2.0)
-    radius = size * 10 ** rng.uniform(-2.0, -1.2)
-    force = mass * 9.81 * 10 ** rng.uniform(-0.3, 1.5)
+def _random_values(rng, robot):
+    scale, strength, radius = 10 ** rng.uniform([-2, -0.3, -2], [1, 1.5, -1])
+    mass = scale * robot.mass
+    force = 9.81 * mass * strength
+    cables = int(rng.integers(max(3, robot.coordinates + robot.weightless), 9))
+    chosen = rng.integers(robot.cables, size=cables)
+    noise = rng.uniform(-0.3, 0.3, (cables, robot.dimensions))
+    base = robot.base[chosen] + noise * np.ptp(robot.base, axis=0).max()
+    if rng.random() < 0.5:  # every second cable to the other side of the platform
+        base[::2, -1] = 2 * robot.home[robot.dimensions - 1] - base[::2, -1]
+    inertia = 0.05 * mass * radius**2
+    springs = [
+        {},
+        {"stiffness": 3 * force * radius, "motor_inertia": inertia},
+        {"axial_stiffness": 100 * force, "axial_damping": force},
+    ]
     values = {
-        "name": name,
-        "base_anchors": _anchors(rng, size, cables, in_plane, is_vertical),
+        "base_anchors": base,
         "mass": mass,
-        "motors": Motors(stall_torque=force * radius, free_speed=3 * size / radius),
-        "transmission": _transmission(rng, mass, force, radius),
-        "minimum_tension": float(rng.choice([0.0, 0.01 * force, 1.0])),
-        "cable_density": float(rng.choice([0.0, 1e-4 * mass / size])),
-        "home_pose": np.zeros({"planar": 2, "point": 3, "planar-platform": 3, "spatial": 6}[kind]),
+        "motors": {"stall_torque": force * radius, "free_speed": 5 / radius},
+        "transmission": {"pulley_radius": radius, "pulley_inertia": inertia} | rng.choice(springs),
+        "minimum_tension": rng.choice([0, 1, 0.01 * force]),
+        "maximum_tension": rng.choice([math.inf, 2 + 0.3 * force]),
+        "cable_density": rng.choice([0, 1e-5 * mass]),
     }
-    if rng.random() < 0.3:
-        values["maximum_tension"] = 2.0 + force * rng.uniform(0.1, 1.0)
-    if is_vertical:
-        values["plane"] = "vertical"
-    if kind in ("planar-platform", "spatial"):
-        corners = rng.uniform(-0.1, 0.1, (cables, 2 if in_plane else 3))
-        values["platform_anchors"] = size * corners
-        values["inertia"] = np.full(1 if in_plane else 3, 0.02 * mass * size**2)
+    if not robot.point_mass:
+        values["platform_anchors"] = robot.platform[chosen] + 0.3 * noise
+        values["inertia"] = np.multiply(scale, robot.inertia)
     return values
-
-
-def _anchors(rng, size, cables, in_plane, is_vertical):
-    """Anchors around the origin; half of the robots under gravity are suspended, with z or y down."""
-    turn = (np.arange(cables) + rng.uniform(-0.3, 0.3, cables)) * math.tau / cables
-    around = size * np.column_stack([np.cos(turn), np.sin(turn)])
-    if in_plane:
-        if is_vertical and rng.random() < 0.5:
-            around[:, 1] = -np.abs(around[:, 1]) - 0.2 * size
-        return around
-    height = size * rng.uniform(-1.0, -0.4, cables)
-    if rng.random() < 0.5:
-        height[::2] *= -1
-    return np.column_stack([around, height])
-
-
-def _transmission(rng, mass, force, radius):
-    values = {"pulley_radius": radius, "pulley_inertia": 0.05 * mass * radius**2}
-    springs = rng.choice(["rigid", "rigid", "joint", "elastic"])
-    if springs == "joint":
-        values["stiffness"] = force * radius * 10 ** rng.uniform(0.0, 1.0)
-        values["motor_inertia"] = values["pulley_inertia"]
-    if springs == "elastic":
-        values["axial_stiffness"] = force * 10 ** rng.uniform(1.5, 2.5)
-        values["axial_damping"] = 0.02 * values["axial_stiffness"]
-    values["damping"] = 0.02 * values["pulley_inertia"]
-    return Transmission(**values)

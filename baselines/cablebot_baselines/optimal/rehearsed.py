@@ -111,7 +111,7 @@ def find_rehearsed_plan(task: Task, uncertainty: Uncertainty) -> PlannedMotion:
         uncertainty: the uncertainty.
 
     Raises:
-        Infeasible: if there is no motion within the error bounds for the expected robot.
+        Infeasible: as :meth:`PlanSearch.find`.
     """
     search = PlanSearch(replace(task, payload_known=False, model_payload=0.0), uncertainty)
     return cached_plan(
@@ -174,7 +174,8 @@ class PlanSearch:
         """The plan.
 
         Raises:
-            Infeasible: if there is no motion within the error bounds for the expected robot.
+            Infeasible: if there is no motion within the error bounds for the expected robot, or the
+                random robots fail unloaded.
         """
         program, plan = self._first_plan()
         most, best = -1.0, plan
@@ -197,6 +198,8 @@ class PlanSearch:
                 profile = replace(profile, action=BOLDER * profile.action)
             else:
                 profile = self._startable(grown_margins(profile, rehearsal))
+        if most < 0:
+            raise Infeasible("the random robots carry none of the plans")
         return best
 
     def _rehearsal(self, plan: PlannedMotion, fractions: tuple[float, ...]) -> Rehearsal:

@@ -53,20 +53,22 @@ def allocated_minimum(
 ) -> float:
     """Least tension that laws allocate, and that redundant cables have at rest [N].
 
-    It is ``usual``, less for weak motors or cables, or more for heavy cables; at most half way
-    between the robot's ``minimum_tension`` and the largest tension that all cables can have at once
-    when they hold the platform at home.
+    It is ``usual``, less for weak motors or cables, or more for heavy cables; at most half way from
+    the robot's ``minimum_tension`` to its largest tension, and to that which all cables can have at
+    once when they hold the platform at home.
     """
     strength = float(largest_tensions(robot).min())
     weaker = usual * strength / USUAL_STRENGTH
     minimum = max(min(usual, weaker), reserve * robot.minimum_tension)
-    if robot.cables <= robot.coordinates:
-        return minimum
-    structure = jacobian(robot, robot.home)
-    weight = bias(robot, robot.mass, robot.home, np.zeros(robot.coordinates))
-    # a common tension t pulls with −Sᵀ t; tensions ≥ 0 besides it hold weight and pull
-    common = largest_scale(structure, weight, structure.sum(axis=0), 0.0, np.inf, strength)
-    return min(minimum, (robot.minimum_tension + float(common.largest)) / 2)
+    most = strength
+    if robot.cables > robot.coordinates and not robot.weightless:
+        structure = jacobian(robot, robot.home)
+        weight = bias(robot, robot.mass, robot.home, np.zeros(robot.coordinates))
+        # a common tension t pulls with −Sᵀ t; tensions ≥ 0 besides it hold weight and pull
+        common = largest_scale(structure, weight, structure.sum(axis=0), 0.0, np.inf, strength)
+        if common.status == HELD:
+            most = float(common.largest)
+    return min(minimum, (robot.minimum_tension + most) / 2)
 
 
 def largest_tensions(robot: RobotArrays) -> Array:
