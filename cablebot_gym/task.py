@@ -44,6 +44,12 @@ class ErrorBounds:
         bound."""
         return max(0.1, 2 * self.position)
 
+    @property
+    def start_offset(self) -> float:
+        """Distance of the start pose under gravity from a motion that starts at rest [m], see
+        :func:`start_pose`."""
+        return min(self.position / 2, LARGEST_START_OFFSET)
+
 
 def find_error_bounds(
     error_bounds: ErrorBounds | Mapping[str, float] | None, robot: Robot
@@ -176,7 +182,7 @@ def start_pose(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) 
     start = trajectory(0.0)
     pose = np.array(start.position, float)
     if not robot.weightless and at_rest(start):
-        pose[robot.dimensions - 1] += min(error_bounds.position / 2, LARGEST_START_OFFSET)
+        pose[robot.dimensions - 1] += error_bounds.start_offset
     return pose
 
 

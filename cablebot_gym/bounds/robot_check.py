@@ -382,7 +382,7 @@ def _hanging_limit(robot: Robot, payload: float) -> PayloadLimit:
     proportion to its mass."""
     rest = home_at_rest(robot, robot.mass, robot.minimum_tension)
     lightest = robot.mass * robot.minimum_tension / rest.tensions
-    upper = np.minimum(robot.stall_torque / robot.pulley_radius, robot.maximum_tension)
+    upper = textbook.largest_tensions(robot)
     heaviest = robot.mass * upper / rest.tensions
     too_light = robot.mass + payload < lightest.max()
     coefficients = np.zeros(robot.cables)
@@ -479,7 +479,8 @@ def _softened(robot: Robot, rest: RestPose) -> Robot:
         return robot
     loose = sag(robot, rest.pose, rest.tensions)
     straight = loose.length + robot.extra_length
-    softer = straight / (loose.length / loose.stiffness_factor + robot.extra_length)
+    factor = np.maximum(loose.stiffness_factor, 1e-9)  # 0 of a slack cable
+    softer = straight / (loose.length / factor + robot.extra_length)
     transmission = robot.transmission.replace(axial_stiffness=softer * robot.axial_stiffness)
     return robot.replace(transmission=transmission)
 

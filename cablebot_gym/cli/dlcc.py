@@ -279,4 +279,8 @@ def _margins_text(result: DLCCResult) -> str:
         parts.append(f"rotation {result.details.margins['rotation']:.1%}")
     if "overload" in result.details.margins:
         parts.append(f"maximum tension {result.details.margins['overload']:.1%}")
-    return ", ".join([*parts, f"tension ≥ {result.details.margins['tension']:.1f} N"])
+    parts.append(f"tension ≥ {result.details.margins['tension']:.1f} N")
+    text = ", ".join(parts)
+    if result.draws > 1:
+        text += " (least over the draws that carry it)"
+    return text

@@ -18,7 +18,6 @@ from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.physics.compiling import compiled_at_once
 from cablebot_gym.physics.compiling.code_cache import REMEDY, code_folders, is_damaged, is_temporary
 from cablebot_gym.physics.textbook import (
-    allocated_minimum,
     holding_torque,
     normalised_action,
     static_torque,
@@ -179,10 +178,7 @@ def _statics_test(env_id: str) -> Iterator[Finding]:
         task: Task = env.unwrapped.task  # type: ignore[attr-defined]
         robot = task.robot
         pose = task.trajectory(0.0).position
-        minimum = allocated_minimum(robot)
-        torque = holding_torque(
-            robot, static_torque(robot, robot.mass + PAYLOAD, pose, minimum=minimum)
-        )
+        torque = holding_torque(robot, static_torque(robot, robot.mass + PAYLOAD, pose))
         action = normalised_action(robot, torque, np.zeros(robot.cables))
         with compiled_at_once():
             for _ in range(STEPS):

@@ -35,9 +35,7 @@ def export(
     number("payload", payload, least=0, unit="kg")
     torques = None
     if not robot.hanging:  # it may swing at home
-        mass = robot.mass + payload
-        minimum = textbook.allocated_minimum(robot)
-        torques = textbook.static_torque(robot, mass, robot.home, minimum=minimum)
+        torques = textbook.static_torque(robot, robot.mass + payload, robot.home)
     exported = export_mjcf(
         robot,
         payload=payload,

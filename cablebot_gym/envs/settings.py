@@ -14,12 +14,14 @@ from gymnasium import logger
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from cablebot_gym.envs.limits import minimum_tension
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.own_motion import own_motion
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import Measurement, find_measurement
 from cablebot_gym.physics import textbook
+from cablebot_gym.physics.distribution import HELD, feasible
 from cablebot_gym.physics.textbook import fastest_decay_rate, highest_frequency
 from cablebot_gym.robots import KIND_TEXTS, Cable, Robot, find_robot, has_paper_geometry
 from cablebot_gym.task import (
@@ -348,15 +350,16 @@ class Settings:
         return replace(self, **changes)
 
     def note_unheld_start(self) -> None:
-        """Warns, once, if the motors cannot hold even the least payload at the start of a motion
-        from rest."""
+        """Warns, once, if cables and motors cannot hold even the least payload at the start of a
+        motion from rest."""
         if not at_rest(self.trajectory(0.0)):
             return
         payload = float(np.min(self.payload))
         if self.payload_range is not None:
             payload = self.payload_range[0]
         pose = start_pose(self.robot, self.trajectory, self.error_bounds)
-        _note_unheld_pose(self.robot, payload, self.trajectory.name, tuple(pose.tolist()))
+        least = minimum_tension(self.robot, self.cable)
+        _note_unheld_pose(self.robot, payload, self.trajectory.name, tuple(pose.tolist()), least)
 
     @property
     def period(self) -> float:
@@ -506,16 +509,17 @@ def _check_motion(robot: Robot, motion: Trajectory, bounds: ErrorBounds) -> None
 
 
 @cache
-def _note_unheld_pose(robot: Robot, payload: float, motion: str, pose: tuple[float, ...]) -> None:
-    minimum = textbook.allocated_minimum(robot)
-    torque = textbook.static_torque(robot, robot.mass + payload, pose, minimum=minimum)
-    excess = np.abs(torque) - robot.stall_torque
-    motor = int(np.argmax(excess))
-    if excess[motor] > 0:
+def _note_unheld_pose(
+    robot: Robot, payload: float, motion: str, pose: tuple[float, ...], least: float
+) -> None:
+    structure = textbook.jacobian(robot, pose)
+    weight = textbook.bias(robot, robot.mass + payload, pose, np.zeros(robot.coordinates))
+    largest = textbook.largest_tensions(robot)
+    if feasible(structure, weight, np.maximum(least, -largest), largest).status != HELD:
         logger.warn(
-            f"robot {robot.name!r} with {payload:g} kg cannot be held at the start of {motion!r}: motor "
-            f"{motor + 1} needs {abs(torque[motor]):.3g} N·m and has {robot.stall_torque[motor]:.3g} N·m. All episodes "
-            "fail; `cablebot robot check` shows what the robot holds"
+            f"robot {robot.name!r} with {payload:g} kg cannot be held at the start of {motion!r}: no tensions from "
+            f"{least:g} N to {largest.max():.3g} N balance it. All episodes fail; `cablebot robot check` shows what "
+            "the robot holds"
         )
 
 

@@ -33,6 +33,9 @@ COARSE_RESOLUTION = 1e-2
 """Default resolution of every other search [kg]: the number of draws limits the accuracy, or it is a
 bisection."""
 
+FEWEST_GAPS = 200
+"""Least ratio of the end of the scan to the default resolution, which is finer for light robots."""
+
 
 def evaluate_dlcc(
     policy: Any,
@@ -63,7 +66,7 @@ def evaluate_dlcc(
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         payload_max: end of the scan [kg]; None for that of :func:`default_payload_max`.
         resolution: largest gap to the least failed payload [kg]; None for :data:`FINE_RESOLUTION` in
-            a scan with one draw, else :data:`COARSE_RESOLUTION`.
+            a scan with one draw, else :data:`COARSE_RESOLUTION`; finer for light robots.
         probability: required success probability; no effect with one draw.
         confidence: confidence of the payload as a one-sided lower tolerance bound; no effect with
             one draw.
@@ -104,6 +107,7 @@ def evaluate_dlcc(
         resolution = COARSE_RESOLUTION
         if is_scan and batch.draws == 1:
             resolution = FINE_RESOLUTION
+        resolution = min(resolution, payload_max / FEWEST_GAPS)
     resolution = number("resolution", resolution, above=0, unit="kg")
     title = f"{batch.policy.name}, {checked.criterion} criterion"
     with chosen_progress(progress, title) as on_step:

@@ -63,8 +63,7 @@ def equilibrium_torques(
 @lru_cache(maxsize=64)
 def _nominal_torques(robot: Robot, mass: float, pose: tuple[float, ...]) -> Array:
     """Torques that hold a mass at one pose, (1, m): most episodes start at the same one."""
-    minimum = textbook.allocated_minimum(robot)
-    return textbook.static_torque(robot, np.array([mass]), np.array([pose]), minimum=minimum)
+    return textbook.static_torque(robot, np.array([mass]), np.array([pose]))
 
 
 def motor_start(robot: RobotArrays, torque: Array, pose: Array, velocity: Array) -> MotorStart:

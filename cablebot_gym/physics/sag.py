@@ -19,6 +19,15 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.robots import GRAVITY, Robot
 from cablebot_gym.utils.checks import all_finite
 
+_LEAST_EXCESS = 1e-10
+"""Least extra length of a cable at its tension at rest in :func:`settle`, as a fraction of its chord.
+A plumb cable has none: without it, nothing would relate its tension to its length."""
+
+_HALVINGS = 50
+"""Largest number of halvings of a step of :func:`settle`."""
+
+_NOT_SETTLED = "no equilibrium on sagging cables was found: raise minimum_tension"
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sag:
@@ -61,7 +70,7 @@ def catenary(
     Args:
         across: horizontal distance d of the ends, shape (...) [m]; ≥ 0.
         rise: vertical distance h of the ends, shape (...) [m].
-        tension: T, shape (...) [N]; > 0.
+        tension: T, shape (...) [N]; ≥ 0.
         weight: w, shape (...) [N/m]; ≥ 0.
 
     Raises:
@@ -72,10 +81,11 @@ def catenary(
     weight = np.asarray(weight, float)
     across, height, tension, weight = np.broadcast_arrays(across, np.abs(rise), tension, weight)
     chord = np.hypot(across, height)
-    # With a = H/w, μ = d/(2a): the length is √(h² + (d sinh μ/μ)²), and the slope in the middle is
-    # sinh ξ.
-    ratio = weight * chord / (2 * tension)  # μ, because H = T d/chord
-    with np.errstate(over="ignore", invalid="ignore"):  # infinite where sinh μ overflows
+    # infinite without tension, and where sinh μ overflows
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        # With a = H/w, μ = d/(2a): the length is √(h² + (d sinh μ/μ)²), and the slope in the middle
+        # is sinh ξ.
+        ratio = weight * chord / (2 * tension)  # μ, because H = T d/chord
         longer = _sinh_excess(ratio) / np.where(ratio > 0, ratio, 1.0)  # sinh μ/μ − 1
         stretched = across * (1 + longer)
         both_lengths = np.hypot(height, stretched) + chord  # of cable and chord
@@ -102,11 +112,11 @@ def sag(robot: Robot, pose: ArrayLike, tensions: ArrayLike) -> Sag:
     across, rise = _chords(robot, pose)
     weight = _weights(robot)
     depth, extra = catenary(across, rise, tensions, weight)
-    bending = (weight * across / tensions) ** 2
     stiffness = np.full(robot.cables, np.inf)
     if robot.elastic:
         stiffness = robot.axial_stiffness
-    with np.errstate(invalid="ignore"):  # 0 · ∞ of a cable without weight
+    with np.errstate(divide="ignore", invalid="ignore"):  # cables without tension or weight
+        bending = (weight * across / tensions) ** 2
         irvine = np.where(bending > 0, bending * stiffness / tensions, 0.0)
     length = np.broadcast_to(np.hypot(across, rise), tensions.shape)
     return Sag(length=length, sag=depth, extra_length=extra, irvine=irvine)
@@ -170,14 +180,17 @@ def settle(robot: Robot, mass: float, pose: ArrayLike, tensions: ArrayLike) -> S
     chord = np.hypot(across, rise)
     weight = _weights(robot)
     sagging = (weight * across) ** 2 * chord / 24  # extra length times T²
+    if not np.any(sagging):
+        return Settled(pose_change=np.zeros_like(pose), tensions=straight)
+    if not straight.min() > 0:
+        raise ValueError(_NOT_SETTLED)
+    sagging = np.maximum(sagging, _LEAST_EXCESS * chord * straight**2)
     compliance = np.zeros(robot.cables)
     if robot.elastic:
         compliance = chord / robot.axial_stiffness
     change = np.zeros_like(pose)
     load = textbook.bias(robot, mass, pose, change)
     load = load + _cable_weight(robot, pose, weight * chord / 2)
-    if not np.any(sagging):
-        return Settled(pose_change=change, tensions=straight)
 
     def tensions_of(stretch: Array) -> Array:
         """Tensions of chords that are longer by ``stretch``, by bisection of their logarithms."""
@@ -200,14 +213,16 @@ def settle(robot: Robot, mass: float, pose: ArrayLike, tensions: ArrayLike) -> S
             return Settled(pose_change=change, tensions=tension)
         stiffness = 1 / (compliance + 2 * sagging / tension**3)  # of each cable
         step = np.linalg.solve(structure.T @ (stiffness[:, None] * structure), -unbalanced)
-        while True:  # the residual falls along a short enough step
+        for _ in range(_HALVINGS):  # the residual falls along a short enough step
             tension = tensions_of(structure @ (change + step))
             unbalanced = load + structure.T @ tension
-            if np.linalg.norm(unbalanced) < residual or np.abs(step).max() < 1e-15:
+            if np.linalg.norm(unbalanced) < residual:
                 break
             step = step / 2
+        else:  # also if the step is not finite
+            break
         change = change + step
-    raise ValueError("no equilibrium on sagging cables was found: raise minimum_tension")
+    raise ValueError(_NOT_SETTLED)
 
 
 def _cable_weight(robot: Robot, pose: Array, half: Array) -> Array:

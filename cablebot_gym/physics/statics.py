@@ -139,32 +139,25 @@ def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds
         return math.inf
     pose = start_pose(robot, trajectory, error_bounds)
     if not robot.weightless and robot.cables > robot.coordinates:
-        return _hold_payload_of_redundant_cables(robot, pose)
-    minimum = textbook.allocated_minimum(robot)
-    empty = textbook.static_torque(robot, robot.mass, pose, minimum=minimum)
-    loaded = textbook.static_torque(robot, robot.mass + 1.0, pose, minimum=minimum)
+        return _largest_at_rest(robot.replace(maximum_tension=math.inf), pose)
+    empty = textbook.static_torque(robot, robot.mass, pose)
+    loaded = textbook.static_torque(robot, robot.mass + 1.0, pose)
     slope = np.abs(loaded - empty)
     sign = np.where(loaded < empty, -1.0, 1.0)
     room = robot.stall_torque - sign * empty
-    unlimited = np.where(room < 0, -np.inf, np.inf)
-    with np.errstate(divide="ignore"):
+    unlimited = np.where(room < -1e-9 * robot.stall_torque, -np.inf, np.inf)
+    with np.errstate(divide="ignore", invalid="ignore"):
         payloads = np.where(slope > 0, room / slope, unlimited)
     return float(payloads.min())
 
 
-def _hold_payload_of_redundant_cables(robot: Robot, pose: Array) -> float:
-    """Largest payload that some tensions within the stall torques hold at a pose [kg]; ``-inf`` if
-    there is none."""
-    still = np.zeros_like(pose)
-    largest = robot.stall_torque / robot.pulley_radius
-    least = textbook.allocated_minimum(robot)
-    structure = textbook.jacobian(robot, pose)
-    per_kilogram = textbook.load(robot, 1.0, pose, still, still)
-    heaviest = (1 + HEAVIEST) * robot.mass
-    masses = largest_scale(structure, 0 * per_kilogram, per_kilogram, least, largest, heaviest)
-    if masses.status != HELD:
+def _largest_at_rest(robot: Robot, pose: Array) -> float:
+    """Largest payload that cables and motors hold at rest at a pose [kg]; ``-inf`` if they hold
+    none."""
+    payloads = feasible_payloads(robot, resting(pose[None]))
+    if payloads.status[0] != HELD:
         return -math.inf
-    return float(masses.largest) - robot.mass
+    return float(payloads.largest[0])
 
 
 def _payload_of_strength(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
@@ -172,11 +165,10 @@ def _payload_of_strength(robot: Robot, trajectory: Trajectory, error_bounds: Err
     or if the cables hold none there."""
     if robot.maximum_tension == math.inf:
         return math.inf
-    start = resting(start_pose(robot, trajectory, error_bounds)[None])
-    payloads = feasible_payloads(robot, start)
-    if payloads.status[0] != HELD:
+    largest = _largest_at_rest(robot, start_pose(robot, trajectory, error_bounds))
+    if largest < 0:
         return math.inf
-    return float(payloads.largest[0])
+    return largest
 
 
 EXACT_FACTOR = 5.0

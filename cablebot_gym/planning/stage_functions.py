@@ -155,9 +155,8 @@ def start_motors(robot: Robot, mass: Array, pose: Array, velocity: Array) -> tup
 
     The springs are at rest with the tensions that the environment gives them.
     """
-    minimum = textbook.allocated_minimum(robot)
     poses = np.broadcast_to(pose, (*np.shape(mass), robot.coordinates))
-    torque = textbook.static_torque(robot, mass, poses, minimum=minimum)
+    torque = textbook.static_torque(robot, mass, poses)
     start = motor_start(robot, torque, poses, velocity)
     return start.motor_angle, start.speed
 

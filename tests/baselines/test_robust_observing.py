@@ -7,8 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 from oracles.episodes import ROBOTS
 from scipy.linalg import solve_continuous_lyapunov
+from steering import tasks_of
 
 from cablebot_baselines.classical import BoundedRobustPD
+from cablebot_baselines.classical.observing import make_observing
 from cablebot_baselines.classical.robust_design import Peaks, RobustDesign
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_gym.uncertainty import find_uncertainty
@@ -148,3 +150,10 @@ def test_lyapunov_function_decreases_outside_the_layer_for_the_worst_errors():
             rates = np.stack([errors[..., 1], second], axis=-1)
             decrease = 2 * np.sum(errors * (rates @ p), axis=(-2, -1))
             assert np.all(decrease <= -np.sum(errors * (errors @ q), axis=(-2, -1)) + 1e-9)
+
+
+def test_robot_that_holds_every_payload_can_be_prepared():
+    """At rest in a horizontal plane no payload is the largest one."""
+    make_observing(ROBOTS["CableBot-Planar-v0"]).reset(
+        tasks_of("CableBot-Planar-v0", trajectory="dwell-planar")
+    )

@@ -83,10 +83,13 @@ def test_margins_follow_error_bounds_and_friction():
     assert exact_margins(rubbing, bounds).tension == pytest.approx(1.0 + 4.0)
 
 
-def test_margins_leave_the_tensions_of_springs_at_the_start():
+def test_margins_leave_tensions():
+    """Of springs those at the start, else half of those below the maximum tension."""
     robot = find_robot("flex-gch-klaus")
     margins = exact_margins(robot, ErrorBounds())
     assert robot.minimum_tension + margins.tension <= allocated_minimum(robot)
+    weak = find_robot("ttk4900").replace(maximum_tension=3.0)
+    assert exact_margins(weak, ErrorBounds()).tension == 0.5
 
 
 @pytest.mark.landing

@@ -126,6 +126,14 @@ def test_infeasible_motion_names_the_cause():
     assert "at the minimum tension of 900 N" in check.limit.reason
 
 
+def test_check_of_a_plumb_cable_ends():
+    """It neither sags nor stretches. The others sag and lift the platform off it."""
+    x, y, z = CAMERA.home_pose
+    plumb = CAMERA.replace(base_anchors=[*CAMERA.base_anchors, (x, y, z - 18)])
+    check = check_motion(plumb.replace(cable_density=1e-3, minimum_tension=1.0))
+    assert -1e-3 < check.settled[2] < 0
+
+
 @pytest.mark.parametrize(
     ("payload", "density", "tolerance"),
     [(0.0, 0.0, 1e-9), (20.0, 0.0, 1e-9), (0.0, 0.012, 3e-4)],

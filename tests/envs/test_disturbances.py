@@ -221,8 +221,7 @@ def test_actions_arrive_delayed(env_id, delay):
     late = make(env_id, uncertainty={"delay": delay}, **moving)
     prompt = make(env_id, **moving)
     start = prompt.settings.trajectory(0.0)
-    minimum = textbook.MINIMUM_TENSION
-    torque = textbook.static_torque(robot, robot.mass + 1.0, start.position, minimum=minimum)
+    torque = textbook.static_torque(robot, robot.mass + 1.0, start.position)
     drop = robot.speed_slope * textbook.pulley_speed(robot, start.position, start.velocity)
     hold = np.tile((torque + drop) / robot.stall_torque, (delay, 1))
     actions = random_actions(late, 25)

@@ -44,8 +44,7 @@ def at_rest(robot):
     """The exported robot with a payload, its mass [kg], and torques r T at rest at home."""
     payload = robot.defaults.payload() + 0.1 * robot.mass
     mass = robot.mass + payload
-    minimum = textbook.allocated_minimum(robot)
-    torques = textbook.static_torque(robot, mass, robot.home, minimum=minimum)
+    torques = textbook.static_torque(robot, mass, robot.home)
     exported = export_mjcf(robot, payload=payload, timestep=STEP, holding_torques=torques)
     return exported, mass, torques
 

@@ -3,6 +3,7 @@ delay."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -159,7 +160,8 @@ class ObserverLaw(ClassicalLaw):
         payload = float(self.robot.mass)
         if task is not None:
             exact = exact_payload(task.robot, task.trajectory)
-            payload = max(payload, exact.payload)
+            if math.isfinite(exact.payload):  # motors hold every payload at rest in a plane
+                payload = max(payload, exact.payload)
         return self._payload_prior * payload
 
     def _observer(self, period: float, payloads: Array) -> RobotObserver:

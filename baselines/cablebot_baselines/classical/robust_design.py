@@ -171,7 +171,8 @@ class RobustDesign:
         the velocity.
         """
         robot = self.robot
-        tensions = textbook.static_torque(robot, robot.mass, robot.home) / robot.pulley_radius
+        torque = textbook.static_torque(robot, robot.mass, robot.home, minimum=0.0)
+        tensions = torque / robot.pulley_radius
         margin = np.maximum(tensions - robot.minimum_tension, 0.0) / DEVIATIONS
         pose, velocity = self._noise
         by_pose = self._tension_slope**2 @ pose**2

@@ -116,8 +116,7 @@ class KinematicEstimator:
         reference = blocks["reference_pose"]
         if robot.flexible:
             mass = robot.mass + blocks["model_payload"][:, 0]
-            minimum = textbook.allocated_minimum(robot)
-            motor_angle = textbook.static_motor_angle(robot, mass, reference, minimum=minimum)
+            motor_angle = textbook.static_motor_angle(robot, mass, reference)
             deflection = motor_angle - textbook.pulley_angle(robot, reference)
             angle = angle - deflection
         guess = reference

@@ -239,10 +239,7 @@ class RobotObserver:
         correct(innovation, gradient, variance, mean, covariance)
 
     def _holding_torque(self, mass: float, pose: Array) -> Array:
-        robot = self.robot
-        masses = np.full(len(pose), mass)
-        minimum = textbook.allocated_minimum(robot)
-        return textbook.static_torque(robot, masses, pose, minimum=minimum)
+        return textbook.static_torque(self.robot, np.full(len(pose), mass), pose)
 
     # One control period
 

@@ -383,8 +383,7 @@ def _static(robot: Robot, mass: Array, pose: Array) -> tuple[Array, Array, Array
     """Torques at rest (N, m), and their derivatives with respect to X (N, m, n) and to the mass (N,
     m)."""
     poses, masses = varied(pose, mass)
-    minimum = textbook.allocated_minimum(robot)
-    torques = textbook.static_torque(robot, masses, poses, minimum=minimum)
+    torques = textbook.static_torque(robot, masses, poses)
     quotients = np.moveaxis(torques[1:] - torques[0], 0, -1) / STEP
     return torques[0], quotients[..., :-1], quotients[..., -1]
 

@@ -4,6 +4,7 @@ executes no code."""
 from __future__ import annotations
 
 import json
+import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -24,15 +25,16 @@ from cablebot_baselines.learned.steering import (
 from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import Robot, find_robot
+from cablebot_gym.task import find_error_bounds
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.files import atomic_write
 
 FORMAT = 1
 """Format number of bundles; a newer number is rejected."""
 
-SETTLING_PERIOD = 0.1
-"""Action period of a base law alone [s]: its shift from the start pose to zero takes a few periods,
-so that the cables stay taut."""
+SETTLING_ACCELERATION = 0.5
+"""Acceleration with which the shift of a base law alone leaves the start pose [m/s²]. A twentieth of
+gravity leaves the cables taut."""
 
 _MEMBER = "bundle"
 """Name of the array that holds the JSON."""
@@ -97,8 +99,10 @@ class Bundle:
     @property
     def base_alone(self) -> Bundle:
         """The policy without its network: the reference of a base law moves slowly from the start
-        pose to that of the task."""
-        mapping = replace(self.action_mapping, action_period=SETTLING_PERIOD)
+        pose to that of the task, in a few action periods."""
+        offset = find_error_bounds(None, _training_robot(self.env_id)).start_offset
+        period = math.sqrt(offset / SETTLING_ACCELERATION)
+        mapping = replace(self.action_mapping, action_period=period)
         network = zero_network(self.network.inputs, self.network.outputs)
         return replace(
             self, action_mapping=mapping, network=network, card={"note": "the base law alone"}

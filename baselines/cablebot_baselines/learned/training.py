@@ -10,6 +10,7 @@ trust.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from contextlib import closing, suppress
 from pathlib import Path
@@ -127,6 +128,10 @@ def train(
             progress=progress,
             say=say,
         )
+        rollout = model.n_envs * getattr(model, "n_steps", 1)  # SAC and TQC have no n_steps
+        total = state.timesteps + math.ceil((timesteps - state.timesteps) / rollout) * rollout
+        if say and total > timesteps:
+            say(f"trains {total:,} timesteps: whole rollouts of {rollout:,}")
         if not resume:
             run.start()
         _learn(model, _RunCallback(run, _curriculum(steered)), run)

@@ -111,7 +111,7 @@ def find_rehearsed_plan(task: Task, uncertainty: Uncertainty) -> PlannedMotion:
         uncertainty: the uncertainty.
 
     Raises:
-        Infeasible: if there is no motion within the error bounds for the expected robot.
+        Infeasible: as :meth:`PlanSearch.find`.
     """
     search = PlanSearch(replace(task, payload_known=False, model_payload=0.0), uncertainty)
     return cached_plan(
@@ -174,7 +174,8 @@ class PlanSearch:
         """The plan.
 
         Raises:
-            Infeasible: if there is no motion within the error bounds for the expected robot.
+            Infeasible: if there is no motion within the error bounds for the expected robot, or the
+                random robots fail unloaded.
         """
         program, plan = self._first_plan()
         most, best = -1.0, plan
@@ -197,6 +198,8 @@ class PlanSearch:
                 profile = replace(profile, action=BOLDER * profile.action)
             else:
                 profile = self._startable(grown_margins(profile, rehearsal))
+        if most < 0:
+            raise Infeasible("the random robots carry none of the plans")
         return best
 
     def _rehearsal(self, plan: PlannedMotion, fractions: tuple[float, ...]) -> Rehearsal:
@@ -241,9 +244,7 @@ class PlanSearch:
         if bias is not None:
             position += min(biases * bias.position, bounds.position / 4)
             rotation += min(biases * bias.rotation, bounds.rotation / 4)
-        tension = margins.tension
-        if robot.flexible:
-            tension = min(tension, SPRING_RESERVE * _reserve(robot))
+        tension = min(margins.tension, largest_tension_margin(robot))
         return replace(margins, position=position, rotation=rotation, tension=tension)
 
     def _split(self, profile: MarginProfile) -> tuple[Margins, MarginProfile]:
@@ -252,7 +253,8 @@ class PlanSearch:
         margins = self._margins(LEAST_MARGINS)
         robot = self._expectation.robot
         if robot.cables > robot.coordinates and not robot.flexible:
-            tension = margins.tension + float(profile.tension.max())
+            tension = margins.tension + profile.tension.max()
+            tension = min(float(tension), largest_tension_margin(robot))
             margins = replace(margins, tension=tension)
             profile = replace(profile, tension=np.zeros_like(profile.tension))
         return margins, profile
@@ -266,6 +268,15 @@ class PlanSearch:
         ceiling = np.maximum(SPRING_RESERVE * _reserve(robot) - least, 0.0)
         ceiling = ceiling + SPRING_RATE * profile.times
         return replace(profile, tension=np.minimum(profile.tension, ceiling))
+
+
+def largest_tension_margin(robot: Robot) -> float:
+    """Largest constant margin of a plan to the minimum and the maximum tension [N]: half of the
+    tensions between them remain. The springs can have it at the start, too."""
+    largest = (robot.maximum_tension - robot.minimum_tension) / 4
+    if robot.flexible:
+        largest = min(largest, SPRING_RESERVE * _reserve(robot))
+    return largest
 
 
 def _reserve(robot: Robot) -> float:

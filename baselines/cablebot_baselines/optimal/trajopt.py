@@ -18,8 +18,12 @@ from cablebot_baselines.entries import entry
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.estimation.expectation import Expectation
 from cablebot_baselines.optimal.plan_law import AdaptivePlanLaw, TrackingGains
-from cablebot_baselines.optimal.rehearsed import find_rehearsed_plan, intervals_of, tracking_law
-from cablebot_gym.physics import textbook
+from cablebot_baselines.optimal.rehearsed import (
+    find_rehearsed_plan,
+    intervals_of,
+    largest_tension_margin,
+    tracking_law,
+)
 from cablebot_gym.planning import Infeasible, Margins, PlannedMotion, plan_motion
 from cablebot_gym.planning.stage_functions import check_model, import_casadi
 from cablebot_gym.robots import Robot
@@ -52,20 +56,17 @@ def exact_margins(robot: Robot, error_bounds: ErrorBounds) -> Margins:
     """Margins of the plan for an exactly known robot.
 
     When a motor reverses, its friction changes sign within a control period. Without springs this
-    changes the tension of its cable, so the margin includes Coulomb friction. With springs and
-    redundant cables the margin is at most that at the start of an episode.
+    changes the tension of its cable, so the margin includes Coulomb friction.
     """
     margins = EXACT_MARGINS[robot.joints]
     tension = margins.tension
     if not robot.flexible:
         tension += float((robot.coulomb_friction / robot.pulley_radius).max())
-    elif robot.cables > robot.coordinates:
-        tension = min(tension, textbook.allocated_minimum(robot) - robot.minimum_tension)
     return replace(
         margins,
         position=ERROR_MARGIN * error_bounds.position,
         rotation=ERROR_MARGIN * error_bounds.rotation,
-        tension=tension,
+        tension=min(tension, largest_tension_margin(robot)),
     )
 
 

@@ -15,6 +15,8 @@ from cablebot_gym.kinematics import Array, as_numbers, times_vector
 from cablebot_gym.physics.distribution import (
     BARRIER,
     HELD,
+    largest_scale,
+    least_norm,
     unchecked_central,
     unchecked_least_largest_action,
 )
@@ -33,33 +35,84 @@ from cablebot_gym.robots import Cable, Robot, find_robot
 from cablebot_gym.uncertainty import RobotArrays
 
 MINIMUM_TENSION = 5.0
-"""Default minimum tension T_min of planar robots [N], for control laws and for springs at rest.
-With 0 the cables become slack at once in closed loop; a few newtons keep them taut."""
+"""Usual least tension T_min of redundant cables [N], for control laws and at rest. With 0 the cables
+become slack at once in closed loop; a few newtons keep them taut."""
+
+USUAL_STRENGTH = 50.0
+"""Strength of motors and cables from which on robots have the usual least tension [N], half of that
+of the paper's planar robot. On weaker robots it is less in proportion."""
 
 TENSION_RESERVE = 1.2
 """Least tension that laws allocate, as a multiple of the robot's own ``minimum_tension``, if that
 is more."""
 
 
+@lru_cache(maxsize=64)
 def allocated_minimum(
     robot: Robot, usual: float = MINIMUM_TENSION, reserve: float = TENSION_RESERVE
 ) -> float:
-    """Least tension that laws allocate, and that the springs have at rest [N]: ``usual``, or more
-    for heavy cables."""
-    return max(usual, reserve * robot.minimum_tension)
+    """Least tension that laws allocate, and that redundant cables have at rest [N].
+
+    It is ``usual``, less for weak motors or cables, or more for heavy cables; at most half way from
+    the robot's ``minimum_tension`` to its largest tension, and to that which all cables can have at
+    once when they hold the platform at home.
+    """
+    strength = float(largest_tensions(robot).min())
+    weaker = usual * strength / USUAL_STRENGTH
+    minimum = max(min(usual, weaker), reserve * robot.minimum_tension)
+    most = strength
+    if robot.cables > robot.coordinates and not robot.weightless:
+        structure = jacobian(robot, robot.home)
+        weight = bias(robot, robot.mass, robot.home, np.zeros(robot.coordinates))
+        # a common tension t pulls with −Sᵀ t; tensions ≥ 0 besides it hold weight and pull
+        common = largest_scale(structure, weight, structure.sum(axis=0), 0.0, np.inf, strength)
+        if common.status == HELD:
+            most = float(common.largest)
+    return min(minimum, (robot.minimum_tension + most) / 2)
+
+
+def largest_tensions(robot: RobotArrays) -> Array:
+    """Largest tensions at rest by the stall torques and the maximum tension, (..., m) [N]."""
+    tensions: Array = np.minimum(robot.stall_torque / robot.pulley_radius, robot.maximum_tension)
+    return tensions
 
 
 def static_torque(
-    robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, *, minimum: float = 0.0
+    robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, *, minimum: float | None = None
 ) -> Array:
-    """Torque r T at rest [N·m], shape (..., m). T and ``minimum`` are as in
-    :func:`required_tensions`.
+    """Torque r T at rest [N·m], shape (..., m), by default that of the start of an episode. T and
+    ``minimum`` are as in :func:`required_tensions`; None for :func:`allocated_minimum`.
 
-    With elastic cables :func:`holding_torque` of it is the motor torque.
+    Where redundant cables would not hold the robot or exceed their largest tension, T is nearest to
+    ``minimum`` within the robot's bounds of the tension, or without its minimum tension if that
+    holds the robot. With elastic cables :func:`holding_torque` of it is the motor torque.
     """
+    if minimum is None:
+        minimum = allocated_minimum(robot)
     zero = np.zeros_like(np.asarray(pose, float))
     tensions = required_tensions(robot, mass, pose, zero, zero, minimum=minimum, strict=False)
+    if robot.cables > robot.coordinates:
+        tensions = _holding_tensions(robot, mass, pose, tensions, minimum)
     return robot.pulley_radius * tensions
+
+
+def _holding_tensions(
+    robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, tensions: Array, minimum: float
+) -> Array:
+    """Tensions (..., m), replaced where they do not hold the robot at rest or are too large."""
+    still = np.zeros(robot.coordinates)
+    structure = jacobian(robot, pose)
+    wrench = load(robot, mass, pose, still, still)
+    largest = largest_tensions(robot)
+    for least in (robot.minimum_tension, 0.0):
+        missing = np.abs(wrench + times_vector(structure.mT, tensions)).max(axis=-1)
+        unheld = (missing > 1e-6 * tensions.max(axis=-1)) | np.any(tensions > largest, axis=-1)
+        if not np.any(unheld):
+            break
+        nearest = least_norm(structure, wrench, least, largest, minimum)
+        replaced = unheld & (nearest.status == HELD)
+        tensions = np.where(replaced[..., None], nearest.tensions, tensions)
+    return tensions
 
 
 def holding_torque(robot: RobotArrays, torque: Array) -> Array:
@@ -105,14 +158,9 @@ def rest_angles(robot: RobotArrays, tensions: ArrayLike, pose: ArrayLike) -> tup
     return pulley, pulley
 
 
-def static_motor_angle(
-    robot: RobotArrays, mass: ArrayLike, pose: ArrayLike, *, minimum: float = 0.0
-) -> Array:
-    """Motor angle β′ of a flexible robot at rest [rad], shape (..., m), see :func:`rest_angles`.
-
-    ``minimum`` is as in :func:`required_tensions`.
-    """
-    tensions = static_torque(robot, mass, pose, minimum=minimum) / robot.pulley_radius
+def static_motor_angle(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Array:
+    """Motor angle β′ of a flexible robot at rest [rad], shape (..., m), see :func:`rest_angles`."""
+    tensions = static_torque(robot, mass, pose) / robot.pulley_radius
     motor_angle, _ = rest_angles(robot, tensions, pose)
     return motor_angle
 
