@@ -18,8 +18,9 @@ _LOWER, _MEDIAN, _UPPER = 0.15866, 0.5, 0.84134
 sides."""
 
 
-UNKNOWN_START = (1.0, 1.0)
-"""Standard deviations of an unknown start pose [m, rad]. Any large ones give the same estimates."""
+UNKNOWN_START = (0.1, 0.1)
+"""Standard deviations of an unknown start pose [m, rad]. Any that are far above the errors of the
+lengths give the same estimates; larger ones leave fewer digits."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
