@@ -1,6 +1,8 @@
 """Defaults of a robot that brings none: error bounds, end of the scan; and a start that is not
 held."""
 
+import math
+
 import gymnasium as gym
 import pytest
 from oracles.episodes import PLANAR as PLANAR_ID
@@ -8,6 +10,7 @@ from oracles.episodes import PLANAR as PLANAR_ID
 from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.evaluator import default_payload_max
+from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, Defaults, Motors, Robot, find_robot
 from cablebot_gym.task import find_error_bounds
 from cablebot_gym.trajectories import find_trajectory
@@ -31,6 +34,14 @@ def test_start_that_the_motors_cannot_hold_is_a_warning(construct):
     message = r"cannot be held at the start of .*: no tensions from 1 N to 6 N .* All episodes fail"
     with pytest.warns(UserWarning, match=message):
         construct(fitting_env_id(weak), robot=weak)
+
+
+def test_least_tension_follows_strength_and_weight():
+    weak = PLANAR.replace(maximum_tension=20.0)
+    light = find_robot("stadium-camera").replace(mass=0.1, minimum_tension=0.0)
+    least = [textbook.allocated_minimum(robot) for robot in (PLANAR, weak, light)]
+    # of the camera half of the tensions that hold it at home
+    assert least == [5.0, 2.0, pytest.approx(0.05 * 9.81 / 4 * math.hypot(18, 60, 40) / 18)]
 
 
 SMALL = PLANAR.replace(

@@ -46,7 +46,7 @@ def _random_values(rng, robot):
         "transmission": {"pulley_radius": radius, "pulley_inertia": inertia} | rng.choice(springs),
         "minimum_tension": rng.choice([0, 1, 0.01 * force]),
         "maximum_tension": rng.choice([math.inf, 2 + 0.3 * force]),
-        "cable_density": rng.choice([0, 1e-5 * mass]),
+        "cable_density": 1e-5 * mass,
     }
     if not robot.point_mass:
         values["platform_anchors"] = robot.platform[chosen] + 0.3 * noise
