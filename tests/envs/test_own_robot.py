@@ -12,10 +12,9 @@ from cablebot_gym.robots import PLANAR, Defaults, Motors, Robot, find_robot
 from cablebot_gym.task import find_error_bounds
 from cablebot_gym.trajectories import find_trajectory
 
-CORNERS = ((-2.0, -1.0), (2.0, -1.0), (2.0, 1.5), (-2.0, 1.5))
 BASE = Robot(
     name="mine",
-    base_anchors=CORNERS,
+    base_anchors=((-2.0, -1.0), (2.0, -1.0), (2.0, 1.5), (-2.0, 1.5)),
     mass=3.0,
     motors=Motors(stall_torque=4.0, free_speed=100.0),
     transmission=PLANAR.transmission,
