@@ -156,7 +156,6 @@ def test_invalid_values_leave_no_file(tmp_path, changes, options, message):
 def test_whole_rollouts_are_announced(tmp_path, monkeypatch):
     """Before the work."""
     monkeypatch.setattr(training, "_learn", lambda *_: None)
-    monkeypatch.setattr(runs.Run, "start", lambda _: None)
     said = []
     run(tmp_path / "run", timesteps=200, say=said.append)
     assert said == ["trains 256 timesteps: whole rollouts of 128"]

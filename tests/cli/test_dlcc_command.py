@@ -75,6 +75,7 @@ def test_options_reach_the_evaluation(cablebot):
     for path, value in OPTIONS.values():
         assert value_at(after, path) == value, path
         assert value_at(before, path) != value, path
+    assert "least over the draws" in cablebot(QUICK + SEVERAL).out
 
 
 def test_uncertainty_is_read_from_a_file(cablebot, tmp_path):

@@ -3,19 +3,18 @@ held."""
 
 import gymnasium as gym
 import pytest
-from oracles.episodes import PLANAR as PLANAR_ID
 
 from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.evaluator import default_payload_max
+from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, Defaults, Motors, Robot, find_robot
 from cablebot_gym.task import find_error_bounds
 from cablebot_gym.trajectories import find_trajectory
 
-CORNERS = ((-2.0, -1.0), (2.0, -1.0), (2.0, 1.5), (-2.0, 1.5))
 BASE = Robot(
     name="mine",
-    base_anchors=CORNERS,
+    base_anchors=((-2.0, -1.0), (2.0, -1.0), (2.0, 1.5), (-2.0, 1.5)),
     mass=3.0,
     motors=Motors(stall_torque=4.0, free_speed=100.0),
     transmission=PLANAR.transmission,
@@ -23,14 +22,19 @@ BASE = Robot(
 )
 
 
-@pytest.mark.parametrize("construct", [gym.make, gym.make_vec])
-def test_start_that_the_motors_cannot_hold_is_a_warning(construct):
-    construct(PLANAR_ID, robot=BASE.to_dict()).reset(seed=0)  # without a warning
-    motors = BASE.motors.replace(stall_torque=0.3)
-    weak = BASE.replace(name=construct.__name__, plane="vertical", motors=motors)
+def test_start_that_the_motors_cannot_hold_is_a_warning():
+    """That ``gym.make`` warns of no other start, the random robots test."""
+    weak = BASE.replace(plane="vertical", motors=BASE.motors.replace(stall_torque=0.3))
     message = r"cannot be held at the start of .*: no tensions from 1 N to 6 N .* All episodes fail"
     with pytest.warns(UserWarning, match=message):
-        construct(fitting_env_id(weak), robot=weak)
+        gym.make_vec(fitting_env_id(weak), robot=weak)
+
+
+def test_least_tension_follows_strength_and_weight():
+    weak = PLANAR.replace(maximum_tension=20.0)
+    light = find_robot("stadium-camera").replace(mass=0.1, minimum_tension=0.0)
+    least = [textbook.allocated_minimum(robot) for robot in (PLANAR, weak, light)]
+    assert least == [5.0, 2.0, pytest.approx(0.50633, abs=1e-5)]  # half of the tensions at home
 
 
 SMALL = PLANAR.replace(
