@@ -120,7 +120,7 @@ def check_extras() -> None:
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "ppo.yaml").write_text(TRAINING, encoding="utf-8")
         for arguments in (
-            "train CableBot-Planar-v0 --algo ppo --config ppo.yaml --out run --eval-every 512",
+            "train CableBot-Planar-v0 --config ppo.yaml --out run --eval-every 512",
             "dlcc CableBot-Planar-v0 --policy run/best.zip --resolution 0.5 --out figures",
             "benchmark --suite smoke --policies fl,adaptive --out benchmark",
         ):

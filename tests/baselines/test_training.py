@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from cablebot_baselines.learned import runs, training
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.config import ALGORITHMS, algorithm_class, make_config
+from cablebot_baselines.learned.config import make_config
 from cablebot_baselines.learned.export import network_from_sb3
 from cablebot_baselines.learned.recipe import trained_policy
 from cablebot_baselines.learned.runs import TrainingResult, read_yaml
@@ -42,31 +42,31 @@ WRAPPERS = """
         steering: {kind: shift, action_period: 0.04, degree: 2}
         features: [time_since_start, actions, error, model_payload]
 """
-COMMON = """
+TINY = """
+  n_envs: 32
+  n_steps: 4
+  batch_size: 64
+  n_epochs: 2
+  policy_kwargs: {net_arch: [8]}
   n_timesteps: 256
   policy: MlpPolicy
   learning_rate: lin_1e-3
   normalize: true
   env_kwargs: {control_frequency: 100, trajectory: paper-planar, max_episode_steps: 100, terminate_on_violation: true}
 """
-TINY = {
-    "ppo": f"  n_envs: 32\n  n_steps: 4\n  batch_size: 64\n  n_epochs: 2\n  policy_kwargs: {{net_arch: [8]}}\n{COMMON}",
-    "sac": f"  n_envs: 8\n  buffer_size: 400\n  learning_starts: 64\n  batch_size: 32\n  gradient_steps: 1\n{COMMON}",
-}
-TINY["tqc"] = TINY["sac"]
 
 
-def plain(algorithm="ppo", **changes):
+def plain(**changes):
     """Content of a configuration that trains in a second, with changes."""
-    return yaml.safe_load(f"{TINY[algorithm]}  env_wrapper:{WRAPPERS}") | changes
+    return yaml.safe_load(f"{TINY}  env_wrapper:{WRAPPERS}") | changes
 
 
-def run(out, algorithm="ppo", changes=None, **options):
+def run(out, changes=None, **options):
     """A training with a tiny configuration, which is written next to its folder."""
-    path = out.with_name(f"{algorithm}.yaml")
-    path.write_text(yaml.safe_dump({"default": plain(algorithm, **(changes or {}))}))
+    path = out.with_name("ppo.yaml")
+    path.write_text(yaml.safe_dump({"default": plain(**(changes or {}))}))
     defaults = {"evaluation": QUICK, "eval_every": 128, "checkpoint_every": 64}
-    return training.train(PLANAR, out=out, algorithm=algorithm, config=path, **(defaults | options))
+    return training.train(PLANAR, out=out, config=path, **(defaults | options))
 
 
 def weights(path):
@@ -102,19 +102,18 @@ def copied(trained, tmp_path):
 
 
 def test_shipped_configurations_are_valid():
-    for algorithm in ALGORITHMS:
-        for env_id in ENV_IDS:
-            config = make_config(read_yaml(env_id, runs.Path(algorithm)))
-            names = [wrapper.__name__ for wrapper, _ in config.wrappers]
-            assert names == ["PayloadCurriculum", "Steered"]
-            assert config.env_kwargs["terminate_on_violation"]
-            assert config.normalize["gamma"] == config.model["gamma"]
+    for env_id in ENV_IDS:
+        config = make_config(read_yaml(env_id, runs.HYPERPARAMS))
+        names = [wrapper.__name__ for wrapper, _ in config.wrappers]
+        assert names == ["PayloadCurriculum", "Steered"]
+        assert config.env_kwargs["terminate_on_violation"]
+        assert config.normalize["gamma"] == config.model["gamma"]
 
 
 @pytest.mark.parametrize("env_id", ENV_IDS)
 def test_default_settings_follow_from_the_robot(env_id):
     """Nothing is compiled, because no environment is reset."""
-    default = make_config(read_yaml("a robot without a key", runs.Path("ppo")))
+    default = make_config(read_yaml("a robot without a key", runs.HYPERPARAMS))
     env: Any = gym.make_vec(
         env_id, num_envs=2, autoreset_mode=AutoresetMode.DISABLED, **default.env_kwargs
     )
@@ -141,7 +140,7 @@ def test_model_of_other_environments_is_refused():
             {},
             "policy_kwargs must be a mapping or text such as",
         ),
-        ({"nsteps": 5}, {}, "ppo rejects the hyperparameters .*nsteps"),
+        ({"nsteps": 5}, {}, "PPO rejects the hyperparameters .*nsteps"),
         ({"policy_kwargs": "dict(activation_fn=nn.ELU)"}, {}, "only linear layers"),
         ({"normalize": "dict(clip_obs=5.0)"}, {}, "clip_obs=10"),
         ({}, {"evaluation": {"draw": 3}}, "draw"),
@@ -162,18 +161,16 @@ def test_whole_rollouts_are_announced(tmp_path, monkeypatch):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("algorithm", "activation"), [("ppo", "Tanh"), ("sac", "ReLU"), ("tqc", "Tanh")]
-)
-def test_exported_network_equals_the_model(algorithm, activation):
+@pytest.mark.parametrize("activation", ["Tanh", "ReLU"])
+def test_exported_network_equals_the_model(activation):
     config = make_config(
-        plain(algorithm, policy_kwargs=f"dict(net_arch=[9, 5], activation_fn=nn.{activation})")
+        plain(policy_kwargs=f"dict(net_arch=[9, 5], activation_fn=nn.{activation})")
     )
     envs = make_steered_vec(
         PLANAR, config.n_envs, wrappers=config.wrappers, seed=0, **config.env_kwargs
     )
     normalize = VecNormalize(CableBotVecEnv(envs), **config.normalize)
-    model = algorithm_class(algorithm)(env=normalize, seed=3, device="cpu", **config.model)
+    model = PPO(env=normalize, seed=3, device="cpu", **config.model)
     with runs.torch_threads(1):
         model.learn(128)
     network = network_from_sb3(model)
@@ -362,9 +359,8 @@ def test_run_is_resumed_only_with_its_settings(trained, tmp_path):
     with pytest.raises(ValueError, match="already contains a run: add --resume"):
         run(trained)
     for changes in (
-        {"algorithm": "sac"},
         {"seed": 4},
-        {"config": runs.HYPERPARAMS / "ppo.yaml"},
+        {"config": runs.HYPERPARAMS},
         {"evaluation": {}},
     ):
         with pytest.raises(ValueError, match="was started with"):

@@ -120,7 +120,6 @@ ERRORS = (
     (EXPORT + "my.xml --payload -1", 2, "at least 0 kg"),
     (EXPORT + "my.xml --json", 2, "No such option: --json. Example: cablebot robot export"),
     (TRAIN + "file/below", 2, ""),
-    (TRAIN + "run --algo dqn", 2, "choose one of ppo, sac, tqc"),
     (TRAIN + "run --evaluation [1]", 2, "--evaluation must be a JSON object"),
     (f"best-known {PLANAR} --position-bound 0.01", 2, "position"),
 )

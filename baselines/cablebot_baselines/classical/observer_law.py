@@ -3,7 +3,6 @@ delay."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,10 +13,9 @@ from numpy.typing import NDArray
 from cablebot_baselines.classical.allocation import allocate
 from cablebot_baselines.classical.law import Array, ClassicalLaw
 from cablebot_baselines.episodes import first_steps
-from cablebot_baselines.estimation.expectation import Expectation
+from cablebot_baselines.estimation.expectation import Expectation, possible_payload
 from cablebot_baselines.estimation.observer import RobotObserver
 from cablebot_baselines.estimation.observer_state import ObserverState, RobotEstimate
-from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.robots import Robot
@@ -157,12 +155,7 @@ class ObserverLaw(ClassicalLaw):
         """Largest payload that is considered possible in a task; None for an unknown task [kg]."""
         if self.largest_payload is not None:
             return self.largest_payload
-        payload = float(self.robot.mass)
-        if task is not None:
-            exact = exact_payload(task.robot, task.trajectory)
-            if math.isfinite(exact.payload):  # motors hold every payload at rest in a plane
-                payload = max(payload, exact.payload)
-        return self._payload_prior * payload
+        return self._payload_prior * possible_payload(self.robot, task)
 
     def _observer(self, period: float, payloads: Array) -> RobotObserver:
         if np.ptp(payloads) == 0:

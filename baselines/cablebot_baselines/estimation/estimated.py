@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.episodes import first_steps
-from cablebot_baselines.estimation.expectation import UNKNOWN_START, Expectation
+from cablebot_baselines.estimation.expectation import UNKNOWN_START, Expectation, possible_payload
 from cablebot_baselines.estimation.observer import RobotObserver
 from cablebot_baselines.estimation.observer_state import ObserverState
-from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.envs.observation import ObservationLayout, observation_layout
 from cablebot_gym.measurement import POSE
 from cablebot_gym.physics import textbook
@@ -95,17 +94,13 @@ class KinematicEstimator:
 
     Args:
         robot: nominal robot.
-        difference: whether the velocity is the difference quotient of the poses instead.
     """
 
-    def __init__(self, robot: Robot, *, difference: bool = False) -> None:
+    def __init__(self, robot: Robot) -> None:
         self.robot = robot
-        self._difference = difference
-        self._period = 2e-3
 
     def reset(self, tasks: Sequence[Task]) -> None:
-        """Reads the control period."""
-        self._period = 1 / tasks[0].control_frequency
+        """Reads nothing."""
 
     def update(
         self, blocks: dict[str, Array], state: Any, starts: NDArray[np.bool_]
@@ -124,11 +119,6 @@ class KinematicEstimator:
             guess = np.where(starts[:, None], reference, state)
         home = textbook.cable_lengths(robot, robot.home)
         pose = forward_kinematics(robot, home - robot.pulley_radius * angle, guess).pose
-        if self._difference:
-            previous = pose
-            if state is not None:
-                previous = np.where(starts[:, None], pose, state)
-            return {"pose": pose, "velocity": (pose - previous) / self._period}, pose
         inverse = np.linalg.pinv(textbook.jacobian(robot, pose))
         rates = -robot.pulley_radius * blocks["motor_speed"]
         velocity = (inverse @ rates[..., None])[..., 0]
@@ -152,11 +142,10 @@ class WinchEstimator:
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Makes the observer for sensors, control period and start poses of the tasks."""
-        largest = max(self.robot.mass, exact_payload(self.robot, tasks[0].trajectory).payload)
         self.observer = RobotObserver(
             self.expectation,
             1 / tasks[0].control_frequency,
-            largest_payload=largest,
+            largest_payload=possible_payload(self.robot, tasks[0]),
             measurement=tasks[0].measurement,
             start_pose=np.array([task.start_pose for task in tasks]),
         )

@@ -3,14 +3,17 @@ uncertainty."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
+from cablebot_gym.task import Task
 from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, SensorNoise, Uncertainty
 
 _LOWER, _MEDIAN, _UPPER = 0.15866, 0.5, 0.84134
@@ -21,6 +24,18 @@ sides."""
 UNKNOWN_START = (0.1, 0.1)
 """Standard deviations of an unknown start pose [m, rad]. Any that are far above the errors of the
 lengths give the same estimates; larger ones leave fewer digits."""
+
+
+def possible_payload(robot: Robot, task: Task | None) -> float:
+    """Largest payload that is considered possible if the payload is unknown [kg]: the one with which
+    the motors can follow the motion exactly, at least the mass of the platform; this mass for an
+    unknown task, or where the motors hold every payload."""
+    payload = float(robot.mass)
+    if task is not None:
+        exact = exact_payload(task.robot, task.trajectory)
+        if math.isfinite(exact.payload):
+            payload = max(payload, exact.payload)
+    return payload
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,10 +16,9 @@ def train(
         str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0.")
     ],
     out: Annotated[Path, "Folder of the run: checkpoint, policies, evaluations, logs."],
-    algo: Annotated[str | None, "ppo, sac or tqc. Default: ppo."] = None,
     config: Annotated[
         Path | None,
-        "YAML file of hyperparameters by environment, or the name of a shipped one.",
+        "YAML file of hyperparameters by environment. Default: the shipped one.",
     ] = None,
     seed: Annotated[
         int | None, "Seed of weights, exploration and environments. Default: 0."
@@ -55,7 +54,7 @@ def train(
 
     Examples:
 
-    cablebot train CableBot-Spatial-v0 --algo ppo --seed 0 --out runs/spatial
+    cablebot train CableBot-Spatial-v0 --seed 0 --out runs/spatial
 
     cablebot train CableBot-Spatial-v0 --out runs/spatial --resume
     """
@@ -71,7 +70,6 @@ def train(
                 resume=resume,
                 progress=step,
                 say=say,
-                algorithm=algo,
                 config=config,
                 seed=seed,
                 timesteps=timesteps,

@@ -1,11 +1,11 @@
-"""Hyperparameters of Stable-Baselines3 (SB3) by environment, in the YAML format of RL Baselines3
-Zoo (RL-Zoo).
+"""Hyperparameters of PPO of Stable-Baselines3 (SB3) by environment, in the YAML format of RL
+Baselines3 Zoo (RL-Zoo).
 
-The shipped files also work with ``python -m rl_zoo3.train --conf-file``. RL-Zoo itself is not a
+The shipped file also works with ``python -m rl_zoo3.train --conf-file``. RL-Zoo itself is not a
 dependency, because its versions of packages conflict with this project's. Of its conventions, those
-in the shipped files are supported: ``lin_`` schedules, ``normalize``, ``env_wrapper``, and
+in the shipped file are supported: ``lin_`` schedules, ``normalize``, ``env_wrapper``, and
 ``policy_kwargs`` as a mapping or as the text ``dict(…)``. All other keys are keyword arguments of
-the algorithm in SB3.
+``PPO``.
 """
 
 from __future__ import annotations
@@ -16,16 +16,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from stable_baselines3 import PPO, SAC
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
 from torch import nn
 
-from cablebot_gym.utils.checks import choice, whole
-
-ALGORITHMS = ("ppo", "sac", "tqc")
-"""Names for ``--algo``; each has a file of the same name in
-:data:`~cablebot_baselines.learned.runs.HYPERPARAMS`."""
+from cablebot_gym.utils.checks import whole
 
 _NOT_OF_THE_MODEL = ("n_timesteps", "n_envs", "policy", "normalize", "env_wrapper", "env_kwargs")
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
@@ -33,7 +27,7 @@ _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Arguments of the environments, of ``VecNormalize`` and of an algorithm."""
+    """Arguments of the environments, of ``VecNormalize`` and of ``PPO``."""
 
     timesteps: int
     """Number of training steps over all environments; each step is one action of the learner."""
@@ -46,28 +40,7 @@ class Config:
     normalize: Mapping[str, Any]
     """Keyword arguments of ``VecNormalize``."""
     model: Mapping[str, Any]
-    """Keyword arguments of the algorithm, with schedules and classes created."""
-
-
-def algorithm_class(name: str) -> type[BaseAlgorithm]:
-    """The class of an algorithm.
-
-    Raises:
-        ValueError: if the name is unknown.
-        ImportError: if a required package is missing; the message names the extra.
-    """
-    choice("algorithm", name, ALGORITHMS)
-    if name == "tqc":
-        try:
-            from sb3_contrib import TQC
-        except ImportError as error:
-            raise ImportError(
-                "tqc needs the extra: pip install 'cablebot-gym[sb3]'", name=error.name
-            ) from error
-        return TQC
-    if name == "sac":
-        return SAC
-    return PPO
+    """Keyword arguments of ``PPO``, with schedules and classes created."""
 
 
 def make_config(plain: Mapping[str, Any]) -> Config:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3 import PPO
 from torch import nn
 
 from cablebot_baselines.classical.law import Array
@@ -15,11 +15,11 @@ from cablebot_baselines.learned.network import Network
 _ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 
-def network_from_sb3(model: BaseAlgorithm) -> Network:
-    """The deterministic actor of an ``MlpPolicy`` of PPO, SAC or TQC, as ``predict(…,
-    deterministic=True)`` uses it.
+def network_from_sb3(model: PPO) -> Network:
+    """The deterministic actor of an ``MlpPolicy`` of PPO, as ``predict(…, deterministic=True)`` uses
+    it.
 
-    PPO's means beyond ±1 are kept; the action mapping clips them, as SB3 does.
+    Means beyond ±1 are kept; the action mapping clips them, as SB3 does.
 
     Args:
         model: model with normalised observations (``VecNormalize``).
@@ -29,14 +29,8 @@ def network_from_sb3(model: BaseAlgorithm) -> Network:
             normalised.
     """
     policy: Any = model.policy
-    if hasattr(policy, "actor"):
-        layers = policy.actor.latent_pi
-        head = policy.actor.mu
-        squash = "tanh"
-    else:
-        layers = policy.mlp_extractor.policy_net
-        head = policy.action_net
-        squash = "none"
+    layers = policy.mlp_extractor.policy_net
+    head = policy.action_net
     linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
     functions = [type(layer) for layer in layers if not isinstance(layer, nn.Linear)]
     activation = functions[0] if functions else nn.Tanh
@@ -44,7 +38,7 @@ def network_from_sb3(model: BaseAlgorithm) -> Network:
         not isinstance(head, nn.Linear)
         or functions != [activation] * len(linear)
         or activation not in _ACTIVATIONS
-        or (squash == "none" and policy.squash_output)
+        or policy.squash_output
     ):
         raise ValueError(
             "only linear layers with nn.Tanh or with nn.ReLU between them can be exported"
@@ -60,7 +54,7 @@ def network_from_sb3(model: BaseAlgorithm) -> Network:
         weights=tuple(_array(layer.weight) for layer in (*linear, head)),
         biases=tuple(_array(layer.bias) for layer in (*linear, head)),
         activation=_ACTIVATIONS[activation],
-        squash=squash,
+        squash="none",
     )
 
 

@@ -1,7 +1,7 @@
 """The shipped settings for a training of your own with Stable-Baselines3 (SB3): environments,
 hyperparameters, export.
 
-The settings are those of ``cablebot train --algo ppo`` for the environment, from
+The settings are those of ``cablebot train`` for the environment, from
 ``hyperparams/ppo.yaml``::
 
     envs = make_training_envs("CableBot-Planar-v0", 256, seed=0)
@@ -12,24 +12,23 @@ The settings are those of ``cablebot train --algo ppo`` for the environment, fro
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.config import Config, make_config
 from cablebot_baselines.learned.export import network_from_sb3
 from cablebot_baselines.learned.policy import LearnedPolicy
-from cablebot_baselines.learned.runs import read_yaml
+from cablebot_baselines.learned.runs import HYPERPARAMS, read_yaml
 from cablebot_baselines.learned.vec_env import CableBotVecEnv
 from cablebot_baselines.learned.wrappers import SteeredVector, make_steered_vec
 
 
 def find_config(env_id: str) -> Config:
     """The shipped settings of PPO for an environment."""
-    return make_config(read_yaml(env_id, Path("ppo")))
+    return make_config(read_yaml(env_id, HYPERPARAMS))
 
 
 def ppo_settings(env_id: str, n_envs: int | None = None) -> dict[str, Any]:
@@ -81,7 +80,7 @@ def make_training_envs(
         ) from error
 
 
-def steered_env(model: BaseAlgorithm) -> SteeredVector:
+def steered_env(model: PPO) -> SteeredVector:
     """The environments of :func:`make_training_envs` without normalisation, from a model that has
     them.
 
@@ -97,7 +96,7 @@ def steered_env(model: BaseAlgorithm) -> SteeredVector:
     return steered
 
 
-def trained_policy(model: BaseAlgorithm) -> LearnedPolicy:
+def trained_policy(model: PPO) -> LearnedPolicy:
     """The policy of a model that was trained on :func:`make_training_envs`, without exploration.
 
     ``trained_policy(model).bundle.save("mine.zip")`` stores it for ``cablebot dlcc ID --policy

@@ -1,5 +1,4 @@
-"""A training run, the same for all algorithms: its settings, folder, checkpoints, evaluations and
-best policy.
+"""A training run: its settings, folder, checkpoints, evaluations and best policy.
 
 A run's folder contains:
 
@@ -48,8 +47,8 @@ from cablebot_gym.utils.results import Printed
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-HYPERPARAMS = Path(__file__).parent / "hyperparams"
-"""Folder of the shipped configurations."""
+HYPERPARAMS = Path(__file__).parent / "hyperparams" / "ppo.yaml"
+"""File of the shipped configurations."""
 
 STATE = "run.json"
 CHECKPOINT = "checkpoint"
@@ -63,7 +62,6 @@ RESOLUTION = 0.05
 """Resolution of payloads in evaluations during training [kg]; ``evaluation`` may override it."""
 
 _OPTIONS = {
-    "algorithm": "--algo",
     "config_file": "--config",
     "seed": "--seed",
     "timesteps": "--timesteps",
@@ -221,7 +219,7 @@ def open_run(
     Args:
         out: folder of the run.
         env_id: id of the environment.
-        options: the options of the training, with ``algorithm`` for a new run.
+        options: the options of the training.
         resume: whether to resume the run in ``out``. Options must then equal those of the run,
             except ``timesteps``.
 
@@ -244,7 +242,7 @@ def open_run(
             raise ValueError(
                 f"{str(out)!r} already contains a run: add --resume, or choose another --out"
             )
-    settings["config"] = read_yaml(env_id, config or Path(settings["algorithm"]))
+    settings["config"] = read_yaml(env_id, config or HYPERPARAMS)
     settings["config_file"] = config and Path(config).name
     return TrainingResult(out=out, settings={"seed": 0, "threads": 1, **settings})
 
@@ -274,22 +272,21 @@ def read_yaml(env_id: str, path: str | Path) -> dict[str, Any]:
 
     Args:
         env_id: id of the environment.
-        path: YAML file, or the name of a shipped one without its suffix.
+        path: YAML file.
 
     Raises:
         ValueError: if the file cannot be read, or has no configuration for this environment.
     """
     import yaml  # imported here: only training needs it
 
-    shipped = sorted(file.stem for file in HYPERPARAMS.glob("*.yaml"))
     path = Path(path)
-    if str(path) in shipped:  # even if a folder of that name exists
-        path = HYPERPARAMS / f"{path}.yaml"
     try:
         data = yaml.safe_load(read_text(path))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        text = f"--config: cannot read {str(path)!r} ({' '.join(str(error).split())})"
-        raise ValueError(f"{text}; give a YAML file, or one of {', '.join(shipped)}") from error
+        cause = " ".join(str(error).split())
+        raise ValueError(
+            f"--config: cannot read {str(path)!r} ({cause}); give a YAML file"
+        ) from error
     if not isinstance(data, dict) or not all(isinstance(value, dict) for value in data.values()):
         raise ValueError(
             f"--config: {path.name} must map environments to hyperparameters: 'ID: {{n_envs: …}}'"
@@ -373,7 +370,7 @@ class Run:
         """A policy with its training record."""
         state = self.state
         card: dict[str, Any] = {"command": state.command()}
-        for name in ("env_id", "algorithm", "config", "seed", "threads"):
+        for name in ("env_id", "config", "seed", "threads"):
             card[name] = state.settings[name]
         payload = None
         if state.last:

@@ -1,11 +1,10 @@
-"""Training runs with Stable-Baselines3 (SB3): checkpoints, DLCC evaluations, best policy.
+"""Training runs with PPO of Stable-Baselines3 (SB3): checkpoints, DLCC evaluations, best policy.
 
 In addition to the files in :mod:`cablebot_baselines.learned.runs`, a run's folder contains
 ``progress.csv``, SB3's log, and the same log in ``tensorboard`` if TensorBoard is installed. A run
 that was resumed after N timesteps continues in ``progress_N.csv``. The folder ``checkpoint``
-contains the files of SB3's own functions: ``model.zip``, ``vecnormalize.pkl``, and
-``replay_buffer.pkl`` with SAC and TQC. SB3 loads them with ``pickle``: resume only runs that you
-trust.
+contains the files of SB3's own functions: ``model.zip`` and ``vecnormalize.pkl``. SB3 loads them with
+``pickle``: resume only runs that you trust.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
 try:
-    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.logger import (
         KVWriter,
@@ -25,7 +24,6 @@ try:
         TensorBoardOutputFormat,
         make_output_format,
     )
-    from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
     from stable_baselines3.common.vec_env import VecNormalize
 except ImportError as error:
     raise ImportError(
@@ -34,7 +32,7 @@ except ImportError as error:
 
 from cablebot_baselines.learned import runs
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.config import Config, algorithm_class, make_config
+from cablebot_baselines.learned.config import Config, make_config
 from cablebot_baselines.learned.export import network_from_sb3
 from cablebot_baselines.learned.recipe import make_training_envs, steered_env
 from cablebot_baselines.learned.wrappers import PayloadCurriculumVector, SteeredVector
@@ -46,15 +44,12 @@ PARTS = 20
 
 _MODEL = "model.zip"
 _NORMALIZE = "vecnormalize.pkl"
-_REPLAY = "replay_buffer.pkl"
 
 
 class TrainingOptions(TypedDict, total=False):
     """Options of :func:`train`. An option that is missing or None has its default, or in a resumed
     run the value that the run was started with."""
 
-    algorithm: str | None
-    """``ppo``, ``sac`` or ``tqc``; by default ``ppo``."""
     config: str | Path | None
     """YAML file with RL-Zoo's keys; by default the shipped one."""
     seed: int | None
@@ -143,10 +138,6 @@ def _open_run(
 ) -> tuple[runs.TrainingResult, Config]:
     """State of the run, with defaults of the options that are not given, and its configuration."""
     check_keywords(options, TrainingOptions.__annotations__, train)
-    algorithm = options.get("algorithm") or "ppo"
-    algorithm_class(algorithm)
-    if not resume:
-        options["algorithm"] = algorithm
     state = runs.open_run(out, env_id, options, resume=resume)
     config = make_config(state.settings["config"])
     timesteps = state.settings.setdefault("timesteps", config.timesteps)
@@ -156,27 +147,22 @@ def _open_run(
     return state, config
 
 
-def _make(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> BaseAlgorithm:
+def _make(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> PPO:
     """Makes a new model.
 
     Raises:
         ValueError: if SB3 rejects the hyperparameters.
     """
-    name = state.settings["algorithm"]
-    algorithm: Any = algorithm_class(name)
-    model: BaseAlgorithm
+    seed = state.settings["seed"]
     try:
         # The CPU is faster than an accelerator for networks of this size, and gives reproducible
         # weights.
-        model = algorithm(env=envs, seed=state.settings["seed"], device="cpu", **config.model)
+        return PPO(env=envs, seed=seed, device="cpu", **config.model)
     except (TypeError, ValueError, AssertionError) as error:
-        raise ValueError(
-            f"{name} rejects the hyperparameters ({error}): correct the file"
-        ) from error
-    return model
+        raise ValueError(f"PPO rejects the hyperparameters ({error}): correct the file") from error
 
 
-def _load(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> BaseAlgorithm:
+def _load(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> PPO:
     """Loads the model of a checkpoint, and the payload ceiling of its curriculum.
 
     Raises:
@@ -185,11 +171,7 @@ def _load(state: runs.TrainingResult, config: Config, envs: VecNormalize) -> Bas
     folder = state.checkpoint
     with runs.checkpoint_errors(state.out):
         normalize = VecNormalize.load(str(folder / _NORMALIZE), envs.venv)
-        model = algorithm_class(state.settings["algorithm"]).load(
-            folder / _MODEL, env=normalize, device="cpu"
-        )
-        if isinstance(model, OffPolicyAlgorithm):
-            model.load_replay_buffer(folder / _REPLAY)
+        model = PPO.load(folder / _MODEL, env=normalize, device="cpu")
     model.set_random_seed(state.settings["seed"] + state.timesteps)
     curriculum = _curriculum(steered_env(model))
     if curriculum is not None and state.payload_ceiling is not None:
@@ -247,8 +229,6 @@ class _RunCallback(BaseCallback):
         assert normalize is not None
         self.model.save(folder / _MODEL)
         normalize.save(str(folder / _NORMALIZE))
-        if isinstance(self.model, OffPolicyAlgorithm):
-            self.model.save_replay_buffer(folder / _REPLAY)
 
     def _is_due(self, setting: str, since: int) -> bool:
         """Whether a multiple of an interval has been passed since a timestep."""
@@ -281,7 +261,7 @@ class _RunCallback(BaseCallback):
         return True
 
 
-def _learn(model: BaseAlgorithm, callback: _RunCallback, run: runs.Run) -> None:
+def _learn(model: PPO, callback: _RunCallback, run: runs.Run) -> None:
     """Trains to the end."""
     start = model.num_timesteps
     out = run.out
@@ -292,9 +272,6 @@ def _learn(model: BaseAlgorithm, callback: _RunCallback, run: runs.Run) -> None:
         formats.append(TensorBoardOutputFormat(str(out / "tensorboard")))
     logger = Logger(str(out), formats)
     model.set_logger(logger)
-    log_interval = 1
-    if isinstance(model, OffPolicyAlgorithm):  # it counts episodes, not rollouts
-        log_interval = 4 * model.n_envs
     try:
         with run.signals():
             if not start:
@@ -302,7 +279,6 @@ def _learn(model: BaseAlgorithm, callback: _RunCallback, run: runs.Run) -> None:
             model.learn(
                 run.state.settings["timesteps"] - start,
                 callback=callback,
-                log_interval=log_interval,
                 reset_num_timesteps=not start,
             )
             callback.evaluate()
