@@ -22,8 +22,9 @@ from cablebot_gym.uncertainty import SensorNoise
 LEAST_VARIANCE = 1e-14
 """Least variance of a reading, in its squared unit: the arithmetic needs it for exact sensors."""
 
-STEP = 1e-6
-"""Step of the difference quotients with respect to coordinates [m, rad] and mass [kg]."""
+STEP = 1e-4
+"""Step of the difference quotients with respect to coordinates [m, rad] and mass [kg]. With a smaller
+one, rounding of the differences would show in the estimates."""
 
 START_ITERATIONS = 4
 """Number of linearisations at the start, where the pose changes most."""
