@@ -105,12 +105,6 @@ def test_stochastic_policy_gets_the_payload_that_it_carries_alone(batches):
     assert result.details.violation_seed not in result.draw_seeds
 
 
-def test_draws_of_the_payload_are_repeated_among_others(batches):
-    result = evaluated(Law(), uncertainty="sensors", draws=60)
-    (repeated,) = [seeds for seeds in batches if len(seeds) == 2 * REPEATED_DRAWS]
-    assert len({*repeated} & {*result.draw_seeds}) == REPEATED_DRAWS
-
-
 class Counts(Law):
     """Its actions depend on the size of the batch a little."""
 
