@@ -2,7 +2,6 @@
 it."""
 
 import logging
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -26,9 +25,6 @@ MOTION = PlannedMotion(
     lightest=0.0,
     minimum_tension=1.0,
 )
-
-Use = Callable[[], bool]
-"""Reads a value from a cache, or computes and stores it. Returns whether it was computed."""
 
 
 def compiled_code(folder, monkeypatch):
@@ -116,6 +112,8 @@ CACHES = {
     "benchmark cell": benchmark_cell,
     "episodes of a report": episodes_of_a_report,
 }
+"""Each makes a function that reads a value, or computes and stores it; it returns whether it was
+computed."""
 
 DAMAGES = {
     "truncated": lambda content: content[: len(content) // 2],

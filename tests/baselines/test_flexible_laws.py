@@ -13,7 +13,6 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, find_robot
 
 FLEX_SPATIAL_ID = "CableBot-FlexSpatial-v0"
-FLEX_PLANAR_ID = "CableBot-FlexPlanar-v0"
 
 
 def with_stiffness(stiffness, mass):

@@ -250,7 +250,6 @@ def test_cache_distinguishes_problems(solved, cache):
     [
         ({"error_bounds": {"position": 0.0}}, "position must be a finite number greater than 0"),
         ({"env_id": "CableBot-Planar-v1"}, "CableBot-Planar-v0"),
-        ({"robot": SPATIAL}, "does not fit CableBot-Planar-v0: use CableBot-Spatial-v0"),
         (
             {"trajectory": {"name": "circle-planar", "radius": 0.7}},
             r"leaves the workspace of 'planar' at t = .*: x = ",

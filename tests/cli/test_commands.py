@@ -91,7 +91,7 @@ ERRORS = (
     (ROLLOUT.replace("--out", ""), 2, "--out"),
     (ROLLOUT + "file/run.csv", 2, "cannot write to folder"),
     (ROLLOUT + "folder.csv", 2, "it is a folder"),
-    (ROLLOUT + "run", 2, "must end in .npz or .csv"),
+    (ROLLOUT + "run", 2, "must end in .npz or .csv or .png"),
     (f"watch {PLANAR}", 2, "Missing option '--policy'"),
     (f"video {PLANAR} video.mp4 {POLICY} --size 641x481", 2, "even number"),
     (f"video {PLANAR} video.mp4 {POLICY} --speed nan", 2, "speed must"),

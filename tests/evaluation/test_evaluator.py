@@ -252,7 +252,6 @@ def test_nan_after_the_violation_is_ignored():
         ({"trajectory": HANG | {"duration": 5e-4}}, "shorter than a control period"),
         ({"resolution": math.nan}, "resolution must be a finite number greater than 0"),
         ({"payload": 1.0}, "payload is set by the evaluation"),
-        ({"robot": PLANAR}, "use CableBot-Planar-v0"),
         ({"seed": -1}, "seed must be an integer of at least 0"),
         ({"policy": lambda _: 0, "criterion": "paper", "name": "toy"}, "apply to policy 'toy'"),
         ({"draws": 2, "uncertainty": {"delay": 3}}, "would be equal: choose a random uncertainty"),
