@@ -12,10 +12,8 @@ from evaluation.conftest import play
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, Verdict
 from cablebot_gym.evaluation.constraints import KINDS
-from cablebot_gym.robots import PLANAR, SPATIAL
+from cablebot_gym.robots import PLANAR
 
-ROBOTS = {"planar": PLANAR, "spatial": SPATIAL}
-IDS = {"planar": "CableBot-Planar-v0", "spatial": "CableBot-Spatial-v0"}
 STALL = np.array([5.0, 6.0, 7.0])
 """τ_s of the hand-made robot [N·m], different for each motor."""
 PERIOD = 0.002
@@ -272,7 +270,7 @@ def test_judge_reads_the_task_only_at_the_reset():
 
 def test_bounds_of_the_reset_option_reach_the_monitor():
     """In its episode only, which also leaves no violation to the next one."""
-    env = DLCCMonitor(gym.make(IDS["planar"]))
+    env = DLCCMonitor(gym.make("CableBot-Planar-v0"))
     short = {"trajectory": {"name": "line-planar", "duration": 0.4, "dwell": 0.0}}
     narrow = {"error_bounds": {"position": 1e-5}}
     for options, carried in ((narrow, False), ({}, True)):

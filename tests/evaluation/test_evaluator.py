@@ -27,8 +27,6 @@ from cablebot_gym.trajectories import find_trajectory
 
 PLANAR_ID = "CableBot-Planar-v0"
 SPATIAL_ID = "CableBot-Spatial-v0"
-IDS = {"planar": PLANAR_ID, "spatial": SPATIAL_ID}
-ROBOTS = {"planar": PLANAR, "spatial": SPATIAL}
 HANG = {"name": "dwell-spatial", "duration": 0.05}
 
 
@@ -37,22 +35,16 @@ STATIC = {"trajectory": HANG, "criterion": "paper", "initial_error": 0.0}
 """A short static hang in the symmetric pose."""
 
 
-def fl(kind):
-    return FeedbackLinearization(ROBOTS[kind])
-
-
 # --- the closed form --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.landing
-@pytest.mark.parametrize("kind", ["planar", "spatial"])
-def test_paper_criterion_agrees_with_the_closed_form(kind):
-    robot = ROBOTS[kind]
-    circle = find_trajectory(f"paper-{kind}", robot.coordinates)
+@pytest.mark.parametrize(("env_id", "robot"), [(PLANAR_ID, PLANAR), (SPATIAL_ID, SPATIAL)])
+def test_paper_criterion_agrees_with_the_closed_form(env_id, robot):
+    circle = find_trajectory(f"paper-{robot.kind}", robot.coordinates)
     exact = exact_payload(robot, circle, minimum_tension=5.0)
-    result = evaluate_dlcc(
-        fl(kind), IDS[kind], criterion="paper", trajectory=circle, resolution=0.01
-    )
+    keywords = {"criterion": "paper", "resolution": 0.01}
+    result = evaluate_dlcc("fl", env_id, trajectory=circle, **keywords)
     assert result.total_mass == result.payload + robot.mass
     assert result.total_mass == pytest.approx(exact.total_mass, rel=0.02)
     assert (result.violation.kind, result.violation.index) == (exact.kind, exact.motor)
@@ -69,7 +61,7 @@ cos(angle) / g."""
 
 def test_static_hang_is_the_vertical_capacity_of_the_cables():
     resolution = 1e-5
-    result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, resolution=resolution, **STATIC)
+    result = evaluate_dlcc("fl", SPATIAL_ID, resolution=resolution, **STATIC)
     expected = HANG_CAPACITY - 10
     # At the exact payload every motor stalls; only rounding of the numbers is tolerated there.
     assert result.payload - 1e-9 <= expected <= result.payload + resolution + 1e-9
@@ -270,7 +262,7 @@ def test_bad_argument_is_rejected_before_the_work(arguments, message):
 
 def test_environment_of_the_json_repeats_the_evaluation():
     keywords = {"seed": np.int64(3), "control_frequency": np.float32(400.0)}
-    result = evaluate_dlcc(fl("spatial"), SPATIAL_ID, trajectory=HANG, resolution=0.01, **keywords)
+    result = evaluate_dlcc("fl", SPATIAL_ID, trajectory=HANG, resolution=0.01, **keywords)
     result = pickle.loads(pickle.dumps(result))  # as worker processes return it
     data = json.loads(result.to_json(), parse_constant=pytest.fail)
     assert data["violation"] == dataclasses.asdict(result.violation)
@@ -289,7 +281,7 @@ def test_rollout_equals_an_episode_of_the_single_environment(tmp_path):
     motion = {"name": "line-spatial", "duration": 0.2, "dwell": 0.0}
     conditions = {"payload": 2.0, "trajectory": motion, "uncertainty": "table6"}
     env = gym.make(SPATIAL_ID, **conditions)
-    policy = fl("spatial")
+    policy = FeedbackLinearization(SPATIAL)
     rollout = record_rollout(policy, SPATIAL_ID, seed=4, **conditions)
     observation, info = env.reset(seed=4, options={"noise_seed": noise_seed(4, 2.0)})
     assert len(rollout) == 101
