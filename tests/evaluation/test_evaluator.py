@@ -28,11 +28,8 @@ from cablebot_gym.trajectories import find_trajectory
 PLANAR_ID = "CableBot-Planar-v0"
 SPATIAL_ID = "CableBot-Spatial-v0"
 HANG = {"name": "dwell-spatial", "duration": 0.05}
-
-
 STATIC = {"trajectory": HANG, "criterion": "paper", "initial_error": 0.0}
-"""The usual start is lower, where the cables hold more."""
-"""A short static hang in the symmetric pose."""
+"""A short static hang in the symmetric pose. The usual start is lower, where the cables hold more."""
 
 
 # --- the closed form --------------------------------------------------------------------------------------------------
