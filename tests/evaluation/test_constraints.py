@@ -257,17 +257,6 @@ def test_payload_is_carried_at_the_end_of_the_motion_only():
     assert env.verdict.position_peak == 0.001, "steps after the motion do not count"
 
 
-def test_judge_reads_the_task_only_at_the_reset():
-    env = DLCCMonitor(Scripted(third(position=0.015)))
-    env.reset()
-    changes = {"error_bounds": ErrorBounds(position=1.0), "steps": 1}
-    for name, value in changes.items():
-        object.__setattr__(env.env.task, name, value)
-    for _ in range(5):
-        env.step(np.zeros(3))
-    assert env.verdict.violation.kind == "position"
-
-
 def test_bounds_of_the_reset_option_reach_the_monitor():
     """In its episode only, which also leaves no violation to the next one."""
     env = DLCCMonitor(gym.make("CableBot-Planar-v0"))
