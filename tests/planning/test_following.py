@@ -23,6 +23,14 @@ CASES = {
     "flexible planar": (FLEX_PLANAR, "CableBot-FlexPlanar-v0", 40),
 }
 """Robot, environment and number of spline intervals."""
+each_case = pytest.mark.parametrize(
+    "name",
+    [
+        "planar",
+        pytest.param("flexible planar", marks=pytest.mark.landing),
+        pytest.param("spatial", marks=pytest.mark.landing),
+    ],
+)
 
 
 @cache
@@ -58,7 +66,7 @@ def follow(name, gains, *, payload=None, error=0.0):
 # --- one period -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["planar", "flexible planar"])
+@each_case
 def test_action_of_a_row_of_a_batch_is_that_alone(name):
     robot = CASES[name][0]
     motion = plan(name)
@@ -77,16 +85,6 @@ def test_action_of_a_row_of_a_batch_is_that_alone(name):
 
 
 # --- a whole motion ---------------------------------------------------------------------------------------------------
-
-
-each_case = pytest.mark.parametrize(
-    "name",
-    [
-        "planar",
-        pytest.param("flexible planar", marks=pytest.mark.landing),
-        pytest.param("spatial", marks=pytest.mark.landing),
-    ],
-)
 
 
 @each_case
