@@ -2,8 +2,6 @@
 it."""
 
 import logging
-from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +9,6 @@ import pytest
 from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.records import Record
 from cablebot_gym.benchmark.store import Store
-from cablebot_gym.bounds import best_known
 from cablebot_gym.physics.compiling import code_cache
 from cablebot_gym.physics.compiling.loading import cached_njit
 from cablebot_gym.planning import PlannedMotion, library
@@ -28,24 +25,6 @@ MOTION = PlannedMotion(
     lightest=0.0,
     minimum_tension=1.0,
 )
-BEST = best_known.BestKnownPayload(
-    env_id="CableBot-Planar-v0",
-    payload=1.0,
-    total_mass=2.0,
-    verified=True,
-    replays=(),
-    error_bounds={"position": 0.01, "rotation": None},
-    program_payload=1.0,
-    meshes=((20, 1.0),),
-    margins={},
-    environment={},
-    versions={},
-    motion=MOTION,
-    actions=np.ones((500, 3)),
-)
-
-Use = Callable[[], bool]
-"""Reads a value from a cache, or computes and stores it. Returns whether it was computed."""
 
 
 def compiled_code(folder, monkeypatch):
@@ -62,15 +41,19 @@ def compiled_code(folder, monkeypatch):
     return use
 
 
-def cached(read, write, value, folder, monkeypatch):
+def plan(folder, monkeypatch):
+    """Also for best known payloads, which are stored in the same way."""
     monkeypatch.setenv("CABLEBOT_CACHE", str(folder))
 
     def use():
         computed = []
         result = library.load_or_compute(
-            "value.npz", read, lambda: computed.append(1) or value, write
+            "value.npz",
+            library._read_plan,
+            lambda: computed.append(1) or MOTION,
+            library._plan_bytes,
         )
-        assert result.payload == value.payload
+        assert result.payload == MOTION.payload
         return bool(computed)
 
     return use
@@ -125,11 +108,12 @@ def episodes_of_a_report(folder, monkeypatch):
 
 CACHES = {
     "compiled code": compiled_code,
-    "plan": partial(cached, library._read_plan, library._plan_bytes, MOTION),
-    "best known payload": partial(cached, best_known._read, best_known._bytes, BEST),
+    "plan": plan,
     "benchmark cell": benchmark_cell,
     "episodes of a report": episodes_of_a_report,
 }
+"""Each makes a function that reads a value, or computes and stores it; it returns whether it was
+computed."""
 
 DAMAGES = {
     "truncated": lambda content: content[: len(content) // 2],

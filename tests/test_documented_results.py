@@ -2,7 +2,6 @@
 
 from dataclasses import fields, replace
 from functools import partial
-from pathlib import Path
 
 import pytest
 from oracles.episodes import ROBOTS
@@ -13,12 +12,6 @@ from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
-
-DOCS = Path(__file__).parents[1] / "docs"
-
-
-def text_of(name):
-    return (DOCS / name).read_text(encoding="utf-8")
 
 
 def parts_of(uncertainty):

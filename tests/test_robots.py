@@ -173,7 +173,6 @@ ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
         (SPATIAL, {"plane": "vertical"}, "plane is for planar robots"),
         (PLANAR, {"swivel_radius": 0.01}, "swivel_radius is for robots in space"),
         (PLANAR, {"center_of_mass": (0.1, 0.0)}, "center_of_mass must be empty for a point mass"),
-        (CAMERA, {"home_pose": (9.0, 0.0, 3.0)}, "no positive tensions hold home_pose"),
         (
             CAMERA,
             {"base_anchors": UPSIDE_DOWN},
@@ -187,7 +186,7 @@ ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
             {"minimum_tension": 5.0, "maximum_tension": 5.0},
             "maximum_tension of 5 N must exceed minimum_tension, 5 N; remove it",
         ),
-        (SPATIAL, {"maximum_tension": math.nan}, "maximum_tension must be a finite number"),
+        (SPATIAL, {"maximum_tension": NAN}, "maximum_tension must be a finite number"),
         (
             SPATIAL,
             {"platform_anchors": UPRIGHT},
@@ -195,7 +194,6 @@ ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
         ),
         (SPATIAL, {"ranges": [("mass", (1.0, 2.0))]}, r"must be a table of \[low, high\]"),
         (SPATIAL, {"ranges": {"motors": (1.0, 2.0)}}, "'motors' is not a field with one number"),
-        (SPATIAL, {"ranges": {"drums.radius": (1.0, 2.0)}}, "is not a field with one number"),
         (SPATIAL, {"ranges": {"mass": (2.0,)}}, r"ranges: mass must be \[low, high\]"),
         (SPATIAL, {"ranges": {"mass": (2.0, 1.0)}}, "mass: 2 is above 1; write"),
     ],

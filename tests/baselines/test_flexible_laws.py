@@ -7,30 +7,17 @@ from scipy.linalg import expm
 
 from cablebot_baselines.classical import Composite, MotorPD
 from cablebot_gym.envs import fitting_env_id
-from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
+from cablebot_gym.evaluation import compare_policies
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, find_robot
 
 FLEX_SPATIAL_ID = "CableBot-FlexSpatial-v0"
-FLEX_PLANAR_ID = "CableBot-FlexPlanar-v0"
 
 
 def with_stiffness(stiffness, mass):
     transmission = FLEX_SPATIAL.transmission.replace(stiffness=stiffness)
     return FLEX_SPATIAL.replace(mass=mass, transmission=transmission)
-
-
-@pytest.mark.landing
-@pytest.mark.parametrize("law", ["motor-pd", "composite"])
-def test_position_limits_the_dlcc_on_the_default_planar_circle(law):
-    """With allocated tensions of 5 N, the jump of the acceleration took a cable below 1 N, without
-    any payload, too."""
-    result = evaluate_dlcc(law, FLEX_PLANAR_ID, payload_max=4.0, resolution=0.1)
-    assert result.payload is not None
-    assert result.payload > 1.8
-    assert result.violation is not None
-    assert result.violation.kind == "position"
 
 
 @pytest.mark.nightly

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("casadi")
 
-from cablebot_baselines.optimal.horizon import HORIZON, ExpectedRobot, HorizonProgram, Target
+from cablebot_baselines.optimal.horizon import ExpectedRobot, HorizonProgram, Target
 from cablebot_baselines.optimal.nmpc import NMPC, TUNING, NonlinearMPC
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning.stage_functions import TENSION
@@ -73,35 +73,6 @@ def test_plan_uses_the_error_bounds_of_the_task(policies):
 
 
 # --- the program ------------------------------------------------------------------------------------------------------
-
-
-def test_planned_motion_keeps_the_limits_between_its_instants():
-    """By the textbook's inverse dynamics, where the reference asks for more than the motors
-    have."""
-    program = HorizonProgram(PLANAR, TUNING["planar"])
-    home = np.array([0.1, 0.0])
-    zero = np.zeros(2)
-    mass = 3.5
-
-    def reference(times):
-        return home + 0.02 * np.sin(2 * np.pi * times / HORIZON)[:, None] ** 2 * [0.0, 1.0]
-
-    requested = reference(program.instants)
-    target = Target(
-        reference=requested, last_velocity=zero, error_bounds=ErrorBounds(position=0.03)
-    )
-    plan = program.plan(home, zero, target, robot=ExpectedRobot(mass=mass), iterations=8)
-    fine = np.linspace(0.0, HORIZON, 201)
-    pose, velocity, acceleration = program.basis(fine) @ plan
-    minimum = program.minimum_tension
-    required = textbook.inverse_dynamics(
-        PLANAR, mass, pose, velocity, acceleration, minimum=minimum, strict=False
-    )
-    action = textbook.normalised_action(PLANAR, required.torques, required.speeds)
-    assert np.abs(action).max() < 1.02
-    assert np.linalg.norm((pose - reference(fine))[:, :3], axis=1).max() < 0.03
-    assert_allclose(pose[0], home, atol=1e-12)
-    assert_allclose(velocity[0], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("env_id", ROBOTS)

@@ -100,18 +100,6 @@ def test_info_keys_select_the_info_of_the_episode_that_ended():
             check_same_dict(info, {key: full_info[key] for key in info})
 
 
-@pytest.mark.parametrize(("limit", "by_limit"), [(10, True), (11, False), (12, False)])
-def test_failure_at_the_last_step_is_not_a_truncation(limit, by_limit):
-    """SB3 would add the value of a failed state to its reward."""
-    env = make_sb3_vec_env(PLANAR_ID, 2, control_frequency=100.0, max_episode_steps=limit)
-    env.reset()
-    ends = [env.step(np.full((2, 3), -0.5)) for _ in range(min(limit, 11))]
-    assert not any(dones.any() for _, _, dones, _ in ends[:-1])
-    _, _, dones, infos = ends[-1]
-    assert dones.tolist() == [True, True]
-    assert [info["TimeLimit.truncated"] for info in infos] == [by_limit] * 2
-
-
 def test_results_may_be_overwritten_by_the_caller():
     """VecNormalize and callbacks write into what they get."""
     env = ours(seed=2)

@@ -56,10 +56,6 @@ def always_killed():
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def raises():
-    raise KeyError("no such gain")
-
-
 def run(address, jobs, returned=(WorkerDied,)):
     return dict(on_ray(address)(jobs, print, returned))
 

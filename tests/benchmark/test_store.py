@@ -52,16 +52,6 @@ def test_record_is_read_as_it_was_written(store, messages, tmp_path):
     assert files(tmp_path)[0].name.startswith("planar-fl-payload-known-task-circle-planar-")
 
 
-def test_damaged_file_is_reported_and_replaced(store, messages, tmp_path):
-    store.add(record())
-    (path,) = files(tmp_path)
-    path.write_text(path.read_text()[:100])
-    assert store.find(CELL) is None
-    assert messages == [f"{path} is damaged; its cell is computed again"]
-    store.add(record())
-    assert store.find(CELL) is not None
-
-
 def test_store_keeps_results_of_other_code_and_finds_those_of_this_code(store, messages, tmp_path):
     store.add(record(source="a" * 16, payload=1.0))
     assert store.find(CELL) is None

@@ -11,10 +11,7 @@ import pytest
 from cli.conftest import read_json
 
 from cablebot_gym.benchmark import suites
-from cablebot_gym.benchmark.cells import PolicyCell
-from cablebot_gym.benchmark.records import compute
 from cablebot_gym.benchmark.suites import Block, Suite
-from cablebot_gym.cli import app as cli
 
 PLANAR = "CableBot-Planar-v0"
 CHANGES = {"payload_max": 4.0}
@@ -125,23 +122,6 @@ def test_failed_timing_is_a_note_and_costs_no_exit_status(benchmark, best, monke
     ended = benchmark(suite="timed")
     assert ended.status == 0
     assert "fl failed on CableBot-Planar-v0: no time" in ended.out
-
-
-@pytest.mark.landing
-def test_interrupt_keeps_finished_cells_and_says_how_to_resume(benchmark, best, monkeypatch):
-    def interrupted(cell):
-        if isinstance(cell, PolicyCell) and not cell.payload_known:
-            raise KeyboardInterrupt
-        return compute(cell)
-
-    monkeypatch.setattr("cablebot_gym.benchmark.engine.compute", interrupted)
-    ended = benchmark()
-    assert ended.status == cli.INTERRUPTED
-    assert "2 of 3 cells are finished and stored in" in ended.err
-    again = f"cablebot benchmark --suite tiny --policies fl --out {ended.folder}"
-    assert f"Resume with: {again}" in ended.err
-    assert not (ended.folder / "results.json").exists()
-    assert len(list(ended.folder.glob("cells/*"))) == 2
 
 
 @pytest.mark.landing

@@ -78,8 +78,6 @@ ERRORS = (
     ("dlcc --policy fl", 2, "give an environment id, one of"),
     (f"dlcc CableBot-Cubic-v0 {POLICY}", 2, "choose one of CableBot-Planar-v0, CableBot-Spatial"),
     (f"dlcc {SPATIAL} --policy lqr", 2, "unknown policy 'lqr'; choose one of "),
-    (f"dlcc {SPATIAL} --policy os:nosuch", 2, "'os' has no attribute 'nosuch'"),
-    (FL + "--trajectory spiral", 2, "unknown trajectory 'spiral'; choose one of circle-spatial"),
     (FL + "--trajectory {", 2, "--trajectory is not valid JSON"),
     (FL + "--payload-max -1", 2, "payload-max"),
     (FL + "--uncertainty table6 --draws 2.5", 2, "--draws"),
@@ -88,19 +86,17 @@ ERRORS = (
     (f"compare {SPATIAL} --policies ,", 2, "name at least one policy, such as fl"),
     (PAIR + "--wrapper x.pkl", 2, "--wrapper does not apply to installed policies, such as fl"),
     (PAIR + "--payload ''", 2, "--payload must be a number, a list such as 0,1,2, or FIRST:"),
-    (PAIR + "--payload 0:9", 2, "not '0:9'"),
     (PAIR + "--payload 2,1", 2, "payloads must"),
     ("rollout --policy no --robot ttk4900 --out run.csv", 2, "unknown policy 'no'"),
     (ROLLOUT.replace("--out", ""), 2, "--out"),
     (ROLLOUT + "file/run.csv", 2, "cannot write to folder"),
     (ROLLOUT + "folder.csv", 2, "it is a folder"),
-    (ROLLOUT + "run", 2, "must end in .npz or .csv"),
+    (ROLLOUT + "run", 2, "must end in .npz or .csv or .png"),
     (f"watch {PLANAR}", 2, "Missing option '--policy'"),
     (f"video {PLANAR} video.mp4 {POLICY} --size 641x481", 2, "even number"),
     (f"video {PLANAR} video.mp4 {POLICY} --speed nan", 2, "speed must"),
     (f"video {PLANAR} video.avi {POLICY}", 2, "end in .mp4 or .gif"),
     (f"picture {PLANAR} a.gif {POLICY}", 2, "has to end in .png or .jpg or .webp"),
-    ("picture --robot ttk4900 a.gif", 2, "has to end in .png"),
     ("picture a.png", 2, "or a robot with --robot, and then a file"),
     (f"picture {PLANAR} a.png {POLICY} --time 9", 2, "--time must be at most 1.6 s"),
     (
@@ -118,7 +114,6 @@ ERRORS = (
     (EXPORT.replace("--out", ""), 2, "--out cogiro.xml"),
     (EXPORT + "my.toml", 2, "--out must end in .xml, not 'my.toml'"),
     (EXPORT + "my.xml --payload -1", 2, "at least 0 kg"),
-    (EXPORT + "my.xml --json", 2, "No such option: --json. Example: cablebot robot export"),
     (TRAIN + "file/below", 2, ""),
     (TRAIN + "run --evaluation [1]", 2, "--evaluation must be a JSON object"),
     (f"best-known {PLANAR} --position-bound 0.01", 2, "position"),
@@ -183,5 +178,8 @@ def test_interrupt_keeps_results_and_leaves_no_process(tmp_path):
     _, err = process.communicate(timeout=HANG)
     assert process.returncode == 130, err
     assert "Traceback" not in err
-    assert "Resume with: cablebot benchmark" in " ".join(err.split())
+    assert re.search(r"\d+ of \d+ cells are finished and stored in", err)
+    resume = f"Resume with: cablebot benchmark --suite smoke --policies fl --out {tmp_path}"
+    assert resume in " ".join(err.split())
+    assert not (tmp_path / "results.json").exists()
     wait_until(lambda: not is_alive(process.pid))

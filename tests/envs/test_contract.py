@@ -17,7 +17,6 @@ from oracles.episodes import (
     PLANAR,
     ROBOTS,
     check_equal,
-    each_id,
     make,
     make_vector,
     random_actions,
@@ -26,7 +25,6 @@ from oracles.episodes import (
 )
 
 import cablebot_gym
-from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.trajectories import find_trajectory
@@ -45,16 +43,6 @@ def test_import_registers_without_loading_heavy_libraries():
     )
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.splitlines() == [str(list(cablebot_gym.ENV_IDS)), "[]"]
-
-
-@each_id
-def test_each_id_has_its_robot(env_id):
-    env = make(env_id)
-    robot = ROBOTS[env_id]
-    assert env.settings.robot == robot
-    assert env.action_space.shape == (robot.cables,)
-    assert env.observation_space == observation_layout(robot).space()
-    assert gym.spec(env_id).max_episode_steps is None
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from oracles.episodes import (
     different_results,
     make,
     make_vector,
-    motion,
     random_actions,
     rollout,
     wrenches,
@@ -217,7 +216,7 @@ def test_sensor_errors_are_normal_in_the_measured_blocks(uncertainty, constant):
 def test_actions_arrive_delayed(env_id, delay):
     """Until then the motors request the static torque at their present speed."""
     robot = ROBOTS[env_id]
-    moving = {"trajectory": motion("paper", env_id), "payload": 1.0}
+    moving = {"trajectory": f"paper-{robot.kind}", "payload": 1.0}
     late = make(env_id, uncertainty={"delay": delay}, **moving)
     prompt = make(env_id, **moving)
     start = prompt.settings.trajectory(0.0)

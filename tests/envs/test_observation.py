@@ -46,14 +46,14 @@ def test_model_payload_spans_the_payload_range_of_a_real_robot():
 # --- normalised ---------------------------------------------------------------------------------------------------
 
 
-def tracked(env_id, options=None, **keywords):
+def tracked(env_id, **keywords):
     """Observations and normalised observations of an episode of a policy that follows most motions,
     and both envs."""
     envs = [make(env_id, normalised_observation=form, **keywords) for form in (False, True)]
     robot = ROBOTS[env_id]
     policy = load_policy("composite" if robot.flexible else "fl", robot)
     rows = []
-    results = [env.reset(seed=0, options=options) for env in envs]
+    results = [env.reset(seed=0) for env in envs]
     ended = False
     while not ended:
         rows.append([result[0] for result in results])

@@ -58,16 +58,6 @@ def test_seeds_episodes_and_purposes_have_independent_numbers():
     assert 0 <= np.min(uniform) < np.max(uniform) < 1
 
 
-def test_streams_do_not_depend_on_what_was_read():
-    fresh, disturbed = streams(3, 4), streams(3, 4)
-    for purpose in Purpose:
-        disturbed.uniform(indices(1, 0), purpose, 17)
-        disturbed.normal_block(indices(0), purpose, indices(9), 3)
-    for purpose in Purpose:
-        expected = fresh.uniform(indices(0, 1), purpose, 5)
-        assert_array_equal(disturbed.uniform(indices(0, 1), purpose, 5), expected)
-
-
 def test_rows_depend_on_the_interval_only():
     random = streams(1, 2)
     everyone = indices(0, 1)

@@ -3,24 +3,20 @@
 import numpy as np
 
 from cablebot_baselines.classical import FeedbackLinearization
-from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import SPATIAL
-
-MODEL_PAYLOAD = observation_layout(SPATIAL).slices()["model_payload"].start
 
 
 class Dropping(FeedbackLinearization):
     """FL that returns zero actions for certain model payloads."""
 
-    def __init__(self, lets_go):
-        super().__init__(SPATIAL)
+    def __init__(self, lets_go, robot=SPATIAL):
+        super().__init__(robot)
         self.lets_go = lets_go
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         action, state = super().predict(observation, state, episode_start, deterministic)
-        return np.where(
-            self.lets_go(np.array(observation)[..., MODEL_PAYLOAD])[..., None], 0.0, action
-        ), state
+        payload = self.split(np.array(observation))["model_payload"][..., 0]
+        return np.where(self.lets_go(payload)[..., None], 0.0, action), state
 
 
 def play(env, policy, options=None, seed=0):

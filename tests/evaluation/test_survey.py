@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from evaluation.conftest import Dropping
 
 from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym import evaluate_dlcc, find_robot, find_trajectory
-from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import survey as survey_module
 from cablebot_gym.evaluation.batch import Batch
 from cablebot_gym.evaluation.constraints import Verdict
@@ -91,19 +91,9 @@ def test_policy_that_fails_unloaded_gets_zero():
     assert found.payloads.tolist() == [0.0, 0.0]
 
 
-class ActsAtPayloads(FeedbackLinearization):
-    """Fails where its model payload is in a hole."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        action, state = super().predict(observation, state, episode_start, deterministic)
-        blocks = observation_layout(self.robot).split(np.atleast_2d(observation))
-        payload = blocks["model_payload"].reshape(-1)
-        action[(payload > 0.3) & (payload < 0.5)] = 0.0
-        return action, state
-
-
 def test_payload_is_below_the_first_hole():
-    found = survey(ActsAtPayloads(find_robot("planar")), PLANAR, MOTIONS)
+    policy = Dropping(lambda payload: (payload > 0.3) & (payload < 0.5), find_robot("planar"))
+    found = survey(policy, PLANAR, MOTIONS)
     assert found.payloads == pytest.approx(0.3, abs=max(found.resolutions))
 
 

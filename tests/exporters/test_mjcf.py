@@ -8,14 +8,11 @@ from oracles.plants import (
     FLEX_QUAD,
     State,
     each_of,
-    evaluated,
     free_motors,
     loaded_plant,
     nightly,
     no_reference,
-    textbook_rates,
     with_transmission,
-    worst_relative_error,
 )
 from oracles.platforms import CAMERA, SWIVELLED
 
@@ -47,53 +44,6 @@ def at_rest(robot):
     torques = textbook.static_torque(robot, mass, robot.home)
     exported = export_mjcf(robot, payload=payload, timestep=STEP, holding_torques=torques)
     return exported, mass, torques
-
-
-def taut_states(robot, mass, count=50):
-    """Random states with taut cables, and actions within ± 1."""
-    rng = np.random.default_rng(3)
-    span = robot.pose_bounds - robot.home
-    pose = robot.home + 0.3 * rng.uniform(*span, (4 * count, robot.coordinates))
-    velocity = rng.uniform(-0.2, 0.2, pose.shape)
-    acceleration = rng.uniform(-0.5, 0.5, pose.shape)
-    minimum = textbook.allocated_minimum(robot)
-    motion = textbook.inverse_dynamics(
-        robot, mass, pose, velocity, acceleration, minimum=minimum, strict=False
-    )
-    angle = np.zeros_like(motion.speeds)
-    speed = motion.speeds
-    actions = textbook.normalised_action(robot, motion.torques, speed)
-    if robot.jointed:
-        angle = textbook.pulley_angle(robot, pose) + motion.torques / robot.stiffness
-        speed = rng.uniform(-30, 30, angle.shape)
-        actions = rng.uniform(-1, 1, angle.shape)
-    usable = (motion.tensions > 0).all(axis=1) & (np.abs(actions) <= 1).all(axis=1)
-    chosen = np.flatnonzero(usable)[:count]
-    assert len(chosen) >= count / 2
-    return State(pose, velocity, angle, speed)[chosen], actions[chosen]
-
-
-@exact_robots
-def test_accelerations_are_those_of_the_plant(name):
-    """Reached: 5e-13, and 3e-12 with joint springs."""
-    exported, mass, _ = at_rest(find_robot(name))
-    robot = exported.robot
-    state, actions = taut_states(robot, mass)
-    torques = robot.stall_torque * actions - robot.speed_slope * state.speed
-    expected, tension = evaluated(loaded_plant(robot, state, "unilateral", mass), torques)
-    assert tension.min() > 0
-    rates, _ = textbook_rates(robot, state, torques, "unilateral", mass)
-    peer = MujocoRobot(robot, exported=exported.text)
-    platform = []
-    motors = []
-    for lane, action in enumerate(actions):
-        peer.set_lane(state, lane)
-        if robot.flexible:
-            motors.append(peer.motor_accelerations(action))
-        platform.append(peer.accelerations(action))
-    assert worst_relative_error(np.array(platform), expected) <= 1e-9
-    if robot.flexible:
-        assert worst_relative_error(np.array(motors), rates.speed) <= 1e-9
 
 
 def damped(robot):

@@ -36,32 +36,21 @@ class ElasticState(State):
 
 
 def states(robot, count, tension=400.0, spread=1.0):
-    """Random states near home whose tensions lie between ``1 − spread`` and ``1 + spread`` of
+    """Random states near home, wound as at rest, whose tensions lie between ``1 − spread`` and ``1 + spread`` of
     ``tension``."""
     random = np.random.default_rng(1)
     size = (count, robot.coordinates)
     pose = robot.home + random.uniform(-0.15, 0.15, size)
     velocity = random.normal(size=size) / 3
     tensions = tension * (1 + spread * random.uniform(-1, 1, (count, robot.cables)))
-    return wound_state(robot, pose, velocity, tensions)
-
-
-def wound_state(robot, pose, velocity, tensions):
-    """A state in which springs and cables are wound by tensions (N, m) at rest."""
-    motor = 0 * tensions
-    pulley = 0 * tensions
-    if robot.elastic:
-        motor, pulley = textbook.rest_angles(robot, tensions, pose)
-    elif robot.jointed:
-        twist = robot.pulley_radius * tensions / robot.stiffness
-        motor = textbook.pulley_angle(robot, pose) + twist
+    motor, pulley = textbook.rest_angles(robot, tensions, pose)
     speed = textbook.pulley_speed(robot, pose, velocity)
     return ElasticState(pose, velocity, motor, speed.copy(), pulley, speed)
 
 
 def plant_at(robot, state, cable="unilateral"):
     plant = loaded_plant(robot, state, cable)
-    if robot.elastic and robot.jointed:
+    if robot.jointed:
         plant.set_pulleys(np.arange(plant.count), state.pulley, state.pulley_speed)
     return plant
 

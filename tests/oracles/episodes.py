@@ -37,11 +37,6 @@ def make_vector(env_id, count, **keywords):
     return gym.make_vec(env_id, num_envs=count, **keywords).unwrapped
 
 
-def motion(name, env_id):
-    """Name of a motion for the robot of an id."""
-    return f"{name}-{ROBOTS[env_id].kind}"
-
-
 def wrenches(env):
     """Present external force and moment of each environment, (N, 6)."""
     plant = env._simulation._plant

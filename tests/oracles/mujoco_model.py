@@ -34,11 +34,11 @@ def euler_angles(quat):
 class MujocoRobot:
     """One robot in MuJoCo, in the pose X of its kind, and β′ if flexible.
 
-    It starts at rest in ``robot.home_pose``; ``timestep`` is MuJoCo's [s].
+    It starts at rest in ``robot.home_pose``.
     :attr:`model` and :attr:`data` are MuJoCo's own objects, to use freely.
     """
 
-    def __init__(self, robot, payload=0.0, timestep=1e-3, *, exported=None):
+    def __init__(self, robot, payload=0.0, *, exported=None):
         """Compile the model, with motor torques [N·m] as controls; arguments as in
         :func:`mjcf_tree`.
 
@@ -53,17 +53,17 @@ class MujocoRobot:
         if exported is not None:
             self.model = self._mujoco.MjModel.from_xml_string(exported)
         else:
-            self.model = self._torque_driven(payload, timestep)
+            self.model = self._torque_driven(payload)
         self.data = self._mujoco.MjData(self.model)
         self._platform_speeds = robot.coordinates
         # a quaternion has four numbers
         self._platform_positions = robot.coordinates + (robot.kind == "spatial")
         self.set_state(robot.home, np.zeros(robot.coordinates))
 
-    def _torque_driven(self, payload, timestep):
+    def _torque_driven(self, payload):
         robot = self.robot
         tree = mjcf_tree(
-            robot.with_rigid_cables(), payload=payload, timestep=timestep, controls="torques"
+            robot.with_rigid_cables(), payload=payload, timestep=1e-3, controls="torques"
         )
         switched_off = _SWITCHED_OFF if robot.flexible else (*_SWITCHED_OFF, "spring")
         ElementTree.SubElement(tree.find("option"), "flag", dict.fromkeys(switched_off, "disable"))
@@ -120,7 +120,7 @@ class MujocoRobot:
         self.model.tendon_lengthspring[:, 0] = 0.0
         self.model.tendon_lengthspring[:, 1] = free - robot.extra_length
 
-    def set_wrench(self, force, moment=(0.0, 0.0, 0.0)):
+    def set_wrench(self, force, moment):
         """External force [N] and moment [N·m] at the platform's centre of mass, in the base frame,
         each of shape (3,).
 
@@ -137,13 +137,6 @@ class MujocoRobot:
         euler = euler_angles(positions[3:])
         rates = np.linalg.solve(euler_rate_matrix(euler), speeds[3:])
         return np.append(positions[:3], euler), np.append(speeds[:3], rates)
-
-    def motors(self):
-        """``(β′, β̇′)`` of a flexible robot, new arrays of shape (m,)."""
-        radius = self.robot.pulley_radius
-        return self.data.qpos[self._platform_positions :] / radius, self.data.qvel[
-            self._platform_speeds :
-        ] / radius
 
     def accelerations(self, torques):
         """``Ẍ`` in the present state under motor torques of shape (m,) [N·m], shape (n,)."""

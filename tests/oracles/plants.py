@@ -102,7 +102,6 @@ def each_of(*robots):
 
 
 rigid_robots = each_of(QUAD, UNEQUAL)
-flexible_robots = each_of(FLEX_QUAD, FLEX_UNEQUAL)
 FLEX_HANGING = with_transmission(
     HANGING, stiffness=5.0, motor_inertia=3e-3, motor_damping=0.01
 ).replace(name="flex-hanging", mass=1.0)
@@ -136,15 +135,6 @@ class State:
         """The state after a time at a rate, itself a state."""
         pairs = zip(vars(self).values(), vars(rate).values(), strict=True)
         return type(self)(*(value + time * slope for value, slope in pairs))
-
-
-def off_centre(robot):
-    """A pose without symmetry, and a velocity in all coordinates."""
-    if robot.kind == "planar":
-        return np.array([0.05, 0.02]), np.array([0.3, -0.4])
-    return np.array([0.05, 0.02, 0.15, 0.05, 0.03, 0.02]), np.array(
-        [0.2, -0.3, 0.1, 0.4, -0.3, 0.5]
-    )
 
 
 def runge_kutta_step(rates, state, step):

@@ -1,5 +1,5 @@
-"""Elastic cables and swivel pulleys in the compiled plant: a Python loop over the textbook, energy
-and episodes."""
+"""Elastic cables and swivel pulleys in the compiled plant: a Python loop over the textbook, and
+energy."""
 
 import numpy as np
 import pytest
@@ -23,12 +23,9 @@ from oracles.plants import (
     with_transmission,
 )
 
-from cablebot_gym.envs.settings import make_settings
-from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.kernel import rows
 from cablebot_gym.robots import Transmission
-from cablebot_gym.trajectories import Dwell
 
 each_elastic = each_of(ELASTIC[-1], *nightly(*ELASTIC[:-1]))
 
@@ -131,33 +128,3 @@ def test_energy_is_kept_while_slack_comes_and_goes(robot):
         assert_allclose(total(), start, rtol=1e-6, atol=1e-3)
     assert np.abs(plant.pose - state.pose).max() > 0.05
     assert np.any(np.any(slack, axis=0) & ~np.all(slack, axis=0))
-
-
-# --- environments -------------------------------------------------------------------------------------------------
-
-
-@each_of(ELASTIC[3], *nightly(ELASTIC[2]))
-def test_episode_starts_at_rest_with_the_true_payload(robot):
-    motion = Dwell(name="stay", pose=robot.home_pose)
-    env = CableBotEnv(robot=robot, trajectory=motion, initial_error=0, payload=1.0)
-    _, info = env.reset(seed=1)
-    for _ in range(50):
-        _, _, _, _, info = env.step(info["torques"] / robot.stall_torque)
-    assert info["tracking_error"] < 1e-9
-    assert info["tensions"].min() > 1.0
-
-
-@each_of(ELASTIC[3], *nightly(ELASTIC[2]))
-def test_default_substeps_keep_stiff_cables_stable(robot):
-    robot = with_transmission(robot, axial_stiffness=5e5)
-    motion = Dwell(name="stay", pose=robot.home_pose)
-    settings = make_settings(robot=robot, count=1, trajectory=motion)
-    pose = robot.home[None]
-    still = 0 * pose
-    tensions = textbook.required_tensions(robot, robot.mass, pose, still, still, minimum=20.0)
-    motor, pulley = textbook.rest_angles(robot, tensions, pose)
-    state = ElasticState(pose, still + 1e-3, motor, 0 * motor, pulley, 0 * pulley)
-    plant = plant_at(robot, state)
-    for _ in range(100):
-        advance(plant, holding_torques(robot, state), settings.period, settings.substeps)
-    assert np.abs(plant.pose - robot.home).max() < 1e-2

@@ -1,14 +1,9 @@
-"""The plant against what no equation of it states: energy and power, and the order of convergence
-of its steps."""
-
-from itertools import pairwise
+"""The plant against what no equation of it states: energy and power."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from oracles.plants import (
-    FLEX_UNEQUAL,
-    QUAD,
     State,
     advance,
     both_cables,
@@ -21,8 +16,6 @@ from oracles.plants import (
     free_motors,
     friction_torques,
     loaded_plant,
-    no_reference,
-    off_centre,
     random_states,
     state_of,
     take_up_torques,
@@ -34,53 +27,6 @@ from scipy.linalg import eigh
 from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL
-
-
-def assert_order_four(end, coarsest, finest):
-    """Errors fall with the fourth power of the step; ``end`` gives the state after some number of
-    steps."""
-    fine = end(finest)
-    errors = [np.abs(end(coarsest * doubled) - fine).max() for doubled in (1, 2, 4)]
-    assert errors[-1] > 1e-13
-    for coarse, halved in pairwise(errors):
-        assert 3.7 < np.log2(coarse / halved) < 4.5
-
-
-@each_of(QUAD, FLEX_UNEQUAL)
-def test_integrator_has_order_four_while_motors_are_saturated(robot):
-    """Motors follow their torque-speed lines; limits once per step would give order one."""
-    pose, velocity = (value[None] for value in off_centre(robot))
-    angle = textbook.pulley_angle(robot, pose)
-    state = State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity))
-
-    def end(substeps):
-        plant = loaded_plant(robot, state)
-        plant.set_action(np.ones((1, robot.cables)))
-        plant.advance(*no_reference(robot), substeps=substeps, step=0.01 / substeps)
-        saturated = drive_speed(robot, state_of(plant)) > drive_speed(robot, state) + 1
-        assert np.mean(saturated) >= 0.5
-        return state_of(plant).columns()
-
-    assert_order_four(end, 8 if robot.flexible else 2, 2048)
-
-
-@each_of(QUAD)
-def test_order_is_four_where_friction_reverses(robot):
-    """Friction is smooth there: one that sticks would give order one at each reversal."""
-    robot = with_transmission(robot, coulomb_friction=0.05, friction_speed=2.0)
-    pose, velocity = (value[None] for value in off_centre(robot))
-    angle = textbook.pulley_angle(robot, pose)
-    state = State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity))
-
-    def end(substeps):
-        plant = loaded_plant(robot, state)
-        # against the motion
-        plant.set_action(-0.05 * np.sign(drive_speed(robot, state)))
-        plant.advance(*no_reference(robot), substeps=substeps, step=0.02 / substeps)
-        assert np.any(drive_speed(robot, state_of(plant)) * drive_speed(robot, state) < 0)
-        return state_of(plant).columns()
-
-    assert_order_four(end, 32, 4096)
 
 
 @both_cables

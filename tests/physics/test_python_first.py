@@ -226,25 +226,6 @@ def test_compiled_code_computes_what_python_cannot(name):
     assert_same_bits(values, expected)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
-def test_state_of_nan_or_infinity_has_the_same_bits(value):
-    """Excludes an error of Python where compiled code computes infinity."""
-    robot = ROBOTS["planar"]
-    results = []
-    for compile_first in (True, False):
-        state, actions = random_states(robot, 2, seed=1)
-        state.velocity[1] = value
-        state.pose[0] = robot.base[0]  # a cable without length
-        plant = loaded_plant(robot, state, "unilateral")
-        plant.set_action(actions)
-        advance = kernel.compiled(form_of(robot), 1).advance
-        call = advance.compiled if compile_first else advance._choose
-        (calls,) = plant.advance_calls(*plants.no_reference(robot), substeps=2, step=1e-3)
-        call(*calls.args)
-        results.append(plant.record.copy())
-    assert_same_bits(*results)
-
-
 def test_ctrl_c_leaves_the_arrays_as_before():
     @entry_point(seconds=lambda *_: 0.0)
     def interrupted(values):

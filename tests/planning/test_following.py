@@ -23,6 +23,14 @@ CASES = {
     "flexible planar": (FLEX_PLANAR, "CableBot-FlexPlanar-v0", 40),
 }
 """Robot, environment and number of spline intervals."""
+each_case = pytest.mark.parametrize(
+    "name",
+    [
+        "planar",
+        pytest.param("flexible planar", marks=pytest.mark.landing),
+        pytest.param("spatial", marks=pytest.mark.landing),
+    ],
+)
 
 
 @cache
@@ -30,35 +38,35 @@ def plan(name):
     robot, _, intervals = CASES[name]
     line = {"name": f"line-{robot.kind}", "duration": 0.5 if robot.planar else 0.4}
     reference = find_trajectory(line, robot.coordinates)
-    program = MotionProgram(
-        robot, reference, ErrorBounds(), intervals=intervals, margins=MARGINS, period=0.002
-    )
-    return program.solve()
+    keywords = {"margins": MARGINS, "period": 0.002, "lightest": 1.0}
+    return MotionProgram(robot, reference, ErrorBounds(), intervals=intervals, **keywords).solve()
 
 
-def follow(name, gains, *, error=0.0):
-    """Distance of the platform from the plan after every control period, in the environment's
-    plant."""
+def follow(name, gains, *, payload=None, error=0.0):
+    """Results of each control period by name, of the plan's heaviest payload or another one in the
+    environment's plant."""
     robot, env_id, _ = CASES[name]
     motion = plan(name)
+    if payload is None:
+        payload = motion.payload
     follower = Follower(robot=robot, gains=gains, motor_frequency=200.0)
     start_error = error * np.eye(robot.coordinates)[0]
-    env = make(env_id, trajectory=motion, payload=motion.payload, initial_error=start_error)
+    env = make(env_id, trajectory=motion, payload=payload, initial_error=start_error)
     observation, _ = env.reset(seed=0)
-    distances = []
+    infos = []
     for step in range(round(motion.duration * 500)):
         state = State.from_blocks(env.layout.split(observation), np.asarray(step / 500))
-        action = follower.action(motion, state, np.asarray(motion.payload), 1 / 500)
+        action = follower.action(motion, state, np.asarray(payload), 1 / 500)
         observation, _, terminated, _, info = env.step(np.clip(action, -1, 1))
         assert not terminated
-        distances.append(float(info["tracking_error"]))
-    return np.array(distances)
+        infos.append(info)
+    return {key: np.array([info[key] for info in infos]) for key in info}
 
 
 # --- one period -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["planar", "flexible planar"])
+@each_case
 def test_action_of_a_row_of_a_batch_is_that_alone(name):
     robot = CASES[name][0]
     motion = plan(name)
@@ -79,23 +87,34 @@ def test_action_of_a_row_of_a_batch_is_that_alone(name):
 # --- a whole motion ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "planar",
-        pytest.param("flexible planar", marks=pytest.mark.landing),
-        pytest.param("spatial", marks=pytest.mark.landing),
-    ],
-)
+@each_case
 def test_plan_is_followed_and_an_initial_error_corrected(name):
+    def errors(gains, **start):
+        return follow(name, gains, **start)["tracking_error"]
+
     if CASES[name][0].flexible:
-        assert follow(name, (100.0, 10.0)).max() < 3e-5
+        assert errors((100.0, 10.0)).max() < 3e-5
         gains = 100.0, 20.0
     else:
-        assert follow(name, (2500.0, 100.0)).max() < 1e-5
+        assert errors((2500.0, 100.0)).max() < 1e-5
         gains = 400.0, 40.0
-    without = follow(name, NO_GAINS, error=5e-4)
-    corrected = follow(name, gains, error=5e-4)
+    without = errors(NO_GAINS, error=5e-4)
+    corrected = errors(gains, error=5e-4)
     assert corrected[0] == pytest.approx(5e-4, rel=0.1)
     assert corrected[-1] < 0.2 * 5e-4
     assert corrected[-1] < 0.5 * without[-1]
+
+
+@each_case
+def test_plan_keeps_its_margins_with_all_payloads(name):
+    robot = CASES[name][0]
+    motion = plan(name)
+    least = robot.minimum_tension + MARGINS.tension
+    actions = []
+    for fraction in (0.0, 0.31, 0.77, 1.0):
+        payload = motion.lightest + fraction * (motion.payload - motion.lightest)
+        results = follow(name, (100.0, 10.0), payload=payload)
+        actions.append(np.abs(results["commanded_action"]).max())
+        assert results["least_tensions"].min() > least - 0.6
+    most = 1 - MARGINS.action
+    assert most - 2e-3 < max(actions) < most + 0.01

@@ -183,7 +183,6 @@ def test_options_of_a_name_are_arguments_of_the_law(name, gains, minimum_tension
             "fl:gain=3",
             "unknown fl option 'gain'; choose one of gains, minimum_tension, such as fl:",
         ),
-        ("fl:gains=tuned,zeta=1", "unknown fl option 'zeta'"),
         ("fl:gains=tund", "unknown gains 'tund'; choose one of paper, tuned"),
         ("adaptive:allocation=maybe", "allocation must be true or false, not 'maybe'"),
         ("trajopt:gains=tuned", "policy 'trajopt' has no options: leave 'gains=tuned' out"),
