@@ -198,7 +198,7 @@ def test_run_writes_policies_evaluations_and_card(trained):
     }
     card = Bundle.load(trained / "best.zip").card
     assert card["command"].startswith(
-        f"cablebot train {PLANAR} --algo ppo --config ppo.yaml --seed 3 --timesteps 256"
+        f"cablebot train {PLANAR} --config ppo.yaml --seed 3 --timesteps 256"
     )
     assert card["seed"] == 3
     assert card["config"]["n_steps"] == 4

@@ -54,7 +54,6 @@ def network_from_sb3(model: PPO) -> Network:
         weights=tuple(_array(layer.weight) for layer in (*linear, head)),
         biases=tuple(_array(layer.bias) for layer in (*linear, head)),
         activation=_ACTIVATIONS[activation],
-        squash="none",
     )
 
 

@@ -16,17 +16,10 @@ ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
 }
 """Activation functions after each layer except the last, by name."""
 
-SQUASHES: dict[str, Callable[[Array], Array]] = {
-    "none": lambda values: values,
-    "tanh": np.tanh,
-}
-"""Functions after the last layer, by name."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Network:
-    """A multilayer perceptron with normalised and clipped inputs, and a linear last layer with an
-    optional squash.
+    """A multilayer perceptron with normalised and clipped inputs, and a linear last layer.
 
     Raises:
         ValueError: if the shapes of the arrays are inconsistent, or a number is not finite.
@@ -42,15 +35,12 @@ class Network:
     """Biases of each layer, (out,)."""
     activation: str = "tanh"
     """Activation function, one of :data:`ACTIVATIONS`."""
-    squash: str = "tanh"
-    """Function after the last layer, one of :data:`SQUASHES`."""
 
     CUT = 10.0
     """Bound at which normalised inputs are clipped."""
 
     def __post_init__(self) -> None:
         choice("activation", self.activation, ACTIVATIONS)
-        choice("squash", self.squash, SQUASHES)
         if not self._has_consistent_shapes():
             raise ValueError("the shapes of the network's layers are inconsistent")
         arrays = (self.mean, self.scale, *self.weights, *self.biases)
@@ -87,12 +77,11 @@ class Network:
         normalised = (values - self.mean) / self.scale
         values = np.clip(normalised, -self.CUT, self.CUT)
         activate = ACTIVATIONS[self.activation]
-        squash = SQUASHES[self.squash]
         *hidden_layers, last_layer = zip(self.weights, self.biases, strict=True)
         for weight, bias in hidden_layers:
             values = activate(values @ weight.T + bias)
         weight, bias = last_layer
-        return squash(values @ weight.T + bias)
+        return values @ weight.T + bias
 
     def to_arrays(self) -> dict[str, Array]:
         """The network as arrays by name, for :meth:`from_arrays`."""
@@ -100,7 +89,6 @@ class Network:
             "mean": self.mean,
             "scale": self.scale,
             "activation": np.array(self.activation),
-            "squash": np.array(self.squash),
         }
         for index, weight in enumerate(self.weights):
             arrays[f"weight{index}"] = weight
@@ -130,7 +118,6 @@ class Network:
             weights=tuple(floats(f"weight{index}") for index in indices),
             biases=tuple(floats(f"bias{index}") for index in indices),
             activation=str(arrays["activation"]),
-            squash=str(arrays["squash"]),
         )
 
 
