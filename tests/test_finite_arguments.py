@@ -79,7 +79,6 @@ PLAIN = (
 )
 OTHER = {
     "inverse_dynamics of the kernel": (partial(inverse_dynamics, SPATIAL), {"minimum": 1.0}),
-    "central": (distribution.central, {"minimum": 1.0}),
     "rest_angles": (partial(textbook.rest_angles, FLEX_SPATIAL), {}),
     "forward_kinematics": (
         partial(forward_kinematics, SPATIAL),

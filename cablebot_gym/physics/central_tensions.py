@@ -1,5 +1,5 @@
 """Compiled tensions in the interior of their bounds, batched: the work of
-:func:`cablebot_gym.physics.distribution.central`.
+:func:`cablebot_gym.physics.distribution.unchecked_central`.
 
 A QR factorisation of S gives the tensions that hold the load; Newton's method with a line search
 finds among them the least of a strictly convex function.
@@ -46,7 +46,7 @@ def _barrier(distance, relaxed):
 
 @helper
 def _value(actions, lows, barrier):
-    """The function of :func:`~cablebot_gym.physics.distribution.central` at some actions."""
+    """The function of :func:`~cablebot_gym.physics.distribution.unchecked_central` at some actions."""
     total = 0.0
     for i in range(len(actions)):
         below, _, _ = _barrier(actions[i] - lows[i], RELAXED * barrier)
@@ -111,7 +111,7 @@ def _move(start, null, step, length, actions):
 
 @entry_point(seconds=distribution_seconds)
 def solve_central(structure, load, lower, slope, offset, barrier, tensions):
-    """Central tensions, see :func:`~cablebot_gym.physics.distribution.central`; NaN if S is
+    """Central tensions, see :func:`~cablebot_gym.physics.distribution.unchecked_central`; NaN if S is
     singular."""
     items, m, n = structure.shape
     factors = new_factors(m, n)

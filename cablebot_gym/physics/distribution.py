@@ -36,7 +36,7 @@ from cablebot_gym.physics.tension_problems import (
     solve_least_largest,
     solve_least_norm,
 )
-from cablebot_gym.utils.checks import all_finite, number
+from cablebot_gym.utils.checks import all_finite
 
 HELD = nearest_point.HELD
 """Status of an item whose load tensions within the bounds hold."""
@@ -228,7 +228,7 @@ def unchecked_least_largest_action(
     return _distribution(shape, matrices, loads, tensions, status)
 
 
-def central(
+def unchecked_central(
     structure: ArrayLike,
     load: ArrayLike,
     minimum: ArrayLike,
@@ -258,25 +258,8 @@ def central(
         offset: action at zero tension, shape (..., m).
         barrier: μ; > 0.
 
-    Raises:
-        ValueError: if the shapes do not match, or a number is invalid.
+    It is for laws, whose numbers are finite. NaN if S has a rank below n.
     """
-    number("barrier", barrier, above=0.0)
-    for name, values in {"minimum": minimum, "slope": slope, "offset": offset}.items():
-        all_finite(name, values)
-    _check_problem(structure, load, minimum, np.inf)
-    return unchecked_central(structure, load, minimum, slope, offset, barrier)
-
-
-def unchecked_central(
-    structure: ArrayLike,
-    load: ArrayLike,
-    minimum: ArrayLike,
-    slope: ArrayLike,
-    offset: ArrayLike,
-    barrier: float,
-) -> Array:
-    """As :func:`central`, for laws, whose numbers are finite. NaN if S has a rank below n."""
     shape, matrices, loads, (low, slopes, offsets) = _arrays(
         structure, load, minimum, slope, offset
     )

@@ -19,7 +19,7 @@ from torch import Tensor
 from cablebot_baselines.classical.flexible import DIFFERENCE_STEP, Motion
 from cablebot_baselines.classical.law import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import BARRIER, RELAXED, central
+from cablebot_gym.physics.distribution import BARRIER, RELAXED, unchecked_central
 from cablebot_gym.physics.textbook import joint_equivalent
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import ORDERS
@@ -126,7 +126,7 @@ def _tension_distribution(structure: Tensor, load: Tensor, minimum: float) -> Te
 def _central_tensions(
     structure: Tensor, load: Tensor, slope: Tensor, offset: Tensor, minimum: float
 ) -> Tensor:
-    """The tensions of :func:`~cablebot_gym.physics.distribution.central`.
+    """The tensions of :func:`~cablebot_gym.physics.distribution.unchecked_central`.
 
     That function gives the values. One step of Newton's method from them changes them by rounding
     only, and has their derivatives.
@@ -134,7 +134,7 @@ def _central_tensions(
     least = torch.full_like(offset, minimum)
     arguments = structure, load, least, slope, offset
     arrays = [argument.detach().numpy() for argument in arguments]
-    tensions = torch.tensor(central(*arrays))
+    tensions = torch.tensor(unchecked_central(*arrays))
     actions = slope * tensions + offset
     below, below_curvature = _barrier_derivatives(slope * (tensions - minimum))
     above, above_curvature = _barrier_derivatives(1 - actions)
@@ -152,7 +152,7 @@ def _central_tensions(
 
 
 def _barrier_derivatives(distance: Tensor) -> tuple[Tensor, Tensor]:
-    """First and second derivative of the barrier in :func:`~cablebot_gym.physics.distribution.central`."""
+    """First and second derivative of the barrier in :func:`~cablebot_gym.physics.distribution.unchecked_central`."""
     relaxed = RELAXED * BARRIER
     inverse = 1 / distance.clamp(min=relaxed)
     first = torch.where(distance > relaxed, -inverse, (distance / relaxed - 2) / relaxed)

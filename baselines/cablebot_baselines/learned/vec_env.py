@@ -195,31 +195,17 @@ class CableBotVecEnv(VecEnv):
                 return self._items(getattr(layer, attr_name), env_indices)
         raise AttributeError(f"{self.env.unwrapped!r} has no attribute {attr_name!r}")
 
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Not available.
+    def env_method(self, method_name: str, *arguments: Any, **keywords: Any) -> list[Any]:
+        """Not available, as is ``set_attr``.
 
         Raises:
             NotImplementedError: always.
         """
         raise NotImplementedError(
-            "the environments are one compiled batch: use keywords, or set_options()"
+            "the environments are one compiled batch: use keywords, set_options(), or methods of the vector environment"
         )
 
-    def env_method(
-        self,
-        method_name: str,
-        *method_args: Any,
-        indices: VecEnvIndices = None,
-        **method_kwargs: Any,
-    ) -> list[Any]:
-        """Not available.
-
-        Raises:
-            NotImplementedError: always.
-        """
-        raise NotImplementedError(
-            "the environments are one compiled batch: call methods of the vector environment"
-        )
+    set_attr: Any = env_method
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """Whether a ``wrapper_class`` wraps the batch; always false for wrappers of single

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array, as_numbers, times_vector
 from cablebot_gym.physics.distribution import (
-    BARRIER,
     HELD,
     largest_scale,
     least_norm,
@@ -389,13 +388,13 @@ def central_tensions(
     minimum: float,
 ) -> Array:
     """Tensions of redundant cables that change smoothly along a motion, shape (..., m) [N]: those of
-    :func:`~cablebot_gym.physics.distribution.central`, or in a pose where S is singular those of
+    :func:`~cablebot_gym.physics.distribution.unchecked_central`, or in a pose where S is singular those of
     :func:`least_action_tensions`.
 
     The arguments are as there.
     """
     slope, offset = _actions_of_tensions(robot, speed, acceleration)
-    tensions = unchecked_central(structure, as_numbers(load), minimum, slope, offset, BARRIER)
+    tensions = unchecked_central(structure, as_numbers(load), minimum, slope, offset)
     if np.isfinite(tensions).all():
         return tensions
     least = least_action_tensions(robot, structure, load, speed, acceleration, minimum)
