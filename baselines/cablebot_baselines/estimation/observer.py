@@ -116,17 +116,18 @@ class RobotObserver:
 
     def estimate(self, state: ObserverState) -> RobotEstimate:
         """The estimates in a state of the filter."""
+        columns = self.columns
         mean = state.mean
-        zero = mean[:, self.columns.zero]
+        zero = mean[:, columns.zero]
         if not zero.size:
             zero = state.motor_angle
         return RobotEstimate(
-            pose=mean[:, self.columns.pose],
-            velocity=mean[:, self.columns.velocity],
-            mass=mean[:, self.columns.mass],
-            strength=mean[:, self.columns.strength],
-            delay=mean[:, self.columns.delay],
-            wrench=mean[:, self.columns.wrench],
+            pose=mean[:, columns.pose],
+            velocity=mean[:, columns.velocity],
+            mass=mean[:, columns.mass],
+            strength=mean[:, columns.strength],
+            delay=mean[:, columns.delay],
+            wrench=mean[:, columns.wrench],
             zero=zero,
         )
 
@@ -152,10 +153,11 @@ class RobotObserver:
 
     def _initial(self, blocks: Blocks) -> ObserverState:
         """The state at the first observation: a robot at rest on its springs."""
+        columns = self.columns
         robot = self.robot
         mean, variance = self._prior(blocks)
-        covariance = variance[:, :, None] * np.eye(self.columns.total)
-        pose = mean[:, self.columns.pose].copy()
+        covariance = variance[:, :, None] * np.eye(columns.total)
+        pose = mean[:, columns.pose].copy()
         count = len(pose)
         # the torque is affine in the mass
         light = self._holding_torque(robot.mass, pose)
@@ -163,7 +165,7 @@ class RobotObserver:
         per_mass = (heavy - light) / robot.mass
         without_mass = light - per_mass * robot.mass
         holding = np.stack([per_mass, without_mass], axis=-1)
-        mass = mean[:, self.columns.mass, None].copy()
+        mass = mean[:, columns.mass, None].copy()
         angle = np.zeros((count, robot.cables))
         speed = angle
         if robot.flexible:
@@ -186,6 +188,7 @@ class RobotObserver:
 
     def _prior(self, blocks: Blocks) -> tuple[Array, Array]:
         """Mean and variances of the state before the springs are read, each (N, size)."""
+        columns = self.columns
         robot = self.robot
         expected = self.expectation
         is_known = blocks["payload_known"][:, 0] > 0.5
@@ -196,16 +199,16 @@ class RobotObserver:
         unknown_spread = largest / np.sqrt(12)
         payload_spread = np.where(is_known, known_spread, unknown_spread)
         count = len(payload)
-        mean = np.zeros((count, self.columns.total))
-        mean[:, self.columns.mass] = robot.mass + payload
-        mean[:, self.columns.strength] = 1.0
-        mean[:, self.columns.delay] = np.mean(self._effect_times)
+        mean = np.zeros((count, columns.total))
+        mean[:, columns.mass] = robot.mass + payload
+        mean[:, columns.strength] = 1.0
+        mean[:, columns.delay] = np.mean(self._effect_times)
         variance = np.zeros_like(mean)
-        variance[:, self.columns.mass] = payload_spread**2 + expected.mass_spread**2
-        variance[:, self.columns.strength] = expected.strength_spread**2
-        variance[:, self.columns.delay] = np.ptp(self._effect_times) ** 2 / 12
-        mean[:, self.columns.wrench] = expected.wrench_mean
-        variance[:, self.columns.wrench] = expected.wrench_spread**2
+        variance[:, columns.mass] = payload_spread**2 + expected.mass_spread**2
+        variance[:, columns.strength] = expected.strength_spread**2
+        variance[:, columns.delay] = np.ptp(self._effect_times) ** 2 / 12
+        mean[:, columns.wrench] = expected.wrench_mean
+        variance[:, columns.wrench] = expected.wrench_spread**2
         if self._winches is None:
             self._pose.start(blocks, mean, variance)
         else:
@@ -217,23 +220,24 @@ class RobotObserver:
     ) -> None:
         """Changes mean and covariance of a flexible robot to those with the motor angles at which
         its springs hold it at the start."""
+        columns = self.columns
         robot = self.robot
         expected = self.expectation
         stiffness = robot.stiffness
-        pose = mean[:, self.columns.pose]
-        mass = mean[:, self.columns.mass, None]
+        pose = mean[:, columns.pose]
+        mass = mean[:, columns.mass, None]
         torque = stiffness * (angle - textbook.pulley_angle(robot, pose))
         innovation = torque - holding[..., 0] * mass - holding[..., 1]
         stiffness_error = expected.stiffness_spread * torque / stiffness
         anchor_error = expected.anchor_spread / robot.pulley_radius
-        zeros = np.arange(self.columns.total)[self.columns.zero]
+        zeros = np.arange(columns.total)[columns.zero]
         covariance[:, zeros, zeros] = stiffness_error**2 + anchor_error**2
         winding = (stiffness / robot.pulley_radius)[:, None]
         count = len(mean)
-        gradient = np.zeros((count, robot.cables, self.columns.total))
-        gradient[..., self.columns.pose] = -(winding * textbook.jacobian(robot, pose))
-        gradient[..., self.columns.zero] = np.diag(stiffness)
-        gradient[..., self.columns.mass] = holding[..., 0]
+        gradient = np.zeros((count, robot.cables, columns.total))
+        gradient[..., columns.pose] = -(winding * textbook.jacobian(robot, pose))
+        gradient[..., columns.zero] = np.diag(stiffness)
+        gradient[..., columns.mass] = holding[..., 0]
         noise = (stiffness * expected.noise.motor_angle) ** 2 + LEAST_BALANCE_VARIANCE
         variance = np.repeat(noise[None], count, axis=0)
         correct(innovation, gradient, variance, mean, covariance)
@@ -245,6 +249,7 @@ class RobotObserver:
 
     def _following(self, blocks: Blocks, state: ObserverState) -> ObserverState:
         """Prediction over one control period, and correction by the sensors."""
+        columns = self.columns
         mean = state.mean.copy()
         covariance = state.covariance.copy()
         torque, torque_gradient = self._torques.on_pulleys(blocks, state)
@@ -260,14 +265,14 @@ class RobotObserver:
             by_pose,
             self._growth(mean),
             self._torques.jumps(blocks),
-            self.columns.wrench.start,
-            self.columns.mass,
+            columns.wrench.start,
+            columns.mass,
             self.period,
             self._wrench_decay,
             mean,
             covariance,
         )
-        mean[:, self.columns.wrench] += (1 - self._wrench_decay) * self.expectation.wrench_mean
+        mean[:, columns.wrench] += (1 - self._wrench_decay) * self.expectation.wrench_mean
         if period is None or self._winches is None:
             readings = [self._pose.read(blocks, mean)]
         else:
@@ -275,10 +280,10 @@ class RobotObserver:
         if self.robot.flexible:
             readings.append(self._torques.balance(blocks, state, torque, torque_gradient))
         Readings.joined(readings).correct(mean, covariance)
-        delay = mean[:, self.columns.delay]
-        mass = mean[:, self.columns.mass]
-        mean[:, self.columns.delay] = np.clip(delay, *self._effect_times)
-        mean[:, self.columns.mass] = np.maximum(mass, self.robot.mass / 2)
+        delay = mean[:, columns.delay]
+        mass = mean[:, columns.mass]
+        mean[:, columns.delay] = np.clip(delay, *self._effect_times)
+        mean[:, columns.mass] = np.maximum(mass, self.robot.mass / 2)
         return ObserverState(
             mean=mean,
             covariance=covariance,
@@ -290,13 +295,18 @@ class RobotObserver:
             dynamics=self._dynamics(mean),
         )
 
+    def _middle(self, mean: Array) -> Array:
+        """Pose half a period later than that of a mean, (N, n)."""
+        middle: Array = (
+            mean[:, self.columns.pose] + self.period / 2 * mean[:, self.columns.velocity]
+        )
+        return middle
+
     def _acceleration_by_pose(self, state: ObserverState, torque: Array) -> Array:
         """Derivative of the acceleration with respect to the pose at constant torques (N, m), (N, n,
         n)."""
-        columns = self.columns
-        velocity = state.mean[:, columns.velocity]
-        middle = state.mean[:, columns.pose] + self.period / 2 * velocity
-        poses, masses = varied(middle, state.mean[:, columns.mass])
+        velocity = state.mean[:, self.columns.velocity]
+        poses, masses = varied(self._middle(state.mean), state.mean[:, self.columns.mass])
         accelerations, _ = textbook.forward_dynamics(
             self.robot, masses[:-1], poses[:-1], velocity, torque, cable="bilateral"
         )
@@ -323,8 +333,9 @@ class RobotObserver:
         force_per_mass = dynamics.bias_per_mass
         force_per_mass = force_per_mass + times_vector(dynamics.matrix_per_mass, acceleration)
         gradient[..., columns.mass] -= times_vector(dynamics.mobility, force_per_mass)
-        middle = state.mean[:, columns.pose] + self.period / 2 * velocity
-        pulley_acceleration = textbook.pulley_acceleration(robot, middle, velocity, acceleration)
+        pulley_acceleration = textbook.pulley_acceleration(
+            robot, self._middle(state.mean), velocity, acceleration
+        )
         drag = robot.pulley_inertia * pulley_acceleration + robot.damping * dynamics.pulley_speed
         rotor_error = self.expectation.inertia_spread * robot.pulley_inertia * pulley_acceleration
         torque_error = np.hypot(rotor_error, self._torques.errors(blocks))
@@ -348,29 +359,29 @@ class RobotObserver:
 
     def _growth_without_mass(self) -> Array:
         """Variances that one control period adds, (size,), but for that of the mass."""
+        columns = self.columns
         period = self.period
         expected = self.expectation
         acceleration_density = self._acceleration_noise**2
         forgotten = 1 - self._wrench_decay**2
-        variance = np.zeros(self.columns.total)
-        variance[self.columns.velocity] = acceleration_density * period
-        variance[self.columns.pose] = acceleration_density * period**3 / 3
-        variance[self.columns.wrench] = forgotten * expected.wrench_spread**2
+        variance = np.zeros(columns.total)
+        variance[columns.velocity] = acceleration_density * period
+        variance[columns.pose] = acceleration_density * period**3 / 3
+        variance[columns.wrench] = forgotten * expected.wrench_spread**2
         strength_drift = STRENGTH_DRIFT
         if not expected.strength_spread:
             strength_drift = EXACT_STRENGTH_DRIFT
-        variance[self.columns.strength] = strength_drift**2 * period
+        variance[columns.strength] = strength_drift**2 * period
         if self._winches is None and self.robot.flexible:
             drift = OFFSET_DRIFT * expected.anchor_spread / self.robot.pulley_radius
-            variance[self.columns.zero] = drift**2 * period
+            variance[columns.zero] = drift**2 * period
         return variance
 
     def _dynamics(self, mean: Array) -> Dynamics:
         """Motion with the estimates of a mean, (N, size)."""
-        mass = mean[:, self.columns.mass]
-        velocity = mean[:, self.columns.velocity]
-        middle = mean[:, self.columns.pose] + self.period / 2 * velocity
-        return dynamics_of(self.robot, mass, middle, velocity)
+        columns = self.columns
+        middle = self._middle(mean)
+        return dynamics_of(self.robot, mean[:, columns.mass], middle, mean[:, columns.velocity])
 
     # Prediction
 

@@ -62,32 +62,32 @@ class Torques:
         if self._winches is None:
             return np.zeros_like(blocks["motor_angle"])
         jump = self._robot.stiffness * self._winches.angle_deviation / np.sqrt(2)
-        jumps = np.broadcast_to(jump, blocks["motor_angle"].shape)
-        return jumps
+        return np.broadcast_to(jump, blocks["motor_angle"].shape)
 
     def _of_motors(self, blocks: Blocks, state: ObserverState) -> tuple[Array, Array]:
         """Mean torques on the pulleys of a rigid robot, (N, m), and their derivatives with respect
         to the state, (N, m, size)."""
         robot = self._robot
+        columns = self._columns
         dynamics = state.dynamics
-        strength = state.mean[:, self._columns.strength]
         speed = dynamics.pulley_speed
         drives = self._last(blocks, state, speed)
         torque = drives.torque - textbook.coulomb_torque(robot, speed)
         torque = torque / (1 + textbook.load_friction(robot, speed))
-        gradient = np.zeros((*speed.shape, self._columns.total))
-        speed_slope = strength * robot.speed_slope + robot.damping
+        gradient = np.zeros((*speed.shape, columns.total))
+        speed_slope = state.mean[:, columns.strength] * robot.speed_slope + robot.damping
         rate_slope = speed_slope / robot.pulley_radius
-        gradient[..., self._columns.velocity] = rate_slope[..., None] * dynamics.structure
+        gradient[..., columns.velocity] = rate_slope[..., None] * dynamics.structure
         self._write_drives(gradient, drives)
         return torque, gradient
 
     def _write_drives(self, gradient: Array, drives: Drives) -> None:
         """Writes the derivatives of the motor torques, (N, m, size), but for those by the speed."""
+        columns = self._columns
         strength_slope = drives.per_strength[..., None]
-        gradient[..., self._columns.mass] = drives.per_mass
-        gradient[..., self._columns.strength] = strength_slope * np.eye(self._robot.cables)
-        gradient[..., self._columns.delay] = drives.per_delay
+        gradient[..., columns.mass] = drives.per_mass
+        gradient[..., columns.strength] = strength_slope * np.eye(self._robot.cables)
+        gradient[..., columns.delay] = drives.per_delay
 
     def _of_springs(self, blocks: Blocks, state: ObserverState) -> tuple[Array, Array]:
         """Mean torques of the springs of a flexible robot, (N, m), and their derivatives, (N, m,
@@ -102,21 +102,20 @@ class Torques:
         middle = mean[:, columns.pose] + period / 2 * mean[:, columns.velocity]
         stiffness = textbook.joint_stiffness(robot, middle)
         twist = mean_angle - mean[:, columns.zero] - textbook.pulley_angle(robot, middle)
-        gradient = np.zeros((*twist.shape, self._columns.total))
+        gradient = np.zeros((*twist.shape, columns.total))
         # β = (l₀ − l)/r, so a displacement winds the spring by S/r.
         winding = (stiffness / robot.pulley_radius)[..., None]
-        gradient[..., self._columns.pose] = winding * state.dynamics.structure
+        gradient[..., columns.pose] = winding * state.dynamics.structure
         zero_slope = -np.eye(robot.cables)
-        gradient[..., self._columns.zero] = zero_slope * stiffness[..., None, :]
+        gradient[..., columns.zero] = zero_slope * stiffness[..., None, :]
         if self._winches is not None:
-            anchor_error, by_anchors = self._winches.anchor_error(state.mean, middle)
+            anchor_error, by_anchors = self._winches.anchor_error(mean, middle)
             twist = twist - anchor_error
-            gradient[..., self._columns.anchor] = -stiffness[..., None] * by_anchors
+            gradient[..., columns.anchor] = -stiffness[..., None] * by_anchors
         torque = stiffness * twist
-        if self._columns.compliance.stop > self._columns.compliance.start:
-            identity = np.eye(robot.cables)
-            torque = torque / (1 + state.mean[:, self._columns.compliance])
-            gradient[..., self._columns.compliance] = -torque[..., None] * identity
+        if columns.compliance.stop > columns.compliance.start:
+            torque = torque / (1 + mean[:, columns.compliance])
+            gradient[..., columns.compliance] = -torque[..., None] * np.eye(robot.cables)
         return torque, gradient
 
     def balance(
@@ -174,9 +173,8 @@ class Torques:
         robot = self._robot
         actions = blocks["last_actions"].reshape(len(blocks["last_actions"]), -1, robot.cables)
         changes = np.ptp(actions, axis=1)
-        lag_error = LAG_ERROR * (self._expectation.lag[1] > 0)
-        errors: Array = lag_error * robot.stall_torque * changes
-        return errors
+        errors: Array = LAG_ERROR * robot.stall_torque * changes
+        return errors * (self._expectation.lag[1] > 0)
 
     def _last(self, blocks: Blocks, state: ObserverState, speed: Array) -> Drives:
         """Mean torque of the motors in the last control period, at speeds (N, m) [rad/s]."""

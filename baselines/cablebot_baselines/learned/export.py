@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 from cablebot_baselines.classical.law import Array
@@ -15,7 +15,7 @@ from cablebot_baselines.learned.network import Network
 _ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 
-def network_from_sb3(model: PPO) -> Network:
+def network_from_sb3(model: BaseAlgorithm) -> Network:
     """The deterministic actor of an ``MlpPolicy`` of PPO, as ``predict(…, deterministic=True)`` uses
     it.
 
