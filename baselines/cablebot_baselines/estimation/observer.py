@@ -97,8 +97,7 @@ class RobotObserver:
         self.largest_payload = np.asarray(largest_payload, float)
         self.columns = Columns(self.robot, expectation, measurement)
         self._effect_times = expectation.effect_times(period)
-        decay = np.exp(-period / expectation.wrench_time)
-        self._wrench_decay = float(decay)
+        self._wrench_decay = float(np.exp(-period / expectation.wrench_time))
         self._measurement = measurement
         robot = self.robot
         is_position = np.arange(robot.coordinates) < robot.dimensions
