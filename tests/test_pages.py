@@ -171,7 +171,6 @@ def test_laws_behind_the_homed_filter_keep_their_payload():
             exact[key] = case["payload"]
         if (case["estimator"], case["errors"]) == ("ekf-homed", "load-cells"):
             homed[key] = case["payload"]
-    del exact["CableBot-Spatial-v0", "hardware"]  # the exception of the page
     assert {env_id for env_id, _ in exact} == set(page_blocks.measure_winches.LAWS)
     for key, payload in exact.items():
         assert homed[key] >= least / 100 * payload
