@@ -154,6 +154,9 @@ class Task(Printed):
         check_workspace(self.robot, self.trajectory, self.error_bounds)
 
 
+LONGEST_MOTION = 1000.0
+"""Longest duration of a motion [s]; also the upper bound of ``time_to_go`` in the observation."""
+
 REST_TOLERANCE = 1e-9
 """Largest velocity [m/s, rad/s] and acceleration [m/s², rad/s²] of a motion at rest."""
 
@@ -189,7 +192,7 @@ def start_pose(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) 
 def check_workspace(
     robot: Robot, trajectory: Trajectory, tolerance: ErrorBounds | None = None
 ) -> None:
-    """Checks that a motion stays within the workspace of a robot.
+    """Checks the duration of a motion, and that it stays within the workspace of a robot.
 
     Args:
         robot: nominal robot.
@@ -197,9 +200,14 @@ def check_workspace(
         tolerance: distance by which the motion may leave the workspace; None for zero.
 
     Raises:
-        ValueError: if the motion leaves the workspace. The message gives the time, the coordinate
-            and remedies.
+        ValueError: if the motion is longer than :data:`LONGEST_MOTION` or leaves the workspace. The
+            message gives the time, the coordinate and remedies.
     """
+    if not 0 < trajectory.duration <= LONGEST_MOTION:
+        raise ValueError(
+            f"trajectory {trajectory.name!r} lasts {trajectory.duration:g} s: its duration must be > 0 and at most "
+            f"{LONGEST_MOTION:g} s. Is it in ms? Then divide its times by 1000"
+        )
     times = np.linspace(0.0, trajectory.duration, 1 + math.ceil(200 * trajectory.duration))
     poses = trajectory(times).position
     (low, high) = robot.pose_bounds

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.envs.references import check_duration
 from cablebot_gym.envs.settings import check_simulated, default_trajectory, fewest_substeps
 from cablebot_gym.kinematics import Array, segment_distance
 from cablebot_gym.physics import textbook
@@ -269,7 +268,6 @@ def check_motion(
     motion = find_trajectory(
         default_trajectory(robot) if trajectory is None else trajectory, robot.kind
     )
-    check_duration(motion)
     payload = _payload_of(robot, payload)
     bounds = find_error_bounds(None, robot)
     check_workspace(robot, motion, bounds)

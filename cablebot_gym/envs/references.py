@@ -12,9 +12,6 @@ from cablebot_gym.envs.observation import PREVIEWS, observed_reference, preview_
 from cablebot_gym.kinematics import Array
 from cablebot_gym.trajectories import ORDERS, Trajectory, sampled
 
-LONGEST_MOTION = 1000.0
-"""Longest duration of a motion [s]; also the upper bound of ``time_to_go`` in the observation."""
-
 MOST_STEPS = 1_000_000
 """Largest number of control steps of a motion; longer tables would take gigabytes."""
 
@@ -28,19 +25,6 @@ REST_TOLERANCE = 1e-9
 FAILED_STEPS = 0.1
 """Fraction of the steps that must fail the check before a warning is given: a jump fails in single
 steps only."""
-
-
-def check_duration(trajectory: Trajectory) -> None:
-    """Checks the duration of a motion.
-
-    Raises:
-        ValueError: if it is longer than :data:`LONGEST_MOTION`.
-    """
-    if not 0 < trajectory.duration <= LONGEST_MOTION:
-        raise ValueError(
-            f"trajectory {trajectory.name!r} lasts {trajectory.duration:g} s: its duration must be > 0 and at most "
-            f"{LONGEST_MOTION:g} s. Is it in ms? Then divide its times by 1000"
-        )
 
 
 class ReferenceTables:
@@ -122,7 +106,6 @@ class ReferenceTables:
 
     def _tabulate(self, trajectory: Trajectory) -> tuple[Array, Array]:
         label = f"trajectory {trajectory.name!r}"
-        check_duration(trajectory)
         duration = trajectory.duration
         steps = int(np.ceil(duration * self._frequency - 1e-9)) + 1
         if steps > MOST_STEPS:
