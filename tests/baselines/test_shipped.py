@@ -4,14 +4,13 @@ import hashlib
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.runs import read_yaml
+from cablebot_baselines.learned.runs import HYPERPARAMS, read_yaml
 from cablebot_baselines.learned.shipped import BUNDLE, WEIGHTS
 from cablebot_gym.evaluation import evaluate_dlcc
 
@@ -36,7 +35,7 @@ def test_bundle_is_that_of_the_recorded_median_seed(bundle):
 
 
 def test_bundle_was_trained_with_the_present_settings(bundle):
-    assert bundle.card["config"] == read_yaml(bundle.env_id, Path("ppo"))
+    assert bundle.card["config"] == read_yaml(bundle.env_id, HYPERPARAMS)
 
 
 def test_sb3_model_has_the_actor_of_the_bundle(bundle):
