@@ -12,7 +12,7 @@ from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
 
 ENTRIES = policy_entries().values()
-LARGE = ("adaptive", "composite", "motor-pd", "nmpc", "observing", "trajopt")
+LARGE = ("adaptive", "composite", "flex-eq22", "motor-pd", "nmpc", "observing", "trajopt")
 """Policies that estimate or plan, and those with the short physics steps of joint springs."""
 
 

@@ -184,6 +184,7 @@ def test_errors_are_as_large_as_the_filter_states(env_id, law):
         assert np.abs(errors[..., 3:]).max() < 4e-3  # 40 % of the bound
 
 
+@pytest.mark.landing
 def test_filter_finds_the_stiffness():
     """With nominal springs the error is a millimetre: 10 % of a deflection of centimetres."""
     softer = {"stiffness": {"low": -0.1, "high": 0.1, "each": False}}

@@ -22,6 +22,7 @@ def largest_error(law, plant_robot):
     return loop.arrays["tracking_error_peak"].max()
 
 
+@pytest.mark.landing
 def test_motor_friction_stabilises_the_law():
     """Table 4's 0.01 N·m·s/rad in the motors, in the law and, as printed, not; figures of
     independent runs."""

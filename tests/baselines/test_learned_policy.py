@@ -41,6 +41,7 @@ def saved(tmp_path):
     return path
 
 
+@pytest.mark.landing
 def test_motion_of_a_base_alone_is_the_task_soon():
     """Later for the camera, which starts ten times as far below its motion."""
     camera = Bundle.of_steering("CableBot-Point-v0", steering_of("CableBot-Point-v0")).base_alone

@@ -156,6 +156,7 @@ def test_constant_wrench_is_found_and_its_deflection_cancelled():
     assert errors[-1] < 1e-3
 
 
+@pytest.mark.landing
 def test_late_actions_are_for_the_reference_of_their_time():
     """At a jump of its acceleration, a Taylor series of the observed reference errs by 4 mm."""
     motion = {"name": "circle-planar"}

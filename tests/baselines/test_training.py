@@ -152,6 +152,7 @@ def test_invalid_values_leave_no_file(tmp_path, changes, options, message):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.landing
 def test_whole_rollouts_are_announced(tmp_path, monkeypatch):
     """Before the work."""
     monkeypatch.setattr(training, "_learn", lambda *_: None)

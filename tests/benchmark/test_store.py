@@ -39,6 +39,7 @@ def files(folder):
     return sorted((folder / "cells").iterdir())
 
 
+@pytest.mark.landing
 def test_record_is_read_as_it_was_written(store, messages, tmp_path):
     store.add(record())
     stored = store.find(CELL)

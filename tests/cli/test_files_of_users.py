@@ -116,7 +116,7 @@ ALL_READERS = {name: read for name, (read, _) in READERS.items()} | {
 UNREADABLE = {
     "pipe": os.mkfifo,
     "large": lambda path: path.touch() or os.truncate(path, 200 << 30),  # takes no space
-    "brackets": lambda path: path.write_text("[" * 200_000 + "]" * 200_000),
+    "brackets": lambda path: path.write_text("[" * 100_000 + "]" * 100_000),
 }
 
 
