@@ -19,6 +19,10 @@ from cablebot_gym.physics.compiling.python_first import EntryPoint
 
 LIMIT = 0.45
 TOTAL = 300.0
+MARGIN = 1.5
+"""Multiple of the limit from which on a test fails the run. It is named from the limit on: the time
+of one test varies by a third from run to run, most if it starts processes."""
+
 PROBE = 0.004
 """Processor time of :func:`probe` on the machine of these limits [s]. Another machine may be
 slower, and so is this one while its cores have other work."""
@@ -153,7 +157,9 @@ class Judge:
 
     def pytest_sessionfinish(self, session):
         """The run fails, unless other work makes all of it slower."""
-        if session.exitstatus == 0 and any(self.verdicts()) and not is_busy():
+        slow = [name for name, seconds in self.times.items() if seconds > MARGIN * LIMIT]
+        is_slow = not EXEMPT.keys() >= set(slow) or sum(self.times.values()) > TOTAL
+        if session.exitstatus == 0 and is_slow and not is_busy():
             session.exitstatus = 1
 
     def pytest_terminal_summary(self, terminalreporter):

@@ -24,12 +24,20 @@ def session_of(*times, passes=True):
     ("times", "load", "passes", "status", "words"),
     [
         ((LIMIT, 0.1), 0.0, True, 0, []),
+        ((1.2 * LIMIT, 0.1), 0.0, True, 0, ["test_0"]),
         ((0.1, 2 * LIMIT), 0.0, True, 1, ["test_1"]),
         ((0.1, 2 * LIMIT), 1e3, True, 0, ["test_1"]),
         ((LIMIT,) * int(TOTAL / LIMIT + 1), 0.0, True, 1, ["all together"]),
         ((2 * LIMIT,), 0.0, False, 2, ["test_0"]),
     ],
-    ids=["within the limits", "one slow test", "busy machine", "many fast tests", "failed before"],
+    ids=[
+        "within the limits",
+        "above one",
+        "one slow test",
+        "busy machine",
+        "many fast tests",
+        "failed before",
+    ],
 )
 def test_run_fails_where_a_test_or_all_together_cost_too_much(
     times, load, passes, status, words, monkeypatch

@@ -18,6 +18,7 @@ PAIR = f"{HANG} --uncertainty table6 --draws 3 --policies "
 """A comparison that takes no time; the policies follow."""
 
 
+@pytest.mark.landing
 def test_options_reach_the_comparison(cablebot, toys):
     before = cablebot(PAIR, f" fl , {toys('limp')},", "--json").data
     assert [policy["policy"] for policy in before["policies"]] == ["fl", "cli_toys:limp"]

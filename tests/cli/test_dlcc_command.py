@@ -153,6 +153,7 @@ def test_isolated_policy_gives_the_same_result(cablebot):
     assert isolated == shared
 
 
+@pytest.mark.landing
 def test_policy_of_others_is_isolated_unless_it_is_trusted(cablebot, toys):
     line = f"{QUICK} --criterion task --policy {toys('declares')}"
     assert cablebot(line, "--json").data[0]["isolated"]
