@@ -19,9 +19,9 @@ from cablebot_gym.physics.compiling.python_first import EntryPoint
 
 LIMIT = 0.45
 TOTAL = 300.0
-MARGIN = 1.5
+MARGIN = 3.0
 """Multiple of the limit from which on a test fails the run. It is named from the limit on: the time
-of one test varies by a third from run to run, most if it starts processes."""
+of a test that starts processes doubles where other work shares caches with it."""
 
 PROBE = 0.004
 """Processor time of :func:`probe` on the machine of these limits [s]. Another machine may be

@@ -25,8 +25,8 @@ def session_of(*times, passes=True):
     [
         ((LIMIT, 0.1), 0.0, True, 0, []),
         ((1.2 * LIMIT, 0.1), 0.0, True, 0, ["test_0"]),
-        ((0.1, 2 * LIMIT), 0.0, True, 1, ["test_1"]),
-        ((0.1, 2 * LIMIT), 1e3, True, 0, ["test_1"]),
+        ((0.1, 4 * LIMIT), 0.0, True, 1, ["test_1"]),
+        ((0.1, 4 * LIMIT), 1e3, True, 0, ["test_1"]),
         ((LIMIT,) * int(TOTAL / LIMIT + 1), 0.0, True, 1, ["all together"]),
         ((2 * LIMIT,), 0.0, False, 2, ["test_0"]),
     ],

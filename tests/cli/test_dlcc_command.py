@@ -144,6 +144,7 @@ def test_interrupt_leaves_old_files_and_no_partial_file(cablebot, tmp_path, monk
     assert figure_path.read_text() == "old"
 
 
+@pytest.mark.landing
 def test_isolated_policy_gives_the_same_result(cablebot):
     same = f"{ONE} --policy adaptive --seed 3"  # a law with a state, which stays in its process
     (isolated,) = cablebot(f"{same} --isolate").data
