@@ -51,10 +51,10 @@ SMOOTHING = 1e-2
 """Default weight ε of the sum of the squared actions in :func:`unchecked_least_largest_action`."""
 
 BARRIER = 1e-2
-"""Default barrier parameter μ of :func:`central`."""
+"""Default barrier parameter μ of :func:`unchecked_central`."""
 
 RELAXED = central_tensions.RELAXED
-"""Distance from a bound below which a parabola continues the barrier of :func:`central`, as a
+"""Distance from a bound below which a parabola continues the barrier of :func:`unchecked_central`, as a
 fraction of μ."""
 
 

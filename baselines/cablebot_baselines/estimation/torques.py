@@ -192,7 +192,7 @@ class Torques:
         state: ObserverState,
         speed: Array,
     ) -> Drives:
-        """Torque of the last actions, see :func:`~cablebot_baselines.estimation.filtering.weigh`."""
+        """Torque of the last actions, as ``filtering.weigh`` computes it."""
         actions = blocks["last_actions"].reshape(len(speed), -1, self._robot.cables)
         strength = state.mean[:, self._columns.strength]
         mass = state.mean[:, self._columns.mass]
