@@ -22,6 +22,7 @@ from cablebot_gym.robots import COORDINATE_NAMES
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.console import chosen_progress
+from cablebot_gym.utils.csv_table import column_name
 from cablebot_gym.utils.files import atomic_write, write_csv
 from cablebot_gym.utils.results import Printed
 
@@ -41,9 +42,6 @@ _UNITS = {
     "N·m": "torques torque_margin",
 }
 """Names of arrays by unit."""
-
-_LETTERS = {"ψ": "psi", "θ": "theta", "φ": "phi"}
-"""Names of coordinates that other programs accept in the name of a column."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -127,7 +125,7 @@ class Rollout(Printed):
             if name == "velocity":
                 per_time = "/s"
             return [
-                f"{name}_{_LETTERS.get(letter, letter)} [{unit}{per_time}]"
+                f"{name}_{column_name(letter)} [{unit}{per_time}]"
                 for letter, unit in zip(COORDINATE_NAMES[robot.kind], units, strict=False)
             ]
         unit = ""

@@ -42,7 +42,7 @@ def test_payload_is_held_up_to_the_limit():
     ]
 
 
-def test_slow_motion_carries_nothing_but_the_platform():
+def test_slow_motion_carries_the_platform_alone():
     """Rounding asked for a payload of 26 kg or 1e-7 kg, and times in ms passed."""
     for name, duration in (("lemniscate-planar", 30.0), ("line-planar", 900.0)):
         motion = {"name": name, "duration": duration}
@@ -65,7 +65,7 @@ BIFILAR = Robot(
 )
 
 
-def test_platform_that_does_not_hang_is_described_all_the_same():
+def test_check_describes_a_platform_that_tips_over():
     """Its check was one line about lengths."""
     check = check_model(BIFILAR.replace(center_of_mass=(0.9, -3.0)))
     assert check.home.least > check.home.largest

@@ -92,6 +92,6 @@ def test_state_space_has_the_differences_of_the_plant(robot):
         ("spatial", [0.0, 0.0, -5.0, 0.0, 0.0, 0.0], 0.0, "no taut cables hold spatial"),
     ],
 )
-def test_linearising_without_a_rest_raises(robot, pose, payload, message):
+def test_linearising_asks_for_a_pose_at_rest(robot, pose, payload, message):
     with pytest.raises(ValueError, match=message):
         textbook.linearise(robot, pose, payload)

@@ -98,7 +98,6 @@ class RobotObserver:
         self.columns = Columns(self.robot, expectation, measurement)
         self._effect_times = expectation.effect_times(period)
         self._wrench_decay = float(np.exp(-period / expectation.wrench_time))
-        self._measurement = measurement
         robot = self.robot
         is_position = np.arange(robot.coordinates) < robot.dimensions
         anchor_distances = np.linalg.norm(robot.platform, axis=-1)

@@ -162,15 +162,14 @@ def linearise(
     """Linear equations of a robot about a pose at rest, with taut cables.
 
     Args:
-        robot: a robot, or its name.
+        robot: as for ``find_robot``.
         pose: pose X, shape (n,) [m, rad]; None for the home pose.
         payload: payload [kg].
 
     Raises:
         ValueError: if an argument is invalid, or no tensions hold the robot at the pose.
     """
-    if isinstance(robot, str):
-        robot = find_robot(robot)
+    robot = find_robot(robot)
     n = robot.coordinates
     mass = robot.mass + number("payload", payload, least=0, unit="kg")
     if pose is None:
