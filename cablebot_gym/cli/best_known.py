@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
-from cablebot_gym.cli.options import FittingEnvId, Json, TaskOptions, fitting_id, robot_of
+from cablebot_gym.cli.options import (
+    TASK,
+    ConditionOptions,
+    FittingEnvId,
+    Json,
+    fitting_id,
+    robot_of,
+)
 from cablebot_gym.utils.console import activity
 
 
 def best_known(
     *,
     env_id: FittingEnvId = None,
-    task: TaskOptions,
+    conditions: Annotated[ConditionOptions, TASK],
     as_json: Json = False,
 ) -> None:
     """Compute the best known payload of an environment by trajectory optimisation.
@@ -25,10 +34,10 @@ def best_known(
     """
     from cablebot_gym.bounds.best_known import find_best_known
 
-    env_id = fitting_id(env_id, task.robot)
-    robot_of(env_id, task)
+    env_id = fitting_id(env_id, conditions.robot)
+    robot_of(env_id, conditions)
     with activity() as say:
-        result = find_best_known(env_id, progress=say, **task.keywords())
+        result = find_best_known(env_id, progress=say, **conditions.keywords())
     print(result.to_json() if as_json else result)
     if not result.verified:
         raise typer.Exit(1)

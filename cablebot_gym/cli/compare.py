@@ -40,7 +40,7 @@ def compare(
             help="Policies as for `dlcc --policy`, separated by commas. The others are compared against the first.",
         ),
     ],
-    episode: options.EpisodeOptions,
+    conditions: options.ConditionOptions,
     payload: Annotated[
         str | None,
         "Payload [kg], or several: FIRST:LAST:STEP, such as 0:9:0.5, or 0,1,2. The default is the least one of the "
@@ -66,15 +66,15 @@ def compare(
         compare_policies,
     )
 
-    env_id = options.fitting_id(env_id, episode.robot)
+    env_id = options.fitting_id(env_id, conditions.robot)
     options.check_figure_folder(out, "comparison.json", "comparison.png", "draws.csv")
     payloads = None if payload is None else payload_grid(payload)
     names = options.split_names(policies)
-    robot = options.robot_of(env_id, episode)
-    loaded = options.loaded_policies(names, robot, episode.wrappers, isolate=isolate)
+    robot = options.robot_of(env_id, conditions)
+    loaded = options.loaded_policies(names, robot, conditions.wrappers, isolate=isolate)
     has_isolated = any(policy.isolated for policy in loaded)
-    episode = options.with_seed(episode, is_secret=has_isolated)
-    common: dict[str, Any] = {"draws": draws, "progress": True, **episode.keywords()}
+    conditions = options.with_seed(conditions, is_secret=has_isolated)
+    common: dict[str, Any] = {"draws": draws, "progress": True, **conditions.keywords()}
     comparison: Comparison | PayloadComparison
     if payloads is None:
         payloads = [robot.defaults.payload()]
@@ -92,7 +92,7 @@ def compare(
     else:
         print_comparison(comparison)
     if has_isolated:
-        print(f"seed {episode.seed}")
+        print(f"seed {conditions.seed}")
 
 
 def _write(comparison: Comparison | PayloadComparison, folder: Path) -> None:

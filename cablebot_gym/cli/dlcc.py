@@ -69,7 +69,7 @@ def dlcc(
     policy: options.PolicyNames,
     out: Annotated[Path | None, "Folder for result.json and figures."] = None,
     as_json: options.Json = False,
-    episode: options.EpisodeOptions,
+    conditions: options.ConditionOptions,
     search: SearchOptions,
     isolate: options.Isolate = None,
 ) -> None:
@@ -86,30 +86,30 @@ def dlcc(
 
     cablebot dlcc --policy fl,robust,adaptive --robot cogiro
     """
-    env_id = options.fitting_id(env_id, episode.robot)
+    env_id = options.fitting_id(env_id, conditions.robot)
     names = list(dict.fromkeys(options.split_names(policy)))
     folders = {name: _folder(out, name, names) for name in names}
     for folder in folders.values():
         options.check_figure_folder(folder, "result.json")
-    has_isolated = any(options.isolates(name, episode.wrappers, isolate) for name in names)
-    episode = options.with_seed(episode, is_secret=has_isolated)
-    robot = options.robot_of(env_id, episode)
+    has_isolated = any(options.isolates(name, conditions.wrappers, isolate) for name in names)
+    conditions = options.with_seed(conditions, is_secret=has_isolated)
+    robot = options.robot_of(env_id, conditions)
     policies = []
     for name in names:
-        policies.append(options.loaded_policy(name, robot, episode.wrappers, isolate=isolate))
+        policies.append(options.loaded_policy(name, robot, conditions.wrappers, isolate=isolate))
     data: list[dict[str, Any]] = []
     for loaded in policies:
-        results = _results(loaded, env_id, episode, search)
+        results = _results(loaded, env_id, conditions, search)
         folder = folders[loaded.name]
         if folder is not None:
             _write(results, folder)
         data += [result.to_dict() for result in results]
         if not as_json:
-            _print_results(results, loaded, episode, search)
+            _print_results(results, loaded, conditions, search)
     if as_json:
         print(json_text(data))
     elif has_isolated:
-        print(f"seed {episode.seed}")
+        print(f"seed {conditions.seed}")
 
 
 def _folder(out: Path | None, name: str, names: list[str]) -> Path | None:
@@ -131,7 +131,7 @@ def _criteria(policy: LoadedPolicy, search: SearchOptions) -> tuple[list[str], l
 
 
 def _results(
-    policy: LoadedPolicy, env_id: str, episode: options.EpisodeOptions, search: SearchOptions
+    policy: LoadedPolicy, env_id: str, conditions: options.ConditionOptions, search: SearchOptions
 ) -> list[DLCCResult]:
     from cablebot_gym.evaluation.evaluator import evaluate_dlcc
 
@@ -140,7 +140,7 @@ def _results(
     for criterion in _criteria(policy, search)[0]:
         settings["criterion"] = criterion
         results.append(
-            evaluate_dlcc(policy, env_id, progress=True, **settings, **episode.keywords())
+            evaluate_dlcc(policy, env_id, progress=True, **settings, **conditions.keywords())
         )
     return results
 
@@ -159,7 +159,7 @@ def _write(results: list[DLCCResult], folder: Path) -> None:
 def _print_results(
     results: list[DLCCResult],
     policy: LoadedPolicy,
-    episode: options.EpisodeOptions,
+    conditions: options.ConditionOptions,
     search: SearchOptions,
 ) -> None:
     print_payloads(results, _criteria(policy, search)[1])
@@ -172,7 +172,7 @@ def _print_results(
                 payload=repr(result.failed_payload or 0.0),
                 criterion=None if result.criterion == "task" else result.criterion,
                 out="failure.csv",
-                episode=replace(episode, seed=result.details.violation_seed),
+                conditions=replace(conditions, seed=result.details.violation_seed),
             )
             print(f"{result.criterion}: this command repeats the failure:\n  {command}")
 

@@ -147,10 +147,10 @@ TrajectoryData = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class TaskOptions(Options):
-    """Robot, motion and error bounds."""
+class ConditionOptions(Options):
+    """Conditions of an evaluation, as a user types them."""
 
-    title: ClassVar[str] = "Task"
+    title: ClassVar[str] = "Conditions"
 
     robot: Annotated[
         str | None,
@@ -169,37 +169,6 @@ class TaskOptions(Options):
         "without data, 10.",
     ] = None
     control_frequency: Annotated[float, "Control steps per second [Hz]."] = 500.0
-
-    @property
-    def error_bounds(self) -> dict[str, float]:
-        """The error bounds that are given [m, rad]."""
-        bounds = {}
-        if self.position_bound is not None:
-            bounds["position"] = number(
-                "--position-bound", self.position_bound, least=LEAST_BOUND, unit="mm"
-            )
-        if self.rotation_bound is not None:
-            bounds["rotation"] = number(
-                "--rotation-bound", self.rotation_bound, least=LEAST_BOUND, unit="mrad"
-            )
-        return {name: value / 1000 for name, value in bounds.items()}
-
-    def keywords(self) -> dict[str, Any]:
-        """Keywords of an evaluation: the options, but with ``error_bounds`` for the bounds and without
-        the wrappers of the policy."""
-        keywords: dict[str, Any] = {"error_bounds": self.error_bounds}
-        for item in fields(self):
-            if item.name not in ("position_bound", "rotation_bound", "wrapper"):
-                keywords[item.name] = getattr(self, item.name)
-        return keywords
-
-
-@dataclass(frozen=True, kw_only=True)
-class EpisodeOptions(TaskOptions):
-    """Everything that determines an episode but the policy and the payload."""
-
-    title: ClassVar[str] = "Episode"
-
     payload_known: Annotated[
         bool,
         typer.Option(
@@ -249,12 +218,34 @@ class EpisodeOptions(TaskOptions):
         return self.wrapper or []
 
     def keywords(self) -> dict[str, Any]:
-        """Keywords of an evaluation, with the default seed 0."""
-        keywords = super().keywords()
-        keywords["seed"] = self.seed or 0
-        if self.measurement is None:  # the sensors of the robot
-            del keywords["measurement"]
+        """Keywords of an evaluation: the options that are given, with ``error_bounds`` [m, rad] for the
+        bounds, and without the wrappers of the policy."""
+        keywords: dict[str, Any] = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if value != item.default and item.name not in _NO_KEYWORDS:
+                keywords[item.name] = value
+        if self.error_bounds:
+            keywords["error_bounds"] = self.error_bounds
         return keywords
+
+    @property
+    def error_bounds(self) -> dict[str, float]:
+        """The error bounds that are given [m, rad]."""
+        given = {"position": (self.position_bound, "mm"), "rotation": (self.rotation_bound, "mrad")}
+        bounds = {}
+        for name, (value, unit) in given.items():
+            if value is not None:
+                checked = number(f"--{name}-bound", value, least=LEAST_BOUND, unit=unit)
+                bounds[name] = checked / 1000
+        return bounds
+
+
+_NO_KEYWORDS = ("position_bound", "rotation_bound", "wrapper")
+"""Options of conditions that are no keywords of an evaluation."""
+
+TASK = ("robot", "trajectory", "position_bound", "rotation_bound", "control_frequency")
+"""Options of conditions that describe the task alone."""
 
 
 def fitting_id(env_id: str | None, robot: str | None) -> str:
@@ -291,25 +282,27 @@ def id_and_file(env_id: str | None, out: Path | None, robot: str | None) -> tupl
     return fitting_id(env_id, robot), out
 
 
-def with_seed(episode: EpisodeOptions, *, is_secret: bool) -> EpisodeOptions:
+def with_seed(conditions: ConditionOptions, *, is_secret: bool) -> ConditionOptions:
     """The options with a secret seed if they have none and a policy is isolated."""
-    if episode.seed is None and is_secret:
-        return replace(episode, seed=secrets.randbits(SEED_BITS))
-    return episode
+    if conditions.seed is None and is_secret:
+        return replace(conditions, seed=secrets.randbits(SEED_BITS))
+    return conditions
 
 
-def command_again(command: str, *arguments: object, episode: EpisodeOptions, **options: Any) -> str:
-    """The command line of a command with the options of an episode that differ from their defaults.
+def command_again(
+    command: str, *arguments: object, conditions: ConditionOptions, **options: Any
+) -> str:
+    """The command line of a command with the conditions that differ from their defaults.
 
     Args:
         command: command of ``cablebot``.
         arguments: its positional arguments.
-        episode: options of the episode.
+        conditions: the conditions.
         options: further options, as for :func:`~cablebot_gym.utils.console.command_line`.
     """
-    for item in fields(episode):
+    for item in fields(conditions):
         name = item.name
-        value = getattr(episode, item.name)
+        value = getattr(conditions, item.name)
         if name == "payload_known":  # its flag is --payload-unknown
             options["payload_unknown"] = not value
             continue
@@ -324,7 +317,7 @@ def command_again(command: str, *arguments: object, episode: EpisodeOptions, **o
     return command_line(command, *arguments, **options)
 
 
-def robot_of(env_id: str, task: TaskOptions) -> Robot:
+def robot_of(env_id: str, conditions: ConditionOptions) -> Robot:
     """The robot in ``--robot``, or that of the environment.
 
     Imports and checks the motion, and prints a note if it has waypoints. The import has to precede
@@ -338,9 +331,10 @@ def robot_of(env_id: str, task: TaskOptions) -> Robot:
     from cablebot_gym.robots import find_robot
     from cablebot_gym.trajectories import find_trajectory
 
-    check_robot(env_id, task.robot)
-    robot = find_robot(task.robot or env_id)
-    note_waypoints(robot, find_trajectory(task.trajectory or default_trajectory(robot), robot.kind))
+    check_robot(env_id, conditions.robot)
+    robot = find_robot(conditions.robot or env_id)
+    trajectory = conditions.trajectory or default_trajectory(robot)
+    note_waypoints(robot, find_trajectory(trajectory, robot.kind))
     return robot
 
 

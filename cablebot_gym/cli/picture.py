@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cablebot_gym.cli.options import (
-    EpisodeOptions,
+    ConditionOptions,
     FittingEnvId,
     Payload,
     id_and_file,
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def picture(
-    episode: EpisodeOptions,
+    conditions: ConditionOptions,
     env_id: FittingEnvId = None,
     out: Annotated[
         Path | None,
@@ -53,12 +53,12 @@ def picture(
     from cablebot_gym.video.recording import check_picture, write_picture
 
     width_and_height = pixels(size)
-    env_id, out = id_and_file(env_id, out, episode.robot)
+    env_id, out = id_and_file(env_id, out, conditions.robot)
     check_picture(out, time)
     if policy is not None:
-        episodes = record_episodes(env_id, policy, payload, episode)
+        episodes = record_episodes(env_id, policy, payload, conditions)
     else:
-        episodes = [_at_rest(env_id, payload, episode)]
+        episodes = [_at_rest(env_id, payload, conditions)]
         if time is None:
             time = 0.0
     write_picture(out, episodes, time=time, size=width_and_height)
@@ -67,7 +67,7 @@ def picture(
     say(f"wrote {out}")
 
 
-def _at_rest(env_id: str, payload: float | None, episode: EpisodeOptions) -> Episode:
+def _at_rest(env_id: str, payload: float | None, conditions: ConditionOptions) -> Episode:
     """An episode without torques, for its start."""
     import numpy as np
 
@@ -76,7 +76,7 @@ def _at_rest(env_id: str, payload: float | None, episode: EpisodeOptions) -> Epi
     from cablebot_gym.rendering.painter import import_pygame
 
     import_pygame()
-    robot = robot_of(env_id, episode)
-    keywords = episode.keywords() | {"payload": robot.defaults.payload(payload)}
+    robot = robot_of(env_id, conditions)
+    keywords = conditions.keywords() | {"payload": robot.defaults.payload(payload)}
     rollout = record_rollout(lambda observation: np.zeros(robot.cables), env_id, **keywords)
     return described(env_id, robot.name), rollout

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from copy import copy
 from dataclasses import MISSING, dataclass, fields
 from functools import wraps
@@ -24,14 +24,19 @@ class Options:
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
     """The command for typer: parameters that are records are replaced by their options, and the help
-    in an annotation by an option."""
+    in an annotation by an option. ``Annotated[Record, names]`` has the options with these names
+    alone."""
     parameters: list[inspect.Parameter] = []
-    records: dict[str, type[Options]] = {}
+    records: dict[str, tuple[type[Options], tuple[str, ...]]] = {}
     for parameter in inspect.signature(command, eval_str=True).parameters.values():
         annotation = parameter.annotation
-        if isinstance(annotation, type) and issubclass(annotation, Options):
-            records[parameter.name] = annotation
-            parameters += _parameters(annotation)
+        record = getattr(annotation, "__origin__", annotation)
+        if isinstance(record, type) and issubclass(record, Options):
+            names = tuple(item.name for item in fields(record))
+            if record is not annotation:
+                (names,) = annotation.__metadata__
+            records[parameter.name] = record, names
+            parameters += _parameters(record, names)
         else:
             # Options come in any order: no parameter has a position.
             parameters.append(
@@ -42,10 +47,8 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def run(**values: Any) -> None:
-        for name, record in records.items():
-            options = {}
-            for item in fields(record):
-                options[item.name] = values.pop(item.name)
+        for name, (record, names) in records.items():
+            options = {option: values.pop(option) for option in names}
             values[name] = record(**options)
         command(**values)
 
@@ -61,10 +64,12 @@ def _with_option(annotation: Any) -> Any:
     return annotation
 
 
-def _parameters(record: type[Options]) -> list[inspect.Parameter]:
+def _parameters(record: type[Options], names: Collection[str]) -> list[inspect.Parameter]:
     types = get_type_hints(record, include_extras=True)
     parameters = []
     for item in fields(record):
+        if item.name not in names:
+            continue
         annotation = _with_option(types[item.name])
         (shared_option,) = annotation.__metadata__
         option = copy(shared_option)  # commands share it, each with its own heading

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from cablebot_gym.cli.options import (
-    EpisodeOptions,
+    ConditionOptions,
     Json,
     Payload,
     RobotName,
@@ -73,7 +73,7 @@ def check(
     elif motion is not None:
         law = "composite" if model.flexible else "fl"
         evaluation = command_again(
-            "dlcc", policy=law, episode=EpisodeOptions(robot=name, trajectory=trajectory)
+            "dlcc", policy=law, conditions=ConditionOptions(robot=name, trajectory=trajectory)
         )
         print("\n".join(motion_report(check, motion, evaluation)))
     if motion is None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from cablebot_gym.cli.options import (
-    EpisodeOptions,
+    ConditionOptions,
     FittingEnvId,
     Isolate,
     Payload,
@@ -22,7 +22,7 @@ def rollout(
     env_id: FittingEnvId = None,
     policy: PolicyName,
     out: Annotated[Path, "File of the recording, ending in .npz or .csv, or of a figure, .png."],
-    episode: EpisodeOptions,
+    conditions: ConditionOptions,
     payload: Payload = None,
     criterion: Annotated[str, "Success criterion: task or paper."] = "task",
     isolate: Isolate = None,
@@ -50,17 +50,17 @@ def rollout(
     if drawn:
         import_matplotlib()
     check_writable_file(out)
-    env_id = fitting_id(env_id, episode.robot)
-    robot = robot_of(env_id, episode)
+    env_id = fitting_id(env_id, conditions.robot)
+    robot = robot_of(env_id, conditions)
     payload = robot.defaults.payload(payload)
-    loaded = loaded_policy(policy, robot, episode.wrappers, isolate=isolate)
+    loaded = loaded_policy(policy, robot, conditions.wrappers, isolate=isolate)
     record = record_rollout(
         loaded,
         env_id,
         payload=payload,
         criterion=criterion,
         progress=True,
-        **episode.keywords(),
+        **conditions.keywords(),
     )
     outcome = record.verdict.outcome
     if not (loaded.isolated or loaded.shipped):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cablebot_gym.cli.options import (
-    EpisodeOptions,
+    ConditionOptions,
     FittingEnvId,
     Payload,
     PolicyNames,
@@ -48,7 +48,7 @@ def pixels(size: str | None) -> tuple[int, int]:
 
 def video(
     policy: PolicyNames,
-    episode: EpisodeOptions,
+    conditions: ConditionOptions,
     env_id: FittingEnvId = None,
     out: Annotated[
         Path | None, typer.Argument(metavar="FILE", help="File to write, ending in .mp4 or .gif.")
@@ -70,10 +70,10 @@ def video(
     from cablebot_gym.video.recording import check_speed, check_video, write_video
 
     width_and_height = pixels(size)
-    env_id, out = id_and_file(env_id, out, episode.robot)
+    env_id, out = id_and_file(env_id, out, conditions.robot)
     check_video(out)
     check_speed(speed)
-    episodes = record_episodes(env_id, policy, payload, episode)
+    episodes = record_episodes(env_id, policy, payload, conditions)
     with progress("rendering", "frames") as step:
         write_video(out, episodes, speed=speed, size=width_and_height, progress=step)
     print_verdicts(episodes)
@@ -89,7 +89,7 @@ def print_verdicts(episodes: list[Episode]) -> None:
 
 
 def record_episodes(
-    env_id: str, policy: str, payload: float | None, episode: EpisodeOptions
+    env_id: str, policy: str, payload: float | None, conditions: ConditionOptions
 ) -> list[Episode]:
     """Records one episode of each policy.
 
@@ -97,18 +97,18 @@ def record_episodes(
         env_id: environment id.
         policy: names of policies, separated by commas.
         payload: payload [kg]; None for the least one of the robot's payload range.
-        episode: options of the episode.
+        conditions: conditions of the episode.
     """
     from cablebot_gym.envs import described
     from cablebot_gym.evaluation.rollout import record_rollout
     from cablebot_gym.rendering.painter import import_pygame
 
-    robot = robot_of(env_id, episode)
+    robot = robot_of(env_id, conditions)
     place = described(env_id, robot.name)
-    keywords = episode.keywords() | {"payload": robot.defaults.payload(payload)}
+    keywords = conditions.keywords() | {"payload": robot.defaults.payload(payload)}
     import_pygame()
     episodes = []
-    for loaded in loaded_policies(split_names(policy), robot, episode.wrappers, isolate=False):
+    for loaded in loaded_policies(split_names(policy), robot, conditions.wrappers, isolate=False):
         rollout = record_rollout(loaded, env_id, progress=True, **keywords)
         episodes.append((f"{loaded.name} on {place}", rollout))
     return episodes

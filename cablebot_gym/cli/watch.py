@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cablebot_gym.cli.options import (
-    EpisodeOptions,
+    ConditionOptions,
     FittingEnvId,
     Payload,
     PolicyNames,
@@ -18,7 +18,7 @@ def watch(
     *,
     env_id: FittingEnvId = None,
     policy: PolicyNames,
-    episode: EpisodeOptions,
+    conditions: ConditionOptions,
     payload: Payload = None,
     speed: Speed = SPEED,
 ) -> None:
@@ -33,9 +33,9 @@ def watch(
     from cablebot_gym.rendering.window import NoDisplayError
     from cablebot_gym.video.recording import check_speed, play
 
-    env_id = fitting_id(env_id, episode.robot)
+    env_id = fitting_id(env_id, conditions.robot)
     check_speed(speed)
-    episodes = record_episodes(env_id, policy, payload, episode)
+    episodes = record_episodes(env_id, policy, payload, conditions)
     try:
         play(episodes, speed=speed)
     except NoDisplayError as error:
@@ -43,7 +43,7 @@ def watch(
             "video",
             env_id,
             "video.gif",
-            episode=episode,
+            conditions=conditions,
             policy=policy,
             payload=payload,
             speed=None if speed == SPEED else speed,

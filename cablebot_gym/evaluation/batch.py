@@ -242,7 +242,7 @@ class Batch:
         """Task of each motion. The judge reads its bounds, length and robot."""
         self.task: Task = self.tasks[0]
         """Task of the first motion."""
-        robot = deepcopy(conditions.robot)
+        robot = deepcopy(conditions.nominal_robot)
         self.foreign_before = foreign_policies()
         """Names of the policies that are neither shipped nor isolated and ran in this process
         before."""
@@ -251,8 +251,8 @@ class Batch:
         if not (self.policy.shipped or self.policy.isolated):
             _FOREIGN[self.policy.name] = None
         self._check_policy()
-        random = conditions.uncertainty.random or self.policy.declarations.stochastic
-        self.random = random or conditions.keywords.get("initial_error_range") is not None
+        random = conditions.model_error.random or self.policy.declarations.stochastic
+        self.random = random or conditions.further.get("initial_error_range") is not None
         """Whether two episodes with the same payload can differ."""
         default_draws = DEFAULT_DRAWS if random else 1
         self.draws = default_draws if conditions.draws is None else conditions.draws
@@ -283,12 +283,9 @@ class Batch:
         env = gym.make_vec(
             conditions.env_id,
             num_envs=rows,
-            robot=conditions.robot,
-            error_bounds=conditions.error_bounds,
             max_episode_steps=None,
             autoreset_mode=AutoresetMode.DISABLED,
-            uncertainty=conditions.uncertainty,
-            **{**conditions.keywords, **changes},
+            **{**conditions.env_keywords(), **changes},
         ).unwrapped
         assert isinstance(env, CableBotVectorEnv)
         return env
@@ -303,7 +300,7 @@ class Batch:
     def environment(self) -> dict[str, Any]:
         """Robot, trajectory, control frequency and further settings for results, as JSON-able
         data."""
-        separate = ("trajectory", "payload_known", "model_payload_factor")
+        separate = ("robot", "trajectory", "payload_known", "model_payload_factor", "error_bounds")
         data: dict[str, Any] = {
             "robot": self.task.robot.to_dict(),
             "trajectory": to_jsonable(self.task.trajectory),
@@ -311,10 +308,10 @@ class Batch:
             "substeps": self.settings.substeps,
             "cable": self.task.cable,
         }
-        for name, value in self.conditions.keywords.items():
+        for name, value in self.conditions.env_keywords().items():
             if name not in separate:
                 data[name] = to_jsonable(value)
-        return data | {"uncertainty": to_jsonable(self.conditions.uncertainty)}
+        return data
 
     def run(
         self,

@@ -223,7 +223,7 @@ class Comparison(Result):
                     "per_draw": values,
                 }
             )
-        conditions = self.conditions.to_dict()
+        conditions = self.conditions.summary()
         del conditions["criterion"]  # episodes run to the end of the motion
         return conditions | {
             "payload": self.payload,
@@ -231,7 +231,7 @@ class Comparison(Result):
             "draw_seeds": list(self.draw_seeds),
             "isolated": self.isolated,
             "foreign_before": list(self.foreign_before),
-            "error_bounds": vars(self.conditions.error_bounds),
+            "error_bounds": vars(self.conditions.bounds),
             "environment": self.environment,
             "versions": versions(),
             "confidence": CONFIDENCE,
@@ -244,7 +244,7 @@ class Comparison(Result):
         draws = conditions.uncertainty_name or "no uncertainty"
         if conditions.uncertainty_name or self.draws > 1:
             draws = f"{self.draws} draw{'' if self.draws == 1 else 's'} of {draws}"
-        robot = described(conditions.env_id, conditions.robot.name)
+        robot = described(conditions.env_id, conditions.nominal_robot.name)
         return ", ".join([robot, *words, conditions.payload_model, draws])
 
     def __str__(self) -> str:

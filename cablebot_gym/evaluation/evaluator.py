@@ -100,7 +100,7 @@ def evaluate_dlcc(
     batch = Batch(policy, checked, name=name, wrappers=wrappers)
     if payload_max is None:
         trajectory = batch.task.trajectory
-        payload_max = default_payload_max(checked.robot, trajectory, checked.error_bounds)
+        payload_max = default_payload_max(checked.nominal_robot, trajectory, checked.bounds)
     payload_max = number("payload_max", payload_max, above=0, unit="kg")
     is_scan = search == "scan"
     if resolution is None:
@@ -171,14 +171,14 @@ def _details(
     above = outcome.above
     is_drawn = batch.draws > 1
     bounds: dict[str, float | None] = {
-        "position": conditions.error_bounds.position,
+        "position": conditions.bounds.position,
         "rotation": None,
     }
-    if conditions.criterion == "task" and not conditions.robot.point_mass:
-        bounds["rotation"] = conditions.error_bounds.rotation
+    if conditions.criterion == "task" and not conditions.nominal_robot.point_mass:
+        bounds["rotation"] = conditions.bounds.rotation
     maximum_tension = math.inf
     if conditions.criterion == "task":
-        maximum_tension = conditions.robot.maximum_tension
+        maximum_tension = conditions.nominal_robot.maximum_tension
     failures: dict[str, int] = {}
     violation_seed = None
     if above is not None:

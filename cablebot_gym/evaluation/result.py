@@ -131,7 +131,7 @@ class DLCCResult(Result):
     @property
     def total_mass(self) -> float | None:
         """Mass of platform and payload [kg]; None if the policy fails unloaded."""
-        return None if self.payload is None else self.payload + self.conditions.robot.mass
+        return None if self.payload is None else self.payload + self.conditions.nominal_robot.mass
 
     @property
     def scan_ended(self) -> bool:
@@ -183,7 +183,7 @@ class DLCCResult(Result):
         violation = None if self.violation is None else asdict(self.violation)
         return {
             "policy": self.policy,
-            **self.conditions.to_dict(),
+            **self.conditions.summary(),
             "payload": self.payload,
             "total_mass": self.total_mass,
             "resolution": self.resolution,
@@ -202,7 +202,7 @@ class DLCCResult(Result):
     def describe(self, *words: str) -> str:
         """Robot, policy, some words, payload model, uncertainty, and what a reader should know."""
         conditions = self.conditions
-        robot = described(conditions.env_id, conditions.robot.name)
+        robot = described(conditions.env_id, conditions.nominal_robot.name)
         parts = [robot, self.policy, *words, conditions.payload_model]
         if conditions.uncertainty_name is not None:
             parts.append(conditions.uncertainty_name)

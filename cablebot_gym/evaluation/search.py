@@ -481,7 +481,7 @@ class Search:
         Raises:
             PolicyError: if they differ. Further runs of the scan tell the reason.
         """
-        bounds = self._batch.conditions.error_bounds
+        bounds = self._batch.conditions.bounds
         difference = first_difference(first, repeated, bounds)
         if difference is None:
             return

@@ -145,7 +145,7 @@ def survey(
     checked = Conditions.of(env_id, survey, **conditions)
     batch = Batch(policy, checked, name=name, motions=motions)
     if robots is None:
-        robots = ROBOTS if checked.uncertainty.random else 1
+        robots = ROBOTS if checked.model_error.random else 1
     robots = whole("robots", robots, least=1)
     if robots > 1 and not batch.random:
         raise ValueError(
@@ -256,7 +256,7 @@ class _Search:
         sequences = sequence.spawn(len(batch.tasks))
         self._motions: list[_Motion] = []
         for index, task in enumerate(batch.tasks):
-            end = default_payload_max(conditions.robot, task.trajectory, conditions.error_bounds)
+            end = default_payload_max(conditions.nominal_robot, task.trajectory, conditions.bounds)
             motion = _Motion(
                 index=index,
                 end=end,
@@ -388,7 +388,7 @@ class _Search:
             repetitions = self._batch.run(rows)
         else:
             repetitions = [self._batch.run([row])[0] for row in rows]
-        bounds = self._batch.conditions.error_bounds
+        bounds = self._batch.conditions.bounds
         difference = first_difference(verdicts, repetitions, bounds)
         if difference is not None:
             raise PolicyError(f"policy {self._batch.policy.name!r} {DEPENDENT.format(difference)}")

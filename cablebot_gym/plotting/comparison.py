@@ -57,7 +57,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
         share_x = False
     grid = figure.subplots(len(errors), 2, squeeze=False, width_ratios=[1.6, 1], sharex=share_x)
     for (over_time, largest), (name, unit, series, peak) in zip(grid, errors, strict=True):
-        bound = getattr(comparison.conditions.error_bounds, name)
+        bound = getattr(comparison.conditions.bounds, name)
         peaks = [getattr(metrics, peak).max() for metrics in comparison.metrics]
         _over_time(over_time, comparison, series)
         _distribution(largest, comparison, peak)
@@ -116,7 +116,7 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
                 axes.fill_between(payloads, low, high, color=line["color"], alpha=0.2, linewidth=0)
             axes.plot(payloads, mean, marker=".", label=f" {policy}", **line)
         axes.set_ylabel(label)
-    bounds = vars(common.conditions.error_bounds).values()
+    bounds = vars(common.conditions.bounds).values()
     for axes, bound, unit in zip(panels[:-2], bounds, ("mm", "mrad"), strict=False):
         axes.axhline(1e3 * bound, color="black", linewidth=1.0)
         _set_bound_title(axes, bound, unit, "black line")

@@ -324,7 +324,7 @@ def _panel_grid(figure: FigureBase, count: int, title: str, quantity: str) -> li
 
 def _result_title(result: DLCCResult, draw: str = "") -> list[str]:
     """Lines of a title that states the result; ``draw`` names the draw that a figure shows."""
-    robot = described(result.conditions.env_id, result.conditions.robot.name)
+    robot = described(result.conditions.env_id, result.conditions.nominal_robot.name)
     lines = [f"{robot}, policy {result.policy}, {result.criterion} criterion"]
     if result.details.probability is not None:
         uncertainty = result.conditions.uncertainty_name or "random episodes"

@@ -109,7 +109,7 @@ def path_numbers(result: DLCCResult) -> Numbers:
         "bound_mm": 1e3 * bound,
         "within": error <= bound,
     }
-    if not result.conditions.robot.planar:
+    if not result.conditions.nominal_robot.planar:
         numbers["peak_rotation_mrad"] = 1e3 * result.rollout.arrays["rotation_error_peak"].max()
     return numbers
 

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from cablebot_gym.cli.options import Payload, PolicyName, TaskOptions, fitting_id, robot_of
+from cablebot_gym.cli.options import (
+    TASK,
+    ConditionOptions,
+    Payload,
+    PolicyName,
+    fitting_id,
+    robot_of,
+)
 from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.console import say
 from cablebot_winches.hardware.limits import DriveLimits
@@ -83,7 +90,7 @@ def drive(
     *,
     policy: PolicyName,
     winches: WinchOptions,
-    task: TaskOptions,
+    conditions: Annotated[ConditionOptions, TASK],
     payload: Payload = None,
     payload_known: Annotated[
         bool,
@@ -118,12 +125,12 @@ def drive(
     winches.check()
     if log is not None:
         check_writable_file(log)
-    robot = robot_of(fitting_id(None, task.robot), task)
+    robot = robot_of(fitting_id(None, conditions.robot), conditions)
     if payload is None:
         payload = robot.defaults.payload()
     loaded = load(policy, robot)
     pace = loop.Pace(real_time=winches.real_time or not winches.simulate)
-    with _open_channels(robot, winches, task, payload) as (wiring, channels):
+    with _open_channels(robot, winches, conditions, payload) as (wiring, channels):
         # A process that is ended has to stop the winches as after Ctrl-C.
         before = signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
@@ -135,20 +142,20 @@ def drive(
                 pace=pace,
                 payload=payload,
                 payload_known=payload_known,
-                **task.keywords() | {"robot": robot},
+                **conditions.keywords() | {"robot": robot},
             )
         finally:
             signal.signal(signal.SIGTERM, before)
     if log is not None:
         result.save(log)
         say(f"wrote {log}")
-    print("\n".join(_lines(result, 1 / task.control_frequency)))
+    print("\n".join(_lines(result, 1 / conditions.control_frequency)))
     raise typer.Exit(_status(result))
 
 
 @contextmanager
 def _open_channels(
-    robot: Robot, options: WinchOptions, task: TaskOptions, payload: float
+    robot: Robot, options: WinchOptions, conditions: ConditionOptions, payload: float
 ) -> Iterator[tuple[Sequence[Winch], Mapping[str, Channel]]]:
     """The winches and the open channels by port, to real or simulated boards."""
     from cablebot_gym.envs.settings import default_trajectory
@@ -168,15 +175,15 @@ def _open_channels(
     addresses: Mapping[str, str] = {winch.port: winch.port for winch in wiring}
     with ExitStack() as stack:
         if options.simulate:
-            motion = find_trajectory(task.trajectory or default_trajectory(robot), robot.kind)
-            bounds = find_error_bounds(task.error_bounds, robot)
+            motion = find_trajectory(conditions.trajectory or default_trajectory(robot), robot.kind)
+            bounds = find_error_bounds(conditions.error_bounds, robot)
             boards = simulated_boards(
                 robot,
                 wiring,
                 real_time=options.real_time,
                 start_pose=start_pose(robot, motion, bounds).tolist(),
                 payload=payload,
-                control_frequency=task.control_frequency,
+                control_frequency=conditions.control_frequency,
                 faults=[Fault.parse(text) for text in options.fault or []],
             )
             addresses = stack.enter_context(boards)
