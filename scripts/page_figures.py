@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-import page_blocks
+import pages
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -51,7 +51,7 @@ def write(folder: Path) -> list[Path]:
         ),
     }
     for name in library():
-        figures[f"robot-{name}"] = draw_robot(*page_blocks.shown_checks(name))
+        figures[f"robot-{name}"] = draw_robot(*pages.shown_checks(name))
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in figures.items():

@@ -1,7 +1,7 @@
 """Smoke test of an installed wheel: tries every environment, policy and command in a minute or two.
 
 Needs only the package. It rejects a checkout, which would hide files that are missing in the wheel.
-With `--extras` it instead trains, draws figures and runs cells of the benchmark, which needs the
+With `--extras` it instead trains, draws figures and runs a suite of the benchmark, which needs the
 extras sb3 and plot.
 
     python scripts/smoke.py [--extras]
@@ -115,7 +115,7 @@ CableBot-Planar-v0:
 
 
 def check_extras() -> None:
-    """Trains a policy, evaluates it with figures, and runs cells of the benchmark."""
+    """Trains a policy, evaluates it with figures, and runs a suite of the benchmark."""
     program = Path(sys.executable).with_name("cablebot")
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "ppo.yaml").write_text(TRAINING, encoding="utf-8")

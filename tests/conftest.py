@@ -37,10 +37,10 @@ def interrupted_solver(monkeypatch):
 
 @pytest.fixture
 def inline(monkeypatch):
-    """The cells of a benchmark load their policies in this process: starts of processes are most of
+    """The rows of a benchmark load their policies in this process: starts of processes are most of
     their time."""
     monkeypatch.setattr(
-        "cablebot_gym.benchmark.cells.policy_process", lambda cell: nullcontext(cell.policy)
+        "cablebot_gym.benchmark.rows.policy_process", lambda row: nullcontext(row.policy)
     )
 
 

@@ -1,21 +1,16 @@
 """Every cache on disk: a damaged file counts as absent, one line names it, and a good file replaces
 it."""
 
-import logging
-
 import numpy as np
 import pytest
+from benchmark.made_rows import carries
 
-from cablebot_gym.benchmark.cells import PolicyCell
-from cablebot_gym.benchmark.records import Record
-from cablebot_gym.benchmark.store import Store
 from cablebot_gym.physics.compiling import code_cache
 from cablebot_gym.physics.compiling.loading import cached_njit
 from cablebot_gym.planning import PlannedMotion, library
 from cablebot_gym.report import recording
 from cablebot_gym.report.replay import Replay
 
-CELL = PolicyCell(env_id="CableBot-Planar-v0", trajectory={"name": "circle-planar"}, policy="fl")
 MOTION = PlannedMotion(
     name="line",
     knots=np.linspace(0.0, 1.0, 500),
@@ -59,26 +54,6 @@ def plan(folder, monkeypatch):
     return use
 
 
-def benchmark_cell(folder, monkeypatch):
-    record = Record(
-        cell=CELL, source=CELL.source, versions={}, result={"payload": 1.0}, seconds=0.1
-    )
-
-    def use():
-        store = Store(folder.parent, say=recording_line)
-        is_missing = store.find(CELL) is None
-        if is_missing:
-            store.add(record)
-        return is_missing
-
-    monkeypatch.setattr("cablebot_gym.benchmark.store.FOLDER", folder.name)
-    return use
-
-
-def recording_line(text):
-    logging.getLogger("cablebot_gym").warning(text)
-
-
 def episodes_of_a_report(folder, monkeypatch):
     replay = Replay(
         payload=1.0,
@@ -98,9 +73,9 @@ def episodes_of_a_report(folder, monkeypatch):
 
     def use():
         computed.clear()
-        assert dict(recording.record_all({"key": (CELL, 1.0)}, folder, workers=1, say=print)) == {
-            "key": [replay]
-        }
+        queries = {"key": carries("fl", 1.0)}
+        found = dict(recording.record_all(queries, folder, workers=1, say=print))
+        assert found == {"key": [replay]}
         return bool(computed)
 
     return use
@@ -109,7 +84,6 @@ def episodes_of_a_report(folder, monkeypatch):
 CACHES = {
     "compiled code": compiled_code,
     "plan": plan,
-    "benchmark cell": benchmark_cell,
     "episodes of a report": episodes_of_a_report,
 }
 """Each makes a function that reads a value, or computes and stores it; it returns whether it was

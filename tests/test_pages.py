@@ -7,8 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import joss_paper
-import page_blocks
+import pages
 import pytest
 
 from cablebot_gym import ENV_IDS
@@ -18,7 +17,7 @@ from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.robots import COORDINATE_NAMES, find_robot
 
 ROOT = Path(__file__).parents[1]
-AGAIN = "write them anew: python scripts/page_blocks.py"
+AGAIN = "write them anew: python scripts/pages.py"
 
 FRONT = ("README.md", "LEADERBOARD.md", "CHANGELOG.md", "CONTRIBUTING.md")
 
@@ -51,8 +50,8 @@ def tier(block):
 
 BLOCKS = [
     pytest.param(page, name, id=f"{page}: {name}", marks=tier(name))
-    for page in page_blocks.PAGES
-    for name in page_blocks.blocks((ROOT / page).read_text(encoding="utf-8"))
+    for page in pages.PAGES
+    for name in pages.blocks((ROOT / page).read_text(encoding="utf-8"))
 ]
 
 _NUMBER = r"\d+\.\d+"
@@ -67,29 +66,25 @@ def read(page):
 
 @pytest.mark.parametrize(("page", "name"), BLOCKS)
 def test_block_is_that_of_code_and_results(page, name):
-    stored = page_blocks.blocks(read(page))[name]
-    anew = page_blocks.block(name)
+    stored = pages.blocks(read(page))[name]
+    anew = pages.block(name)
     assert re.sub(_NUMBER, "", stored) == re.sub(_NUMBER, "", anew), AGAIN
     numbers = [list(map(float, re.findall(_NUMBER, text))) for text in (stored, anew)]
     assert numbers[0] == pytest.approx(numbers[1], abs=0.011), AGAIN  # machines round differently
 
 
 def test_code_of_the_home_page_is_that_of_the_example():
-    for name, text in page_blocks.blocks(read("docs/index.md")).items():
-        if name.endswith(page_blocks.WITH_OUTPUT):
-            assert text.startswith(page_blocks.block(name.removesuffix(page_blocks.WITH_OUTPUT))), (
-                AGAIN
-            )
+    for name, text in pages.blocks(read("docs/index.md")).items():
+        if name.endswith(pages.WITH_OUTPUT):
+            assert text.startswith(pages.block(name.removesuffix(pages.WITH_OUTPUT))), AGAIN
 
 
 @pytest.mark.landing
 def test_leaderboard_and_paper_follow_from_the_results():
-    results = page_blocks.stored("leaderboard")
-    assert read("docs/leaderboard/results.json") == results.to_json()
-    assert read("LEADERBOARD.md") == page_blocks.markdown(results), AGAIN
-    assert joss_paper.PAPER.read_text(encoding="utf-8") == joss_paper.paper(), (
-        "make it anew: python scripts/joss_paper.py"
-    )
+    results = pages.stored("ranked")
+    assert read("docs/results/ranked.jsonl") == results.to_text()
+    assert read("LEADERBOARD.md") == pages.markdown(results), AGAIN
+    assert pages.PAPER.read_text(encoding="utf-8") == pages.paper(), AGAIN
 
 
 def test_paper_cites_all_references_and_no_others():
@@ -171,7 +166,7 @@ def test_laws_behind_the_homed_filter_keep_their_payload():
             exact[key] = case["payload"]
         if (case["estimator"], case["errors"]) == ("ekf-homed", "load-cells"):
             homed[key] = case["payload"]
-    assert {env_id for env_id, _ in exact} == set(page_blocks.measure_winches.LAWS)
+    assert {env_id for env_id, _ in exact} == set(pages.measure_winches.LAWS)
     for key, payload in exact.items():
         assert homed[key] >= least / 100 * payload
 

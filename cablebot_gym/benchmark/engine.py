@@ -1,13 +1,12 @@
-"""Runs jobs, such as the cells of the benchmark, on local processes or on a Ray cluster."""
+"""Runs jobs, such as the rows of the benchmark, on local processes or on a Ray cluster."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from cablebot_gym.benchmark.cells import Cell, DrawnCell, PolicyCell, SurveyCell, TimingCell
-from cablebot_gym.benchmark.records import Record, compute, failed_record
+from cablebot_gym.benchmark.rows import Row, compute, failed, jobs
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils import workers as processes
 
@@ -44,59 +43,59 @@ def local(workers: int) -> Backend:
     return run
 
 
-def run_cells(
-    cells: Mapping[str, Cell],
+def run_rows(
+    rows: Sequence[Row],
     store: Store,
     backend: Backend,
     progress: Progress,
     say: MessageCallback,
-) -> list[Record]:
-    """The records of all cells, in the order of ``cells``. Cells found in the store are not
-    computed again.
+) -> None:
+    """Computes the rows that are due, and adds them to the store.
 
-    Cells with the longest computations start first, to balance the workers. Computing times are
+    Jobs with the longest computations start first, to balance the workers. Computing times are
     measured last, one after the other in this process.
     """
-    done = {}
-    pending = []
-    for key, cell in cells.items():
-        record = store.find(cell)
-        if record is None:
-            pending.append(cell)
-        else:
-            done[key] = record
-    jobs: dict[str, Job] = {}
+    due = [row for row in rows if store.find(row) is None]
+    groups = sorted(jobs(due), key=_cost, reverse=True)
+    computations: dict[str, Job] = {}
     timings: dict[str, Job] = {}
-    for cell in sorted(pending, key=_cost, reverse=True):
-        group = timings if isinstance(cell, TimingCell) else jobs
-        group[cell.key] = partial(compute, cell)
-    progress(len(done), len(cells))
-    for key, record in _computed(jobs, timings, backend, say):
-        if isinstance(record, processes.WorkerDied):
-            record = failed_record(cells[key], str(record))
-        elif record.source != cells[key].source:
-            reason = "a worker computed it with different code; install the same version of the code on every machine"
-            record = failed_record(cells[key], reason)
-        store.add(record)
-        done[key] = record
-        progress(len(done), len(cells))
-    return [done[key] for key in cells]
+    for index, group in enumerate(groups):
+        kind = timings if group[0].measure == "time" else computations
+        kind[str(index)] = partial(compute, group)
+    done = len(rows) - len(due)
+    progress(done, len(rows))
+    for key, computed in _computed(computations, timings, backend, say):
+        group = groups[int(key)]
+        store.add(_checked(group, computed))
+        done += len(group)
+        progress(done, len(rows))
+
+
+def _checked(group: Sequence[Row], computed: Any) -> list[Row]:
+    """The rows that a worker computed; failed ones if it died or has different code."""
+    if isinstance(computed, processes.WorkerDied):
+        return [failed(row, str(computed)) for row in group]
+    if computed[0].code != group[0].present_code:
+        reason = "a worker computed it with different code; install the same version of the code on every machine"
+        return [failed(row, reason) for row in group]
+    rows: list[Row] = computed
+    return rows
 
 
 def _computed(
     jobs: Mapping[str, Job], timings: Mapping[str, Job], backend: Backend, say: MessageCallback
 ) -> Iterator[tuple[str, Any]]:
-    """Key and record of each job, or why its process died; the timings come when no other job
-    runs."""
+    """Key and rows of each job, or why its process died; the timings come when no other job runs."""
     died = (processes.WorkerDied,)
     yield from backend(jobs, say, died)
     yield from local(1)(timings, say, died)
 
 
-def _cost(cell: Cell) -> float:
+def _cost(group: Sequence[Row]) -> float:
     """Number of episodes at each payload; best known payloads take longest."""
-    if isinstance(cell, SurveyCell):
-        return cell.draws * len(cell.parts)
-    if isinstance(cell, DrawnCell):
+    row = group[0]
+    if row.measure == "best-known":
+        return float("inf")
+    if row.measure == "drawn":
         return _AFTER_BEST_KNOWN
-    return cell.draws if isinstance(cell, PolicyCell) else float("inf")
+    return len(group) * (row.conditions.draws or 1)

@@ -15,7 +15,8 @@ from cablebot_gym.utils.imports import split_name
 
 @cache
 def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
-    """Modules and data files of a policy, given its name as on the command line.
+    """Names in modules, ``module:name``, and data files of a policy, given its name as on the command
+    line.
 
     For a policy file, these are the modules of all installed loaders, the file itself and the statistics
     beside it. Of a module outside a package, the data files are those next to it with a suffix or a
@@ -24,23 +25,25 @@ def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     spec = PolicySpec.parse(policy)
     if spec.estimators:
         modules, files = policy_source(spec.target)
-        return (*(estimator.module for estimator in spec.estimators), *modules), files
+        return (*(estimator.value for estimator in spec.estimators), *modules), files
     path = Path(policy)
     if spec.kind == "unknown":
         return (), ()
     if spec.kind == "file":
-        loaders = {point.module for point in entry_points(group=FILE_ENTRY_POINT_GROUP)}
+        loaders = {point.value for point in entry_points(group=FILE_ENTRY_POINT_GROUP)}
         statistics = statistics_beside(path)
         return tuple(sorted(loaders)), (path,) if statistics is None else (path, statistics)
     if spec.kind == "factory":
-        module, _ = split_name(policy)
+        module, name = split_name(policy)
     else:
         module = spec.points[0].module
+        name = spec.points[0].attr
         entry = public_entry(policy)
         if entry is not None and entry.files is not None:
-            return (module,), entry.files
+            return (f"{module}:{name}",), entry.files
     source = module_file(module)
-    return (module,), () if source is None else _data_files(source, _in_package(module))
+    files = () if source is None else _data_files(source, _in_package(module))
+    return (f"{module}:{name}",), files
 
 
 def _in_package(module: str) -> bool:

@@ -19,6 +19,9 @@ from cablebot_gym.kinematics import Array
 CONFIDENCE = 0.95
 """Confidence of the intervals, and of all orders of a board together."""
 
+RANKED_MOTIONS = 20
+"""Least number of motions for ranks. Fewer do not tell policies apart."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Fraction:

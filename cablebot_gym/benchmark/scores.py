@@ -4,38 +4,17 @@ and error bounds."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, TimingCell, canonical
-from cablebot_gym.benchmark.ranking import Fraction, fraction, ranks
-from cablebot_gym.benchmark.records import Record, single_records
+from cablebot_gym.benchmark.ranking import RANKED_MOTIONS, Fraction, fraction, ranks
+from cablebot_gym.benchmark.rows import Row, canonical
 from cablebot_gym.benchmark.yardstick import Yardstick, yardsticks
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.kinematics import Array
-from cablebot_gym.uncertainty import ERROR_SEPARATOR
-
-RANKED_MOTIONS = 20
-"""Least number of motions for ranks. Fewer do not tell policies apart."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BestKnown:
-    """The best known payload for one robot, motion and set of error bounds."""
-
-    cell: BestKnownCell
-    """The cell."""
-    result: Mapping[str, Any]
-    """Result of the search, or an ``error`` message if it failed."""
-
-    @property
-    def payload(self) -> float | None:
-        """Reference of the scores [kg]; None if the search found no payload that its replay
-        verifies."""
-        if self.result.get("verified"):
-            return self.result["payload"]
-        return None
+from cablebot_gym.uncertainty import split_error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,10 +22,8 @@ class Score:
     """The DLCC of a policy under one set of conditions, and its fraction of the best known
     payload."""
 
-    cell: PolicyCell
-    """The cell."""
-    result: Mapping[str, Any]
-    """Result of the evaluation, or an ``error`` message if the policy failed."""
+    row: Row
+    """The row of the payload."""
     best_known: float | None
     """Best known payload [kg]; None if there is none."""
     score: float | None
@@ -56,15 +33,25 @@ class Score:
     repeated."""
 
     @property
-    def error(self) -> str | None:
-        """Error message of the evaluation; None if it succeeded."""
-        return self.result.get("error")
+    def conditions(self) -> Conditions:
+        """Conditions of the payload."""
+        return self.row.conditions
+
+    @property
+    def result(self) -> Mapping[str, Any]:
+        """Result of the evaluation, or an ``error`` message if the policy failed."""
+        return self.row.result
 
     @property
     def payload(self) -> float | None:
         """DLCC [kg], a 95/95 lower tolerance bound under an uncertainty; None if the policy fails
         unloaded, raised an error, or if the criterion is not applicable."""
         return self.result.get("payload")
+
+    @property
+    def applicable(self) -> bool:
+        """Whether the criterion applies to the policy."""
+        return bool(self.result.get("applicable", True))
 
     @property
     def payload_text(self) -> str:
@@ -77,83 +64,57 @@ class Score:
             text = f"≥ {text}"
         if self.result.get("declared"):
             text += ", declared"
-        if self.result.get("stochastic") and self.cell.draws == 1:
+        if self.result.get("stochastic") and not self.conditions.draws:
             text += f", stochastic ({self.result['draws']} draws)"
         return text
 
 
-def best_known_payloads(records: Sequence[Record]) -> dict[str, BestKnown]:
-    """The best known payloads by :attr:`~cablebot_gym.benchmark.cells.Setting.motion_key`."""
-    payloads = {}
-    for record in records:
-        cell = record.cell
-        if isinstance(cell, BestKnownCell):
-            payloads[cell.motion_key] = BestKnown(cell=cell, result=record.result)
-    return payloads
+def best_known_rows(rows: Sequence[Row]) -> dict[str, Row]:
+    """The rows of best known payloads by :attr:`~cablebot_gym.benchmark.rows.Row.motion_key`."""
+    return {row.motion_key: row for row in rows if row.measure == "best-known"}
 
 
-def scores(records: Sequence[Record]) -> list[Score]:
-    """The scores of all policy cells in the order of the records, one for each motion of a
-    survey."""
-    references = best_known_payloads(records)
-    sticks = yardsticks(records)
+def verified_payload(row: Row | None) -> float | None:
+    """Best known payload of a row [kg]; None if the search found no payload that its replay
+    verifies."""
+    if row is not None and row.result.get("verified"):
+        payload: float = row.result["payload"]
+        return payload
+    return None
+
+
+def scores(rows: Sequence[Row]) -> list[Score]:
+    """The scores of all payloads of policies in the order of the rows."""
+    references = best_known_rows(rows)
+    sticks = yardsticks(rows)
     policy_scores = []
-    for record in single_records(records):
-        cell = record.cell
-        if not isinstance(cell, PolicyCell):
+    for row in rows:
+        if row.measure != "payload":
             continue
-        best_known = None
-        if cell.motion_key in references:
-            best_known = references[cell.motion_key].payload
+        best_known = verified_payload(references.get(row.motion_key))
         reference = None
-        if best_known and cell.criterion == "task":
-            reference = best_known * _attainable(cell, sticks)
+        if best_known and row.conditions.criterion == "task":
+            reference = best_known * _attainable(row, sticks)
         score = None
-        if reference and (record.error is None or record.final):
-            score = (record.result.get("payload") or 0.0) / reference
-        policy_scores.append(
-            Score(cell=cell, result=record.result, best_known=best_known, score=score)
-        )
+        if reference and (row.error is None or row.final):
+            score = (row.result.get("payload") or 0.0) / reference
+        policy_scores.append(Score(row=row, best_known=best_known, score=score))
     return policy_scores
 
 
-@dataclass(frozen=True, kw_only=True)
-class Column:
-    """Conditions of one column of a table."""
+def column_of(row: Row) -> Conditions:
+    """The column of a row: its conditions without what differs from motion to motion. The seed of a
+    family of motions is 0."""
+    trajectory: dict[str, Any] = {"name": row.motion}
+    if row.family:
+        trajectory["seed"] = 0
+    return replace(row.conditions, trajectory=trajectory, error_bounds=None, seed=0)
 
-    motion: str
-    """Name of the motion or of the family of motions."""
-    payload_known: bool = True
-    """Whether the policies' models include the payload."""
-    model_payload_factor: float = 1.0
-    """Ratio of the policies' model payload to the nominal payload."""
-    uncertainty: str | None = None
-    """Name of an uncertainty; None for none."""
-    criterion: str = "task"
-    """DLCC criterion: ``task`` or ``paper``."""
-    draws: int = 1
-    """Number of draws that confirm the payload."""
-    is_family: bool = False
-    """Whether the motions are random ones of a family."""
 
-    @property
-    def is_main(self) -> bool:
-        """Whether it belongs to the main table: random motions, on robots that are not exactly
-        known."""
-        return self.is_family and self.uncertainty is not None
-
-    @classmethod
-    def of(cls, cell: PolicyCell) -> Column:
-        """The column of a cell."""
-        return cls(
-            motion=str(cell.trajectory["name"]),
-            payload_known=cell.payload_known,
-            model_payload_factor=cell.model_payload_factor,
-            uncertainty=cell.uncertainty,
-            criterion=cell.criterion,
-            draws=cell.draws,
-            is_family="seed" in cell.trajectory,
-        )
+def is_main(column: Conditions) -> bool:
+    """Whether a column belongs to the main table: random motions, on robots that are not exactly
+    known."""
+    return "seed" in column.trajectory and column.uncertainty is not None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +123,7 @@ class Leaderboard:
 
     env_id: str
     """Environment id."""
-    columns: tuple[Column, ...]
+    columns: tuple[Conditions, ...]
     """Columns; nominal ones and those with the most motions come first, otherwise in the order of the
     suite."""
     policies: tuple[str, ...]
@@ -170,25 +131,25 @@ class Leaderboard:
     ranks: Mapping[str, int]
     """Ranks by policy in the first column, from 1; empty if it has less than :data:`RANKED_MOTIONS`
     motions, including those that do not count. See :func:`~cablebot_gym.benchmark.ranking.ranks`."""
-    entries: Mapping[tuple[str, Column], tuple[Score, ...]]
+    entries: Mapping[tuple[str, Conditions], tuple[Score, ...]]
     """Scores by policy and column, one score per motion. Motions without best known payload are
     left out."""
     timings: Mapping[str, Mapping[str, Any]]
-    """Results of :class:`~cablebot_gym.benchmark.cells.TimingCell` by policy."""
+    """Results of the rows of computing times by policy."""
 
     @property
     def is_main(self) -> bool:
         """Whether it is the main table of the environment. All other conditions are in a second
         one."""
-        return self.columns[0].is_main
+        return is_main(self.columns[0])
 
-    def motions(self, column: Column) -> int:
+    def motions(self, column: Conditions) -> int:
         """Number of motions of a column that count."""
         return max(
             len(entry) for (_, of_column), entry in self.entries.items() if of_column == column
         )
 
-    def fraction(self, policy: str, column: Column) -> Fraction | None:
+    def fraction(self, policy: str, column: Conditions) -> Fraction | None:
         """The fraction of a policy in a column; None without a score for every motion."""
         values = _values(self.entries.get((policy, column), ()))
         if values is None:
@@ -196,22 +157,20 @@ class Leaderboard:
         return fraction(values)
 
 
-def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
-    """The tables in the order of the records, first the main table of an environment. Cells with
-    one error alone, and cells of other robots than those of the environments are omitted.
+def leaderboards(rows: Sequence[Row]) -> list[Leaderboard]:
+    """The tables in the order of the rows, first the main table of an environment. Rows with one
+    error alone, and those of other robots than those of the environments are omitted.
     """
     groups: dict[str, dict[bool, list[Score]]] = {}
-    for score in scores(records):
-        cell = score.cell
-        is_one_error = ERROR_SEPARATOR in (cell.uncertainty or "")
-        if cell.robot_name is None and not is_one_error:
-            tables = groups.setdefault(cell.env_id, {True: [], False: []})
-            tables[Column.of(cell).is_main].append(score)
+    for score in scores(rows):
+        given = score.conditions
+        if given.robot is None and not _single_error(given):
+            tables = groups.setdefault(given.env_id, {True: [], False: []})
+            tables[is_main(column_of(score.row))].append(score)
     timings: dict[str, dict[str, Mapping[str, Any]]] = {}
-    for record in records:
-        if isinstance(record.cell, TimingCell) and record.error is None:
-            times = timings.setdefault(record.cell.env_id, {})
-            times[record.cell.policy] = record.result
+    for row in rows:
+        if row.measure == "time" and row.error is None:
+            timings.setdefault(row.conditions.env_id, {})[row.policy] = row.result
     boards = []
     for env_id, tables in groups.items():
         for group in tables.values():
@@ -221,18 +180,18 @@ def leaderboards(records: Sequence[Record]) -> list[Leaderboard]:
     return boards
 
 
+def _single_error(conditions: Conditions) -> str:
+    """The error of an uncertainty that is alone; empty without one."""
+    _, error = split_error(conditions.uncertainty or "")
+    return error
+
+
 @dataclass(frozen=True, kw_only=True)
 class ErrorTable:
     """DLCC of policies on one motion of one environment, with each error of an uncertainty alone."""
 
-    env_id: str
-    """Environment id."""
-    motion: str
-    """Name of the motion."""
-    payload_known: bool
-    """Whether the policies' models include the payload."""
-    uncertainty: str
-    """Name of the uncertainty."""
+    conditions: Conditions
+    """Conditions of all errors together."""
     errors: tuple[str, ...]
     """Errors: :data:`NO_ERROR`, the errors alone, :data:`ALL_ERRORS`."""
     policies: Mapping[str, tuple[Score | None, ...]]
@@ -246,50 +205,31 @@ ALL_ERRORS = "all errors together"
 """Label of the whole uncertainty in an error table."""
 
 
-def error_tables(records: Sequence[Record]) -> list[ErrorTable]:
-    """The error tables of the records, for each environment, motion, payload model and uncertainty
-    of which there is an error alone."""
-    singles = []
-    for score in scores(records):
-        if score.cell.robot_name is None and score.cell.criterion == "task":
-            singles.append(score)
-    groups: dict[tuple[str, str, bool, str], dict[str, dict[str, Score]]] = {}
-    for score in singles:
-        name, _, error = (score.cell.uncertainty or "").partition(ERROR_SEPARATOR)
-        if error:
-            by_error = groups.setdefault((*_place(score.cell), name), {NO_ERROR: {}})
-            by_error.setdefault(error, {})[score.cell.policy] = score
+def error_tables(rows: Sequence[Row]) -> list[ErrorTable]:
+    """The error tables of the rows: one for the conditions of each uncertainty of which there is an
+    error alone."""
+    by_conditions: dict[Conditions, dict[str, Score]] = {}
+    singles: dict[Conditions, list[str]] = {}
+    for score in scores(rows):
+        given = score.conditions
+        if given.robot is None and given.criterion == "task":
+            by_conditions.setdefault(replace(given, draws=None), {})[score.row.policy] = score
+            name, error = split_error(given.uncertainty or "")
+            if error:
+                everything = replace(given, draws=None, uncertainty=name)
+                singles.setdefault(everything, []).append(given.uncertainty)
     tables = []
-    for (env_id, motion, payload_known, uncertainty), by_error in groups.items():
-        by_error[ALL_ERRORS] = {}
-        for score in singles:
-            cell = score.cell
-            if _place(cell) != (env_id, motion, payload_known):
-                continue
-            if cell.uncertainty is None:
-                by_error[NO_ERROR][cell.policy] = score
-            elif cell.uncertainty == uncertainty:
-                by_error[ALL_ERRORS][cell.policy] = score
-        names = dict.fromkeys(name for by_policy in by_error.values() for name in by_policy)
-        policies = {}
+    for everything, names in singles.items():
+        names = list(dict.fromkeys(names))
+        columns = {NO_ERROR: by_conditions.get(replace(everything, uncertainty=None), {})}
         for name in names:
-            policies[name] = tuple(by_policy.get(name) for by_policy in by_error.values())
-        tables.append(
-            ErrorTable(
-                env_id=env_id,
-                motion=motion,
-                payload_known=payload_known,
-                uncertainty=uncertainty,
-                errors=tuple(by_error),
-                policies=policies,
-            )
-        )
+            columns[split_error(name)[1]] = by_conditions[replace(everything, uncertainty=name)]
+        columns[ALL_ERRORS] = by_conditions.get(everything, {})
+        policies = {}
+        for policy in dict.fromkeys(name for column in columns.values() for name in column):
+            policies[policy] = tuple(column.get(policy) for column in columns.values())
+        tables.append(ErrorTable(conditions=everything, errors=tuple(columns), policies=policies))
     return tables
-
-
-def _place(cell: PolicyCell) -> tuple[str, str, bool]:
-    """Environment, motion and whether the payload is known."""
-    return cell.env_id, canonical(dict(cell.trajectory)), cell.payload_known
 
 
 def _leaderboard(
@@ -297,12 +237,12 @@ def _leaderboard(
     group: Sequence[Score],
     timings: Mapping[str, Mapping[str, Any]],
 ) -> Leaderboard:
-    scores_of: dict[tuple[str, Column], list[Score]] = {}
+    scores_of: dict[tuple[str, Conditions], list[Score]] = {}
     for score in group:
-        scores_of.setdefault((score.cell.policy, Column.of(score.cell)), []).append(score)
+        scores_of.setdefault((score.row.policy, column_of(score.row)), []).append(score)
     # motions are compared in pairs, and therefore in the same order
     entries = {key: tuple(sorted(entry, key=_motion)) for key, entry in scores_of.items()}
-    motions: dict[Column, int] = {}
+    motions: dict[Conditions, int] = {}
     for (_, column), entry in entries.items():
         motions[column] = max(motions.get(column, 0), len(entry))
     columns = sorted(motions, key=lambda column: (column.uncertainty is not None, -motions[column]))
@@ -352,7 +292,7 @@ def _aligned(entries: Mapping[str, tuple[Score, ...]]) -> dict[str, Array]:
 
 def _motion(score: Score) -> str:
     """The motion as text, the same for equal motions."""
-    return canonical(dict(score.cell.trajectory))
+    return canonical(score.conditions.trajectory)
 
 
 def _values(entry: Sequence[Score]) -> Array | None:
@@ -363,12 +303,13 @@ def _values(entry: Sequence[Score]) -> Array | None:
     return np.array(values)
 
 
-def _attainable(cell: PolicyCell, sticks: Mapping[tuple[str, str], Yardstick]) -> float:
+def _attainable(row: Row, sticks: Mapping[tuple[str, str], Yardstick]) -> float:
     """Fraction of the best known payload that anybody can hope for; 0 if it is unknown, as for
     single motions under an uncertainty."""
-    if cell.uncertainty is None:
+    uncertainty = row.conditions.uncertainty
+    if uncertainty is None:
         return 1.0
-    stick = sticks.get((cell.env_id, cell.uncertainty))
-    if stick is None or not Column.of(cell).is_main:
+    stick = sticks.get((row.conditions.env_id, uncertainty))
+    if stick is None or not row.family:
         return 0.0
     return stick.quantile

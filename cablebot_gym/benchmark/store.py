@@ -1,74 +1,186 @@
-"""A folder of results with one file per finished cell."""
+"""The store of a suite's results: one file, a row on each line."""
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cablebot_gym.benchmark.cells import Cell, canonical
-from cablebot_gym.benchmark.records import Record, record_from_dict
+from cablebot_gym.benchmark.rows import Row, row_from_dict
 from cablebot_gym.utils.files import atomic_write_text, read_text
 from cablebot_gym.utils.foreign import foreign_json, foreign_object
 
-FOLDER = "cells"
-"""Name of the folder of the records, next to the tables."""
+SUFFIX = ".jsonl"
+"""Suffix of the file of a suite."""
+
+_ADVICE = "give a folder that `cablebot benchmark --out FOLDER` wrote"
+
+
+def file_of(folder: str | Path, suite: str) -> Path:
+    """The file of a suite in a folder of results."""
+    return Path(folder) / f"{suite}{SUFFIX}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Results:
+    """The results of one suite."""
+
+    suite: str
+    """Name of the suite."""
+    command: str
+    """Command that computes the results."""
+    rows: Sequence[Row]
+    """All rows."""
+    seed_text: str | None = None
+    """Public text from which the hidden motions and the evaluation seed follow; None for a suite
+    without hidden motions."""
+
+    def to_text(self) -> str:
+        """The file: a head, then a row on each line. Equal results give identical bytes."""
+        return "".join([self._head(), *map(_line, (row.to_dict() for row in self.rows))])
+
+    def _head(self) -> str:
+        return _line({"suite": self.suite, "command": self.command, "seed_text": self.seed_text})
+
+    @classmethod
+    def from_text(cls, text: str, *, say: Callable[[str], None] | None = None) -> Results:
+        """The results whose :meth:`to_text` returned ``text``. Of two rows with the same conditions,
+        the last one counts.
+
+        Args:
+            text: content of a file.
+            say: called with one sentence for each line that is no row; None to raise an error.
+
+        Raises:
+            ValueError: if the head or a line is damaged.
+        """
+        first, *lines = text.removesuffix("\n").split("\n")
+        head = foreign_object("the head", foreign_json(first))
+        if "suite" not in head:
+            raise ValueError("the first line is not the head of a suite")
+        rows: dict[str, Row] = {}
+        for number, line in enumerate(lines, 2):
+            try:
+                row = row_from_dict(foreign_json(line))
+            except (ValueError, KeyError, TypeError, AttributeError) as error:
+                problem = f"line {number} is no row"
+                if say is None:
+                    raise ValueError(problem) from error
+                say(problem)
+                continue
+            rows[row.key] = row
+        seed_text = head.get("seed_text")
+        return cls(
+            suite=str(head["suite"]),
+            command=str(head.get("command", "")),
+            rows=list(rows.values()),
+            seed_text=None if seed_text is None else str(seed_text),
+        )
 
 
 class Store:
-    """Records in a folder.
-
-    A file name consists of a readable stem, a hash of the cell and the hash of the code that
-    computed it. Results of different code versions therefore coexist.
+    """The file of a suite in a folder, to which finished rows are added.
 
     Args:
-        out: folder of the benchmark's results. The files are in its subfolder ``cells``.
-        say: called with one sentence for each unusable file.
+        folder: folder of the results.
+        suite: name of the suite.
+        command: command that computes the results.
+        seed_text: public text of the hidden motions.
+        say: called with one sentence for each line that is no row.
+
+    Raises:
+        ValueError: if the file is no store, or has another seed text.
     """
 
-    def __init__(self, out: Path, *, say: Callable[[str], None]) -> None:
-        self._folder = out / FOLDER
-        self._say = say
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        suite: str,
+        command: str,
+        seed_text: str | None,
+        say: Callable[[str], None],
+    ) -> None:
+        self.path = file_of(folder, suite)
+        """The file."""
+        rows: Sequence[Row] = ()
+        if self.path.exists():
+            before = read(
+                self.path,
+                say=lambda problem: say(
+                    f"{self.path} is damaged: {problem}, which is computed again"
+                ),
+            )
+            rows = before.rows
+            if before.seed_text != seed_text:
+                raise ValueError(
+                    f"{str(self.path)!r} has rows of another --seed-text: repeat that text, or choose another --out"
+                )
+        self._results = Results(suite=suite, command=command, rows=rows, seed_text=seed_text)
+        self._rows = {row.key: row for row in rows}
 
-    def find(self, cell: Cell) -> Record | None:
-        """The record of a cell; None if it is missing, broken or computed by different code."""
-        current = self._path(cell, cell.source)
-        if not current.exists():
+    def find(self, row: Row) -> Row | None:
+        """The stored row with the conditions of ``row``; None if it is missing or due."""
+        stored = self._rows.get(row.key)
+        if stored is None or stored.is_due:
             return None
-        record = self._read(current, cell)
-        if record is None or record.source != cell.source:
-            return None
-        return record
+        return stored
 
-    def add(self, record: Record) -> None:
-        """Writes a record if it is final."""
-        if not record.final:
-            return
-        data: dict[str, Any] = {
-            "cell": record.cell.to_dict(),
-            "source": record.source,
-            "versions": dict(record.versions),
-            "result": dict(record.result),
-            "seconds": round(record.seconds, 3),
-        }
-        text = json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        atomic_write_text(self._path(record.cell, record.source), text)
+    def add(self, rows: Iterable[Row]) -> None:
+        """Writes the rows that are final."""
+        final = [row for row in rows if row.final]
+        if not self.path.exists():
+            atomic_write_text(self.path, self._results.to_text())
+        with self.path.open("a", encoding="utf-8") as file:
+            file.writelines(_line(row.to_dict()) for row in final)
+        for row in final:
+            self._rows[row.key] = row
 
-    def _path(self, cell: Cell, source: str) -> Path:
-        digest = hashlib.sha256(canonical(cell.to_dict()).encode()).hexdigest()
-        return self._folder / f"{cell.stem}-{digest[:12]}-{source}.json"
+    def close(self, order: Sequence[str]) -> Results:
+        """Writes the file anew, with the rows of these keys first, and returns its results."""
+        first = [self._rows[key] for key in order if key in self._rows]
+        others = [row for key, row in self._rows.items() if key not in set(order)]
+        head = self._results
+        results = Results(
+            suite=head.suite, command=head.command, rows=first + others, seed_text=head.seed_text
+        )
+        atomic_write_text(self.path, results.to_text())
+        return results
 
-    def _read(self, path: Path, cell: Cell) -> Record | None:
-        """The record in a file; None, with a message, if the file is not as it was written for the
-        cell."""
-        try:
-            data = foreign_object("a record", foreign_json(read_text(path)))
-            record = record_from_dict(data)
-            if record.cell.key == cell.key:
-                return record
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            pass
-        self._say(f"{path} is damaged; its cell is computed again")
-        return None
+
+def _line(data: Any) -> str:
+    return json.dumps(data, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def read(path: str | Path, *, say: Callable[[str], None] | None = None) -> Results:
+    """The results in the file of a suite. For ``say`` see :meth:`Results.from_text`.
+
+    Raises:
+        ValueError: if they cannot be read. The message says how to create results.
+    """
+    try:
+        results = Results.from_text(read_text(path), say=say)
+    except OSError as error:
+        raise ValueError(
+            f"cannot read {str(path)!r} ({error.strerror or error}): {_ADVICE}"
+        ) from error
+    except ValueError as error:
+        raise ValueError(f"{str(path)!r} holds no results ({error}): {_ADVICE}") from error
+    return results
+
+
+def read_all(path: str | Path) -> list[Results]:
+    """The results of all suites in a folder, or those of one file.
+
+    Raises:
+        ValueError: if there are none, or if they cannot be read.
+    """
+    paths = [Path(path)]
+    if paths[0].is_dir():
+        paths = sorted(paths[0].glob(f"*{SUFFIX}"))
+    found = [read(item) for item in paths]
+    if not any(results.rows for results in found):
+        raise ValueError(f"{str(path)!r} holds no rows: {_ADVICE}")
+    return found

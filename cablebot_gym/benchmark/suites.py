@@ -1,4 +1,4 @@
-"""Suites of the benchmark, and the cells and policies that they contain."""
+"""Suites of the benchmark, and the rows and policies that they contain."""
 
 from __future__ import annotations
 
@@ -10,66 +10,59 @@ from itertools import chain, product
 from types import MappingProxyType
 from typing import Any
 
-from cablebot_gym.benchmark.cells import (
-    BestKnownCell,
-    Cell,
-    PolicyCell,
-    SurveyCell,
-    TimingCell,
-)
-from cablebot_gym.benchmark.scores import RANKED_MOTIONS
+from cablebot_gym.benchmark.ranking import RANKED_MOTIONS
+from cablebot_gym.benchmark.rows import Row
 from cablebot_gym.benchmark.seeds import hidden_seeds
-from cablebot_gym.benchmark.yardstick import drawn_cells
+from cablebot_gym.benchmark.yardstick import drawn_rows
 from cablebot_gym.envs import PAPER_ENV_IDS, fitting_env_id
-from cablebot_gym.envs.settings import default_trajectory
+from cablebot_gym.evaluation.conditions import Conditions
+from cablebot_gym.evaluation.survey import motion_seeds
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.isolation.installed import public_entries, public_entry
 from cablebot_gym.policies.protocol import PolicyError
 from cablebot_gym.robots import ELASTIC, find_robot, library
-from cablebot_gym.task import find_error_bounds, to_jsonable
 from cablebot_gym.trajectories import TRAJECTORIES, held_out_seeds
-from cablebot_gym.uncertainty import ERROR_SEPARATOR, find_uncertainty
+from cablebot_gym.uncertainty import single_errors
 from cablebot_gym.utils.checks import choice
 
 OWN_RESOLUTION = 1e-3
-"""Payload resolution in blocks with the motion ``library``, as a fraction of the end of the robot's
-payload range."""
+"""Payload resolution of robots of the library, as a fraction of the end of their payload range."""
+
+
+_TASK = ("error_bounds", "control_frequency")
+"""Conditions on which best known payloads depend, beside robot and motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Block:
-    """Conditions under which policies are evaluated."""
+class Override:
+    """What differs from the usual conditions in some rows of a suite, and for which policies."""
 
     policies: Sequence[str] = ()
-    """The only policies of the block; all policies if empty."""
+    """The only policies; all policies if empty."""
     env_ids: Sequence[str] = ()
-    """The only environments of the block, where it evaluates its policies whether their entries name
-    them or not; those of the suite and of the entries if empty."""
+    """The only environments, whether the entries of the policies name them or not; those of the
+    suite and of the entries if empty."""
     slow: bool = False
     """Whether to include policies whose entry is marked as slow."""
-    motion: str = "circle"
+    motion: str
     """Motion: ``circle``, the circle between dwells; ``paper``, the circle as printed, for the
     paper's robots; ``loop``, held-out motions; ``hidden``, those that follow from a seed text; or
-    ``library``, the robots of the library that fit the environment, each with its own motion, error
-    bounds and payload range."""
+    ``own``, the robots of the library that fit the environment, each with its own motion."""
     motions: int = 1
     """Number of held-out or hidden motions."""
-    one_at_a_time: bool = False
-    """Whether the block has each error of its uncertainty alone, and none, beside all of them."""
-    survey: bool = False
-    """Whether all motions of a policy are one cell, a survey."""
-    surveyed: int | None = None
-    """Largest number of motions in a survey, the first ones; None for all."""
+    single_errors: bool = False
+    """Whether there are rows of no error and of each error of the uncertainty alone, beside those of
+    all errors."""
     conditions: Mapping[str, Any] = field(default_factory=dict)
-    """Further fields of the policies' cells. A list makes one cell for each of its values."""
+    """Fields of :class:`~cablebot_gym.evaluation.conditions.Conditions`."""
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Block:
-        """The block of a suite file: unknown names are fields of the cells."""
+    def from_dict(cls, data: Mapping[str, Any]) -> Override:
+        """An override of the file of suites: unknown names are fields of the conditions."""
         names = {item.name for item in fields(cls)}
-        settings = {name: value for name, value in data.items() if name in names}
+        own = {name: value for name, value in data.items() if name in names}
         conditions = {name: value for name, value in data.items() if name not in names}
-        return cls(**settings, conditions=conditions)
+        return cls(**own, conditions=conditions)
 
     @property
     def is_nominal(self) -> bool:
@@ -77,36 +70,32 @@ class Block:
         is_task = self.conditions.get("criterion", "task") == "task"
         return is_task and "uncertainty" not in self.conditions
 
-    def combinations(self, env_id: str) -> list[dict[str, Any]]:
-        """The conditions with each combination of the values of their lists, for an
-        environment."""
-        conditions = dict(self.conditions)
-        if self.one_at_a_time:
-            name = conditions["uncertainty"]
-            errors = find_uncertainty(name, find_robot(env_id)).errors()
-            alone = [f"{name}{ERROR_SEPARATOR}{error}" for error in errors]
-            conditions["uncertainty"] = [None, *alone, name]
-        values = []
-        for value in conditions.values():
-            values.append(value if isinstance(value, list) else [value])
-        names = conditions.keys()
-        return [dict(zip(names, chosen, strict=True)) for chosen in product(*values)]
+    def variants(self, env_id: str) -> list[dict[str, Any]]:
+        """The conditions, and those of no error and of each single error if these have rows."""
+        given = dict(self.conditions)
+        if not self.single_errors:
+            return [given]
+        names = single_errors(given["uncertainty"], find_robot(env_id))
+        exact = {key: value for key, value in given.items() if key not in ("uncertainty", "draws")}
+        return [exact, *(given | {"uncertainty": name} for name in names), given]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """A set of cells, given as conditions for all policies."""
+    """A set of rows, given as overrides of the usual conditions for all policies."""
 
     name: str
     """Value of ``--suite``."""
     summary: str
     """Description in one line."""
-    blocks: tuple[Block, ...]
-    """Blocks of conditions."""
+    overrides: tuple[Override, ...]
+    """Overrides of the usual conditions."""
     env_ids: Sequence[str] = PAPER_ENV_IDS
     """Environment ids."""
     best_known: bool = True
     """Whether to compute the best known payloads."""
+    reference_motions: int = 1
+    """Number of hidden motions of the best known payloads; at least those of the policies."""
     timing: bool = False
     """Whether to measure the computing time per action of every policy."""
 
@@ -117,8 +106,8 @@ def _suites() -> Iterator[Suite]:
         (files("cablebot_gym.benchmark") / "suites.toml").read_text(encoding="utf-8")
     )
     for name, suite in data.items():
-        blocks = tuple(map(Block.from_dict, suite.pop("blocks")))
-        yield Suite(name=name, blocks=blocks, **suite)
+        overrides = tuple(map(Override.from_dict, suite.pop("overrides")))
+        yield Suite(name=name, overrides=overrides, **suite)
 
 
 SUITES = MappingProxyType({suite.name: suite for suite in _suites()})
@@ -192,25 +181,25 @@ def check_evaluated(suite: Suite, policies: Mapping[str, tuple[str, ...]]) -> No
     """
     asked = list(dict.fromkeys(chain.from_iterable(policies.values())))
     evaluated: dict[str, None] = {}
-    for block in suite.blocks:
-        if _included(block, asked):
+    for override in suite.overrides:
+        if _included(override, asked):
             return
-        evaluated |= dict.fromkeys(_included(block, list(public_entries())))
+        evaluated |= dict.fromkeys(_included(override, list(public_entries())))
     raise ValueError(
         f"suite {suite.name!r} does not evaluate {', '.join(asked)}: choose from "
         f"{', '.join(evaluated)}, or another suite"
     )
 
 
-def suite_cells(
+def suite_rows(
     suite: Suite,
     policies: Mapping[str, tuple[str, ...]],
     *,
     seed: int = 0,
     seed_text: str | None = None,
-) -> dict[str, Cell]:
-    """The cells by key, grouped by environment; the best known payloads of an environment come
-    first.
+) -> list[Row]:
+    """The rows without results, grouped by environment; the best known payloads of an environment
+    come first.
 
     Args:
         suite: the suite.
@@ -218,72 +207,74 @@ def suite_cells(
         seed: evaluation seed.
         seed_text: public text from which the hidden motions follow; None for suites without.
     """
-    cells: list[Cell] = []
+    rows: list[Row] = []
     asked = list(dict.fromkeys(chain.from_iterable(policies.values())))
     for env_id, names in policies.items():
         if suite.best_known:
-            for block in suite.blocks:
-                if block.is_nominal:
-                    cells += _best_known_cells(block, env_id, seed_text)
-            for block in suite.blocks:  # the yardsticks of surveys under uncertainty
-                uncertainty = block.conditions.get("uncertainty")
-                if block.survey and uncertainty is not None:
-                    motions = _best_known_cells(block, env_id, seed_text)
-                    cells += drawn_cells(motions, uncertainty, seed)
-        for block in suite.blocks:
-            if not block.env_ids:
-                cells += _policy_cells(block, env_id, names, seed_text, seed)
-            elif env_id in block.env_ids:
-                cells += _policy_cells(block, env_id, asked, seed_text, seed)
+            rows += _references(suite, env_id, seed, seed_text)
+        for override in suite.overrides:
+            if not override.env_ids:
+                rows += _policy_rows(override, env_id, names, seed, seed_text)
+            elif env_id in override.env_ids:
+                rows += _policy_rows(override, env_id, asked, seed, seed_text)
         if suite.timing:
-            (circle,) = _tasks(env_id, Block(motion="circle"), seed_text)
-            cells += [TimingCell(env_id=env_id, policy=name, **circle) for name in names]
-    return {cell.key: cell for cell in cells}
+            (circle,) = _tasks(env_id, Override(motion="circle"), 1, seed_text)
+            conditions = Conditions(env_id=env_id, **circle)
+            rows += [Row(measure="time", policy=name, conditions=conditions) for name in names]
+    return list({row.key: row for row in rows}.values())
 
 
-def _best_known_cells(block: Block, env_id: str, seed_text: str | None) -> list[BestKnownCell]:
-    """Cells of the best known payloads on the motions of a block."""
-    return [BestKnownCell(env_id=env_id, **task) for task in _tasks(env_id, block, seed_text)]
+def _references(suite: Suite, env_id: str, seed: int, seed_text: str | None) -> list[Row]:
+    """The best known payloads, and those of random robots where random motions have an
+    uncertainty."""
+    nominal: list[Row] = []
+    drawn: list[Row] = []
+    for override in suite.overrides:
+        motions = hidden_motions(env_id, max(override.motions, suite.reference_motions))
+        bounds = {name: override.conditions[name] for name in _TASK if name in override.conditions}
+        best_known = []
+        for task in _tasks(env_id, override, motions, seed_text):
+            conditions = Conditions(env_id=env_id, **task, **bounds)
+            best_known.append(Row(measure="best-known", conditions=conditions))
+        if override.is_nominal:
+            nominal += best_known
+        elif override.motion == "hidden":
+            drawn += drawn_rows(best_known, override.conditions["uncertainty"], seed)
+    return nominal + drawn
 
 
-def _policy_cells(
-    block: Block,
-    env_id: str,
-    names: Sequence[str],
-    seed_text: str | None,
-    seed: int,
-) -> list[PolicyCell]:
-    included = _included(block, names)
-    tasks = _tasks(env_id, block, seed_text)
-    cells: list[PolicyCell] = []
-    if block.survey:
-        for name, conditions in product(included, block.combinations(env_id)):
-            # the motions of the policy in one trajectory with a list of seeds
-            count = surveyed_motions(name, env_id, block.surveyed or block.motions)
-            seeds = [task["trajectory"]["seed"] for task in tasks[:count]]
-            motions = tasks[0] | {"trajectory": tasks[0]["trajectory"] | {"seed": seeds}}
-            data = {"env_id": env_id, "policy": name, **motions, "seed": seed}
-            cells.append(SurveyCell(**data | conditions))
-        return cells
-    for task, name, conditions in product(tasks, included, block.combinations(env_id)):
-        data = {"env_id": env_id, "policy": name, **task} | conditions
-        if block.one_at_a_time and data["uncertainty"] is None:
-            data["draws"] = 1
-        if block.motion == "library":
-            payload_range = find_robot(task["robot_name"]).defaults.payload_range
-            if payload_range is not None:
-                data["resolution"] = OWN_RESOLUTION * payload_range[1]
-        cells.append(PolicyCell(seed=seed, **data))
-    return cells
+def _policy_rows(
+    override: Override, env_id: str, names: Sequence[str], seed: int, seed_text: str | None
+) -> list[Row]:
+    included = _included(override, names)
+    tasks = _tasks(env_id, override, override.motions, seed_text)
+    seeds = [seed] * len(tasks)
+    if override.motion in ("loop", "hidden"):  # each motion has robots of its own
+        seeds = motion_seeds(seed, len(tasks))
+    rows = []
+    for name, given in product(included, override.variants(env_id)):
+        for task, task_seed in zip(tasks, seeds, strict=True):
+            conditions = Conditions(env_id=env_id, seed=task_seed, **task, **given)
+            rows.append(
+                Row(
+                    measure="payload",
+                    policy=name,
+                    conditions=conditions,
+                    search=_search(conditions),
+                )
+            )
+    return rows
 
 
-def surveyed_motions(policy: str, env_id: str, motions: int) -> int:
-    """How many of a number of hidden motions a policy has in a survey: those that ranks need if it is
-    slow or plans, else all of the environment."""
-    entry = public_entry(policy)
-    if entry is not None and (entry.slow or entry.plans):
-        return min(motions, RANKED_MOTIONS)
-    return hidden_motions(env_id, motions)
+def _search(conditions: Conditions) -> dict[str, float]:
+    """The resolution for a robot with a payload range, see :data:`OWN_RESOLUTION`; none for those of
+    the environments."""
+    if conditions.robot is None:
+        return {}
+    payload_range = conditions.nominal_robot.defaults.payload_range
+    if payload_range is None:
+        return {}
+    return {"resolution": OWN_RESOLUTION * payload_range[1]}
 
 
 QUICK_ENV_IDS = PAPER_ENV_IDS[:3]
@@ -299,59 +290,39 @@ def hidden_motions(env_id: str, motions: int) -> int:
     return min(motions, RANKED_MOTIONS)
 
 
-def _included(block: Block, names: Sequence[str]) -> list[str]:
-    """Names of the policies that a block evaluates."""
+def _included(override: Override, names: Sequence[str]) -> list[str]:
+    """Names of the policies that an override evaluates."""
     included = []
-    for name in block.policies or names:
+    for name in override.policies or names:
         entry = public_entry(name)
         is_slow = entry is not None and entry.slow
-        if name in names and (block.slow or not is_slow):
+        if name in names and (override.slow or not is_slow):
             included.append(name)
     return included
 
 
-def _tasks(env_id: str, block: Block, seed_text: str | None) -> list[dict[str, Any]]:
-    """Tasks of a block as fields of cells: the motion, and in ``library`` blocks also the robot and
-    the error bounds."""
-    if block.motion == "library":
-        tasks = []
-        for name in (*library(), *(ELASTIC + name for name in library())):
-            if fitting_env_id(name) != env_id:
-                continue
-            robot = find_robot(name)
-            trajectory = default_trajectory(robot)
-            if isinstance(trajectory, str):
-                trajectory = {"name": trajectory}
-            task = {
-                "robot_name": name,
-                "trajectory": to_jsonable(trajectory),
-                "error_bounds": to_jsonable(find_error_bounds(None, robot)),
-            }
-            tasks.append(task)
-        return tasks
-    bounds = to_jsonable(find_error_bounds(None, find_robot(env_id)))
-    return [
-        {"trajectory": motion, "error_bounds": bounds}
-        for motion in _motions(env_id, block, seed_text)
-    ]
-
-
-def _motions(env_id: str, block: Block, seed_text: str | None) -> list[dict[str, Any]]:
+def _tasks(
+    env_id: str, override: Override, motions: int, seed_text: str | None
+) -> list[dict[str, Any]]:
+    """Fields of conditions: the motion, or the robot with its own motion."""
+    if override.motion == "own":
+        names = [*library(), *(ELASTIC + name for name in library())]
+        return [{"robot": name} for name in names if fitting_env_id(name) == env_id]
     kind = find_robot(env_id).kind
-    if block.motion in ("circle", "paper"):
-        name = f"{block.motion}-{kind}"
-        return [{"name": name}] if name in TRAJECTORIES else []
+    if override.motion in ("circle", "paper"):
+        name = f"{override.motion}-{kind}"
+        return [{"trajectory": {"name": name}}] if name in TRAJECTORIES else []
     seeds: Sequence[int]
-    if block.motion != "hidden":
-        seeds = held_out_seeds(block.motions)
+    if override.motion != "hidden":
+        seeds = held_out_seeds(motions)
     elif seed_text is None:
         raise ValueError(
             "hidden motions need a public text: add --seed-text TEXT, such as the headline of a day "
             "after the policies are final"
         )
     else:
-        seeds = hidden_seeds(seed_text, env_id, hidden_motions(env_id, block.motions))
-    return [{"name": f"loop-{kind}", "seed": seed} for seed in seeds]
+        seeds = hidden_seeds(seed_text, env_id, motions)
+    return [{"trajectory": {"name": f"loop-{kind}", "seed": seed}} for seed in seeds]
 
 
 def _check_loadable(name: str, env_ids: Sequence[str]) -> None:

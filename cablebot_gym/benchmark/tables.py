@@ -3,70 +3,69 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from statistics import median
 from typing import Any
 
 from cablebot_gym.benchmark import scores
-from cablebot_gym.benchmark.cells import Cell, PolicyCell, TimingCell, canonical
-from cablebot_gym.benchmark.records import Record
+from cablebot_gym.benchmark.rows import Row, canonical
 from cablebot_gym.benchmark.yardstick import PROBABILITY, yardsticks
 from cablebot_gym.bounds.robot_check import check_motion, two_digits
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.isolation.installed import public_entry
 from cablebot_gym.robots import KIND_TEXTS, Kind, find_robot
-from cablebot_gym.task import payload_model_text
 from cablebot_gym.trajectories import find_trajectory
 
 
-def heading(column: scores.Column) -> str:
+def heading(column: Conditions) -> str:
     """Conditions of a column: payload model, uncertainty, number of draws and, if it is not
     ``task``, the criterion."""
-    words = [payload_model_text(column.payload_known, column.model_payload_factor)]
+    words = [column.payload_model]
     if column.uncertainty:
         words.append(column.uncertainty)
-    if column.draws > 1:
-        unit = "robots" if column.is_main else "draws"
+    if column.draws:
+        unit = "robots" if scores.is_main(column) else "draws"
         words.append(f"{column.draws} {unit}")
     if column.criterion == "paper":
         words.append("paper criterion")
     text = ", ".join(words)
-    has_fraction = column.uncertainty is None or column.is_main
+    has_fraction = column.uncertainty is None or scores.is_main(column)
     if column.criterion == "paper" or not has_fraction:
         text += " [kg]"  # there is no fraction of the best known payload
     return text
 
 
-def motion_title(column: scores.Column, motions: int) -> str:
-    """Motion of a column, or its family of motions."""
-    if column.motion.startswith("circle-"):
+def motion_title(motion: str, motions: int = 1) -> str:
+    """A motion, or a number of motions of its family."""
+    if motion.startswith("circle-"):
         return "circle"
-    if column.motion.startswith("paper-"):
+    if motion.startswith("paper-"):
         return "the paper's circle"
     if motions > 1:
         return f"{motions} held-out motions"
-    return f"held-out motion of {column.motion}"
+    return f"held-out motion of {motion}"
 
 
 def column_titles(leaderboard: scores.Leaderboard) -> list[str]:
     """Titles of the columns of a table: motion and conditions."""
     return [
-        f"{motion_title(column, leaderboard.motions(column))}: {heading(column)}"
+        f"{motion_title(column.trajectory['name'], leaderboard.motions(column))}: {heading(column)}"
         for column in leaderboard.columns
     ]
 
 
-def entry_text(leaderboard: scores.Leaderboard, policy: str, column: scores.Column) -> str:
+def entry_text(leaderboard: scores.Leaderboard, policy: str, column: Conditions) -> str:
     """Table entry of a policy in a column: payload [kg] and fraction, or the mean fraction of
     several motions."""
     entry = leaderboard.entries.get((policy, column), ())
     if not entry:
         return "–"
-    errors = sum(score.error is not None for score in entry)
+    errors = sum(score.row.error is not None for score in entry)
     if errors == len(entry):
         return "error"
-    if not all(score.result.get("applicable", True) for score in entry):
+    if not all(score.applicable for score in entry):
         return "n/a"
     fraction = leaderboard.fraction(policy, column)
     if len(entry) == 1:
@@ -136,8 +135,8 @@ def limiting_violation(score: scores.Score) -> dict[str, Any] | None:
     violation: dict[str, Any] | None = score.result.get("violation")
     if violation is None:
         return None
-    trajectory = canonical(dict(score.cell.trajectory))
-    duration = _duration(trajectory, score.cell.robot.kind)
+    trajectory = canonical(score.conditions.trajectory)
+    duration = _duration(trajectory, score.conditions.nominal_robot.kind)
     return violation | {"fraction": violation["time"] / duration}
 
 
@@ -149,9 +148,10 @@ def _duration(trajectory: str, kind: Kind) -> float:
 
 def error_title(table: scores.ErrorTable) -> str:
     """Title of an error table."""
-    motion = motion_title(scores.Column(motion=json.loads(table.motion)["name"]), 1)
-    known = payload_model_text(table.payload_known)
-    return f"{table.env_id}, {motion}, {known}: errors of {table.uncertainty} one at a time"
+    given = table.conditions
+    motion = motion_title(given.trajectory["name"])
+    errors = f"errors of {given.uncertainty} one at a time"
+    return f"{given.env_id}, {motion}, {given.payload_model}: {errors}"
 
 
 def error_rows(table: scores.ErrorTable) -> list[list[str]]:
@@ -173,7 +173,7 @@ def error_rows(table: scores.ErrorTable) -> list[list[str]]:
 
 def _payload(score: scores.Score) -> str:
     """Payload with more digits than ``payload_text``."""
-    if score.error is not None:
+    if score.row.error is not None:
         return "error"
     if score.payload is None:
         return score.payload_text
@@ -181,33 +181,23 @@ def _payload(score: scores.Score) -> str:
     return f"≥ {digits}" if score.result.get("scan_ended") else digits
 
 
-def task_title(cell: Cell) -> str:
-    """The motion of a cell, after its robot if it has one of its own."""
-    motion = str(cell.trajectory["name"])
-    if "seed" in cell.trajectory:
-        motion += f" {cell.trajectory['seed']}"
-    return _title(cell, motion)
+def task_title(row: Row) -> str:
+    """The motion of a row."""
+    if row.family:
+        return f"{row.motion} {row.conditions.trajectory['seed']}"
+    return row.motion
 
 
-def family_title(cell: Cell) -> str:
-    """The title of a cell without the seed of its motion."""
-    return _title(cell, str(cell.trajectory["name"]))
-
-
-def _title(cell: Cell, motion: str) -> str:
-    if cell.robot_name is None:
-        return motion
-    return f"{cell.robot_name}, {motion}"
-
-
-def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:
+def library_rows(rows: Sequence[Row]) -> list[list[list[str]]]:
     """Head and rows of the tables of robots with their own motions: rigid robots, then those with
     elastic cables. Payloads have two digits, because values of the robots are assumed; those of
     policies are fractions of exact tracking."""
     groups: dict[tuple[bool, str], list[scores.Score]] = {}
-    for score in scores.scores(records):
-        if score.cell.robot_name is not None:
-            groups.setdefault((score.cell.robot.flexible, score.cell.robot_name), []).append(score)
+    for score in scores.scores(rows):
+        given = score.conditions
+        if given.robot is not None:
+            key = given.nominal_robot.flexible, given.robot
+            groups.setdefault(key, []).append(score)
     tables: dict[bool, list[list[str]]] = {}
     for (flexible, name), group in groups.items():
         robot = find_robot(name)  # a stored robot has no ranges
@@ -219,7 +209,7 @@ def library_rows(records: Sequence[Record]) -> list[list[list[str]]]:
             head.append("over its ranges [kg]")
             row.append(two_digits(*motion.payload_range))
         for score in group:
-            head.append(score.cell.policy)
+            head.append(score.row.policy)
             row.append(_share(score, exact))
         head.append("limiting violation of the best")
         best = max(group, key=lambda score: score.payload or 0.0)
@@ -236,62 +226,86 @@ def _share(score: scores.Score, payload: float) -> str:
     return f"{score.payload / payload:.0%}"
 
 
-def best_known_text(best: scores.BestKnown) -> str:
+def best_known_text(row: Row) -> str:
     """One line about a best known payload."""
-    motion = task_title(best.cell)
-    if best.payload is None:
-        reason = best.result.get("error") or "the replay does not verify the result of the search"
-        return f"{best.cell.env_id}, {motion}: none: {reason}"
-    return f"{best.cell.env_id}, {motion}: {best.payload:.3f} kg"
+    title = f"{row.conditions.env_id}, {task_title(row)}"
+    payload = scores.verified_payload(row)
+    if payload is None:
+        reason = row.error or "the replay does not verify the result of the search"
+        return f"{title}: none: {reason}"
+    return f"{title}: {payload:.3f} kg"
 
 
-def yardstick_rows(records: Sequence[Record]) -> list[list[str]]:
+def yardstick_rows(rows: Sequence[Row]) -> list[list[str]]:
     """Head and rows of the table of the yardsticks under uncertainty."""
     quantile = f"{PROBABILITY:.0%} quantile"
-    rows = [["environment", "uncertainty", "robots", quantile, "mean", "not verified"]]
-    for (env_id, uncertainty), stick in yardsticks(records).items():
+    lines = [["environment", "uncertainty", "robots", quantile, "mean", "not verified"]]
+    for (env_id, uncertainty), stick in yardsticks(rows).items():
         quantile = f"{stick.quantile:.1%} [{stick.low:.1%}, {stick.high:.1%}]"
         robots = str(stick.draws + stick.unverified)
         mean = f"{stick.mean:.1%}"
-        rows.append([env_id, uncertainty, robots, quantile, mean, str(stick.unverified)])
-    return rows
+        lines.append([env_id, uncertainty, robots, quantile, mean, str(stick.unverified)])
+    return lines
 
 
-def failures(records: Sequence[Record]) -> list[str]:
+def failures(rows: Sequence[Row]) -> list[str]:
     """One sentence per distinct error of a policy."""
     sentences = []
-    for record in records:
-        if record.error is not None and isinstance(record.cell, PolicyCell | TimingCell):
-            cell = record.cell
-            sentences.append(f"{cell.policy} failed on {cell.env_id}: {record.error}")
+    for row in rows:
+        if row.error is not None and row.policy:
+            sentences.append(f"{row.policy} failed on {row.conditions.env_id}: {row.error}")
     return list(dict.fromkeys(sentences))
 
 
-def left_out(records: Sequence[Record]) -> list[str]:
+def left_out(rows: Sequence[Row]) -> list[str]:
     """One sentence per held-out motion that counts for no policy."""
     sentences = []
-    for best in scores.best_known_payloads(records).values():
-        if best.payload is None and "seed" in best.cell.trajectory:
+    for row in scores.best_known_rows(rows).values():
+        if row.family and scores.verified_payload(row) is None:
             sentences.append(
-                f"{task_title(best.cell)} counts for no policy on {best.cell.env_id}: "
+                f"{task_title(row)} counts for no policy on {row.conditions.env_id}: "
                 "no best known payload was verified"
             )
     return sentences
 
 
-def fallbacks(records: Sequence[Record]) -> list[str]:
+def due(rows: Sequence[Row]) -> list[str]:
+    """One sentence per policy, or best known payloads, with rows that other code has computed."""
+    counts: dict[str, list[bool]] = {}
+    for row in rows:
+        counts.setdefault(row.policy or "best known payloads", []).append(row.is_due)
+    sentences = []
+    for name, is_due in counts.items():
+        if any(is_due):
+            sentences.append(f"{name}: {sum(is_due)} of {len(is_due)} rows are due")
+    return sentences
+
+
+def fallbacks(rows: Sequence[Row]) -> list[str]:
     """One sentence per policy and environment with fallbacks at the DLCC."""
     groups: dict[tuple[str, str], list[float]] = {}
-    for score in scores.scores(records):
-        number = score.result.get("fallbacks")
+    for row in rows:
+        number = row.result.get("fallbacks")
         if number is not None:
-            groups.setdefault((score.cell.policy, score.cell.env_id), []).append(number)
+            groups.setdefault((row.policy, row.conditions.env_id), []).append(number)
     sentences = []
     for (policy, env_id), numbers in groups.items():
         if max(numbers) > 0:
             cells = sum(number > 0 for number in numbers)
             sentences.append(
                 f"{policy} on {env_id} used its fallback up to {max(numbers):.3g} times per "
-                f"episode, in {cells} of {len(numbers)} cells"
+                f"episode, in {cells} of {len(numbers)} rows"
             )
     return sentences
+
+
+def markdown_table(rows: Iterable[Sequence[str]], *, right: int = 0) -> str:
+    """A table in Markdown whose first row is its head.
+
+    Args:
+        rows: the rows.
+        right: number of right-aligned columns, the last ones.
+    """
+    head, *body = ([cell.replace("|", "\\|") for cell in row] for row in rows)
+    rule = ["---"] * (len(head) - right) + ["---:"] * right
+    return "".join(f"| {' | '.join(row)} |\n" for row in (head, rule, *body))

@@ -7,14 +7,13 @@ Policies do not know the random robot, so they can hope for this fraction at mos
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
 
-from cablebot_gym.benchmark.cells import BestKnownCell, DrawnCell
 from cablebot_gym.benchmark.ranking import CONFIDENCE
-from cablebot_gym.benchmark.records import Record
+from cablebot_gym.benchmark.rows import Row
 from cablebot_gym.evaluation.batch import draw_seeds
 from cablebot_gym.evaluation.survey import motion_seeds
 
@@ -90,45 +89,41 @@ def _ranks(count: int) -> tuple[int, int]:
     return lower, upper + 1
 
 
-def drawn_cells(
-    best_known: Sequence[BestKnownCell], uncertainty: str, seed: int
-) -> list[DrawnCell]:
-    """The cells of the yardstick: the first random robots that policies meet on each motion.
+def drawn_rows(best_known: Sequence[Row], uncertainty: str, seed: int) -> list[Row]:
+    """The rows of the yardstick: the first random robots that policies meet on each motion.
 
     Args:
-        best_known: cells of the best known payloads of the motions.
+        best_known: rows of the best known payloads of the motions.
         uncertainty: name of the uncertainty.
         seed: evaluation seed, from which the seeds of all robots follow as in a survey.
     """
     draws = max(DRAWS, ceil(FEWEST / len(best_known)))
-    cells: list[DrawnCell] = []
-    for cell, motion_seed in zip(best_known, motion_seeds(seed, len(best_known)), strict=True):
-        setting = {field.name: getattr(cell, field.name) for field in fields(cell)}
+    rows = []
+    for row, motion_seed in zip(best_known, motion_seeds(seed, len(best_known)), strict=True):
         for draw_seed in draw_seeds(motion_seed, draws):
-            cells.append(DrawnCell(**setting, uncertainty=uncertainty, seed=draw_seed))
-    return cells
+            conditions = replace(row.conditions, uncertainty=uncertainty, seed=draw_seed)
+            rows.append(Row(measure="drawn", conditions=conditions))
+    return rows
 
 
-def yardsticks(records: Sequence[Record]) -> dict[tuple[str, str], Yardstick]:
+def yardsticks(rows: Sequence[Row]) -> dict[tuple[str, str], Yardstick]:
     """The yardsticks by environment id and name of the uncertainty.
 
     Motions without a verified nominal payload are left out, as in the tables. A failed computation
     counts as a draw without a verified payload, and there is no yardstick where all draws are.
 
     Args:
-        records: records of :func:`drawn_cells` and of the best known payloads; others have no
-            effect.
+        rows: those of :func:`drawn_rows` and of the best known payloads; others have no effect.
     """
     counted = set()
-    for record in records:
-        if isinstance(record.cell, BestKnownCell) and record.result.get("verified"):
-            counted.add(record.cell.motion_key)
+    for row in rows:
+        if row.measure == "best-known" and row.result.get("verified"):
+            counted.add(row.motion_key)
     ratios: dict[tuple[str, str], list[float | None]] = {}
-    for record in records:
-        cell = record.cell
-        if isinstance(cell, DrawnCell) and cell.motion_key in counted:
-            group = ratios.setdefault((cell.env_id, cell.uncertainty), [])
-            group.append(record.result.get("ratio"))
+    for row in rows:
+        if row.measure == "drawn" and row.motion_key in counted:
+            key = row.conditions.env_id, row.conditions.uncertainty
+            ratios.setdefault(key, []).append(row.result.get("ratio"))
     by_environment = {}
     for key, group in ratios.items():
         if any(ratio is not None for ratio in group):

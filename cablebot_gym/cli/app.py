@@ -103,7 +103,7 @@ app = typer.Typer(
         "Exit status:\n"
         "  0    success, whatever the payload is\n"
         "  1    failure: a policy raised an error, a file could not be written,\n"
-        "       a benchmark cell failed, a best known payload was not verified,\n"
+        "       a row of the benchmark failed, a best known payload was not verified,\n"
         "       doctor found a fault, or a robot was refused or does not carry its\n"
         "       payload\n"
         "  2    invalid input, or a folder that is not writable\n"

@@ -13,31 +13,28 @@ from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.console import command_line, progress, say
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
-    from cablebot_gym.benchmark.cells import Cell
     from cablebot_gym.benchmark.engine import Backend
-    from cablebot_gym.benchmark.leaderboard import Results
-    from cablebot_gym.benchmark.records import Record
-    from cablebot_gym.benchmark.store import Store
+    from cablebot_gym.benchmark.rows import Row
+    from cablebot_gym.benchmark.store import Results, Store
 
-MARKDOWN, JSON = "leaderboard.md", "results.json"
-"""Names of the files in the results folder."""
+PAGE_SUFFIX = ".md"
+"""Suffix of the page of a suite, beside the file of its rows."""
 
 _MOST_NAMED = 10
 """Largest number of rows that a check names."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class CellOptions(Options):
+class RowOptions(Options):
     """What is computed."""
 
-    title: ClassVar[str] = "Cells"
+    title: ClassVar[str] = "Rows"
 
     suite: Annotated[
         str,
-        "Suite: smoke (minutes), standard (45 minutes on two cores), ranked (the leaderboard, hours), full "
-        "(hours) or library (an hour).",
+        "Suite: smoke (minutes), ranked (the leaderboard, hours), errors (hours) or library (an hour).",
     ] = "smoke"
     policies: Annotated[
         str | None,
@@ -55,7 +52,7 @@ class CellOptions(Options):
 
 
 def benchmark(
-    selection: CellOptions,
+    selection: RowOptions,
     workers: Workers = None,
     ray: Annotated[
         str | None,
@@ -64,14 +61,18 @@ def benchmark(
             help="Run on a Ray cluster: its address, auto, or local. Requires the extra ray.",
         ),
     ] = None,
-    out: Annotated[Path, "Results folder, for the tables and all finished cells."] = Path(
+    out: Annotated[Path, "Results folder, with the rows and the page of each suite."] = Path(
         "benchmark"
     ),
+    due: Annotated[
+        bool,
+        "Compute the rows of the folder --out again whose code has changed: that of the plant or of the policy.",
+    ] = False,
     check: Annotated[
         int | None,
         typer.Option(
             metavar="N",
-            help="Check the results in the folder --out and stop: every row of their suite is there, and N random "
+            help="Check the results of the folder --out and stop: every row of a suite is there, and N random "
             "rows, best known payloads among them, have the same payloads when they are computed again.",
         ),
     ] = None,
@@ -83,21 +84,21 @@ def benchmark(
     payload that several random robots all carry, as a fraction of the best known payload, on the
     mean over the motions.
 
-    A policy that is not shipped with this project runs in a process of its own. Each finished cell
-    is stored as a file in the results folder. The same command resumes an interrupted benchmark. It
-    computes only cells that are missing, damaged or computed with different code: that of this
-    package or of the policy. The exit status is 1 if a payload could not be computed, or if --check
-    finds a difference.
+    A policy that is not shipped with this project runs in a process of its own. Each finished row is
+    stored in a file of the results folder. The same command resumes an interrupted benchmark. It
+    computes only rows that are missing, damaged or computed with different code: that of the plant
+    or of the policy. Rows of other policies stay. The exit status is 1 if a payload could not be
+    computed, or if --check finds a difference.
 
     Examples:
 
     cablebot benchmark --suite smoke --out results
 
-    cablebot benchmark --suite standard --policies fl,mypackage.mine:make_policy --workers 8 --out results
-
-    cablebot benchmark --suite library --out robots
+    cablebot benchmark --suite smoke --policies fl,mypackage.mine:make_policy --workers 8 --out results
 
     cablebot benchmark --suite ranked --seed-text "A headline of 4 January 2027" --out board
+
+    cablebot benchmark --due --out board
 
     cablebot benchmark --check 20 --out board
     """
@@ -106,16 +107,21 @@ def benchmark(
         _check(out, check, backend)
         return
     resume = {"workers": workers, "ray": ray}
-    results = _results(selection, out, backend, resume)
-    _write(results, out)
-    if _has_failures(results):
+    if due:
+        boards = _due(out, backend, command_line("benchmark", due=True, out=out, **resume))
+    else:
+        boards = [_computed(selection, out, backend, resume)]
+    has_failures = False
+    for results in boards:
+        has_failures |= _write_page(results, out)
+    if has_failures:
         raise typer.Exit(1)
 
 
-def _results(
-    selection: CellOptions, out: Path, backend: Backend, resume: Mapping[str, Any]
+def _computed(
+    selection: RowOptions, out: Path, backend: Backend, resume: dict[str, Any]
 ) -> Results:
-    """The results of a suite, with the finished cells in a folder.
+    """The results of a suite after its rows are computed.
 
     Args:
         selection: what is computed.
@@ -126,40 +132,50 @@ def _results(
     Raises:
         ValueError: if a name is unknown, or the results cannot be written.
     """
-    from cablebot_gym.benchmark.leaderboard import Results
     from cablebot_gym.benchmark.seeds import evaluation_seed
-    from cablebot_gym.benchmark.store import FOLDER, Store
-    from cablebot_gym.benchmark.suites import find_suite, suite_cells
+    from cablebot_gym.benchmark.store import Store, file_of
+    from cablebot_gym.benchmark.suites import find_suite, suite_rows
     from cablebot_gym.utils.files import check_writable_dir, check_writable_file
 
     suite = find_suite(selection.suite)
     policies = _policies(selection)
-    check_writable_dir(out / FOLDER)
-    for name in (JSON, MARKDOWN):
-        check_writable_file(out / name)
-    seed = evaluation_seed(selection.seed_text)
-    cells = suite_cells(suite, policies, seed=seed, seed_text=selection.seed_text)
-    store = Store(out, say=say)
+    check_writable_dir(out)
+    path = file_of(out, selection.suite)
+    check_writable_file(path)
+    check_writable_file(path.with_suffix(PAGE_SUFFIX))
     typed = asdict(selection) | {"out": out}
-    records = computed(cells, store, out, backend, command_line("benchmark", **typed, **resume))
-    return Results(
+    store = Store(
+        out,
         suite=selection.suite,
         command=command_line("benchmark", **typed),
-        records=records,
         seed_text=selection.seed_text,
+        say=say,
     )
+    seed = evaluation_seed(selection.seed_text)
+    rows = suite_rows(suite, policies, seed=seed, seed_text=selection.seed_text)
+    _compute(rows, store, backend, command_line("benchmark", **typed, **resume))
+    return store.close([row.key for row in rows])
 
 
-def _has_failures(results: Results) -> bool:
-    """Whether a payload could not be computed."""
-    from cablebot_gym.benchmark.cells import TimingCell
-    from cablebot_gym.benchmark.tables import failures
+def _due(out: Path, backend: Backend, command: str) -> list[Results]:
+    """The results of all suites in a folder after their due rows are computed again."""
+    from cablebot_gym.benchmark.store import Store, read_all
 
-    payloads = [record for record in results.records if not isinstance(record.cell, TimingCell)]
-    return bool(failures(payloads))
+    boards = []
+    for before in read_all(out):
+        store = Store(
+            out,
+            suite=before.suite,
+            command=before.command,
+            seed_text=before.seed_text,
+            say=say,
+        )
+        _compute(before.rows, store, backend, command)
+        boards.append(store.close([row.key for row in before.rows]))
+    return boards
 
 
-def _policies(selection: CellOptions) -> dict[str, tuple[str, ...]]:
+def _policies(selection: RowOptions) -> dict[str, tuple[str, ...]]:
     """Names of the policies by environment."""
     from cablebot_gym.benchmark.suites import (
         check_evaluated,
@@ -175,34 +191,33 @@ def _policies(selection: CellOptions) -> dict[str, tuple[str, ...]]:
     return policies
 
 
-def _write(results: Results, out: Path) -> None:
-    """Writes results and leaderboard, and prints the leaderboard."""
+def _write_page(results: Results, out: Path) -> bool:
+    """Writes and prints the page of a suite; whether a payload could not be computed."""
     from cablebot_gym.benchmark.leaderboard import markdown, print_page
+    from cablebot_gym.benchmark.tables import failures
     from cablebot_gym.utils.files import atomic_write_text
 
     page = markdown(results)
-    atomic_write_text(out / JSON, results.to_json())
-    atomic_write_text(out / MARKDOWN, page)
-    say(f"wrote {out / JSON}, {out / MARKDOWN}")
+    path = out / f"{results.suite}{PAGE_SUFFIX}"
+    atomic_write_text(path, page)
+    say(f"wrote {path}")
     print_page(page)
+    return bool(failures([row for row in results.rows if row.measure != "time"]))
 
 
-def computed(
-    cells: Mapping[str, Cell], store: Store, out: Path, backend: Backend, command: str
-) -> Sequence[Record]:
-    """Computes cells with progress. After an interrupt it says with which command to resume.
+def _compute(rows: Sequence[Row], store: Store, backend: Backend, command: str) -> None:
+    """Computes rows with progress. After an interrupt it says with which command to resume.
 
     Args:
-        cells: cells by key.
-        store: finished cells.
-        out: folder of the store.
+        rows: the rows.
+        store: finished rows.
         backend: see :mod:`cablebot_gym.benchmark.engine`.
         command: command line that resumes the computation.
     """
-    from cablebot_gym.benchmark.engine import run_cells
+    from cablebot_gym.benchmark.engine import run_rows
 
     finished = 0
-    with progress("computing", "cells") as step:
+    with progress("computing", "rows") as step:
 
         def count(done: int, expected: int) -> None:
             nonlocal finished
@@ -210,75 +225,59 @@ def computed(
             step(done, expected)
 
         try:
-            return run_cells(cells, store, backend, progress=count, say=say)
+            run_rows(rows, store, backend, progress=count, say=say)
         except KeyboardInterrupt:
-            state = f"{finished} of {len(cells)} cells are finished and stored in {out}. Resume"
-            say(f"{state if finished else 'No cell is finished yet. Start again'} with: {command}")
+            state = (
+                f"{finished} of {len(rows)} rows are finished and stored in {store.path}. Resume"
+            )
+            say(f"{state if finished else 'No row is finished yet. Start again'} with: {command}")
             raise
 
 
-def read_results(folder: Path) -> Results:
-    """The results in a folder that `cablebot benchmark --out` wrote, or in its results.json.
-
-    Raises:
-        ValueError: if they cannot be read. The message says how to create results.
-    """
-    from cablebot_gym.benchmark.leaderboard import Results
-    from cablebot_gym.utils.files import read_text
-
-    path = folder / JSON if folder.is_dir() else folder
-    advice = "Give a folder that `cablebot benchmark --out FOLDER` wrote."
-    try:
-        text = read_text(path)
-    except OSError as error:
-        raise ValueError(
-            f"cannot read {str(path)!r} ({error.strerror or error}). {advice}"
-        ) from error
-    try:
-        results = Results.from_json(text)
-    except ValueError as error:
-        raise ValueError(
-            f"{str(path)!r} does not hold benchmark results ({error!r}). {advice}"
-        ) from error
-    if not results.records:
-        raise ValueError(f"{str(path)!r} holds no cells. {advice}")
-    return results
-
-
 def _check(folder: Path, count: int, backend: Backend) -> None:
-    """Prints how the results in a folder differ from their suite, and random rows that are computed
+    """Prints how the results in a folder differ from their suites, and random rows that are computed
     again without plans and payloads of the cache folder."""
     import os
     from tempfile import TemporaryDirectory
 
     from cablebot_gym.benchmark.check import compare_rows, recompute
+    from cablebot_gym.benchmark.store import read_all
     from cablebot_gym.utils.checks import whole
     from cablebot_gym.utils.files import CACHE_VARIABLE
 
-    results = read_results(folder)
+    boards = read_all(folder)
     count = whole("--check", count, least=1)
-    rows = compare_rows(results)
-    for name in rows.not_installed:
-        print(f"not checked, because it is not installed: {name}")
-    for title, cells in (("missing", rows.missing), ("not in the suite", rows.unexpected)):
-        for cell in cells[:_MOST_NAMED]:
-            print(f"{title}: {cell.stem}")
-        if cells:
-            print(f"{title}: {counted(len(cells), 'row')}")
-    different = 0
+    missing = unexpected = different = 0
+    for results in boards:
+        difference = compare_rows(results)
+        for name in difference.not_installed:
+            print(f"not checked, because it is not installed: {name}")
+        _name_rows("missing", difference.missing)
+        _name_rows("not in the suite", difference.unexpected)
+        missing += len(difference.missing)
+        unexpected += len(difference.unexpected)
+    rows = [row for results in boards for row in results.rows]
     with progress("computing", "rows") as step, TemporaryDirectory() as cache:
         os.environ[CACHE_VARIABLE] = cache
-        for finished, row in enumerate(recompute(results.records, count, backend, say=say), 1):
-            print(row)
-            different += not row.is_equal
+        for finished, again in enumerate(recompute(rows, count, backend, say=say), 1):
+            print(again)
+            different += not again.is_equal
             step(finished, count)
-    if rows.missing or rows.unexpected or different:
+    if missing or unexpected or different:
         say(
-            f"the check failed: {counted(len(rows.missing), 'row')} missing, {len(rows.unexpected)} "
-            f"not in the suite, {different} with another payload"
+            f"the check failed: {counted(missing, 'row')} missing, {unexpected} not in the suite, "
+            f"{different} with another payload"
         )
         raise typer.Exit(1)
     print("all rows of the suite are there, and the computed ones have the stored payloads")
+
+
+def _name_rows(title: str, rows: Sequence[Row]) -> None:
+    """Prints the first of some rows and their number."""
+    for row in rows[:_MOST_NAMED]:
+        print(f"{title}: {row}")
+    if rows:
+        print(f"{title}: {counted(len(rows), 'row')}")
 
 
 def _backend(workers: int | None, ray: str | None) -> Backend:

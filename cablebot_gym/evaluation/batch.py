@@ -63,7 +63,7 @@ def foreign_policies() -> tuple[str, ...]:
     return tuple(_FOREIGN)
 
 
-class Row(NamedTuple):
+class EpisodeSpec(NamedTuple):
     """One episode."""
 
     payload: float
@@ -193,7 +193,7 @@ def draw_seeds(seed: int, draws: int) -> list[int]:
     return [seed] if draws == 1 else derived_seeds(np.random.SeedSequence(seed), draws)
 
 
-def fresh_sequence(seed: int) -> np.random.SeedSequence:
+def fresh_sequence(seed: int | Sequence[int]) -> np.random.SeedSequence:
     """Seed sequence of the draws that confirm a payload and belong to no other part of a search."""
     return np.random.SeedSequence(seed, spawn_key=(5,))
 
@@ -315,7 +315,7 @@ class Batch:
 
     def run(
         self,
-        rows: Sequence[Row],
+        rows: Sequence[EpisodeSpec],
         *,
         observer: Observer | None = None,
         count: StepCount | None = None,
@@ -365,7 +365,7 @@ class Batch:
         return [verdicts[index] for index in range(len(rows))]
 
     def _start(
-        self, env: CableBotVectorEnv, judge: Judge, rows: Sequence[Row]
+        self, env: CableBotVectorEnv, judge: Judge, rows: Sequence[EpisodeSpec]
     ) -> tuple[Array, dict[str, Any]]:
         """Starts an episode for each row; the last observation and info of the reset."""
         seeds = [row.seed for row in rows]
@@ -433,7 +433,7 @@ class Batch:
         for seed in seeds:
             if carried == required or len(verdicts) - carried > draws - required:
                 break
-            (verdict,) = self.run([Row(payload, seed)], count=count)
+            (verdict,) = self.run([EpisodeSpec(payload, seed)], count=count)
             verdicts.append(verdict)
             carried += verdict.carried
         return Trial(payload=payload, verdicts=tuple(verdicts), seeds=tuple(seeds[: len(verdicts)]))

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from cablebot_gym.envs import described
 from cablebot_gym.evaluation.batch import (
     Batch,
+    EpisodeSpec,
     Progress,
-    Row,
     StepCount,
     foreign_policies,
     versions,
@@ -362,7 +362,7 @@ def compare_policies(
             batch = Batch(policy, shared, name=label, wrappers=layers)
             count.expected = len(labels) * batch.task.steps
             recorder = Recorder(range(batch.draws), _RECORDED)
-            rows = [Row(payload, seed) for seed in batch.seeds]
+            rows = [EpisodeSpec(payload, seed) for seed in batch.seeds]
             verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
             radius = batch.settings.error_bounds.termination_radius
             isolated &= batch.policy.isolated

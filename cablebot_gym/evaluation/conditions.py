@@ -175,6 +175,13 @@ class Conditions(Printed):
             data["robot"] = self.robot.to_dict()
         return data
 
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Conditions:
+        """The conditions whose :meth:`to_dict` returned ``data``; they are not checked."""
+        own = {name: value for name, value in data.items() if name in ("env_id", *_OWN)}
+        further = {name: value for name, value in data.items() if name not in own}
+        return cls(further=further, **own)
+
     def summary(self) -> dict[str, Any]:
         """JSON-able fields of a result that describe the conditions. ``Details.environment`` has the
         settings of the environment."""

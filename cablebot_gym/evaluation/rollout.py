@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.vector import CableBotVectorEnv
-from cablebot_gym.evaluation.batch import Batch, Progress, Row, StepCount
+from cablebot_gym.evaluation.batch import Batch, EpisodeSpec, Progress, StepCount
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.kinematics import Array, cable_lengths
@@ -283,7 +283,7 @@ def record_rollout(
     with chosen_progress(progress, f"{batch.policy.name} on {env_id}", "steps") as step:
         count = StepCount(step, batch.task.steps)
         count.add(0)
-        rows = [Row(payload, shared.seed, noise_seed=noise_seed)]
+        rows = [EpisodeSpec(payload, shared.seed, noise_seed=noise_seed)]
         verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
     return recorder.rollouts(verdicts)[0]
 

@@ -22,8 +22,8 @@ from cablebot_gym.evaluation.batch import (
     RISK,
     STOCHASTIC_ALONE,
     Batch,
+    EpisodeSpec,
     Progress,
-    Row,
     StepCount,
     Trial,
     derived_seeds,
@@ -235,7 +235,7 @@ class Search:
             payloads = [self._grid[upper - 1], self._grid[upper]]
         return [payload for payload in payloads if payload not in self._trials]
 
-    def _due_checks(self) -> tuple[list[Row], list[int]]:
+    def _due_checks(self) -> tuple[list[EpisodeSpec], list[int]]:
         """Checks to run with the next refinement, each once: episodes of the dense check, as soon as
         a payload is carried, and indices of the episodes of the scan to repeat."""
         repeated = self._repeated
@@ -248,7 +248,7 @@ class Search:
         if not self._is_drawn:
             seeds = seeds * DENSE_POINTS
         payloads = self._rng.uniform(0.0, below.payload, len(seeds)).tolist()
-        return list(map(Row, payloads, seeds)), repeated
+        return list(map(EpisodeSpec, payloads, seeds)), repeated
 
     def _confirm(self) -> SearchOutcome:
         """Checks the discretisation, or tries fresh draws, and records the episode at the
@@ -324,10 +324,10 @@ class Search:
             PolicyError: if they differ.
         """
         draws = self._rng.permutation(self._batch.draws)[:REPEATED_DRAWS].tolist()
-        repeated = [Row(trial.payload, trial.seeds[draw]) for draw in draws]
+        repeated = [EpisodeSpec(trial.payload, trial.seeds[draw]) for draw in draws]
         payloads = self._rng.uniform(0.0, self._grid[-1], len(draws)).tolist()
         seeds = derived_seeds(fresh_sequence(self._batch.conditions.seed), len(draws))
-        others = list(map(Row, payloads, seeds))
+        others = list(map(EpisodeSpec, payloads, seeds))
         verdicts = self._batch.run(repeated + others, count=self._count)
         before = [trial.verdicts[draw] for draw in draws]
         self._check_repetition(before, verdicts[: len(repeated)])
@@ -383,7 +383,7 @@ class Search:
                 intervals.append((self._grid[start], self._grid[end - 1]))
         return tuple(intervals)
 
-    def _add_dense(self, rows: list[Row], verdicts: _Verdicts) -> None:
+    def _add_dense(self, rows: list[EpisodeSpec], verdicts: _Verdicts) -> None:
         """Adds a failed trial if too many episodes of the dense check fail.
 
         Too many are more than the required number of draws allows plus three standard deviations,
@@ -456,7 +456,7 @@ class Search:
         rows = []
         before = []
         for trial, draw in repeats:
-            rows.append(Row(trial.payload, trial.seeds[draw]))
+            rows.append(EpisodeSpec(trial.payload, trial.seeds[draw]))
             before.append(trial.verdicts[draw])
         recorder = Recorder([0])
         # The recorded episode runs last: Batch.fallbacks counts those of the last batch.
@@ -494,8 +494,8 @@ class Search:
         raise PolicyError(f"policy {self._batch.policy.name!r} {reason.format(difference)}")
 
 
-def _rows(payloads: Sequence[float], seeds: Sequence[int]) -> list[Row]:
-    return [Row(payload, seed) for payload in payloads for seed in seeds]
+def _rows(payloads: Sequence[float], seeds: Sequence[int]) -> list[EpisodeSpec]:
+    return [EpisodeSpec(payload, seed) for payload in payloads for seed in seeds]
 
 
 def _trials(payloads: Sequence[float], seeds: Sequence[int], verdicts: _Verdicts) -> list[Trial]:

@@ -18,7 +18,7 @@ from cablebot_gym.evaluation.batch import (
     DEPENDENT,
     STOCHASTIC_ALONE,
     Batch,
-    Row,
+    EpisodeSpec,
     Trial,
     derived_seeds,
     draw_seeds,
@@ -68,6 +68,8 @@ class MotionPayload:
     unloaded."""
     above: Trial | None
     """The robots with the least failed payload; None if the scan ended without a failure."""
+    seeds: tuple[int, ...]
+    """Seed of each robot."""
 
     @property
     def payload(self) -> float | None:
@@ -110,6 +112,7 @@ def survey(
     env_id: str,
     motions: Sequence[Trajectory],
     *,
+    seeds: Sequence[int] | None = None,
     robots: int | None = None,
     resolution: float | None = None,
     name: str | None = None,
@@ -124,6 +127,7 @@ def survey(
         policy: as for :func:`~cablebot_gym.evaluation.evaluator.evaluate_dlcc`.
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         motions: reference motions.
+        seeds: evaluation seed of each motion; None for :func:`motion_seeds` of ``seed``.
         robots: number of random robots of each motion; None for :data:`ROBOTS` under a random
             uncertainty, and 1 otherwise.
         resolution: gap to the least failed payload as a fraction of the end of the scan; None for
@@ -147,6 +151,8 @@ def survey(
     if robots is None:
         robots = ROBOTS if checked.model_error.random else 1
     robots = whole("robots", robots, least=1)
+    if seeds is None:
+        seeds = motion_seeds(checked.seed, len(motions))
     if robots > 1 and not batch.random:
         raise ValueError(
             f"all {robots} robots would be equal: choose a random uncertainty or robots=1"
@@ -154,7 +160,7 @@ def survey(
     if resolution is None:
         resolution = NOMINAL_RESOLUTION if robots == 1 else RESOLUTION
     resolution = number("resolution", resolution, above=0, below=1)
-    search = _Search(batch, robots, resolution)
+    search = _Search(batch, list(seeds), robots, resolution)
     payloads = search.run()
     return SurveyResult(
         resolutions=search.resolutions,
@@ -197,10 +203,12 @@ class _Motion:
     """Robots that have failed. The others are met at the first payload and at the last one only."""
     has_met_all: bool = False
 
-    def rows(self, payloads: Sequence[float], robots: Sequence[int]) -> list[Row]:
+    def rows(self, payloads: Sequence[float], robots: Sequence[int]) -> list[EpisodeSpec]:
         """An episode of each payload with each robot."""
         return [
-            Row(payload, self.seeds[robot], self.index) for payload in payloads for robot in robots
+            EpisodeSpec(payload, self.seeds[robot], self.index)
+            for payload in payloads
+            for robot in robots
         ]
 
     def trial(self, payload: float, robots: Sequence[int], verdicts: Iterator[Verdict]) -> Trial:
@@ -244,26 +252,26 @@ class _Motion:
 class _Search:
     """Search for the payloads of all motions of a batch."""
 
-    def __init__(self, batch: Batch, robots: int, resolution: float) -> None:
+    def __init__(self, batch: Batch, seeds: list[int], robots: int, resolution: float) -> None:
         self._batch = batch
         self._robots = robots
         self._resolution = resolution
         conditions = batch.conditions
-        sequence = np.random.SeedSequence(conditions.seed, spawn_key=(4,))
-        self._rng = np.random.default_rng(sequence)
-        points = SCAN_POINTS if robots == 1 else SCAN_POINTS_OF_ROBOTS
-        seeds = motion_seeds(conditions.seed, len(batch.tasks))
-        sequences = sequence.spawn(len(batch.tasks))
+        self._seeds = seeds
+        self._rng = np.random.default_rng(np.random.SeedSequence(seeds, spawn_key=(4,)))
+        points = SCAN_POINTS
+        if robots > 1:
+            points = SCAN_POINTS_OF_ROBOTS
         self._motions: list[_Motion] = []
-        for index, task in enumerate(batch.tasks):
+        for index, (task, seed) in enumerate(zip(batch.tasks, seeds, strict=True)):
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4,)))
             end = default_payload_max(conditions.nominal_robot, task.trajectory, conditions.bounds)
             motion = _Motion(
                 index=index,
                 end=end,
-                seeds=draw_seeds(seeds[index], robots),
-                # each scan takes as many random numbers, so it depends on the index only
-                grid=scan_grid(self._rng, end, points),
-                rng=np.random.default_rng(sequences[index]),
+                seeds=draw_seeds(seed, robots),
+                grid=scan_grid(rng, end, points),
+                rng=rng,
             )
             self._motions.append(motion)
 
@@ -283,7 +291,8 @@ class _Search:
         else:
             self._repeat()
         return tuple(
-            MotionPayload(below=motion.below, above=motion.above) for motion in self._motions
+            MotionPayload(below=motion.below, above=motion.above, seeds=tuple(motion.seeds))
+            for motion in self._motions
         )
 
     def _scan(self) -> None:
@@ -372,12 +381,12 @@ class _Search:
         Raises:
             PolicyError: if they differ.
         """
-        rows: list[Row] = []
+        rows: list[EpisodeSpec] = []
         verdicts: list[Verdict] = []
         for motion in self._motions:
             if motion.below is not None:
                 for seed in motion.below.seeds:
-                    rows.append(Row(motion.below.payload, seed, motion.index))
+                    rows.append(EpisodeSpec(motion.below.payload, seed, motion.index))
                 verdicts += motion.below.verdicts
         chosen = self._rng.permutation(len(rows))[:REPEATED].tolist()
         rows = [rows[index] for index in chosen]
@@ -435,10 +444,10 @@ class _Search:
 
     def _are_carried_alone(self, motions: Sequence[_Motion]) -> bool:
         """Whether fresh robots carry the payloads of motions, each alone in its batch."""
-        seeds = derived_seeds(fresh_sequence(self._batch.conditions.seed), len(motions))
+        seeds = derived_seeds(fresh_sequence(self._seeds), len(motions))
         for motion, seed in zip(motions, seeds, strict=True):
             assert motion.below is not None
-            row = Row(motion.below.payload, seed, motion.index)
+            row = EpisodeSpec(motion.below.payload, seed, motion.index)
             (verdict,) = self._batch.run([row])
             if verdict.carried:
                 continue

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.evaluation.batch import Batch, Row
+from cablebot_gym.evaluation.batch import Batch, EpisodeSpec
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.compiling import compiled_at_once
@@ -92,7 +92,7 @@ def time_actions(
         timed = TimedPolicy(batch.policy.policy)
         batch.policy = replace(batch.policy, policy=timed)
         payload = number("payload", payload, least=0, unit="kg")
-        batch.run([Row(payload, batch.conditions.seed)], full_motion=True)
+        batch.run([EpisodeSpec(payload, batch.conditions.seed)], full_motion=True)
     times = np.array(timed.times[WARM_UP:])
     period = 1 / batch.task.control_frequency
     if not times.size:

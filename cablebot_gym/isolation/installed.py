@@ -93,6 +93,5 @@ def _entry_from_own_process(name: str) -> PolicyEntry:
         env_ids=tuple(map(str, description["env_ids"])),
         factory=partial(IsolatedPolicy, name),
         slow=description["slow"] is True,
-        plans=description["plans"] is True,
         files=files,
     )

@@ -147,7 +147,6 @@ class _Server:
             {
                 "env_ids": list(entry.env_ids),
                 "slow": entry.slow,
-                "plans": entry.plans,
                 "files": files,
             }
         ).encode()

@@ -68,9 +68,6 @@ class PolicyEntry:
     """Description in one line."""
     slow: bool = False
     """Whether an evaluation takes minutes. Most benchmark suites skip slow policies."""
-    plans: bool = False
-    """Whether it computes for seconds at the start of each new motion. Surveys of many motions have
-    fewer of them then."""
     unsaturated_actions: bool = False
     """Whether the policy declares ``unsaturated_actions``. A test holds the policies of this project
     to it; the paper criterion marks the results of others as declared."""

@@ -1,5 +1,4 @@
-"""The report page: the records of a benchmark and the replays of their cells in one self-contained
-HTML file."""
+"""The report page: the rows of a benchmark and their replays in one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -15,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.benchmark import scores
-from cablebot_gym.benchmark.cells import BestKnownCell, Cell, PolicyCell, canonical
-from cablebot_gym.benchmark.leaderboard import Results
-from cablebot_gym.benchmark.records import Record, single_records
+from cablebot_gym.benchmark.ranking import RANKED_MOTIONS
+from cablebot_gym.benchmark.rows import Row, canonical
+from cablebot_gym.benchmark.store import Results
 from cablebot_gym.benchmark.tables import (
     best_known_text,
     error_title,
@@ -28,12 +27,12 @@ from cablebot_gym.benchmark.tables import (
     motion_title,
     task_title,
 )
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import LIMIT_NAMES, Violation
 from cablebot_gym.rendering.moment import HANG, full_tension
 from cablebot_gym.rendering.projection import points_in_space, view_direction
 from cablebot_gym.report.replay import LEVELS, RATE, Replay, platform_points
 from cablebot_gym.report.violations import violation_strips
-from cablebot_gym.trajectories import find_trajectory
 
 SCRIPTS = ("charts.js", "limits.js", "table.js", "scene.js", "page.js")
 """Scripts of the page in order of their dependencies."""
@@ -46,19 +45,20 @@ NOT_APPLICABLE = "The paper criterion applies only to policies that declare unsa
 SHOWN_MOTIONS = 5
 """Number of motions of a family whose episodes the page shows."""
 
-NO_EPISODE = "This page contains no episode of this cell. Run cablebot report RESULTS to record all episodes."
+NO_EPISODE = (
+    "This page contains no episode of this row. Run cablebot report RESULTS to record all episodes."
+)
 
 
-def merge_records(sources: Sequence[Results]) -> list[Record]:
-    """The records of all sources, those of surveys for each motion; the first one of each cell.
-    Cells of a policy that differ in the evaluation seed alone count as one."""
-    merged: dict[str, Record] = {}
+def merged_rows(sources: Sequence[Results]) -> list[Row]:
+    """The rows of all sources; the first one of those that differ in the seed alone."""
+    merged: dict[str, Row] = {}
     for source in sources:
-        for record in single_records(source.records):
-            cell = record.cell
-            if isinstance(cell, PolicyCell):
-                cell = replace(cell, seed=0)
-            merged.setdefault(cell.key, record)
+        for row in source.rows:
+            key = row.key
+            if row.measure == "payload":
+                key = replace(row, conditions=replace(row.conditions, seed=0)).key
+            merged.setdefault(key, row)
     return list(merged.values())
 
 
@@ -70,7 +70,7 @@ def html(
     Args:
         title: heading of the page.
         sources: results of one or more suites.
-        replays: episodes, or an error message, by key of the cell.
+        replays: episodes, or an error message, by key of the row.
     """
     assets = files("cablebot_gym.report") / "assets"
     data = json.dumps(
@@ -90,13 +90,13 @@ def page_data(
     sources: Sequence[Results], replays: Mapping[str, Sequence[Replay] | str]
 ) -> dict[str, Any]:
     """JSON-able data for the scripts of the page. For the arguments see :func:`html`."""
-    records = merge_records(sources)
-    cells = _Cells(records, replays)
+    merged = merged_rows(sources)
+    cells = _Cells(replays)
     indices = {}
-    for score in shown_scores(records):
-        indices[score.cell.key] = cells.add_score(score)
-    references = list(scores.best_known_payloads(records).values())
-    boards = scores.leaderboards(records)
+    for score in shown_scores(merged):
+        indices[score.row.key] = cells.add_score(score)
+    references = list(scores.best_known_rows(merged).values())
+    boards = scores.leaderboards(merged)
     rows = []
     last_boards = {board.env_id: board for board in boards}
     for board in boards:
@@ -111,66 +111,56 @@ def page_data(
         "robots": list(cells.robots.values()),
         "motions": list(cells.motions.values()),
         "limits": _limits(boards),
-        "errors": _errors(records),
-        "notes": _notes(sources, records),
+        "errors": _errors(merged),
+        "notes": _notes(sources, merged),
         "rate": RATE,
         "levels": LEVELS,
     }
 
 
 class _Cells:
-    """Data of the cells of a page, and the distinct robots and motions of their episodes."""
+    """What the page shows of its rows, and the distinct robots and motions of their episodes."""
 
-    def __init__(
-        self, records: Sequence[Record], replays: Mapping[str, Sequence[Replay] | str]
-    ) -> None:
+    def __init__(self, replays: Mapping[str, Sequence[Replay] | str]) -> None:
         self.cells: list[dict[str, Any]] = []
         self.robots: dict[str, dict[str, Any]] = {}
         self.motions: dict[str, dict[str, Any]] = {}
         self._replays = replays
-        self._records = {record.cell.key: record for record in records}
 
     def add_score(self, score: scores.Score) -> int:
-        """Adds the cell of a score and returns its index."""
+        """Adds the row of a score and returns its index."""
         label = "DLCC"
         if score.payload is None:
             label = "unloaded"
         reason = NO_EPISODE
-        if not _applicable(score):
+        if not score.applicable:
             reason = NOT_APPLICABLE
-        return self.add(score.cell, label, _facts(score), reason)
+        return self.add(score.row, label, _facts(score), reason)
 
-    def add(
-        self,
-        cell: PolicyCell | BestKnownCell,
-        label: str,
-        facts: list[list[str]],
-        reason: str = NO_EPISODE,
-    ) -> int:
-        """Adds a cell and returns its index.
+    def add(self, row: Row, label: str, facts: list[list[str]], reason: str = NO_EPISODE) -> int:
+        """Adds a row and returns its index.
 
         Args:
-            cell: the cell.
+            row: the row.
             label: label of its payload.
             facts: names and texts of its properties.
             reason: reason for the missing episodes, if neither episodes nor an error message are
                 given.
         """
-        record = self._records[cell.key]
-        versions = ", ".join(f"{name} {version}" for name, version in record.versions.items())
+        versions = ", ".join(f"{name} {version}" for name, version in row.versions.items())
         data: dict[str, Any] = {
-            "title": task_title(cell),
+            "title": task_title(row),
             "payload_label": label,
-            "code": _code(cell),
-            "facts": [*facts, ["Provenance", f"code {record.source}, with {versions}"]],
+            "code": _code(row),
+            "facts": [*facts, ["Provenance", f"code {row.code}, with {versions}"]],
         }
-        replays = self._replays.get(cell.key, "")
+        replays = self._replays.get(row.key, "")
         if isinstance(replays, str):
             data |= {"replays": None, "reason": replays or reason}
         else:
             data["replays"] = [replay.to_dict() for replay in replays]
-            data["robot"] = _index(self.robots, _robot(cell))
-            data["motion"] = _index(self.motions, _motion(cell))
+            data["robot"] = _index(self.robots, _robot(row.conditions))
+            data["motion"] = _index(self.motions, _motion(row.conditions))
         self.cells.append(data)
         return len(self.cells) - 1
 
@@ -209,14 +199,14 @@ def _start(rows: Sequence[Mapping[str, Any]], cells: Sequence[Mapping[str, Any]]
 
 
 def _row(
-    board: scores.Leaderboard, policy: str, column: scores.Column, indices: Mapping[str, int]
+    board: scores.Leaderboard, policy: str, column: Conditions, indices: Mapping[str, int]
 ) -> dict[str, Any]:
     """The row of a policy under the conditions of a column; ``indices`` of cells by their keys."""
     entry = board.entries[policy, column]
     payload = None
-    if any(score.error is not None for score in entry):
+    if any(score.row.error is not None for score in entry):
         payload_text = "error"
-    elif not all(map(_applicable, entry)):
+    elif not all(score.applicable for score in entry):
         payload_text = "n/a"
     else:
         payload = median(score.payload or 0.0 for score in entry)
@@ -228,7 +218,7 @@ def _row(
     interval = None
     if fraction is not None:
         mean = fraction.mean
-        if len(entry) >= scores.RANKED_MOTIONS:
+        if len(entry) >= RANKED_MOTIONS:
             interval = [fraction.low, fraction.high]
     return _conditions(board, policy, column) | {
         "payload_text": payload_text,
@@ -237,22 +227,22 @@ def _row(
         "interval": interval,
         "note": _note(entry),
         "violation": _violation_text(entry),
-        "cells": [indices[score.cell.key] for score in entry if score.cell.key in indices],
+        "cells": [indices[score.row.key] for score in entry if score.row.key in indices],
     }
 
 
 def _best_known_rows(
-    board: scores.Leaderboard, references: Sequence[scores.BestKnown], cells: _Cells
+    board: scores.Leaderboard, references: Sequence[Row], cells: _Cells
 ) -> list[dict[str, Any]]:
-    """The rows of the best known payloads of a leaderboard, one for each motion; their cells are
-    added to ``cells``."""
-    groups: dict[str, list[scores.BestKnown]] = {}
+    """The rows of the best known payloads of a leaderboard, one for each motion; they are added to
+    ``cells``."""
+    groups: dict[str, list[Row]] = {}
     for reference in references:
-        if reference.cell.env_id == board.env_id:
-            groups.setdefault(str(reference.cell.trajectory["name"]), []).append(reference)
-    columns: dict[str, scores.Column] = {}
+        if reference.conditions.env_id == board.env_id:
+            groups.setdefault(reference.motion, []).append(reference)
+    columns: dict[str, Conditions] = {}
     for column in board.columns:
-        columns.setdefault(column.motion, column)
+        columns.setdefault(column.trajectory["name"], column)
     rows = []
     for motion, column in columns.items():
         if motion not in groups:
@@ -262,9 +252,10 @@ def _best_known_rows(
         for reference in groups[motion]:
             facts = [["Best known payload", best_known_text(reference)]]
             if len(indices) < SHOWN_MOTIONS:
-                indices.append(cells.add(reference.cell, BEST_KNOWN, facts))
-            if reference.payload is not None:
-                payloads.append(reference.payload)
+                indices.append(cells.add(reference, BEST_KNOWN, facts))
+            payload = scores.verified_payload(reference)
+            if payload is not None:
+                payloads.append(payload)
         row = _conditions(board, BEST_KNOWN, column)
         row |= {"payload_text": "none", "payload": None, "fraction": None, "cells": indices}
         if len(payloads) == len(groups[motion]):
@@ -274,35 +265,28 @@ def _best_known_rows(
     return rows
 
 
-def _conditions(board: scores.Leaderboard, policy: str, column: scores.Column) -> dict[str, Any]:
+def _conditions(board: scores.Leaderboard, policy: str, column: Conditions) -> dict[str, Any]:
+    motion = column.trajectory["name"]
     return {
-        "key": _row_key(board, policy, column),
+        "key": canonical([board.env_id, motion, policy, heading(column)]),
         "id": board.env_id,
         "policy": policy,
-        "motion": motion_title(column, board.motions(column)),
+        "motion": motion_title(motion, board.motions(column)),
         "condition": heading(column).removesuffix(" [kg]"),
         "violation": "",
     }
 
 
-def _row_key(board: scores.Leaderboard, policy: str, column: scores.Column) -> str:
-    return canonical([board.env_id, column.motion, policy, heading(column)])
-
-
-def _applicable(score: scores.Score) -> bool:
-    """Whether the criterion applies to the policy."""
-    return bool(score.result.get("applicable", True))
-
-
 def _note(entry: Sequence[scores.Score]) -> str:
     """Reason for a missing fraction; empty if there is a fraction or if another column states the
     reason."""
-    if not all(map(_applicable, entry)):
+    if not all(score.applicable for score in entry):
         return "does not declare unsaturated_actions"
-    if entry[0].cell.criterion != "task" or entry[0].cell.uncertainty:
+    given = entry[0].conditions
+    if given.criterion != "task" or given.uncertainty:
         return ""
     for score in entry:
-        if score.error is not None:
+        if score.row.error is not None:
             return ""
     if all(score.best_known is not None for score in entry):
         return ""
@@ -320,25 +304,21 @@ def _violation_text(entry: Sequence[scores.Score]) -> str:
         return ", ".join(f"{limit} {count} ×" for limit, count in counts.items())
     if violations:
         return str(violations[0])
-    return entry[0].error or ""
+    return entry[0].row.error or ""
 
 
-def _code(cell: PolicyCell | BestKnownCell) -> str:
-    """Python code that computes a cell."""
-    if isinstance(cell, BestKnownCell):
+def _code(row: Row) -> str:
+    """Python code that computes a row."""
+    if row.measure == "best-known":
         module = "cablebot_gym.bounds.best_known"
         name = "find_best_known"
-        lines = [repr(cell.env_id)]
+        lines = [repr(row.conditions.env_id)]
     else:
         module = "cablebot_gym.evaluation"
         name = "evaluate_dlcc"
-        lines = [repr(cell.policy), repr(cell.env_id)]
-    options = cell.env_options()
-    if isinstance(cell, PolicyCell):
-        options = cell.options()
-    for option, value in options.items():
-        if value is not None:
-            lines.append(f"{option}={value!r}")
+        lines = [repr(row.policy), repr(row.conditions.env_id)]
+    for option, value in {**row.conditions.keywords(), **row.search}.items():
+        lines.append(f"{option}={value!r}")
     inner = "".join(f"    {line},\n" for line in lines)
     return f"import cablebot_gym\nfrom {module} import {name}\n\nprint({name}(\n{inner}))"
 
@@ -346,37 +326,37 @@ def _code(cell: PolicyCell | BestKnownCell) -> str:
 def _facts(score: scores.Score) -> list[list[str]]:
     """Names and texts of the properties of a score."""
     result = score.result
-    cell = score.cell
-    if score.error is not None:
-        return [["Error", score.error]]
-    if not _applicable(score):
+    given = score.conditions
+    if score.row.error is not None:
+        return [["Error", score.row.error]]
+    if not score.applicable:
         return [["Not applicable", NOT_APPLICABLE]]
     intervals = [f"{low:.3f} to {high:.3f} kg" for low, high in result.get("feasible", [])]
     facts = [["Feasible payloads", ", ".join(intervals) or "none; the policy fails unloaded"]]
     violation = _violation_text([score])
     if violation:
         facts.append(["Limiting violation", violation])
-    if cell.draws > 1:
+    if given.draws:
         verb = "is not assured to be"
         if result.get("assured"):
             verb = "is"
-        bound = f"the 95/{100 * cell.probability:g} lower tolerance bound"
-        facts.append(["Draws", f"{cell.draws}; the payload {verb} {bound}"])
+        bound = "the 95/95 lower tolerance bound"
+        facts.append(["Draws", f"{given.draws}; the payload {verb} {bound}"])
     if result.get("failures"):
         failures = result["failures"].items()
         counts = ", ".join(f"{LIMIT_NAMES[kind]}: {count}" for kind, count in failures)
         facts.append(["Violations of the draws at a larger payload", counts])
     if score.best_known is not None:
         facts.append(["Best known payload", f"{score.best_known:.3f} kg"])
-    if cell.model_payload_factor != 1.0:
-        facts.append(["Payload model", f"{cell.model_payload_factor:g} times the nominal payload"])
+    if given.model_payload_factor != 1.0:
+        facts.append(["Payload model", f"{given.model_payload_factor:g} times the nominal payload"])
     return facts
 
 
-def _robot(cell: Cell) -> dict[str, Any]:
+def _robot(conditions: Conditions) -> dict[str, Any]:
     """Constants of the picture of a robot. ``axes`` are those of its base frame in the picture's
     space."""
-    robot = cell.robot
+    robot = conditions.nominal_robot
     points, cables = platform_points(robot)
     visible = points_in_space(robot, np.vstack([robot.base, robot.home[: robot.dimensions]]))
     low = visible.min(axis=0)
@@ -401,16 +381,16 @@ def _robot(cell: Cell) -> dict[str, Any]:
     }
 
 
-def _motion(cell: Cell) -> dict[str, Any]:
-    """Reference path of a cell at the frames of a replay, and its error bounds."""
-    robot = cell.robot
-    trajectory = find_trajectory(dict(cell.trajectory), robot.kind)
+def _motion(conditions: Conditions) -> dict[str, Any]:
+    """Reference path at the frames of a replay, and the error bounds."""
+    robot = conditions.nominal_robot
+    trajectory = conditions.motion
     times = np.arange(np.ceil(trajectory.duration * RATE - 1e-9) + 1) / RATE
     path = trajectory(np.minimum(times, trajectory.duration)).position[:, : robot.dimensions]
     return {
         "path": np.round(path, 6).tolist(),
-        "bound": cell.error_bounds["position"],
-        "rotation": cell.error_bounds["rotation"],
+        "bound": conditions.bounds.position,
+        "rotation": conditions.bounds.rotation,
     }
 
 
@@ -429,14 +409,14 @@ def _limits(boards: Sequence[scores.Leaderboard]) -> list[dict[str, Any]]:
     return limits
 
 
-def _errors(records: Sequence[Record]) -> list[dict[str, Any]]:
+def _errors(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """For each error table and policy: payloads with each error alone, 0 if it fails unloaded."""
     figures = []
-    for table in scores.error_tables(records):
+    for table in scores.error_tables(rows):
         for policy, entries in table.policies.items():
             bars = []
             for error, score in zip(table.errors, entries, strict=True):
-                if score is not None and score.error is None:
+                if score is not None and score.row.error is None:
                     name = error.replace("_", " ")
                     bars.append(
                         {
@@ -449,40 +429,40 @@ def _errors(records: Sequence[Record]) -> list[dict[str, Any]]:
     return figures
 
 
-def _notes(sources: Sequence[Results], records: Sequence[Record]) -> list[dict[str, Any]]:
+def _notes(sources: Sequence[Results], rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Titles and lines of the notes below the tables."""
     commands = [f"suite {source.suite}: {source.command}" for source in sources]
-    references = list(map(best_known_text, scores.best_known_payloads(records).values()))
+    references = list(map(best_known_text, scores.best_known_rows(rows).values()))
     notes = [
         {"title": "Commands", "lines": commands},
         {"title": "Best known payloads", "lines": references or ["none in these results"]},
-        {"title": "Notes", "lines": [*failures(records), *fallbacks(records)]},
+        {"title": "Notes", "lines": [*failures(rows), *fallbacks(rows)]},
     ]
     return [note for note in notes if note["lines"]]
 
 
-def shown_scores(records: Sequence[Record]) -> list[scores.Score]:
-    """The scores whose cells the page shows: all but those of most motions of a survey."""
+def shown_scores(rows: Sequence[Row]) -> list[scores.Score]:
+    """The scores that the page shows: all but those of most motions of a family."""
     shown = []
-    counts: dict[tuple[str, str, scores.Column], int] = {}
-    for score in scores.scores(records):
-        group = (score.cell.env_id, score.cell.policy, scores.Column.of(score.cell))
+    counts: dict[tuple[str, Conditions], int] = {}
+    for score in scores.scores(rows):
+        group = (score.row.policy, scores.column_of(score.row))
         counts[group] = counts.get(group, 0) + 1
-        if not group[-1].is_family or counts[group] <= SHOWN_MOTIONS:
+        if not score.row.family or counts[group] <= SHOWN_MOTIONS:
             shown.append(score)
     return shown
 
 
-def replay_queries(records: Sequence[Record]) -> dict[str, tuple[Cell, float | None]]:
-    """The cells whose episodes the page shows, with their DLCC [kg], by key."""
-    queries: dict[str, tuple[Cell, float | None]] = {}
-    for score in shown_scores(records):
-        if score.error is None and _applicable(score):
-            queries[score.cell.key] = (score.cell, score.payload)
+def replay_queries(rows: Sequence[Row]) -> dict[str, Row]:
+    """The rows whose episodes the page shows, by key."""
+    queries: dict[str, Row] = {}
+    for score in shown_scores(rows):
+        if score.row.error is None and score.applicable:
+            queries[score.row.key] = score.row
     motions: dict[tuple[str, str], int] = {}
-    for reference in scores.best_known_payloads(records).values():
-        family = (reference.cell.env_id, str(reference.cell.trajectory["name"]))
+    for row in scores.best_known_rows(rows).values():
+        family = (row.conditions.env_id, row.motion)
         motions[family] = motions.get(family, 0) + 1
-        if motions[family] <= SHOWN_MOTIONS and "error" not in reference.result:
-            queries[reference.cell.key] = (reference.cell, reference.result.get("payload"))
+        if motions[family] <= SHOWN_MOTIONS and row.error is None:
+            queries[row.key] = row
     return queries

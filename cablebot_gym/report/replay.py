@@ -1,4 +1,4 @@
-"""Compressed episodes of a cell for the report page: one at the DLCC and one at a slightly larger
+"""Compressed episodes of a row for the report page: one at the DLCC and one at a slightly larger
 payload."""
 
 from __future__ import annotations
@@ -6,15 +6,14 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, policy_process
+from cablebot_gym.benchmark.rows import Row, policy_process
 from cablebot_gym.bounds.best_known import cached_best_known
-from cablebot_gym.evaluation.batch import Batch, Row, draw_seeds
-from cablebot_gym.evaluation.conditions import Conditions
+from cablebot_gym.evaluation import batch as batches
 from cablebot_gym.evaluation.constraints import Violation
 from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
 from cablebot_gym.kinematics import Array
@@ -98,22 +97,24 @@ def platform_points(robot: Robot) -> tuple[Array, list[int]]:
     return points, np.ravel(indices).tolist()
 
 
-def replays(cell: PolicyCell, dlcc: float | None) -> list[Replay]:
-    """The episodes of a cell: one at its DLCC [kg] and one at a larger payload, or one unloaded
-    without a DLCC. With several draws, they are those of the first draw.
+def replays(row: Row) -> list[Replay]:
+    """The episodes of a row: one at its DLCC and one at a larger payload, or one unloaded without a
+    DLCC. With several draws, they are those of the first draw.
 
     Raises:
         ValueError: if the policy cannot be loaded or does not support the robot.
         cablebot_gym.policies.protocol.PolicyError: if the policy raises an exception or returns an
             invalid action.
     """
-    conditions = Conditions.of(cell.env_id, draws=1, **cell.env_options())
-    seed = draw_seeds(cell.seed, cell.draws)[0]
-    rows = [Row(payload, seed) for payload in _payloads(dlcc)]
-    recorder = Recorder(range(len(rows)), _RECORDED)
-    with policy_process(cell) as policy:
-        batch = Batch(policy, conditions)
-        verdicts = batch.run(rows, observer=recorder, full_motion=True)
+    given = row.conditions
+    seed = batches.draw_seeds(given.seed, given.draws or 1)[0]
+    episodes = [
+        batches.EpisodeSpec(payload, seed) for payload in _payloads(row.result.get("payload"))
+    ]
+    recorder = Recorder(range(len(episodes)), _RECORDED)
+    with policy_process(row) as policy:
+        batch = batches.Batch(policy, replace(given, draws=1, seed=0))
+        verdicts = batch.run(episodes, observer=recorder, full_motion=True)
     return [compress(rollout) for rollout in recorder.rollouts(verdicts)]
 
 
@@ -123,22 +124,23 @@ def _payloads(dlcc: float | None) -> list[float]:
     return [dlcc, max(EXCESS_FACTOR * dlcc, dlcc + MIN_EXCESS)]
 
 
-def best_replays(cell: BestKnownCell) -> list[Replay]:
+def best_replays(row: Row) -> list[Replay]:
     """The episode of a best known payload: an open-loop replay of its actions.
 
     Raises:
         ValueError: if the cache does not contain the actions.
         ImportError: if CasADi is missing.
     """
-    options = cell.env_options() | {"robot": cell.robot}
-    result = cached_best_known(cell.env_id, **options)
+    env_id = row.conditions.env_id
+    keywords = row.conditions.keywords()
+    result = cached_best_known(env_id, **keywords)
     if result is None:
         raise ValueError(
             "the actions of this best known payload are not in the cache of this machine, or they were computed by "
             "different code. Run the code under 'How this number is computed' (minutes), then cablebot report again"
         )
     policy = OpenLoop(result.actions)
-    return [compress(record_rollout(policy, cell.env_id, payload=result.payload, **options))]
+    return [compress(record_rollout(policy, env_id, payload=result.payload, **keywords))]
 
 
 def compress(rollout: Rollout) -> Replay:

@@ -9,13 +9,14 @@ import importlib.util
 import re
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 _NAMED = re.compile(r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
 """Matches ``package.module:attribute``, the notation of Gymnasium and of entry points."""
 
 
 @cache
-def source_hash(*modules: str, data: tuple[Path, ...] = ()) -> str:
+def source_hash(*modules: str, data: tuple[Path, ...] = (), without: tuple[str, ...] = ()) -> str:
     """Hash of modules, of their imports from their own packages and from ``cablebot_gym``, and of
     data files.
 
@@ -24,43 +25,68 @@ def source_hash(*modules: str, data: tuple[Path, ...] = ()) -> str:
     docstrings and other modules have no effect.
 
     Args:
-        modules: module names, such as ``cablebot_gym.evaluation.evaluator``.
+        modules: module names, such as ``cablebot_gym.evaluation.evaluator``, or names in modules,
+            ``package.module:name``.
         data: data files that affect the result, such as weights.
+        without: packages whose modules have no effect on the result.
     """
-    files = source_files(*modules)
+    files = source_files(*modules, without=without)
     digest = hashlib.sha256()
     for name in sorted(files):
-        digest.update(f"{name}\n{_parsed(files[name], name)[0]}\n".encode())
+        digest.update(f"{name}\n{_parsed(files[name], name).tree}\n".encode())
     for path in sorted(data):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 
-def source_files(*modules: str) -> dict[str, Path]:
+def source_files(*modules: str, without: tuple[str, ...] = ()) -> dict[str, Path]:
     """Files by name of the modules, of their imports from their own packages and from
-    ``cablebot_gym``."""
+    ``cablebot_gym``, except for the packages ``without``.
+
+    A name that a package only imports, ``from package import name``, counts as the module that it
+    comes from, so that the other modules of the package have no effect.
+    """
     packages = {"cablebot_gym"}
     folders = set()
     for name in modules:
-        packages.add(name.partition(".")[0])
-        path = module_file(name)
-        if path is not None and "." not in name:
+        module = name.partition(":")[0]
+        packages.add(module.partition(".")[0])
+        path = module_file(module)
+        if path is not None and "." not in module:
             folders.add(path.parent)
     files: dict[str, Path] = {}
-    pending = list(modules)
+    pending = [_defining_module(*_split(name)) for name in modules]
     while pending:
         name = pending.pop()
         path = module_file(name)
-        if name in files or path is None:
+        if name in files or path is None or name.startswith(without):
             continue
         if name.partition(".")[0] not in packages and not _in_folders(name, folders):
             continue
         files[name] = path
-        pending += _parsed(path, name)[1]
-        # Importing a module runs the __init__ of its packages.
-        if "." in name:
-            pending.append(name.rpartition(".")[0])
+        for base, imported in _parsed(path, name).imports:
+            pending.append(_defining_module(base, imported))
     return files
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Module and name in it of ``package.module:name``; the name is empty for a module."""
+    module, _, attribute = name.partition(":")
+    return module, attribute
+
+
+def _defining_module(module: str, name: str) -> str:
+    """The module that defines a name of a module, or that is this name."""
+    if not name:
+        return module
+    if module_file(f"{module}.{name}") is not None:
+        return f"{module}.{name}"
+    path = module_file(module)
+    if path is not None and path.name == "__init__.py":
+        origin = _parsed(path, module).origins.get(name)
+        if origin is not None:
+            return _defining_module(*origin)
+    return module
 
 
 def _in_folders(module: str, folders: set[Path]) -> bool:
@@ -96,32 +122,43 @@ def module_file(module: str) -> Path | None:
     return None
 
 
+class _Parsed(NamedTuple):
+    tree: str
+    """Syntax tree of a module without comments and docstrings."""
+    imports: frozenset[tuple[str, str]]
+    """Modules that it may import, each with the name from it, which is empty for the whole
+    module."""
+    origins: dict[str, tuple[str, str]]
+    """Module and name there, by the name that it has here."""
+
+
 @cache
-def _parsed(path: Path, module: str) -> tuple[str, frozenset[str]]:
-    """Syntax tree of a module without comments and docstrings, and the names of modules that it may
-    import."""
+def _parsed(path: Path, module: str) -> _Parsed:
     tree = ast.parse(path.read_bytes())
     package = module.split(".")
     if path.name != "__init__.py":
         package = package[:-1]
-    names: set[str] = set()
+    imports: set[tuple[str, str]] = set()
+    origins: dict[str, tuple[str, str]] = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
+            imports |= {(alias.name, "") for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             base = node.module or ""
             if node.level:
                 above = package[: len(package) - node.level + 1]
                 base = ".".join([*above, base]).rstrip(".")
-            names.add(base)
-            names |= {f"{base}.{alias.name}" for alias in node.names}
+            for alias in node.names:
+                imports.add((base, alias.name))
+                origins[alias.asname or alias.name] = base, alias.name
         elif (
             isinstance(node, ast.Constant)
             and isinstance(node.value, str)
             and _NAMED.match(node.value)
         ):
-            names.add(node.value.partition(":")[0])
-    return ast.dump(_DocstringRemover().visit(tree)), frozenset(names)
+            imports.add(_split(node.value))
+    text = ast.dump(_DocstringRemover().visit(tree))
+    return _Parsed(text, frozenset(imports), origins)
 
 
 class _DocstringRemover(ast.NodeTransformer):

@@ -13,13 +13,13 @@ import numpy as np
 from PIL import Image
 
 from cablebot_gym import ENV_IDS
-from cablebot_gym.benchmark.tables import leaderboard_rows
+from cablebot_gym.benchmark.tables import leaderboard_rows, markdown_table
 from cablebot_gym.env_ids import ENV_ROBOTS
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import Robot
 from cablebot_gym.trajectories import trajectory_names
-from generate.pages import Pages, all_leaderboards, table
+from generate.pages import Pages, all_leaderboards
 
 EQUATIONS = Path(__file__).parents[1] / "equations.inc"
 """Sections of the equations of platforms, joints, motors and cables."""
@@ -121,5 +121,5 @@ def _policies(env_id: str) -> str:
         return "The [leaderboard](/leaderboard.md) has no board for this environment yet.\n"
     text = "Payload [kg] and its fraction of the best known payload, from the [leaderboard](/leaderboard.md).\n"
     for board in boards:
-        text += f"\n{table(leaderboard_rows(board))}"
+        text += f"\n{markdown_table(leaderboard_rows(board))}"
     return text

@@ -1,15 +1,12 @@
-"""Generated files, and a function that formats Markdown tables."""
+"""Generated files, and the results that they show."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 
-from cablebot_gym.benchmark.leaderboard import Results
 from cablebot_gym.benchmark.scores import Leaderboard, leaderboards
-
-RESULTS = Path(__file__).parents[1] / "leaderboard" / "results.json"
+from cablebot_gym.benchmark.store import Results, read
 
 
 class Pages:
@@ -29,15 +26,13 @@ class Pages:
         self.path(name).write_text(text, encoding="utf-8")
 
 
-def table(rows: Iterable[Sequence[str]]) -> str:
-    """Markdown table; the first row is the header."""
-    head, *body = ([cell.replace("|", "\\|") for cell in row] for row in rows)
-    lines = [head, ["---"] * len(head), *body]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+@cache
+def ranked() -> Results:
+    """The results of the leaderboard."""
+    return read(Path(__file__).parents[1] / "results" / "ranked.jsonl")
 
 
 @cache
 def all_leaderboards() -> tuple[Leaderboard, ...]:
-    """The tables of the stored leaderboard."""
-    results = Results.from_json(RESULTS.read_text(encoding="utf-8"))
-    return tuple(leaderboards(results.records))
+    """The tables of the leaderboard."""
+    return tuple(leaderboards(ranked().rows))

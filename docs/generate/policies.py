@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import get_args, get_type_hints
 
 from cablebot_baselines.learned.policy import LearnedPolicy
-from cablebot_gym.benchmark.tables import column_titles, entry_text, timing_text
+from cablebot_gym.benchmark.tables import column_titles, entry_text, markdown_table, timing_text
 from cablebot_gym.policies import PolicyEntry, policy_entries
 from cablebot_gym.policies.options import option_parameters
-from generate.pages import Pages, all_leaderboards, table
+from generate.pages import Pages, all_leaderboards
 
 
 def write(pages: Pages) -> None:
@@ -31,7 +31,7 @@ def page(entry: PolicyEntry) -> str:
     for env_id in entry.env_ids:
         commands += f"cablebot dlcc {env_id} --policy {entry.name}\n"
     text = f"# `{entry.name}`\n\n{entry.summary[0].upper()}{entry.summary[1:]}.\n\n"
-    text += table(
+    text += markdown_table(
         [
             ["kind", "made for", "options", "needs"],
             [kind, ", ".join(f"`{env_id}`" for env_id in entry.env_ids), options, needs],
@@ -74,4 +74,4 @@ def payloads(policy: str) -> str:
         )
     for title, texts in entries.items():
         rows.append([title, *(texts.get(board.env_id, "–") for board in boards)])
-    return table(rows)
+    return markdown_table(rows)

@@ -1,15 +1,14 @@
-"""The leaderboard as an HTML page with some episodes; ``cablebot report docs/leaderboard`` records
+"""The leaderboard as an HTML page with some episodes; ``cablebot report docs/results`` records
 all."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from cablebot_gym.benchmark.cells import PolicyCell
-from cablebot_gym.benchmark.leaderboard import Results
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.report.page import html, replay_queries
 from cablebot_gym.report.replay import replays
-from generate.pages import RESULTS
+from generate.pages import ranked
 
 RECORDED = ("fl", "ppo-circle", "composite", "motor-pd")
 """Policies with recorded episodes on the circle, payload known."""
@@ -17,19 +16,17 @@ RECORDED = ("fl", "ppo-circle", "composite", "motor-pd")
 
 def write(folder: Path) -> None:
     """Writes ``report.html`` into a folder."""
-    results = Results.from_json(RESULTS.read_text(encoding="utf-8"))
+    results = ranked()
     recorded = {}
-    for key, (cell, payload) in replay_queries(results.records).items():
-        if not isinstance(cell, PolicyCell) or cell.policy not in RECORDED:
-            continue
-        on_circle = str(cell.trajectory["name"]).startswith("circle-")
-        model = (cell.payload_known, cell.model_payload_factor)
-        if (
-            on_circle
-            and model == (True, 1.0)
-            and (cell.uncertainty, cell.criterion) == (None, "task")
-        ):
-            recorded[key] = replays(cell, payload)
+    for key, row in replay_queries(results.rows).items():
+        if row.policy in RECORDED and row.motion.startswith("circle-"):
+            usual = Conditions(
+                env_id=row.conditions.env_id,
+                trajectory=row.conditions.trajectory,
+                seed=row.conditions.seed,
+            )
+            if row.conditions == usual:
+                recorded[key] = replays(row)
     folder.mkdir(parents=True, exist_ok=True)
     page = html("cablebot_gym leaderboard", [results], recorded)
     (folder / "report.html").write_text(page, encoding="utf-8")

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from cablebot_gym.benchmark.leaderboard import Results
-from cablebot_gym.benchmark.scores import best_known_payloads
+from cablebot_gym.benchmark.scores import best_known_rows
+from cablebot_gym.benchmark.tables import due, markdown_table
 from cablebot_gym.cli.app import add_commands, app, command_points
 from cablebot_gym.cli.listing import tables
-from generate.pages import RESULTS, Pages, table
+from generate.pages import Pages, ranked
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 CLIENTS = Path(__file__).parents[1] / "clients.json"
@@ -22,11 +22,12 @@ CLIENTS = Path(__file__).parents[1] / "clients.json"
 def write(pages: Pages) -> None:
     """Writes all tables."""
     for name, _, rows in tables():
-        pages.write(f"{name}.inc", table(rows))
+        pages.write(f"{name}.inc", markdown_table(rows))
     pages.write("requirements.inc", requirements())
     pages.write("commands.inc", commands())
     pages.write("replays.inc", replays())
     pages.write("clients.inc", clients())
+    pages.write("due.inc", due_rows())
 
 
 def requirements() -> str:
@@ -36,7 +37,7 @@ def requirements() -> str:
     extras = {"the package itself": project["dependencies"], **project["optional-dependencies"]}
     for extra, requirements in extras.items():
         rows.append([extra, ", ".join(f"`{requirement}`" for requirement in requirements)])
-    return table(rows)
+    return markdown_table(rows)
 
 
 def clients() -> str:
@@ -51,7 +52,7 @@ def clients() -> str:
         rows.append(
             [ran["client"], f"`use_{name}.py`", *versions, printed, str(ran["seconds"] or "–")]
         )
-    return table(rows)
+    return markdown_table(rows)
 
 
 def replays() -> str:
@@ -73,10 +74,8 @@ def replays() -> str:
         ]
     ]
     kinds = defaultdict(list)
-    for best in best_known_payloads(
-        Results.from_json(RESULTS.read_text(encoding="utf-8")).records
-    ).values():
-        kinds[best.cell.env_id, best.cell.trajectory["name"]].append(best.result)
+    for best in best_known_rows(ranked().rows).values():
+        kinds[best.conditions.env_id, best.motion].append(best.result)
     for (env_id, motion), results in kinds.items():
         payloads = [result["payload"] for result in results]
         payload = f"{min(payloads):.3f}"
@@ -94,7 +93,13 @@ def replays() -> str:
             errors = f"{position:.4f}; {rotation:.4f}"
             row = [env_id, title, payload, step, f"{tension:.3f}", errors]
             rows.append([*row, ", ".join(violations) or "none"])
-    return table(rows)
+    return markdown_table(rows)
+
+
+def due_rows() -> str:
+    """The rows of the leaderboard that other code has computed than that of this documentation."""
+    lines = due(ranked().rows) or ["none: all rows are of the present code"]
+    return "".join(f"* {line}\n" for line in lines)
 
 
 def commands() -> str:

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from benchmark.made_rows import asked
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import ROBOTS
 from steering import (
@@ -23,7 +24,6 @@ from cablebot_baselines.learned.bundle import FORMAT, Bundle
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_baselines.learned.steering import Shift
-from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.benchmark.suites import find_policies
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
@@ -175,7 +175,7 @@ def test_stored_result_depends_on_the_code_of_a_bundle(saved, monkeypatch):
         code_hash, "_parsed", lambda path, name: names.add(name) or parsed(path, name)
     )
     code_hash.source_hash.cache_clear()
-    assert PolicyCell(env_id=PLANAR_ID, trajectory=DWELL, policy=str(saved)).source
+    assert asked(policy=str(saved), motion=DWELL).present_code
     assert "cablebot_baselines.learned.steering" in names
     assert "cablebot_baselines.classical.flexible" in names
     assert "cablebot_baselines.learned.vec_env" not in names

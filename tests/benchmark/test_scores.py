@@ -4,56 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmark.made_rows import CIRCLE, PLANAR, answered, asked, best, carries, drawn, fails
 
-from cablebot_gym.benchmark.cells import (
-    BestKnownCell,
-    DrawnCell,
-    PolicyCell,
-    SurveyCell,
-    TimingCell,
-)
-from cablebot_gym.benchmark.leaderboard import Results, markdown, origins_text
-from cablebot_gym.benchmark.records import Record
-from cablebot_gym.benchmark.scores import RANKED_MOTIONS, error_tables, leaderboards, scores
+from cablebot_gym.benchmark.leaderboard import markdown, origins_text
+from cablebot_gym.benchmark.ranking import RANKED_MOTIONS
+from cablebot_gym.benchmark.scores import error_tables, leaderboards, scores
+from cablebot_gym.benchmark.store import Results
 from cablebot_gym.benchmark.tables import error_rows
 
-PLANAR = "CableBot-Planar-v0"
-CIRCLE = {"name": "circle-planar"}
 LOOPS = [{"name": "loop-planar", "seed": 10_000 + number} for number in range(RANKED_MOTIONS)]
-
-
-def record(cell, final=True, **result):
-    return Record(
-        cell=cell,
-        source="a" * 16,
-        versions={"python": "3.11"},
-        result=result,
-        seconds=1.0,
-        final=final,
-    )
-
-
-def best(payload, motion=CIRCLE, env_id=PLANAR, **more):
-    cell = BestKnownCell(env_id=env_id, trajectory=motion)
-    return record(cell, payload=payload, total_mass=payload + 1.0, verified=True, **more)
-
-
-def carries(policy, payload, motion=CIRCLE, more=None, env_id=PLANAR, **conditions):
-    cell = PolicyCell(env_id=env_id, trajectory=motion, policy=policy, **conditions)
-    return record(
-        cell, payload=payload, total_mass=None if payload is None else payload + 1.0, **(more or {})
-    )
-
-
-def fails(policy, message="it raised", motion=CIRCLE, **more):
-    return record(
-        PolicyCell(env_id=PLANAR, trajectory=motion, policy=policy), error=message, **more
-    )
 
 
 def page_of(records):
     return markdown(
-        Results(suite="smoke", command="cablebot benchmark --suite smoke", records=records)
+        Results(suite="smoke", command="cablebot benchmark --suite smoke", rows=records)
     )
 
 
@@ -101,7 +65,7 @@ def test_only_certain_payloads_have_a_score():
 
 @pytest.mark.parametrize("outcome", [{"error": "no solver"}, {"payload": 2.0, "verified": False}])
 def test_score_needs_a_best_known_payload(outcome):
-    failed = record(BestKnownCell(env_id=PLANAR, trajectory=CIRCLE), **outcome)
+    failed = answered(asked("best-known", motion=CIRCLE), **outcome)
     assert score_values([failed, carries("fl", 1.0)]) == [None]
 
 
@@ -158,32 +122,20 @@ def test_motion_counts_only_with_a_best_known_payload():
 
 
 def surveyed(policy, payloads, **conditions):
-    """The record of a survey of the motions :data:`LOOPS`."""
-    trajectory = {"name": "loop-planar", "seed": [motion["seed"] for motion in LOOPS]}
-    cell = SurveyCell(env_id=PLANAR, policy=policy, trajectory=trajectory, **conditions)
-    return record(
-        cell,
-        payloads=payloads,
-        failed_payloads=[(payload or 0.0) + 0.1 for payload in payloads],
-        violations=[{"kind": "position", "index": None, "time": 0.1, "excess": 0.0}] * len(LOOPS),
-        resolutions=[0.01] * len(LOOPS),
-        stochastic=False,
-    )
-
-
-def drawn(motion, ratio):
-    """The record of a random robot on a motion."""
-    cell = DrawnCell(env_id=PLANAR, trajectory=motion, uncertainty="hardware", seed=0)
-    return record(cell, ratio=ratio)
+    """The rows of a policy on the motions :data:`LOOPS`."""
+    return [
+        carries(policy, payload, motion, seed=index, **conditions)
+        for index, (payload, motion) in enumerate(zip(payloads, LOOPS, strict=True))
+    ]
 
 
 def test_fractions_of_the_main_table_need_the_yardstick():
     """A fraction of the nominal payload would look like one of what can be hoped for."""
     unknown = {"payload_known": False, "uncertainty": "hardware", "draws": 19}
     survey = surveyed("a", [0.5] * RANKED_MOTIONS, **unknown)
-    (board,) = leaderboards([*family({}), survey])
+    (board,) = leaderboards([*family({}), *survey])
     assert board.fraction("a", board.columns[0]) is None
-    (board,) = leaderboards([*family({}), survey, drawn(LOOPS[0], None)])
+    (board,) = leaderboards([*family({}), *survey, drawn(LOOPS[0], None)])
     assert board.fraction("a", board.columns[0]) is None
 
 
@@ -192,9 +144,9 @@ def test_survey_under_uncertainty_is_the_main_table():
     records = [
         *family({}),
         *[drawn(motion, 0.8) for motion in LOOPS],
-        surveyed("a", [0.5, *[0.7] * 19], **unknown),
-        surveyed("b", [None, *[0.1] * 19], **unknown),
-        surveyed("b", [0.9] * 20),
+        *surveyed("a", [0.5, *[0.7] * 19], **unknown),
+        *surveyed("b", [None, *[0.1] * 19], **unknown),
+        *surveyed("b", [0.9] * 20),
     ]
     main, second = leaderboards(records)
     assert main.ranks == {"a": 1, "b": 2}
@@ -204,8 +156,8 @@ def test_survey_under_uncertainty_is_the_main_table():
     page = page_of(records)
     assert page.index("19 random robots carry") < page.index(f"{PLANAR}, exactly known")
     assert f"| {PLANAR} | hardware | 20 | 80.0% [0.0%, 80.0%] | 80.0% | 0 |" in page
-    read = Results.from_json(Results(suite="smoke", command="", records=records).to_json())
-    assert page_of(read.records) == page
+    read = Results.from_text(Results(suite="smoke", command="", rows=records).to_text())
+    assert page_of(read.rows) == page
 
 
 def test_error_table_compares_each_error_with_the_exactly_known_robot():
@@ -244,7 +196,7 @@ def test_error_on_one_motion_counts_as_zero_and_is_named():
     assert text.endswith("worst 0%; errors: 1")
 
 
-# --- page, CSV and JSON -----------------------------------------------------------------------------------------------
+# --- page -----------------------------------------------------------------------------------------------
 
 TIMING = {
     "median": 1e-4,
@@ -269,11 +221,7 @@ ALL = [
     carries(
         "fl", 0.25, payload_known=False, uncertainty="table6", draws=512, more={"assured": True}
     ),
-    record(
-        TimingCell(env_id=PLANAR, trajectory=CIRCLE, policy="fl"),
-        **TIMING,
-        processor="some processor",
-    ),
+    answered(asked("time", "fl"), **TIMING, processor="some processor"),
 ]
 
 

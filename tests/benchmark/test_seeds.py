@@ -3,7 +3,8 @@
 import hashlib
 
 from cablebot_gym.benchmark.seeds import evaluation_seed, hidden_seeds
-from cablebot_gym.benchmark.suites import Block, Suite, suite_cells
+from cablebot_gym.benchmark.suites import Override, Suite, suite_rows
+from cablebot_gym.evaluation.survey import motion_seeds
 from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
 
 PLANAR = "CableBot-Planar-v0"
@@ -13,7 +14,7 @@ HIDDEN = Suite(
     name="s",
     summary="",
     env_ids=(PLANAR,),
-    blocks=(Block(motion="hidden", motions=20),),
+    overrides=(Override(motion="hidden", motions=20),),
     best_known=False,
 )
 
@@ -32,6 +33,6 @@ def test_hidden_motions_depend_on_text_and_environment():
     others = hidden_seeds(TEXT, SPATIAL, 20) + hidden_seeds(f"{TEXT}.", PLANAR, 20)
     assert len({*seeds, *others}) == 60
     assert all(FIRST_HELD_OUT_SEED <= seed < 2**53 for seed in seeds)
-    cells = suite_cells(HIDDEN, {PLANAR: ("fl",)}, seed=2**127, seed_text=TEXT)
-    assert [cell.trajectory["seed"] for cell in cells.values()] == seeds
-    assert {cell.seed for cell in cells.values()} == {2**127}
+    rows = suite_rows(HIDDEN, {PLANAR: ("fl",)}, seed=2**127, seed_text=TEXT)
+    assert [row.conditions.trajectory["seed"] for row in rows] == seeds
+    assert [row.conditions.seed for row in rows] == motion_seeds(2**127, 20)

@@ -1,28 +1,21 @@
-"""Store and runs of cells: finished cells are kept, damaged or foreign files are not used."""
+"""Store and runs of rows: finished rows are kept, damaged ones and those of other code are not used."""
+
+from dataclasses import replace
 
 import pytest
+from benchmark.made_rows import answered, asked, carries
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell
-from cablebot_gym.benchmark.engine import run_cells
-from cablebot_gym.benchmark.records import Record, failed_record
-from cablebot_gym.benchmark.store import Store
+from cablebot_gym.benchmark.engine import run_rows
+from cablebot_gym.benchmark.rows import failed
+from cablebot_gym.benchmark.store import Store, read, read_all
 from cablebot_gym.utils.workers import WorkerDied
 
-CELL, OTHER = (
-    PolicyCell(env_id="CableBot-Planar-v0", trajectory={"name": "circle-planar"}, policy=policy)
-    for policy in ("fl", "robust")
-)
+ROW, OTHER = (asked(policy=policy) for policy in ("fl", "robust"))
 
 
-def record(cell=CELL, source=None, payload=1.0 / 3.0):
-    result = {"payload": payload, "feasible": [[0.0, payload]], "violation": {"kind": "torque"}}
-    return Record(
-        cell=cell,
-        source=source or cell.source,
-        versions={"python": "3"},
-        result=result,
-        seconds=0.1234,
-    )
+def answer(row=ROW, payload=1.0 / 3.0):
+    """The row with a result of the present code."""
+    return replace(answered(row, payload=payload), code=row.present_code, seconds=0.123)
 
 
 @pytest.fixture
@@ -31,85 +24,107 @@ def messages():
 
 
 @pytest.fixture
-def store(tmp_path, messages):
-    return Store(tmp_path, say=messages.append)
+def make_store(tmp_path, messages):
+    def make(seed_text=None):
+        head = {"suite": "smoke", "command": "cablebot benchmark", "seed_text": seed_text}
+        return Store(tmp_path, **head, say=messages.append)
+
+    return make
 
 
-def files(folder):
-    return sorted((folder / "cells").iterdir())
+def test_row_is_read_as_it_was_written(make_store, messages):
+    make_store().add([answer()])
+    stored = make_store().find(ROW)
+    assert stored.to_dict() == answer().to_dict()
+    assert make_store().find(OTHER) is None
+    assert messages == []
 
 
-@pytest.mark.landing
-def test_record_is_read_as_it_was_written(store, messages, tmp_path):
-    store.add(record())
-    stored = store.find(CELL)
-    assert stored.cell == CELL
-    assert stored.source == CELL.source
-    assert stored.result == record().result
-    assert stored.versions == {"python": "3"}
-    assert stored.seconds == 0.123
+def test_row_of_other_code_is_due_and_replaced(make_store, tmp_path):
+    make_store().add([carries("fl", 1.0)])
+    assert make_store().find(ROW) is None
+    make_store().add([answer(payload=3.0)])
+    assert make_store().find(ROW).result["payload"] == 3.0
+    results = make_store().close([])
+    assert [row.result["payload"] for row in results.rows] == [3.0]
+    assert read(tmp_path / "smoke.jsonl").to_text() == results.to_text()
+
+
+def test_row_cut_by_a_power_failure_is_computed_again(make_store, messages, tmp_path):
+    make_store().add([answer(), answer(OTHER)])
+    path = tmp_path / "smoke.jsonl"
+    path.write_text(path.read_text()[:-20])
+    store = make_store()
+    assert store.find(ROW) is not None
     assert store.find(OTHER) is None
-    assert messages == []
-    assert files(tmp_path)[0].name.startswith("planar-fl-payload-known-task-circle-planar-")
+    assert len(messages) == 1
+    assert "line 3 is no row" in messages[0]
 
 
-def test_store_keeps_results_of_other_code_and_finds_those_of_this_code(store, messages, tmp_path):
-    store.add(record(source="a" * 16, payload=1.0))
-    assert store.find(CELL) is None
-    store.add(record(payload=3.0))
-    assert len(files(tmp_path)) == 2
-    assert store.find(CELL).result["payload"] == 3.0
-    assert messages == []
+def test_rows_of_other_policies_stay_behind_those_of_the_run(make_store):
+    store = make_store()
+    store.add([answer(OTHER), answer()])
+    assert [row.policy for row in store.close([ROW.key]).rows] == ["fl", "robust"]
 
 
-def test_cell_with_a_record_of_other_code_under_its_name_is_missing(store, tmp_path):
-    store.add(record())
-    (path,) = files(tmp_path)
-    path.write_text(path.read_text().replace(CELL.source, "a" * 16))
-    assert store.find(CELL) is None
+def test_other_seed_text_is_refused(make_store):
+    make_store("a headline").add([answer()])
+    with pytest.raises(ValueError, match="another --seed-text"):
+        make_store("another headline")
+
+
+@pytest.mark.parametrize("text", ["", "{}\n", "[1]\n", '{"suite": "smoke"}\n{"cell": 1}\n'])
+def test_damaged_file_is_refused(tmp_path, text):
+    (tmp_path / "smoke.jsonl").write_text(text)
+    with pytest.raises(ValueError, match="holds no results"):
+        read(tmp_path / "smoke.jsonl")
+    with pytest.raises(ValueError, match="cannot read"):
+        read(tmp_path / "none.jsonl")
+    (tmp_path / "smoke.jsonl").unlink()
+    with pytest.raises(ValueError, match="holds no rows"):
+        read_all(tmp_path)
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------
 
 
-def run(store, outcomes=None, cells=(CELL, OTHER), progress=lambda *step: None):
-    """Records of the cells and the computed cells; outcomes replace records, and an interrupt is
-    raised."""
+def run(store, outcomes=None, rows=(ROW, OTHER), progress=lambda *step: None):
+    """Runs rows with a backend that gives these outcomes by policy; rows in the order of their
+    computation."""
     computed = []
 
     def backend(jobs, say, returned):
         for key, job in jobs.items():
-            cell = job.args[0]
-            computed.append(cell)
-            outcome = (outcomes or {}).get(
-                cell.policy if isinstance(cell, PolicyCell) else ""
-            ) or record(cell)
-            if isinstance(outcome, KeyboardInterrupt):
-                raise outcome
-            yield key, outcome
+            (group,) = job.args
+            computed.extend(group)
+            yield key, (outcomes or {}).get(group[0].policy, [answer(row) for row in group])
 
-    return run_cells({cell.key: cell for cell in cells}, store, backend, progress, print), computed
+    run_rows(rows, store, backend, progress, print)
+    return computed
+
+
+def test_only_missing_rows_are_computed_and_progress_ends_at_all(make_store):
+    store = make_store()
+    store.add([answer()])
+    steps = []
+    assert run(store, progress=lambda *step: steps.append(step)) == [OTHER]
+    assert steps == [(1, 2), (2, 2)]
+    assert run(make_store()) == []
 
 
 @pytest.mark.parametrize(
-    ("outcome", "message"),
-    [
-        (WorkerDied("its process died"), "its process died"),
-        (record(source="f" * 16), "different code"),
-    ],
+    "outcome", [WorkerDied("the kernel killed it"), [replace(answer(), code="b" * 16)]]
 )
-def test_cell_of_a_dead_worker_is_tried_again(store, tmp_path, outcome, message):
-    (bad, good), _ = run(store, {"fl": outcome})
-    assert message in bad.error
-    assert good.error is None
-    assert len(files(tmp_path)) == 1
-    assert run(store)[1] == [CELL]
-    assert not failed_record(CELL, "no memory").final
+def test_row_of_a_dead_or_different_worker_is_tried_again(make_store, outcome):
+    store = make_store()
+    run(store, {"fl": outcome})
+    assert store.find(ROW) is None
+    assert store.find(OTHER) is not None
+    assert run(make_store()) == [ROW]
+    assert not failed(ROW, "no memory").final
 
 
-def test_longest_cells_start_first(store):
-    best = BestKnownCell(env_id="CableBot-Planar-v0", trajectory={"name": "circle-planar"})
-    drawn = PolicyCell(**{**vars(CELL), "policy": "adaptive", "uncertainty": "table6", "draws": 9})
-    records, computed = run(store, cells=(CELL, drawn, best))
-    assert computed == [best, drawn, CELL]
-    assert [record.cell for record in records] == [CELL, drawn, best]
+def test_longest_rows_start_first(make_store):
+    drawn = asked(policy="adaptive", uncertainty="table6", draws=9)
+    best = asked("best-known")
+    assert run(make_store(), rows=(ROW, drawn, best)) == [best, drawn, ROW]

@@ -1,19 +1,17 @@
-"""Results in docs: the cells are those of the suites, and samples still hold."""
+"""Results in docs: the rows are those of the suites, and samples still hold."""
 
 from pathlib import Path
 
 import pytest
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, SurveyCell
 from cablebot_gym.benchmark.check import compare_rows
-from cablebot_gym.benchmark.leaderboard import Results
-from cablebot_gym.benchmark.records import compute
-from cablebot_gym.benchmark.scores import RANKED_MOTIONS, leaderboards
-from cablebot_gym.benchmark.seeds import evaluation_seed, hidden_seeds
+from cablebot_gym.benchmark.rows import compute
+from cablebot_gym.benchmark.scores import leaderboards
+from cablebot_gym.benchmark.store import read
 from cablebot_gym.policies import policy_entries
-from cablebot_gym.report.page import merge_records
+from cablebot_gym.report.page import merged_rows
 
-ROOT = Path(__file__).parents[2]
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
 MAIN_ONLY = {"adaptive", "nmpc", "observing", "trajopt"}
 """Policies that have changed since the board, and are on its main table only."""
 
@@ -23,91 +21,72 @@ COMPUTED_AGAIN = {"composite", "fl", "motor-pd", "ppo-circle", "robust"}
 
 @pytest.fixture(scope="module")
 def results():
-    def read(name):
-        return Results.from_json((ROOT / "docs" / name / "results.json").read_text())
+    return {name: read(RESULTS / f"{name}.jsonl") for name in ("ranked", "library")}
 
-    return {name: read(name) for name in ("leaderboard", "library")}
+
+def rows_of(results, measure):
+    return [row for row in results.rows if row.measure == measure]
 
 
 def test_rows_of_the_leaderboard_are_of_today_or_of_its_board(results):
     """Excludes a row of a policy that has changed since: it would stand beside those of today."""
     origins = {"of board 2026-2": set(), "after board 2026-2, on its first 20 motions": set()}
-    for record in records_of(results["leaderboard"], PolicyCell):
-        origins[record.versions["rows"]].add(record.cell.policy)
+    for row in rows_of(results["ranked"], "payload"):
+        origins[row.versions["rows"]].add(row.policy)
     board, later = origins.values()
     assert later == MAIN_ONLY | COMPUTED_AGAIN
     assert board & MAIN_ONLY == set()
     assert board | later <= policy_entries().keys()
 
 
-def records_of(results, kind):
-    return [record for record in results.records if isinstance(record.cell, kind)]
-
-
 @pytest.mark.landing
-@pytest.mark.parametrize("name", ["leaderboard", "library"])
-def test_results_have_the_cells_of_their_suite(results, name):
-    """The only errors are missed deadlines."""
+@pytest.mark.parametrize("name", ["ranked", "library"])
+def test_results_have_the_rows_of_their_suite(results, name):
+    """Motions and seeds follow from the seed text. The only errors are missed deadlines."""
     stored = results[name]
-    rows = compare_rows(stored)
-    assert [cell.stem for cell in rows.missing if cell.policy not in MAIN_ONLY] == []
-    assert rows.unexpected == rows.not_installed == ()
-    for record in stored.records:
-        assert record.error is None or "did not answer within" in record.error
-    for record in records_of(stored, BestKnownCell):
-        assert record.result["verified"]
+    difference = compare_rows(stored)
+    assert [row for row in difference.missing if row.policy not in MAIN_ONLY] == []
+    assert difference.unexpected == difference.not_installed == ()
+    for row in stored.rows:
+        assert row.error is None or "did not answer within" in row.error
+    for row in rows_of(stored, "best-known"):
+        assert row.result["verified"]
 
 
 def test_report_has_the_fractions_of_the_leaderboard(results):
     """Robots of a yardstick differ in their seed alone."""
-    stored = results["leaderboard"]
+    stored = results["ranked"]
 
-    def fractions(records):
+    def fractions(rows):
         return [
             (board.env_id, policy, board.fraction(policy, column))
-            for board in leaderboards(records)
+            for board in leaderboards(rows)
             for policy, column in board.entries
         ]
 
-    assert fractions(merge_records([stored])) == fractions(stored.records)
+    assert fractions(merged_rows([stored])) == fractions(stored.rows)
 
 
 def test_leaderboards_leave_out_real_robots(results):
-    """Cells of one environment id and motion once were motions of one robot."""
-    records = results["library"].records
-    assert leaderboards(records) == []
-
-
-def test_seeds_of_the_leaderboard_follow_from_its_text(results):
-    leaderboard = results["leaderboard"]
-    assert leaderboard.suite == "ranked"
-    seed = evaluation_seed(leaderboard.seed_text)
-    assert {record.cell.seed for record in records_of(leaderboard, PolicyCell)} == {seed}
-    for record in records_of(leaderboard, SurveyCell):
-        motions = record.cell.trajectory["seed"]
-        assert len(motions) >= RANKED_MOTIONS
-        seeds = hidden_seeds(leaderboard.seed_text, record.cell.env_id, len(motions))
-        assert list(motions) == seeds
+    """Rows of one environment id and motion once were motions of one robot."""
+    assert leaderboards(results["library"].rows) == []
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("index", range(10))
 def test_cheapest_payloads_of_the_leaderboard_are_reproduced(results, index):
-    carried = [
-        record
-        for record in records_of(results["leaderboard"], PolicyCell)
-        if record.result.get("payload") and record.cell.policy in policy_entries()
-    ]
-    carried.sort(key=lambda record: record.seconds)
-    stored = carried[index].result
-    result = compute(carried[index].cell).result
-    assert result["payload"] == pytest.approx(stored["payload"], abs=stored["resolution"])
+    carried = [row for row in rows_of(results["ranked"], "payload") if row.result.get("payload")]
+    carried.sort(key=lambda row: row.seconds)
+    stored = carried[index]
+    (computed,) = compute([stored])
+    tolerance = stored.result["resolution"]
+    assert computed.result["payload"] == pytest.approx(stored.result["payload"], abs=tolerance)
 
 
 @pytest.mark.evidence
 def test_best_known_payload_is_reproduced(results):
-    for record in records_of(results["leaderboard"], BestKnownCell):
-        cell = record.cell
-        if cell.env_id == "CableBot-Planar-v0" and cell.trajectory["name"] == "circle-planar":
+    for row in rows_of(results["ranked"], "best-known"):
+        if row.motion == "circle-planar" and row.conditions.env_id == "CableBot-Planar-v0":
             break
-    assert compute(cell).result["payload"] == pytest.approx(record.result["payload"], rel=2e-3)
+    (computed,) = compute([row])
+    assert computed.result["payload"] == pytest.approx(row.result["payload"], rel=2e-3)

@@ -1,18 +1,16 @@
 """The yardstick under uncertainty: its interval and its records."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import simulated_boards
+from benchmark.made_rows import PLANAR, asked
 
-from cablebot_gym.benchmark.cells import BestKnownCell
-from cablebot_gym.benchmark.records import Record
-from cablebot_gym.benchmark.yardstick import FEWEST, drawn_cells, yardstick, yardsticks
+from cablebot_gym.benchmark.yardstick import FEWEST, drawn_rows, yardstick, yardsticks
 
-PLANAR_ID = "CableBot-Planar-v0"
-CIRCLE = BestKnownCell(env_id=PLANAR_ID, trajectory={"name": "circle-planar"})
-LOOP = BestKnownCell(env_id=PLANAR_ID, trajectory={"name": "loop-planar", "seed": 7})
+CIRCLE = asked("best-known")
+LOOP = asked("best-known", motion={"name": "loop-planar", "seed": 7})
 
 
 @pytest.mark.landing
@@ -42,19 +40,17 @@ def test_ends_are_order_statistics_and_unverified_draws_count_as_zero_at_the_low
         yardstick([None])
 
 
-def test_records_are_grouped_by_environment():
+def test_rows_are_grouped_by_environment():
     """A motion without a verified nominal payload counts for no policy, and not for the yardstick."""
-    cells = drawn_cells([CIRCLE], "hardware", seed=0)[:3]
-    cells.append(dataclasses.replace(cells[0], env_id="CableBot-Spatial-v0"))
-    cells += drawn_cells([LOOP], "hardware", seed=0)[:1]
-    cells += [CIRCLE, LOOP]
+    rows = drawn_rows([CIRCLE], "hardware", seed=0)[:3]
+    spatial = replace(rows[0].conditions, env_id="CableBot-Spatial-v0")
+    rows.append(replace(rows[0], conditions=spatial))
+    rows += drawn_rows([LOOP], "hardware", seed=0)[:1]
+    rows += [CIRCLE, LOOP]
     results = [{"ratio": 0.9}, {"ratio": 0.8}, {"error": "no motion"}, {"ratio": None}]
     results += [{"ratio": 0.1}, {"verified": True}, {"verified": False}]
-    records = [
-        Record(cell=cell, source="", versions={}, result=result, seconds=1.0)
-        for cell, result in zip(cells, results, strict=True)
-    ]
-    by_environment = yardsticks(records)
-    assert list(by_environment) == [(PLANAR_ID, "hardware")]
-    assert by_environment[PLANAR_ID, "hardware"].mean == pytest.approx(0.85)
-    assert by_environment[PLANAR_ID, "hardware"].unverified == 1
+    answered = [replace(row, result=result) for row, result in zip(rows, results, strict=True)]
+    by_environment = yardsticks(answered)
+    assert list(by_environment) == [(PLANAR, "hardware")]
+    assert by_environment[PLANAR, "hardware"].mean == pytest.approx(0.85)
+    assert by_environment[PLANAR, "hardware"].unverified == 1

@@ -2,30 +2,32 @@
 test_commands."""
 
 import json
+import re
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
-from cli.conftest import read_json
 
 from cablebot_gym.benchmark import suites
-from cablebot_gym.benchmark.suites import Block, Suite
+from cablebot_gym.benchmark.scores import scores as find_scores
+from cablebot_gym.benchmark.store import read
+from cablebot_gym.benchmark.suites import Override, Suite
 
 PLANAR = "CableBot-Planar-v0"
-CHANGES = {"payload_max": 4.0}
-BLOCKS = (Block(conditions={"payload_known": [True, False], **CHANGES}),)
-TINY = Suite(name="tiny", summary="circle", env_ids=(PLANAR,), blocks=BLOCKS)
-TIMED = replace(TINY, name="timed", blocks=(Block(conditions=CHANGES),), timing=True)
-MOTIONS = Block(motion="hidden", motions=2, conditions=CHANGES)
-HIDDEN = replace(TINY, name="hidden", blocks=(MOTIONS,))
+SLOW = {"control_frequency": 250.0}
+CIRCLE = Override(motion="circle", conditions=SLOW)
+UNKNOWN = replace(CIRCLE, conditions=SLOW | {"payload_known": False})
+TINY = Suite(name="tiny", summary="circle", env_ids=(PLANAR,), overrides=(CIRCLE, UNKNOWN))
+TIMED = replace(TINY, name="timed", overrides=(CIRCLE,), timing=True)
+HIDDEN = replace(TINY, name="hidden", overrides=(Override(motion="hidden", motions=2),))
 
 
 @pytest.fixture
 def best(monkeypatch):
     """Stands for the search, which has tests of its own; counts how often it is asked."""
-    best_known = {"payload": 2.4, "total_mass": 3.4, "verified": True}
+    best_known = {"payload": 2.4, "total_mass": 3.4, "verified": True, "replays": []}
     search = Mock(return_value=Mock(to_dict=lambda: best_known))
     module = SimpleNamespace(find_best_known=search)
     monkeypatch.setitem(sys.modules, "cablebot_gym.bounds.best_known", module)
@@ -48,12 +50,11 @@ def benchmark(monkeypatch, cablebot, tmp_path, inline):
     return run
 
 
-def scores(ended):
+def scores(ended, suite="tiny"):
+    """Scores by policy, and whether the payload is known."""
     values = {}
-    for cell in read_json(ended.folder / "results.json")["cells"]:
-        if "score" in cell:
-            key = cell["cell"]["policy"], cell["cell"].get("payload_known")
-            values[key] = cell["score"]
+    for score in find_scores(read(ended.folder / f"{suite}.jsonl").rows):
+        values[score.row.policy, score.conditions.payload_known] = score.score
     return values
 
 
@@ -63,7 +64,7 @@ def test_files_and_table_have_the_same_numbers(benchmark, best):
     assert ended.status == 0
     fractions = [scores(ended)["fl", known] for known in (True, False)]
     assert fractions[0] == pytest.approx(1.91 / 2.4, abs=0.03)
-    for text in (ended.out, (ended.folder / "leaderboard.md").read_text()):
+    for text in (ended.out, (ended.folder / "tiny.md").read_text()):
         for fraction in fractions:
             assert f"{2.4 * fraction:.2f}, {fraction:.0%}" in text
     best.assert_called_once()
@@ -72,16 +73,16 @@ def test_files_and_table_have_the_same_numbers(benchmark, best):
 @pytest.mark.landing
 def test_check_finds_a_changed_payload_and_a_missing_row(benchmark, best, cablebot, cache):
     benchmark()
-    path = benchmark().folder / "results.json"
+    path = benchmark().folder / "tiny.jsonl"
     check = f"benchmark --check 3 --out {path.parent} --workers 1"
     same = cablebot(check)
     assert same.status == 0
     assert same.out.count("equal: ") == 3
     assert "all rows of the suite are there" in same.out
-    results = read_json(path)
-    results["cells"][-1]["result"]["payload"] += 0.1
-    del results["cells"][-2]
-    path.write_text(json.dumps(results))
+    *others, _, last = path.read_text().splitlines()
+    row = json.loads(last)
+    row["result"]["payload"] += 0.1
+    path.write_text("\n".join([*others, json.dumps(row)]))
     changed = cablebot(check)
     assert changed.status == 1
     assert "1 row missing, 0 not in the suite, 1 with another payload" in " ".join(
@@ -93,17 +94,17 @@ def test_check_finds_a_changed_payload_and_a_missing_row(benchmark, best, cableb
 def test_second_run_computes_nothing_and_gives_the_same_bytes(benchmark, best, monkeypatch):
     def run():
         ended = benchmark()
-        files = [ended.folder / name for name in ("results.json", "leaderboard.md")]
+        files = [ended.folder / name for name in ("tiny.jsonl", "tiny.md")]
         return ended.status, ended.out, [path.read_bytes() for path in files]
 
     computed = run()
-    monkeypatch.setattr("cablebot_gym.benchmark.cells.evaluate_dlcc", None)
+    monkeypatch.setattr("cablebot_gym.benchmark.rows.evaluate_dlcc", None)
     assert run() == computed
     best.assert_called_once()
 
 
 @pytest.mark.landing
-def test_policy_that_fails_costs_its_own_cells_only(benchmark, best, toys):
+def test_policy_that_fails_costs_its_own_rows_only(benchmark, best, toys):
     causes = {"raises": "it raised RuntimeError", "exits": "it raised SystemExit: 0"}
     ended = benchmark(policies=",".join([*map(toys, causes), "fl"]))
     assert ended.status == 1
@@ -118,17 +119,33 @@ def test_policy_that_fails_costs_its_own_cells_only(benchmark, best, toys):
 @pytest.mark.landing
 def test_failed_timing_is_a_note_and_costs_no_exit_status(benchmark, best, monkeypatch):
     fails = Mock(side_effect=ValueError("no time"))
-    monkeypatch.setattr("cablebot_gym.benchmark.cells.time_actions", fails)
+    monkeypatch.setattr("cablebot_gym.benchmark.rows.time_actions", fails)
     ended = benchmark(suite="timed")
     assert ended.status == 0
     assert "fl failed on CableBot-Planar-v0: no time" in ended.out
 
 
 @pytest.mark.landing
+def test_due_rows_alone_are_computed_again(benchmark, best, cablebot):
+    folder = benchmark().folder
+    path = folder / "tiny.jsonl"
+    head, *lines = path.read_text().splitlines()
+    changed = [head, *(line.replace('"seconds": ', '"seconds": 7') for line in lines)]
+    changed[-1] = re.sub(r'"code": "\w+"', '"code": "other"', changed[-1])
+    path.write_text("\n".join(changed) + "\n")
+    ended = cablebot(f"benchmark --due --out {folder} --workers 1")
+    assert ended.status == 0
+    again = path.read_text().splitlines()
+    assert again[:-1] == changed[:-1]
+    assert again[-1] != changed[-1]
+    assert json.loads(again[-1])["result"] == json.loads(lines[-1])["result"]
+
+
+@pytest.mark.landing
 def test_seed_text_is_stored_and_shown(benchmark, best):
     ended = benchmark("--seed-text", "a headline", suite="hidden")
     assert ended.status == 0
-    assert read_json(ended.folder / "results.json")["seed_text"] == "a headline"
-    page = (ended.folder / "leaderboard.md").read_text()
+    assert read(ended.folder / "hidden.jsonl").seed_text == "a headline"
+    page = (ended.folder / "hidden.md").read_text()
     assert '`"a headline"`' in page
     assert "--seed-text 'a headline'" in page

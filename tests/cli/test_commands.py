@@ -102,12 +102,12 @@ ERRORS = (
     (
         "benchmark --suite huge",
         2,
-        "unknown suite 'huge'; choose one of smoke, standard, ranked, full",
+        "unknown suite 'huge'; choose one of smoke, ranked, errors, library",
     ),
     ("benchmark --suite ranked --policies fl", 2, "add --seed-text TEXT"),
     ("benchmark --ray auto --workers 1", 2, "--workers and --ray exclude each other"),
     ("benchmark --policies fl --out .", 2, "it is a folder"),
-    ("report file", 2, "'file' does not hold benchmark results"),
+    ("report file", 2, "'file' holds no results"),
     ("report . --out page.pdf", 2, "--out must end in .html"),
     ("robot check cogyro", 2, "did you mean 'cogiro'"),
     ("robot check cogiro --out my.txt", 2, "must end in .svg"),
@@ -127,10 +127,10 @@ def test_error_ends_with_its_status_and_one_line_and_keeps_the_folder(
 ):
     work = tmp_path / "work"
     (work / "file").write_text("{}")
-    for folder in ("folder.csv", "results.json"):
+    for folder in ("folder.csv", "smoke.jsonl"):
         (work / folder).mkdir()
     assert words in cablebot(typed).message(status)
-    assert names(work) == ["file", "folder.csv", "results.json"]
+    assert names(work) == ["file", "folder.csv", "smoke.jsonl"]
 
 
 @pytest.mark.parametrize(
@@ -173,13 +173,13 @@ def test_interrupt_keeps_results_and_leaves_no_process(tmp_path):
     command = [sys.executable, "-c", START + "c.main()", *typed]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, start_new_session=True, **pipes)
-    wait_until(lambda: list(tmp_path.glob("cells/*.json")))
+    wait_until(lambda: any('"result"' in path.read_text() for path in tmp_path.glob("*.jsonl")))
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     _, err = process.communicate(timeout=HANG)
     assert process.returncode == 130, err
     assert "Traceback" not in err
-    assert re.search(r"\d+ of \d+ cells are finished and stored in", err)
+    assert re.search(r"\d+ of \d+ rows are finished and stored in", err)
     resume = f"Resume with: cablebot benchmark --suite smoke --policies fl --out {tmp_path}"
     assert resume in " ".join(err.split())
-    assert not (tmp_path / "results.json").exists()
+    assert not (tmp_path / "smoke.md").exists()
     wait_until(lambda: not is_alive(process.pid))

@@ -9,9 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cablebot_gym.benchmark.cells import PolicyCell
-from cablebot_gym.benchmark.store import Store
-from cablebot_gym.cli.benchmark import read_results
+from cablebot_gym.benchmark.store import read_all
 from cablebot_gym.cli.options import _read_data
 from cablebot_gym.measurement import find_measurement
 from cablebot_gym.policies import load_policy
@@ -52,7 +50,7 @@ READERS = {
     "robot.json": (find_robot, json.dumps(PLANAR.to_dict())),
     "way.csv": (lambda path: find_trajectory(str(path), "planar"), "t,x,y\n0,0,0\n1,0.1,0\n"),
     "train.yaml": (of_training, "default: {n_envs: 3}\n"),
-    "results.json": (read_results, "{}"),
+    "smoke.jsonl": (read_all, "{}"),
 }
 
 
@@ -78,18 +76,6 @@ def test_reader_accepts_a_byte_order_mark_and_asks_for_utf_8(tmp_path, name):
         assert "save it as UTF-8" in outcome(read, path)
 
 
-CELL = PolicyCell(env_id="CableBot-Planar-v0", trajectory={"name": "circle-planar"}, policy="fl")
-
-
-def cell(path):
-    """A cell in a results folder."""
-    store = Store(path.parent, say=print)
-    stored = store._path(CELL, CELL.source)
-    stored.parent.mkdir()
-    path.rename(stored)
-    return store.find(CELL)
-
-
 def training(path):
     from cablebot_baselines.learned.runs import TrainingResult
 
@@ -108,7 +94,6 @@ def test_data_of_a_file_are_named_on_a_command_line(tmp_path):
 
 ALL_READERS = {name: read for name, (read, _) in READERS.items()} | {
     "motion.json": option,
-    "cell.json": cell,
     "episode.json": read_episodes,
     "state.json": training,
     "statistics.pkl": lambda path: load_policy("fl", PLANAR, wrappers=[path]),
@@ -130,7 +115,7 @@ def test_reader_refuses_an_unreadable_file_in_one_sentence(tmp_path, name, kind)
     path.parent.mkdir()
     UNREADABLE[kind](path)
     result = outcome(ALL_READERS[name], path)
-    if name in ("cell.json", "episode.json"):
+    if name == "episode.json":
         assert not result
         return
     assert isinstance(result, str)

@@ -15,7 +15,7 @@ from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import DLCCMonitor, Verdict, Violation, evaluate_dlcc
 from cablebot_gym.evaluation import batch as batch_module
-from cablebot_gym.evaluation.batch import Batch, Row, Trial, noise_seed
+from cablebot_gym.evaluation.batch import Batch, EpisodeSpec, Trial, noise_seed
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.search import SCAN_POINTS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes, required_successes
@@ -238,7 +238,7 @@ def test_payloads_share_the_parameters_of_a_draw():
     options = {"trajectory": HANG, "uncertainty": unknown | {"sensors": {"position": 1e-4}}}
     batch = Batch("fl", Conditions.of(SPATIAL_ID, draws=3, seed=11, **options))
     assert batch.seeds == draw_seeds(11, 3)
-    rows = [Row(payload, seed) for payload in (0.0, 1.0) for seed in batch.seeds]
+    rows = [EpisodeSpec(payload, seed) for payload in (0.0, 1.0) for seed in batch.seeds]
     observer, repeated = Starts(), Starts()
     for starts in (observer, repeated):
         batch.run(rows, observer=starts)

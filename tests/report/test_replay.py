@@ -5,21 +5,21 @@ import zlib
 
 import numpy as np
 import pytest
+from benchmark.made_rows import carries
 
-from cablebot_gym.benchmark.cells import PolicyCell
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.report.recording import record_all
 from cablebot_gym.report.replay import LEVELS, RATE, replays
 
 PLANAR = "CableBot-Planar-v0"
 SPATIAL_ID = "CableBot-Spatial-v0"
+STILL = {"name": "dwell-planar", "duration": 0.1}
 
 
-def cell(env_id=SPATIAL_ID, policy="fl", **more):
-    kind = "planar" if "Planar" in env_id else "spatial"
-    return PolicyCell(
-        **({"env_id": env_id, "trajectory": {"name": f"paper-{kind}"}, "policy": policy} | more)
-    )
+def row(payload=4.0, policy="fl", env_id=SPATIAL_ID, motion="paper-spatial", **conditions):
+    if isinstance(motion, str):
+        motion = {"name": motion}
+    return carries(policy, payload, motion, env_id=env_id, **conditions)
 
 
 def unpack_channels(replay):
@@ -41,8 +41,8 @@ def unpack_channels(replay):
 
 @pytest.fixture(scope="module")
 def episodes():
-    """Two episodes of a cell."""
-    return replays(cell(), 4.0)
+    """Two episodes of a row."""
+    return replays(row())
 
 
 def test_frames_are_those_of_the_rollout(episodes):
@@ -62,19 +62,21 @@ def test_frames_are_those_of_the_rollout(episodes):
 @pytest.mark.parametrize(
     ("options", "seed"),
     [
-        ({"trajectory": {"name": "loop-spatial", "seed": 10000}}, 0),
+        ({"motion": {"name": "loop-spatial", "seed": 10000}}, 0),
         ({"payload_known": False}, 0),
         (
-            {"uncertainty": "table6"},
+            {"uncertainty": "table6", "draws": 3},
             int(np.random.SeedSequence(0).generate_state(3, np.uint64)[0]) >> 11,
         ),
     ],
 )
-def test_episode_has_the_conditions_of_its_cell(options, seed):
-    draws = 3 if "uncertainty" in options else 1
-    replay, _ = replays(cell(draws=draws, **options), 4.0)
+def test_episode_has_the_conditions_of_its_row(options, seed):
+    replay, _ = replays(row(**options))
+    given = {"motion": "paper-spatial", **options}
+    given.pop("draws", None)
+    trajectory = given.pop("motion")
     rollout = record_rollout(
-        "fl", SPATIAL_ID, payload=4.0, seed=seed, **{"trajectory": "paper-spatial"} | options
+        "fl", SPATIAL_ID, payload=4.0, seed=seed, trajectory=trajectory, **given
     )
     assert replay.carried == rollout.verdict.carried
     assert replay.payload == rollout.payload
@@ -105,16 +107,14 @@ def test_second_episode_states_how_the_margin_shrinks(episodes):
 
 
 def test_constant_channels_are_finite():
-    still = cell(PLANAR, trajectory={"name": "dwell-planar", "duration": 0.1})
-    for values in unpack_channels(replays(still, 0.0)[0]).values():
+    for values in unpack_channels(replays(row(0.0, env_id=PLANAR, motion=STILL))[0]).values():
         assert np.isfinite(values).all()
 
 
-def test_recording_stores_each_cell_and_keeps_errors_apart(tmp_path, monkeypatch):
-    still = {"name": "dwell-planar", "duration": 0.1}
-    cells = [cell(PLANAR, trajectory=still), cell(PLANAR, trajectory=still, payload_known=False)]
-    wrong = cell(PLANAR, "nobody", trajectory=still)
-    queries = {str(index): (queried, 1.0) for index, queried in enumerate([*cells, wrong])}
+def test_recording_stores_each_row_and_keeps_errors_apart(tmp_path, monkeypatch):
+    still = {"env_id": PLANAR, "motion": STILL}
+    rows = [row(1.0, **still), row(1.0, payload_known=False, **still), row(1.0, "nobody", **still)]
+    queries = {str(index): queried for index, queried in enumerate(rows)}
     recorded = dict(record_all(queries, tmp_path, workers=1, say=pytest.fail))
     assert recorded["2"].startswith("No episode: unknown policy 'nobody'")
     assert len(list(tmp_path.iterdir())) == 2

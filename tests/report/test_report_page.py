@@ -3,59 +3,43 @@
 from dataclasses import replace
 
 import pytest
+from benchmark.made_rows import asked, best, carries, fails
 
-from cablebot_gym.benchmark.cells import BestKnownCell, PolicyCell, SurveyCell
-from cablebot_gym.benchmark.leaderboard import Results
-from cablebot_gym.benchmark.records import Record, compute
+from cablebot_gym.benchmark.rows import compute
+from cablebot_gym.benchmark.store import Results
 from cablebot_gym.cli.report import report
 from cablebot_gym.report.page import html, page_data
 
-PLANAR = "CableBot-Planar-v0"
-CIRCLE = {"name": "circle-planar"}
 LOOPS = [{"name": "loop-planar", "seed": 10_000 + number} for number in range(2)]
+VIOLATION = {"kind": "position", "index": None, "time": 0.532, "excess": 1e-6, "bound": 0.01}
 
 
-def record(cell, **result):
-    return Record(
-        cell=cell, source="a" * 16, versions={"python": "3.11"}, result=result, seconds=1.0
+def carried(policy, payload, violation=VIOLATION, failures=None, **conditions):
+    more = {"applicable": True, "violation": violation, "failures": failures or {}}
+    return carries(
+        policy, payload, more=more | {"feasible": [[0.0, payload]], "fallbacks": None}, **conditions
     )
 
 
-def best(motion, payload, **more):
-    result = {"payload": payload, "total_mass": payload + 1, "verified": True}
-    return record(BestKnownCell(env_id=PLANAR, trajectory=motion, **more), **result)
-
-
-def carried(cell, payload, **more):
-    violation = {"kind": "position", "index": None, "time": 0.532, "excess": 1e-6, "bound": 0.01}
-    defaults = {"applicable": True, "violation": violation, "failures": {}, "fallbacks": None}
-    return record(cell, payload=payload, feasible=[[0.0, payload]], **(defaults | more))
-
-
-def policy(name="fl", **more):
-    return PolicyCell(**({"env_id": PLANAR, "trajectory": CIRCLE, "policy": name} | more))
-
-
-RECORDS = [
-    best(CIRCLE, 2.5),
-    *(best(motion, 4.0) for motion in LOOPS),
-    carried(policy("adaptive"), 1.7),
-    carried(policy(), 1.9),
-    carried(policy(uncertainty="table6", draws=512), 1.0),
+ROWS = [
+    best(2.5),
+    *(best(4.0, motion) for motion in LOOPS),
+    carried("adaptive", 1.7),
+    carried("fl", 1.9),
+    carried("fl", 1.0, uncertainty="table6", draws=512),
     *(
-        carried(policy(trajectory=motion), payload)
+        carried("fl", payload, motion=motion)
         for motion, payload in zip(LOOPS, (1.0, 2.0), strict=True)
     ),
-    record(policy("nobody</script>"), error="it raised <b>"),
+    fails("nobody</script>", "it raised <b>"),
 ]
 """A small benchmark with made-up payloads."""
-RESULTS = Results(suite="smoke", command="cablebot benchmark", records=RECORDS)
+RESULTS = Results(suite="smoke", command="cablebot benchmark", rows=ROWS)
 
 
 @pytest.fixture
 def results(tmp_path):
-    text = RESULTS.to_json()
-    (tmp_path / "results.json").write_text(text)
+    (tmp_path / "smoke.jsonl").write_text(RESULTS.to_text())
     return tmp_path
 
 
@@ -78,9 +62,9 @@ def test_page_opens_on_the_largest_payload_of_the_first_table():
 )
 def test_violations_are_named_as_in_other_results(kind, bound, sentence, name):
     violation = {"kind": kind, "index": 2, "time": 0.532, "excess": 1e-6, "bound": bound}
-    cells = [policy(), *(policy(trajectory=motion) for motion in LOOPS)]
-    records = [carried(cell, 1.9, violation=violation, failures={kind: 3}) for cell in cells]
-    data = page_data([replace(RESULTS, records=records)], {})
+    given = {"violation": violation, "failures": {kind: 3}}
+    rows = [carried("fl", 1.9, **given), *(carried("fl", 1.9, motion=m, **given) for m in LOOPS)]
+    data = page_data([replace(RESULTS, rows=rows)], {})
     sentence += " at t = 0.532 s"
     assert {row["violation"] for row in data["rows"]} == {sentence, f"{name} 2 ×"}
     facts = dict(data["cells"][0]["facts"])
@@ -91,25 +75,16 @@ def test_violations_are_named_as_in_other_results(kind, bound, sentence, name):
     assert [(strip["limit"], strip["count"]) for strip in limits["strips"]] == [(name, 3)]
 
 
-def test_survey_has_a_cell_for_each_motion():
-    seeds = [motion["seed"] for motion in LOOPS]
-    violation = {"kind": "slack", "index": 0, "time": 0.5, "excess": 0.1}
-    survey = record(
-        SurveyCell(env_id=PLANAR, policy="robust", trajectory=LOOPS[0] | {"seed": seeds}),
-        payloads=[1.0, 2.0],
-        failed_payloads=[1.1, 2.1],
-        violations=[violation, violation],
-        resolutions=[0.01, 0.01],
-        stochastic=False,
-    )
-    data = page_data([replace(RESULTS, records=[*RECORDS, survey])], {})
+def test_motions_of_a_family_are_one_line_with_an_episode_each():
+    survey = [carried("robust", 1.0 + index, motion=motion) for index, motion in enumerate(LOOPS)]
+    data = page_data([replace(RESULTS, rows=[*ROWS, *survey])], {})
     (row,) = [row for row in data["rows"] if row["policy"] == "robust"]
     assert row["payload"] == 1.5
     assert len(row["cells"]) == len(LOOPS)
 
 
-def test_first_of_two_runs_of_one_cell_counts():
-    again = replace(RESULTS, records=[carried(policy("adaptive", seed=2), 1.6)])
+def test_first_of_two_rows_with_other_seeds_counts():
+    again = replace(RESULTS, rows=[carried("adaptive", 1.6, seed=2)])
     data = page_data([RESULTS, again], {})
     (row,) = [row for row in data["rows"] if row["policy"] == "adaptive"]
     assert (row["payload"], len(row["cells"])) == (1.7, 1)
@@ -117,7 +92,7 @@ def test_first_of_two_runs_of_one_cell_counts():
 
 def test_page_has_title_and_data_as_text(results, capsys):
     out = results / "report.html"
-    report([results, results / "results.json"], out=out, episodes=False)
+    report([results, results / "smoke.jsonl"], out=out, episodes=False)
     text = out.read_text()
     assert "<title>Payloads of cable robots</title>" in text
     assert "<title>A &lt;title></title>" in html("A <title>", [RESULTS], {})
@@ -132,15 +107,12 @@ def test_page_has_title_and_data_as_text(results, capsys):
 def written(tmp_path_factory):
     """A page with episodes of true payloads."""
     folder = tmp_path_factory.mktemp("page")
-    known = [
-        compute(cell)
-        for cell in (BestKnownCell(env_id=PLANAR, trajectory=CIRCLE), policy(), policy("adaptive"))
-    ]
-    made_up = [
-        stored for stored in RECORDS[1:] if stored.cell not in (policy(), policy("adaptive"))
-    ]
-    text = replace(RESULTS, records=[*known, *made_up]).to_json()
-    (folder / "results.json").write_text(text)
+    questions = [asked("best-known"), asked(policy="fl"), asked(policy="adaptive")]
+    known = [row for question in questions for row in compute([question])]
+    keys = {row.key for row in known}
+    made_up = [row for row in ROWS if row.key not in keys]
+    results = replace(RESULTS, rows=[*known, *made_up])
+    (folder / "smoke.jsonl").write_text(results.to_text())
     report([folder], out=folder / "report.html", workers=1)
     return folder / "report.html"
 

@@ -7,9 +7,9 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from markdown_table import markdown_table
 from scipy.spatial.transform import Rotation
 
+from cablebot_gym.benchmark.tables import markdown_table
 from cablebot_gym.bounds.robot_check import check_motion, modes, two_digits
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook

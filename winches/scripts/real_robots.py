@@ -14,9 +14,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from markdown_table import markdown_table
 from matplotlib import rc_context
 
+from cablebot_gym.benchmark.tables import markdown_table
 from cablebot_gym.utils.files import atomic_write, atomic_write_text
 from cablebot_winches.reality import STUDIES
 from cablebot_winches.reality.comparison import Comparison, table

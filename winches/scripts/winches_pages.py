@@ -17,9 +17,9 @@ from typing import get_type_hints
 
 import published_numbers
 import real_robots
-from markdown_table import markdown_table
 from matplotlib.figure import Figure
 
+from cablebot_gym.benchmark.tables import markdown_table
 from cablebot_gym.plotting.figures import DPI
 from cablebot_gym.robots import find_robot
 from cablebot_winches.hardware.limits import DriveLimits

@@ -1,9 +1,9 @@
-"""Writes LEADERBOARD.md, and the blocks of the hand-written pages that come from the code or from
-stored results.
+"""Writes LEADERBOARD.md, paper/paper.md, and the blocks of the hand-written pages that come from the
+code or from stored results.
 
 A block stands between two comments, so that the page is plain Markdown, on the site and on a forge:
 
-    <!-- NAME: written by scripts/page_blocks.py -->
+    <!-- NAME: written by scripts/pages.py -->
     <!-- end of NAME -->
 
 NAME is ``leaderboard`` (the best policy of each kind), ``main tables`` (of the leaderboard, in short),
@@ -11,7 +11,7 @@ NAME is ``leaderboard`` (the best policy of each kind), ``main tables`` (of the 
 ``library`` (the real robots), ``library payloads`` (payloads of laws on them), a table of
 ``cablebot list``, or a script in ``examples/``, with its output if the name ends in ``and output``.
 
-python scripts/page_blocks.py
+python scripts/pages.py
 """
 
 from __future__ import annotations
@@ -21,31 +21,46 @@ import json
 import re
 import subprocess
 import sys
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 from pathlib import Path
+from string import Template
+from typing import Any
 
 import measure_winches
 import numpy as np
-from markdown_table import markdown_table
 
 from cablebot_gym.benchmark.leaderboard import (
-    Results,
     errors_text,
     library_tables,
     markdown,
     origins_text,
 )
-from cablebot_gym.benchmark.scores import Leaderboard, best_known_payloads, leaderboards
-from cablebot_gym.benchmark.tables import entry_text, heading, motion_title, timing_text
+from cablebot_gym.benchmark.scores import (
+    Leaderboard,
+    best_known_rows,
+    leaderboards,
+    verified_payload,
+)
+from cablebot_gym.benchmark.store import Results, read
+from cablebot_gym.benchmark.tables import (
+    entry_text,
+    heading,
+    markdown_table,
+    motion_title,
+    timing_text,
+)
 from cablebot_gym.benchmark.yardstick import yardsticks
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.bounds.robot_check import MotionCheck, RobotCheck, check_model, check_motion
 from cablebot_gym.cli.listing import tables
 from cablebot_gym.cli.robot import motion_report, report
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import ELASTIC, find_robot, library
-from cablebot_gym.trajectories import find_trajectory
 
 ROOT = Path(__file__).resolve().parents[1]
+PAPER = ROOT / "paper" / "paper.md"
 
 PAGES = (
     "README.md",
@@ -62,7 +77,7 @@ PAGES = (
 WITH_OUTPUT = " and output"
 
 _BLOCK = re.compile(
-    r"(<!-- (.+?): written by scripts/page_blocks\.py -->\n)(.*?)(<!-- end of \2 -->)", re.DOTALL
+    r"(<!-- (.+?): written by scripts/pages\.py -->\n)(.*?)(<!-- end of \2 -->)", re.DOTALL
 )
 
 KINDS = {"classical": "control law", "learned": "learned", "optimal": "trajectory optimisation"}
@@ -72,14 +87,15 @@ KINDS = {"classical": "control law", "learned": "learned", "optimal": "trajector
 def readme_table(results: Results) -> str:
     """Sentence and table: the best policy of each kind in each environment, by the main tables of
     the leaderboard."""
-    boards = [board for board in leaderboards(results.records) if board.is_main]
+    boards = [board for board in leaderboards(results.rows) if board.is_main]
     rows = [["environment", *KINDS.values()]]
     for board in boards:
         rows.append([f"`{board.env_id}`", *(_best(board, kind) for kind in KINDS)])
     column = boards[0].columns[0]
-    conditions = f"{motion_title(column, boards[0].motions(column))}, {heading(column)}"
+    motions = motion_title(column.trajectory["name"], boards[0].motions(column))
+    conditions = f"{motions}, {heading(column)}"
     text = "The best policy of each kind: mean fraction of the payload that can be hoped for\n"
-    text += f"({conditions}).\n{origins_text(results.records).lstrip()}\n"
+    text += f"({conditions}).\n{origins_text(results.rows).lstrip()}\n"
     return text + markdown_table(rows)
 
 
@@ -107,7 +123,7 @@ def main_tables(results: Results) -> str:
     """The main tables without the laws for known robots, and the payload of exact tracking."""
     entries = policy_entries()
     text = ""
-    for board in leaderboards(results.records):
+    for board in leaderboards(results.rows):
         if not board.is_main:
             continue
         column = board.columns[0]
@@ -129,21 +145,20 @@ def exact_tracking(results: Results, board: Leaderboard) -> float:
     a mean fraction of what a planner could hope for."""
     column = board.columns[0]
     entry = max((board.entries[name, column] for name in board.policies), key=len)
-    yardstick = yardsticks(results.records)[board.env_id, str(column.uncertainty)]
-    best_known = best_known_payloads(results.records)
+    yardstick = yardsticks(results.rows)[board.env_id, str(column.uncertainty)]
+    best_known = best_known_rows(results.rows)
     fractions = []
     for score in entry:
-        hoped = best_known[score.cell.motion_key].payload
+        hoped = verified_payload(best_known[score.row.motion_key])
         if hoped:
-            robot = score.cell.robot
-            motion = find_trajectory(dict(score.cell.trajectory), robot.kind)
-            fractions.append(exact_payload(robot, motion).payload / hoped)
+            given = score.conditions
+            fractions.append(exact_payload(given.nominal_robot, given.motion).payload / hoped)
     return float(np.mean(fractions)) / yardstick.quantile
 
 
-def stored(folder: str) -> Results:
-    """The results in a folder of ``docs/``."""
-    return Results.from_json((ROOT / "docs" / folder / "results.json").read_text(encoding="utf-8"))
+def stored(suite: str) -> Results:
+    """The stored results of a suite."""
+    return read(ROOT / "docs" / "results" / f"{suite}.jsonl")
 
 
 def library_pages() -> str:
@@ -181,15 +196,15 @@ def block(name: str) -> str:
         KeyError: if no block has this name.
     """
     if name == "leaderboard":
-        return readme_table(stored("leaderboard"))
+        return readme_table(stored("ranked"))
     if name == "library":
         return library_pages()
     if name == "library payloads":
-        return f"\n{library_tables(stored('library').records)}\n"
+        return f"\n{library_tables(stored('library').rows)}\n"
     if name == "errors":
-        return errors_text(stored("errors").records, "###") + "\n"
+        return errors_text(stored("errors").rows, "###") + "\n"
     if name == "main tables":
-        return main_tables(stored("leaderboard"))
+        return main_tables(stored("ranked"))
     if name == "measurement":
         return measure_winches.table(
             json.loads((measure_winches.FOLDER / "results.json").read_text(encoding="utf-8"))
@@ -221,11 +236,84 @@ def blocks(text: str) -> dict[str, str]:
     return {name: body for _, name, body, _ in _BLOCK.findall(text)}
 
 
+def paper() -> str:
+    """The text of paper/paper.md."""
+    results = stored("ranked")
+    reproduction = json.loads(
+        (ROOT / "reproduction" / "docs" / "results.json").read_text(encoding="utf-8")
+    )
+    template = (ROOT / "paper" / "template.md").read_text(encoding="utf-8")
+    return Template(template).substitute(_of_leaderboard(results), **_of_reproduction(reproduction))
+
+
+def _of_leaderboard(results: Results) -> dict[str, Any]:
+    boards = leaderboards(results.rows)
+    main = [board for board in boards if board.is_main]
+    spatial = main[0]
+    policies = {policy for board in main for policy in board.policies}
+    return {
+        "policies": len(policies),
+        "motions": spatial.motions(spatial.columns[0]),
+        "table": readme_table(results).partition("\n\n")[2].strip(),
+        "fl_known": _circle(boards, "fl"),
+        "fl_unknown": _circle(boards, "fl", payload_known=False, uncertainty="hardware"),
+        "robots": spatial.columns[0].draws,
+        "best": f"`{spatial.policies[0]}`",
+        "best_fraction": _fraction(spatial, spatial.policies[0]),
+        "adaptive_fraction": _fraction(spatial, "adaptive"),
+    }
+
+
+def _of_reproduction(stored: dict[str, Any]) -> dict[str, str]:
+    rows = {row["key"]: row for row in stored["rows"]}
+    verdicts = defaultdict(Counter)
+    for row in rows.values():
+        verdicts[row["kind"]][row["verdict"]] += 1
+    planar = rows["5.2.1.payload"]
+    spatial = rows["5.2.2.payload"]
+    return {
+        "results": _tally(verdicts["result"]),
+        "claims": _tally(verdicts["claim"]),
+        "planar_printed": planar["printed"],
+        "planar_ours": planar["ours"],
+        "spatial_printed": spatial["printed"],
+        "spatial_ours": spatial["ours"],
+    }
+
+
+def _tally(counts: Counter[str]) -> str:
+    verdicts = ("reproduced", "not reproduced", "undecided")
+    return "; ".join(f"{counts[verdict]} {verdict}" for verdict in verdicts if counts[verdict])
+
+
+def _circle(boards: Sequence[Leaderboard], policy: str, **conditions: Any) -> str:
+    """Payload of a policy of the spatial robot on the circle, under some conditions."""
+    env_id = "CableBot-Spatial-v0"
+    trajectory = {"name": "circle-spatial"}
+    for board in boards:
+        for (name, column), scores in board.entries.items():
+            required = Conditions(
+                env_id=env_id, trajectory=trajectory, draws=column.draws, **conditions
+            )
+            if (name, column) == (policy, required):
+                if scores[0].payload is None:
+                    return "no payload, not even the platform"
+                return f"{scores[0].payload_text} kg"
+    raise ValueError(f"no row of {policy!r} on the circle")
+
+
+def _fraction(board: Leaderboard, policy: str) -> str:
+    fraction = board.fraction(policy, board.columns[0])
+    assert fraction is not None
+    return f"{fraction.mean:.0%}"
+
+
 def main() -> None:
-    """Writes the leaderboard and the blocks of all pages."""
+    """Writes the leaderboard, the paper and the blocks of all pages."""
     argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0]).parse_args()
-    leaderboard = markdown(stored("leaderboard"))
+    leaderboard = markdown(stored("ranked"))
     (ROOT / "LEADERBOARD.md").write_text(leaderboard, encoding="utf-8")
+    PAPER.write_text(paper(), encoding="utf-8")
     for page in PAGES:
         path = ROOT / page
         text = path.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Cells on a Ray cluster of two nodes on this machine: equal numbers, and no cell is lost with its
+"""Rows on a Ray cluster of two nodes on this machine: equal numbers, and no row is lost with its
 worker."""
 
 import os
@@ -8,20 +8,18 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from benchmark.made_rows import asked
 
 from cablebot_gym.benchmark import ray_backend
-from cablebot_gym.benchmark.cells import PolicyCell
-from cablebot_gym.benchmark.engine import run_cells
+from cablebot_gym.benchmark.engine import run_rows
 from cablebot_gym.benchmark.ray_backend import on_ray
-from cablebot_gym.benchmark.records import compute
+from cablebot_gym.benchmark.rows import compute
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils.workers import WorkerDied
 
 CIRCLE = {"name": "circle-planar", "duration": 0.8}
-CELLS = [
-    PolicyCell(
-        env_id="CableBot-Planar-v0", trajectory=CIRCLE, policy=policy, resolution=0.1, **model
-    )
+ROWS = [
+    asked(policy=policy, motion=CIRCLE, search={"resolution": 0.1}, **model)
     for policy in ("fl", "fl:gains=tuned")
     for model in ({}, {"payload_known": False})
 ]
@@ -61,17 +59,15 @@ def run(address, jobs, returned=(WorkerDied,)):
 
 
 @pytest.mark.landing
-def test_cells_on_two_nodes_have_the_numbers_of_one_process(address, tmp_path):
+def test_rows_on_two_nodes_have_the_numbers_of_one_process(address, tmp_path):
     messages = []
-    store = Store(tmp_path, say=messages.append)
-    cells = {cell.key: cell for cell in CELLS}
-    records = run_cells(
-        cells, store, on_ray(address), progress=lambda *step: None, say=messages.append
-    )
-    assert [record.result for record in records] == [compute(cell).result for cell in CELLS]
-    assert len({record.result["payload"] for record in records}) > 2
+    head = {"suite": "smoke", "command": "", "seed_text": None}
+    store = Store(tmp_path, **head, say=messages.append)
+    run_rows(ROWS, store, on_ray(address), progress=lambda *step: None, say=messages.append)
+    results = [store.find(row).result for row in ROWS]
+    assert results == [row.result for asked_row in ROWS for row in compute([asked_row])]
+    assert len({result["payload"] for result in results}) > 2
     assert messages == []
-    assert len(list((tmp_path / "cells").iterdir())) == len(CELLS)
 
 
 @pytest.mark.landing

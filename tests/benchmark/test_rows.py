@@ -1,0 +1,370 @@
+"""Rows: their keys, the evaluation that they request, and the hash of the code that computes
+them."""
+
+import json
+import os
+import sys
+from dataclasses import fields, replace
+from importlib.metadata import EntryPoint
+
+import pytest
+from benchmark.made_rows import PLANAR, asked
+
+from cablebot_gym.benchmark import policy_source as policy_sources
+from cablebot_gym.benchmark.rows import WITHOUT_EFFECT, compute, jobs, row_from_dict
+from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.evaluation.conditions import Conditions
+from cablebot_gym.evaluation.survey import survey
+from cablebot_gym.isolation.process import has_bubblewrap
+from cablebot_gym.policies import PolicyEntry, load_policy
+from cablebot_gym.robots import find_robot
+from cablebot_gym.utils import code_hash
+
+SLOW = 125.0
+"""Control frequency with a quarter of the usual steps [1/s]."""
+SEARCH = {"resolution": 0.02, "payload_max": 4.0}
+FL = asked(policy="fl", control_frequency=SLOW, search=SEARCH)
+BEST = asked("best-known")
+SHORT = {"name": "dwell-planar", "duration": 0.02}
+OTHERS = {
+    "env_id": "CableBot-Spatial-v0",
+    "robot": "flex-planar",
+    "trajectory": {"name": "circle-planar", "duration": 2.0},
+    "error_bounds": {"position": 0.02, "rotation": 0.01},
+    "control_frequency": 250.0,
+    "measurement": "winches",
+    "criterion": "paper",
+    "payload_known": False,
+    "model_payload_factor": 0.9,
+    "uncertainty": "table6",
+    "draws": 60,
+    "seed": 2**127 + 1,
+    "further": {"initial_error": [0.004, 0.0]},
+}
+
+
+def changed(policy="fl", search=SEARCH, **conditions):
+    given = replace(FL.conditions, **conditions)
+    return replace(FL, policy=policy, search=search, conditions=given)
+
+
+def result_of(row):
+    (computed,) = compute([row])
+    return computed.result
+
+
+def test_every_field_changes_the_key_and_survives_json():
+    assert set(OTHERS) == {item.name for item in fields(Conditions)}
+    rows = [FL, BEST, changed("robust"), changed(search={})]
+    rows += [changed(**{name: value}) for name, value in OTHERS.items()]
+    assert len({row.key for row in rows}) == len(rows)
+    for row in rows:
+        read = row_from_dict(json.loads(json.dumps(row.to_dict())))
+        assert read.key == row.key
+        assert read.conditions == row.conditions
+
+
+REACHING = set(OTHERS) - {"env_id", "robot", "criterion", "measurement", "draws", "uncertainty"}
+
+
+@pytest.fixture(scope="module")
+def default_payload():
+    """Payload of the usual row."""
+    return result_of(FL)["payload"]
+
+
+@pytest.mark.parametrize("name", sorted(REACHING))
+def test_field_reaches_the_evaluation(default_payload, name):
+    assert result_of(changed(**{name: OTHERS[name]}))["payload"] != default_payload
+
+
+@pytest.mark.landing
+def test_motions_of_a_family_are_computed_together_with_robots_of_their_own():
+    """A row has the payload of its motion and its seed, whatever its company is."""
+    motions = [{"name": "loop-planar", "seed": seed} for seed in (10_000, 10_001)]
+    given = {"uncertainty": "table6", "draws": 3, "control_frequency": SLOW}
+    rows = [
+        asked(policy="fl", motion=motion, seed=7 + k, **given) for k, motion in enumerate(motions)
+    ]
+    others = [FL, asked(policy="robust", motion=motions[0], **given)]
+    assert jobs([rows[0], *others, rows[1]]) == [tuple(rows), *((row,) for row in others)]
+    together = [row.result["payload"] for row in compute(rows)]
+    assert together == [result_of(row)["payload"] for row in rows]
+    found = survey(
+        "fl",
+        PLANAR,
+        [row.conditions.motion for row in rows],
+        seeds=[7, 8],
+        robots=3,
+        uncertainty="table6",
+        control_frequency=SLOW,
+    )
+    assert together == found.payloads.tolist()
+
+
+@pytest.mark.landing
+def test_policy_of_a_row_has_a_process_of_its_own(module, request):
+    module("toy_policies.py", TOYS)
+    coarse = changed("toy_policies:numbered", {"resolution": 1.0}, trajectory=SHORT)
+    isolated = dict(result_of(coarse))
+    request.getfixturevalue("inline")
+    here = result_of(coarse)
+    assert isolated.pop("fallbacks") != here["fallbacks"] == os.getpid()
+    assert isolated.pop("isolated")
+    assert isolated.pop("bubblewrap") == has_bubblewrap()
+    assert isolated == {name: here[name] for name in isolated}
+
+
+@pytest.mark.landing
+def test_robot_reaches_plant_and_policy():
+    klaus = find_robot("gch-klaus")
+    motion = {
+        "name": "lemniscate-planar-platform",
+        "amplitude": [0.01, 0.01],
+        "center": [0.0, 0.0, 0.0],
+        "duration": 1.0,
+    }
+    search = {"resolution": 0.5, "payload_max": 5.0}
+    env_id = "CableBot-PlanarPlatform-v0"
+    row = asked(policy="fl", motion=motion, env_id=env_id, robot=klaus.name, search=search)
+    expected = evaluate_dlcc(
+        load_policy("fl", klaus), env_id, robot=klaus, trajectory=motion, **search
+    )
+    result = result_of(row)
+    assert [result["payload"], result["total_mass"]] == [
+        expected.payload,
+        expected.payload + klaus.mass,
+    ]
+
+
+@pytest.mark.landing
+def test_draws_and_search_reach_the_evaluation():
+    draws = {"uncertainty": "table6", "draws": 20, "seed": 2**127}
+    search = {"resolution": 0.1, "payload_max": 4.0, "probability": 0.5}
+    expected = evaluate_dlcc("fl", PLANAR, control_frequency=SLOW, **draws, **search)
+    result = result_of(changed(search=search, **draws))
+    assert result["payload"] == expected.payload
+    assert result["assured"]
+    likely = changed(search=search | {"probability": 0.9}, **draws)
+    assert result_of(likely)["payload"] < expected.payload
+
+
+def test_row_of_a_time_has_time_per_action_and_processor():
+    result = result_of(asked("time", "fl"))
+    assert 0 < result["median"] <= result["p99"]
+    assert 0 <= result["missed"] <= 1
+    assert result["start"] > 0
+    assert result["processor"]
+    assert not result["exchange"]
+
+
+TOYS = """
+import os
+import numpy as np
+from cablebot_baselines.classical import FeedbackLinearization
+
+
+class Falls(FeedbackLinearization):
+    fallbacks = 0
+
+    def reset(self, tasks):
+        self.fallbacks = 3 * len(tasks)
+
+
+class Numbered(Falls):
+    def reset(self, tasks):  # tells the number of its process
+        self.fallbacks = os.getpid() * len(tasks)
+
+
+class Fails:
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        raise KeyError("no such gain")
+
+
+def clips(robot):
+    law = FeedbackLinearization(robot)
+    return lambda observation: np.clip(law.predict(observation)[0], -1, 1)
+
+
+def numbered(robot):
+    return Numbered(robot)
+
+
+def claims(robot):
+    return FeedbackLinearization(robot)
+
+
+def fails(robot):
+    return Fails()
+
+
+def impossible(robot):
+    raise RuntimeError("not today")
+"""
+
+
+PAPER = {"criterion": "paper", "trajectory": {"name": "paper-planar"}, "control_frequency": 500.0}
+
+
+@pytest.mark.landing
+@pytest.mark.usefixtures("inline")
+def test_paper_criterion_takes_unsaturated_policies(module):
+    module("toy_policies.py", TOYS)
+    result = result_of(changed("toy_policies:clips", **PAPER))
+    assert not result["applicable"]
+    assert result["payload"] is None
+    payload = result_of(changed("toy_policies:claims", **PAPER))["payload"]
+    assert payload == pytest.approx(1.06, abs=0.03)
+
+
+@pytest.mark.usefixtures("inline")
+def test_exception_of_a_policy_is_the_final_error_of_its_row(module):
+    module("toy_policies.py", TOYS)
+    (row,) = compute([changed("toy_policies:fails")])
+    assert "KeyError" in row.error
+    assert row.final
+    assert "not today" in result_of(changed("toy_policies:impossible"))["error"]
+
+
+def test_missing_package_is_an_error_that_is_not_final(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cablebot_gym.bounds.best_known", None)
+    (row,) = compute([BEST])
+    assert "best_known" in row.error
+    assert not row.final
+
+
+@pytest.mark.usefixtures("inline")
+def test_fallbacks_are_counted_per_episode(module):
+    module("toy_policies.py", TOYS)
+    for draws in ({}, {"uncertainty": "table6", "draws": 40}):
+        result = result_of(changed("toy_policies:Falls", trajectory=SHORT, **draws))
+        assert result["fallbacks"] == 3
+    assert result_of(changed(trajectory=SHORT))["fallbacks"] is None
+
+
+# --- hash of the code -------------------------------------------------------------------------------------------------
+
+
+def sources(module, policy, files):
+    """Hashes of the code of a policy after each file is written."""
+    hashes = []
+    for name, text in files:
+        module(name, text)
+        hashes.append(changed(policy).present_code)
+    return hashes
+
+
+def test_hash_has_imports_and_data_of_a_package_but_no_comments(module):
+    for name, text in (
+        ("__init__", ""),
+        ("law", "from toy_package.gains import K\n"),
+        ("gains", "K = 1\n"),
+    ):
+        module(f"toy_package/{name}.py", text)
+    files = (
+        ("unused.py", "K = 1\n"),
+        ("unused.py", "K = 2\n"),
+        ("gains.py", '"""Gains."""\n\nK = 1  # why\n'),
+        ("weights.bin", "1"),
+        ("gains.py", "K = 3\n"),
+    )
+    hashes = sources(
+        module, "toy_package.law:make", [(f"toy_package/{name}", text) for name, text in files]
+    )
+    assert hashes[0] == hashes[1] == hashes[2]
+    assert len(set(hashes)) == 3
+
+
+def test_hash_of_an_installed_policy_has_its_files(module, monkeypatch):
+    for name, text in (
+        ("__init__.py", ""),
+        ("law.py", "K = 1\n"),
+        ("own.bin", "1"),
+        ("card.json", "1"),
+    ):
+        path = module(f"toy_package/{name}", text)
+    files = (path.parent / "own.bin",)
+    entry = PolicyEntry(
+        name="toy", kind="learned", env_ids=(), factory=lambda robot: None, summary="", files=files
+    )
+    point = EntryPoint(name="toy", group="cablebot_gym.policies", value="toy_package.law:ENTRY")
+    monkeypatch.setattr("cablebot_gym.policies.spec.entry_points", lambda group, name: [point])
+    monkeypatch.setattr(policy_sources, "public_entry", {"toy": entry}.get)
+    changes = (("own.bin", "1"), ("card.json", "2"), ("own.bin", "2"))
+    hashes = sources(module, "toy", [(f"toy_package/{name}", text) for name, text in changes])
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+def test_hash_of_a_module_has_imports_of_its_folder(module):
+    module(
+        "toy_flat.py",
+        "import numpy\nimport toy_helper\nfrom toy_helpers.deep import K\ndef make(robot): ...\n",
+    )
+    module("toy_helpers/__init__.py", "")
+    names = ("toy_helper.py", "toy_helpers/deep.py", "toy_other.py")
+    hashes = sources(
+        module, "toy_flat:make", [(name, f"K = {value}\n") for name in names for value in (1, 2)]
+    )
+    assert len(set(hashes)) == 4  # nobody imports the last module
+
+
+def test_hash_has_plant_judge_and_the_law_alone():
+    """With all modules that the package imports, every row was due after every commit."""
+    files = set(
+        code_hash.source_files(
+            "cablebot_gym.envs.vector",
+            "cablebot_gym.evaluation.constraints",
+            "cablebot_baselines.classical:ADAPTIVE",
+            without=WITHOUT_EFFECT,
+        )
+    )
+    names = (
+        "physics.kernel.integrate",
+        "envs.disturbances",
+        "evaluation.constraints",
+        "robots.paper",
+    )
+    assert {f"cablebot_gym.{name}" for name in names} <= files
+    laws = {
+        name.rpartition(".")[2] for name in files if name.startswith("cablebot_baselines.classical")
+    }
+    assert {"adaptive", "law"} <= laws
+    assert not laws & {"robust", "observing", "flex_eq22"}
+    assert not {name for name in files if "benchmark" in name or "cli" in name or "utils" in name}
+
+
+def test_hash_of_a_name_follows_it_to_its_module(module):
+    """A package that imports all of its laws once made each law depend on the others."""
+    for name, text in (
+        ("__init__", "from toy_package.law import make\nfrom toy_package.other import K\n"),
+        ("law", "def make(robot): ...\n"),
+        ("other", "K = 1\n"),
+    ):
+        module(f"toy_package/{name}.py", text)
+    files = (("other.py", "K = 1\n"), ("other.py", "K = 2\n"), ("law.py", "def make(): ...\n"))
+    hashes = sources(module, "toy_package:make", [(f"toy_package/{n}", t) for n, t in files])
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+def test_hash_has_the_file_of_a_real_robot(tmp_path, monkeypatch):
+    best = replace(BEST, conditions=replace(BEST.conditions, robot="cogiro"))
+    rows = [changed(robot="flex-cogiro"), best, FL]
+    hashes = []
+    monkeypatch.setattr(
+        "cablebot_gym.benchmark.rows.library", lambda: {"cogiro": tmp_path / "cogiro.toml"}
+    )
+    for content in ("mass = 1", "mass = 2"):
+        (tmp_path / "cogiro.toml").write_text(content)
+        code_hash.source_hash.cache_clear()
+        hashes.append([row.present_code for row in rows])
+    assert [before == after for before, after in zip(*hashes, strict=True)] == [False, False, True]
+
+
+def test_hash_of_a_policy_file_is_that_of_its_contents(tmp_path):
+    row = changed(str(tmp_path / "model.zip"))
+    hashes = set()
+    for content in (b"1", b"2"):
+        (tmp_path / "model.zip").write_bytes(content)
+        code_hash.source_hash.cache_clear()
+        hashes.add(row.present_code)
+    assert len(hashes) == 2
