@@ -279,13 +279,13 @@ def _surveyed(rows: Sequence[Row]) -> list[dict[str, Any]]:
             **keywords,
         )
     results = []
-    for motion, resolution in zip(result.motions, result.resolutions, strict=True):
+    for motion in result.motions:
         violation = motion.violation
         results.append(
             {
                 "payload": motion.payload,
                 "violation": None if violation is None else asdict(violation),
-                "resolution": resolution,
+                "resolution": motion.resolution,
                 "scan_ended": motion.failed_payload is None,
                 "stochastic": result.stochastic,
                 "draws": len(motion.seeds),

@@ -54,7 +54,7 @@ def evaluate_dlcc(
     """Evaluates the DLCC of a policy: the largest payload in the feasible interval that contains
     zero.
 
-    A scan tries :data:`~cablebot_gym.evaluation.search.SCAN_POINTS` payloads. The gap below the first
+    A scan tries :data:`~cablebot_gym.evaluation.motion_search.SCAN_POINTS` payloads. The gap below the first
     failed one is subdivided to ``resolution``. The search then repeats episodes in another order and
     tries random payloads below the result. With one draw, it also tries finer physics steps. With
     several draws, the scan has :data:`~cablebot_gym.evaluation.search.SEARCH_DRAWS` draws of each

@@ -1,10 +1,8 @@
-"""Search for the largest payload that a policy carries, in four steps: scan, refine, audit,
-confirm.
+"""Search for the DLCC, in four steps: scan, refine, audit, confirm.
 
-An episode is carried (:class:`~cablebot_gym.evaluation.constraints.Verdict`), a payload is carried
-if enough of its draws are (``Search._bracket``). What is random follows from the seed of the
-conditions, which an isolated policy does not know: grid and refined payloads, payloads of the dense
-check, repeated episodes and those beside them, and the seeds of all draws.
+What is random follows from the seed of the conditions, which an isolated policy does not know: grid
+and refined payloads, payloads of the dense check, repeated episodes and those beside them, and the
+seeds of all draws.
 """
 
 from __future__ import annotations
@@ -30,29 +28,22 @@ from cablebot_gym.evaluation.batch import (
     fresh_sequence,
 )
 from cablebot_gym.evaluation.constraints import Verdict
+from cablebot_gym.evaluation.motion_search import (
+    REFINED_JITTER,
+    REFINED_POINTS,
+    SCAN_JITTER,
+    SCAN_POINTS,
+    MotionSearch,
+    SearchPlan,
+    find_brackets,
+)
 from cablebot_gym.evaluation.repetition import first_difference
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes, required_successes
 from cablebot_gym.policies import PolicyError
 
-SCAN_POINTS = 64
-"""Number of payloads in the scan, including both ends."""
-
-SCAN_JITTER = 0.25
-"""Largest random shift of a payload of the scan, as a fraction of the distance between payloads."""
-
-DENSE_POINTS = SCAN_POINTS
-"""Number of random payloads in the dense check with one draw. With several draws, each draw tries
-one."""
-
 REPEATED_EPISODES = SCAN_POINTS
 """Largest number of episodes of the scan that are repeated."""
-
-REFINED_POINTS = 32
-"""Largest number of payloads in a refinement."""
-
-REFINED_JITTER = 0.1
-"""Largest random shift of a payload of a refinement, as a fraction of the distance between them."""
 
 BISECTION_POINTS = 5
 """Number of payloads that a bisection tries first, including both ends."""
@@ -100,23 +91,8 @@ class SearchOutcome:
     rollout: Rollout
 
 
-def scan_grid(rng: np.random.Generator, end: float, points: int) -> list[float]:
-    """Payloads of a scan from zero to its end [kg]; those in between are moved at random."""
-    return [0.0, *_between(rng, 0.0, end, points - 2, SCAN_JITTER), end]
-
-
-def _between(
-    rng: np.random.Generator, low: float, high: float, count: int, jitter: float
-) -> list[float]:
-    """Equidistant payloads between two others, each moved by up to the fraction ``jitter`` of the
-    distance."""
-    fractions = (1 + np.arange(count) + rng.uniform(-jitter, jitter, count)) / (count + 1)
-    payloads: list[float] = (low + (high - low) * fractions).tolist()
-    return payloads
-
-
 class Search:
-    """Search for the largest carried payload.
+    """Search for the DLCC: the payload of one motion, with audits that confirm it.
 
     Args:
         batch: runs the episodes.
@@ -148,23 +124,37 @@ class Search:
         self._is_drawn = batch.draws > 1
         self._required, self._assured = required_successes(batch.draws, probability, confidence)
         seed = batch.conditions.seed
-        payload_sequence = np.random.SeedSequence(seed, spawn_key=(1,))
-        self._rng = np.random.default_rng(payload_sequence)
-        scan_sequence = np.random.SeedSequence(seed, spawn_key=(2,))
-        self._scan_seeds = batch.seeds
+        self._rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+        scan_seeds = batch.seeds
+        points = BISECTION_POINTS
+        refined_points = 1
+        repeated = 0
         if is_scan:
-            scan_points = SCAN_POINTS
-            self._refined_points = max(2, min(REFINED_POINTS, BATCH // batch.draws))
+            points = SCAN_POINTS
+            refined_points = max(2, min(REFINED_POINTS, BATCH // batch.draws))
             if self._is_drawn:
-                self._scan_seeds = derived_seeds(scan_sequence, SEARCH_DRAWS)
-        else:
-            scan_points = BISECTION_POINTS
-            self._refined_points = 1
-        self._grid = scan_grid(self._rng, payload_max, scan_points)
+                scan_sequence = np.random.SeedSequence(seed, spawn_key=(2,))
+                scan_seeds = derived_seeds(scan_sequence, SEARCH_DRAWS)
+            if not batch.policy.declarations.stochastic:
+                repeated = REPEATED_EPISODES
+        plan = SearchPlan(
+            points=points,
+            scan_seeds=tuple(scan_seeds),
+            seeds=tuple(batch.seeds),
+            required=self._required,
+            # the product may be rounded up
+            scan_required=max(1, math.ceil(len(scan_seeds) * probability - 1e-9)),
+            resolution=resolution,
+            refined_points=refined_points,
+            has_dense=is_scan,
+            repeated=repeated,
+        )
+        self._motion = MotionSearch(plan, payload_max, self._rng)
+        self._grid = self._motion.grid
         # Estimated number of batches, for the progress only. Shifted payloads are at most
         # 1 + 2 · jitter distances apart.
-        scan_gap = (1 + 2 * SCAN_JITTER) * payload_max / scan_points
-        narrowing = (self._refined_points + 1) / (1 + 2 * REFINED_JITTER)
+        scan_gap = (1 + 2 * SCAN_JITTER) * payload_max / points
+        narrowing = (refined_points + 1) / (1 + 2 * REFINED_JITTER)
         refinements = math.log(max(1.0, scan_gap / resolution)) / math.log(narrowing)
         batches = 3 + max(1, math.ceil(refinements))
         if is_scan:
@@ -174,7 +164,6 @@ class Search:
         elif self._is_drawn:
             batches += 2 + plausible_successes(self._required, batch.draws, ALONE, RISK)
         self._count = StepCount(progress, batches * batch.task.steps)
-        self._trials: dict[float, Trial] = {}
 
     def run(self) -> SearchOutcome:
         """Scans, refines, audits and confirms. A refinement and an audit share a batch.
@@ -182,78 +171,8 @@ class Search:
         Raises:
             PolicyError: if a repeated episode differs, or if too few fresh draws carry the payload.
         """
-        self._scan()
-        while True:
-            payloads = self._next_payloads()
-            dense_rows, repeated = self._due_checks()
-            refined_rows = _rows(payloads, self._batch.seeds)
-            repeated_rows = [self._scan_rows[index] for index in repeated]
-            rows = refined_rows + dense_rows + repeated_rows
-            if not rows:
-                return self._confirm()
-            verdicts = self._batch.run(rows, count=self._count)
-            dense_start = len(refined_rows)
-            repeated_start = dense_start + len(dense_rows)
-            refined = _trials(payloads, self._batch.seeds, verdicts[:dense_start])
-            self._store(refined)
-            self._add_dense(dense_rows, verdicts[dense_start:repeated_start])
-            scan_verdicts = [self._scan_verdicts[index] for index in repeated]
-            self._check_repetition(scan_verdicts, verdicts[repeated_start:])
-
-    def _scan(self) -> None:
-        """Tries the payloads of the grid, and chooses the episodes to repeat."""
-        self._scan_rows = _rows(self._grid, self._scan_seeds)
-        self._scan_verdicts = self._batch.run(self._scan_rows, count=self._count)
-        self._scan_trials = _trials(self._grid, self._scan_seeds, self._scan_verdicts)
-        has_other_draws = self._is_scan and self._is_drawn
-        if not has_other_draws:  # the scan has the draws of the confirmation
-            self._store(self._scan_trials)
-        self._dense_due = self._is_scan
-        # Drawn in every case: the next payloads depend on the state of the generator.
-        shuffled = self._rng.permutation(len(self._scan_rows))
-        self._repeated: list[int] = []
-        if self._is_scan and not self._batch.policy.declarations.stochastic:
-            self._repeated = shuffled[:REPEATED_EPISODES].tolist()
-
-    def _next_payloads(self) -> list[float]:
-        """Payloads to try next; none when the gap is narrow enough."""
-        below, above = self._bracket()
-        if below is not None and above is not None:
-            payloads = self._inside(below, above)
-        elif above is not None:  # no carried payload yet: try zero and the nearest payload below
-            lower = [payload for payload in self._grid if payload < above.payload]
-            payloads = sorted({*lower[:1], *lower[-1:]})
-        elif below is not None:  # no failed payload yet
-            higher = [payload for payload in self._grid if payload > below.payload]
-            payloads = higher[: self._refined_points]
-        else:
-            # No payload has been tried in the draws of the confirmation. It starts on both sides of
-            # the first failure in the scan, or at the end of the scan.
-            carried = self._scan_carried()
-            carried[-1] = False
-            upper = max(1, carried.index(False))
-            payloads = [self._grid[upper - 1], self._grid[upper]]
-        return [payload for payload in payloads if payload not in self._trials]
-
-    def _due_checks(self) -> tuple[list[EpisodeSpec], list[int]]:
-        """Checks to run with the next refinement, each once: episodes of the dense check, as soon as
-        a payload is carried, and indices of the episodes of the scan to repeat."""
-        repeated = self._repeated
-        self._repeated = []
-        below, _ = self._bracket()
-        if not self._dense_due or below is None or below.payload == 0:
-            return [], repeated
-        self._dense_due = False
-        seeds = self._batch.seeds
-        if not self._is_drawn:
-            seeds = seeds * DENSE_POINTS
-        payloads = self._rng.uniform(0.0, below.payload, len(seeds)).tolist()
-        return list(map(EpisodeSpec, payloads, seeds)), repeated
-
-    def _confirm(self) -> SearchOutcome:
-        """Checks the discretisation, or tries fresh draws, and records the episode at the
-        payload."""
-        below, above = self._bracket()
+        find_brackets(self._batch, [self._motion], count=self._count, check=self._check_repetition)
+        below, above = self._motion.bracket()
         discretisation = None
         if self._is_scan and not self._is_drawn:
             discretisation = self._discretisation(below, above)
@@ -266,7 +185,7 @@ class Search:
         rollout, below, above = self._record(below, above)
         success = []
         if self._is_drawn:
-            for trial in self._scan_trials:
+            for trial in self._motion.scan_trials:
                 success.append((trial.payload, trial.carried / len(trial.verdicts)))
         return SearchOutcome(
             below=below,
@@ -294,14 +213,14 @@ class Search:
         draws = max(STOCHASTIC_ALONE, fewest_draws(self._probability, self._confidence))
         required, _ = required_successes(draws, self._probability, self._confidence)
         while True:
-            below, above = self._bracket()
+            below, above = self._motion.bracket()
             if below is None and (above is None or above.payload == 0):
                 return below, above
             if below is None:
                 assert above is not None
                 lower = [max(payload for payload in self._grid if payload < above.payload)]
                 verdicts = self._batch.run(_rows(lower, self._batch.seeds), count=self._count)
-                self._store(_trials(lower, self._batch.seeds, verdicts))
+                self._motion.store(_trials(lower, self._batch.seeds, verdicts))
                 continue
             alone = self._batch.try_alone(below.payload, draws, required, self._count)
             if alone.carried >= required:
@@ -311,11 +230,7 @@ class Search:
             failed = [verdict.carried for verdict in alone.verdicts].index(False)
             verdict = alone.verdicts[failed]
             seed = alone.seeds[failed]
-            self._store([replace(alone, verdicts=(verdict,), seeds=(seed,))])
-
-    def _store(self, trials: Sequence[Trial]) -> None:
-        for trial in trials:
-            self._trials[trial.payload] = trial
+            self._motion.store([replace(alone, verdicts=(verdict,), seeds=(seed,))])
 
     def _repeat_draws(self, trial: Trial) -> None:
         """Repeats draws of a payload among other payloads and draws, in another order.
@@ -332,48 +247,10 @@ class Search:
         before = [trial.verdicts[draw] for draw in draws]
         self._check_repetition(before, verdicts[: len(repeated)])
 
-    def _bracket(self) -> tuple[Trial | None, Trial | None]:
-        """The trials on both sides of the first failure: the largest carried payload below it and
-        the least failed one; None for a side without a trial."""
-        below = None
-        for payload in sorted(self._trials):
-            trial = self._trials[payload]
-            if trial.carried < self._required:
-                return below, trial
-            below = trial
-        return below, None
-
-    def _inside(self, below: Trial, above: Trial) -> list[float]:
-        """Payloads that subdivide a gap; none if it is narrow enough."""
-        low = below.payload
-        high = above.payload
-        gap = high - low
-        if gap <= self._resolution:
-            return []
-        points = min(self._refined_points, (1 + 2 * REFINED_JITTER) * gap / self._resolution)
-        payloads = _between(self._rng, low, high, math.ceil(points), REFINED_JITTER)
-        lost_draws = below.carried - above.carried
-        if self._is_drawn and 0 < lost_draws < self._batch.draws / 8:
-            # The number of carried draws is nearly linear in such a gap: try both sides of the
-            # interpolated payload.
-            half_width = max(0.4 * self._resolution, 0.1 * gap)
-            margin = 1.5 * half_width
-            center = low + gap * (below.carried - self._required + 0.5) / lost_draws
-            center = min(max(center, low + margin), high - margin)
-            payloads = [center - half_width, center + half_width]
-        # In a gap near the resolution, a payload can fall on an end.
-        return [payload for payload in payloads if low < payload < high]
-
-    def _scan_carried(self) -> list[bool]:
-        """Whether enough draws of the scan carry each payload."""
-        # the product may be rounded up
-        required = max(1, math.ceil(len(self._scan_seeds) * self._probability - 1e-9))
-        return [trial.carried >= required for trial in self._scan_trials]
-
     def _feasible(self, below: Trial | None) -> _Pairs:
         """Intervals of carried payloads on the grid of the scan [kg]. The one that contains zero ends
         at the payload; without a payload it is left out."""
-        padded = np.concatenate([[False], self._scan_carried(), [False]])
+        padded = np.concatenate([[False], self._motion.scan_carried(), [False]])
         edges = np.flatnonzero(np.diff(padded.astype(int)))
         intervals = []
         if below is not None:
@@ -382,24 +259,6 @@ class Search:
             if start > 0:  # the interval that contains zero is the refined one above
                 intervals.append((self._grid[start], self._grid[end - 1]))
         return tuple(intervals)
-
-    def _add_dense(self, rows: list[EpisodeSpec], verdicts: _Verdicts) -> None:
-        """Adds a failed trial if too many episodes of the dense check fail.
-
-        Too many are more than the required number of draws allows plus three standard deviations,
-        because noise differs between payloads. The trial has the payload at which the number of
-        failures, counted from zero, exceeds this.
-        """
-        failed = []
-        for row, verdict in zip(rows, verdicts, strict=True):
-            if not verdict.carried:
-                failed.append((row, verdict))
-        failed.sort(key=lambda failure: failure[0])
-        allowed = self._batch.draws - self._required
-        allowed += int(3 * math.sqrt(allowed))
-        if len(failed) > allowed:
-            row, verdict = failed[allowed]
-            self._store([Trial(payload=row.payload, verdicts=(verdict,), seeds=(row.seed,))])
 
     def _discretisation(self, below: Trial | None, above: Trial | None) -> float:
         """Upper bound of the change of the payload under finer physics steps [kg]."""
@@ -487,8 +346,8 @@ class Search:
             return
         reason = DEPENDENT
         for _ in range(DIAGNOSES):
-            verdicts = self._batch.run(self._scan_rows, count=self._count)
-            if first_difference(self._scan_verdicts, verdicts, bounds) is not None:
+            verdicts = self._batch.run(self._motion.scan_rows(), count=self._count)
+            if first_difference(self._motion.scan_verdicts, verdicts, bounds) is not None:
                 reason = _NOT_REPRODUCIBLE
                 break
         raise PolicyError(f"policy {self._batch.policy.name!r} {reason.format(difference)}")

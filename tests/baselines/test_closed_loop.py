@@ -20,7 +20,7 @@ def cases():
     """Each policy in each of its environments. The motions of real robots are long; plans, which
     take minutes, are tried in one environment."""
     for entry in ENTRIES:
-        for env_id in entry.env_ids[:1] if entry.plans else entry.env_ids:
+        for env_id in entry.env_ids[:1] if entry.name == "trajopt" else entry.env_ids:
             if env_id not in PAPER_ENV_IDS:
                 marks = [pytest.mark.nightly]
             elif entry.name in LARGE:
@@ -42,7 +42,7 @@ def test_platform_is_carried_in_all_environments(name, env_id):
 @pytest.mark.parametrize(
     # Policies that plan rehearse on such robots themselves.
     "entry",
-    [entry for entry in ENTRIES if entry.kind != "learned" and not entry.plans],
+    [entry for entry in ENTRIES if entry.kind != "learned" and entry.name != "trajopt"],
     ids=lambda entry: entry.name,
 )
 def test_only_laws_for_a_known_robot_fail_unloaded_on_others(entry):

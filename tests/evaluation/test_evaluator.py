@@ -19,8 +19,8 @@ from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.bounds import exact_payload
 from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, PolicyError, evaluate_dlcc
 from cablebot_gym.evaluation.batch import noise_seed
+from cablebot_gym.evaluation.motion_search import SCAN_POINTS
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.evaluation.search import SCAN_POINTS
 from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.robots import PLANAR, SPATIAL
 from cablebot_gym.trajectories import find_trajectory

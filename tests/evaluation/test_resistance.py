@@ -13,8 +13,9 @@ from cablebot_baselines.classical import FeedbackLinearization
 from cablebot_gym.evaluation import PolicyError, batch, evaluate_dlcc, time_actions, timing
 from cablebot_gym.evaluation.batch import ALONE, RISK, STOCHASTIC_ALONE, Batch
 from cablebot_gym.evaluation.constraints import Verdict, Violation
+from cablebot_gym.evaluation.motion_search import SCAN_POINTS
 from cablebot_gym.evaluation.repetition import first_difference
-from cablebot_gym.evaluation.search import FINER, REPEATED_DRAWS, SCAN_POINTS, SEARCH_DRAWS
+from cablebot_gym.evaluation.search import FINER, REPEATED_DRAWS, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
 from cablebot_gym.isolation import IsolatedPolicy

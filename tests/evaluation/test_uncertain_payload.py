@@ -17,7 +17,8 @@ from cablebot_gym.evaluation import DLCCMonitor, Verdict, Violation, evaluate_dl
 from cablebot_gym.evaluation import batch as batch_module
 from cablebot_gym.evaluation.batch import Batch, EpisodeSpec, Trial, noise_seed
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.search import SCAN_POINTS, SEARCH_DRAWS
+from cablebot_gym.evaluation.motion_search import SCAN_POINTS
+from cablebot_gym.evaluation.search import SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes, required_successes
 from cablebot_gym.robots import SPATIAL
 
