@@ -8,13 +8,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from cablebot_gym.benchmark.engine import Backend, MessageCallback
+from cablebot_gym.benchmark.engine import Backend
 from cablebot_gym.benchmark.rows import Row, compute
 from cablebot_gym.benchmark.seeds import evaluation_seed
 from cablebot_gym.benchmark.store import Results
 from cablebot_gym.benchmark.suites import find_suite, suite_rows
 from cablebot_gym.isolation.installed import public_entry
 from cablebot_gym.policies import PolicySpec
+from cablebot_gym.utils.console import Say
 
 BEST_KNOWN_FRACTION = 4
 """One of this many computed rows, at least one, is a best known payload."""
@@ -109,7 +110,7 @@ class Recomputed:
 
 
 def recompute(
-    rows: Sequence[Row], count: int, backend: Backend, *, say: MessageCallback
+    rows: Sequence[Row], count: int, backend: Backend, *, say: Say
 ) -> Iterator[Recomputed]:
     """Computes randomly chosen rows again, best known payloads among them.
 

@@ -9,25 +9,17 @@ from typing import Any
 from cablebot_gym.benchmark.rows import Row, compute, failed, jobs
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils import workers as processes
+from cablebot_gym.utils.console import Progress, Say
 
 _AFTER_BEST_KNOWN = 1e9
 """Cost of a drawn robot in episodes: it starts after the nominal ones, whose results it reads from the
 disk cache, and before all policies."""
 
-MessageCallback = Callable[[str], None]
-"""Called with one-sentence messages for the user."""
-
-Progress = Callable[[int, int], None]
-"""Called with the number of finished jobs and the total number of jobs."""
-
-
 Job = Callable[[], Any]
 """A computation that runs in any process: a ``functools.partial`` of a module-level function, which can
 be pickled."""
 
-Backend = Callable[
-    [Mapping[str, Job], MessageCallback, tuple[type[Exception], ...]], Iterator[tuple[str, Any]]
-]
+Backend = Callable[[Mapping[str, Job], Say, tuple[type[Exception], ...]], Iterator[tuple[str, Any]]]
 """Executes jobs: yields keys and results in order of completion. Called with the jobs by key, a
 function for messages, and the types of exceptions that are results; others are raised."""
 
@@ -36,7 +28,7 @@ def local(workers: int) -> Backend:
     """A backend of ``workers`` processes on this machine."""
 
     def run(
-        jobs: Mapping[str, Job], say: MessageCallback, returned: tuple[type[Exception], ...]
+        jobs: Mapping[str, Job], say: Say, returned: tuple[type[Exception], ...]
     ) -> Iterator[Any]:
         return processes.run(jobs, workers=workers, say=say, returned=returned)
 
@@ -48,7 +40,7 @@ def run_rows(
     store: Store,
     backend: Backend,
     progress: Progress,
-    say: MessageCallback,
+    say: Say,
 ) -> None:
     """Computes the rows that are due, and adds them to the store.
 
@@ -83,7 +75,7 @@ def _checked(group: Sequence[Row], computed: Any) -> list[Row]:
 
 
 def _computed(
-    jobs: Mapping[str, Job], timings: Mapping[str, Job], backend: Backend, say: MessageCallback
+    jobs: Mapping[str, Job], timings: Mapping[str, Job], backend: Backend, say: Say
 ) -> Iterator[tuple[str, Any]]:
     """Key and rows of each job, or why its process died; the timings come when no other job runs."""
     died = (processes.WorkerDied,)

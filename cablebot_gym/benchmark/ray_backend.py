@@ -10,7 +10,8 @@ from collections.abc import Iterator, Mapping
 from itertools import islice
 from typing import Any
 
-from cablebot_gym.benchmark.engine import Backend, Job, MessageCallback
+from cablebot_gym.benchmark.engine import Backend, Job
+from cablebot_gym.utils.console import Say
 from cablebot_gym.utils.workers import WorkerDied, cores
 
 RETRIES = 3
@@ -39,7 +40,7 @@ def on_ray(address: str) -> Backend:
     _check_address(address)
 
     def run(
-        jobs: Mapping[str, Job], say: MessageCallback, returned: tuple[type[Exception], ...]
+        jobs: Mapping[str, Job], say: Say, returned: tuple[type[Exception], ...]
     ) -> Iterator[Any]:
         ray = _import_ray()
         if not jobs:

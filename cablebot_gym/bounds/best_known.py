@@ -43,6 +43,7 @@ from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds, to_jsonable
 from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
+from cablebot_gym.utils.console import Say
 from cablebot_gym.utils.files import cache_folder, read_cached
 from cablebot_gym.utils.results import Result
 
@@ -91,12 +92,9 @@ _STRONGER, _WIDER = 1e3, 0.05
 """Relaxations that identify the limiting constraint: factor of the motor strength, and error bound
 [m, rad]."""
 
-Progress = Callable[[str], None]
-"""Callback with a description of the next step."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class Replay:
+class BestKnownReplay:
     """An episode under the stored inputs, without feedback."""
 
     substeps: int
@@ -130,7 +128,7 @@ class BestKnownPayload(Result):
     verified: bool
     """Whether all replays of the inputs carry the payload in the environment under the task
     criterion."""
-    replays: tuple[Replay, ...]
+    replays: tuple[BestKnownReplay, ...]
     """Replays with the environment's physics step and with a tenth of it."""
     error_bounds: dict[str, float | None]
     """Bounds of the position error [m] and the rotation error [rad]; None for a planar robot."""
@@ -177,7 +175,7 @@ def find_best_known(
     trajectory: Any = None,
     error_bounds: ErrorBounds | dict[str, float] | None = None,
     control_frequency: float = 500.0,
-    progress: Progress | None = None,
+    progress: Say | None = None,
     cache: bool = True,
 ) -> BestKnownPayload:
     """Computes the best known payload under the task criterion.
@@ -206,7 +204,7 @@ def find_best_known(
     """
     import_casadi()
     case = _case(env_id, robot, trajectory, error_bounds, control_frequency)
-    report: Progress = progress or (lambda _: None)
+    report: Say = progress or (lambda _: None)
     if not cache:
         return case.solve(report)
     result: BestKnownPayload = load_or_compute(case.file, _read, lambda: case.solve(report), _bytes)
@@ -253,7 +251,7 @@ def _case(
     trajectory: Any = None,
     error_bounds: ErrorBounds | dict[str, float] | None = None,
     control_frequency: float = 500.0,
-) -> _Case:
+) -> _Problem:
     check_robot(env_id, robot)
     robot = find_robot(env_id if robot is None else robot)
     motion = find_trajectory(
@@ -262,11 +260,11 @@ def _case(
     frequency = number(
         "control_frequency", control_frequency, above=0.5 / motion.duration, unit="Hz"
     )
-    return _Case(env_id, robot, motion, find_error_bounds(error_bounds, robot), frequency)
+    return _Problem(env_id, robot, motion, find_error_bounds(error_bounds, robot), frequency)
 
 
 @dataclass(frozen=True)
-class _Case:
+class _Problem:
     """One problem: the arguments of :func:`find_best_known` in canonical form."""
 
     env_id: str
@@ -325,7 +323,7 @@ class _Case:
         times = np.arange(self.steps) / self.control_frequency
         return Tightening(robot=self.robot, error_bounds=self.error_bounds, times=times)
 
-    def solve(self, report: Progress) -> BestKnownPayload:
+    def solve(self, report: Say) -> BestKnownPayload:
         """Solves and refines the program, and verifies the motion."""
         check_workspace(self.robot, self.trajectory)
         meshes, program = self._refine(report)
@@ -363,7 +361,7 @@ class _Case:
 
     # --- program ---
 
-    def _refine(self, report: Progress) -> tuple[list[tuple[int, PlannedMotion]], MotionProgram]:
+    def _refine(self, report: Say) -> tuple[list[tuple[int, PlannedMotion]], MotionProgram]:
         """Number of intervals and motion of every mesh, and the program of the last mesh after its
         solution."""
         intervals = math.ceil(INTERVALS_PER_SECOND * self.trajectory.duration)
@@ -469,7 +467,7 @@ class _Case:
     # --- replay ---
 
     def _verify(
-        self, program: MotionProgram, start: PlannedMotion, report: Progress
+        self, program: MotionProgram, start: PlannedMotion, report: Say
     ) -> _Verified | None:
         """The motion with the smallest margins whose inputs pass all replays; None if there is
         none.
@@ -489,7 +487,7 @@ class _Case:
             except (Infeasible, ValueError):  # larger margins are infeasible as well
                 return None
             tracked = self._track(motion, profile)
-            replays: list[Replay] = []
+            replays: list[BestKnownReplay] = []
             for replay, episode in self._replays(tracked.actions, motion.payload):
                 replays.append(replay)
                 if replay.violation is not None:
@@ -505,13 +503,13 @@ class _Case:
                 )
         return None
 
-    def _replays(self, actions: Array, payload: float) -> Iterator[tuple[Replay, Rollout]]:
+    def _replays(self, actions: Array, payload: float) -> Iterator[tuple[BestKnownReplay, Rollout]]:
         """Replays of actions, and their episodes, the coarse one first."""
         for factor in REPLAY_FACTORS:
             substeps = factor * self.substeps
             episode = self._record(OpenLoop(actions), payload, substeps=substeps)
             verdict = episode.verdict
-            replay = Replay(
+            replay = BestKnownReplay(
                 substeps=substeps,
                 violation=None if verdict.violation is None else str(verdict.violation),
                 least_tension=verdict.least_tension,
@@ -585,7 +583,7 @@ class _Verified:
     motion: PlannedMotion
     actions: Array
     margins: Margins
-    replays: tuple[Replay, ...]
+    replays: tuple[BestKnownReplay, ...]
 
 
 def _solve(
@@ -620,7 +618,7 @@ def _read(data: bytes) -> BestKnownPayload:
     with np.load(BytesIO(data), allow_pickle=False) as file:
         result = json.loads(str(file["result"]))
         result["meshes"] = tuple((count, payload) for count, payload in result["meshes"])
-        result["replays"] = tuple(Replay(**replay) for replay in result["replays"])
+        result["replays"] = tuple(BestKnownReplay(**replay) for replay in result["replays"])
         return BestKnownPayload(
             **result, motion=PlannedMotion.from_arrays(file), actions=file["actions"]
         )

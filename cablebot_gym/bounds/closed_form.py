@@ -33,8 +33,8 @@ from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 from cablebot_gym.trajectories.base import ORDERS
 from cablebot_gym.utils.checks import number, numbers
 
-Kind = Literal["torque", "tension"]
-Line = Literal["upper", "lower"]
+LimitKind = Literal["torque", "tension"]
+LimitLine = Literal["upper", "lower"]
 
 GRID = 2000.0
 """Default frequency of the instants that approximate all times [Hz]. The error at a smooth extremum
@@ -44,7 +44,7 @@ _HEAVIEST = 1e6
 """Largest total mass in the search with the best tensions [kg]. If it is feasible, no limit is
 active."""
 
-_LIMITS: tuple[tuple[Kind, Line], ...] = (
+_LIMITS: tuple[tuple[LimitKind, LimitLine], ...] = (
     ("torque", "upper"),
     ("torque", "lower"),
     ("tension", "lower"),
@@ -80,9 +80,9 @@ class ExactPayload:
     """Number of the motor or cable of the limit at the upper end, from 1; None without a limit."""
     time: float | None
     """Earliest time at which the limit is active [s]; None without a limit."""
-    kind: Kind | None
+    kind: LimitKind | None
     """Kind of the limit: torque of the motor or tension of the cable; None without a limit."""
-    line: Line | None
+    line: LimitLine | None
     """Side of the limit: U⁺ or U⁻ of the torque, minimum or maximum of the tension; None without a
     limit."""
 
@@ -403,7 +403,7 @@ def _payload_of_best_tensions(
     # A positive coefficient means the upper bound of the tension, which is U⁺ where it is below the
     # maximum tension. A negative one means the lower bound, which is U⁻ where it exceeds the minimum
     # tension.
-    kind_and_line: tuple[Kind, Line] = ("tension", "lower")
+    kind_and_line: tuple[LimitKind, LimitLine] = ("tension", "lower")
     if coefficients[motor] > 0:
         kind_and_line = ("tension", "upper")
         if upper[instant, motor] < robot.maximum_tension:

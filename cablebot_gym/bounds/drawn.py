@@ -14,7 +14,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from cablebot_gym.bounds.best_known import BestKnownPayload, Replay, _Case, _case, find_best_known
+from cablebot_gym.bounds.best_known import (
+    BestKnownPayload,
+    BestKnownReplay,
+    _case,
+    _Problem,
+    find_best_known,
+)
 from cablebot_gym.bounds.tightening import Tightening
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.evaluation.rollout import Rollout
@@ -61,7 +67,7 @@ class DrawnPayload:
     """Best known payload as the judge counts it, the nominal one [kg]; None if none was found."""
     verified: bool
     """Whether all replays of the inputs carry the payload in the environment with this draw."""
-    replays: tuple[Replay, ...]
+    replays: tuple[BestKnownReplay, ...]
     """Replays with the environment's physics step and with a tenth of it."""
     intervals: int
     """Intervals of the mesh."""
@@ -116,7 +122,7 @@ def find_drawn_best_known(
     intervals, mesh_payload = _coarse_mesh(nominal)
     verified = case.verified(intervals, nominal.motion)
     payload = None
-    replays: tuple[Replay, ...] = ()
+    replays: tuple[BestKnownReplay, ...] = ()
     if verified is not None:
         payload = case.nominal_payload(verified.motion.payload)
         replays = verified.replays
@@ -185,14 +191,14 @@ class _Draw:
 
 
 @dataclass(frozen=True)
-class _DrawnCase(_Case):
+class _DrawnCase(_Problem):
     """The problem of a drawn robot. ``robot`` is the drawn one without lag, and all payloads are
     true ones."""
 
     draw: _Draw
 
     @classmethod
-    def of(cls, case: _Case, uncertainty: str, seed: int) -> _DrawnCase:
+    def of(cls, case: _Problem, uncertainty: str, seed: int) -> _DrawnCase:
         """The problem of a draw of the robot of a case.
 
         Raises:
@@ -320,7 +326,7 @@ class _DrawnCase(_Case):
 
         return self._record(track, payload, uncertainty=prompt)
 
-    def _replays(self, actions: Array, payload: float) -> Iterator[tuple[Replay, Rollout]]:
+    def _replays(self, actions: Array, payload: float) -> Iterator[tuple[BestKnownReplay, Rollout]]:
         """Replays of the actions, which are sent earlier by the delay."""
         delay = len(self._holding_actions(payload))
         last = np.repeat(actions[-1:], delay, axis=0)

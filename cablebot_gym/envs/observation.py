@@ -29,7 +29,7 @@ Blocks = dict[str, Array]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Block:
+class ObservationBlock:
     """One named block of the observation."""
 
     name: str
@@ -67,7 +67,7 @@ class ObservationLayout(Printed):
 
     robot_name: str
     """Name of the robot in error messages."""
-    blocks: tuple[Block, ...]
+    blocks: tuple[ObservationBlock, ...]
     """Blocks in the order of the observation."""
 
     @property
@@ -294,7 +294,7 @@ def _sizes(robot: Robot) -> _Sizes:
     )
 
 
-def _readings(robot: Robot, sizes: _Sizes) -> dict[str, Block]:
+def _readings(robot: Robot, sizes: _Sizes) -> dict[str, ObservationBlock]:
     """Blocks of all sensors by name; a measurement has some of them."""
     n = robot.coordinates
     m = robot.cables
@@ -361,7 +361,7 @@ def _references(*, to_snap: bool) -> tuple[tuple[str, str], ...]:
     return _REFERENCES[:3]
 
 
-def _reference_blocks(robot: Robot, sizes: _Sizes) -> list[Block]:
+def _reference_blocks(robot: Robot, sizes: _Sizes) -> list[ObservationBlock]:
     """Blocks that :func:`observed_reference` fills, in the same order."""
     n = robot.coordinates
     blocks = [
@@ -392,7 +392,7 @@ def _reference_blocks(robot: Robot, sizes: _Sizes) -> list[Block]:
     return blocks
 
 
-def _controller_blocks(robot: Robot, sizes: _Sizes) -> list[Block]:
+def _controller_blocks(robot: Robot, sizes: _Sizes) -> list[ObservationBlock]:
     """Blocks of the payload, the last actions and the slack cables."""
     m = robot.cables
     heaviest = max(1e3, m * sizes.pull / GRAVITY)
@@ -418,14 +418,14 @@ def _block(
     *,
     centre: ArrayLike = 0.0,
     relative_to: str = "",
-) -> Block:
+) -> ObservationBlock:
     """A block that has no place yet. A single bound, scale or centre is that of each component."""
 
     def components(value: ArrayLike) -> tuple[float, ...]:
         return tuple(np.broadcast_to(np.asarray(value, float), (size,)).tolist())
 
     low, high = bounds
-    return Block(
+    return ObservationBlock(
         name=name,
         start=0,
         size=size,

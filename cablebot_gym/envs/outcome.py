@@ -250,43 +250,35 @@ def _update(fresh, env_index, batch, now, out):
     info[_PAYLOAD] = settings[TRUE_PAYLOAD]
     finite, inside = _check_state(lane, batch, now.stall.shape[1])
     _state_info(lane, batch, finite, reference, info)
-    cables = _step_info(fresh, lane, batch, now.stall[env_index], out.cables[:, env_index])
+    cables = _cable_info(fresh, lane, batch, now.stall[env_index], out.cables[:, env_index])
 
-    reason = 0
     slack_for = 0.0
-    if fresh:
-        violates = settings[STARTS_AT_REST] > 0.0 and not cables.held
-    else:
-        if cables.slack:
-            slack_for = now.slack_for[env_index] + batch.period
-        reason = _termination_reason(batch, finite, inside, info[_POSITION], slack_for)
-        tensions_kept = cables.taut and cables.within_maximum
-        violates = reason > 0 or cables.slack or not tensions_kept
-    position_kept = _within_bound(info[_POSITION_PEAK], settings[POSITION_BOUND])
-    rotation_kept = _within_bound(info[_ROTATION_PEAK], settings[ROTATION_BOUND])
-    violates = violates or not (position_kept and rotation_kept)
-    was_violated = now.violated[env_index] and not fresh
-    violated = violates or was_violated
+    if cables.slack and not fresh:
+        slack_for = now.slack_for[env_index] + batch.period
+    reason = 0
+    if not fresh:
+        reason = _termination(batch, finite, inside, info[_POSITION], slack_for)
+    violates = reason > 0 or not _keeps_limits(fresh, settings, cables, info)
     # A violation at the start counts in the first step.
-    counts_start = step == 1 and was_violated
-    is_first_violation = violated and (counts_start or not was_violated)
-    if violated and not fresh and reason == 0 and batch.terminate_on_violation:
+    violates |= step == 1 and now.violated[env_index]
+    violated_before = step > 1 and now.violated[env_index]
+    if (violates or violated_before) and not fresh and reason == 0 and batch.terminate_on_violation:
         reason = _VIOLATION
     now.slack_for[env_index] = slack_for
-    now.violated[env_index] = violated
+    now.violated[env_index] = violates or violated_before
     out.reason[env_index] = reason
     out.complete[env_index] = step >= motion_steps
-    info[_VIOLATED] = violated
-    info[_COST] = violates or counts_start
-    _observe(fresh, env_index, lane, batch, now, reference, out.observation[env_index])
+    info[_VIOLATED] = violates or violated_before
+    info[_COST] = violates
+    _observation(fresh, env_index, lane, batch, now, reference, out.observation[env_index])
     penalty = 0
-    if is_first_violation:
+    if violates and not violated_before:
         penalty = motion_steps
-    out.reward[env_index] = _reward(fresh, batch, settings, violated, penalty, cables, info)
+    out.reward[env_index] = _reward(fresh, batch, settings, penalty, cables, info)
 
 
 @inline
-def _observe(fresh, env_index, lane, batch, now, reference, observation):
+def _observation(fresh, env_index, lane, batch, now, reference, observation):
     """Fills the observation: the measured blocks, the tabulated reference, the payload of the
     model, the last actions and the slack time."""
     sent = now.sent[env_index]
@@ -402,7 +394,7 @@ def _state_info(lane, batch, finite, reference, info):
 
 
 @inline
-def _step_info(fresh, lane, batch, stall, cables):
+def _cable_info(fresh, lane, batch, stall, cables):
     """Fills the quantities of the cables and returns :class:`_Cables`."""
     any_slack, taut, within_maximum, held, excess = False, True, True, True, 0.0
     for i in range(stall.shape[0]):
@@ -429,7 +421,19 @@ def _step_info(fresh, lane, batch, stall, cables):
 
 
 @inline
-def _termination_reason(batch, finite, inside, position_error, slack_for):
+def _keeps_limits(fresh, settings, cables, info):
+    """Whether errors and tensions keep their limits; at the start, errors and the torques that hold
+    the robot at rest."""
+    if fresh:
+        kept = cables.held or settings[STARTS_AT_REST] <= 0.0
+    else:
+        kept = cables.taut and cables.within_maximum and not cables.slack
+    kept &= _within_bound(info[_POSITION_PEAK], settings[POSITION_BOUND])
+    return kept & _within_bound(info[_ROTATION_PEAK], settings[ROTATION_BOUND])
+
+
+@inline
+def _termination(batch, finite, inside, position_error, slack_for):
     """The termination reason, 0 for none."""
     if not finite:
         return _NON_FINITE
@@ -443,7 +447,7 @@ def _termination_reason(batch, finite, inside, position_error, slack_for):
 
 
 @inline
-def _reward(fresh, batch, settings, violated, penalty, cables, info):
+def _reward(fresh, batch, settings, penalty, cables, info):
     """Fills the reward terms and returns their sum."""
     inside = 0.0
     position = 0.0
@@ -452,7 +456,7 @@ def _reward(fresh, batch, settings, violated, penalty, cables, info):
     violation = 0.0
     weights = batch.weights
     if not fresh:
-        if not violated:
+        if info[_VIOLATED] == 0.0:
             inside = weights[_INSIDE_TERM]
         position = weights[_POSITION_TERM] / (1.0 + info[_POSITION] / settings[POSITION_BOUND])
         if batch.workspace.shape[1] > batch.dimensions:

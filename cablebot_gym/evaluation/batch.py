@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -25,6 +25,7 @@ from cablebot_gym.policies import LoadedPolicy, PolicyError, Wrapper, load
 from cablebot_gym.policies.spec import check_measurement
 from cablebot_gym.task import Task, to_jsonable
 from cablebot_gym.trajectories import Trajectory
+from cablebot_gym.utils.console import Progress
 
 BATCH = 1024
 """Number of episodes that one batch should have: this many fit into the caches of a core. A batch
@@ -74,11 +75,6 @@ class EpisodeSpec(NamedTuple):
     """Index of its motion among those of the batch."""
     noise_seed: int | None = None
     """Seed of its sensor noise and wrench; None for :func:`noise_seed` of seed and payload."""
-
-
-Progress = Callable[[int, int], None]
-"""Callback after every control step: number of finished steps, expected number of steps. Functions
-that take one accept True for a bar, or lines in a log, on standard error."""
 
 
 class Observer(Protocol):

@@ -16,7 +16,6 @@ from cablebot_gym.envs import described
 from cablebot_gym.evaluation.batch import (
     Batch,
     EpisodeSpec,
-    Progress,
     StepCount,
     foreign_policies,
     versions,
@@ -28,7 +27,7 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import LoadedPolicy, Wrapper, name_of
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number, numbers
-from cablebot_gym.utils.console import chosen_progress
+from cablebot_gym.utils.console import Progress, chosen_progress
 from cablebot_gym.utils.files import write_csv
 from cablebot_gym.utils.results import Result
 

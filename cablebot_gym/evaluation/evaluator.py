@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from cablebot_gym.evaluation.batch import Batch, Progress, Trial
+from cablebot_gym.evaluation.batch import Batch, Trial
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.result import Details, DLCCResult
 from cablebot_gym.evaluation.search import Search, SearchOutcome
@@ -16,7 +16,7 @@ from cablebot_gym.robots import PAPER_PAYLOAD_MAX, Robot, has_paper_capacity
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.checks import choice, number
-from cablebot_gym.utils.console import chosen_progress
+from cablebot_gym.utils.console import Progress, chosen_progress
 
 SEARCHES = ("scan", "bisection")
 """Kinds of search. Only a scan gives a ranked result."""

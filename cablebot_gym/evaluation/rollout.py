@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.vector import CableBotVectorEnv
-from cablebot_gym.evaluation.batch import Batch, EpisodeSpec, Progress, StepCount
+from cablebot_gym.evaluation.batch import Batch, EpisodeSpec, StepCount
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Verdict
 from cablebot_gym.kinematics import Array, cable_lengths
@@ -21,7 +21,7 @@ from cablebot_gym.rendering.moment import Moment
 from cablebot_gym.robots import COORDINATE_NAMES
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
-from cablebot_gym.utils.console import chosen_progress
+from cablebot_gym.utils.console import Progress, chosen_progress
 from cablebot_gym.utils.csv_table import column_name
 from cablebot_gym.utils.files import atomic_write, write_csv
 from cablebot_gym.utils.results import Printed

@@ -21,7 +21,6 @@ from cablebot_gym.evaluation.batch import (
     STOCHASTIC_ALONE,
     Batch,
     EpisodeSpec,
-    Progress,
     StepCount,
     Trial,
     derived_seeds,
@@ -41,6 +40,7 @@ from cablebot_gym.evaluation.repetition import first_difference
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
 from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes, required_successes
 from cablebot_gym.policies import PolicyError
+from cablebot_gym.utils.console import Progress
 
 REPEATED_EPISODES = SCAN_POINTS
 """Largest number of episodes of the scan that are repeated."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.planning.blocks import Block
+from cablebot_gym.planning.blocks import ConstraintBlock
 from cablebot_gym.planning.signals import SolverInterrupt
 from cablebot_gym.planning.stage_functions import derivatives, import_casadi
 
@@ -57,7 +57,11 @@ class Assembled:
     """
 
     def __init__(
-        self, blocks: Sequence[Block], variables: int, payload: int, interrupt: SolverInterrupt
+        self,
+        blocks: Sequence[ConstraintBlock],
+        variables: int,
+        payload: int,
+        interrupt: SolverInterrupt,
     ) -> None:
         ca = import_casadi()
         self.blocks = blocks

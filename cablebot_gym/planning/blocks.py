@@ -28,14 +28,14 @@ class Spline:
         self.base = base
         self.scale = scale
 
-    def rows(self, times: Array, orders: Sequence[int]) -> list[Row]:
+    def rows(self, times: Array, orders: Sequence[int]) -> list[ProgramRow]:
         """Values or derivatives of the spline at the times, one row per order and coordinate."""
         rows = []
         for order in orders:
             derivatives = basis(self.knots, self.degree, times, order)
             for channel, scale in enumerate(self.scale):
                 rows.append(
-                    Row(
+                    ProgramRow(
                         derivatives * scale,
                         self.at[:, channel],
                         derivatives @ self.base[:, channel],
@@ -50,7 +50,7 @@ class Spline:
 
 
 @dataclass(frozen=True)
-class Row:
+class ProgramRow:
     """One number at each of several instants: ``matrix @ z[at] + constant``."""
 
     matrix: Array
@@ -59,7 +59,7 @@ class Row:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Block:
+class ConstraintBlock:
     """Constraints on a function of a few numbers at each of several instants."""
 
     times: Array
@@ -85,8 +85,8 @@ class Block:
 
 
 def make_block(
-    times: Array, function: Any, rows: list[Row], limits: Limits, variables: int
-) -> Block:
+    times: Array, function: Any, rows: list[ProgramRow], limits: Limits, variables: int
+) -> ConstraintBlock:
     """A block for a program with a number of variables.
 
     It has the numbers of one instant after the other: row k·d + i is number i at instant k.
@@ -110,7 +110,7 @@ def make_block(
     entries = np.concatenate(values), (np.concatenate(indices), np.concatenate(columns))
     matrix = csr_matrix(entries, (len(times) * d, variables))
     offset = np.stack([row.constant for row in rows], axis=1).ravel()
-    return Block(
+    return ConstraintBlock(
         times=times,
         function=function,
         matrix=matrix,

@@ -25,9 +25,9 @@ from cablebot_gym.physics.statics import HEAVIEST, hold_payload
 from cablebot_gym.physics.textbook import cable_equivalent
 from cablebot_gym.planning.assembly import Assembled
 from cablebot_gym.planning.blocks import (
-    Block,
+    ConstraintBlock,
     Limits,
-    Row,
+    ProgramRow,
     Spline,
     clamped_knots,
     greville,
@@ -348,7 +348,7 @@ class MotionProgram:
 
     # Constraints
 
-    def _blocks(self) -> list[Block]:
+    def _blocks(self) -> list[ConstraintBlock]:
         blocks = self._error_blocks()
         for index, mass in enumerate(self._masses()):
             if self._robot.flexible:
@@ -362,10 +362,12 @@ class MotionProgram:
         payload = int(self._payload_at[0])
         return Assembled(self._blocks(), self._variables, payload, self._interrupt)
 
-    def _constrain(self, times: Array, function: Any, rows: list[Row], limits: Limits) -> Block:
+    def _constrain(
+        self, times: Array, function: Any, rows: list[ProgramRow], limits: Limits
+    ) -> ConstraintBlock:
         return make_block(times, function, rows, limits, self._variables)
 
-    def _error_blocks(self) -> list[Block]:
+    def _error_blocks(self) -> list[ConstraintBlock]:
         """Constraints on the position and rotation errors, in units of their bounds."""
         ca = self._ca
         d = self._robot.dimensions
@@ -376,7 +378,7 @@ class MotionProgram:
         pose_rows = self._poses.rows(times, [0])
         for row, target, bound in zip(pose_rows, reference.T, self._poses.scale, strict=True):
             constant = (row.constant - target) / bound
-            rows.append(Row(row.matrix / bound, row.at, constant))
+            rows.append(ProgramRow(row.matrix / bound, row.at, constant))
         translation = ca.SX.sym("e", d)
         distance = ca.Function("distance", [translation], [ca.sumsqr(translation)])
 
@@ -406,12 +408,12 @@ class MotionProgram:
         margin = getattr(self._margins, name) + self._profile_at(name, self._error_instants)
         return np.asarray(1 - margin / getattr(self._error_bounds, name))[:, None]
 
-    def _mass_row(self, mass: float | None, times: int) -> Row:
+    def _mass_row(self, mass: float | None, times: int) -> ProgramRow:
         column = np.zeros((times, 1))
         if mass is None:
             column[:] = 1.0
             mass = self._robot.mass
-        return Row(column, self._payload_at, np.full(times, mass))
+        return ProgramRow(column, self._payload_at, np.full(times, mass))
 
     def _action_bounds(self) -> Array:
         """Bound of the actions at every instant, shape (instants, actions)."""
@@ -420,12 +422,12 @@ class MotionProgram:
             bounds = np.hstack([bounds, bounds])
         return bounds
 
-    def _rigid(self, index: int, mass: float | None) -> Block:
+    def _rigid(self, index: int, mass: float | None) -> ConstraintBlock:
         times = self._instants
         count = len(times)
         rows = [*self._poses.rows(times, [0, 1, 2])]
         for column in self._tensions[index].T:
-            rows.append(Row(np.eye(count), column, np.zeros(count)))
+            rows.append(ProgramRow(np.eye(count), column, np.zeros(count)))
         rows.append(self._mass_row(mass, count))
         stage = rigid_stage(self._robot, self._period)
         balanced = np.zeros((count, self._robot.coordinates))
@@ -436,7 +438,7 @@ class MotionProgram:
 
         return self._constrain(times, stage, rows, limits)
 
-    def _flexible(self, index: int, mass: float | None) -> list[Block]:
+    def _flexible(self, index: int, mass: float | None) -> list[ConstraintBlock]:
         robot = self._robot
         poses = self._poses
         motors = self._motors[index]
@@ -450,7 +452,7 @@ class MotionProgram:
             largest[:, : robot.cables] = (program._largest - margin) / TENSION
             return np.hstack([-most, least]), np.hstack([most, largest])
 
-        def rows(times: Array, orders: Sequence[int]) -> list[Row]:
+        def rows(times: Array, orders: Sequence[int]) -> list[ProgramRow]:
             return [
                 *poses.rows(times, orders),
                 *motors.rows(times, orders),

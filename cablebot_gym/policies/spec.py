@@ -66,7 +66,7 @@ or made for another robot."""
 POLICY_SUFFIXES = (".zip",)
 """Suffixes of policy files."""
 
-Kind = Literal["installed", "file", "factory", "unknown"]
+PolicyKind = Literal["installed", "file", "factory", "unknown"]
 """Kind of a policy's name: name of an installed policy, also with options; ``.zip`` file;
 ``package.module:factory`` or ``file.py:factory``."""
 
@@ -83,7 +83,7 @@ class PolicySpec:
     """The name without the estimators."""
     options: str
     """Options of an installed policy as text: ``gains=tuned`` of ``fl:gains=tuned``."""
-    kind: Kind
+    kind: PolicyKind
     """Kind of the target."""
     points: tuple[EntryPoint, ...]
     """Entry points of the installed policy. Those of this project come first."""
@@ -102,7 +102,7 @@ class PolicySpec:
             target = policy
         installed_name, options = split_options(target)
         points = _own_first(entry_points(group=ENTRY_POINT_GROUP, name=installed_name))
-        kind: Kind = "unknown"
+        kind: PolicyKind = "unknown"
         if points:
             kind = "installed"
         elif target.endswith(POLICY_SUFFIXES):

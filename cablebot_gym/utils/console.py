@@ -14,6 +14,13 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any, Protocol
 
+Progress = Callable[[int, int], None]
+"""Called with the number of finished steps and the expected number of steps. Functions that take one
+accept True for a bar, or lines in a log, on standard error."""
+
+Say = Callable[[str], None]
+"""Called with a sentence for the user."""
+
 if TYPE_CHECKING:  # rich is imported on first use, because start-up time counts
     from rich.console import Console, JustifyMethod
 

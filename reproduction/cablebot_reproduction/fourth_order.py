@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cablebot_baselines.classical.flexible import FlexibleLaw, Motion
+from cablebot_baselines.classical.flexible import FlexibleLaw, JointMotion
 from cablebot_baselines.classical.law import Array
 from cablebot_gym.physics import textbook
 
@@ -35,7 +35,7 @@ class FourthOrder(FlexibleLaw):
         spring = robot.stiffness * deflection
         spring_without_acceleration = self._spring_torques(mass, pose, velocity, zero)
         acceleration = _solve(slope, spring - spring_without_acceleration)
-        motion = Motion(
+        motion = JointMotion(
             position=pose, velocity=velocity, acceleration=acceleration, jerk=zero, snap=zero
         )
         _, rate_without_jerk, _ = self._spring_torque_derivatives(mass, motion)

@@ -18,7 +18,7 @@ Numbers = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table:
+class PaperTable:
     """A table of the page."""
 
     title: str
@@ -35,7 +35,7 @@ class Outcome:
 
     numbers: Numbers
     """Numbers of the part."""
-    tables: Sequence[Table] = ()
+    tables: Sequence[PaperTable] = ()
     """Tables below the figure."""
     figure: Figure | None = None
     """Figure of the part."""

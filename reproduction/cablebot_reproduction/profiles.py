@@ -17,7 +17,7 @@ from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.utils.palette import BLUE
 from cablebot_reproduction.exact import LargestPayload
-from cablebot_reproduction.outcome import Numbers, Table
+from cablebot_reproduction.outcome import Numbers, PaperTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
@@ -68,11 +68,11 @@ class PayloadSummary(NamedTuple):
         )
 
 
-def payload_table(title: str, rows: Mapping[str, PayloadSummary]) -> Table:
+def payload_table(title: str, rows: Mapping[str, PayloadSummary]) -> PaperTable:
     """Table of the largest payloads of several methods."""
     header = ("method", "added payload [kg]", "total mass [kg]", "limiting violation", "time [s]")
     cells = [(method, *found[:4]) for method, found in rows.items()]
-    return Table(title=title, header=header, rows=cells)
+    return PaperTable(title=title, header=header, rows=cells)
 
 
 def limiting_violation(result: DLCCResult) -> Violation:

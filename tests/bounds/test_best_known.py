@@ -100,8 +100,8 @@ def test_each_replay_has_to_verify(monkeypatch, line, failed):
     found = best_known._Verified(
         motion=line.motion, actions=line.actions, margins=Margins(), replays=tuple(replays)
     )
-    monkeypatch.setattr(best_known._Case, "_refine", lambda *_: ([(20, line.motion)], None))
-    monkeypatch.setattr(best_known._Case, "_verify", lambda *_: found)
+    monkeypatch.setattr(best_known._Problem, "_refine", lambda *_: ([(20, line.motion)], None))
+    monkeypatch.setattr(best_known._Problem, "_verify", lambda *_: found)
     assert not best_known._case(PLANAR_ID, trajectory=LINE).solve(lambda _: None).verified
 
 
@@ -109,7 +109,7 @@ def test_each_replay_has_to_verify(monkeypatch, line, failed):
 def test_replay_has_to_hold_at_finer_steps_too(monkeypatch, line):
     case = best_known._case(PLANAR_ID, trajectory=LINE)
     refinements = []
-    record = best_known._Case._record
+    record = best_known._Problem._record
 
     def fails(self, policy, payload, **keywords):
         refinements.append(keywords.get("substeps"))
@@ -117,7 +117,7 @@ def test_replay_has_to_hold_at_finer_steps_too(monkeypatch, line):
             return record(self, policy, 1.1 * payload, **keywords)
         return record(self, policy, payload, **keywords)
 
-    monkeypatch.setattr(best_known._Case, "_record", fails)
+    monkeypatch.setattr(best_known._Problem, "_record", fails)
     monkeypatch.setattr(best_known, "_TRIALS", 3)
     assert case._verify(case._program(20), line.motion, lambda _: None) is None
     assert line.replays[1].substeps in refinements
@@ -202,7 +202,7 @@ def solved(monkeypatch, line):
         calls.append(case)
         return dataclasses.replace(line, payload=float(len(calls)))
 
-    monkeypatch.setattr(best_known._Case, "solve", solve)
+    monkeypatch.setattr(best_known._Problem, "solve", solve)
     return calls
 
 

@@ -19,7 +19,7 @@ from matplotlib import rc_context
 from cablebot_gym.benchmark.tables import markdown_table
 from cablebot_gym.utils.files import atomic_write, atomic_write_text
 from cablebot_winches.reality import STUDIES
-from cablebot_winches.reality.comparison import Comparison, table
+from cablebot_winches.reality.comparison import LogComparison, table
 from cablebot_winches.reality.sources import SOURCES, read_logs
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "reality"
@@ -47,7 +47,7 @@ def study_text(name: str) -> str:
     comparisons = []
     for stored in study["comparisons"]:
         del stored["deviation"], stored["held"]
-        comparisons.append(Comparison(**stored))
+        comparisons.append(LogComparison(**stored))
     address = f"https://github.com/{study['repository']}/tree/{study['commit']}"
     text = f"\nSource: [{study['repository']}]({address}), license {study['license']}. "
     text += f"Files: {len(study['files'])}. Command: `{study['command']}`.\n\n"

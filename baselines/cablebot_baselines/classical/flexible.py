@@ -50,7 +50,7 @@ limit only a few per cent of the DLCC.
 """
 
 
-class Motion(Reference):
+class JointMotion(Reference):
     """Pose and its first four time derivatives at one instant; each array is (..., n)."""
 
     def after(self, time: float | Array) -> tuple[Array, Array, Array]:
@@ -119,7 +119,9 @@ class FlexibleLaw(ClassicalLaw):
         required = self._inverse_dynamics(mass, pose, velocity, acceleration)
         return required.pulley_accelerations
 
-    def _spring_torque_derivatives(self, mass: Array, motion: Motion) -> tuple[Array, Array, Array]:
+    def _spring_torque_derivatives(
+        self, mass: Array, motion: JointMotion
+    ) -> tuple[Array, Array, Array]:
         """κ, κ̇ and κ̈ along a motion, by central differences."""
         steps = DIFFERENCE_STEP * np.array([-1.0, 0.0, 1.0])
         times = steps.reshape(-1, *[1] * motion.position.ndim)
@@ -134,7 +136,7 @@ class FlexibleLaw(ClassicalLaw):
         self, mass: Array, blocks: dict[str, Array]
     ) -> tuple[Array, Array, Array]:
         """κ_d, κ̇_d and κ̈_d of the reference."""
-        motion = Motion(
+        motion = JointMotion(
             position=blocks["reference_pose"],
             velocity=blocks["reference_velocity"],
             acceleration=blocks["reference_acceleration"],

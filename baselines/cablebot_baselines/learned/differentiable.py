@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cablebot_baselines.classical.flexible import DIFFERENCE_STEP, Motion
+from cablebot_baselines.classical.flexible import DIFFERENCE_STEP, JointMotion
 from cablebot_baselines.classical.law import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import BARRIER, RELAXED, unchecked_central
@@ -58,7 +58,7 @@ def required_actuation(
     speed = _tensor(textbook.pulley_speed(robot, pose, velocity))
     if robot.flexible:
         orders: dict[str, Any] = dict(zip(ORDERS, motion, strict=True))
-        series: Any = Motion(**orders)
+        series: Any = JointMotion(**orders)
         step = DIFFERENCE_STEP
         pulley_acceleration = textbook.pulley_acceleration(robot, pose, velocity, acceleration)
         _, before = tensions_and_torques(series.after(-step))

@@ -7,6 +7,7 @@ vectorise. An array with two indices would be three times slower.
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import NamedTuple
 
 from cablebot_gym.physics.compiling import compile_time_constant, inline
@@ -14,110 +15,121 @@ from cablebot_gym.physics.compiling import compile_time_constant, inline
 LANES = 32
 """Robots per tile in a batch. The rows of a tile then fit into the first-level cache of a core."""
 
+
+def _starts(*sizes: int) -> tuple[int, ...]:
+    """First rows of blocks of these sizes one after the other, and the number of all rows."""
+    return tuple(accumulate(sizes, initial=0))
+
+
 # Rows of the parameters: platform, CABLE_PARAMETERS rows for each cable, and of lopsided robots,
 # from body_parameter(m) on, I_xy, I_xz, I_yz and the centre of mass. Other robots do without these
 # rows: they would be 4 % slower, since rows whose distance is a multiple of 4 KiB share a set of
 # the first-level cache. From stretch_parameter(m, lopsided) on, robots with elastic cables, swivel
 # pulleys or load friction have STRETCH_PARAMETERS further rows for each cable.
-MASS = 0
-INERTIA = 1
-GRAVITY = 4
-FRICTION_SPEED = 5
-FORCE = 6
-MOMENT = 9
-FIRST_CABLE_PARAMETER = 12
-BASE = 0
-PLATFORM = 3
-PER_RADIUS = 6
-INERTIA_PER_RADIUS2 = 7
-DAMPING_PER_RADIUS2 = 8
-STALL = 9
-SLOPE = 10
-STIFFNESS = 11
-PER_MOTOR_INERTIA = 12
-MOTOR_DAMPING = 13
-HOME_LENGTH = 14
-LAG = 15
-COULOMB_FRICTION = 16
-CABLE_PARAMETERS = 17
-PRODUCTS, CENTER, BODY_PARAMETERS = 0, 3, 6
-RADIUS = 0
-PER_PULLEY_INERTIA = 1
-AXIAL_STIFFNESS = 2
-AXIAL_DAMPING = 3
-FULL_LENGTH = 4
-EXTRA_LENGTH = 5
-SWIVEL = 6
-LOAD_FRICTION = 7
-STRETCH_PARAMETERS = 8
+MASS, INERTIA, GRAVITY, FRICTION_SPEED, FORCE, MOMENT, FIRST_CABLE_PARAMETER = _starts(
+    1, 3, 1, 1, 3, 3
+)
+(
+    BASE,
+    PLATFORM,
+    PER_RADIUS,
+    INERTIA_PER_RADIUS2,
+    DAMPING_PER_RADIUS2,
+    STALL,
+    SLOPE,
+    STIFFNESS,
+    PER_MOTOR_INERTIA,
+    MOTOR_DAMPING,
+    HOME_LENGTH,
+    LAG,
+    COULOMB_FRICTION,
+    CABLE_PARAMETERS,
+) = _starts(3, 3, *[1] * 11)
+PRODUCTS, CENTER, BODY_PARAMETERS = _starts(3, 3)
+(
+    RADIUS,
+    PER_PULLEY_INERTIA,
+    AXIAL_STIFFNESS,
+    AXIAL_DAMPING,
+    FULL_LENGTH,
+    EXTRA_LENGTH,
+    SWIVEL,
+    LOAD_FRICTION,
+    STRETCH_PARAMETERS,
+) = range(9)
 
 # Rows of the record, which persists between calls: state, action, and peaks and flags of the last
 # control period. With joint springs and elastic cables, PULLEY_RECORDS rows for each pulley follow,
 # angle and speed.
-POSE = 0
-VELOCITY = 6
-POSITION_PEAK = 12
-ROTATION_PEAK = 13
-FIRST_CABLE_RECORD = 14
-DEMAND = 0
-TORQUE = 1
-TENSION = 2
-SPEED = 3
-SLACK = 4
-MOTOR_ANGLE = 5
-MOTOR_SPEED = 6
-LEAST_TENSION = 7
-LAGGED = 8
-LARGEST_TENSION = 9
-CABLE_RECORDS, PULLEY_RECORDS = 10, 2
+POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = _starts(6, 6, 1, 1)
+(
+    DEMAND,
+    TORQUE,
+    TENSION,
+    SPEED,
+    SLACK,
+    MOTOR_ANGLE,
+    MOTOR_SPEED,
+    LEAST_TENSION,
+    LAGGED,
+    LARGEST_TENSION,
+    CABLE_RECORDS,
+) = range(11)
+PULLEY_RECORDS = 2
 
 # Rows of the scratch memory, which is not used between calls. Some serve two kinds of robots. TRIG
 # of a platform in a plane: sine and cosine of φ.
-START, SUM, STAGE, RATE = 0, 12, 24, 36
-ROTATION = 42
-BODY_VELOCITY = 51
-OMEGA = 54
-SPIN = 57
-LOAD = 60
-TRIG = 66
-UNKNOWNS = 70
-WRONG = 76
-LEAST_SUM = 77
-PAIR = 78
-FIRST_CABLE = 82
+(
+    START,
+    SUM,
+    STAGE,
+    RATE,
+    ROTATION,
+    BODY_VELOCITY,
+    OMEGA,
+    SPIN,
+    LOAD,
+    TRIG,
+    UNKNOWNS,
+    WRONG,
+    LEAST_SUM,
+    PAIR,
+    FIRST_CABLE,
+) = _starts(12, 12, 12, 6, 9, 3, 3, 3, 6, 4, 6, 1, 1, 4)
 CENTRE = LEAST_SUM  # of platforms that turn
-ROW = 0
-LENGTH_RATE = 6
-BIAS = 7
-REQUEST = 8
-DRIVE = 9
-TAUT = 10
-FREE_TENSION = 11
-GRIP = 13  # rigid robots with load friction: r T over the torque that it takes from the motor
-# Flexible robots: MOTOR_START, MOTOR_SUM and MOTOR_STAGE have two rows each, angle β′ and speed
-# β̇′.
-LENGTH = 12
-MOTOR_START = 13
-MOTOR_SUM = 15
-MOTOR_STAGE = 17
-MOTOR_RATE = 19
-MOTOR_TORQUE = 20
-RESULTS = 21
-GAP = 25  # lagged minus requested torque
-DECAY = 26  # of the gap in half a physics step
-KNOWN = 27  # tension without the unknown acceleration
-CABLE_ROWS = 28
+# Of each cable. Flexible robots use the rows from LENGTH on: MOTOR_START, MOTOR_SUM and MOTOR_STAGE
+# have two rows each, angle β′ and speed β̇′. GAP: lagged minus requested torque. DECAY: of the gap in
+# half a physics step. KNOWN: tension without the unknown acceleration.
+(
+    ROW,
+    LENGTH_RATE,
+    BIAS,
+    REQUEST,
+    DRIVE,
+    TAUT,
+    FREE_TENSION,
+    LENGTH,
+    MOTOR_START,
+    MOTOR_SUM,
+    MOTOR_STAGE,
+    MOTOR_RATE,
+    MOTOR_TORQUE,
+    RESULTS,
+    GAP,
+    DECAY,
+    KNOWN,
+    CABLE_ROWS,
+) = _starts(6, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 1, 1, 4, 1, 1, 1)
+GRIP = (
+    MOTOR_START  # rigid robots with load friction: r T over the torque that it takes from the motor
+)
 # Forward kinematics: START and SUM have the best pose and the step from there; their last rows
 # serve sums and flags.
-SQUARES, TRIAL, ENDED = 9, 10, 11
+SQUARES, TRIAL, ENDED = range(9, 12)
 # The pulleys between joint springs and elastic cables, after all cables.
-PULLEY_START = 0
-PULLEY_SUM = 2
-PULLEY_STAGE = 4
-PULLEY_RATE = 6
-PULLEY_ROWS = 7
+PULLEY_START, PULLEY_SUM, PULLEY_STAGE, PULLEY_RATE, PULLEY_ROWS = _starts(2, 2, 2, 1)
 
-TENSIONS, TORQUES, SPEEDS, PULLEY_ACCELERATIONS = 0, 1, 2, 3
+TENSIONS, TORQUES, SPEEDS, PULLEY_ACCELERATIONS = range(4)
 """Order of the results of the inverse dynamics."""
 
 

@@ -15,7 +15,7 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, Robot
 from cablebot_gym.trajectories import find_trajectory
 from cablebot_reproduction.fourth_order import FourthOrder
-from cablebot_reproduction.outcome import Number, Numbers, Outcome, Table
+from cablebot_reproduction.outcome import Number, Numbers, Outcome, PaperTable
 from cablebot_reproduction.profiles import limiting_violation, violation_text
 from cablebot_reproduction.robots import flexible_robot, paper_circle, spatial_robot
 from cablebot_reproduction.simulation import (
@@ -97,7 +97,7 @@ def claims() -> Outcome:
         )
         for index, law in enumerate(flexible_laws):
             numbers[f"flex_{law}_error_{name}_mm"] = _mean_error_mm(errors, index)
-    table = Table(
+    table = PaperTable(
         title="Payloads with feedback, without feedback, and with feedback and unknown payload",
         header=("robot", "law", "payload known", "criterion", "payload [kg]", "limiting violation"),
         rows=rows,

@@ -13,7 +13,7 @@ from cablebot_gym.robots import PLANAR
 from cablebot_reproduction.fourth_order import FourthOrder
 from cablebot_reproduction.linearised import growth_rate, unsaturated_actions
 from cablebot_reproduction.load_iteration import iterate_load
-from cablebot_reproduction.outcome import Number, Numbers, Outcome, Table
+from cablebot_reproduction.outcome import Number, Numbers, Outcome, PaperTable
 from cablebot_reproduction.robots import (
     FLEXIBLE_OF_4,
     flexible_robot,
@@ -78,7 +78,7 @@ def eq37() -> Outcome:
         "converges",
     )
     title = "Results of the algorithm, exact tracking at 500 Hz"
-    return Outcome(numbers=numbers, tables=(Table(title=title, header=header, rows=rows),))
+    return Outcome(numbers=numbers, tables=(PaperTable(title=title, header=header, rows=rows),))
 
 
 def eq22_growth(
@@ -118,7 +118,7 @@ def eq22() -> Outcome:
         "states": 2 * (robot.coordinates + robot.cables),
         "free_coordinates": robot.coordinates + robot.cables,
     }
-    table = Table(
+    table = PaperTable(
         title="Growth rate of the loop with Eq. 22 [1/s], 11 kg, no friction; stable below 0",
         header=("K [N·m/rad]", "sampled at 500 Hz", "sampled at 50 kHz"),
         rows=rows,

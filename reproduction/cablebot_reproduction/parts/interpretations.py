@@ -11,7 +11,7 @@ from cablebot_gym.robots import PLANAR, Robot
 from cablebot_gym.trajectories import find_trajectory
 from cablebot_reproduction.exact import LargestPayload, exact_limit, state_space_limit
 from cablebot_reproduction.fourth_order import FourthOrder
-from cablebot_reproduction.outcome import Number, Numbers, Outcome, Table
+from cablebot_reproduction.outcome import Number, Numbers, Outcome, PaperTable
 from cablebot_reproduction.profiles import limiting_violation, saturated_motor, violation_text
 from cablebot_reproduction.robots import (
     APEXES,
@@ -106,7 +106,7 @@ def interpretations() -> Outcome:
     return Outcome(numbers=numbers, tables=tables)
 
 
-def _combinations(kind: str, numbers: Numbers) -> Table:
+def _combinations(kind: str, numbers: Numbers) -> PaperTable:
     """One row for each combination of the other options, one column for each torque-speed line."""
     load = PUBLISHED[f"{kind}_payload_kg"]
     *options, _ = OPTIONS[kind]
@@ -130,7 +130,7 @@ def _combinations(kind: str, numbers: Numbers) -> Table:
         numbers["planar_as_total_within_5pct"] = close_total
     header = [option.replace("_", " ") for option in options]
     header += [f"line {line}" for line in OPTIONS[kind]["line"]]
-    return Table(title=_TITLES[kind], header=header, rows=list(rows.values()))
+    return PaperTable(title=_TITLES[kind], header=header, rows=list(rows.values()))
 
 
 def fl_without_tension(robot: Robot) -> FeedbackLinearization:
@@ -138,7 +138,7 @@ def fl_without_tension(robot: Robot) -> FeedbackLinearization:
     return FeedbackLinearization(robot, minimum_tension=0.0)
 
 
-def _closed_loops(numbers: Numbers) -> Table:
+def _closed_loops(numbers: Numbers) -> PaperTable:
     rows = []
     for name, text, robot in _CLOSED_LOOPS:
         law: Any = FeedbackLinearization
@@ -149,14 +149,14 @@ def _closed_loops(numbers: Numbers) -> Table:
         numbers[f"loop_{name}_motor"] = saturated_motor(limiting_violation(result))
         violation = violation_text(limiting_violation(result))
         rows.append((robot.kind, text, result.payload, result.total_mass, violation))
-    return Table(
+    return PaperTable(
         title="Closed loop: `fl` at 500 Hz under the paper criterion, one option changed at a time",
         header=("robot", "option", "payload [kg]", "total mass [kg]", "limiting violation"),
         rows=rows,
     )
 
 
-def _branches(numbers: Numbers) -> Table:
+def _branches(numbers: Numbers) -> PaperTable:
     robot = flexible_robot()
     laws = {"fl4": FourthOrder, "motor-pd": MotorPD, "composite": composite}
     branches: Mapping[str, dict[str, Any]] = {
@@ -169,7 +169,7 @@ def _branches(numbers: Numbers) -> Table:
         numbers[f"loop_flex_{name}_{branch}_kg"] = result.payload
         numbers[f"loop_flex_{name}_{branch}_motor"] = saturated_motor(limiting_violation(result))
         rows.append((name, branch, result.payload, violation_text(limiting_violation(result))))
-    return Table(
+    return PaperTable(
         title="Joint springs, closed loop under the paper criterion: effect of the branch of Table 3 at 0.5 s",
         header=("law", "branch at 0.5 s", "payload [kg]", "limiting violation"),
         rows=rows,

@@ -19,7 +19,7 @@ from cablebot_gym.plotting.figures import new_figure, set_title
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.utils.palette import BLUE, GREEN, GREY, VERMILLION
-from cablebot_reproduction.outcome import Number, Numbers, Outcome, Table
+from cablebot_reproduction.outcome import Number, Numbers, Outcome, PaperTable
 from cablebot_reproduction.robots import FLEXIBLE_OF_4, RIGID_OF_4, paper_circle
 from cablebot_reproduction.simulation import (
     Law,
@@ -59,7 +59,7 @@ def robust_eq22(robot: Robot) -> Any:
     return with_robust_term(eq22(robot))
 
 
-class _Case(NamedTuple):
+class _RobustCase(NamedTuple):
     robot: Robot
     name: str
     plain: Law
@@ -67,8 +67,8 @@ class _Case(NamedTuple):
 
 
 CASES = {
-    "": _Case(RIGID_OF_4, "rigid joints", FeedbackLinearization, robust_fl),
-    "flex_": _Case(FLEXIBLE_OF_4, "joint springs K = 2 N·m/rad", composite, robust_composite),
+    "": _RobustCase(RIGID_OF_4, "rigid joints", FeedbackLinearization, robust_fl),
+    "flex_": _RobustCase(FLEXIBLE_OF_4, "joint springs K = 2 N·m/rad", composite, robust_composite),
 }
 """Robots with their ordinary and their robust law, by the prefix of the numbers."""
 
@@ -172,7 +172,7 @@ def fig9() -> Outcome:
         "fraction ended early, robust law",
     )
     title = f"Error reduction of the robust law relative to the ordinary law over {DRAWS} draws of Table 6"
-    table = Table(title=title, header=header, rows=rows)
+    table = PaperTable(title=title, header=header, rows=rows)
     return Outcome(numbers=numbers, tables=(table,), figure=figure)
 
 
@@ -189,7 +189,7 @@ def _draw_numbers(prefix: str, plain: Rollout, robust: Rollout) -> Numbers:
     }
 
 
-def _comparison(case: _Case) -> Comparison:
+def _comparison(case: _RobustCase) -> Comparison:
     """The ordinary law, and the robust law for each ε, over the same draws."""
     laws = {"ordinary": case.plain}
     for name, layer in LAYERS.items():

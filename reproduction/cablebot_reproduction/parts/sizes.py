@@ -7,7 +7,7 @@ import numpy as np
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, Robot
-from cablebot_reproduction.outcome import Numbers, Outcome, Table
+from cablebot_reproduction.outcome import Numbers, Outcome, PaperTable
 from cablebot_reproduction.robots import FLEXIBLE_OF_4, RIGID_OF_4, paper_circle
 
 PLATFORM_CORNERS = ("P1", "P1", "P3", "P3", "P2", "P2")
@@ -39,7 +39,7 @@ def sizes() -> Outcome:
         lengths.max(axis=0).tolist(),
         strict=True,
     )
-    table = Table(
+    table = PaperTable(
         title="Ends of the cables of the spatial robot and their lengths on the path",
         header=("cable", "base corner", "platform corner", "minimum [m]", "maximum [m]"),
         rows=list(rows),

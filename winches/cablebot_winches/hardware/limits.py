@@ -86,7 +86,7 @@ class Stop:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Moment:
+class DriveMoment:
     """Quantities of one control period that have limits."""
 
     time: float
@@ -123,7 +123,7 @@ class Guard:
             self._least_torque = _least_torque(robot, limits.least_tension)
         self._low_for = np.zeros(robot.cables)
 
-    def check(self, moment: Moment) -> Stop | None:
+    def check(self, moment: DriveMoment) -> Stop | None:
         """The first limit that is violated in a control period; None if there is none."""
         limits = self._limits
         low, high = self._robot.pose_bounds

@@ -17,7 +17,7 @@ from cablebot_gym.policies import LoadedPolicy, PolicyError
 from cablebot_gym.policies.spec import check_measurement
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import number
-from cablebot_winches.hardware.limits import DriveLimits, Guard, Moment, Stop
+from cablebot_winches.hardware.limits import DriveLimits, DriveMoment, Guard, Stop
 from cablebot_winches.hardware.odrive import Winches
 from cablebot_winches.hardware.result import DriveResult
 from cablebot_winches.identification.log import pose_columns
@@ -280,7 +280,7 @@ class _Loop:
         miss = (pose - reference)[: robot.dimensions]
         applied = np.clip(action, -1.0, 1.0)
         torque = robot.stall_torque * applied - robot.speed_slope * self._speed
-        now = Moment(
+        now = DriveMoment(
             time=moment,
             action=applied,
             torque=torque,

@@ -24,7 +24,7 @@ from cablebot_gym.robots import ELASTIC, Robot, library
 from cablebot_winches.identification.log import Log, Segment, pose_columns
 from cablebot_winches.identification.regression import (
     UNKNOWN_TENSIONS,
-    Estimate,
+    ParameterEstimate,
     doubt,
     given_text,
     half_widths,
@@ -85,7 +85,7 @@ class LengthFit:
 
     motor: int
     """Index of the motor."""
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[ParameterEstimate, ...]
     """Estimates of its parameters."""
     samples: LengthSamples
     """The samples of the fit."""
@@ -228,7 +228,7 @@ def _unknown_tensions(robot: Robot, motor: int, no_samples: LengthSamples) -> Le
     if robot.elastic:
         name = "axial_stiffness"
     reason = f"{UNKNOWN_TENSIONS}, or torque_1, … of a motion without standstill"
-    estimate = Estimate(name=name, motors=(motor,), reason=reason)
+    estimate = ParameterEstimate(name=name, motors=(motor,), reason=reason)
     return LengthFit(motor=motor, estimates=(estimate,), samples=no_samples, residual=np.empty(0))
 
 
@@ -272,7 +272,7 @@ def _fit(robot: Robot, motor: int, samples: LengthSamples, *, may_stretch: bool)
     radius, offset, compliance = values
     estimates = [
         _estimate("pulley_radius", motor, radius, widths[_RADIUS], too_short),
-        Estimate(name=OFFSET, motors=(motor,), value=offset, half_width=widths[_OFFSET]),
+        ParameterEstimate(name=OFFSET, motors=(motor,), value=offset, half_width=widths[_OFFSET]),
     ]
     if may_stretch:
         compliance_width = widths[_COMPLIANCE]
@@ -292,18 +292,20 @@ def _fit(robot: Robot, motor: int, samples: LengthSamples, *, may_stretch: bool)
     )
 
 
-def _given(estimate: Estimate, given: Sequence[str]) -> Estimate:
+def _given(estimate: ParameterEstimate, given: Sequence[str]) -> ParameterEstimate:
     """An estimate with the values of the robot that it rests on; none if it is refused."""
     if not estimate.is_determined:
         return estimate
     return replace(estimate, given=", ".join(given))
 
 
-def _estimate(name: str, motor: int, value: float, half_width: float, reason: str) -> Estimate:
+def _estimate(
+    name: str, motor: int, value: float, half_width: float, reason: str
+) -> ParameterEstimate:
     """An estimate with its doubts; without a value if there is a reason why it is not fitted."""
     if reason:
-        return Estimate(name=name, motors=(motor,), reason=reason)
-    estimate = Estimate(
+        return ParameterEstimate(name=name, motors=(motor,), reason=reason)
+    estimate = ParameterEstimate(
         name=name, motors=(motor,), value=float(value), half_width=float(half_width)
     )
     return replace(estimate, reason=doubt(estimate))
@@ -311,10 +313,10 @@ def _estimate(name: str, motor: int, value: float, half_width: float, reason: st
 
 def _stiffness(
     name: str, motor: int, compliance: float, half_width: float, reason: str
-) -> Estimate:
+) -> ParameterEstimate:
     """The estimate of a stiffness from that of its inverse."""
     if reason:
-        return Estimate(name=name, motors=(motor,), reason=reason)
+        return ParameterEstimate(name=name, motors=(motor,), reason=reason)
     return _estimate(name, motor, 1 / compliance, half_width / compliance**2, "")
 
 

@@ -65,7 +65,7 @@ _Groups = dict[str, tuple[tuple[int, ...], ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimate:
+class ParameterEstimate:
     """Estimate of a parameter of one motor, or of several motors that share it."""
 
     name: str
@@ -88,10 +88,10 @@ class Estimate:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
+class WinchFit:
     """Result of the least squares."""
 
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[ParameterEstimate, ...]
     """Estimates of all parameters."""
     residual: Array
     """Measured minus modelled response, (N,)."""
@@ -104,7 +104,7 @@ def fit(
     *,
     alternatives: Sequence[Samples] = (),
     same_winches: bool = False,
-) -> Fit:
+) -> WinchFit:
     """Parameters of each motor where the samples of each motor determine them, otherwise of all
     motors together, or of equal winches.
 
@@ -150,7 +150,7 @@ def fit(
             reason = inseparable_text(name)
             if name == "load_friction" and motors_are_joined:
                 reason = UNKNOWN_TENSIONS
-            left_out.append(Estimate(name=name, motors=motors, reason=reason))
+            left_out.append(ParameterEstimate(name=name, motors=motors, reason=reason))
     estimates, residual = equations.solve(groups, others)
     for name in groups:
         is_wide = any(item.name == name and not item.is_determined for item in estimates)
@@ -162,7 +162,7 @@ def fit(
     estimates = sorted(
         [*estimates, *left_out], key=lambda item: (order.index(item.name), item.motors)
     )
-    return Fit(estimates=tuple(estimates), residual=residual)
+    return WinchFit(estimates=tuple(estimates), residual=residual)
 
 
 def inseparable_text(name: str) -> str:
@@ -212,7 +212,7 @@ class _Equations:
 
     def solve(
         self, groups: _Groups, alternatives: Sequence[_Equations]
-    ) -> tuple[list[Estimate], Array]:
+    ) -> tuple[list[ParameterEstimate], Array]:
         """Estimates, and the residual (N,)."""
         columns = _columns(groups)
         jacobian, residual, values = self._solution(columns)
@@ -227,8 +227,8 @@ class _Equations:
         return estimates, residual
 
     def with_given(
-        self, estimates: Sequence[Estimate], left_out: Sequence[Estimate]
-    ) -> list[Estimate]:
+        self, estimates: Sequence[ParameterEstimate], left_out: Sequence[ParameterEstimate]
+    ) -> list[ParameterEstimate]:
         """The estimates with the values of the robot that they rest on: those of left-out parameters
         whose torque they would have to explain."""
         if not estimates:
@@ -252,7 +252,7 @@ class _Equations:
             for estimate, texts in zip(estimates, given, strict=True)
         ]
 
-    def _solution(self, columns: Sequence[Estimate]) -> tuple[Array, Array, Array]:
+    def _solution(self, columns: Sequence[ParameterEstimate]) -> tuple[Array, Array, Array]:
         """Jacobian (N, p), residual (N,) and values (p,) by the method of Gauss and Newton."""
         constants = [column for column in columns if column.name == CONSTANT]
         others = [column for column in columns if column.name != CONSTANT]
@@ -290,9 +290,9 @@ class _Equations:
         return jacobian, residual, values
 
 
-def _columns(groups: _Groups) -> list[Estimate]:
+def _columns(groups: _Groups) -> list[ParameterEstimate]:
     """One column of the Jacobian for each parameter and group of motors."""
-    return [Estimate(name=name, motors=group) for name in groups for group in groups[name]]
+    return [ParameterEstimate(name=name, motors=group) for name in groups for group in groups[name]]
 
 
 def unexplained(jacobian: Array) -> Array:
@@ -341,7 +341,7 @@ def jackknife_half_width(estimates: Sequence[float]) -> float:
     return float(student.ppf((1 + CONFIDENCE) / 2, count - 1) * np.sqrt(variance))
 
 
-def doubt(estimate: Estimate) -> str:
+def doubt(estimate: ParameterEstimate) -> str:
     """Why an estimate does not determine its parameter; empty if it does."""
     _, remedy = REMEDIES[estimate.name]
     if estimate.half_width > WIDEST * abs(estimate.value):

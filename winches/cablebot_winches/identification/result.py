@@ -19,8 +19,8 @@ from cablebot_winches.identification.log import Log, pose_columns
 from cablebot_winches.identification.regression import (
     CONFIDENCE,
     CONSTANT,
-    Estimate,
-    Fit,
+    ParameterEstimate,
+    WinchFit,
     fit,
 )
 from cablebot_winches.identification.samples import (
@@ -79,7 +79,7 @@ class Identification(Result):
     """The robot with the determined parameters."""
     uncertainty: Uncertainty
     """Their intervals, as uniform deviations from the values of the robot."""
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[ParameterEstimate, ...]
     """All parameters, determined or not."""
     responses: tuple[Response, ...]
     """Measured and modelled responses of all equations."""
@@ -232,7 +232,7 @@ def _length_responses(fits: Sequence[LengthFit]) -> list[Response]:
     return responses
 
 
-def _drive_responses(robot: Robot, samples: Samples, drives: Fit) -> list[Response]:
+def _drive_responses(robot: Robot, samples: Samples, drives: WinchFit) -> list[Response]:
     """Measured torques or currents and their residuals, and those of the platform's equations."""
     responses = []
     # The numbers of the platform's equations count downwards from PLATFORM.
@@ -255,7 +255,7 @@ def _drive_responses(robot: Robot, samples: Samples, drives: Fit) -> list[Respon
     return responses
 
 
-def _with_estimates(robot: Robot, estimates: Sequence[Estimate], source: str) -> Robot:
+def _with_estimates(robot: Robot, estimates: Sequence[ParameterEstimate], source: str) -> Robot:
     """The robot with the determined parameters and their sources, and without their ranges."""
     changes: dict[str, Any] = {}
     sources = dict(robot.sources)
@@ -279,7 +279,7 @@ def _with_estimates(robot: Robot, estimates: Sequence[Estimate], source: str) ->
     return robot.replace(transmission=transmission, sources=sources, ranges=ranges)
 
 
-def _source(items: Sequence[Estimate], motors: int, source: str, former: str) -> str:
+def _source(items: Sequence[ParameterEstimate], motors: int, source: str, former: str) -> str:
     """Source of the values of all motors, by motors where they differ."""
     texts: dict[str, list[int]] = {}
     for item in items:
@@ -305,7 +305,7 @@ def motors_text(motors: Sequence[int]) -> str:
     return f"motors {numbers}"
 
 
-def _uncertainty(estimates: Sequence[Estimate]) -> Uncertainty:
+def _uncertainty(estimates: Sequence[ParameterEstimate]) -> Uncertainty:
     """Relative deviations within the widest interval of each determined parameter."""
     parameters = {}
     for name in PARAMETERS:

@@ -9,7 +9,7 @@ import numpy as np
 from cablebot_gym.kinematics import Array
 from cablebot_gym.robots import Robot
 from cablebot_winches.identification.log import Log
-from cablebot_winches.identification.regression import CONSTANT, Estimate
+from cablebot_winches.identification.regression import CONSTANT, ParameterEstimate
 
 FAR = 5.0
 """Smallest factor between an identified value and that of the robot that is questioned."""
@@ -21,7 +21,9 @@ VOLTAGES = (1.0, 1000.0)
 """Supplies of motors [V]: torque constant times free speed."""
 
 
-def questions(robot: Robot, logs: Sequence[Log], estimates: Sequence[Estimate]) -> Iterator[str]:
+def questions(
+    robot: Robot, logs: Sequence[Log], estimates: Sequence[ParameterEstimate]
+) -> Iterator[str]:
     """Sentences that ask for units.
 
     Args:
@@ -76,7 +78,7 @@ def _torques(robot: Robot, log: Log) -> Iterator[str]:
             )
 
 
-def _constant(robot: Robot, item: Estimate) -> Iterator[str]:
+def _constant(robot: Robot, item: ParameterEstimate) -> Iterator[str]:
     """A question about a torque constant that fits no supply."""
     voltage = item.value * float(np.mean(_free_speeds(robot)[list(item.motors)]))
     least, most = VOLTAGES

@@ -16,7 +16,7 @@ SHOWN_UNITS = {"1": ("%", 100.0), "m": ("mm", 1e3), "m/kg": ("mm/kg", 1e3)}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class LogComparison:
     """A quantity of the model beside that of the robot, in SI units."""
 
     quantity: str
@@ -54,7 +54,7 @@ class Comparison:
 class Validation:
     """Result of a study."""
 
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[LogComparison, ...]
     """All quantities."""
     notes: tuple[str, ...]
     """Facts about the logs, as sentences."""
@@ -75,7 +75,7 @@ class Validation:
         }
 
 
-def table(comparisons: Iterable[Comparison]) -> list[list[str]]:
+def table(comparisons: Iterable[LogComparison]) -> list[list[str]]:
     """Header and rows of the comparisons as text."""
     rows = [["quantity", "model", "robot", "deviation", "goal", "held"]]
     for item in comparisons:

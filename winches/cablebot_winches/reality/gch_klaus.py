@@ -20,7 +20,7 @@ from scipy.optimize import least_squares, minimize_scalar
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.utils.palette import BLACK, BLUE, GREEN, GREY, VERMILLION
-from cablebot_winches.reality.comparison import Comparison, Validation
+from cablebot_winches.reality.comparison import LogComparison, Validation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -109,7 +109,7 @@ def validate(logs: Mapping[str, bytes]) -> Validation:
         errors[fit.name] = unseen
         quantity = f"RMS of cable lengths, {fit.name}"
         comparisons.append(
-            Comparison(quantity=quantity, unit="m", robot=rms(unseen), goal=fit.goal)
+            LogComparison(quantity=quantity, unit="m", robot=rms(unseen), goal=fit.goal)
         )
     sides = np.ptp(robot.base, axis=0)
     fitted = sides * np.mean([half.size for half in halves], axis=0)
@@ -120,7 +120,7 @@ def validate(logs: Mapping[str, bytes]) -> Validation:
     models = (*sides, radius)
     values = (*fitted, drum)
     for quantity, model, value in zip(quantities, models, values, strict=True):
-        comparison = Comparison(
+        comparison = LogComparison(
             quantity=f"{quantity}, fitted",
             unit="m",
             model=float(model),
@@ -281,12 +281,12 @@ def rms(errors: Array) -> float:
     return float(np.sqrt(np.mean(errors**2)))
 
 
-def _estimate(capture: Capture, log: RobotLog) -> Comparison:
+def _estimate(capture: Capture, log: RobotLog) -> LogComparison:
     """Distance of the robot's own estimate from the capture."""
     captured = capture.pose[:, :2] * [1, -1]
     difference = log.position - captured
     difference -= difference.mean(axis=0)
-    return Comparison(
+    return LogComparison(
         quantity="RMS of the robot's own position estimate, means removed",
         unit="m",
         robot=rms(np.linalg.norm(difference, axis=1)),

@@ -17,7 +17,7 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.utils.palette import BLUE, VERMILLION
-from cablebot_winches.reality.comparison import Comparison, Validation
+from cablebot_winches.reality.comparison import LogComparison, Validation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,7 +73,7 @@ def validate(logs: Mapping[str, bytes]) -> Validation:
         ("sag per load with the repeated rows, mean", "m/kg", with_copies.sag.mean()),
     )
     comparisons = [
-        Comparison(
+        LogComparison(
             quantity="deviation from a line, RMS over the largest sag",
             unit="1",
             robot=line.nonlinearity,
@@ -81,7 +81,7 @@ def validate(logs: Mapping[str, bytes]) -> Validation:
         )
     ]
     for quantity, unit, value in values:
-        comparisons.append(Comparison(quantity=quantity, unit=unit, robot=float(value)))
+        comparisons.append(LogComparison(quantity=quantity, unit=unit, robot=float(value)))
     rise = 1e3 * float(np.mean(z[1, repeated] - z[0, repeated]))
     sag = 1e3 * float(np.mean(z[0, ~repeated] - z[1, ~repeated]))
     return Validation(

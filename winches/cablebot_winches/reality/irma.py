@@ -25,7 +25,7 @@ from cablebot_gym.physics.hanging import home_at_rest
 from cablebot_gym.physics.textbook import locked_modes
 from cablebot_gym.robots import Motors, Robot, Transmission
 from cablebot_gym.utils.palette import BLUE, GREEN, GREY, VERMILLION
-from cablebot_winches.reality.comparison import Comparison, Validation
+from cablebot_winches.reality.comparison import LogComparison, Validation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -162,7 +162,7 @@ def _cells(file: bytes, name: str) -> list[Array]:
     return [np.ravel(cell.item()) for cell in array[0]]
 
 
-def _comparisons(swings: Sequence[Swing]) -> list[Comparison]:
+def _comparisons(swings: Sequence[Swing]) -> list[LogComparison]:
     comparisons = []
     for cables in EXPERIMENTS:
         chosen = [swing for swing in swings if swing.cables == cables]
@@ -172,7 +172,7 @@ def _comparisons(swings: Sequence[Swing]) -> list[Comparison]:
             ("mean", deviations.mean(), MEAN_GOAL),
             ("largest", deviations.max(), WORST_GOAL),
         ):
-            comparison = Comparison(
+            comparison = LogComparison(
                 quantity=f"{text} deviation of the frequencies, {count}",
                 unit="1",
                 robot=float(value),
@@ -180,7 +180,7 @@ def _comparisons(swings: Sequence[Swing]) -> list[Comparison]:
             )
             comparisons.append(comparison)
     published = np.concatenate([swing.model / swing.published - 1 for swing in swings])
-    largest = Comparison(
+    largest = LogComparison(
         quantity="largest deviation from the authors' own model",
         unit="1",
         robot=float(np.abs(published).max()),

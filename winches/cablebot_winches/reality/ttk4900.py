@@ -20,9 +20,9 @@ from scipy.ndimage import median_filter
 from cablebot_gym.physics.textbook import motor_torques
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.utils.palette import BLUE, GREY, VERMILLION
-from cablebot_winches.identification.regression import Estimate, fit
+from cablebot_winches.identification.regression import ParameterEstimate, fit
 from cablebot_winches.identification.samples import Samples, drive_factors, parameter_names
-from cablebot_winches.reality.comparison import Comparison, Validation
+from cablebot_winches.reality.comparison import LogComparison, Validation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -177,7 +177,7 @@ def model_friction(robot: Robot, mass: float, winch: int, speed: float) -> float
     return float((up - down) / (up + down))
 
 
-def _ratios(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
+def _ratios(robot: Robot, lifts: Sequence[Lift]) -> list[LogComparison]:
     """Friction of all lifts by weight. The robot has been fitted to them, so that they are no goal."""
     comparisons = []
     for weight in WINCHES:
@@ -189,13 +189,13 @@ def _ratios(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
 
 def _friction_comparison(
     quantity: str, robot: Robot, lifts: Sequence[Lift], goal: float | None = None
-) -> Comparison:
+) -> LogComparison:
     """Mean friction of lifts, over gravity, by the model ``robot`` and as measured."""
     model = []
     for lift in lifts:
         model.append(model_friction(robot, lift.mass, lift.winch, lift.speed))
     measured = [lift.friction for lift in lifts]
-    return Comparison(
+    return LogComparison(
         quantity=quantity,
         unit="1",
         model=float(np.mean(model)),
@@ -213,7 +213,7 @@ def _gravity_torque(robot: Robot, lift: Lift) -> float:
     return float(robot.pulley_radius[lift.winch] * lift.mass * robot.gravity)
 
 
-def _torque_constants(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
+def _torque_constants(robot: Robot, lifts: Sequence[Lift]) -> list[LogComparison]:
     """The torque constant by the larger weight, and by the difference of the weights, which is free
     of a hook that both have."""
     torque = float(robot.pulley_radius.mean() * robot.gravity)
@@ -225,7 +225,7 @@ def _torque_constants(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
     }
     comparisons = []
     for name, constant in constants.items():
-        comparison = Comparison(
+        comparison = LogComparison(
             quantity=f"torque constant, {name} (model: data sheet)",
             unit="N·m/A",
             model=TORQUE_CONSTANT,
@@ -263,7 +263,7 @@ def _samples(robot: Robot, lifts: Sequence[Lift]) -> Samples:
     )
 
 
-def fitted_friction(robot: Robot, lifts: Sequence[Lift]) -> dict[str, Estimate]:
+def fitted_friction(robot: Robot, lifts: Sequence[Lift]) -> dict[str, ParameterEstimate]:
     """Estimates of the frictions that all winches share, by name."""
     names = parameter_names(robot)
     values = {name: getattr(robot, name) for name in names}
@@ -271,13 +271,13 @@ def fitted_friction(robot: Robot, lifts: Sequence[Lift]) -> dict[str, Estimate]:
     return {item.name: item for item in estimates}
 
 
-def _fit(robot: Robot, lifts: Sequence[Lift], masses: str) -> list[Comparison]:
+def _fit(robot: Robot, lifts: Sequence[Lift], masses: str) -> list[LogComparison]:
     """Constant friction, its part that grows with the load, and viscous friction, by least squares
     over all lifts with masses in words."""
     estimates = fitted_friction(robot, lifts)
     comparisons = []
     for name, (quantity, unit) in FITTED.items():
-        comparison = Comparison(
+        comparison = LogComparison(
             quantity=f"{quantity}, fitted, {masses}",
             unit=unit,
             model=float(getattr(robot, name).mean()),
@@ -298,7 +298,7 @@ def _hook_effect(robot: Robot, lifts: Sequence[Lift], hooked: Sequence[Lift]) ->
     )
 
 
-def predictions(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
+def predictions(robot: Robot, lifts: Sequence[Lift]) -> list[LogComparison]:
     """Friction and currents of each winch with the large weight, from a fit to the others and to
     the small weight."""
     frictions = []
@@ -319,7 +319,7 @@ def predictions(robot: Robot, lifts: Sequence[Lift]) -> list[Comparison]:
             friction = model_friction(predicted, heavy, winch, lift.speed)
             deviations.append(mean * (1 + friction) / lift.up - 1)
             deviations.append(mean * (1 - friction) / lift.down - 1)
-        current = Comparison(
+        current = LogComparison(
             quantity=f"largest deviation of the currents, {heavy} kg, winch {winch} from the others",
             unit="1",
             robot=float(np.max(np.abs(deviations))),

@@ -16,7 +16,7 @@ from cablebot_gym.physics.hanging import home_at_rest
 from cablebot_gym.physics.textbook import cable_lengths, locked_modes
 from cablebot_gym.robots import find_robot
 from cablebot_winches.reality import gch_klaus, innopolis, irma, ttk4900
-from cablebot_winches.reality.comparison import Comparison, table
+from cablebot_winches.reality.comparison import LogComparison, table
 
 # --- ttk4900 --------------------------------------------------------------------------------------
 
@@ -316,9 +316,9 @@ def test_bent_sag_is_not_linear():
 
 def test_goal_bounds_the_deviation_or_the_value_itself():
     """Without a value of the model the robot's value is a deviation."""
-    near = Comparison(quantity="a", unit="1", model=0.22, robot=0.2, goal=0.11)
-    far = Comparison(quantity="b", unit="1", model=0.22, robot=0.2, goal=0.09)
-    error = Comparison(quantity="c", unit="m", robot=0.006, goal=0.005)
-    shown = Comparison(quantity="d", unit="m", model=1.0, robot=1.0)
+    near = LogComparison(quantity="a", unit="1", model=0.22, robot=0.2, goal=0.11)
+    far = LogComparison(quantity="b", unit="1", model=0.22, robot=0.2, goal=0.09)
+    error = LogComparison(quantity="c", unit="m", robot=0.006, goal=0.005)
+    shown = LogComparison(quantity="d", unit="m", model=1.0, robot=1.0)
     assert [item.held for item in (near, far, error, shown)] == [True, False, False, None]
     assert table([error])[1] == ["c", "–", "6 mm", "–", "5 mm", "no"]
