@@ -6,7 +6,9 @@ import pytest
 @pytest.fixture(scope="module")
 def one_thread():
     """Limits torch to one thread: several threads wait for each other on busy cores."""
-    from cablebot_baselines.learned.runs import torch_threads
+    import torch
 
-    with torch_threads(1):
-        yield
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
