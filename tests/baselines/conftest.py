@@ -6,9 +6,7 @@ import pytest
 @pytest.fixture(scope="module")
 def one_thread():
     """Limits torch to one thread: several threads wait for each other on busy cores."""
-    import torch
+    from cablebot_baselines.learned import training
 
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+    with training.one_thread():
+        yield

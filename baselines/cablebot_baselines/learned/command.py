@@ -55,11 +55,8 @@ def train(
 
     cablebot train CableBot-Spatial-v0 --out runs/spatial --resume
     """
-    import torch
+    from cablebot_baselines.learned import training
 
-    from cablebot_baselines.learned import training  # raises if the extra is missing
-
-    torch.set_num_threads(1)  # more threads do not speed up so small a network
     options: dict[str, Any] = {
         "config": config,
         "seed": seed,

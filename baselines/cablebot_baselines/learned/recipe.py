@@ -202,7 +202,7 @@ def make_training_envs(
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
         n_envs: number of environments N; None for that of the settings.
-        seed: environment i is seeded with ``seed + i``.
+        seed: environment i gets ``seed + i`` at the first reset.
         config: the settings; None for those of :func:`find_config`.
 
     Raises:
@@ -221,9 +221,10 @@ def make_training_envs(
             env = wrapper(env, **keywords)
         if not isinstance(env, Steered):
             raise ValueError("the last wrapper, which is the outermost one, must be Steered")
-        env.reset(seed=seed)
-        env.action_space.seed(seed)
-        return VecNormalize(VecMonitor(CableBotVecEnv(env)), **config.normalize)
+        vec_env = CableBotVecEnv(env)
+        vec_env.seed(seed)
+        vec_env.action_space.seed(seed)
+        return VecNormalize(VecMonitor(vec_env), **config.normalize)
     except TypeError as error:
         raise ValueError(f"env_wrapper or normalize: {error}; correct the file") from error
 

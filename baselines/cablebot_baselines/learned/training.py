@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 try:
+    import torch
     import yaml
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import CheckpointCallback, EventCallback
@@ -159,6 +160,19 @@ class TrainingRun(Printed):
         return text
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Limits torch to one thread: more do not speed up so small a network, and they are much slower
+    if other processes use the cores."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@one_thread()
 def train(
     env_id: str,
     *,
@@ -172,9 +186,9 @@ def train(
 ) -> TrainingRun:
     """Trains a learned policy with Stable-Baselines3.
 
-    The same seed and number of torch's threads on the same machine give the same weights, unless
-    the run is interrupted. SIGINT and SIGTERM stop a run after the current rollout, or within an
-    evaluation, with a checkpoint; a second SIGINT stops it immediately.
+    The same seed on the same machine gives the same weights, unless the run is interrupted. SIGINT
+    and SIGTERM stop a run after the current rollout, or within an evaluation, with a checkpoint; a
+    second SIGINT stops it immediately.
 
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
@@ -227,6 +241,7 @@ def train(
     return run
 
 
+@one_thread()
 def resume_training(
     env_id: str, *, out: str | Path, timesteps: int | None = None, progress: Step | None = None
 ) -> TrainingRun:
