@@ -132,9 +132,12 @@ class CableBotVecEnv(VecEnv):
             return self._dicts(value, env_indices)
         if np.ndim(value) == 0 or len(value) != self.num_envs:
             return [value] * len(env_indices)
-        if isinstance(value, np.ndarray) and value.ndim == 1:
-            return value[env_indices].tolist()  # Python's scalars
-        return [value[env_index] for env_index in env_indices]
+        if not isinstance(value, np.ndarray):
+            return [value[env_index] for env_index in env_indices]
+        rows = value[env_indices]
+        if rows.ndim == 1:
+            return rows.tolist()  # Python's scalars
+        return list(rows)
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The attribute of each environment: one item each if the attribute has N items, otherwise
