@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import yaml
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
@@ -32,8 +33,9 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 from torch import nn
 
+from cablebot_baselines.classical.law import Array
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.export import network_from_sb3
+from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_baselines.learned.vec_env import CableBotVecEnv
 from cablebot_baselines.learned.wrappers import Steered
@@ -45,6 +47,7 @@ HYPERPARAMS = Path(__file__).parent / "hyperparams" / "ppo.yaml"
 
 _NOT_OF_THE_MODEL = ("n_timesteps", "n_envs", "policy", "normalize", "env_wrapper", "env_kwargs")
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
+_ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,6 +246,47 @@ def steered_env(model: PPO) -> Steered:
             "the model must have the environments that it was trained on, from make_training_envs"
         )
     return steered
+
+
+def network_from_sb3(model: PPO) -> Network:
+    """The deterministic actor of an ``MlpPolicy``, as ``predict(…, deterministic=True)`` uses it,
+    including the normalisation of its inputs.
+
+    Means beyond ±1 are kept; the action mapping clips them, as SB3 does.
+
+    Args:
+        model: model with normalised observations (``VecNormalize``).
+
+    Raises:
+        ValueError: if a :class:`Network` cannot represent the policy, or observations are not
+            normalised.
+    """
+    policy: Any = model.policy
+    hidden = list(policy.mlp_extractor.policy_net)
+    linear = [*hidden[::2], policy.action_net]
+    activations = {_ACTIVATIONS.get(type(layer)) for layer in hidden[1::2]} or {"tanh"}
+    activation = activations.pop()
+    is_linear = all(isinstance(layer, nn.Linear) for layer in linear)
+    if not is_linear or activations or activation is None or policy.squash_output:
+        raise ValueError(
+            "only linear layers with nn.Tanh or with nn.ReLU between them can be exported"
+        )
+    normalize: Any = model.get_vec_normalize_env()
+    if not normalize.norm_obs or normalize.clip_obs != Network.CUT:
+        raise ValueError(
+            f"observations must be normalised with norm_obs=True and clip_obs={Network.CUT:g}"
+        )
+    return Network(
+        mean=np.array(normalize.obs_rms.mean, float),
+        scale=np.sqrt(normalize.obs_rms.var + normalize.epsilon),
+        weights=tuple(_array(layer.weight) for layer in linear),
+        biases=tuple(_array(layer.bias) for layer in linear),
+        activation=activation,
+    )
+
+
+def _array(values: Any) -> Array:
+    return values.detach().cpu().numpy().astype(float)
 
 
 def trained_policy(model: PPO) -> LearnedPolicy:
