@@ -6,7 +6,7 @@ import pytest
 @pytest.fixture(scope="module")
 def one_thread():
     """Limits torch to one thread: several threads wait for each other on busy cores."""
-    from cablebot_baselines.learned.runs import torch_threads
+    from cablebot_baselines.learned import training
 
-    with torch_threads(1):
+    with training.one_thread():
         yield

@@ -1,19 +1,18 @@
-"""Wrappers for training: payload curriculum and steered law, single and in batches."""
+"""Wrappers for training: payload curriculum and steered law."""
 
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from numpy.testing import assert_array_equal, assert_equal
-from stable_baselines3.common import env_checker
+from gymnasium.vector import AutoresetMode, VectorWrapper
+from numpy.testing import assert_array_equal
 from steering import network_of
 
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy
-from cablebot_baselines.learned.wrappers import PayloadCurriculum, Steered, make_steered_vec
+from cablebot_baselines.learned.wrappers import PayloadCurriculum, Steered
 
 PLANAR_ID = "CableBot-Planar-v0"
 SPATIAL_ID = "CableBot-Spatial-v0"
@@ -32,147 +31,112 @@ OBSERVED = (
 # Under random actions some episodes fail, others last until a time limit that falls within an
 # action.
 CASES: dict[str, dict[str, Any]] = {
-    "shift": {
-        "env_id": PLANAR_ID,
-        "steered": {
-            "base": "fl",
-            "steering": {"kind": "shift", "action_period": 0.02, "fraction": 0.5},
-            "features": OBSERVED,
-        },
+    PLANAR_ID: {
+        "base": "fl",
+        "steering": {"kind": "shift", "action_period": 0.02, "fraction": 0.5},
     },
-    "springs": {
-        "env_id": FLEX_ID,
-        "steered": {
-            "base": "composite",
-            "steering": {"kind": "shift", "action_period": 0.02, "fraction": 0.3, "degree": 5},
-            "features": OBSERVED,
-        },
+    FLEX_ID: {
+        "base": "composite",
+        "steering": {"kind": "shift", "action_period": 0.02, "fraction": 0.3, "degree": 5},
     },
 }
-each_case = pytest.mark.parametrize("case", list(CASES))
+each_case = pytest.mark.parametrize("env_id", list(CASES))
 
 
-def wrappers_of(case):
-    """Classes and arguments of both wrappers."""
-    return [(PayloadCurriculum, {"heaviest": 4.0}), (Steered, CASES[case]["steered"])]
+def make(env_id, count=1, **keywords):
+    return gym.make_vec(env_id, num_envs=count, autoreset_mode=AutoresetMode.DISABLED, **keywords)
 
 
-def single(case, **keywords):
-    env = gym.make(CASES[case]["env_id"], terminate_on_violation=True, **keywords)
-    for wrapper, arguments in wrappers_of(case):
-        env = wrapper(env, **arguments)
-    return env
+def steered(env_id, count=1, **keywords):
+    env = make(env_id, count, terminate_on_violation=True, **keywords)
+    return Steered(PayloadCurriculum(env, heaviest=4.0), features=OBSERVED, **CASES[env_id])
 
 
-def batch(case, count, **keywords):
-    keywords = {"terminate_on_violation": True, "wrappers": wrappers_of(case), **keywords}
-    return make_steered_vec(CASES[case]["env_id"], count, **keywords)
-
-
-def check_same_row(results, env_index, single_results):
-    """The row of a batch's results, the info last, equals the single environment's; its scalars are
-    Python objects."""
+def check_row(results, env_index, single_results):
+    """A row of a batch's results, the info last, equals those of a batch of one."""
     for value, single_value in zip(results[:-1], single_results[:-1], strict=True):
-        assert_array_equal(value[env_index], single_value)
-        assert value.dtype == np.asarray(single_value).dtype
-    info = results[-1]
-    single_info = single_results[-1]
-    assert info.keys() == single_info.keys()
-    for key, value in single_info.items():
-        assert isinstance(value, (float, bool, int, np.ndarray))
-        assert_array_equal(info[key][env_index], value, err_msg=key)
-
-
-@pytest.mark.filterwarnings("ignore:.*different from the unwrapped version:UserWarning")
-@pytest.mark.filterwarnings(
-    "ignore:.*A Box observation space m.*imum value is -?infinity:UserWarning"
-)
-def test_single_form_passes_the_checkers_of_gymnasium_and_sb3():
-    env = single("shift")
-    check_env(env)
-    env_checker.check_env(env, warn=True)
-    assert env.observation_space.dtype == env.action_space.dtype == np.float32
+        assert_array_equal(value[env_index], single_value[0])
+    for key, value in single_results[-1].items():
+        assert_array_equal(results[-1][key][env_index], value[0], err_msg=key)
 
 
 @pytest.mark.landing
 @each_case
-def test_row_of_a_batch_equals_the_single_environment(case):
+def test_row_of_a_batch_equals_a_batch_of_one(env_id):
     """Over several episodes, with masked resets and ends within an action."""
     count = 5
     seed = 3
-    limit = {"max_episode_steps": 56}
-    env = batch(case, count, **limit)
-    singles = [single(case, **limit) for _ in range(count)]
+    env = steered(env_id, count, max_episode_steps=56)
+    singles = [steered(env_id, max_episode_steps=56) for _ in range(count)]
     started = env.reset(seed=seed)
-    for env_index, single_env in enumerate(singles):
-        check_same_row(started, env_index, single_env.reset(seed=seed + env_index))
+    for env_index, single in enumerate(singles):
+        check_row(started, env_index, single.reset(seed=seed + env_index))
     failures = limits = ends_within_an_action = 0
-    for action in (
-        np.random.default_rng(0).uniform(-1, 1, (30, *env.action_space.shape)).astype(np.float32)
-    ):
+    draw = np.random.default_rng(0)
+    for _ in range(30):
+        action = draw.uniform(-1, 1, env.action_space.shape).astype(np.float32)
         results = env.step(action)
         ended = results[2] | results[3]
-        for env_index, single_env in enumerate(singles):
-            single_results = single_env.step(action[env_index])
-            check_same_row(results, env_index, single_results)
-            if ended[env_index]:
-                info = single_results[-1]
-                failures += bool(info["termination_reason"])
-                limits += not info["termination_reason"]
-                periods = round(info["time"] / env.unwrapped.settings.period)
-                ends_within_an_action += periods % env.steering.periods != 0
+        for env_index, single in enumerate(singles):
+            check_row(results, env_index, single.step(action[env_index : env_index + 1]))
+        failures += results[2].sum()
+        limits += (ended & ~results[2]).sum()
+        periods = np.round(results[-1]["time"] / env.unwrapped.settings.period)
+        ends_within_an_action += (periods[ended] % env.steering.periods != 0).sum()
         if ended.any():
             started = env.reset(options={"reset_mask": ended})
             for env_index in np.flatnonzero(ended):
-                check_same_row(started, env_index, singles[env_index].reset())
+                check_row(started, env_index, singles[env_index].reset())
     assert min(failures, limits, ends_within_an_action) > 0
     assert failures + limits > 2 * count
 
 
-class Recorder(gym.Wrapper):
+class Recorder(VectorWrapper):
     """Keeps the result of every control period."""
 
     def __init__(self, env):
         super().__init__(env)
         self.results = []
 
-    def step(self, action):
-        self.results.append(super().step(action))
+    def step(self, actions):
+        self.results.append(super().step(actions))
         return self.results[-1]
 
 
 def test_ended_episode_has_the_result_of_its_last_period():
-    """The episode ends within an action; the reward is the sum up to the end."""
-    inside = Recorder(gym.make(SPATIAL_ID, terminate_on_violation=True, payload=30.0))
+    """The episode of the first environment ends within an action, before that of the second."""
+    inside = Recorder(make(SPATIAL_ID, 2, terminate_on_violation=True))
     env = Steered(inside, base="fl", steering="shift", features=("pose",))
-    env.reset(seed=0)
+    env.reset(seed=0, options={"payload": np.array([30.0, 1.0])})
     has_ended = False
     total = 0.0
     while not has_ended:
-        observed, reward, has_ended, _, info = env.step(np.zeros(6))
-        total += reward
-    assert [result[2] for result in inside.results].index(True) == len(inside.results) - 1
-    observation, *_, last_info = inside.results[-1]
-    assert total == pytest.approx(sum(result[1] for result in inside.results))
-    assert_equal(info, last_info)
-    assert_array_equal(observed, observation[:6].astype(np.float32))
-    assert round(info["time"] * 500) % env.steering.periods != 0
+        observed, reward, terminated, _, info = env.step(np.zeros((2, 6)))
+        has_ended = terminated[0]
+        total += reward[0]
+    end = [result[2][0] for result in inside.results].index(True)
+    observation, *_, last_info = inside.results[end]
+    assert end % env.steering.periods != env.steering.periods - 1
+    assert not terminated[1]
+    assert total == pytest.approx(sum(result[1][0] for result in inside.results[: end + 1]))
+    assert_array_equal(observed[0], observation[0, :6].astype(np.float32))
+    for key, values in info.items():
+        assert_array_equal(values[0], last_info[key][0], err_msg=key)
+        assert_array_equal(values[1], inside.results[-1][-1][key][1], err_msg=key)
 
 
 def test_payloads_follow_the_power_law():
     """At power 1 they equal the environment's own uniform draws."""
-    linear = PayloadCurriculum(gym.make(PLANAR_ID), heaviest=3.0, power=1.0)
-    plain = gym.make(PLANAR_ID, payload_range=(0.0, 3.0))
-    heavy = PayloadCurriculum(gym.make(PLANAR_ID), heaviest=3.0)
-    for seed in range(20):
-        payload = plain.reset(seed=seed)[1]["payload"]
-        assert linear.reset(seed=seed)[1]["payload"] == payload
-        expected = 3.0 * (payload / 3.0) ** 0.6
-        assert heavy.reset(seed=seed)[1]["payload"] == pytest.approx(expected, rel=1e-12)
+    linear = PayloadCurriculum(make(PLANAR_ID, 20), heaviest=3.0, power=1.0)
+    heavy = PayloadCurriculum(make(PLANAR_ID, 20), heaviest=3.0)
+    payload = make(PLANAR_ID, 20, payload_range=(0.0, 3.0)).reset(seed=4)[1]["payload"]
+    assert_array_equal(linear.reset(seed=4)[1]["payload"], payload)
+    expected = 3.0 * (payload / 3.0) ** 0.6
+    assert heavy.reset(seed=4)[1]["payload"] == pytest.approx(expected, rel=1e-12)
 
 
 def test_rejected_resets_leave_the_draws_unchanged():
-    env, twin = (PayloadCurriculum(gym.make(PLANAR_ID), heaviest=2.0) for _ in range(2))
+    env, twin = (PayloadCurriculum(make(PLANAR_ID), heaviest=2.0) for _ in range(2))
     assert env.reset(seed=0, options={"payload": 0.25})[1]["payload"] == 0.25
     twin.reset(seed=0)
     for bad in ({"seed": -1}, {"options": {"paylaod": 1.0}}):
@@ -181,32 +145,40 @@ def test_rejected_resets_leave_the_draws_unchanged():
     assert env.reset()[1]["payload"] == twin.reset()[1]["payload"]
 
 
-class Ended(gym.Wrapper[Any, Any, Any, Any]):
+class Ended(VectorWrapper):
     """Ends each episode after one step."""
 
     succeeds = True
 
-    def step(self, action):
-        observation, reward, _, _, info = super().step(action)
-        return observation, reward, False, True, info | {"violated": not self.succeeds}
+    def step(self, actions):
+        observation, reward, _, _, info = super().step(actions)
+        violated = np.full(self.num_envs, not self.succeeds)
+        return (
+            observation,
+            reward,
+            ~violated & violated,
+            violated | True,
+            info | {"violated": violated},
+        )
 
 
 @pytest.fixture
 def curriculum():
     """A curriculum; ``play(succeeds)`` plays an episode with a heavy or a light payload and returns
     the ceiling."""
-    ended = Ended(gym.make(PLANAR_ID))
+    ended = Ended(make(PLANAR_ID))
     settings = {"start": 1.0, "step": 0.25, "success": 0.75, "window": 4, "setback": 0.5}
     env = PayloadCurriculum(ended, heaviest=2.0, **settings)
     env.reset(seed=0)
+    actions = np.full((1, 3), 0.2)
 
     def play(succeeds, is_heavy=True):
         ended.succeeds = succeeds
-        payload = env.reset()[1]["payload"]
+        payload = env.reset()[1]["payload"].item()
         while (payload >= 2 / 3 * env.ceiling) is not is_heavy:
-            payload = env.reset()[1]["payload"]
-        assert env.step(np.full(3, 0.2))[4]["is_success"] is succeeds
-        env.step(np.full(3, 0.2))
+            payload = env.reset()[1]["payload"].item()
+        assert env.step(actions)[4]["is_success"].tolist() == [succeeds]
+        env.step(actions)
         return env.ceiling
 
     return env, play
@@ -218,7 +190,7 @@ def test_only_drawn_heavy_payloads_count(curriculum):
     for _ in range(8):
         assert play(True, is_heavy=False) == 1.0
         env.reset(options={"payload": env.ceiling})
-        env.step(np.full(3, 0.2))
+        env.step(np.full((1, 3), 0.2))
         assert env.ceiling == 1.0
 
 
@@ -235,17 +207,6 @@ def test_ceiling_follows_the_fraction_of_successes(curriculum):
     assert [play(False) for _ in range(8)] == [1.5] * 3 + [1.0] * 5
 
 
-def test_environments_of_a_batch_share_a_ceiling():
-    curriculum = {"heaviest": 2.0, "start": 0.4, "step": 0.02, "window": 8, "power": 0.01}
-    wrappers = [(PayloadCurriculum, curriculum), (Steered, CASES["shift"]["steered"])]
-    env = make_steered_vec(PLANAR_ID, 16, wrappers=wrappers, seed=0, max_episode_steps=45)
-    for _ in range(10):
-        _, _, terminated, truncated, _ = env.step(np.zeros((16, 2)))
-        if (terminated | truncated).any():
-            env.reset(options={"reset_mask": terminated | truncated})
-    assert env.env.ceiling == pytest.approx(0.4 + 4 * 0.04)  # of 32 episodes in windows of 8
-
-
 class SinglePrecision(Network):
     """Rounds its inputs to single precision, as a learner does."""
 
@@ -254,10 +215,9 @@ class SinglePrecision(Network):
 
 
 @each_case
-def test_policy_on_the_plain_environment_repeats_training(case):
-    env = single(case)
+def test_policy_on_the_plain_environment_repeats_training(env_id):
+    env = steered(env_id)
     steering = env.steering
-    env_id = CASES[case]["env_id"]
     network = SinglePrecision(**vars(network_of(steering, scale=0.02)))
     bundle = Bundle.of_steering(env_id, steering, network)
     plain = gym.make(env_id)
@@ -273,15 +233,6 @@ def test_policy_on_the_plain_environment_repeats_training(case):
         for _ in range(steering.periods):
             action, state = policy.predict(observation, state)
             observation, _, _, _, plain_info = plain.step(action)
-        assert_array_equal(env.unwrapped.pose, plain.unwrapped.pose)
+        assert_array_equal(env.unwrapped.pose[0], plain.unwrapped.pose)
         for name in ("commanded_action", "tensions", "time"):
-            assert_array_equal(info[name], plain_info[name], err_msg=name)
-
-
-def test_seed_of_a_batch_repeats_its_draws():
-    def draws(seed):
-        env = batch("shift", 3, seed=seed)
-        return [*env.reset()[1]["payload"], *env.action_space.sample().ravel()]
-
-    assert draws(3) == draws(3)
-    assert not set(draws(3)) & set(draws(9))
+            assert_array_equal(info[name][0], plain_info[name], err_msg=name)

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.runs import HYPERPARAMS, read_yaml
+from cablebot_baselines.learned.recipe import find_config
 from cablebot_baselines.learned.shipped import BUNDLE, WEIGHTS
 from cablebot_gym.evaluation import evaluate_dlcc
 
@@ -35,7 +35,7 @@ def test_bundle_is_that_of_the_recorded_median_seed(bundle):
 
 
 def test_bundle_was_trained_with_the_present_settings(bundle):
-    assert bundle.card["config"] == read_yaml(bundle.env_id, HYPERPARAMS)
+    assert bundle.card["config"] == find_config(bundle.env_id).plain
 
 
 def test_sb3_model_has_the_actor_of_the_bundle(bundle):

@@ -2,31 +2,26 @@
 folder of a run."""
 
 import csv
-import hashlib
 import json
 import pickle
 import shutil
 import signal
 import sys
 from types import SimpleNamespace
-from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
-from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecNormalize
 
-from cablebot_baselines.learned import runs, training
+from cablebot_baselines.learned import training
 from cablebot_baselines.learned.bundle import Bundle
-from cablebot_baselines.learned.config import make_config
-from cablebot_baselines.learned.export import network_from_sb3
-from cablebot_baselines.learned.recipe import trained_policy
-from cablebot_baselines.learned.runs import TrainingResult, read_yaml
-from cablebot_baselines.learned.vec_env import CableBotVecEnv
-from cablebot_baselines.learned.wrappers import make_steered_vec
+from cablebot_baselines.learned.recipe import (
+    find_config,
+    make_training_envs,
+    trained_policy,
+)
+from cablebot_baselines.learned.training import TrainingRun
 from cablebot_baselines.learned.wrappers.steered import ACTIONS
 from cablebot_gym import ENV_IDS
 from cablebot_gym.cli import app as cli
@@ -35,13 +30,6 @@ PLANAR = "CableBot-Planar-v0"
 QUICK = {"control_frequency": 100, "payload_max": 1.0, "resolution": 0.5}
 """Conditions of a short evaluation."""
 
-WRAPPERS = """
-    - cablebot_baselines.learned.wrappers.PayloadCurriculum: {heaviest: 3, power: 0.6, start: 1, window: 5}
-    - cablebot_baselines.learned.wrappers.Steered:
-        base: {law: fl, gains: [900, 60]}
-        steering: {kind: shift, action_period: 0.04, degree: 2}
-        features: [time_since_start, actions, error, model_payload]
-"""
 TINY = """
   n_envs: 32
   n_steps: 4
@@ -53,20 +41,27 @@ TINY = """
   learning_rate: lin_1e-3
   normalize: true
   env_kwargs: {control_frequency: 100, trajectory: paper-planar, max_episode_steps: 100, terminate_on_violation: true}
+  env_wrapper:
+    - cablebot_baselines.learned.wrappers.PayloadCurriculum: {heaviest: 3, power: 0.6, start: 1, window: 5}
+    - cablebot_baselines.learned.wrappers.Steered:
+        base: {law: fl, gains: [900, 60]}
+        steering: {kind: shift, action_period: 0.04, degree: 2}
+        features: [time_since_start, actions, error, model_payload]
 """
 
 
-def plain(**changes):
-    """Content of a configuration that trains in a second, with changes."""
-    return yaml.safe_load(f"{TINY}  env_wrapper:{WRAPPERS}") | changes
+def write_config(folder, **changes):
+    """File of a configuration that trains in a second, with changes."""
+    path = folder / "ppo.yaml"
+    path.write_text(yaml.safe_dump({"default": yaml.safe_load(TINY) | changes}))
+    return path
 
 
 def run(out, changes=None, **options):
     """A training with a tiny configuration, which is written next to its folder."""
-    path = out.with_name("ppo.yaml")
-    path.write_text(yaml.safe_dump({"default": plain(**(changes or {}))}))
-    defaults = {"evaluation": QUICK, "eval_every": 128, "checkpoint_every": 64}
-    return training.train(PLANAR, out=out, config=path, **(defaults | options))
+    config = write_config(out.parent, **(changes or {}))
+    defaults = {"evaluation": QUICK, "eval_every": 128}
+    return training.train(PLANAR, out=out, config=config, **(defaults | options))
 
 
 def weights(path):
@@ -74,17 +69,10 @@ def weights(path):
     return np.concatenate([array.ravel() for array in (*network.weights, *network.biases)])
 
 
-def digests(folder):
-    return {
-        path: hashlib.sha256(path.read_bytes()).digest()
-        for path in folder.rglob("*")
-        if path.is_file()
-    }
-
-
-def rows(path):
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+def logged(folder, name):
+    """Column of SB3's log."""
+    with (folder / "progress.csv").open(newline="", encoding="utf-8") as file:
+        return [float(row[name]) for row in csv.DictReader(file) if row[name]]
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +91,7 @@ def copied(trained, tmp_path):
 
 def test_shipped_configurations_are_valid():
     for env_id in ENV_IDS:
-        config = make_config(read_yaml(env_id, runs.HYPERPARAMS))
+        config = find_config(env_id)
         names = [wrapper.__name__ for wrapper, _ in config.wrappers]
         assert names == ["PayloadCurriculum", "Steered"]
         assert config.env_kwargs["terminate_on_violation"]
@@ -113,16 +101,12 @@ def test_shipped_configurations_are_valid():
 @pytest.mark.parametrize("env_id", ENV_IDS)
 def test_default_settings_follow_from_the_robot(env_id):
     """Nothing is compiled, because no environment is reset."""
-    default = make_config(read_yaml("a robot without a key", runs.HYPERPARAMS))
-    env: Any = gym.make_vec(
-        env_id, num_envs=2, autoreset_mode=AutoresetMode.DISABLED, **default.env_kwargs
-    )
-    plant = env.settings
-    for wrapper, arguments in default.wrappers:
-        env = wrapper.vector(env, **arguments)
-    periods = plant.trajectory.duration * plant.control_frequency
+    config = find_config("a robot without a key")
+    env = make_training_envs(env_id, 2, config=config).unwrapped.env
+    settings = env.unwrapped.settings
+    periods = settings.trajectory.duration * settings.control_frequency
     assert env.steering.periods * ACTIONS == pytest.approx(periods, rel=0.01)
-    assert (env.steering.base.law == "motor-pd") == plant.robot.flexible
+    assert (env.steering.base.law == "motor-pd") == settings.robot.flexible
     assert 0 < env.env.ceiling < env.env._highest_ceiling
 
 
@@ -140,10 +124,12 @@ def test_model_of_other_environments_is_refused():
             {},
             "policy_kwargs must be a mapping or text such as",
         ),
+        ({"env_wrapper": None}, {}, "env_wrapper must be a list of"),
         ({"nsteps": 5}, {}, "PPO rejects the hyperparameters .*nsteps"),
         ({"policy_kwargs": "dict(activation_fn=nn.ELU)"}, {}, "only linear layers"),
         ({"normalize": "dict(clip_obs=5.0)"}, {}, "clip_obs=10"),
         ({}, {"evaluation": {"draw": 3}}, "draw"),
+        ({}, {"eval_every": 0}, "eval_every must be an integer"),
     ],
 )
 def test_invalid_values_leave_no_file(tmp_path, changes, options, message):
@@ -152,29 +138,15 @@ def test_invalid_values_leave_no_file(tmp_path, changes, options, message):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.landing
-def test_whole_rollouts_are_announced(tmp_path, monkeypatch):
-    """Before the work."""
-    monkeypatch.setattr(training, "_learn", lambda *_: None)
-    said = []
-    run(tmp_path / "run", timesteps=200, say=said.append)
-    assert said == ["trains 256 timesteps: whole rollouts of 128"]
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize("activation", ["Tanh", "ReLU"])
-def test_exported_network_equals_the_model(activation):
-    config = make_config(
-        plain(policy_kwargs=f"dict(net_arch=[9, 5], activation_fn=nn.{activation})")
-    )
-    envs = make_steered_vec(
-        PLANAR, config.n_envs, wrappers=config.wrappers, seed=0, **config.env_kwargs
-    )
-    normalize = VecNormalize(CableBotVecEnv(envs), **config.normalize)
+def test_exported_network_equals_the_model(tmp_path, activation):
+    kwargs = f"dict(net_arch=[9, 5], activation_fn=nn.{activation})"
+    config = find_config(PLANAR, write_config(tmp_path, policy_kwargs=kwargs))
+    normalize = make_training_envs(PLANAR, config=config)
     model = PPO(env=normalize, seed=3, device="cpu", **config.model)
-    with runs.torch_threads(1):
-        model.learn(128)
-    network = network_from_sb3(model)
+    model.learn(128)
+    network = trained_policy(model).bundle.network
     spread = 20 * np.sqrt(normalize.obs_rms.var)  # some inputs are clipped
     observed = normalize.obs_rms.mean + spread * np.random.default_rng(0).normal(
         size=(200, network.inputs)
@@ -184,80 +156,69 @@ def test_exported_network_equals_the_model(activation):
     assert np.max(np.abs(np.clip(network(observed), -1.0, 1.0) - expected)) < 1e-6
 
 
-def test_run_writes_policies_evaluations_and_card(trained):
-    result = TrainingResult.load(trained)
-    table = rows(trained / "evaluations.csv")
-    logged = rows(trained / "progress.csv")
-    assert (
-        [float(row["timesteps"]) for row in table]
-        == [128, 256]
-        == [evaluation.timesteps for evaluation in result.evaluations]
-    )
-    assert [float(row["time/total_timesteps"]) for row in logged] == [128.0, 256.0]
-    assert {"train/learning_rate", "rollout/payload_ceiling", "rollout/success_rate"} <= {
-        *logged[-1]
-    }
+def test_run_writes_policies_log_and_card(trained):
+    evaluated = TrainingRun.load(trained)
+    assert [evaluation.timesteps for evaluation in evaluated.evaluations] == [128, 256]
+    payloads = [evaluation.rank for evaluation in evaluated.evaluations]
+    assert logged(trained / "log", "eval/payload_kg") == payloads
+    assert logged(trained / "log", "time/total_timesteps") == [128, 128, 256, 256]
+    for name in ("train/learning_rate", "rollout/payload_ceiling", "rollout/success_rate"):
+        assert logged(trained / "log", name)
     card = Bundle.load(trained / "best.zip").card
-    assert card["command"].startswith(
-        f"cablebot train {PLANAR} --config ppo.yaml --seed 3 --timesteps 256"
-    )
     assert card["seed"] == 3
     assert card["config"]["n_steps"] == 4
-    assert card["timesteps"] == result.best.timesteps == card["curve"][-1]["timesteps"]
+    assert card["done"] == evaluated.best.timesteps == card["evaluations"][-1]["timesteps"]
     assert str(trained.parent) not in json.dumps(card)
-    assert Bundle.load(trained / "last.zip").card["timesteps"] == 256
+    assert Bundle.load(trained / "last.zip").card["done"] == 256
 
 
 @pytest.mark.landing
 def test_same_seed_gives_the_same_weights(trained, tmp_path):
+    """Also with the configuration in the folder of the run."""
     np.random.seed(9)  # noqa: NPY002 - SB3 draws from this generator
     for seed in (3, 4):
-        run(tmp_path / str(seed), seed=seed)
-        same = np.array_equal(
-            weights(tmp_path / str(seed) / "last.zip"), weights(trained / "last.zip")
-        )
+        out = tmp_path / str(seed)
+        training.train(PLANAR, out=out, config=trained / "config.yaml", seed=seed, evaluation=QUICK)
+        same = np.array_equal(weights(out / "last.zip"), weights(trained / "last.zip"))
         assert same == (seed == 3)
 
 
 def test_resumed_run_continues_from_the_saved_model(copied, monkeypatch):
-    """Without updates the weights stay, while normalisation, curriculum, evaluations and logs
+    """Without updates the weights stay, while normalisation, curriculum, evaluations and log
     continue."""
     before = weights(copied / "last.zip")
     state = json.loads((copied / "run.json").read_text())
     (copied / "run.json").write_text(json.dumps(state | {"payload_ceiling": 1.25}))
-    counts = [pickle.loads((copied / "checkpoint/256/vecnormalize.pkl").read_bytes()).obs_rms.count]
     monkeypatch.setattr(PPO, "train", lambda self: None)
-    result = training.train(PLANAR, out=copied, resume=True, timesteps=384)
+    result = training.resume_training(PLANAR, out=copied, timesteps=384)
     assert np.array_equal(weights(copied / "last.zip"), before)
-    counts.append(
-        pickle.loads((copied / "checkpoint/384/vecnormalize.pkl").read_bytes()).obs_rms.count
-    )
+    files = (copied / f"checkpoints/rl_model_vecnormalize_{n}_steps.pkl" for n in (256, 384))
+    counts = [pickle.loads(file.read_bytes()).obs_rms.count for file in files]
     assert counts[1] > counts[0]
-    assert result.timesteps == 384
+    assert result.done == 384
     assert result.payload_ceiling == 1.25
     assert [evaluation.timesteps for evaluation in result.evaluations] == [128, 256, 384]
-    assert [float(row["time/total_timesteps"]) for row in rows(copied / "progress_256.csv")] == [
-        384.0
-    ]
-    assert len(rows(copied / "progress.csv")) == 2
+    assert logged(copied / "log_256", "time/total_timesteps") == [384, 384]
+
+
+@pytest.fixture
+def command(tmp_path, monkeypatch, capsys):
+    """Runs ``cablebot train`` and returns its exit status and standard error in one line."""
+
+    def run(*arguments):
+        line = ("cablebot", "train", PLANAR, "--out", tmp_path / "run", *arguments)
+        monkeypatch.setattr(sys, "argv", [*map(str, line)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        return ended.value.code, " ".join(capsys.readouterr().err.split())
+
+    return run
 
 
 @pytest.mark.landing
-def test_interrupted_command_keeps_its_results_and_resumes(tmp_path, monkeypatch, capsys):
+def test_interrupted_command_keeps_its_results_and_resumes(command, tmp_path, monkeypatch):
     out = tmp_path / "run"
-    path = tmp_path / "ppo.yaml"
     handler = signal.getsignal(signal.SIGTERM)
-    path.write_text(yaml.safe_dump({PLANAR: plain()}))
-    options = [
-        "--evaluation",
-        json.dumps(QUICK),
-        "--eval-every",
-        128,
-        "--checkpoint-every",
-        64,
-        "--timesteps",
-        640,
-    ]
     signals = [signal.SIGTERM]
     train = PPO.train
 
@@ -266,27 +227,21 @@ def test_interrupted_command_keeps_its_results_and_resumes(tmp_path, monkeypatch
         if model.num_timesteps == 256 and signals:
             signal.raise_signal(signals.pop())
 
-    def command(*arguments):
-        monkeypatch.setattr(
-            sys, "argv", [*map(str, ("cablebot", "train", PLANAR, "--out", out, *arguments))]
-        )
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        return ended.value.code, capsys.readouterr()
-
     monkeypatch.setattr(PPO, "train", interrupted)
-    code, printed = command("--config", path, *options)
-    stopped = TrainingResult.load(out)
-    again = f"stopped after {stopped.timesteps} timesteps; to resume: cablebot train {PLANAR} --out {out} --resume"
+    options = ("--evaluation", json.dumps(QUICK), "--eval-every", 128, "--timesteps", 640)
+    code, printed = command("--config", write_config(tmp_path), *options)
+    stopped = TrainingRun.load(out)
+    again = f"cablebot train {PLANAR} --out {out} --resume"
     assert code == 130
-    assert again in " ".join(printed.err.split())
+    assert f"stopped after 256 timesteps; to resume: {again}" in printed
     assert signal.getsignal(signal.SIGTERM) is handler
-    assert 256 <= stopped.timesteps < 640
-    assert stopped.evaluations[0].timesteps == 128
-    code, printed = command("--resume", "--timesteps", stopped.timesteps + 128)
-    assert code == 0
-    assert TrainingResult.load(out).timesteps == stopped.timesteps + 128
-    assert TrainingResult.load(out).evaluations[: len(stopped.evaluations)] == stopped.evaluations
+    assert (stopped.done, stopped.evaluated) == (256, 128)
+    code, printed = command("--resume", "--seed", 3)
+    assert (code, "leave out --seed" in printed) == (2, True)
+    assert command("--resume", "--timesteps", 384)[0] == 0
+    resumed = TrainingRun.load(out)
+    assert [evaluation.timesteps for evaluation in resumed.evaluations] == [128, 256, 384]
+    assert resumed.evaluations[0] == stopped.evaluations[0]
 
 
 @pytest.mark.landing
@@ -302,20 +257,17 @@ def test_signal_stops_an_evaluation_that_resuming_repeats(tmp_path, monkeypatch,
         progress(1, 2)
         return SimpleNamespace(payload=1.0)
 
-    monkeypatch.setattr(runs, "evaluate_dlcc", evaluate)
+    monkeypatch.setattr(training, "evaluate_dlcc", evaluate)
     out = tmp_path / "run"
-    with pytest.raises(runs.Interrupted):
+    with pytest.raises(training.Interrupted):
         run(out)
-    stopped = TrainingResult.load(out)
-    assert (stopped.timesteps, len(stopped.evaluations)) == (
-        128 * (interrupted - 1),
-        interrupted - 2,
-    )
-    result = training.train(PLANAR, out=out, resume=True)
+    stopped = TrainingRun.load(out)
+    assert stopped.done == 128 * (interrupted - 1)
+    assert len(stopped.evaluations) == interrupted - 2
+    result = training.resume_training(PLANAR, out=out)
     assert [evaluation.timesteps for evaluation in result.evaluations] == [128, 256]
     assert "no gain over the base law" in str(result)
     assert (out / "last.zip").exists()
-    assert (out / "learning-curve.png").read_bytes().endswith(b"IEND\xaeB`\x82")
 
 
 def test_second_interrupt_stops_immediately(tmp_path):
@@ -325,8 +277,8 @@ def test_second_interrupt_stops_immediately(tmp_path):
 
     with pytest.raises(KeyboardInterrupt) as stopped:
         run(tmp_path / "run", progress=step)
-    assert not isinstance(stopped.value, runs.Interrupted)
-    assert TrainingResult.load(tmp_path / "run").timesteps == 0
+    assert not isinstance(stopped.value, training.Interrupted)
+    assert not (tmp_path / "run" / "run.json").exists()
 
 
 def test_best_policy_has_the_largest_evaluated_payload(tmp_path, monkeypatch):
@@ -337,36 +289,25 @@ def test_best_policy_has_the_largest_evaluated_payload(tmp_path, monkeypatch):
         evaluations.append(conditions)
         return SimpleNamespace(payload=next(payloads))
 
-    monkeypatch.setattr(runs, "evaluate_dlcc", evaluate)
+    monkeypatch.setattr(training, "evaluate_dlcc", evaluate)
     run(tmp_path / "run", timesteps=512)
     card = Bundle.load(tmp_path / "run" / "best.zip").card
-    assert card["timesteps"] == 256
-    assert card["payload_kg"] == 3.0
-    assert card["base_payload_kg"] == 0.5
-    assert [item["payload_kg"] for item in card["curve"]] == [None, 3.0]
-    assert [row["payload_kg"] for row in rows(tmp_path / "run" / "evaluations.csv")] == [
-        "",
-        "3.0",
-        "2.0",
-        "3.0",
-    ]
+    assert card["done"] == 256
+    assert card["base"]["payload_kg"] == 0.5
+    assert [item["payload_kg"] for item in card["evaluations"]] == [None, 3.0]
+    assert logged(tmp_path / "run" / "log", "eval/payload_kg") == [-1.0, 3.0, 2.0, 3.0]
     for conditions in evaluations:
         del conditions["progress"]
     assert evaluations == [{"criterion": "task", **QUICK}] * 5
 
 
-def test_run_is_resumed_only_with_its_settings(trained, tmp_path):
-    before = digests(trained)
+def test_folder_of_a_run_is_not_overwritten(trained, tmp_path):
+    before = (trained / "last.zip").read_bytes()
     with pytest.raises(ValueError, match="already contains a run: add --resume"):
         run(trained)
-    for changes in (
-        {"seed": 4},
-        {"config": runs.HYPERPARAMS},
-        {"evaluation": {}},
-    ):
-        with pytest.raises(ValueError, match="was started with"):
-            training.train(PLANAR, out=trained, resume=True, **changes)
-    assert training.train(PLANAR, out=trained, resume=True).timesteps == 256  # nothing to do
-    assert digests(trained) == before
+    with pytest.raises(ValueError, match="was started with CableBot-Planar-v0"):
+        training.resume_training("CableBot-Spatial-v0", out=trained)
+    assert training.resume_training(PLANAR, out=trained).done == 256  # nothing to do
+    assert (trained / "last.zip").read_bytes() == before
     with pytest.raises(ValueError, match="there is no run to resume"):
-        training.train(PLANAR, out=tmp_path / "none", resume=True)
+        training.resume_training(PLANAR, out=tmp_path / "none")

@@ -51,27 +51,31 @@ def check_same_dict(infos, expected):
 
 
 def check_same_run(env, twin, actions):
-    """Compares transitions and infos; returns how many episodes failed, and how many the time limit
-    ended."""
+    """Compares transitions, and the infos of ended and started episodes; returns how many episodes
+    failed, and how many the time limit ended."""
     failed = limited = 0
     for action in actions:
-        results = env.step(action)
-        expected = twin.step(action)
-        for result, expected_result in zip(results[:3], expected[:3], strict=True):
+        *results, infos = env.step(action)
+        *expected, expected_infos = twin.step(action)
+        for result, expected_result in zip(results, expected, strict=True):
             assert_array_equal(result, expected_result, strict=True)
-        for result, expected_result in zip(
-            results[3] + env.reset_infos, expected[3] + twin.reset_infos, strict=True
-        ):
-            check_same_dict(result, expected_result)
-        limit = np.array([info["TimeLimit.truncated"] for info in expected[3]])
-        failed = failed + (expected[2] & ~limit).sum()
-        limited = limited + limit.sum()
+        for done, info, expected_info in zip(results[2], infos, expected_infos, strict=True):
+            is_limit = expected_info["TimeLimit.truncated"]
+            check_same_dict(info, expected_info if done else {"TimeLimit.truncated": is_limit})
+            failed += done and not is_limit
+            limited += is_limit
+        check_reset_infos(env, twin)
     return failed, limited
+
+
+def check_reset_infos(env, twin):
+    for info, expected in zip(env.reset_infos, twin.reset_infos, strict=True):
+        check_same_dict(info, expected)
 
 
 @pytest.mark.parametrize("env_id", PAPER_ENV_IDS)
 def test_transitions_equal_those_of_dummy_vec_env(env_id):
-    env = ours(env_id, info_keys=None)
+    env = ours(env_id)
     twin = dummy(env_id)
     assert env.observation_space == twin.observation_space
     assert env.action_space == twin.action_space
@@ -83,21 +87,6 @@ def test_transitions_equal_those_of_dummy_vec_env(env_id):
     assert_array_equal(env.reset(), twin.reset())  # the seeds applied once
     for name in ("pose", "action_space", "render_mode"):
         assert_equal(env.get_attr(name, indices=[3, 1]), twin.get_attr(name, indices=[3, 1]))
-
-
-def test_info_keys_select_the_info_of_the_episode_that_ended():
-    """Ended episodes also have the final keys; the info of the next episode is in ``reset_infos``
-    only."""
-    env = ours(seed=1, info_keys=("time", "slack"))
-    twin = dummy()
-    twin.seed(1)
-    env.reset(), twin.reset()
-    for action in random_actions(env, 40):
-        _, _, dones, infos = env.step(action)
-        for done, info, full_info in zip(dones, infos, twin.step(action)[3], strict=True):
-            final = {"terminal_observation", "termination_reason", "payload"} if done else set()
-            assert info.keys() == {"TimeLimit.truncated", "time", "slack"} | final
-            check_same_dict(info, {key: full_info[key] for key in info})
 
 
 def test_results_may_be_overwritten_by_the_caller():
@@ -114,15 +103,14 @@ def test_results_may_be_overwritten_by_the_caller():
 
 
 def test_options_apply_to_one_episode():
-    env = ours(info_keys=None)
+    env = ours()
     twin = dummy()
     for vec_env in (env, twin):
         vec_env.seed(5)
         vec_env.set_options({"payload": 1.5, "payload_known": False})
     for _ in range(2):
         assert_array_equal(env.reset(), twin.reset())
-        for info, expected in zip(env.reset_infos, twin.reset_infos, strict=True):
-            check_same_dict(info, expected)
+        check_reset_infos(env, twin)
     check_same_run(env, twin, random_actions(env, 12))
     env.set_options({"payload": np.arange(5.0)})
     env.reset()

@@ -38,9 +38,9 @@ def ends():
 
 
 def of_training(path):
-    from cablebot_baselines.learned.runs import read_yaml
+    from cablebot_baselines.learned.recipe import find_config
 
-    return read_yaml("CableBot-Planar-v0", path)
+    return find_config("CableBot-Planar-v0", path)
 
 
 SQUARE = (ROOT / "examples" / "square.toml").read_text()
@@ -77,9 +77,9 @@ def test_reader_accepts_a_byte_order_mark_and_asks_for_utf_8(tmp_path, name):
 
 
 def training(path):
-    from cablebot_baselines.learned.runs import TrainingResult
+    from cablebot_baselines.learned.training import TrainingRun
 
-    return TrainingResult.load(path.parent)
+    return TrainingRun.load(path.parent)
 
 
 def option(path):

@@ -8,14 +8,14 @@ from typing import Annotated, Any
 
 import typer
 
-from cablebot_gym.utils.console import command_line, notes_console, progress
+from cablebot_gym.utils.console import progress
 
 
 def train(
     env_id: Annotated[
         str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Spatial-v0.")
     ],
-    out: Annotated[Path, "Folder of the run: checkpoint, policies, evaluations, logs."],
+    out: Annotated[Path, "Folder of the run: policies, checkpoints, log."],
     config: Annotated[
         Path | None,
         "YAML file of hyperparameters by environment. Default: the shipped one.",
@@ -34,17 +34,14 @@ def train(
         ),
     ] = False,
     eval_every: Annotated[
-        int | None, "Timesteps between two evaluations. Default: 1/20 of all timesteps."
-    ] = None,
-    checkpoint_every: Annotated[
-        int | None, "Timesteps between two checkpoints. Default: 1/20 of all timesteps."
+        int | None,
+        "Timesteps between two evaluations, which checkpoints follow. Default: 1/20 of all.",
     ] = None,
     evaluation: Annotated[
         str | None,
         "Keyword arguments of evaluate_dlcc as JSON, such as "
         '\'{"uncertainty": "table6", "draws": 32}\'.',
     ] = None,
-    threads: Annotated[int | None, "Number of torch's threads. Default: 1."] = None,
 ) -> None:
     """Train a learned policy and write the one with the largest DLCC to best.zip.
 
@@ -58,37 +55,28 @@ def train(
 
     cablebot train CableBot-Spatial-v0 --out runs/spatial --resume
     """
-    from cablebot_baselines.learned.runs import Interrupted
-    from cablebot_baselines.learned.training import train as run_training
+    from cablebot_baselines.learned import training
 
-    say = notes_console().print
-    try:
-        with progress("training", "timesteps") as step:
-            result = run_training(
-                env_id,
-                out=out,
-                resume=resume,
-                progress=step,
-                say=say,
-                config=config,
-                seed=seed,
-                timesteps=timesteps,
-                eval_every=eval_every,
-                checkpoint_every=checkpoint_every,
-                threads=threads,
-                evaluation=_evaluation(evaluation),
-            )
-    except Interrupted as stop:
-        again = command_line("train", env_id, out=out, resume=True)
-        say(f"stopped after {stop.timesteps} timesteps; to resume: {again}")
-        raise
-    print(result)
+    options: dict[str, Any] = {
+        "config": config,
+        "seed": seed,
+        "eval_every": eval_every,
+        "evaluation": evaluation and _evaluation(evaluation),
+    }
+    given = {name: value for name, value in options.items() if value is not None}
+    with progress("training", "timesteps") as step:
+        if not resume:
+            run = training.train(env_id, out=out, timesteps=timesteps, progress=step, **given)
+        elif given:
+            names = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+            raise ValueError(f"--resume continues with the settings of the run: leave out {names}")
+        else:
+            run = training.resume_training(env_id, out=out, timesteps=timesteps, progress=step)
+    print(run)
 
 
-def _evaluation(text: str | None) -> dict[str, Any] | None:
+def _evaluation(text: str) -> dict[str, Any]:
     """Value of ``--evaluation``."""
-    if text is None:
-        return None
     try:
         return dict(json.loads(text))
     except (TypeError, ValueError) as error:

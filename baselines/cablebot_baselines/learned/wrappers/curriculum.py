@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from numbers import Integral
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import VectorEnv
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cablebot_baselines.classical.law import Array
-from cablebot_baselines.learned.wrappers.layers import BatchWrapper, SingleWrapper, restart_mask
+from cablebot_baselines.learned.wrappers.layers import TrainingWrapper, restart_mask
 from cablebot_gym.bounds.robot_check import SAMPLES, payload_limit
 from cablebot_gym.envs.streams import Purpose, Streams
 from cablebot_gym.envs.vector import VectorStep
@@ -27,11 +25,43 @@ motion exactly. A policy may deviate from the motion up to the error bounds and 
 times that payload."""
 
 
-class PayloadCurriculumVector(BatchWrapper):
-    """Vector form of :class:`PayloadCurriculum` for N environments with one common ceiling.
+class PayloadCurriculum(TrainingWrapper):
+    """Draws the payload of each episode up to a ceiling, which all N environments share and which
+    rises and falls with the success rate.
 
-    Arguments and errors are the same. If ``reset(seed=…)`` gets one integer, environment i is
-    seeded with ``seed + i``.
+    Each reset draws the payload ``ceiling · U^power`` [kg] and passes it to the environment as the
+    option ``payload``. U is uniform in [0, 1), from a stream of the wrapper that ``reset(seed=…)``
+    seeds with ``seed + i`` for environment i. A payload in the caller's options is used instead,
+    and these episodes do not count.
+
+    An episode is heavy if its payload is at least two thirds of the ceiling
+    (:data:`HEAVY_FRACTION`). It succeeds if the motion ends and no limit was violated;
+    ``info["is_success"]``, shape (N,), is true then. The last ``window`` heavy episodes decide
+    about the ceiling:
+
+    * If the fraction of successes is at least ``success``, the ceiling rises by ``step · heaviest``
+      to at most ``heaviest``.
+    * If it is less than ``setback``, the ceiling falls by the same amount to at least ``start``.
+
+    After each of these decisions a new window begins.
+
+    Args:
+        env: vector environment of this package with autoreset disabled.
+        heaviest: highest ceiling [kg]; > 0. None: :data:`EXACT_MULTIPLE` times the largest payload
+            with which the motors can follow the motion exactly.
+        power: exponent; > 0. Below 1, heavy payloads are more frequent than light ones.
+        start: initial and lowest ceiling [kg]; from 0 to ``heaviest``. None: ``heaviest``, so that
+            the ceiling is constant. If ``heaviest`` is None, too: the largest payload with which
+            the motors can follow the motion exactly.
+        step: change of the ceiling as a fraction of ``heaviest``; in (0, 1].
+        success: fraction of successes from which on the ceiling rises; in [0, 1].
+        window: number of last heavy episodes that decide about the ceiling; ≥ 1.
+        setback: fraction of successes below which the ceiling falls; from 0 (never) to ``success``.
+
+    Raises:
+        ValueError: if the environment is not such a one, if an argument is out of its range, or if
+            the environment contains the wrapper
+            :class:`~cablebot_baselines.learned.wrappers.steered.Steered`, which must be outermost.
     """
 
     def __init__(
@@ -68,12 +98,11 @@ class PayloadCurriculumVector(BatchWrapper):
         self.ceiling = self._lowest_ceiling
         """Present ceiling: upper end of the drawn payloads [kg]."""
         self._streams = Streams(self.num_envs)
-        self._was_reset = False
-        # Payloads of the present episodes, (N,) [kg]; NaN: the episode does not count.
+        # Environments that never get a seed draw different payloads in every run.
+        entropy = np.random.SeedSequence().generate_state(self.num_envs, np.uint64)
+        self._streams.seed(np.arange(self.num_envs), entropy.tolist())
+        # Payloads of the present episodes, (N,) [kg]; NaN: the episode does not count, or has.
         self._payload = np.full(self.num_envs, np.nan)
-        # Whether the present episode has started and not ended, (N,). Environments can be stepped on
-        # after an end and then report it again; an episode counts once.
-        self._running = np.zeros(self.num_envs, np.bool_)
 
     def _exact_payload(self) -> float:
         """Largest payload with which the motors can follow the motion exactly [kg].
@@ -99,14 +128,18 @@ class PayloadCurriculumVector(BatchWrapper):
         call has no effect.
 
         Raises:
-            ValueError: if a seed or an option is invalid.
+            ValueError: if the seed is neither None nor an integer ≥ 0, or an option is invalid.
         """
         restarted = restart_mask(options, self.num_envs)
         env_indices = np.flatnonzero(restarted)
         streams_before = self._streams.state()
-        self._seed_streams(env_indices, seed)
+        if seed is not None:
+            first_seed = whole("seed", seed)
+            self._streams.seed(env_indices, (first_seed + env_indices).tolist())
         self._streams.start_episode(env_indices)
-        payload = self._draw(env_indices)
+        payload = np.zeros(self.num_envs)
+        uniform = self._streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
+        payload[env_indices] = self.ceiling * uniform**self._power
         env_options = dict(options or {})
         if "payload" in env_options:
             payload[:] = np.nan  # the episode does not count
@@ -118,50 +151,17 @@ class PayloadCurriculumVector(BatchWrapper):
             self._streams.restore(streams_before)
             raise
         self._payload[restarted] = payload[restarted]
-        self._running[restarted] = True
-        self._was_reset = True
         return observation, info
 
-    def _seed_streams(self, env_indices: NDArray[np.int64], seed: Any) -> None:
-        """Seeds the streams of environments with the ``seed`` of :meth:`reset`.
-
-        Invalid seeds are ignored here: the environment rejects them.
-        """
-        count = self.num_envs
-        if not self._was_reset:
-            # Environments that never get a seed draw different payloads in every run.
-            entropy = np.random.SeedSequence().generate_state(count, np.uint64)
-            self._streams.seed(np.arange(count), entropy.tolist())
-        seeds: Any = [None] * count
-        if isinstance(seed, Integral):
-            seeds = range(int(seed), int(seed) + count)
-        elif isinstance(seed, (Sequence, np.ndarray)) and len(seed) == count:
-            seeds = seed
-        for env_index in env_indices:
-            env_seed = seeds[env_index]
-            if isinstance(env_seed, Integral) and int(env_seed) >= 0:
-                self._streams.seed(np.array([env_index]), [int(env_seed)])
-
-    def _draw(self, env_indices: NDArray[np.int64]) -> Array:
-        """Payloads of the present episodes of the environments ``env_indices``, (N,) [kg]; 0 for
-        the other environments."""
-        payload = np.zeros(self.num_envs)
-        uniform = self._streams.uniform(env_indices, Purpose.PAYLOAD, 1)[:, 0]
-        payload[env_indices] = self.ceiling * uniform**self._power
-        return payload
-
     def step(self, actions: ArrayLike) -> VectorStep:
-        """Advances all environments by one control period.
-
-        ``info["is_success"]``, shape (N,), is true where an episode ends with success. Each episode
-        counts once, also if it is stepped on after its end.
-        """
+        """Advances all environments by one control period. An episode counts once, also if it is
+        stepped on after its end."""
         observation, reward, terminated, truncated, info = self.env.step(actions)
         succeeded = truncated & ~terminated & ~info["violated"]
-        ended = (terminated | truncated) & self._running
-        self._running &= ~ended
+        ended = terminated | truncated
         for env_index in np.flatnonzero(ended).tolist():
             self._count(self._payload[env_index], bool(succeeded[env_index]))
+        self._payload[ended] = np.nan
         info = info | {"is_success": succeeded}
         return observation, reward, terminated, truncated, info
 
@@ -182,49 +182,3 @@ class PayloadCurriculumVector(BatchWrapper):
         else:
             return
         self._recent_successes.clear()  # the window begins anew after each decision
-
-
-class PayloadCurriculum(SingleWrapper):
-    """Draws the payload of each episode up to a ceiling, which rises and falls with the success
-    rate.
-
-    Each reset draws the payload ``ceiling · U^power`` [kg] and passes it to the environment as the
-    option ``payload``. U is uniform in [0, 1), from a stream of the wrapper that ``reset(seed=…)``
-    seeds. A payload in the caller's options is used instead, and this episode does not count.
-
-    An episode is heavy if its payload is at least two thirds of the ceiling
-    (:data:`HEAVY_FRACTION`). It succeeds if the motion ends and no limit was violated;
-    ``info["is_success"]`` is true then. The last ``window`` heavy episodes decide about the
-    ceiling:
-
-    * If the fraction of successes is at least ``success``, the ceiling rises by ``step · heaviest``
-      to at most ``heaviest``.
-    * If it is less than ``setback``, the ceiling falls by the same amount to at least ``start``.
-
-    After each of these decisions a new window begins.
-
-    Args:
-        env: single environment of this package.
-        heaviest: highest ceiling [kg]; > 0. None: :data:`EXACT_MULTIPLE` times the largest payload
-            with which the motors can follow the motion exactly.
-        power: exponent; > 0. Below 1, heavy payloads are more frequent than light ones.
-        start: initial and lowest ceiling [kg]; from 0 to ``heaviest``. None: ``heaviest``, so that
-            the ceiling is constant. If ``heaviest`` is None, too: the largest payload with which
-            the motors can follow the motion exactly.
-        step: change of the ceiling as a fraction of ``heaviest``; in (0, 1].
-        success: fraction of successes from which on the ceiling rises; in [0, 1].
-        window: number of last heavy episodes that decide about the ceiling; ≥ 1.
-        setback: fraction of successes below which the ceiling falls; from 0 (never) to ``success``.
-
-    Raises:
-        TypeError: if the environment is not one of this package.
-        ValueError: if an argument is out of its range, or if the environment contains the wrapper
-            :class:`~cablebot_baselines.learned.wrappers.steered.Steered`, which must be outermost.
-    """
-
-    vector: ClassVar[type[Any]] = PayloadCurriculumVector
-
-    @property
-    def ceiling(self) -> float:
-        """Present ceiling: upper end of the drawn payloads [kg]."""
-        return float(self.batch.ceiling)
