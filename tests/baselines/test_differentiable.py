@@ -11,7 +11,7 @@ from oracles.plants import each_of
 from oracles.platforms import CRANE, TURNING
 
 import cablebot_gym  # noqa: F401  # registers the ids
-from cablebot_baselines.classical.flexible import Motion
+from cablebot_baselines.classical.flexible import JointMotion
 from cablebot_baselines.learned.differentiable import required_actuation
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
@@ -30,7 +30,7 @@ def motion(robot):
     """A random motion and masses."""
     rng = np.random.default_rng(3)
     shape = (COUNT, robot.coordinates)
-    values = Motion(**{name: rng.uniform(-size, size, shape) for name, size in SIZES.items()})
+    values = JointMotion(**{name: rng.uniform(-size, size, shape) for name, size in SIZES.items()})
     return replace(values, position=values.position + robot.home), robot.mass + np.linspace(
         0.0, 5.0, COUNT
     )
