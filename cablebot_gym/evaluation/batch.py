@@ -23,6 +23,7 @@ from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import LoadedPolicy, PolicyError, Wrapper, load
 from cablebot_gym.policies.spec import check_measurement
+from cablebot_gym.policies.wrappers import PolicyEnv, run_policy
 from cablebot_gym.task import Task, to_jsonable
 from cablebot_gym.trajectories import Trajectory
 
@@ -329,7 +330,8 @@ class Batch:
 
         Args:
             rows: payload and seed of each episode.
-            observer: receives the steps of the rows in their order.
+            observer: receives the steps of the rows in their order. A policy whose episodes run
+                alone has a single row then.
             count: counts the finished or skipped control steps.
             full_motion: whether to simulate an episode to the end of the motion after a violation.
             refinement: factor of the number of physics steps in a control period.
@@ -338,7 +340,9 @@ class Batch:
             One verdict for each row.
         """
         groups = [np.arange(len(rows))]
-        if observer is None and len(rows) > 2 * BATCH:
+        if self.policy.alone:
+            groups = np.array_split(groups[0], len(rows))
+        elif observer is None and len(rows) > 2 * BATCH:
             # a group ends with its longest motion
             steps = [self.tasks[row.motion].steps for row in rows]
             groups = np.array_split(np.argsort(steps, kind="stable"), -(-len(rows) // (2 * BATCH)))
@@ -485,33 +489,71 @@ def run_episodes(
             finite actions.
     """
     policy.reset(lambda: deepcopy(env.tasks))
-    state = None
-    start = np.ones(env.num_envs, np.bool_)
-    is_later = np.zeros(env.num_envs, np.bool_)
-    terminated = np.zeros(env.num_envs, np.bool_)
-    count = count or StepCount(None, 0)
-    longest = int(judge.motion_steps.max())
-    for step in range(longest):
-        over = (terminated if full_motion else judge.failed) | judge.finished
-        if over.all():
-            count.add(longest - step)
-            return
-        action, state = policy.act(
-            observation,
-            state,
-            start,
-            cables=env.settings.robot.cables,
-            payloads=judge.payload,
-            time=step / env.settings.control_frequency,
-            ignored=over,
-        )
-        next_observation, reward, ended, _, info = env.step(action)
-        judge.observe(info, ended)
-        if observer is not None:
-            observer.step(next_observation, reward, info, ~over)
+    counted = count or StepCount(None, 0)
+    steps = _Steps(env, policy, observation, judge, observer, counted, full_motion=full_motion)
+    try:
+        run_policy(policy.policy, steps)
+    except PolicyError as error:
+        raise policy.failure(error, judge.payload, steps.time) from error.__cause__
+
+
+class _Steps(PolicyEnv):
+    """The environment of a policy, whose steps go to the judge and the observer."""
+
+    def __init__(
+        self,
+        env: CableBotVectorEnv,
+        policy: LoadedPolicy,
+        observation: Array,
+        judge: Judge,
+        observer: Observer | None,
+        count: StepCount,
+        *,
+        full_motion: bool,
+    ) -> None:
+        self._env, self._policy, self._judge = env, policy, judge
+        self._observer, self._count = observer, count
+        self._full_motion = full_motion
+        self._cables = env.settings.robot.cables
+        self._terminated = np.zeros(env.num_envs, np.bool_)
+        self._step = 0
+        super().__init__(env.layout, self._cables, observation)
+        self._find_ended()
+
+    @property
+    def tasks(self) -> tuple[Task, ...]:
+        """Copies of the tasks."""
+        return deepcopy(self._env.tasks)
+
+    @property
+    def time(self) -> float:
+        """Time of the control instant [s]."""
+        return self._step / self._env.settings.control_frequency
+
+    def _find_ended(self) -> None:
+        """Finds the episodes that have ended, and counts the steps that are left if all have."""
+        failed = self._terminated if self._full_motion else self._judge.failed
+        self._ended = failed | self._judge.finished
+        left = int(self._judge.motion_steps.max()) - self._step
+        self.over = left == 0 or bool(self._ended.all())
+        if self.over and left > 0:
+            self._count.add(left)
+
+    def advance(self, actions: Any) -> Array:
+        """Makes a control step.
+
+        Raises:
+            PolicyError: if the actions are invalid.
+        """
+        action = self._policy.checked(actions, self.num_envs, self._cables, self._ended)
+        observation, reward, ended, _, info = self._env.step(action)
+        self._judge.observe(info, ended)
+        if self._observer is not None:
+            self._observer.step(observation, reward, info, ~self._ended)
         # a policy keeps the last sensible observation of a terminated episode
-        next_observation[terminated] = observation[terminated]
-        observation = next_observation
-        terminated |= ended
-        start = is_later
-        count.add(1)
+        observation[self._terminated] = self._observation[self._terminated]
+        self._terminated |= ended
+        self._step += 1
+        self._count.add(1)
+        self._find_ended()
+        return observation

@@ -25,8 +25,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
-from cablebot_gym.policies.protocol import PolicyError, declarations, predicted, reset_policy
+from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.policies.protocol import PolicyError, called, declarations, reset_policy, shaped
 from cablebot_gym.policies.spec import PolicySpec, load
+from cablebot_gym.policies.wrappers import PolicyEnv, run_policy
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import Task
 from cablebot_gym.utils.user_code import raised
 
 HEADER = struct.Struct("<BQ")
@@ -95,19 +99,29 @@ def make_folders(folder: Path) -> dict[str, str]:
 
 
 class _Server:
-    """A policy and its state."""
+    """A policy and its state.
+
+    Args:
+        requests: pipe of the requests.
+        replies: pipe of the replies.
+    """
+
+    def __init__(self, requests: IO[bytes], replies: IO[bytes]) -> None:
+        self.requests, self.replies = requests, replies
+        self.tasks: tuple[Task, ...] = ()
 
     def load(self, name: str, robot: Any, path: list[str], wrappers: tuple[str, ...] = ()) -> bytes:
         """Loads the policy and returns its declarations as JSON."""
         sys.path[:] = path
         loaded = load(name, robot, wrappers=wrappers)
         self._policy = loaded.policy
-        self._cables = robot.cables
+        self.robot: Robot = robot
         self._state = None
         declared = declarations(self._policy)
         described = declared._asdict() | {
             "notes": loaded.notes,
             "wrappers": loaded.wrappers,
+            "alone": loaded.alone,
             "fallbacks": hasattr(self._policy, "fallbacks"),
             # forks would repeat the random numbers
             "forks": _can_fork() and not declared.stochastic,
@@ -121,18 +135,30 @@ class _Server:
     def reset(self, tasks: Any) -> bytes:
         """Resets the policy."""
         self._state = None
+        self.tasks = tasks
         reset_policy(self._policy, "", lambda: tasks)
         return b""
 
     def predict(self, observation: Any, start: Any, fresh: bool) -> bytes:
+        """Reply of a control step.
+
+        A policy with wrappers makes all steps of the batch here, in a :class:`_PipeEnv`, until an
+        error or the end of the process.
+        """
+        if hasattr(self._policy, "wrap"):
+            run_policy(self._policy, _PipeEnv(self, observation))
+        state = None if fresh else self._state
+        actions, self._state = called(self._policy, observation, state, start)
+        return self.reply(actions, len(observation))
+
+    def reply(self, actions: Any, rows: int) -> bytes:
         """Actions as float64, followed by the number of fallbacks, which is NaN if the policy does
         not count them."""
-        state = None if fresh else self._state
-        actions, self._state = predicted(self._policy, observation, state, start, self._cables)
         fallbacks = math.nan
         with suppress(Exception):
             fallbacks = float(getattr(self._policy, "fallbacks", math.nan))
-        return actions.tobytes() + struct.pack("<d", fallbacks)
+        shaped_actions = shaped(actions, rows, self.robot.cables)
+        return shaped_actions.tobytes() + struct.pack("<d", fallbacks)
 
     def describe(self, name: str, path: list[str]) -> bytes:
         """Data of the entry of an installed policy as JSON."""
@@ -153,13 +179,49 @@ class _Server:
         ).encode()
 
 
+class _PipeEnv(PolicyEnv):
+    """The environment of a policy with wrappers: a step is a reply and the next request.
+
+    Args:
+        server: the server of the policy.
+        observation: first observations, (N, size).
+    """
+
+    def __init__(self, server: _Server, observation: Any) -> None:
+        super().__init__(observation_layout(server.robot), server.robot.cables, observation)
+        self._server = server
+
+    @property
+    def tasks(self) -> tuple[Task, ...]:
+        """Public tasks of the episodes."""
+        return self._server.tasks
+
+    def advance(self, actions: Any) -> Any:
+        """Sends the actions and receives the next observations.
+
+        Raises:
+            PolicyError: if the actions are invalid, or if another batch begins.
+        """
+        body = self._server.reply(actions, self.num_envs)
+        send_frame(self._server.replies, ANSWER, body)
+        kind, request = receive_frame(self._server.requests)
+        if kind == END:
+            os._exit(0)
+        if kind != PREDICT:
+            raise PolicyError("its wrappers act in one batch at a time")
+        observation, _, fresh = pickle.loads(request)
+        if fresh:
+            raise PolicyError("with wrappers, call reset(tasks) before each batch")
+        return observation
+
+
 def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
     """Answers requests, those of a batch in a fork.
 
     Raises:
         OSError: if a pipe is closed.
     """
-    server = _Server()
+    server = _Server(requests, replies)
     methods: dict[int, Callable[..., bytes]] = {
         LOAD: server.load,
         START: server.start,

@@ -16,7 +16,7 @@ from cablebot_gym.bounds.best_known import cached_best_known
 from cablebot_gym.evaluation.batch import Batch, Row, draw_seeds
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.constraints import Violation
-from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
+from cablebot_gym.evaluation.rollout import Rollout, record, record_rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.rendering.moment import ball_radius
@@ -110,11 +110,9 @@ def replays(cell: PolicyCell, dlcc: float | None) -> list[Replay]:
     conditions = Conditions.of(cell.env_id, draws=1, **cell.env_options())
     seed = draw_seeds(cell.seed, cell.draws)[0]
     rows = [Row(payload, seed) for payload in _payloads(dlcc)]
-    recorder = Recorder(range(len(rows)), _RECORDED)
     with policy_process(cell) as policy:
-        batch = Batch(policy, conditions)
-        verdicts = batch.run(rows, observer=recorder, full_motion=True)
-    return [compress(rollout) for rollout in recorder.rollouts(verdicts)]
+        rollouts = record(Batch(policy, conditions), rows, _RECORDED)
+    return [compress(rollout) for rollout in rollouts]
 
 
 def _payloads(dlcc: float | None) -> list[float]:
