@@ -485,75 +485,40 @@ def run_episodes(
         full_motion: whether to simulate an episode to the end of the motion after a violation.
 
     Raises:
-        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
-            finite actions.
+        PolicyError: if the policy raises or returns anything but finite actions.
     """
     policy.reset(lambda: deepcopy(env.tasks))
-    counted = count or StepCount(None, 0)
-    steps = _Steps(env, policy, observation, judge, observer, counted, full_motion=full_motion)
-    try:
-        run_policy(policy.policy, steps)
-    except PolicyError as error:
-        raise policy.failure(error, judge.payload, steps.time) from error.__cause__
+    count = count or StepCount(None, 0)
+    robot = env.settings.robot
+    terminated = np.zeros(env.num_envs, np.bool_)
+    step = 0
 
+    def over() -> NDArray[np.bool_]:
+        return (terminated if full_motion else judge.failed) | judge.finished
 
-class _Steps(PolicyEnv):
-    """The environment of a policy, whose steps go to the judge and the observer."""
-
-    def __init__(
-        self,
-        env: CableBotVectorEnv,
-        policy: LoadedPolicy,
-        observation: Array,
-        judge: Judge,
-        observer: Observer | None,
-        count: StepCount,
-        *,
-        full_motion: bool,
-    ) -> None:
-        self._env, self._policy, self._judge = env, policy, judge
-        self._observer, self._count = observer, count
-        self._full_motion = full_motion
-        self._cables = env.settings.robot.cables
-        self._terminated = np.zeros(env.num_envs, np.bool_)
-        self._step = 0
-        super().__init__(env.layout, self._cables, observation)
-        self._find_ended()
-
-    @property
-    def tasks(self) -> tuple[Task, ...]:
-        """Copies of the tasks."""
-        return deepcopy(self._env.tasks)
-
-    @property
-    def time(self) -> float:
-        """Time of the control instant [s]."""
-        return self._step / self._env.settings.control_frequency
-
-    def _find_ended(self) -> None:
-        """Finds the episodes that have ended, and counts the steps that are left if all have."""
-        failed = self._terminated if self._full_motion else self._judge.failed
-        self._ended = failed | self._judge.finished
-        left = int(self._judge.motion_steps.max()) - self._step
-        self.over = left == 0 or bool(self._ended.all())
-        if self.over and left > 0:
-            self._count.add(left)
-
-    def advance(self, actions: Any) -> Array:
-        """Makes a control step.
-
-        Raises:
-            PolicyError: if the actions are invalid.
-        """
-        action = self._policy.checked(actions, self.num_envs, self._cables, self._ended)
-        observation, reward, ended, _, info = self._env.step(action)
-        self._judge.observe(info, ended)
-        if self._observer is not None:
-            self._observer.step(observation, reward, info, ~self._ended)
+    def advance(actions: Any) -> Array:
+        nonlocal observation, step
+        ignored = over()
+        action = policy.checked(actions, env.num_envs, robot.cables, ignored)
+        next_observation, reward, ended, _, info = env.step(action)
+        judge.observe(info, ended)
+        if observer is not None:
+            observer.step(next_observation, reward, info, ~ignored)
         # a policy keeps the last sensible observation of a terminated episode
-        observation[self._terminated] = self._observation[self._terminated]
-        self._terminated |= ended
-        self._step += 1
-        self._count.add(1)
-        self._find_ended()
+        next_observation[terminated] = observation[terminated]
+        observation = next_observation
+        terminated[ended] = True
+        step += 1
+        count.add(1)
+        inside.over = bool(over().all())
         return observation
+
+    inside = PolicyEnv(env.layout, robot.cables, observation, advance, lambda: deepcopy(env.tasks))
+    inside.over = bool(over().all())
+    try:
+        run_policy(policy.policy, inside)
+    except PolicyError as error:
+        time = step / env.settings.control_frequency
+        raise policy.failure(error, judge.payload, time) from error.__cause__
+    if step < judge.motion_steps.max():
+        count.add(int(judge.motion_steps.max()) - step)

@@ -107,15 +107,15 @@ class _Server:
     """
 
     def __init__(self, requests: IO[bytes], replies: IO[bytes]) -> None:
-        self.requests, self.replies = requests, replies
-        self.tasks: tuple[Task, ...] = ()
+        self._requests, self._replies = requests, replies
+        self._tasks: tuple[Task, ...] = ()
 
     def load(self, name: str, robot: Any, path: list[str], wrappers: tuple[str, ...] = ()) -> bytes:
         """Loads the policy and returns its declarations as JSON."""
         sys.path[:] = path
         loaded = load(name, robot, wrappers=wrappers)
         self._policy = loaded.policy
-        self.robot: Robot = robot
+        self._robot: Robot = robot
         self._state = None
         declared = declarations(self._policy)
         described = declared._asdict() | {
@@ -135,30 +135,48 @@ class _Server:
     def reset(self, tasks: Any) -> bytes:
         """Resets the policy."""
         self._state = None
-        self.tasks = tasks
+        self._tasks = tasks
         reset_policy(self._policy, "", lambda: tasks)
         return b""
 
     def predict(self, observation: Any, start: Any, fresh: bool) -> bytes:
-        """Reply of a control step.
+        """Actions as float64, followed by the number of fallbacks, which is NaN if the policy does
+        not count them.
 
-        A policy with wrappers makes all steps of the batch here, in a :class:`_PipeEnv`, until an
-        error or the end of the process.
+        A policy with wrappers makes all steps of the batch here, until an error or the end of the
+        process.
         """
+        self._rows = len(observation)
         if hasattr(self._policy, "wrap"):
-            run_policy(self._policy, _PipeEnv(self, observation))
+            layout, cables = observation_layout(self._robot), self._robot.cables
+            env = PolicyEnv(layout, cables, observation, self._advance, lambda: self._tasks)
+            run_policy(self._policy, env)
         state = None if fresh else self._state
         actions, self._state = called(self._policy, observation, state, start)
-        return self.reply(actions, len(observation))
+        return self._reply(actions)
 
-    def reply(self, actions: Any, rows: int) -> bytes:
-        """Actions as float64, followed by the number of fallbacks, which is NaN if the policy does
-        not count them."""
+    def _advance(self, actions: Any) -> Any:
+        """Sends actions and receives the next observations.
+
+        Raises:
+            PolicyError: if the actions are invalid, or if another batch begins.
+        """
+        send_frame(self._replies, ANSWER, self._reply(actions))
+        kind, request = receive_frame(self._requests)
+        if kind == END:
+            os._exit(0)
+        observation, _, fresh = pickle.loads(request)
+        if fresh:
+            raise PolicyError("with wrappers, call reset(tasks) before each batch")
+        return observation
+
+    def _reply(self, actions: Any) -> bytes:
         fallbacks = math.nan
         with suppress(Exception):
             fallbacks = float(getattr(self._policy, "fallbacks", math.nan))
-        shaped_actions = shaped(actions, rows, self.robot.cables)
-        return shaped_actions.tobytes() + struct.pack("<d", fallbacks)
+        return shaped(actions, self._rows, self._robot.cables).tobytes() + struct.pack(
+            "<d", fallbacks
+        )
 
     def describe(self, name: str, path: list[str]) -> bytes:
         """Data of the entry of an installed policy as JSON."""
@@ -177,42 +195,6 @@ class _Server:
                 "files": files,
             }
         ).encode()
-
-
-class _PipeEnv(PolicyEnv):
-    """The environment of a policy with wrappers: a step is a reply and the next request.
-
-    Args:
-        server: the server of the policy.
-        observation: first observations, (N, size).
-    """
-
-    def __init__(self, server: _Server, observation: Any) -> None:
-        super().__init__(observation_layout(server.robot), server.robot.cables, observation)
-        self._server = server
-
-    @property
-    def tasks(self) -> tuple[Task, ...]:
-        """Public tasks of the episodes."""
-        return self._server.tasks
-
-    def advance(self, actions: Any) -> Any:
-        """Sends the actions and receives the next observations.
-
-        Raises:
-            PolicyError: if the actions are invalid, or if another batch begins.
-        """
-        body = self._server.reply(actions, self.num_envs)
-        send_frame(self._server.replies, ANSWER, body)
-        kind, request = receive_frame(self._server.requests)
-        if kind == END:
-            os._exit(0)
-        if kind != PREDICT:
-            raise PolicyError("its wrappers act in one batch at a time")
-        observation, _, fresh = pickle.loads(request)
-        if fresh:
-            raise PolicyError("with wrappers, call reset(tasks) before each batch")
-        return observation
 
 
 def serve(requests: IO[bytes], replies: IO[bytes]) -> None:

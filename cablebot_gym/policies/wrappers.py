@@ -18,7 +18,7 @@ from gymnasium.vector.utils import batch_space, iterate
 from gymnasium.wrappers.vector import TransformObservation
 
 from cablebot_gym.envs.observation import ObservationLayout, observation_layout
-from cablebot_gym.policies.protocol import Array, Policy, PolicyError, called
+from cablebot_gym.policies.protocol import Array, Policy, PolicyError, called, name_of
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.utils.foreign import foreign_bytes
@@ -47,22 +47,30 @@ class PolicyEnv(VectorEnv[Any, Any, Any]):
     """The environment inside the wrappers of a policy. Rewards are 0, info is empty and no episode
     ends.
 
-    Subclasses make the steps; in this class nothing moves.
-
     Args:
         layout: layout of the observation.
         cables: number of cables m.
         observation: first observations, (N, size).
+        advance: makes a control step with actions as the policy or a wrapper returned them, and
+            returns the next observations, (N, size).
+        tasks: makes the public tasks of the episodes.
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - Gymnasium's
 
-    over = False
-    """Whether all episodes are over: further steps change nothing."""
-
-    def __init__(self, layout: ObservationLayout, cables: int, observation: Array) -> None:
+    def __init__(
+        self,
+        layout: ObservationLayout,
+        cables: int,
+        observation: Array,
+        advance: Callable[[Any], Array],
+        tasks: Callable[[], tuple[Task, ...]],
+    ) -> None:
         self.layout = layout
+        self.over = False
+        """Whether all episodes are over: further steps change nothing."""
         self._observation = observation
+        self._advance, self._tasks = advance, tasks
         self._stepped = False
         self.num_envs = len(observation)
         self.single_observation_space = layout.space()
@@ -72,17 +80,8 @@ class PolicyEnv(VectorEnv[Any, Any, Any]):
 
     @property
     def tasks(self) -> tuple[Task, ...]:
-        """Public tasks of the episodes.
-
-        Raises:
-            RuntimeError: before the first episode.
-        """
-        raise RuntimeError("the tasks are known from the first reset of the environment")
-
-    def advance(self, actions: Any) -> Array:
-        """Makes a control step with the actions (N, m), and returns the next observations, (N,
-        size)."""
-        return self._observation
+        """Public tasks of the episodes; none before the first episode."""
+        return self._tasks()
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
@@ -103,7 +102,7 @@ class PolicyEnv(VectorEnv[Any, Any, Any]):
         """The observations after these actions."""
         self._stepped = True
         if not self.over:
-            self._observation = self.advance(actions)
+            self._observation = self._advance(actions)
         never = np.zeros(self.num_envs, np.bool_)
         return self._observation.copy(), np.zeros(self.num_envs), never, never.copy(), {}
 
@@ -186,6 +185,8 @@ def as_vec_env(env: VectorEnv[Any, Any, Any]) -> Any:
 class Transform:
     """A wrapper of a vector environment that is a function of the observation."""
 
+    name: str
+    """Name in messages, as the user gave it if it is text."""
     function: Callable[[Any], Any]
     """Function of one observation or of a batch."""
     reads: tuple[int, ...]
@@ -200,7 +201,10 @@ class Transform:
             ValueError: if the function does not fit the space.
         """
         if space.shape != self.reads:
-            raise ValueError(f"it reads shape {self.reads}, and the observation has {space.shape}")
+            raise ValueError(
+                f"wrapper {self.name!r} reads shape {self.reads}, and the observation has "
+                f"{space.shape}"
+            )
         return self.space or space
 
     def __call__(self, env: VectorEnv[Any, Any, Any]) -> VectorEnv[Any, Any, Any]:
@@ -221,35 +225,24 @@ class Layer:
     """Forms to try, in this order."""
 
     @classmethod
-    def of(cls, wrapper: Wrapper | Layer, layout: ObservationLayout) -> Layer:
+    def of(cls, wrapper: Wrapper | Transform, layout: ObservationLayout) -> Layer:
         """The layer of a wrapper that a user gives.
 
         Raises:
             ValueError: if it is not a :data:`Wrapper`, or if its code cannot be imported.
         """
-        if isinstance(wrapper, Layer):
-            return wrapper
         function: Any = wrapper
+        name = name_of(wrapper)
         if isinstance(wrapper, (str, Path)):
             name = str(wrapper)
-            if name == NORMALISED:
-                space = layout.space(normalised=True)
-                return cls(name, Transform(layout.normalise, (layout.size,), space), (VECTOR,))
-            try:
-                if name.endswith(".pkl"):
-                    return statistics(name, foreign_bytes(Path(name)))
-                function = import_object(name)
-            except OSError as error:
-                raise ValueError(f"cannot read wrapper {name!r}: {error.strerror}") from error
-            except Exception as error:
-                raise ValueError(f"wrapper {name!r}: cannot import it ({error})") from error
-        else:
-            name = getattr(wrapper, "__name__", None) or type(wrapper).__name__
+            function = _named(name, layout)
         if not callable(function):
             raise ValueError(
                 f"wrapper {name!r} must be a function or class that takes an environment, such as "
                 "file.py:name, or a .pkl file of VecNormalize"
             )
+        if isinstance(function, Transform):
+            return cls(name, function, (VECTOR,))
         bases = [kind.__name__ for kind in getattr(function, "__mro__", ())]
         for base, form in _FORMS.items():
             if base in bases:
@@ -295,9 +288,29 @@ class Layer:
         return wrapped
 
 
-def statistics(name: str, data: bytes) -> Layer:
-    """The layer of a pickled ``VecNormalize``, whose statistics stay as they are. A pickle can
-    execute any code.
+def _named(name: str, layout: ObservationLayout) -> Any:
+    """The wrapper of a name.
+
+    Raises:
+        ValueError: if its file cannot be read, or if its code cannot be imported.
+    """
+    if name == NORMALISED:
+        space = layout.space(normalised=True)
+        return Transform(name, layout.normalise, (layout.size,), space)
+    try:
+        if not name.endswith(".pkl"):
+            return import_object(name)
+        data = foreign_bytes(Path(name))
+    except OSError as error:
+        raise ValueError(f"cannot read wrapper {name!r}: {error.strerror}") from error
+    except Exception as error:
+        raise ValueError(f"wrapper {name!r}: cannot import it ({error})") from error
+    return statistics(name, data)
+
+
+def statistics(name: str, data: bytes) -> Transform:
+    """The observations of a pickled ``VecNormalize``, whose statistics stay as they are. A pickle
+    can execute any code.
 
     Raises:
         ValueError: if it is no pickle of a ``VecNormalize``.
@@ -306,12 +319,13 @@ def statistics(name: str, data: bytes) -> Layer:
         normalize = pickle.loads(data)
     except Exception as error:
         raise ValueError(
-            f"it is no pickle of VecNormalize, or one of another version ({error})"
+            f"wrapper {name!r} is no pickle of VecNormalize, or one of another version ({error})"
         ) from error
     if not hasattr(type(normalize), "normalize_obs"):
-        raise ValueError(f"it holds {type(normalize).__name__}; save it by VecNormalize.save")
-    transform = Transform(normalize.normalize_obs, normalize.observation_space.shape)
-    return Layer(name, transform, (VECTOR,))
+        raise ValueError(
+            f"wrapper {name!r} holds {type(normalize).__name__}; save it by VecNormalize.save"
+        )
+    return Transform(name, normalize.normalize_obs, normalize.observation_space.shape)
 
 
 class Stack:
@@ -328,26 +342,29 @@ class Stack:
         ValueError: if a wrapper raises, fits no form, or goes on learning.
     """
 
-    def __init__(self, wrappers: Sequence[Wrapper | Layer], robot: Robot) -> None:
+    def __init__(self, wrappers: Sequence[Wrapper | Transform], robot: Robot) -> None:
         if isinstance(wrappers, (str, Path)) or callable(wrappers):
             raise ValueError(f"wrappers must be a list, such as [{wrappers!r}], not one wrapper")
         self.robot, self.layout = robot, observation_layout(robot)
-        self.given = [Layer.of(wrapper, self.layout) for wrapper in wrappers]
-        self.names = tuple(layer.name for layer in self.given)
+        self._given = wrappers
+        layers = [Layer.of(wrapper, self.layout) for wrapper in wrappers]
+        self.names = tuple(layer.name for layer in layers)
         """Names of the wrappers, the innermost first."""
         self.layers: list[Layer] = []
         """Wrappers of the environment, the innermost first."""
         self.transforms: list[Transform] = []
         """Functions of the observations of the wrapped environment, in their order."""
-        for count, layer in enumerate(self.given, 1):
+        for count, layer in enumerate(layers, 1):
             if isinstance(layer.function, Transform):
                 self.transforms.append(layer.function)
             else:
-                self.layers = self.given[:count]
+                self.layers = layers[:count]
                 self.transforms = []
         space = self.layout.space()
         observation = np.clip(np.zeros((1, self.layout.size)), space.low, space.high)
-        env = self.wrap(PolicyEnv(self.layout, robot.cables, observation))
+        env = self.wrap(
+            PolicyEnv(self.layout, robot.cables, observation, lambda _: observation, tuple)
+        )
         envs = list(_inside(env))
         for each in envs:
             _check_frozen(each)
@@ -366,7 +383,7 @@ class Stack:
 
     def normalised(self) -> Stack:
         """A stack with :data:`NORMALISED` inside these wrappers."""
-        return Stack([NORMALISED, *self.given], self.robot)
+        return Stack([NORMALISED, *self._given], self.robot)
 
     def wrap(self, env: PolicyEnv) -> Any:
         """An environment in new wrappers: a vector environment or a ``VecEnv``.
