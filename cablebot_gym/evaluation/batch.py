@@ -23,6 +23,7 @@ from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import LoadedPolicy, PolicyError, Wrapper, load
 from cablebot_gym.policies.spec import check_measurement
+from cablebot_gym.policies.wrappers import PolicyEnv, run_policy
 from cablebot_gym.task import Task, to_jsonable
 from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.console import Progress
@@ -322,7 +323,8 @@ class Batch:
 
         Args:
             rows: payload and seed of each episode.
-            observer: receives the steps of the rows in their order.
+            observer: receives the steps of the rows in their order. A policy whose episodes run
+                alone has a single row then.
             count: counts the finished or skipped control steps.
             full_motion: whether to simulate an episode to the end of the motion after a violation.
             refinement: factor of the number of physics steps in a control period.
@@ -331,7 +333,9 @@ class Batch:
             One verdict for each row.
         """
         groups = [np.arange(len(rows))]
-        if observer is None and len(rows) > 2 * BATCH:
+        if self.policy.alone:
+            groups = np.array_split(groups[0], len(rows))
+        elif observer is None and len(rows) > 2 * BATCH:
             # a group ends with its longest motion
             steps = [self.tasks[row.motion].steps for row in rows]
             groups = np.array_split(np.argsort(steps, kind="stable"), -(-len(rows) // (2 * BATCH)))
@@ -474,37 +478,80 @@ def run_episodes(
         full_motion: whether to simulate an episode to the end of the motion after a violation.
 
     Raises:
-        cablebot_gym.policies.protocol.PolicyError: if the policy raises or returns anything but
-            finite actions.
+        PolicyError: if the policy raises or returns anything but finite actions.
     """
-    policy.reset(lambda: deepcopy(env.tasks))
-    state = None
-    start = np.ones(env.num_envs, np.bool_)
-    is_later = np.zeros(env.num_envs, np.bool_)
-    terminated = np.zeros(env.num_envs, np.bool_)
+
+    def public_tasks() -> tuple[Task, ...]:
+        return deepcopy(env.tasks)
+
+    policy.reset(public_tasks)
     count = count or StepCount(None, 0)
-    longest = int(judge.motion_steps.max())
-    for step in range(longest):
-        over = (terminated if full_motion else judge.failed) | judge.finished
-        if over.all():
-            count.add(longest - step)
-            return
-        action, state = policy.act(
-            observation,
-            state,
-            start,
-            cables=env.settings.robot.cables,
-            payloads=judge.payload,
-            time=step / env.settings.control_frequency,
-            ignored=over,
-        )
-        next_observation, reward, ended, _, info = env.step(action)
-        judge.observe(info, ended)
-        if observer is not None:
-            observer.step(next_observation, reward, info, ~over)
+    steps = _JudgedSteps(env, policy, observation, judge, observer, count, full_motion=full_motion)
+    cables = env.settings.robot.cables
+    inside = PolicyEnv(env.layout, cables, observation, steps.advance, public_tasks)
+    steps.env_of_policy = inside
+    inside.over = bool(steps.over().all())
+    try:
+        run_policy(policy.policy, inside)
+    except PolicyError as error:
+        time = steps.made / env.settings.control_frequency
+        raise policy.failure(error, judge.payload, time) from error.__cause__
+    count.add(max(0, int(judge.motion_steps.max()) - steps.made))
+
+
+class _JudgedSteps:
+    """Control steps of the true environment, each judged. Wrappers of a policy are outside."""
+
+    env_of_policy: PolicyEnv
+
+    def __init__(
+        self,
+        env: CableBotVectorEnv,
+        policy: LoadedPolicy,
+        observation: Array,
+        judge: Judge,
+        observer: Observer | None,
+        count: StepCount,
+        *,
+        full_motion: bool,
+    ) -> None:
+        self.made = 0
+        """Number of control steps that have been made."""
+        self._env = env
+        self._policy = policy
+        self._observation = observation
+        self._judge = judge
+        self._observer = observer
+        self._count = count
+        self._full_motion = full_motion
+        self._terminated = np.zeros(env.num_envs, np.bool_)
+
+    def over(self) -> NDArray[np.bool_]:
+        """Which episodes are over, (N,)."""
+        ended = self._judge.failed
+        if self._full_motion:
+            ended = self._terminated
+        return ended | self._judge.finished
+
+    def advance(self, actions: Any) -> Array:
+        """Makes a control step with the actions of the policy, and returns the next observations,
+        (N, size).
+
+        Raises:
+            PolicyError: if the actions are invalid.
+        """
+        env = self._env
+        over = self.over()
+        action = self._policy.checked(actions, env.num_envs, env.settings.robot.cables, over)
+        observation, reward, ended, _, info = env.step(action)
+        self._judge.observe(info, ended)
+        if self._observer is not None:
+            self._observer.step(observation, reward, info, ~over)
         # a policy keeps the last sensible observation of a terminated episode
-        next_observation[terminated] = observation[terminated]
-        observation = next_observation
-        terminated |= ended
-        start = is_later
-        count.add(1)
+        observation[self._terminated] = self._observation[self._terminated]
+        self._observation = observation
+        self._terminated |= ended
+        self.made += 1
+        self._count.add(1)
+        self.env_of_policy.over = bool(self.over().all())
+        return observation

@@ -21,7 +21,7 @@ from cablebot_gym.evaluation.batch import (
     versions,
 )
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.rollout import Recorder, Rollout
+from cablebot_gym.evaluation.rollout import Rollout, record
 from cablebot_gym.evaluation.statistics import interval
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import LoadedPolicy, Wrapper, name_of
@@ -360,12 +360,11 @@ def compare_policies(
         for policy, label, layers in zip(policies, labels, wrappers_of, strict=True):
             batch = Batch(policy, shared, name=label, wrappers=layers)
             count.expected = len(labels) * batch.task.steps
-            recorder = Recorder(range(batch.draws), _RECORDED)
             rows = [EpisodeSpec(payload, seed) for seed in batch.seeds]
-            verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
+            rollouts = record(batch, rows, _RECORDED, count)
             radius = batch.settings.error_bounds.termination_radius
             isolated &= batch.policy.isolated
-            metrics.append(_metrics(batch.policy, recorder.rollouts(verdicts), radius))
+            metrics.append(_metrics(batch.policy, rollouts, radius))
     return Comparison(
         conditions=shared,
         payload=payload,

@@ -75,8 +75,8 @@ def evaluate_dlcc(
             gap below the first failed one. It can miss failures, so its result is unranked.
         name: name of the policy in the result; None for its own name.
         wrappers: wrappers of the training of the policy, the innermost first: classes or functions,
-            their names, or the file of a ``VecNormalize``. They wrap a stand-in of the environment,
-            see :data:`cablebot_gym.policies.wrappers.Wrapper`.
+            their names, or the file of a ``VecNormalize``, see
+            :data:`cablebot_gym.policies.wrappers.Wrapper`.
         progress: callback after every control step; True shows a bar on standard error.
         conditions: ``criterion``, ``uncertainty``, ``draws``, ``seed``, ``error_bounds``, ``robot``
             and keywords of the environment, such as ``payload_known`` and ``trajectory``: see

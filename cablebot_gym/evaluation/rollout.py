@@ -243,6 +243,31 @@ class Recorder:
         return rollouts
 
 
+def record(
+    batch: Batch,
+    rows: Sequence[EpisodeSpec],
+    names: Collection[str] | None = None,
+    count: StepCount | None = None,
+) -> list[Rollout]:
+    """Records episodes over the full motion.
+
+    Args:
+        batch: policy and conditions.
+        rows: the episodes.
+        names: names of the recorded arrays; None for all.
+        count: counts the finished or skipped control steps.
+    """
+    groups = [rows]
+    if batch.policy.alone:
+        groups = [[row] for row in rows]
+    rollouts = []
+    for group in groups:
+        recorder = Recorder(range(len(group)), names)
+        verdicts = batch.run(group, observer=recorder, count=count, full_motion=True)
+        rollouts += recorder.rollouts(verdicts)
+    return rollouts
+
+
 def record_rollout(
     policy: Any,
     env_id: str,
@@ -279,13 +304,12 @@ def record_rollout(
     payload = number("payload", payload, least=0, unit="kg")
     shared = Conditions.of_episode(env_id, record_rollout, **conditions)
     batch = Batch(policy, shared, name=name, wrappers=wrappers)
-    recorder = Recorder([0])
     with chosen_progress(progress, f"{batch.policy.name} on {env_id}", "steps") as step:
         count = StepCount(step, batch.task.steps)
         count.add(0)
         rows = [EpisodeSpec(payload, shared.seed, noise_seed=noise_seed)]
-        verdicts = batch.run(rows, observer=recorder, count=count, full_motion=True)
-    return recorder.rollouts(verdicts)[0]
+        (rollout,) = record(batch, rows, count=count)
+    return rollout
 
 
 def check_suffix(path: str | Path, suffixes: Sequence[str] = SUFFIXES) -> None:

@@ -35,6 +35,8 @@ class TimedPolicy:
         """Times of the actions of the present episode [s]."""
         self.reset_time = 0.0
         """Time of the last reset [s]."""
+        if hasattr(policy, "wrap"):
+            self.wrap = policy.wrap
 
     def reset(self, tasks: tuple[Task, ...]) -> None:
         """Resets the policy."""

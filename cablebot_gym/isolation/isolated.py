@@ -107,6 +107,8 @@ class IsolatedPolicy:
         self.wrappers = _texts(described.get("wrappers"))
         """Names of the wrappers, the innermost first, with those that were found beside the
         policy."""
+        self.alone = described.get("alone") is True
+        """Whether each episode runs alone, because a wrapper wraps a single environment."""
         self._notes = _texts(described.get("notes"))
         for note in self._notes:
             say(name, note)

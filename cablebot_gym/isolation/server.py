@@ -25,8 +25,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
-from cablebot_gym.policies.protocol import PolicyError, declarations, predicted, reset_policy
+from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.policies.protocol import PolicyError, called, declarations, reset_policy, shaped
 from cablebot_gym.policies.spec import PolicySpec, load
+from cablebot_gym.policies.wrappers import PolicyEnv, run_policy
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import Task
 from cablebot_gym.utils.user_code import raised
 
 HEADER = struct.Struct("<BQ")
@@ -95,19 +99,29 @@ def make_folders(folder: Path) -> dict[str, str]:
 
 
 class _Server:
-    """A policy and its state."""
+    """A policy and its state.
+
+    Args:
+        requests: pipe of the requests.
+        replies: pipe of the replies.
+    """
+
+    def __init__(self, requests: IO[bytes], replies: IO[bytes]) -> None:
+        self._requests, self._replies = requests, replies
+        self._tasks: tuple[Task, ...] = ()
 
     def load(self, name: str, robot: Any, path: list[str], wrappers: tuple[str, ...] = ()) -> bytes:
         """Loads the policy and returns its declarations as JSON."""
         sys.path[:] = path
         loaded = load(name, robot, wrappers=wrappers)
         self._policy = loaded.policy
-        self._cables = robot.cables
+        self._robot: Robot = robot
         self._state = None
         declared = declarations(self._policy)
         described = declared._asdict() | {
             "notes": loaded.notes,
             "wrappers": loaded.wrappers,
+            "alone": loaded.alone,
             "fallbacks": hasattr(self._policy, "fallbacks"),
             # forks would repeat the random numbers
             "forks": _can_fork() and not declared.stochastic,
@@ -121,18 +135,48 @@ class _Server:
     def reset(self, tasks: Any) -> bytes:
         """Resets the policy."""
         self._state = None
+        self._tasks = tasks
         reset_policy(self._policy, "", lambda: tasks)
         return b""
 
     def predict(self, observation: Any, start: Any, fresh: bool) -> bytes:
         """Actions as float64, followed by the number of fallbacks, which is NaN if the policy does
-        not count them."""
+        not count them.
+
+        A policy with wrappers makes all steps of the batch here, until an error or the end of the
+        process.
+        """
+        self._rows = len(observation)
+        if hasattr(self._policy, "wrap"):
+            layout, cables = observation_layout(self._robot), self._robot.cables
+            env = PolicyEnv(layout, cables, observation, self._advance, lambda: self._tasks)
+            run_policy(self._policy, env)
         state = None if fresh else self._state
-        actions, self._state = predicted(self._policy, observation, state, start, self._cables)
+        actions, self._state = called(self._policy, observation, state, start)
+        return self._reply(actions)
+
+    def _advance(self, actions: Any) -> Any:
+        """Sends actions and receives the next observations.
+
+        Raises:
+            PolicyError: if the actions are invalid, or if another batch begins.
+        """
+        send_frame(self._replies, ANSWER, self._reply(actions))
+        kind, request = receive_frame(self._requests)
+        if kind == END:
+            os._exit(0)
+        observation, _, fresh = pickle.loads(request)
+        if fresh:
+            raise PolicyError("with wrappers, call reset(tasks) before each batch")
+        return observation
+
+    def _reply(self, actions: Any) -> bytes:
         fallbacks = math.nan
         with suppress(Exception):
             fallbacks = float(getattr(self._policy, "fallbacks", math.nan))
-        return actions.tobytes() + struct.pack("<d", fallbacks)
+        return shaped(actions, self._rows, self._robot.cables).tobytes() + struct.pack(
+            "<d", fallbacks
+        )
 
     def describe(self, name: str, path: list[str]) -> bytes:
         """Data of the entry of an installed policy as JSON."""
@@ -158,7 +202,7 @@ def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
     Raises:
         OSError: if a pipe is closed.
     """
-    server = _Server()
+    server = _Server(requests, replies)
     methods: dict[int, Callable[..., bytes]] = {
         LOAD: server.load,
         START: server.start,

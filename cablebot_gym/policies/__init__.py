@@ -1,6 +1,6 @@
 """The policy protocol, and how a policy's name becomes a loaded policy."""
 
-from cablebot_gym.policies.adapters import PolicyFactory, WrappedPolicy, as_policy
+from cablebot_gym.policies.adapters import PolicyFactory, as_policy
 from cablebot_gym.policies.protocol import (
     Declarations,
     LoadedPolicy,
@@ -31,7 +31,6 @@ __all__ = [
     "PolicyError",
     "PolicyFactory",
     "PolicySpec",
-    "WrappedPolicy",
     "Wrapper",
     "as_policy",
     "load",

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.envs.observation import ObservationLayout
 from cablebot_gym.policies.protocol import (
     Array,
     BatchItemError,
@@ -19,7 +18,7 @@ from cablebot_gym.policies.protocol import (
     reset_policy,
     to_floats,
 )
-from cablebot_gym.policies.wrappers import Coroutine, Stack
+from cablebot_gym.policies.wrappers import PolicyEnv, Stack
 from cablebot_gym.task import Task
 from cablebot_gym.utils.user_code import raised
 
@@ -185,58 +184,22 @@ class OpenLoop:
         return np.broadcast_to(action, (*observation.shape[:-1], len(action))), step + 1
 
 
-class NormalisedPolicy:
-    """A model that reads normalised observations, as a policy that reads observations in physical
-    units.
+class TransformedPolicy:
+    """A policy that reads functions of the observation, such as the normalised one.
 
     Args:
-        model: object with Stable-Baselines3's ``predict``.
-        layout: layout of the robot's observation.
-    """
-
-    def __init__(self, model: Any, layout: ObservationLayout) -> None:
-        self.model, self.layout = model, layout
-
-    def predict(
-        self,
-        observation: Array,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[Array, Any]:
-        """Actions and the state to pass next time.
-
-        Raises:
-            ValueError: if the observation is not that of the layout.
-        """
-        actions, state = self.model.predict(
-            self.layout.normalise(observation), state, episode_start, deterministic
-        )
-        return actions, state
-
-
-class WrappedPolicy:
-    """A policy behind the wrappers of its training, which get a stand-in and never the judge's
-    environment.
-
-    The wrappers are made anew for each batch of episodes, at the first call with ``state=None``,
-    and wrap an environment without physics. The state that ``predict`` returns holds them, so it
-    has to be passed to the next call.
-
-    Args:
-        policy: the policy, which gets wrapped observations and returns the actions that the
-            wrappers expect.
-        stack: the wrappers.
+        policy: the policy.
+        stack: wrappers whose transforms are these functions.
+        wrappers: names of the wrappers.
         note: a sentence about wrappers that the user did not give; may be empty.
     """
 
-    def __init__(self, policy: Policy, stack: Stack, note: str = "") -> None:
-        self.policy = policy
-        self.note = note
-        self.wrappers = stack.names
+    def __init__(
+        self, policy: Policy, stack: Stack, wrappers: tuple[str, ...] = (), note: str = ""
+    ) -> None:
+        self.policy, self.stack = policy, stack
+        self.wrappers, self.note = wrappers, note
         self.unsaturated_actions, self.stochastic, _ = declarations(policy)
-        self.stack = stack
-        self._tasks: tuple[Task, ...] | None = None
 
     @property
     def fallbacks(self) -> Any:
@@ -248,29 +211,51 @@ class WrappedPolicy:
         return self.policy.fallbacks  # type: ignore[attr-defined]
 
     def reset(self, tasks: Sequence[Task]) -> None:
-        """Resets the policy. The stand-in of the next batch has these tasks."""
-        self._tasks = tuple(tasks)
+        """Resets the policy."""
         reset_policy(self.policy, "", lambda: tuple(tasks))
 
     def predict(
         self,
-        observation: Array,
+        observation: Any,
         state: Any = None,
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Array, Any]:
-        """Actions (N, m) or (m,) of the robot, and the state of the wrappers and of the policy.
+        """Actions and the state to pass next time."""
+        for transform in self.stack.transforms:
+            observation = transform.function(observation)
+        return self.policy.predict(observation, state, episode_start, deterministic)
+
+
+class WrappedPolicy(TransformedPolicy):
+    """A policy that acts in a wrapped environment, which :meth:`wrap` makes.
+
+    Its arguments are those of :class:`TransformedPolicy`, with all wrappers in the stack.
+    """
+
+    is_in_env = False
+    """Whether an environment has been wrapped."""
+
+    @property
+    def alone(self) -> bool:
+        """Whether each episode runs alone, because a wrapper wraps a single environment."""
+        return self.stack.alone
+
+    def wrap(self, env: PolicyEnv) -> Any:
+        """An environment in new wrappers of the policy."""
+        self.is_in_env = True
+        return self.stack.wrap(env)
+
+    def predict(self, observation: Any, *arguments: Any, **keywords: Any) -> tuple[Array, Any]:
+        """Actions for the wrappers, and the state to pass next time. The observation is that of the
+        wrapped environment.
 
         Raises:
-            Exception: whatever a wrapper raises.
+            RuntimeError: before the first :meth:`wrap`.
         """
-        rows = np.atleast_2d(observation)
-        starts = (
-            np.full(len(rows), state is None)
-            if episode_start is None
-            else np.atleast_1d(episode_start)
-        )
-        if state is None:
-            state = Coroutine(partial(self.stack.run, self.policy, self._tasks))
-        actions = state.send(rows, starts, deterministic)
-        return (actions if np.ndim(observation) > 1 else actions[0]), state
+        if not self.is_in_env:
+            raise RuntimeError(
+                f"a policy behind {', '.join(self.wrappers)} reads wrapped observations: pass it "
+                "to an evaluation, such as evaluate_dlcc, which wraps the environment"
+            )
+        return super().predict(observation, *arguments, **keywords)

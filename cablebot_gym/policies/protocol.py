@@ -38,6 +38,8 @@ class Policy(Protocol):
     * ``measurement = "winches"`` declares that the policy reads the sensors of winches, in an
       environment with this kind of :class:`~cablebot_gym.measurement.Measurement`. Other policies
       read pose and velocity.
+    * ``wrap(env)`` returns the environment that the policy acts in, and has it reset: the
+      :class:`~cablebot_gym.policies.wrappers.PolicyEnv` of a batch in the wrappers of the training.
     """
 
     def predict(
@@ -155,6 +157,11 @@ class LoadedPolicy:
     """Sentences for the user, about wrappers that were added without being named."""
 
     @property
+    def alone(self) -> bool:
+        """Whether each episode runs alone, because a wrapper wraps a single environment."""
+        return bool(getattr(self.policy, "alone", False))
+
+    @property
     def fallbacks(self) -> float | None:
         """Number of fallbacks that the policy has counted; None if it does not count them."""
         count = getattr(self.policy, "fallbacks", None)
@@ -173,7 +180,6 @@ class LoadedPolicy:
         cables: int,
         payloads: Array,
         time: float,
-        ignored: NDArray[np.bool_] | None = None,
     ) -> tuple[Array, Any]:
         """Calls the policy for a batch of observations, with ``deterministic=True``, and checks its
         actions.
@@ -185,8 +191,6 @@ class LoadedPolicy:
             cables: number of cables m.
             payloads: true payload of each episode, (N,) [kg], for messages.
             time: time of the control instant [s], for messages.
-            ignored: True for episodes whose actions no longer matter, (N,). Their actions are set
-                to 0.
 
         Returns:
             Actions (N, m) and the next state of the policy.
@@ -195,45 +199,72 @@ class LoadedPolicy:
             PolicyError: if the policy raises anything but a KeyboardInterrupt, or if its actions
                 are not numbers of shape (N, m) that the environment accepts.
         """
+        try:
+            returned, state = called(self.policy, observation.copy(), state, start.copy())
+            return self.checked(returned, len(observation), cables), state
+        except PolicyError as error:
+            raise self.failure(error, payloads, time) from error.__cause__
+
+    def checked(
+        self, returned: Any, rows: int, cables: int, ignored: NDArray[np.bool_] | None = None
+    ) -> Array:
+        """Checks the actions of a policy.
+
+        Args:
+            returned: what it returned as its actions.
+            rows: number of observations N.
+            cables: number of cables m.
+            ignored: True for episodes whose actions no longer matter, (N,). Their actions are set
+                to 0.
+
+        Returns:
+            The actions, (N, m).
+
+        Raises:
+            PolicyError: if they are not numbers of shape (N, m) that the environment accepts. The
+                message lacks the name of the policy.
+        """
         # slow to import; the environment has imported it
         from cablebot_gym.envs.outcome import LARGEST
 
-        def failure(cause: str, affected: Array) -> PolicyError:
-            lightest = f"{affected.min():g}"
-            heaviest = f"{affected.max():g}"
-            text = f"payloads of {lightest} to {heaviest} kg"
-            if lightest == heaviest:
-                text = f"a payload of {lightest} kg"
-            return PolicyError(f"policy {self.name!r}, at t = {time:.3f} s with {text}: {cause}")
-
-        try:
-            action, state = predicted(self.policy, observation.copy(), state, start.copy(), cables)
-        except PolicyError as error:
-            affected = payloads
-            if error.index is not None and 0 <= error.index < len(payloads):
-                affected = payloads[[error.index]]
-            raise failure(error.cause, affected) from error.__cause__
+        action = shaped(returned, rows, cables)
         if ignored is not None:
             action[ignored] = 0.0
         infinite = ~np.isfinite(action).all(axis=1)
         if infinite.any():
-            raise failure("it returned NaN or infinity", payloads[infinite].min(keepdims=True))
+            raise PolicyError("it returned NaN or infinity", index=int(infinite.argmax()))
         excessive = np.abs(action).max(axis=1) >= LARGEST
         if excessive.any():
             largest = action.flat[np.abs(action).argmax()]
             cause = f"it returned the action {largest:g}; actions must be within ± {LARGEST:g}"
-            raise failure(cause, payloads[excessive].min(keepdims=True))
-        return action, state
+            raise PolicyError(cause, index=int(excessive.argmax()))
+        return action
+
+    def failure(self, error: PolicyError, payloads: Array, time: float) -> PolicyError:
+        """An error with name, time and payload.
+
+        Args:
+            error: the error of a control step.
+            payloads: true payload of each episode, (N,) [kg].
+            time: time of the control instant [s].
+        """
+        affected = payloads
+        if error.index is not None and 0 <= error.index < len(payloads):
+            affected = payloads[[error.index]]
+        lightest = f"{affected.min():g}"
+        heaviest = f"{affected.max():g}"
+        text = f"payloads of {lightest} to {heaviest} kg"
+        if lightest == heaviest:
+            text = f"a payload of {lightest} kg"
+        return PolicyError(f"policy {self.name!r}, at t = {time:.3f} s with {text}: {error.cause}")
 
 
-def predicted(
-    policy: Policy, observation: Array, state: Any, start: Array, cables: int
-) -> tuple[Array, Any]:
-    """Actions (N, m) of a policy as floats, which may be NaN or infinite, and its next state.
+def called(policy: Policy, observation: Any, state: Any, start: Array) -> tuple[Any, Any]:
+    """What a policy returns as its actions, and its next state.
 
     Raises:
-        PolicyError: if the policy raises anything but a KeyboardInterrupt, or if its actions are
-            not numbers of shape (N, m). The message lacks the name of the policy.
+        PolicyError: if the policy raises anything but a KeyboardInterrupt, or returns no pair. The
+            message lacks the name of the policy.
     """
     try:
         returned = policy.predict(observation, state=state, episode_start=start, deterministic=True)
@@ -245,15 +276,23 @@ def predicted(
         raise PolicyError(raised(error)) from error
     if not isinstance(returned, tuple) or len(returned) != 2:
         raise PolicyError(f"predict() must return (actions, state), not {type(returned).__name__}")
-    raw, state = returned
+    return returned
+
+
+def shaped(returned: Any, rows: int, cables: int) -> Array:
+    """Actions (N, m) as floats, which may be NaN or infinite.
+
+    Raises:
+        PolicyError: if they are not numbers of shape (N, m). The message lacks the name of the
+            policy.
+    """
     try:
-        action = to_floats(raw)
+        action = to_floats(returned)
     except ValueError as error:
         raise PolicyError(f"it returned {error}") from error
-    expected = (len(observation), cables)
-    if action.shape != expected:
-        raise PolicyError(f"it returned shape {action.shape}; expected {expected}")
-    return action, state
+    if action.shape != (rows, cables):
+        raise PolicyError(f"it returned shape {action.shape}; expected {(rows, cables)}")
+    return action
 
 
 def reset_policy(policy: Policy, name: str, tasks: Callable[[], tuple[Task, ...]]) -> None:

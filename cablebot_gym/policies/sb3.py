@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from cablebot_gym.env_ids import ENV_ROBOTS
-from cablebot_gym.policies.adapters import NormalisedPolicy, WrappedPolicy
+from cablebot_gym.policies.adapters import TransformedPolicy, WrappedPolicy
 from cablebot_gym.policies.protocol import Policy
 from cablebot_gym.policies.wrappers import NORMALISED, Stack, Wrapper, statistics
 from cablebot_gym.robots import Robot, find_robot
@@ -115,11 +115,13 @@ def behind_wrappers(
             stack = Stack([*wrappers, beside], robot)
             note = f"its observations are normalised by {beside.name!r}, which was found beside it"
         normalised = _check_spaces(model, subject, stack)
-    if normalised and not stack.wrappers:
-        return NormalisedPolicy(policy, stack.layout)
+    names = stack.names
     if normalised:
         stack = stack.normalised()
-    return WrappedPolicy(policy, stack, note) if stack.wrappers else policy
+        names = names and stack.names
+    if stack.layers:
+        return WrappedPolicy(policy, stack, names, note)
+    return TransformedPolicy(policy, stack, names, note) if stack.transforms else policy
 
 
 def _algorithms(path: Path) -> list[Any]:
@@ -189,7 +191,7 @@ def _check_spaces(model: Any, subject: str, stack: Stack) -> bool:
     difference = ""
     if not _fits(model, stack):
         difference = f"the model reads {_size(inputs)} and returns {_size(outputs)}"
-        for env_id, name in () if stack.wrappers else ENV_ROBOTS.items():
+        for env_id, name in () if stack.names else ENV_ROBOTS.items():
             if _fits(model, Stack((), find_robot(name))):
                 difference += f", which fits {env_id}"
                 break
@@ -210,7 +212,7 @@ def _check_spaces(model: Any, subject: str, stack: Stack) -> bool:
         )
     if not difference:
         return normalised
-    behind = f" Behind {', '.join(stack.names)} it has {_spaces(stack)}." if stack.wrappers else ""
+    behind = f" Behind {', '.join(stack.names)} it has {_spaces(stack)}." if stack.names else ""
     raise ValueError(
         f"{subject} does not fit robot {robot.name!r}: {difference}. The robot has {_spaces(Stack((), robot))}."
         f"{behind} Name the wrappers of the training, the innermost first: --wrapper file.py:name and --wrapper "

@@ -244,8 +244,8 @@ def load(
 
     Raises:
         TypeError: if the object is neither a policy nor a callable.
-        ValueError: if the policy cannot be made, or does not fit the robot, or if a
-            loaded policy gets wrappers.
+        ValueError: if the policy cannot be made, or does not fit the robot, if a loaded policy
+            gets wrappers, or if a policy with wrappers of the environment has an estimator.
         PolicyError: if the code of the policy tries to end the process.
     """
     loaded = getattr(policy, "loaded", policy)
@@ -269,7 +269,14 @@ def load(
             target = _call(policy, robot, subject)
         else:
             target = as_policy(policy)
+    if wrappers and hasattr(target, "wrap"):
+        raise ValueError(f"{subject} has wrappers: give all of them where it is loaded")
     made = target = behind_wrappers(target, robot, subject, wrappers, beside)
+    if estimators and hasattr(target, "wrap"):
+        raise ValueError(
+            f"{subject} acts in a wrapped environment, and estimator {estimators[0].name!r} takes "
+            "policies that read the observation: of the wrappers, use VecNormalize only"
+        )
     for estimator in reversed(estimators):
         made = estimator.load()(robot, made)
     name = name or name_of(policy)

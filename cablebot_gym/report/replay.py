@@ -15,7 +15,7 @@ from cablebot_gym.benchmark.rows import Row, policy_process
 from cablebot_gym.bounds.best_known import cached_best_known
 from cablebot_gym.evaluation import batch as batches
 from cablebot_gym.evaluation.constraints import Violation
-from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
+from cablebot_gym.evaluation.rollout import Rollout, record, record_rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.rendering.moment import ball_radius
@@ -111,11 +111,10 @@ def replays(row: Row) -> list[Replay]:
     episodes = [
         batches.EpisodeSpec(payload, seed) for payload in _payloads(row.result.get("payload"))
     ]
-    recorder = Recorder(range(len(episodes)), _RECORDED)
     with policy_process(row) as policy:
         batch = batches.Batch(policy, replace(given, draws=1, seed=0))
-        verdicts = batch.run(episodes, observer=recorder, full_motion=True)
-    return [compress(rollout) for rollout in recorder.rollouts(verdicts)]
+        rollouts = record(batch, episodes, _RECORDED)
+    return [compress(rollout) for rollout in rollouts]
 
 
 def _payloads(dlcc: float | None) -> list[float]:

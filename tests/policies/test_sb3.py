@@ -168,7 +168,7 @@ def test_statistics_beside_the_file_are_used_and_said(trained, tmp_path, caplog)
         assert note in caplog.text
         assert_allclose(policy.predict(raw_observation)[0], expected)
     pkl.unlink()
-    assert not hasattr(load_policy(file, PLANAR), "wrappers")
+    assert load(file, PLANAR).wrappers == ()
     policy = load_policy(file, PLANAR, wrappers=[tmp_path / "vecnormalize.pkl"])
     assert_allclose(policy.predict(raw_observation)[0], expected)
 

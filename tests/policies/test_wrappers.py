@@ -10,10 +10,11 @@ from gymnasium.wrappers import vector
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
+from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.isolation import IsolatedPolicy
-from cablebot_gym.policies import load_policy
+from cablebot_gym.policies import PolicyError, load, load_policy
 from cablebot_gym.robots import PLANAR
 
 PLANAR_ID = "CableBot-Planar-v0"
@@ -38,6 +39,11 @@ class Inner:
 # --- wrappers ---------------------------------------------------------------------------------------------------------
 
 HALF = np.full(3, 0.5, np.float32)
+
+
+class Half(gym.ActionWrapper):
+    def action(self, action):
+        return action / 2
 
 
 class Repeats(gym.Wrapper):
@@ -76,45 +82,29 @@ def test_wrapper_that_repeats_actions_steps_the_robot_twice():
     assert (actions[62:80:2] != actions[61:79:2]).any()
 
 
-class Uneven(gym.Wrapper):
-    """Sends the action twice while the first coordinate is positive."""
-
-    def step(self, action):
-        result = self.env.step(action)
-        return (
-            self.env.step(action)
-            if result[0][LAYOUT.slices()["reference_pose"]][0] > 0.03
-            else result
-        )
-
-
-def test_rows_that_act_at_different_times_are_refused():
-    policy = load_policy("fl", PLANAR_ID, wrappers=[Uneven])
-    rows = np.tile(gym.make(PLANAR_ID).reset(seed=0)[0], (2, 1))
-    _, state = policy.predict(rows)
-    rows[:, LAYOUT.slices()["reference_pose"]] = [[0.1], [0.0]]
-    with pytest.raises(
-        RuntimeError, match=r"different numbers of times: pass a wrapper of the vector environment"
-    ):
-        policy.predict(rows, state)
-
-
-def test_episodes_of_a_batch_keep_their_own_wrappers():
-    """Excludes a state that is shared by rows, or that lasts from one batch to the next."""
+def test_episodes_have_their_own_wrappers():
+    """Excludes a state that one episode leaves to another, in the same or in the next evaluation."""
+    steps = []
 
     class Counts(gym.ActionWrapper):
         calls = 0
 
         def action(self, action):
             self.calls += 1
-            return np.full(3, self.calls)
+            steps.append(self.calls)
+            return action
 
-    policy = load_policy("fl", PLANAR_ID, wrappers=[Counts])
-    for size in (40, 3):
-        rows, state = np.zeros((size, LAYOUT.size)), None
-        for call in (1, 2, 3):
-            actions, state = policy.predict(rows, state)
-            assert_array_equal(actions, np.full((size, 3), call))
+    results = [
+        compare_policies(
+            ["fl"], PLANAR_ID, wrappers=[[Counts]], uncertainty="hardware", draws=3, **SHORT
+        )
+        for _ in range(2)
+    ]
+    assert steps == 6 * list(range(1, len(steps) // 6 + 1))
+    alone = compare_policies(["fl"], PLANAR_ID, uncertainty="hardware", draws=3, **SHORT)
+    first, second, expected = (each.metrics[0].max_error for each in (*results, alone))
+    assert_array_equal(first, expected)
+    assert_array_equal(second, expected)
 
 
 # --- errors -----------------------------------------------------------------------------------------------------------
@@ -151,16 +141,21 @@ def test_invalid_wrapper_is_refused_before_the_first_episode(wrappers, message):
 MODULE = """
 import gc
 import gymnasium as gym
+from gymnasium.vector import VectorActionWrapper, VectorWrapper
 
-class Half(gym.ActionWrapper):
-    def action(self, action):
-        return action / 2
+class Half(VectorActionWrapper):
+    def actions(self, actions):
+        return actions / 2
 
-class Spies(gym.Wrapper):
+class Spies(VectorWrapper):
     def reset(self, **keywords):
         kinds = {type(each).__name__ for each in gc.get_objects()}
         assert not kinds & {"CableBotVectorEnv", "CableBotEnv", "Simulation"}, kinds
         return self.env.reset(**keywords)
+
+class Single(gym.ActionWrapper):
+    def action(self, action):
+        return action / 2
 """
 
 
@@ -187,6 +182,46 @@ def test_isolated_wrappers_give_the_same_payload(module):
         evaluate_dlcc("fl", PLANAR_ID, wrappers=inline, **FEW) for inline in ([], names[1:])
     )
     assert isolated.payload == behind.payload != alone.payload
+    with IsolatedPolicy("fl", PLANAR_ID, wrappers=[f"{module}:Single"]) as policy:
+        rollouts = [record_rollout(policy, PLANAR_ID, payload=1.0, **SHORT)]
+    rollouts.append(record_rollout("fl", PLANAR_ID, payload=1.0, wrappers=[Half], **SHORT))
+    assert_array_equal(*(rollout.arrays["pose"] for rollout in rollouts))
     assert isolated.to_dict()["wrappers"] == names
     with pytest.raises(ValueError, match="takes the names of its wrappers"):
         IsolatedPolicy("fl", PLANAR_ID, wrappers=[Fails])
+
+
+def test_policy_behind_wrappers_is_called_by_evaluations_only():
+    """Excludes a policy that reads observations without its wrappers, silently."""
+    policy = load_policy("fl", PLANAR_ID, wrappers=[Half])
+    with pytest.raises(RuntimeError, match="behind Half reads wrapped observations: pass it to an"):
+        policy.predict(np.zeros(LAYOUT.size))
+    with pytest.raises(ValueError, match="'fl' acts in a wrapped environment, and estimator 'ekf'"):
+        load_policy("ekf+fl", PLANAR_ID, wrappers=[Half])
+    with pytest.raises(ValueError, match="has wrappers: give all of them where it is loaded"):
+        load(policy, PLANAR, wrappers=[Half])
+
+
+def test_wrapper_that_restarts_episodes_is_refused():
+    class Restarts(gym.Wrapper):
+        def step(self, action):
+            self.env.step(action)
+            return self.env.reset()[0], 0.0, False, False, {}
+
+    with pytest.raises(
+        PolicyError, match="a wrapper raised RuntimeError: a wrapper resets the env"
+    ):
+        record_rollout(Inner(), PLANAR_ID, wrappers=[Restarts], **SHORT)
+
+
+def test_error_of_a_wrapper_has_time_and_line():
+    with pytest.raises(
+        PolicyError,
+        match=r"at t = 0\.\d+ s .*a wrapper raised KeyError: 'mass' \(test_wrappers\.py",
+    ):
+        record_rollout(Inner(), PLANAR_ID, wrappers=[Fails], **SHORT)
+
+
+def test_time_of_actions_behind_wrappers_is_measured():
+    times = time_actions(load_policy("fl", PLANAR_ID, wrappers=[Half]), PLANAR_ID, **SHORT)
+    assert 0 < times.median <= times.p99
