@@ -111,14 +111,3 @@ def foreign_object(name: str, data: Any) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise ValueError(f"{name} must be an object, not {repr(data)[:_SHOWN]}")
     return data
-
-
-def foreign_list(name: str, data: Any) -> list[Any]:
-    """Data that must be a list of JSON, with its name for the message.
-
-    Raises:
-        ValueError: if it is anything else.
-    """
-    if not isinstance(data, list):
-        raise ValueError(f"{name} must be a list, not {repr(data)[:_SHOWN]}")
-    return data
