@@ -24,7 +24,7 @@ ORDER = (
         "robots",
         "exporters",
         "measurement",
-        "trajectories",
+        "motions",
         "uncertainty",
         "task",
         "physics",

@@ -6,8 +6,8 @@ from functools import partial
 import pytest
 from oracles.episodes import ROBOTS
 
-from cablebot_baselines.classical import Composite, FeedbackLinearization, make_robust
-from cablebot_baselines.classical.adaptive import make_adaptive
+from cablebot_baselines.laws import Composite, FeedbackLinearization, make_robust
+from cablebot_baselines.laws.adaptive import make_adaptive
 from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL

@@ -11,9 +11,9 @@ from oracles.platforms import CRANE
 from scipy.optimize import bisect, linprog
 
 from cablebot_gym.bounds.closed_form import control_instants, exact_payload
+from cablebot_gym.motions import Dwell, PointToPoint, find_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors
-from cablebot_gym.trajectories import Dwell, PointToPoint, find_trajectory
 
 HOME_RISE = 0.1 / math.sqrt(0.1**2 + 0.47**2 + ((2 * 0.148 - 0.47) / math.sqrt(3)) ** 2)
 """Vertical part of each cable's direction in the spatial home pose, from A1 (-a, -a/√3, 0) to P1

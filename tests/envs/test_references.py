@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from oracles.episodes import FLEX_PLANAR, PLANAR, make
 
-from cablebot_gym.trajectories import ORDERS, Reference, SmoothCircle
+from cablebot_gym.motions import ORDERS, Reference, SmoothCircle
 
 
 class Altered:

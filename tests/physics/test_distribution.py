@@ -9,7 +9,7 @@ from scipy.optimize import linprog, lsq_linear
 from scipy.sparse import block_diag
 
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import (
+from cablebot_gym.physics.tensions.distribution import (
     BARRIER,
     HELD,
     INFEASIBLE,
@@ -19,7 +19,9 @@ from cablebot_gym.physics.distribution import (
     least_norm,
     unchecked_central,
 )
-from cablebot_gym.physics.distribution import unchecked_least_largest_action as least_action
+from cablebot_gym.physics.tensions.distribution import (
+    unchecked_least_largest_action as least_action,
+)
 from cablebot_gym.robots import find_robot
 
 COGIRO = find_robot("cogiro")

@@ -7,10 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 from oracles.episodes import make
 
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.planning import Follower, Margins, MotionProgram, State
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
 from cablebot_gym.task import ErrorBounds
-from cablebot_gym.trajectories import find_trajectory
 
 pytest.importorskip("casadi")
 

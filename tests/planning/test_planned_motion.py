@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from cablebot_gym.motions import Trajectory, find_trajectory
 from cablebot_gym.planning import Margins, MotionProgram
 from cablebot_gym.planning.program import STAGES_PER_INTERVAL
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, Robot
 from cablebot_gym.task import ErrorBounds
-from cablebot_gym.trajectories import Trajectory, find_trajectory
 
 pytest.importorskip("casadi")
 

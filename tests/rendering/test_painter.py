@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from cablebot_gym.envs import env_robot
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.rendering.moment import Moment
 from cablebot_gym.rendering.painter import Painter
 from cablebot_gym.robots import find_robot
 from cablebot_gym.task import ErrorBounds, Task
-from cablebot_gym.trajectories import find_trajectory
 
 ROBOTS = {
     kind: find_robot(env_robot(f"CableBot-{kind.title()}-v0")) for kind in ("planar", "spatial")

@@ -33,7 +33,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 from torch import nn
 
-from cablebot_baselines.classical.law import Array
+from cablebot_baselines.laws.law import Array
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.network import Network
 from cablebot_baselines.learned.policy import LearnedPolicy

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_baselines.classical.law import Array
+from cablebot_baselines.laws.law import Array
 from cablebot_gym.envs.vector import CableBotVectorEnv
 
 if TYPE_CHECKING:

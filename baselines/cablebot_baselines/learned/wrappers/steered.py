@@ -13,7 +13,7 @@ from gymnasium.vector import VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
-from cablebot_baselines.classical.law import Array
+from cablebot_baselines.laws.law import Array
 from cablebot_baselines.learned.base import Base, default_base, find_base
 from cablebot_baselines.learned.steering import Memory, Shift, Steering, find_action_mapping
 from cablebot_baselines.learned.wrappers.layers import TrainingWrapper, restart_mask
