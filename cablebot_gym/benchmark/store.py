@@ -30,7 +30,7 @@ class Results:
     suite: str
     """Name of the suite."""
     command: str
-    """Command that computes the results."""
+    """Commands that compute the results, with ``; `` between them."""
     rows: Sequence[Row]
     """All rows."""
     seed_text: str | None = None
@@ -114,6 +114,10 @@ class Store:
                 ),
             )
             rows = before.rows
+            if command not in before.command.split("; "):
+                command = f"{before.command}; {command}"
+            else:
+                command = before.command
             if before.seed_text != seed_text:
                 raise ValueError(
                     f"{str(self.path)!r} has rows of another --seed-text: repeat that text, or choose another --out"

@@ -25,8 +25,8 @@ def messages():
 
 @pytest.fixture
 def make_store(tmp_path, messages):
-    def make(seed_text=None):
-        head = {"suite": "smoke", "command": "cablebot benchmark", "seed_text": seed_text}
+    def make(seed_text=None, command="cablebot benchmark"):
+        head = {"suite": "smoke", "command": command, "seed_text": seed_text}
         return Store(tmp_path, **head, say=messages.append)
 
     return make
@@ -65,6 +65,10 @@ def test_rows_of_other_policies_stay_behind_those_of_the_run(make_store):
     store = make_store()
     store.add([answer(OTHER), answer()])
     assert [row.policy for row in store.close([ROW.key]).rows] == ["fl", "robust"]
+    for command in ("cablebot benchmark", "cablebot benchmark --policies fl"):
+        results = make_store(command=command).close([])
+        assert results.command.endswith(command)
+    assert results.command == f"cablebot benchmark; {command}"
 
 
 def test_other_seed_text_is_refused(make_store):
