@@ -114,10 +114,8 @@ class Store:
                 ),
             )
             rows = before.rows
-            if command not in before.command.split("; "):
-                command = f"{before.command}; {command}"
-            else:
-                command = before.command
+            commands = [*before.command.split("; "), *command.split("; ")]
+            command = "; ".join(dict.fromkeys(commands))
             if before.seed_text != seed_text:
                 raise ValueError(
                     f"{str(self.path)!r} has rows of another --seed-text: repeat that text, or choose another --out"

@@ -68,7 +68,8 @@ def test_rows_of_other_policies_stay_behind_those_of_the_run(make_store):
     for command in ("cablebot benchmark", "cablebot benchmark --policies fl"):
         results = make_store(command=command).close([])
         assert results.command.endswith(command)
-    assert results.command == f"cablebot benchmark; {command}"
+    both = f"cablebot benchmark; {command}"
+    assert results.command == make_store(command=both).close([]).command == both
 
 
 def test_other_seed_text_is_refused(make_store):
