@@ -23,7 +23,7 @@ from cablebot_gym.utils.files import atomic_write_text
 ROOT = Path(__file__).resolve().parents[1]
 RECORD = ROOT / "tests" / "tested.json"
 
-STORED = (".json", ".toml", ".zip", ".csv", ".svg")
+STORED = (".json", ".jsonl", ".toml", ".zip", ".csv", ".svg")
 """Suffixes of stored results, weights and data."""
 
 
