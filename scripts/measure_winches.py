@@ -1,9 +1,8 @@
 """Measures the payload that laws lose with the sensors of winches, for the page
 docs/measurement.md.
 
-Each case is the DLCC of a law on the circle, payload known, task criterion, by bisection. The
-results are kept in docs/measurement/results.json after every case: a second call computes the
-missing ones.
+Each case is the DLCC of a law on the circle, payload known, task criterion, by bisection. Its row
+is kept in docs/measurement/sensors.jsonl: a second call computes the rows that are missing or due.
 
 python scripts/measure_winches.py [--env ID …]
 """
@@ -11,10 +10,11 @@ python scripts/measure_winches.py [--env ID …]
 from __future__ import annotations
 
 import argparse
-import json
 import math
+import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,19 +24,22 @@ from scipy.stats import chi2
 
 from cablebot_baselines.observer import Estimated, Expectation, WinchEstimator
 from cablebot_baselines.observer.expectation import UNKNOWN_START
+from cablebot_gym.benchmark.rows import Row
+from cablebot_gym.benchmark.store import Store
 from cablebot_gym.benchmark.tables import markdown_table
 from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.batch import versions
+from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.uncertainty import find_uncertainty
-from cablebot_gym.utils.console import notes_console
-from cablebot_gym.utils.files import atomic_write_text
+from cablebot_gym.utils.console import say
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "measurement"
 
-RESULTS = FOLDER / "results.json"
+SUITE = "sensors"
+"""Name of the rows."""
 
 LAWS = {
     "CableBot-Planar-v0": "adaptive",
@@ -220,69 +223,87 @@ def consistency(env_id: str, case: dict[str, str]) -> float | None:
     return float(np.mean(np.concatenate(squares)))
 
 
-def payload(env_id: str, case: dict[str, str]) -> dict[str, Any]:
-    """The result of a case: payload [kg], None if it fails unloaded, and the limiting violation."""
-    robot = find_robot(env_robot(env_id))
-    policy: Any = "+".join(filter(None, [case["estimator"], LAWS[env_id]]))
-    observing = estimator(env_id, case)
-    if observing is not None:
-        policy = Estimated(load_policy(LAWS[env_id], robot), robot, observing)
+def question(env_id: str, case: dict[str, str]) -> Row:
+    """The row of a case without result."""
     draws = None
     if case["errors"] or case["disturbance"]:
         draws = DRAWS
     payload_max = 8.0
-    if robot.planar:
+    if find_robot(env_robot(env_id)).planar:
         payload_max = 4.0
-    result = evaluate_dlcc(
-        policy,
-        env_id,
-        draws=draws,
-        search="bisection",
-        payload_max=payload_max,
-        resolution=RESOLUTION,
-        **conditions(env_id, case),
+    given = {"env_id": env_id, "draws": draws, **conditions(env_id, case)}
+    return Row(
+        measure="payload",
+        policy="+".join(filter(None, [case["estimator"], LAWS[env_id]])),
+        conditions=Conditions.from_dict(given),
+        search={"search": "bisection", "payload_max": payload_max, "resolution": RESOLUTION},
     )
+
+
+def compute(env_id: str, case: dict[str, str]) -> Row:
+    """The row of a case: payload [kg], None if it fails unloaded, the limiting violation, and the
+    consistency of the filter."""
+    row = question(env_id, case)
+    robot = find_robot(env_robot(env_id))
+    policy: Any = row.policy
+    observing = estimator(env_id, case)
+    if observing is not None:
+        policy = Estimated(load_policy(LAWS[env_id], robot), robot, observing)
+    start = time.perf_counter()
+    result = evaluate_dlcc(policy, env_id, **row.conditions.keywords(), **row.search)
     violation = None
     if result.violation is not None:
         violation = str(result.violation.kind)
-    return {"payload": result.payload, "violation": violation}
+    return replace(
+        row,
+        result={
+            "payload": result.payload,
+            "violation": violation,
+            "nees": consistency(env_id, case),
+        },
+        code=row.present_code,
+        versions=versions(),
+        seconds=time.perf_counter() - start,
+    )
 
 
-def table(data: dict[str, Any]) -> str:
-    """Markdown table of the stored results: payload of each case, its fraction of that with the exact
-    pose, and the consistency of the filter."""
-    rows: dict[tuple[str, ...], dict[str, str]] = defaultdict(dict)
-    exact = {}
-    for result in data["cases"]:
-        env_id, disturbance = result["env_id"], result["disturbance"]
-        if result["sensors"] == "pose":
-            exact[env_id, disturbance] = result["payload"]
-        estimator = "–"
-        if result["estimator"]:
-            estimator = f"`{result['estimator']}`"
-        errors = NAMES[result["errors"]]
-        row = (f"`{result['sensors']}`", estimator, errors, DISTURBANCES[disturbance])
-        rows[row][env_id] = _cell(result, exact.get((env_id, disturbance)))
+def table(rows: Sequence[Row]) -> str:
+    """Markdown table of the rows: payload of each case, its fraction of that with the exact pose,
+    and the consistency of the filter."""
+    stored = {row.key: row.result for row in rows}
+    lines: dict[tuple[str, ...], dict[str, str]] = defaultdict(dict)
+    exact: dict[tuple[str, str], float | None] = {}
+    for env_id in LAWS:
+        for case in cases(env_id):
+            result = stored[question(env_id, case).key]
+            place = env_id, case["disturbance"]
+            if case["sensors"] == "pose":
+                exact[place] = result["payload"]
+            names = (f"`{case['sensors']}`", "–", NAMES[case["errors"]])
+            if case["estimator"]:
+                names = (names[0], f"`{case['estimator']}`", names[2])
+            line = (*names, DISTURBANCES[case["disturbance"]])
+            lines[line][env_id] = _cell(case, result, exact.get(place))
     head = ["sensors", "estimator", "errors of the sensors", "deviation"]
     head += [f"`{env_id}`, `{law}`" for env_id, law in LAWS.items()]
-    lines = [head]
-    for row, entries in rows.items():
-        lines.append([*row, *(entries.get(env_id, "–") for env_id in LAWS)])
+    body = []
+    for line, entries in lines.items():
+        body.append([*line, *(entries.get(env_id, "–") for env_id in LAWS)])
     return (
-        f"\nWith {data['draws']} draws, 95 % of consistent filters have a NEES at one instant "
-        f"between {interval(2, data['draws'])} in a plane, and {interval(6, data['draws'])} in space.\n\n"
-        + markdown_table(lines)
+        f"\nWith {DRAWS} draws, 95 % of consistent filters have a NEES at one instant "
+        f"between {interval(2, DRAWS)} in a plane, and {interval(6, DRAWS)} in space.\n\n"
+        + markdown_table([head, *body])
         + "\n"
     )
 
 
-def _cell(result: dict[str, Any], exact: float | None) -> str:
+def _cell(case: dict[str, str], result: Mapping[str, Any], exact: float | None) -> str:
     """Text of a case, from its result and the payload with the exact pose."""
     payload = result["payload"]
     text = "fails unloaded"
     if payload is not None:
         text = f"{payload:.2f} kg"
-        if result["estimator"] and exact is not None:
+        if case["estimator"] and exact is not None:
             text += f", {payload / exact:.0%}"
     if result.get("nees") is not None:
         text += f" (NEES {result['nees']:.2f})"
@@ -297,7 +318,7 @@ def interval(coordinates: int, draws: int) -> str:
 
 
 def main() -> None:
-    """Computes the missing cases."""
+    """Computes the rows that are missing or due."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument(
         "--env",
@@ -307,31 +328,21 @@ def main() -> None:
         help="environments; all by default",
     )
     arguments = parser.parse_args()
-    data: dict[str, Any] = {
-        "draws": DRAWS,
-        "resolution": RESOLUTION,
-        "versions": versions(),
-        "cases": [],
-    }
-    if RESULTS.is_file():
-        settings = {name: value for name, value in data.items() if name != "cases"}
-        data = json.loads(RESULTS.read_text(encoding="utf-8"))
-        if settings != {name: data[name] for name in settings}:
-            parser.error(f"{RESULTS} has other settings or versions: remove it")
-    FOLDER.mkdir(exist_ok=True)
-    todo = [{"env_id": env_id, **case} for env_id in arguments.env for case in cases(env_id)]
-    for number, case in enumerate(todo, 1):
-        if any(case.items() <= stored.items() for stored in data["cases"]):
-            continue
-        env_id = case["env_id"]
-        result = {
-            "nees": consistency(env_id, case),
-            **payload(env_id, case),
-        }
-        data["cases"].append(case | result)
-        text = json.dumps(data, indent=1, ensure_ascii=False)
-        atomic_write_text(RESULTS, text + "\n")
-        notes_console().print(f"{number} of {len(todo)}: {data['cases'][-1]}")
+    store = Store(
+        FOLDER,
+        suite=SUITE,
+        command="python scripts/measure_winches.py",
+        seed_text=None,
+        say=say,
+    )
+    todo = [(env_id, case) for env_id in arguments.env for case in cases(env_id)]
+    for number, (env_id, case) in enumerate(todo, 1):
+        if store.find(question(env_id, case)) is None:
+            row = compute(env_id, case)
+            store.add([row])
+            say(f"{number} of {len(todo)}: {row}: {row.result}")
+    order = [question(env_id, case).key for env_id in LAWS for case in cases(env_id)]
+    store.close(order)
 
 
 if __name__ == "__main__":

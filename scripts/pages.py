@@ -42,7 +42,7 @@ from cablebot_gym.benchmark.scores import (
     leaderboards,
     verified_payload,
 )
-from cablebot_gym.benchmark.store import Results, read
+from cablebot_gym.benchmark.store import Results, file_of, read
 from cablebot_gym.benchmark.tables import (
     entry_text,
     heading,
@@ -158,7 +158,7 @@ def exact_tracking(results: Results, board: Leaderboard) -> float:
 
 def stored(suite: str) -> Results:
     """The stored results of a suite."""
-    return read(ROOT / "docs" / "results" / f"{suite}.jsonl")
+    return read(file_of(ROOT / "docs" / "results", suite))
 
 
 def library_pages() -> str:
@@ -206,9 +206,8 @@ def block(name: str) -> str:
     if name == "main tables":
         return main_tables(stored("ranked"))
     if name == "measurement":
-        return measure_winches.table(
-            json.loads((measure_winches.FOLDER / "results.json").read_text(encoding="utf-8"))
-        )
+        rows = read(file_of(measure_winches.FOLDER, measure_winches.SUITE)).rows
+        return measure_winches.table(rows)
     if name.startswith("examples/"):
         script = ROOT / name.removesuffix(WITH_OUTPUT)
         text = f"```python\n{script.read_text(encoding='utf-8')}```\n"

@@ -12,9 +12,9 @@ from cablebot_gym import kinematics
 from cablebot_gym.bounds.closed_form import exact_payload, tension_bounds
 from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import sag, textbook
-from cablebot_gym.physics.tensions import distribution
 from cablebot_gym.physics.forward import forward_kinematics
 from cablebot_gym.physics.inverse import inverse_dynamics
+from cablebot_gym.physics.tensions import distribution
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL, find_robot
 from cablebot_gym.uncertainty import ParameterDistribution, Uncertainty, draw_size
 

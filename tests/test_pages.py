@@ -11,6 +11,7 @@ import pages
 import pytest
 
 from cablebot_gym import ENV_IDS
+from cablebot_gym.benchmark.store import read as load_rows
 from cablebot_gym.cli.listing import tables
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.envs.single import CableBotEnv
@@ -158,15 +159,19 @@ def test_laws_behind_the_homed_filter_keep_their_payload():
     """As the page says."""
     page = " ".join(read("docs/measurement.md").split())
     least = float(re.search(r"every law keeps at least (\d+) %", page)[1])
+    sensors = pages.measure_winches
+    stored = {row.key: row.result for row in load_rows(sensors.FOLDER / "sensors.jsonl").rows}
     exact = {}
     homed = {}
-    for case in json.loads(read("docs/measurement/results.json"))["cases"]:
-        key = case["env_id"], case["disturbance"]
-        if case["sensors"] == "pose" and case["payload"] is not None:
-            exact[key] = case["payload"]
-        if (case["estimator"], case["errors"]) == ("ekf-homed", "load-cells"):
-            homed[key] = case["payload"]
-    assert {env_id for env_id, _ in exact} == set(pages.measure_winches.LAWS)
+    for env_id in sensors.LAWS:
+        for case in sensors.cases(env_id):
+            payload = stored[sensors.question(env_id, case).key]["payload"]
+            key = env_id, case["disturbance"]
+            if case["sensors"] == "pose" and payload is not None:
+                exact[key] = payload
+            if (case["estimator"], case["errors"]) == ("ekf-homed", "load-cells"):
+                homed[key] = payload
+    assert {env_id for env_id, _ in exact} == set(sensors.LAWS)
     for key, payload in exact.items():
         assert homed[key] >= least / 100 * payload
 
