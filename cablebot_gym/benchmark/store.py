@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,10 +39,8 @@ class Results:
 
     def to_text(self) -> str:
         """The file: a head, then a row on each line. Equal results give identical bytes."""
-        return "".join([self._head(), *map(_line, (row.to_dict() for row in self.rows))])
-
-    def _head(self) -> str:
-        return _line({"suite": self.suite, "command": self.command, "seed_text": self.seed_text})
+        head = {"suite": self.suite, "command": self.command, "seed_text": self.seed_text}
+        return _line(head) + "".join(_line(row.to_dict()) for row in self.rows)
 
     @classmethod
     def from_text(cls, text: str, *, say: Callable[[str], None] | None = None) -> Results:
@@ -51,7 +49,7 @@ class Results:
 
         Args:
             text: content of a file.
-            say: called with one sentence for each line that is no row; None to raise an error.
+            say: called with one sentence for each invalid row; None to raise an error.
 
         Raises:
             ValueError: if the head or a line is damaged.
@@ -72,11 +70,13 @@ class Results:
                 continue
             rows[row.key] = row
         seed_text = head.get("seed_text")
+        if seed_text is not None:
+            seed_text = str(seed_text)
         return cls(
             suite=str(head["suite"]),
             command=str(head.get("command", "")),
             rows=list(rows.values()),
-            seed_text=None if seed_text is None else str(seed_text),
+            seed_text=seed_text,
         )
 
 
@@ -88,10 +88,10 @@ class Store:
         suite: name of the suite.
         command: command that computes the results.
         seed_text: public text of the hidden motions.
-        say: called with one sentence for each line that is no row.
+        say: called with one sentence for each invalid row.
 
     Raises:
-        ValueError: if the file is no store, or has another seed text.
+        ValueError: if the file has an invalid head or another seed text.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class Store:
         return stored
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Writes the rows that are final."""
+        """Appends the final rows to the file."""
         final = [row for row in rows if row.final]
         if not self.path.exists():
             atomic_write_text(self.path, self._results.to_text())
@@ -141,13 +141,12 @@ class Store:
             self._rows[row.key] = row
 
     def close(self, order: Sequence[str]) -> Results:
-        """Writes the file anew, with the rows of these keys first, and returns its results."""
+        """Rewrites the file, with the rows of the keys ``order`` first, and returns its
+        results."""
         first = [self._rows[key] for key in order if key in self._rows]
-        others = [row for key, row in self._rows.items() if key not in set(order)]
-        head = self._results
-        results = Results(
-            suite=head.suite, command=head.command, rows=first + others, seed_text=head.seed_text
-        )
+        listed = set(order)
+        others = [row for key, row in self._rows.items() if key not in listed]
+        results = replace(self._results, rows=first + others)
         atomic_write_text(self.path, results.to_text())
         return results
 
@@ -160,7 +159,7 @@ def read(path: str | Path, *, say: Callable[[str], None] | None = None) -> Resul
     """The results in the file of a suite. For ``say`` see :meth:`Results.from_text`.
 
     Raises:
-        ValueError: if they cannot be read. The message says how to create results.
+        ValueError: if the file cannot be read. The message says how to create results.
     """
     try:
         results = Results.from_text(read_text(path), say=say)
@@ -177,12 +176,13 @@ def read_all(path: str | Path) -> list[Results]:
     """The results of all suites in a folder, or those of one file.
 
     Raises:
-        ValueError: if there are none, or if they cannot be read.
+        ValueError: if there are no rows, or a file cannot be read.
     """
-    paths = [Path(path)]
-    if paths[0].is_dir():
-        paths = sorted(paths[0].glob(f"*{SUFFIX}"))
-    found = [read(item) for item in paths]
-    if not any(results.rows for results in found):
+    source = Path(path)
+    files = [source]
+    if source.is_dir():
+        files = sorted(source.glob(f"*{SUFFIX}"))
+    suites = [read(file) for file in files]
+    if not any(suite.rows for suite in suites):
         raise ValueError(f"{str(path)!r} holds no rows: {_ADVICE}")
-    return found
+    return suites

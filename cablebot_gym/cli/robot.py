@@ -55,9 +55,9 @@ def check(
     model = _loaded(name)
     if model is None:
         raise typer.Exit(1)
-    check = check_model(model, payload=payload)
+    robot_check = check_model(model, payload=payload)
     if not as_json:  # before the motion, which may be refused
-        print("\n".join(report(check)), flush=True)
+        print("\n".join(report(robot_check)), flush=True)
     motion = None
     refusal = ""
     try:
@@ -69,17 +69,17 @@ def check(
         data = {"held": False, "refused": refusal, "questions": []}
         if motion is not None:
             data = motion.to_dict()
-        print(json.dumps(check.to_dict() | data, indent=2))
+        print(json.dumps(robot_check.to_dict() | data, indent=2))
     elif motion is not None:
         law = "composite" if model.flexible else "fl"
         evaluation = command_again(
             "dlcc", policy=law, conditions=ConditionOptions(robot=name, trajectory=trajectory)
         )
-        print("\n".join(motion_report(check, motion, evaluation)))
+        print("\n".join(motion_report(robot_check, motion, evaluation)))
     if motion is None:
         say(f"motion refused: {refusal}", style="red")
     if out is not None:
-        _draw(check, motion, out)
+        _draw(robot_check, motion, out)
         say(f"wrote {out}")
     if motion is None or not motion.possible:
         raise typer.Exit(1)
@@ -112,16 +112,17 @@ def _draw(check: RobotCheck, motion: MotionCheck | None, out: Path) -> None:
 
 
 def report(check: RobotCheck) -> list[str]:
-    """Lines of the check without a motion in words."""
+    """The check without a motion, as lines of text."""
     from cablebot_gym.envs.settings import FREQUENCY
     from cablebot_gym.robots import KIND_TEXTS
 
     robot = check.robot
     home = check.home
     lines = [
-        f"robot      {robot.name}: {KIND_TEXTS[robot.kind]}, {counted(robot.cables, 'cable')}, {robot.springs}"
+        f"robot      {robot.name}: {KIND_TEXTS[robot.kind]}, {counted(robot.cables, 'cable')}, {robot.springs}",
+        f"mass       {_mass(robot)}",
+        f"anchors    {_anchors(robot)}",
     ]
-    lines += [f"mass       {_mass(robot)}", f"anchors    {_anchors(robot)}"]
     force = float((robot.stall_torque / robot.pulley_radius).min())
     speed = float((robot.stall_torque / robot.speed_slope * robot.pulley_radius).min())
     lines.append(
@@ -130,7 +131,7 @@ def report(check: RobotCheck) -> list[str]:
     if robot.maximum_tension != math.inf:
         lines.append(f"cables     at most {robot.maximum_tension:g} N in each")
     held = "no payload can be held"
-    if home.largest >= home.least:
+    if home.least <= home.largest:
         held = f"holds {_interval(home, robot)}"
     lines += [f"home       {held} at rest:", f"           {home.reason}"]
     if check.workspace is not None:
@@ -140,6 +141,7 @@ def report(check: RobotCheck) -> list[str]:
     elif home.least <= home.largest:
         lines.append(f"rest       hangs on its cables at the pose ({_numbers(home.pose)})")
     for locked, text in ((True, "motors locked"), (False, "motors free")):
+        # the softest and the stiffest mode, or none
         frequencies = [
             f"{mode.frequency:.3g} Hz ({mode.direction})"
             for mode in check.modes
@@ -162,18 +164,18 @@ def report(check: RobotCheck) -> list[str]:
 
 
 def motion_report(check: RobotCheck, motion: MotionCheck, evaluation: str) -> list[str]:
-    """Lines of the check of the motion in words. ``evaluation`` is the command that evaluates a
+    """The check of a motion, as lines of text. ``evaluation`` is the command that evaluates a
     controller on it."""
     from cablebot_gym.bounds.robot_check import two_digits
 
     robot = check.robot
     limit = motion.limit
     place = f"at t = {limit.time:.2f} s, pose ({_numbers(limit.pose)})"
-    name = f"motion     {motion.trajectory.name}, {motion.trajectory.duration:g} s"
+    heading = f"motion     {motion.trajectory.name}, {motion.trajectory.duration:g} s"
     if limit.largest < limit.least:
-        lines = [f"{name}: exact tracking carries no payload"]
+        lines = [f"{heading}: exact tracking carries no payload"]
     else:
-        lines = [f"{name}: exact tracking carries {_interval(limit, robot)}"]
+        lines = [f"{heading}: exact tracking carries {_interval(limit, robot)}"]
     lines += [f"           limit {place}:", f"           {limit.reason}"]
     if motion.payload_range is not None:
         payloads = two_digits(*motion.payload_range)
@@ -202,6 +204,7 @@ def motion_report(check: RobotCheck, motion: MotionCheck, evaluation: str) -> li
 
 
 def _numbers(pose: tuple[float, ...]) -> str:
+    """Coordinates as text; + 0.0 makes 0 of −0."""
     return ", ".join(f"{round(value, 6) + 0.0:.4g}" for value in pose)
 
 
@@ -214,7 +217,7 @@ def _why_impossible(motion: MotionCheck) -> str:
 
 
 def _interval(limit: PayloadLimit, robot: Robot) -> str:
-    """Payloads as text."""
+    """Range of payloads as text."""
     from cablebot_gym.physics.statics import HEAVIEST
 
     if limit.largest >= HEAVIEST * robot.mass:
@@ -225,7 +228,7 @@ def _interval(limit: PayloadLimit, robot: Robot) -> str:
 
 
 def _mass(robot: Robot) -> str:
-    """Mass, moments of inertia and radii of gyration, in which a wrong unit is seen."""
+    """Mass, moments of inertia, and radii of gyration, which reveal a wrong unit of the others."""
     if robot.point_mass:
         return f"{robot.mass:g} kg"
     moments = ", ".join(f"{moment:.3g}" for moment in robot.moments)
@@ -234,7 +237,7 @@ def _mass(robot: Robot) -> str:
 
 
 def _anchors(robot: Robot) -> str:
-    """Size of the base, and which cables leave above and below the platform."""
+    """Size of the base, and the cables that pull the platform down."""
     from cablebot_gym.kinematics import cable_vectors
 
     sides = robot.base.max(axis=0) - robot.base.min(axis=0)
@@ -245,29 +248,29 @@ def _anchors(robot: Robot) -> str:
     axis = "y" if robot.planar else "z"
     rise = cable_vectors(robot.base, robot.platform, robot.home)[:, -1]
     down = ", ".join(str(index + 1) for index in range(robot.cables) if rise[index] <= 0)
-    pull = f"cables {down} pull down" if down else "all cables pull up"
+    pull = "all cables pull up"
+    if down:
+        pull = f"cables {down} pull down"
     return f"{text}; {axis} points down: at home, {pull}"
 
 
 def _sag_lines(check: RobotCheck, motion: MotionCheck) -> list[str]:
     """Lines of the sag at the least tensions of the motion, and of its effect at home."""
     if not motion.cables:
-        why = (
-            "the motion is not held"
-            if np.any(check.robot.cable_density)
-            else "the cables have no mass; set cable_density"
-        )
+        why = "the cables have no mass; set cable_density"
+        if np.any(check.robot.cable_density):
+            why = "the motion is not held"
         return [f"sag        not checked: {why}"]
     lines = []
+    start = "sag        "
     for number, cable in enumerate(motion.cables, 1):
-        factor = (
-            "" if cable.stiffness_factor is None else f", stiffness × {cable.stiffness_factor:.2f}"
-        )
-        text = f"sag {1e3 * cable.sag:.4g} mm, {1e3 * cable.extra_length:.3g} mm longer{factor}"
-        start = "sag        " if number == 1 else " " * 11
+        text = f"sag {1e3 * cable.sag:.4g} mm, {1e3 * cable.extra_length:.3g} mm longer"
+        if cable.stiffness_factor is not None:
+            text += f", stiffness × {cable.stiffness_factor:.2f}"
         lines.append(
             f"{start}cable {number}, {cable.length:.3g} m, at {cable.tension:.4g} N or more: {text}"
         )
+        start = " " * 11
     if motion.settled is None or motion.settled_tension is None:
         return [*lines, "           the sag lets the platform fall too far for a linear estimate"]
     d = check.robot.dimensions

@@ -63,15 +63,15 @@ class Pictures:
         self._last_shown = -math.inf
 
     def __getstate__(self) -> dict[str, Any]:
-        """State for copies and pickles: without painters, which are made again on demand, and
-        without the window."""
+        """State for copies and pickles: without the window, and without painters, which are made
+        again on demand."""
         return {**self.__dict__, "_painters": {}, "_window": None}
 
     def on_reset(self, env_indices: Iterable[int]) -> None:
         """Starts new trails after a reset of the environments ``env_indices``."""
         for env_index in env_indices:
             self._trails[env_index].clear()
-            self._painters.pop(env_index, None)
+            self._painters.pop(env_index, None)  # the task may have changed
             self._trails[env_index].append(self._simulation.pose[env_index].copy())
         self._last_shown = -math.inf
 
@@ -92,7 +92,7 @@ class Pictures:
         :class:`~cablebot_gym.rendering.window.Window`.
         """
         moment, trail, note = self._content(0)
-        if moment.time < self._last_shown + 1 / RATE - 1e-9:
+        if moment.time < self._last_shown + 1 / RATE - 1e-9:  # rounded times
             return
         self._last_shown = moment.time
         if self._window is None:
@@ -117,14 +117,13 @@ class Pictures:
     def _content(self, env_index: int) -> tuple[Moment, deque[Array], str]:
         """Present state, trail and note of an environment."""
         simulation = self._simulation
-        robot = self._simulation.settings.robot
+        robot = simulation.settings.robot
         info = info_dict(simulation.info[env_index], simulation.cables[:, env_index])
         moment = Moment.from_info(
             robot, simulation.stall_torque[env_index], simulation.pose[env_index], info
         )
         reason = TERMINATION_REASONS[int(simulation.reason[env_index])]
-        return (
-            moment,
-            self._trails[env_index],
-            f"terminated: {reason.replace('_', ' ')}" if reason else "",
-        )
+        note = ""
+        if reason:
+            note = f"terminated: {reason.replace('_', ' ')}"
+        return moment, self._trails[env_index], note

@@ -34,8 +34,8 @@ class Purpose(IntEnum):
 
 
 NOISE = (Purpose.WRENCH, Purpose.SENSORS)
-"""Purposes with numbers for every control step, from the noise seed. All others are drawn once per
-episode."""
+"""Purposes whose numbers are drawn for every control step, from the noise seed. All other numbers
+are drawn once per episode, from the seed."""
 
 
 class Streams:
@@ -55,10 +55,10 @@ class Streams:
         self._generator = np.random.Generator(self._philox)
 
     def seed(self, env_indices: NDArray[np.int64], seeds: Sequence[int | None]) -> None:
-        """Seeds the environments ``env_indices``, one seed each, or None; the next episode after a
-        seed is number 0.
+        """Seeds each of the environments ``env_indices``; its next episode is number 0. None changes
+        nothing.
 
-        A seed is the noise seed, too, until another one is set.
+        The seed is also the noise seed, until another one is set.
         """
         for env_index, seed in zip(env_indices, seeds, strict=True):
             if seed is not None:
@@ -82,16 +82,16 @@ class Streams:
     def uniform(self, env_indices: NDArray[np.int64], purpose: Purpose, size: int) -> Array:
         """Uniform numbers in [0, 1) for the present episodes of ``env_indices``, (len(env_indices),
         size)."""
-        no_blocks = np.zeros(len(env_indices), np.int64)
+        first_blocks = np.zeros(len(env_indices), np.int64)
         draw = self._generator.random
-        return self._draw(draw, env_indices, purpose, no_blocks, (size,))
+        return self._draw(draw, env_indices, purpose, first_blocks, (size,))
 
     def normal(self, env_indices: NDArray[np.int64], purpose: Purpose, size: int) -> Array:
         """Standard normal numbers for the present episodes of ``env_indices``, (len(env_indices),
         size)."""
-        no_blocks = np.zeros(len(env_indices), np.int64)
+        first_blocks = np.zeros(len(env_indices), np.int64)
         draw = self._generator.standard_normal
-        return self._draw(draw, env_indices, purpose, no_blocks, (size,))
+        return self._draw(draw, env_indices, purpose, first_blocks, (size,))
 
     def normal_block(
         self,
@@ -113,8 +113,10 @@ class Streams:
         blocks: NDArray[np.int64],
         shape: tuple[int, ...],
     ) -> Array:
+        """Numbers of one block for each environment, (len(env_indices), *shape)."""
         numbers = np.empty((len(env_indices), *shape))
         first_rows: dict[tuple[int, int, int], int] = {}
+        # arrays inside the state, which is set at the start of each stream
         counter = self._state["state"]["counter"]
         key = self._state["state"]["key"]
         seeds = self.seeds
@@ -148,7 +150,7 @@ class NormalRows:
         self._streams = streams
         self._purpose = purpose
         self._values = np.zeros((count, BLOCK, width))
-        self._blocks = np.full(count, -1, np.int64)
+        self._blocks = np.full(count, -1, np.int64)  # blocks of the values; −1 for none
 
     def restart(self, env_indices: NDArray[np.int64]) -> None:
         """Discards the numbers drawn ahead; call it when the environments ``env_indices`` start an
@@ -156,8 +158,8 @@ class NormalRows:
         self._blocks[env_indices] = -1
 
     def at(self, env_indices: NDArray[np.int64], interval: NDArray[np.int64]) -> Array:
-        """Numbers of ``env_indices`` in their intervals, counted from 0 in each episode,
-        (len(env_indices), width)."""
+        """Numbers of ``env_indices``, (len(env_indices), width), each in its ``interval``, counted
+        from 0 in each episode."""
         blocks = interval // BLOCK
         stale = np.flatnonzero(self._blocks[env_indices] != blocks)
         if stale.size:

@@ -1,5 +1,5 @@
-"""Checks the limits of episodes and records the first violations. Reads ``info``, which holds the
-true state."""
+"""Checks the limits of episodes and records the first violations. The judge reads ``info``, which
+holds the true state."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ LIMIT_NAMES: Mapping[str, str] = {
     "rotation": "rotation error",
     "terminated": "termination",
 }
-"""The limit that each kind of violation breaks, in words for tables. Not every cable below its least
-tension is slack."""
+"""Name of the violated limit for each kind of violation, for tables. A cable below its least
+tension need not be slack."""
 
 NEAR = 0.9
-"""Fraction of a limit from which on the lead of a violation counts."""
+"""Fraction of a limit at which the lead of a violation begins."""
 
 _REASONS = np.array(TERMINATION_REASONS)
 
@@ -47,7 +47,7 @@ def find_criterion(criterion: str) -> Criterion:
     Raises:
         ValueError: if the name is unknown.
     """
-    return CRITERIA[CRITERIA.index(choice("criterion", criterion, CRITERIA))]
+    return CRITERIA[CRITERIA.index(choice("criterion", criterion, CRITERIA))]  # str to Criterion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,11 +55,15 @@ class Violation:
     """The first violated limit of an episode. ``str(violation)`` is a sentence."""
 
     kind: ViolationKind
-    """Kind of limit. ``torque``: |a| > 1, or the motor cannot hold the robot at rest at the start.
-    ``position``, ``rotation``: a tracking error exceeds its bound. ``slack``: a tension falls below
-    its bound (unilateral cables, task criterion), or a cable is slack. ``overload``: a tension
-    exceeds the maximum of the robot (task criterion). ``terminated``: the environment terminated
-    the episode."""
+    """Kind of limit:
+
+    * ``torque``: |a| > 1, or the motor cannot hold the robot at rest at the start
+    * ``position``, ``rotation``: a tracking error exceeds its bound
+    * ``slack``: a tension falls below its bound (unilateral cables, task criterion), or a cable is
+      slack
+    * ``overload``: a tension exceeds the maximum of the robot (task criterion)
+    * ``terminated``: the environment terminated the episode
+    """
     index: int | None
     """Number of the motor or cable from 1, as in the paper; None for the other kinds."""
     time: float | None
@@ -74,9 +78,9 @@ class Violation:
     bound: float | None = None
     """Bound of the error [m or rad] or of the tension [N]; None if the limit has none."""
     lead: float | None = None
-    """Time from which on the quantity was beyond :data:`NEAR` of its limit until the violation [s]:
-    how early the violation could be seen to come. A tension is, where T_min is more than
-    :data:`NEAR` of it. None for ``terminated``, for a limit without a bound, and at the start."""
+    """How early the violation could be foreseen [s]: the time before it in which the quantity was
+    above :data:`NEAR` times its limit, or the least tension below its limit over :data:`NEAR`. None
+    for ``terminated``, for a limit without a bound, and at the start."""
 
     def __str__(self) -> str:
         if self.time is None:
@@ -161,8 +165,8 @@ class Judge:
         self._violations: list[Violation | None] = [None] * count
         self._position_bound = np.zeros(count)
         self._rotation_bound = np.zeros(count)
-        self._tension_bound = np.zeros(count)
-        self._largest_bound = np.zeros(count)
+        self._lower_tension_bound = np.zeros(count)
+        self._upper_tension_bound = np.zeros(count)
         self._steps_done = np.zeros(count, np.int64)
         self.motion_steps = np.zeros(count, np.int64)
         """Number of control steps of the motion, (N,)."""
@@ -199,12 +203,12 @@ class Judge:
             mask = np.ones(len(self.failed), np.bool_)
         self._position_bound[mask] = task.error_bounds.position
         self._rotation_bound[mask] = np.inf
-        self._tension_bound[mask] = -np.inf
-        self._largest_bound[mask] = np.inf
+        self._lower_tension_bound[mask] = -np.inf
+        self._upper_tension_bound[mask] = np.inf
         if self.criterion == "task":
             self._rotation_bound[mask] = task.error_bounds.rotation
-            self._tension_bound[mask] = minimum_tension(task.robot, task.cable)
-            self._largest_bound[mask] = task.robot.maximum_tension
+            self._lower_tension_bound[mask] = minimum_tension(task.robot, task.cable)
+            self._upper_tension_bound[mask] = task.robot.maximum_tension
         self._steps_done[mask] = 0
         self.motion_steps[mask] = task.steps
         self.payload[mask] = info["payload"][mask]
@@ -244,14 +248,14 @@ class Judge:
         tension = info["least_tensions"].min(axis=1)
         np.minimum(self._least_tension, tension, out=self._least_tension, where=running)
         if self.criterion == "paper":
-            largest = action.max(axis=1)
-            self._approach("torque", largest >= NEAR, info["action_time"], running)
-            saturated = running & ~is_unsaturated(largest)
+            largest_action = action.max(axis=1)
+            self._approach("torque", largest_action >= NEAR, info["action_time"], running)
+            saturated = running & ~is_unsaturated(largest_action)
             if saturated.any():
                 motor = action.argmax(axis=1)
                 excess = -np.take_along_axis(info["torque_margin"], motor[:, None], 1)[:, 0]
                 self._fail("torque", saturated, info["action_time"], index=motor + 1, excess=excess)
-        bound = self._tension_bound
+        bound = self._lower_tension_bound
         self._approach("slack", NEAR * tension <= bound, time, running)
         below_bound = running & ~is_taut(tension, bound)
         if below_bound.any():
@@ -266,8 +270,10 @@ class Judge:
         tensions = info["largest_tensions"]
         largest = tensions.max(axis=1)
         np.maximum(self._largest_tension, largest, out=self._largest_tension, where=running)
-        cable = tensions.argmax(axis=1) + 1
-        self._check_upper("overload", largest, self._largest_bound, time, running, index=cable)
+        cable = tensions.argmax(axis=1)
+        self._check_upper(
+            "overload", largest, self._upper_tension_bound, time, running, index=cable + 1
+        )
         self._check_errors(info, running)
         ended = running & terminated
         if ended.any():
@@ -303,8 +309,8 @@ class Judge:
         time: Array,
         running: NDArray[np.bool_],
     ) -> None:
-        """Keeps the time since which a quantity is near its limit without a break; ∞ if it is
-        not."""
+        """Keeps the time since which a quantity has been near its limit; ∞ if it is not near
+        now."""
         since = self._near_since[kind]
         latest = np.where(is_near, np.minimum(since, time), np.inf)
         np.copyto(since, latest, where=running)
@@ -312,8 +318,8 @@ class Judge:
     def _fail(
         self, kind: ViolationKind, mask: NDArray[np.bool_], time: Array, **values: ArrayLike
     ) -> None:
-        """Records a violation with further values, (N,) or scalar, of the episodes in ``mask`` that
-        have none."""
+        """Records a violation of the episodes in ``mask`` that have none. ``values`` are its
+        further fields, (N,) or scalar."""
         fresh = mask & ~self.failed
         self.failed |= fresh
         columns = {name: np.broadcast_to(column, fresh.shape) for name, column in values.items()}
@@ -324,7 +330,7 @@ class Judge:
             near_since = self._near_since[kind][env_index].item()
             if np.isfinite(near_since):
                 fields["lead"] = fields["time"] - near_since
-            # −∞ stands for a limit without a tension bound
+            # a slack cable without a tension bound has the bound −∞
             if not np.isfinite(fields.get("bound", 0.0)):
                 fields["bound"] = None
             self._violations[env_index] = Violation(kind=kind, **fields)
@@ -338,6 +344,8 @@ class Judge:
     def verdict(self, env_index: int) -> Verdict:
         """Outcome of one episode up to the present step."""
         tension = float(self._least_tension[env_index])
+        if not np.isfinite(tension):
+            tension = 0.0
         return Verdict(
             carried=bool(self.carried[env_index]),
             violation=self.violation(env_index),
@@ -345,7 +353,7 @@ class Judge:
             peak_action=tuple(self._peak_action[env_index].tolist()),
             position_peak=float(self._position_peak[env_index]),
             rotation_peak=float(self._rotation_peak[env_index]),
-            least_tension=tension if np.isfinite(tension) else 0.0,
+            least_tension=tension,
             largest_tension=float(self._largest_tension[env_index]),
         )
 
@@ -394,14 +402,10 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
         """Steps the environment and checks the limits until the end of the motion."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._judge.observe(_batched(info), np.array([terminated]))
-        return (
-            observation,
-            reward,
-            terminated,
-            truncated,
-            info | {"dlcc_carried": bool(self._judge.carried[0])},
-        )
+        info = info | {"dlcc_carried": bool(self._judge.carried[0])}
+        return observation, reward, terminated, truncated, info
 
 
 def _batched(info: Mapping[str, Any]) -> dict[str, Array]:
+    """Info of one environment as that of a batch, arrays (1, …)."""
     return {name: np.asarray(value)[None] for name, value in info.items()}

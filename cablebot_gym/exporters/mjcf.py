@@ -1,4 +1,4 @@
-"""A robot as MJCF of MuJoCo, which is not needed to write it.
+"""A robot as MJCF, the format of MuJoCo. The export does not need MuJoCo.
 
 Coordinates are those of the robot, z down. In space the platform is a free body, ``qpos = (p,
 quaternion of R)`` and ``qvel = (ṗ, ω_body)``. A point mass slides along the axes, and a platform in
@@ -25,12 +25,12 @@ from cablebot_gym.robots import KIND_TEXTS, Robot
 
 Controls = Literal["actions", "torques"]
 """Controls of the motors: actions in [−1, 1], which follow the torque-speed lines, or torques [N·m]
-without limits. Positive ones wind in."""
+without limits. Positive controls wind the cables in."""
 
 _WINCH_ROOM = 10
-"""How far off a winch stands in front of its base anchor, in diagonals of the workspace plus the
-spring's give at stall: nothing winds that far back, where the segment between them would turn
-round. Not farther: its digits are lost to the spring."""
+"""Distance of a winch from its base anchor, as a multiple of the diagonal of the workspace plus the
+deflection of its spring at stall. A winch that passed its base anchor would reverse the tendon; a
+larger distance leaves fewer digits for the deflection."""
 
 _INTRODUCTION = """\
 SI units and radians. {gravity}
@@ -51,9 +51,9 @@ class ExportedRobot:
     text: str
     """Content of the file."""
     robot: Robot
-    """The robot as the file describes it: without friction, cables that end in points."""
+    """The robot of the file: without dry friction, and with cables that end in points."""
     notes: tuple[str, ...]
-    """What the file describes in another way, or not at all."""
+    """Differences between the file and the simulation of this package."""
 
 
 def export_mjcf(
@@ -67,8 +67,8 @@ def export_mjcf(
 
     Args:
         robot: any robot without both joint springs and elastic cables.
-        payload: added to the mass at the centre of mass [kg]; the inertia stays.
-        timestep: of one RK4 step [s].
+        payload: payload at the centre of mass [kg], which does not change the inertia.
+        timestep: duration of one RK4 step [s].
         holding_torques: torques r T that hold robot and payload at home, shape (m,) [N·m], for the
             keyframe ``home``; None for no keyframe.
 
@@ -89,7 +89,7 @@ def export_mjcf(
     for note in notes:
         text += fill(note, 100, initial_indent="* ", subsequent_indent="  ") + "\n"
     indent(root)
-    comment = text.replace("--", "-")  # two hyphens would end it
+    comment = text.replace("--", "-")  # not allowed in a comment
     return ExportedRobot(
         text=f"<!--\n{comment}-->\n{tostring(root, encoding='unicode')}\n",
         robot=simplified,
@@ -100,7 +100,7 @@ def export_mjcf(
 def mjcf_tree(
     robot: Robot, *, payload: float = 0.0, timestep: float = 1e-3, controls: Controls = "actions"
 ) -> Element:
-    """The robot as the elements of MJCF, without swivel pulleys and friction of its own.
+    """The elements of MJCF of a robot, without its swivel pulleys and dry friction.
 
     Arguments and errors are as in :func:`export_mjcf`.
     """
@@ -109,19 +109,19 @@ def mjcf_tree(
             f"{robot.name} has joint springs and elastic cables, and MJCF holds only one of them: remove stiffness "
             "and motor_inertia, or axial_stiffness"
         )
-    size = _diagonal(robot)
+    diagonal = _diagonal(robot)
     center = _padded(robot.home[: robot.dimensions])
     root = Element("mujoco", model=robot.name)
     _add(root, "compiler", angle="radian", inertiafromgeom="false")
     gravity = _padded(robot.gravity_vector)
     _add(root, "option", timestep=timestep, integrator="RK4", gravity=gravity)
-    # for looks: winches are far off, and sizes differ
-    _add(root, "statistic", center=center, extent=size)
+    # The extent for the display; that of all bodies would include the distant winches.
+    _add(root, "statistic", center=center, extent=diagonal)
     defaults = _add(root, "default")
-    _add(defaults, "site", size=size / 200)
-    _add(defaults, "tendon", width=size / 800)
+    _add(defaults, "site", size=diagonal / 200)
+    _add(defaults, "tendon", width=diagonal / 800)
     world = _add(root, "worldbody")
-    _add_camera(world, robot, center, size)
+    _add_camera(world, robot, center, diagonal)
     _add_sites(world, "base", robot.base)
     _add_platform(world, robot, robot.mass + payload)
     tendons = _add(root, "tendon")
@@ -137,9 +137,9 @@ def mjcf_tree(
 class _Springs:
     """Springs between platform and winches; each array has shape (m,).
 
-    A winch is a body of the motor's inertia over r² that slides across gravity, away from its base
-    anchor, by r β′. A tendon from the platform over the base anchor to the winch has the length q +
-    r β′ and a constant. It is a spring that only pulls.
+    A winch is a body with the mass J/r². It slides along x, away from its base anchor, by r β′. A
+    tendon from the platform over the base anchor to the winch has the length q + r β′ + ``room``.
+    It is a spring that only pulls.
     """
 
     mass: Array
@@ -167,34 +167,35 @@ def _springs(robot: Robot) -> _Springs:
         length = _lengths(robot, robot.home) + robot.extra_length
         stiffness = robot.axial_stiffness / length
         damping = robot.axial_damping / length
-    give = robot.stall_torque / robot.pulley_radius / stiffness
+    deflection = robot.stall_torque / robot.pulley_radius / stiffness
     return _Springs(
         mass=mass,
         friction=friction,
         stiffness=stiffness,
         damping=damping,
-        room=_WINCH_ROOM * (_diagonal(robot) + give),
+        room=_WINCH_ROOM * (_diagonal(robot) + deflection),
     )
 
 
 def _with_points(robot: Robot) -> Robot:
-    """The robot whose cables end in the points where they leave their swivel pulleys at home."""
+    """The robot with base anchors where its cables leave their swivel pulleys at home."""
     if robot.swivel is None:
         return robot
     vectors = cable_vectors(robot.base, robot.platform, robot.home)
     upright = np.tile([0.0, 0.0, 1.0], (robot.cables, 1))
     axes = np.asarray(robot.swivel_axes or upright)
     axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    level = vectors - np.sum(vectors * axes, axis=1, keepdims=True) * axes
-    level = level / np.linalg.norm(level, axis=1, keepdims=True)
-    centers = robot.per_motor(robot.swivel_radius)[:, None] * level
+    # A pulley turns about its axis towards the platform: its centre lies normal to the axis.
+    normal = vectors - np.sum(vectors * axes, axis=1, keepdims=True) * axes
+    normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    centers = robot.per_motor(robot.swivel_radius)[:, None] * normal
     directions = structure_jacobian(robot.base, robot.platform, robot.home, robot.swivel)[:, :3]
     # A cable is a tangent, so its free length is the distance from the centre along it.
-    free = np.sum((vectors - centers) * directions, axis=1)
-    points = robot.base + vectors - free[:, None] * directions
+    free_length = np.sum((vectors - centers) * directions, axis=1)
+    points = robot.base + vectors - free_length[:, None] * directions
     transmission = robot.transmission
     if robot.elastic:  # the cable on the pulley stretches, too
-        on_pulley = _lengths(robot, robot.home) - free
+        on_pulley = _lengths(robot, robot.home) - free_length
         transmission = transmission.replace(extra_length=robot.extra_length + on_pulley)
     return robot.replace(
         base_anchors=points, swivel_radius=0.0, swivel_axes=(), transmission=transmission
@@ -243,11 +244,9 @@ def _notes(robot: Robot, simplified: Robot) -> list[str]:
 
 def _stretch_notes(simplified: Robot) -> list[str]:
     """Notes on elastic cables, whose free lengths change when winches wind."""
-    lengths = (
-        np.array([_lengths(simplified, pose) for pose in _corners(simplified)])
-        + simplified.extra_length
-    )
-    factors = (_lengths(simplified, simplified.home) + simplified.extra_length) / lengths
+    extra = simplified.extra_length
+    at_corners = np.array([_lengths(simplified, pose) for pose in _corners(simplified)]) + extra
+    factors = (_lengths(simplified, simplified.home) + extra) / at_corners
     strain = np.max(simplified.stall_torque / simplified.pulley_radius / simplified.axial_stiffness)
     return [
         "Stiffness and damping of the cables are those at home. In the corners of the workspace they are "
@@ -281,20 +280,22 @@ def _gravity_text(robot: Robot) -> str:
 
 
 def _state_text(robot: Robot) -> str:
-    coordinates = "p and quaternion of the platform" if robot.kind == "spatial" else "the pose"
+    coordinates = "the pose"
+    if robot.kind == "spatial":
+        coordinates = "p and quaternion of the platform"
     if robot.flexible:
         return f"qpos: {coordinates}, then the length that each winch has wound."
     return f"qpos: {coordinates}."
 
 
-def _add_camera(world: Element, robot: Robot, center: Array, size: float) -> None:
-    """A camera that shows up as up: gravity acts downwards in its picture."""
+def _add_camera(world: Element, robot: Robot, center: Array, distance: float) -> None:
+    """Adds a camera in whose picture gravity acts downwards."""
+    offset = [0, distance, 0]
+    axes = [-1, 0, 0, 0, 0, -1]
     if robot.planar:
-        _add(world, "camera", name="upright", pos=center - [0, 0, size], xyaxes=[1, 0, 0, 0, -1, 0])
-    else:
-        _add(
-            world, "camera", name="upright", pos=center - [0, size, 0], xyaxes=[-1, 0, 0, 0, 0, -1]
-        )
+        offset = [0, 0, distance]
+        axes = [1, 0, 0, 0, -1, 0]
+    _add(world, "camera", name="upright", pos=center - offset, xyaxes=axes)
 
 
 def _add_platform(world: Element, robot: Robot, mass: float) -> None:
@@ -308,7 +309,7 @@ def _add_platform(world: Element, robot: Robot, mass: float) -> None:
     else:
         for name, axis in zip("xyz"[: robot.dimensions], np.eye(3), strict=False):
             _add(body, "joint", name=name, type="slide", axis=axis)
-        moment = 1.0  # a point mass does not turn, but MuJoCo wants moments
+        moment = 1.0  # a point mass does not turn, but MuJoCo requires moments
         if not robot.point_mass:
             moment = robot.inertia[0]
             _add(body, "joint", name="phi", type="hinge", axis=[0, 0, 1])
@@ -318,7 +319,7 @@ def _add_platform(world: Element, robot: Robot, mass: float) -> None:
 
 def _home_quaternion(robot: Robot) -> Array:
     """Rotation of the home pose, (w, x, y, z)."""
-    rotation = Rotation.from_euler("ZYX", robot.home[:2:-1])
+    rotation = Rotation.from_euler("ZYX", robot.home[:2:-1])  # φ, θ, ψ
     quaternion: Array = rotation.as_quat(scalar_first=True)
     return quaternion
 
@@ -326,17 +327,17 @@ def _home_quaternion(robot: Robot) -> Array:
 def _spatial_inertia(robot: Robot) -> dict[str, Any]:
     tensor = robot.inertia_tensor
     moments = tensor.diagonal()
-    products = tensor[(0, 0, 1), (1, 2, 2)]
+    products = tensor[(0, 0, 1), (1, 2, 2)]  # xy, xz, yz
     if np.any(products):
         return {"fullinertia": [*moments, *products]}
-    # A plate's largest moment is the sum of the others; MuJoCo refuses the last digit that rounding
-    # may put on top.
+    # MuJoCo refuses a moment above the sum of the others. That of a plate equals it, and may exceed
+    # it by rounding.
     return {"diaginertia": np.minimum(moments, np.sort(moments)[:2].sum())}
 
 
 def _add_winches(world: Element, tendons: Element, robot: Robot) -> None:
     springs = _springs(robot)
-    relaxed = _lengths(robot, robot.home) + springs.room
+    relaxed_length = _lengths(robot, robot.home) + springs.room
     name = "cable" if robot.elastic else "spring"
     places = _padded(robot.base)
     places[:, 0] += springs.room
@@ -349,7 +350,7 @@ def _add_winches(world: Element, tendons: Element, robot: Robot) -> None:
         _add(body, "site", name=winch)
         spring = _add_tendon(tendons, f"{name}{i + 1}", i, springs.damping[i])
         spring.set("stiffness", _text(springs.stiffness[i]))
-        spring.set("springlength", _text([0, relaxed[i]]))
+        spring.set("springlength", _text([0, relaxed_length[i]]))
         _add(spring, "site", site=winch)
 
 
@@ -412,10 +413,10 @@ def _add(parent: Element, tag: str, **attributes: Any) -> Element:
 
 
 def _text(value: Any) -> str:
-    """A text, a number, or several numbers with all their digits."""
+    """A text, a number, or several numbers with all their digits; + 0.0 makes 0 of −0."""
     if isinstance(value, str):
         return value
-    return " ".join(f"{number + 0.0!r}" for number in np.ravel(value).astype(float).tolist())
+    return " ".join(repr(number + 0.0) for number in np.ravel(value).astype(float).tolist())
 
 
 def _padded(points: Array) -> Array:

@@ -17,12 +17,12 @@ from cablebot_gym.utils.checks import number, numbers
 from cablebot_gym.utils.csv_table import Table, column_name, read_table
 
 SPLINE_DEGREE = 5
-"""Degree of the spline of :class:`Waypoints`: the least one with a continuous snap, which swings
-the least."""
+"""Degree of the spline of :class:`Waypoints`: the lowest with a continuous snap. Splines of higher
+degrees swing more."""
 
 SPLINE_ERROR = 1e-7
-"""Largest distance of the spline from a waypoint, as a fraction of the largest coordinate or of
-1."""
+"""Largest distance of the spline from a waypoint, as a fraction of the largest coordinate, or of 1
+if that is larger."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +45,8 @@ class Waypoints(Motion):
     """Poses of the waypoints, shape (k, n)."""
     blend: float = 0.0
     """Duration of the blends of the straight lines [s], at the start, at each corner and at the
-    end; 0 for a spline. The lines are shortened in time by one blend as a whole, so the duration
-    stays."""
+    end; 0 for a spline. The duration of the motion stays: all lines together take one blend less
+    time."""
     name: str = "waypoints"
     """Name shown in tables and error messages."""
     duration: float = dataclasses.field(init=False)
@@ -64,12 +64,14 @@ class Waypoints(Motion):
         object.__setattr__(self, "duration", float(times[-1]))
         super().__post_init__()
         if self.blend:
+            # Blends overlap if they last longer than the shortest line, whose time they shorten.
             shortest = float(np.diff(times).min())
-            longest = shortest / (1 + shortest / self.duration)
-            number("blend", self.blend, above=0, below=longest, unit="s")
+            largest_blend = shortest / (1 + shortest / self.duration)
+            number("blend", self.blend, above=0, below=largest_blend, unit="s")
             return
-        missed = np.max(np.abs(self._curve(times / self.duration) - poses))
-        if not missed <= SPLINE_ERROR * max(1.0, float(np.max(np.abs(poses)))):
+        error = np.max(np.abs(self._curve(times / self.duration) - poses))
+        # also if the error is NaN
+        if not error <= SPLINE_ERROR * max(1.0, float(np.max(np.abs(poses)))):
             raise ValueError(
                 "no smooth curve was found: the waypoints are spaced too unevenly in time; leave some out"
             )
@@ -87,16 +89,17 @@ class Waypoints(Motion):
 
     def deviation(self, dimensions: int) -> tuple[float, float, float]:
         """Largest distance of the position from the straight lines between the waypoints [m], its
-        time [s], and the length of the longest line there [m].
+        time [s], and the length of the longest of the three lines around it [m].
 
         Args:
             dimensions: number of coordinates of a position: 2 in a plane, 3 in space.
         """
         corners = np.array(self.poses)[:, :dimensions]
         times = np.linspace(0.0, self.duration, 20 * len(corners) + 1)
-        # the line of each time; between two blends there is one
+        # index of the line at each time; it changes in the middle of a blend
         index = np.searchsorted(self.passing[1:-1], times)
         position = self(times).position[:, :dimensions]
+        # A point is a segment of length 0.
         distance = segment_distance(position, position, corners[index], corners[index + 1])
         worst = np.argmax(distance)
         near = corners[max(0, index[worst] - 1) : index[worst] + 3]
@@ -105,8 +108,8 @@ class Waypoints(Motion):
 
     @cached_property
     def _curve(self) -> Any:
-        """The motion over the fraction of the duration, of which equations are better conditioned
-        than over time."""
+        """The motion as a function of the fraction of the duration. Its equations are better
+        conditioned than those of a function of time."""
         if self.blend:
             return self._lines()
         return self._spline()
@@ -119,7 +122,8 @@ class Waypoints(Motion):
         sides = np.array([-0.5, 0.5]) * self.blend / self.duration
         velocities = np.diff(self.poses, axis=0) / np.diff(fractions)[:, None]
         velocities = np.pad(velocities, ((1, 1), (0, 0)))  # it rests before and after
-        # A blend runs from the end of a line to the start of the next one, both straight up to snap.
+        # A blend runs from the end of a line to the start of the next one: position, velocity, and
+        # zeros up to the snap at each end.
         ends = np.zeros((len(fractions), 2, 5, self.coordinates))
         ends[:, :, 1] = np.stack([velocities[:-1], velocities[1:]], axis=1)
         ends[:, :, 0] = np.array(self.poses)[:, None] + sides[:, None] * ends[:, :, 1]
@@ -141,8 +145,7 @@ class Waypoints(Motion):
         else:
             inner = np.linspace(0.0, 1.0, 6)[1:-1]
         # A clamped spline repeats the knots at both ends once more than its degree.
-        ends = np.ones(SPLINE_DEGREE + 1)
-        knots = np.concatenate([0 * ends, inner, ends])
+        knots = np.pad(inner, SPLINE_DEGREE + 1, constant_values=(0, 1))
         return make_interp_spline(
             fractions, self.poses, SPLINE_DEGREE, t=knots, bc_type=(at_rest, at_rest)
         )
@@ -163,8 +166,10 @@ def is_waypoint_file(name: object) -> bool:
 
 
 def read_waypoints(path: str | Path, kinds: Sequence[str]) -> tuple[Array | None, Array]:
-    """Times and poses of the waypoints in a CSV file, with the columns ``t`` [s] and the coordinates [m,
-    rad], z down; see :func:`~cablebot_gym.utils.csv_table.read_table`.
+    """Times and poses of the waypoints in a CSV file.
+
+    Its columns are ``t`` [s] and the coordinates [m, rad], z down; see
+    :func:`~cablebot_gym.utils.csv_table.read_table`.
 
     Args:
         path: the file.
@@ -175,7 +180,7 @@ def read_waypoints(path: str | Path, kinds: Sequence[str]) -> tuple[Array | None
         [m, rad].
 
     Raises:
-        ValueError: if the file is not such a table. The message names the line.
+        ValueError: if the table is invalid. The message names the line.
     """
     units = {"t": "s"}
     for symbol in "".join(kinds):
@@ -192,17 +197,17 @@ def read_waypoints(path: str | Path, kinds: Sequence[str]) -> tuple[Array | None
 
 
 def _poses(table: Table, kinds: Sequence[str]) -> Array:
-    """Poses in the columns of a table, shape (k, n), which it has for one of the kinds."""
-    valid = []
+    """Poses of a table, shape (k, n), whose columns must be those of one of the kinds."""
+    valid_headers = []
     for symbols in kinds:
         names = [column_name(symbol) for symbol in symbols]
-        valid.append(",".join(["t", *names]))
+        valid_headers.append(",".join(["t", *names]))
         if set(names) == table.columns.keys() - {"t"}:
             poses = np.stack([table.columns[name] for name in names], axis=1)
             if len(poses) < 2:
                 raise ValueError(f"{table.name}: it needs at least two waypoints")
             return poses
     raise ValueError(
-        f"{table.name}: its first line is '{','.join(table.columns)}'. It must be {' or '.join(valid)} "
+        f"{table.name}: its first line is '{','.join(table.columns)}'. It must be {' or '.join(valid_headers)} "
         "(t in s, lengths in m, angles in rad; without t, give a duration)"
     )

@@ -224,23 +224,23 @@ def draw_success(result: DLCCResult) -> Figure:
         ImportError: if matplotlib is missing; the message names the command that installs it.
         ValueError: if the result has only one draw.
     """
-    if result.details.probability is None:
+    details = result.details
+    if details.probability is None:
         raise ValueError("a success curve needs several draws: evaluate with a random uncertainty")
     figure = new_figure(_SUCCESS_HEIGHT)
     axes = figure.subplots()
-    payload, fraction = np.array(result.details.success).T
+    payload, fraction = np.array(details.success).T
     label = "fraction of the scan's draws that carry it"
     axes.plot(payload, fraction, color=BLUE, linewidth=1.8, marker="o", markersize=3, label=label)
-    label = f"required: {result.details.probability:.0%}"
-    axes.axhline(result.details.probability, color="black", linewidth=1.0, label=label)
+    label = f"required: {details.probability:.0%}"
+    axes.axhline(details.probability, color="black", linewidth=1.0, label=label)
     if result.payload is not None:
         label = f"payload: {result.payload:.2f} kg ({result.assurance})"
         axes.axvline(result.payload, color=VERMILLION, linewidth=1.2, label=label)
+    # The axis ends a little above the largest payload that is carried.
     largest = payload[fraction > 0].max(initial=0.0)
-    axes.set_xlim(
-        0, min(result.details.payload_max, 1.25 * largest + 0.02 * result.details.payload_max)
-    )
-    axes.set(ylim=(0, 1.02), xlabel="payload [kg]", ylabel="fraction of draws")
+    end = min(details.payload_max, 1.25 * largest + 0.02 * details.payload_max)
+    axes.set(xlim=(0, end), ylim=(0, 1.02), xlabel="payload [kg]", ylabel="fraction of draws")
     add_legend(figure, axes)
     set_title(figure, *_result_title(result))
     return figure
@@ -282,6 +282,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
 
 _PATH_HEIGHT, _SUCCESS_HEIGHT = 4.4, 4.4
+"""Heights of figures [inch]."""
 
 
 def torques_height(cables: int) -> float:
@@ -347,13 +348,14 @@ def _set_result_title(figure: FigureBase, result: DLCCResult) -> None:
 
 
 def _draw_torques(figure: FigureBase, rollout: Rollout) -> None:
-    """The mark is at the first occurrence of the largest |a|."""
+    """Draws the torques of an episode, with a mark at the first occurrence of the largest |a|."""
     robot = rollout.task.robot
     speeds = rollout.arrays["motor_speeds"]
     actions = rollout.arrays["commanded_action"]
     # The strength of a motor does not change its free speed.
     strength = rollout.stall_torque / robot.stall_torque
     lower, upper = strength * np.array(torque_limits(robot, speeds))
+    # The mean of the limits is minus the drop of the torque at the speed.
     profile = TorqueProfile(
         times=rollout.arrays["action_time"],
         torques=rollout.arrays["torques"],
@@ -363,10 +365,10 @@ def _draw_torques(figure: FigureBase, rollout: Rollout) -> None:
         end=_end(rollout),
     )
     step, motor = np.unravel_index(np.argmax(np.abs(actions)), actions.shape)
-    action = abs(actions[step, motor])
-    note = f"{1 - action:.1%} margin"
-    if action > 1:
-        note = f"saturates, |a| = {action:.3f}"
+    largest = abs(actions[step, motor])
+    note = f"{1 - largest:.1%} margin"
+    if largest > 1:
+        note = f"saturates, |a| = {largest:.3f}"
     mark = Mark(step=int(step), motor=int(motor), name="tightest instant", note=note)
     torque_panels(figure, profile, mark)
 
@@ -376,11 +378,12 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
     instant."""
     time = profile.times
     marker = _marker(time)
-    # the limits, and requested torques up to half a stall torque beyond them
+    # The torque axis shows the limits, and torques up to half a stall torque beyond them.
     drawn = profile.requested
     if drawn is None:
         drawn = profile.torques
-    least, most = profile.lower.min(), profile.upper.max()
+    least = profile.lower.min()
+    most = profile.upper.max()
     stall = float((profile.upper - profile.lower).max()) / 2
     low = max(min(least, drawn.min()), least - stall / 2) - 0.15 * stall
     high = min(max(most, drawn.max()), most + stall / 2) + 0.15 * stall
@@ -443,6 +446,7 @@ def _draw_mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:
     if 2 * torque > lower[mark.step] + upper[mark.step]:
         bottom = lower.max()
         top = torques.min()
+    # It is on the side with more room.
     x = 0.04
     alignment = "left"
     if time < sum(_span(profile.times, profile.end)) / 2:
@@ -585,7 +589,8 @@ def _draw_error(
         mark_bound(axes, bound, unit)
         top = max(top, 1e3 * bound)
     span = _span(longest, float(longest[-1]))
-    axes.set(xlim=span, ylim=(0, 1.2 * top or 1.0), ylabel=f"{name} error\n[{unit}]")
+    end = 1.2 * top or 1.0  # above 0, also without errors
+    axes.set(xlim=span, ylim=(0, end), ylabel=f"{name} error\n[{unit}]")
 
 
 def mark_bound(

@@ -1,4 +1,4 @@
-"""Adapters: functions, factories, sequences of actions, and trained models as policies."""
+"""Policies made of functions, factories, sequences of actions, and policies behind wrappers."""
 
 from __future__ import annotations
 
@@ -87,12 +87,13 @@ class PolicyFactory:
 
     def __init__(self, factory: Callable[[], Any]) -> None:
         self.name = name_of(factory)
-        missing = ", ".join(required_arguments(factory)) if isinstance(factory, type) else ""
-        if missing:
-            raise TypeError(
-                f"PolicyFactory calls {self.name}(), which needs {missing}: "
-                f"PolicyFactory(lambda: {self.name}({missing}))"
-            )
+        if isinstance(factory, type):
+            missing = ", ".join(required_arguments(factory))
+            if missing:
+                raise TypeError(
+                    f"PolicyFactory calls {self.name}(), which needs {missing}: "
+                    f"PolicyFactory(lambda: {self.name}({missing}))"
+                )
         self._factory = factory
         self.unsaturated_actions, self.stochastic, self.measurement = declarations(self._make())
         self._instances: list[Policy] = []
@@ -104,7 +105,7 @@ class PolicyFactory:
         """Makes an instance for each task and resets it."""
         self._instances = [self._make() for _ in tasks]
         for instance, task in zip(self._instances, tasks, strict=True):
-            reset_policy(instance, self.name, partial(tuple, [task]))
+            reset_policy(instance, self.name, partial(tuple, [task]))  # (task,)
 
     def predict(
         self,
@@ -121,10 +122,12 @@ class PolicyFactory:
         rows = np.atleast_2d(observation)
         if len(rows) != len(self._instances):
             self._instances = [self._make() for _ in rows]
-        states = [None] * len(rows) if state is None else list(state)
-        starts = (
-            np.zeros(len(rows), np.bool_) if episode_start is None else np.atleast_1d(episode_start)
-        )
+        states = [None] * len(rows)
+        if state is not None:
+            states = list(state)
+        starts = np.zeros(len(rows), np.bool_)
+        if episode_start is not None:
+            starts = np.atleast_1d(episode_start)
 
         def act(index: int, row: Array) -> Any:
             start = starts[index : index + 1]
@@ -134,11 +137,13 @@ class PolicyFactory:
             return np.asarray(actions)[0]
 
         actions = _stacked(rows, act)
-        return (actions if observation.ndim > 1 else actions[0]), states
+        if observation.ndim < 2:
+            actions = actions[0]
+        return actions, states
 
 
 def _stacked(observation: Array, act: Callable[[int, Array], Any]) -> Array:
-    """Actions of a function of index and observation, (N, m).
+    """Actions that ``act`` returns for the index and the row of each observation, (N, m).
 
     Raises:
         BatchItemError: if the function raises, or if its results are not numbers of one shape.
@@ -149,7 +154,7 @@ def _stacked(observation: Array, act: Callable[[int, Array], Any]) -> Array:
             action = to_floats(act(index, row))
         except KeyboardInterrupt:
             raise
-        except BatchItemError as error:
+        except BatchItemError as error:  # of an instance, whose batch has one observation
             raise BatchItemError(index, str(error)) from error.__cause__
         except BaseException as error:
             raise BatchItemError(index, raised(error, "it failed with")) from error

@@ -41,10 +41,7 @@ def record_all(
         else:
             yield key, stored
     for key, result in processes.run(
-        jobs,
-        workers=workers,
-        say=say,
-        returned=(processes.WorkerDied,),
+        jobs, workers=workers, say=say, returned=(processes.WorkerDied,)
     ):
         if isinstance(result, processes.WorkerDied):
             result = str(result)

@@ -1,4 +1,4 @@
-"""When along the motion limits broke: the figures of the report page."""
+"""Histograms of violations over the motion, for the report page."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ def violation_strips(violations: Iterable[Mapping[str, Any]]) -> list[dict[str, 
     """JSON-able histograms of violations over the motion: one for each kind that occurs.
 
     Args:
-        violations: ``kind`` and ``fraction`` of the motion at which the limit broke, and ``lead``
-            [s] or None, see :class:`~cablebot_gym.evaluation.judge.Violation`.
+        violations: for each violation, its ``kind``, the ``fraction`` of the motion at which it
+            occurred, and ``lead`` [s] or None, see
+            :class:`~cablebot_gym.evaluation.judge.Violation`.
 
     Returns:
-        ``limit``, its name; ``counts`` of :data:`BINS` parts; their sum ``count``; medians ``fraction`` and
-        ``lead`` [s], which is None if no violation has one.
+        For each kind, the name of its ``limit``, the ``counts`` in :data:`BINS` parts of the
+        motion, their sum ``count``, and the medians of ``fraction`` and of ``lead`` [s], which is
+        None if no violation has one.
     """
     groups: dict[str, list[Mapping[str, Any]]] = {kind: [] for kind in KINDS}
     for violation in violations:

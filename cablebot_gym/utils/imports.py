@@ -14,8 +14,8 @@ MOST_NAMES = 10
 
 
 def import_object(text: str) -> Any:
-    """The object that ``package.module:name`` or ``folder/file.py:name`` names, or the only one in
-    ``folder/file.py``.
+    """The object that ``package.module:name`` or ``folder/file.py:name`` names, or the only public
+    function or class in ``folder/file.py``.
 
     Raises:
         ValueError: if there is no such file or name; the message lists names of the module.
@@ -55,13 +55,13 @@ def split_name(text: str) -> tuple[str, str]:
         raise ValueError(f"file {source!r} does not exist")
     if not attribute:
         public = _public_names(path)
-        makers = [name for name, is_maker in public.items() if is_maker]
-        if len(makers) != 1:
+        callables = [name for name, is_callable in public.items() if is_callable]
+        if len(callables) != 1:
             names = ", ".join(f"{source}:{name}" for name in public)
             raise ValueError(
                 f"{source!r} needs the name of an object in this file. It has {names or 'no function or class yet'}"
             )
-        attribute = makers[0]
+        attribute = callables[0]
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))
         importlib.invalidate_caches()
@@ -85,4 +85,4 @@ def _public_names(path: Path) -> dict[str, bool]:
             names[node.name] = True
         elif isinstance(node, ast.Assign):
             names |= {target.id: False for target in node.targets if isinstance(target, ast.Name)}
-    return {name: is_maker for name, is_maker in names.items() if not name.startswith("_")}
+    return {name: is_callable for name, is_callable in names.items() if not name.startswith("_")}

@@ -1,5 +1,5 @@
-"""Standard streams that never stop a command: closed, full, or without an encoding for some
-characters."""
+"""Standard streams that never stop a command, even if they are closed, full, or without an encoding
+for some characters."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ _ESCAPES = "cablebot_gym.escapes"
 
 
 def _escaped(error: UnicodeError) -> tuple[str, int]:
-    r"""Replaces characters without an encoding by ``\uXXXX``, which is also what they are in
-    JSON."""
+    r"""Replaces characters without an encoding by ``\uXXXX``, their notation in JSON."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return json.dumps(error.object[error.start : error.end])[1:-1], error.end
@@ -74,8 +73,8 @@ class _Output(io.RawIOBase):
 
 
 def protect_streams() -> None:
-    """Replaces the standard streams by streams that never fail. Those that a test or a notebook has
-    set stay."""
+    """Replaces the standard streams by streams that never fail, except those that a test or a
+    notebook has set."""
     if sys.stdin is None:
         sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115, for the life of the process
     sys.stderr = _protected(sys.stderr, sys.__stderr__, None)
@@ -87,6 +86,7 @@ def _protected(stream: Any, original: Any, fallback: Any) -> Any:
         return open(os.devnull, "w", encoding="utf-8")
     if stream is not original:
         return stream
+    # An unbuffered stream has no raw one.
     output = _Output(getattr(stream.buffer, "raw", stream.buffer), fallback)
     return io.TextIOWrapper(
         io.BufferedWriter(output),

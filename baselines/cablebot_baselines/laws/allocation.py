@@ -13,14 +13,14 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.textbook import times_vector
 
 _JOINT_ITERATIONS = 6
-"""Number of iterations that change all wrong constraints at once. They nearly always suffice.
+"""Number of iterations that correct all wrong bounds at once. They nearly always suffice.
 
-Later iterations change only the first wrong constraint of each problem (Murty's rule), which cannot
+Later iterations correct only the first wrong bound of each problem (Murty's rule), which cannot
 cycle.
 """
 
 _MAX_ITERATIONS = 1000
-"""Maximum number of iterations."""
+"""Safety limit of the number of iterations."""
 
 
 def allocate(action: Array, slope: Array) -> Array:
@@ -45,10 +45,10 @@ def allocate(action: Array, slope: Array) -> Array:
         is_active = bound != 0
         step = np.where(is_active, bound - action, 0.0)
         # Minimum over the free actions, with the active actions at their bounds.
-        are_free = ~is_active[..., :, None] & ~is_active[..., None, :]
-        reduced = np.where(are_free, hessian, np.eye(action.shape[-1]))
-        descent = np.where(is_active, 0.0, -times_vector(hessian, step))
-        step = step + np.linalg.solve(reduced, descent[..., None])[..., 0]
+        both_free = ~is_active[..., :, None] & ~is_active[..., None, :]
+        reduced = np.where(both_free, hessian, np.eye(action.shape[-1]))
+        right_side = np.where(is_active, 0.0, -times_vector(hessian, step))
+        step = step + np.linalg.solve(reduced, right_side[..., None])[..., 0]
         candidate = action + step
         # Release a bound if the descent points inwards; add a bound if the candidate exceeds it.
         descent = -times_vector(hessian, step)
@@ -59,7 +59,7 @@ def allocate(action: Array, slope: Array) -> Array:
         if not np.any(is_wrong):
             break
         if iteration >= _JOINT_ITERATIONS:
-            is_wrong &= np.cumsum(is_wrong, axis=-1) == 1
+            is_wrong &= np.cumsum(is_wrong, axis=-1) == 1  # the first one
         bound = np.where(is_wrong, new_bound, bound)
-    closest: Array = np.clip(action + step, -1.0, 1.0)
+    closest: Array = np.clip(candidate, -1.0, 1.0)
     return closest

@@ -1,7 +1,7 @@
-"""Numba's compiler without machine code of helpers: it extends classes that numba does not
-document.
+"""Numba's compiler, changed to make no machine code of helpers.
 
-:mod:`inlining` does without this module where numba has changed them.
+This module extends classes that numba does not document. If numba has changed them,
+:mod:`inlining` works without this module.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _NAMES = {
 
 
 def _check_names() -> None:
-    """Checks that numba's classes have what they had, without making instances.
+    """Checks that numba's classes still have the names above, without making instances.
 
     Raises:
         ImportError: if a name is missing.
@@ -62,7 +62,7 @@ class _ReadConstants(FunctionPass):
 
     _name = "read_constants"
 
-    def __init__(self) -> None:
+    def __init__(self) -> None:  # numba's method is abstract
         super().__init__()
 
     def run_pass(self, state: Any) -> bool:
@@ -84,25 +84,25 @@ class _ReadConstants(FunctionPass):
             ):
                 attribute = getattr(constants[value.value.name], value.attr)
                 assignment.value = ir.Const(attribute, assignment.loc)
-        if constants:
+        if constants:  # numba's table of assignments is out of date
             state.func_ir._definitions = build_definitions(state.func_ir.blocks)
         return bool(constants)
 
 
-# it calls a record of numba's
+# The address of PyObject_Call. Called as code of a helper, it raises TypeError, because its first
+# argument is then a record of numba's, which is not callable.
 _NOT_CALLABLE = ctypes.cast(ctypes.pythonapi.PyObject_Call, ctypes.c_void_p).value or 0
 
 
 class _NoEnvironment:
-    """In place of the code generator, which would look for machine code of a helper."""
+    """Replaces the code generator, which would look for machine code of a helper."""
 
     def set_env(self, name: str, environment: Any) -> None:
         """Does nothing: only functions that Python calls need their Python environment."""
 
 
 class _HelperLibrary(JITCodeLibrary):
-    """LLVM code of a helper, which numba's function passes have simplified: without machine
-    code."""
+    """LLVM code of a helper after numba's function passes, without machine code."""
 
     @property
     def codegen(self) -> _NoEnvironment:
@@ -110,8 +110,7 @@ class _HelperLibrary(JITCodeLibrary):
         return _NoEnvironment()
 
     def finalize(self) -> None:
-        """Ends the library as it is. The helpers that it calls are linked by the entry point
-        only."""
+        """Marks the library as complete. Only the entry point links the helpers that it calls."""
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
@@ -141,9 +140,8 @@ class _HelperLibrary(JITCodeLibrary):
     def _own_module(self) -> Any:
         for function in self._final_module.functions:
             if not function.is_declaration and function.linkage == Linkage.external:
-                function.linkage = (
-                    "linkonce_odr"  # several entry points in one process have the same helpers
-                )
+                # several entry points in one process have the same helpers
+                function.linkage = "linkonce_odr"
         return self._final_module
 
 
@@ -202,8 +200,10 @@ class HelperCompiler(CompilerBase):
     def define_pipelines(self) -> list[Any]:
         """The passes of numba's compiler and :class:`_ReadConstants`."""
         state = self.state
-        library = _BorrowingLibrary if state.flags.forceinline else _HelperLibrary
-        state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
+        library_class = _HelperLibrary
+        if state.flags.forceinline:
+            library_class = _BorrowingLibrary
+        state.library = library_class(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
         passes = DefaultPassBuilder.define_nopython_pipeline(state)
         passes.add_pass_after(_ReadConstants, IRProcessing)
@@ -225,8 +225,8 @@ def lean_helper(function: Callable[..., Any], *, forceinline: bool) -> Any:
     def fold_without_literals(
         args: tuple[Any, ...], keywords: dict[str, Any]
     ) -> tuple[Any, tuple[Any, ...]]:
-        """The types of the arguments. A literal would be a type of its own: a second compilation of
-        the same code."""
+        """The types of the arguments, without literals: numba would compile the same code again for
+        each literal."""
         signature, argument_types = fold(args, keywords)
         return signature, tuple(types.unliteral(argument_type) for argument_type in argument_types)
 

@@ -32,15 +32,21 @@ _ITERATIONS = 50  # largest number of poses that are tried
 
 @inline
 def locate_tiles(form, lanes, parameters, tolerance, p, w, lengths, pose, squares, ended):
-    """Poses of given cable lengths: Gauss-Newton steps of all lanes in tiles.
+    """Poses of given cable lengths: damped Gauss-Newton steps of all lanes in tiles.
 
-    The dynamics at rest solve ``(m I₃, I) y = −Σ row_i (t_i + μ_i row_i·y)``. With the excess of
-    the length as t_i, μ_i = 1, and the damping as mass and inertia, y is the step. A step that
-    increases the sum of the squares is halved. A lane ends after a step below the tolerance.
+    The dynamics at rest solve ``(m I₃, I) y = −Σ row_i (t_i + μ_i row_i·y)``. If t_i is the excess
+    length of cable i, μ_i = 1, and the parameters have the damping in place of mass and inertia,
+    then y is the step. A step that increases the sum of the squares is halved. A lane ends after a
+    step below the tolerance.
+
+    ``lengths`` has shape (N, m) [m]. ``pose``, (N, n) [m, rad], has the first guesses, which the
+    results replace. The sums of the squares, (N,) [m²], are written to ``squares``, and whether
+    each lane ended to ``ended``.
     """
     count = lengths.shape[0]
     copy_parameters(parameters, p, lanes)
     for start in range(0, count, lanes):
+        # START: best pose; STAGE: pose to try; SUM: step between them, none at first.
         for at in range(lanes):
             lane = min(start + at, count - 1)
             for j in range(form.coordinates):
@@ -81,10 +87,10 @@ def locate_tiles(form, lanes, parameters, tolerance, p, w, lengths, pose, square
 
 @inline
 def _take_step(form, tolerance, w, at, lanes):
-    """Accepts the pose of the stage or halves the step to it; returns whether the lane had ended
-    before."""
+    """Accepts the pose of the stage or halves the step to it; returns 1.0 if the lane had ended
+    before, else 0.0."""
     ended_before = w[ENDED * lanes + at]
-    # NaN is not better.
+    # False for NaN; 1e-24 m² is rounding.
     smaller = w[TRIAL * lanes + at] <= w[SQUARES * lanes + at] + 1e-24
     accepted = smaller | (ended_before == 1.0)
     if accepted:

@@ -40,8 +40,8 @@ class LinearModel:
     """M, shape (..., k, k)."""
     damping: Array
     """C, shape (..., k, k): friction of motors and pulleys, slope of the torque-speed lines,
-    damping of the cables. Load friction is that of the torques at rest, without tensions that of
-    the stall torque."""
+    damping of the cables. Load friction is that of the holding torques, or of the stall torques if
+    no tensions are given."""
     stiffness: Array
     """K, shape (..., k, k)."""
     motors: Array
@@ -63,7 +63,7 @@ def linear_model(
         mass: mass of the platform and its payload [kg], shape (...); None for the platform alone.
         pose: X, shape (..., n); None for the home pose.
         tensions: T that hold the mass at rest [N], shape (..., m): K is then the second derivative
-            of the potential of springs and weight. None leaves out what tensions and weight add.
+            of the potential of springs and weight. None omits the stiffness of tensions and weight.
     """
     if mass is None:
         mass = robot.mass
@@ -82,7 +82,7 @@ def linear_model(
     inertia[..., :n, :n] = mass_matrix(robot, mass, np.broadcast_to(pose, (*batch, n)))
 
     def rows_of(*blocks: tuple[int, Array]) -> Array:
-        """Rows (..., m, k) with blocks of columns, each with its first column."""
+        """Rows (..., m, k) made of blocks: index of the first column, and values."""
         rows = np.zeros((*batch, m, size))
         for start, block in blocks:
             rows[..., start : start + block.shape[-1]] = block
@@ -95,6 +95,7 @@ def linear_model(
         matrix += rows.mT @ (weights * rows)
 
     radius = robot.pulley_radius[..., None]
+    # Blocks of the gradients of pulley and motor angles with respect to x.
     pulley = (0, -structure / radius)
     if robot.elastic:
         pulley = (n, identity)
@@ -124,7 +125,7 @@ def linear_model(
         start, pulley_angle = pulley
         add(stiffness, robot.stiffness, motor, (start, -pulley_angle))
     if tensions is not None:
-        platform_stiffness = stiffness[..., :n, :n]
+        platform_stiffness = stiffness[..., :n, :n]  # a view, changed in place
         platform_stiffness += tension_stiffness(robot, pose, tensions)
         platform_stiffness += weight_stiffness(robot, mass, pose)
     return LinearModel(inertia=inertia, damping=damping, stiffness=stiffness, motors=rows_of(motor))
@@ -135,8 +136,8 @@ class StateSpace:
     """Linear equations ``ẋ = A x + B u`` of the deviations x from a state at rest and u from the
     actions there, in SI units and radians.
 
-    Actions act without the lag that motors may have, and change continuously: within a control
-    period, the environments keep the action and the torque drop of its start.
+    Here actions have no lag, and actions and speeds act continuously. The environments apply the
+    lag of the motors, and keep the action and the torque drop constant in a control period.
     """
 
     A: Array
@@ -181,24 +182,20 @@ def linearise(
             robot, mass, pose, still, still, minimum=allocated_minimum(robot)
         )
     except np.linalg.LinAlgError:
-        tensions = still
+        tensions = still  # refused below
     if tensions.min() <= 0:
         raise ValueError(f"no taut cables hold {robot.name} with {payload:g} kg at {pose.tolist()}")
     model = linear_model(robot, mass=mass, pose=pose, tensions=tensions)
     k = len(model.inertia)
-    system = np.eye(2 * k, k=k)
+    system = np.eye(2 * k, k=k)  # identity at the upper right: the rates of the coordinates
     forces = np.hstack([model.stiffness, model.damping])
     system[k:] = -np.linalg.solve(model.inertia, forces)
     inputs = np.zeros((2 * k, robot.cables))
     inputs[k:] = np.linalg.solve(model.inertia, model.motors.T) * robot.stall_torque
-    springs = []
-    if robot.elastic:
-        springs.append("pulley")
-    if robot.jointed:
-        springs.append("motor")
     names = list(COORDINATE_NAMES[robot.kind])
-    for part in springs:
-        names += [f"{part} angle {motor + 1}" for motor in range(robot.cables)]
+    for part, has_states in (("pulley", robot.elastic), ("motor", robot.jointed)):
+        if has_states:
+            names += [f"{part} angle {index + 1}" for index in range(robot.cables)]
     units = ["m"] * robot.dimensions + ["rad"] * (k - robot.dimensions)
     return StateSpace(
         A=system,
@@ -212,20 +209,23 @@ def linearise(
 
 
 def tension_stiffness(robot: RobotArrays, pose: ArrayLike, tensions: ArrayLike) -> Array:
-    """Σ T_i ∂²q_i/∂X² [N/m, N, N·m], shape (..., n, n): what tensions T (..., m) add to the
-    stiffness because the cables turn."""
+    """Stiffness Σ T_i ∂²q_i/∂X² of tensions T, (..., m), because the cables turn [N/m, N, N·m],
+    shape (..., n, n)."""
     pose = as_numbers(pose)
     weights = as_numbers(tensions)[..., None]
     columns = []
     for along in np.eye(robot.coordinates):
-        slope = jacobian_rate(robot, pose, np.broadcast_to(along, pose.shape))  # of S along X_j
+        slope = jacobian_rate(robot, pose, np.broadcast_to(along, pose.shape))  # ∂S/∂X_j
         columns.append(np.sum(weights * slope, axis=-2))
     return np.stack(columns, axis=-1)
 
 
 def weight_stiffness(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Array:
     """Second derivative of the potential of the weight, −m g ∂²(R c)/∂X² along gravity, shape (...,
-    n, n): zero with the centre of mass c in the frame's origin."""
+    n, n) [N·m].
+
+    It is zero if the centre of mass c is the origin of the platform frame.
+    """
     pose = as_numbers(pose)
     second = np.zeros((*pose.shape, robot.coordinates))
     if robot.point_mass or not np.any(robot.mass_center):
@@ -239,7 +239,7 @@ def weight_stiffness(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Ar
     theta = pose[..., 4]
     level = np.sin(psi) * c_y + np.cos(psi) * c_z
     turned = np.cos(psi) * c_y - np.sin(psi) * c_z
-    # The third row of R gives (R c)_z = −sin θ c_x + cos θ (sin ψ c_y + cos ψ c_z).
+    # −∂²(R c)_z/∂X², where (R c)_z = −sin θ c_x + cos θ (sin ψ c_y + cos ψ c_z).
     second[..., 3, 3] = np.cos(theta) * level
     second[..., 3, 4] = second[..., 4, 3] = np.sin(theta) * turned
     second[..., 4, 4] = np.cos(theta) * level - np.sin(theta) * c_x
@@ -261,8 +261,8 @@ def locked_modes(
         tensions: T that hold the mass at rest, shape (m,) [N], or None as in :func:`linear_model`.
 
     Returns:
-        Frequencies (k,) [Hz], 0 for a motion that nothing brings back, and shapes (n, k), or (n +
-        m, k) with both joint springs and elastic cables.
+        Frequencies (k,) [Hz], 0 for a mode without a restoring force, and shapes (n, k), or (n + m,
+        k) with both joint springs and elastic cables.
     """
     model = linear_model(robot, mass=mass, pose=pose, tensions=tensions)
     moving = len(model.inertia)
@@ -282,8 +282,8 @@ def locked_modes(
 def free_modes(
     robot: Robot, mass: ArrayLike, pose: ArrayLike, tensions: ArrayLike
 ) -> tuple[Array, Array]:
-    """Modes of a flexible robot whose motors keep their torques, without those in which no spring
-    is wound.
+    """Modes of a flexible robot with constant motor torques, without the n modes in which no spring
+    is deflected.
 
     The arguments and results are as in :func:`locked_modes`; the shapes have the rows X, β, β′.
     """
@@ -307,7 +307,7 @@ def highest_frequency(robot: RobotArrays) -> float:
 
 
 def fastest_decay_rate(robot: RobotArrays) -> float:
-    """Largest decay rate by friction, along the torque-speed line and of the cables, at home [1/s].
+    """Largest decay rate at home [1/s], by friction, torque-speed lines and damping of cables.
 
     The slope of the Coulomb friction is largest at standstill, τ_c/ω₀.
     """
