@@ -110,7 +110,7 @@ class Store:
             before = read(
                 self.path,
                 say=lambda problem: say(
-                    f"{self.path} is damaged: {problem}, which is computed again"
+                    f"{self.path} is damaged: {problem}; the row is computed again"
                 ),
             )
             rows = before.rows

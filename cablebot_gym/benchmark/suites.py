@@ -54,7 +54,7 @@ class Override:
     """Whether there are rows of no error and of each error of the uncertainty alone, beside those of
     all errors."""
     conditions: Mapping[str, Any] = field(default_factory=dict)
-    """Fields of :class:`~cablebot_gym.evaluation.conditions.Conditions`."""
+    """Keywords of :class:`~cablebot_gym.evaluation.conditions.Conditions`."""
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Override:
@@ -254,7 +254,8 @@ def _policy_rows(
     rows = []
     for name, given in product(included, override.variants(env_id)):
         for task, task_seed in zip(tasks, seeds, strict=True):
-            conditions = Conditions(env_id=env_id, seed=task_seed, **task, **given)
+            data = {"env_id": env_id, "seed": task_seed, **task, **given}
+            conditions = Conditions.from_dict(data)
             rows.append(
                 Row(
                     measure="payload",

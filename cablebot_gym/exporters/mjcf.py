@@ -11,6 +11,7 @@ wound lengths r β′ of winches, see :class:`_Springs`.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from itertools import product
 from textwrap import fill
@@ -89,7 +90,7 @@ def export_mjcf(
     for note in notes:
         text += fill(note, 100, initial_indent="* ", subsequent_indent="  ") + "\n"
     indent(root)
-    comment = text.replace("--", "-")  # not allowed in a comment
+    comment = re.sub("-+", "-", text)  # two hyphens are not allowed in a comment
     return ExportedRobot(
         text=f"<!--\n{comment}-->\n{tostring(root, encoding='unicode')}\n",
         robot=simplified,

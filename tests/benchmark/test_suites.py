@@ -12,6 +12,8 @@ from cablebot_gym.benchmark.seeds import hidden_seeds
 from cablebot_gym.benchmark.suites import (
     QUICK_ENV_IDS,
     SUITES,
+    Override,
+    Suite,
     find_env_ids,
     find_policies,
     find_suite,
@@ -114,6 +116,18 @@ def test_errors_of_an_uncertainty_have_rows_of_their_own():
     names += ["pulley_inertia", "base_anchors", "damping"]
     names += ["wrench", "sensors", "sensor_bias", "delay"]
     assert list(draws) == [*(f"hardware:{name}" for name in names), "hardware"]
+
+
+def test_keyword_of_the_environments_is_an_override():
+    """``cable = "bilateral"`` ended in a traceback at the import of the suites."""
+    suite = Suite(
+        name="tiny",
+        summary="",
+        env_ids=(PLANAR,),
+        overrides=(Override.from_dict({"motion": "circle", "cable": "bilateral"}),),
+    )
+    rows = [row for row in suite_rows(suite, {PLANAR: ("fl",)}) if row.policy]
+    assert [row.conditions.keywords()["cable"] for row in rows] == ["bilateral"]
 
 
 def test_resolution_of_a_real_robot_follows_from_its_payload_range():
