@@ -30,7 +30,7 @@ class Results:
     suite: str
     """Name of the suite."""
     command: str
-    """Commands that compute the results, with ``; `` between them."""
+    """Commands that compute the results, separated by semicolons."""
     rows: Sequence[Row]
     """All rows."""
     seed_text: str | None = None

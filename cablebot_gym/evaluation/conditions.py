@@ -13,12 +13,12 @@ import numpy as np
 
 from cablebot_gym.envs import check_robot, described
 from cablebot_gym.envs.settings import FREQUENCY, KEYWORDS, default_trajectory
-from cablebot_gym.evaluation.judge import Criterion, find_criterion
+from cablebot_gym.evaluation.judge import CRITERIA
 from cablebot_gym.motions import Trajectory, find_trajectory
 from cablebot_gym.robots import Robot, private_robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds, payload_model_text, to_jsonable
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
-from cablebot_gym.utils.checks import UnexpectedKeywordError, check_keywords, whole
+from cablebot_gym.utils.checks import UnexpectedKeywordError, check_keywords, choice, whole
 from cablebot_gym.utils.results import Printed
 
 _RESERVED = (
@@ -53,9 +53,8 @@ class Conditions(Printed):
     """Control frequency [Hz]."""
     measurement: Any = None
     """Sensors of the policy."""
-    criterion: Criterion = "task"
-    """``task`` (saturated motors; position, rotation, tension) or ``paper`` (|a| ≤ 1, position,
-    slack)."""
+    criterion: str = "task"
+    """One of :data:`~cablebot_gym.evaluation.judge.CRITERIA`."""
     payload_known: bool = True
     """Whether the payload is known to the policy."""
     model_payload_factor: float = 1.0
@@ -90,7 +89,7 @@ class Conditions(Printed):
         for name in _OWN:
             if name in keywords:
                 given[name] = keywords.pop(name)
-        given["criterion"] = find_criterion(given.get("criterion", cls.criterion))
+        choice("criterion", given.get("criterion", cls.criterion), CRITERIA)
         given["seed"] = whole("seed", given.get("seed", cls.seed))
         if given.get("draws") is not None:
             given["draws"] = whole("draws", given["draws"], least=1)

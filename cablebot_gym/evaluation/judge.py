@@ -15,10 +15,10 @@ from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.limits import is_held, is_taut, is_unsaturated, minimum_tension, within_bound
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
-from cablebot_gym.utils.checks import choice
 
-Criterion = Literal["task", "paper"]
-CRITERIA: tuple[Criterion, ...] = get_args(Criterion)
+CRITERIA = ("task", "paper")
+"""Names of the criteria: ``task`` (saturated motors; position, rotation, tension) and ``paper``
+(|a| ≤ 1, position, slack)."""
 
 ViolationKind = Literal["torque", "slack", "overload", "position", "rotation", "terminated"]
 KINDS: tuple[ViolationKind, ...] = get_args(ViolationKind)
@@ -39,15 +39,6 @@ NEAR = 0.9
 """Fraction of a limit at which the lead of a violation begins."""
 
 _REASONS = np.array(TERMINATION_REASONS)
-
-
-def find_criterion(criterion: str) -> Criterion:
-    """The criterion with a name.
-
-    Raises:
-        ValueError: if the name is unknown.
-    """
-    return CRITERIA[CRITERIA.index(choice("criterion", criterion, CRITERIA))]  # str to Criterion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +149,7 @@ class Judge:
         count: number of episodes N.
     """
 
-    def __init__(self, criterion: Criterion, cables: int, count: int) -> None:
+    def __init__(self, criterion: str, cables: int, count: int) -> None:
         self.criterion = criterion
         self.failed = np.zeros(count, np.bool_)
         """Mask of the episodes with a violation, (N,)."""
@@ -375,7 +366,8 @@ class DLCCMonitor(gym.Wrapper[Array, ArrayLike, Array, ArrayLike]):
 
     def __init__(self, env: gym.Env[Array, ArrayLike], *, criterion: str = "task") -> None:
         super().__init__(env)
-        self._judge = Judge(find_criterion(criterion), env.get_wrapper_attr("task").robot.cables, 1)
+        choice("criterion", criterion, CRITERIA)
+        self._judge = Judge(criterion, env.get_wrapper_attr("task").robot.cables, 1)
         self._started = False
 
     @property

@@ -319,7 +319,8 @@ class EvaluateDLCC(EventCallback):
     SB3's ``EvalCallback`` evaluates the mean return, which is not what counts here.
 
     Args:
-        model: model on environments of :func:`make_training_envs`.
+        model: model on environments of
+            :func:`~cablebot_baselines.learned.recipe.make_training_envs`.
         run: the run, which is kept up to date.
         out: folder of the run.
         config: configuration of the run.
