@@ -130,7 +130,8 @@ class Leaderboard:
     """Policies by decreasing mean fraction in the first column."""
     ranks: Mapping[str, int]
     """Ranks by policy in the first column, from 1; empty if it has less than
-    :data:`~cablebot_gym.benchmark.ranking.RANKED_MOTIONS` motions, including those that do not count. See :func:`~cablebot_gym.benchmark.ranking.ranks`."""
+    :data:`~cablebot_gym.benchmark.ranking.RANKED_MOTIONS` motions, including those
+    that do not count. See :func:`~cablebot_gym.benchmark.ranking.ranks`."""
     entries: Mapping[tuple[str, Conditions], tuple[Score, ...]]
     """Scores by policy and column, one score per motion. Motions without best known payload are
     left out."""

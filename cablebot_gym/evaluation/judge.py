@@ -15,6 +15,7 @@ from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.limits import is_held, is_taut, is_unsaturated, minimum_tension, within_bound
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import Task
+from cablebot_gym.utils.checks import choice
 
 CRITERIA = ("task", "paper")
 """Names of the criteria: ``task`` (saturated motors; position, rotation, tension) and ``paper``
