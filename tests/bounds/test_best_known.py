@@ -13,7 +13,7 @@ from cablebot_gym.bounds.best_known import cached_best_known, find_best_known
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.planning import Margins, MotionProgram
 from cablebot_gym.policies.adapters import OpenLoop
-from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, Motors
+from cablebot_gym.robots import FLEX_PLANAR, PLANAR, Motors
 from cablebot_gym.task import ErrorBounds
 from cablebot_gym.trajectories import find_trajectory
 
@@ -161,18 +161,6 @@ def test_payload_is_close_to_an_independent_collocation(env_id, nodes):
     result = find_best_known(env_id, cache=False)
     assert result.verified
     assert (1 - LARGEST_GAP) * optimum < result.payload < (1 + LARGEST_GAP) * optimum
-
-
-@pytest.mark.landing
-@pytest.mark.usefixtures("quick")
-def test_hang_within_narrow_bounds_has_the_static_payload():
-    hang = {"name": "dwell-spatial", "duration": 0.1}
-    bounds = {"position": 1e-5, "rotation": 1e-5}
-    tight = find_best_known(SPATIAL_ID, trajectory=hang, error_bounds=bounds, cache=False)
-    assert tight.verified
-    assert tight.payload == pytest.approx(
-        exact_payload(SPATIAL, find_trajectory(hang, 6)).payload, rel=2e-3
-    )
 
 
 @pytest.mark.landing

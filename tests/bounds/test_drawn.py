@@ -1,16 +1,10 @@
 """The best known payload of a drawn robot, against the nominal one and against the environment."""
 
-import gymnasium as gym
-import numpy as np
 import pytest
-from oracles.plants import each_of
 
 from cablebot_gym.bounds import best_known
 from cablebot_gym.bounds.best_known import find_best_known
-from cablebot_gym.bounds.drawn import _DrawnCase, drawn_robot, find_drawn_best_known
-from cablebot_gym.envs import fitting_env_id
-from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
-from cablebot_gym.uncertainty import Uncertainty
+from cablebot_gym.bounds.drawn import _DrawnCase, find_drawn_best_known
 
 pytest.importorskip("casadi")
 
@@ -83,25 +77,3 @@ def test_hardware_draw_is_verified_in_its_own_draw_only(monkeypatch):
     assert all(verdict.violation is None for verdict, _ in replay(case, actions, payload))
     other = _DrawnCase.of(best_known._case(PLANAR_ID, trajectory=LINE), "hardware", 2)
     assert any(verdict.violation for verdict, _ in replay(other, actions, payload))
-
-
-@each_of(PLANAR, SPATIAL, FLEX_SPATIAL)
-def test_drawn_robot_has_the_true_parameters(robot):
-    env = gym.make(fitting_env_id(robot), uncertainty="hardware").unwrapped
-    env.reset(seed=5)
-    true = drawn_robot(robot, env.truth)
-    again = Uncertainty().draw(true, np.zeros(1), np.zeros((1, 1000)))
-    assert true.mass == env.truth["platform_mass"] != robot.mass
-    assert again.stall_torque == pytest.approx(env.truth["motor_strength"][None])
-    equal = {
-        "base": "base_anchors",
-        "motor_lag": "motor_lag",
-        "coulomb_friction": "coulomb_friction",
-    }
-    if not robot.point_mass:
-        equal["moments"] = "platform_inertia"
-    if robot.jointed:
-        equal["stiffness"] = "stiffness"
-    for attribute, parameter in equal.items():
-        np.testing.assert_array_equal(getattr(true, attribute), env.truth[parameter])
-    assert true.motors.free_speed == robot.motors.free_speed

@@ -102,21 +102,6 @@ def test_every_environment_equals_the_single_one(mode, count):
     assert count == 1 or ("slack" in reasons and truncations > 0)
 
 
-UNCERTAIN = {
-    "parameters": {
-        "platform_mass": {"low": -0.2, "high": 0.2},
-        "payload": {"low": -0.5, "high": 0.5},
-        "damping": {"low": 0.0, "high": 0.005, "relative": False},
-        "motor_strength": {"low": -0.1, "high": 0.1, "distribution": "normal", "std": 0.1},
-        "base_anchors": {"low": -0.01, "high": 0.01, "relative": False},
-    },
-    "wrench": {"force_std": 1.0, "correlation_time": 0.02, "factor": [0.5, 2.0]},
-    "sensors": {"position": 1e-3, "velocity": 0.01, "motor_angle": 0.01},
-    "sensor_bias": {"position": 1e-3, "motor_angle": 0.01},
-    "delay": 3,
-}
-
-
 def sensors_of(robot):
     """All sensors that a robot can have."""
     if robot.coordinates == 6:
@@ -127,7 +112,7 @@ def sensors_of(robot):
 DRAWN = {
     "payload_range": (0.0, 2.0),
     "initial_error_range": lambda robot: [0.005] * robot.coordinates,
-    "uncertainty": UNCERTAIN,
+    "uncertainty": "hardware",
     "measurement": sensors_of,
     "terminate_on_violation": True,
     "normalised_observation": True,

@@ -105,13 +105,11 @@ rigid_robots = each_of(QUAD, UNEQUAL)
 FLEX_HANGING = with_transmission(
     HANGING, stiffness=5.0, motor_inertia=3e-3, motor_damping=0.01
 ).replace(name="flex-hanging", mass=1.0)
-every_kind = each_of(
-    QUAD,
-    UNEQUAL,
-    FLEX_QUAD,
-    FLEX_UNEQUAL,
-    *nightly(FLEX_HANGING, _rough(TURNING), CAMERA, CRANE, *ROUGH),
+KINDS = (
+    *(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL),
+    *(FLEX_HANGING, _rough(TURNING), CAMERA, CRANE, *ROUGH),
 )
+every_kind = each_of(*KINDS[:4], *nightly(*KINDS[4:]))
 both_cables = pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
 
 
@@ -135,6 +133,14 @@ class State:
         """The state after a time at a rate, itself a state."""
         pairs = zip(vars(self).values(), vars(rate).values(), strict=True)
         return type(self)(*(value + time * slope for value, slope in pairs))
+
+
+@dataclasses.dataclass
+class ElasticState(State):
+    """Without joint springs the motors' states are those of the pulleys."""
+
+    pulley: np.ndarray
+    pulley_speed: np.ndarray
 
 
 def runge_kutta_step(rates, state, step):
@@ -164,6 +170,19 @@ def random_states(robot, count, seed=1, reach=0.6):
     twist *= rng.choice([-1.0, 1.0, 1.0], twist.shape)
     angle = textbook.pulley_angle(robot, pose) + twist
     return State(pose, velocity, angle, rng.uniform(-30, 30, actions.shape)), actions
+
+
+def wound_states(robot, count, tension=400.0, spread=2.5):
+    """Random states near home of a robot with elastic cables, wound as at rest, whose tensions lie
+    between ``1 − spread`` and ``1 + spread`` of ``tension``."""
+    random = np.random.default_rng(1)
+    size = (count, robot.coordinates)
+    pose = robot.home + random.uniform(-0.15, 0.15, size)
+    velocity = random.normal(size=size) / 3
+    tensions = tension * (1 + spread * random.uniform(-1, 1, (count, robot.cables)))
+    motor, pulley = textbook.rest_angles(robot, tensions, pose)
+    speed = textbook.pulley_speed(robot, pose, velocity)
+    return ElasticState(pose, velocity, motor, speed.copy(), pulley, speed)
 
 
 def random_motion(robot, shape, seed=1, spread=1.0):
@@ -206,11 +225,19 @@ def loaded_plant(robot, state, cable="bilateral", mass=None):
     plant.set_state(every, state.pose, state.velocity)
     if robot.flexible:
         plant.set_motors(every, state.angle, state.speed)
+    if robot.jointed and isinstance(state, ElasticState):
+        plant.set_pulleys(every, state.pulley, state.pulley_speed)
     return plant
 
 
 def state_of(plant):
-    return State(plant.pose, plant.velocity, plant.motor_angle, plant.motor_speed)
+    state = plant.pose, plant.velocity
+    if not plant.robot.flexible:
+        return State(*state, *np.zeros((2, plant.count, plant.robot.cables)))
+    state += plant.motor_angle, plant.motor_speed
+    if plant.robot.elastic:
+        return ElasticState(*state, plant.pulley_angle, plant.pulley_speed)
+    return State(*state)
 
 
 def record_of(plant):
@@ -296,6 +323,8 @@ def drive_speed(robot, state):
 def textbook_rates(robot, state, torques, cable="bilateral", mass=None):
     """Rates of a state and the tensions: the rigid robot's equations, and J′ β̈′ = τ − κ − c′ β̇′
     (Eq. 4) − friction."""
+    if robot.elastic:
+        return _elastic_rates(robot, state, torques, cable, mass)
     at_pulley = pulley_torques(robot, state, torques, cable)
     mass = robot.mass if mass is None else mass
     platform, tension = textbook.forward_dynamics(
@@ -307,6 +336,29 @@ def textbook_rates(robot, state, torques, cable="bilateral", mass=None):
             torques - at_pulley - textbook.motor_friction(robot, state.speed, at_pulley)
         ) / robot.motor_inertia
     return State(state.velocity, platform, state.speed, motors), tension
+
+
+def _elastic_rates(robot, state, torques, cable, mass):
+    tension, pulling = textbook.cable_springs(
+        robot, state.pose, state.velocity, state.pulley, state.pulley_speed, cable=cable
+    )
+    forces = np.einsum("kmn,km->kn", textbook.jacobian(robot, state.pose), tension)
+    forces += textbook.bias(robot, mass, state.pose, state.velocity)
+    inertia = textbook.mass_matrix(robot, mass, state.pose)
+    platform = -np.linalg.solve(inertia, forces[..., None])[..., 0]
+    load = pulling
+    if robot.jointed:
+        load = twist = robot.stiffness * (state.angle - state.pulley)
+    friction = robot.coulomb_friction + robot.load_friction * np.abs(load)
+    driving = torques - friction * state.speed / np.hypot(state.speed, 0.5)
+    motor = None
+    if robot.jointed:
+        motor = (driving - twist - robot.motor_damping * state.speed) / robot.motor_inertia
+        driving = twist
+    pulley = (driving - robot.damping * state.pulley_speed - pulling) / robot.pulley_inertia
+    motor = pulley if motor is None else motor
+    rates = state.velocity, platform, state.speed, motor, state.pulley_speed, pulley
+    return ElasticState(*rates), tension
 
 
 def friction_torques(robot, state, torques, tension, cable):

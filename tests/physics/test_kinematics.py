@@ -1,26 +1,14 @@
-"""Angles of pulleys and of the platform against finite differences and SciPy's rotations."""
+"""Lengths of swivelled cables by hand, and angles of pulleys and platform against finite
+differences."""
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles.plants import QUAD, differentiated, each_of, random_motion
 from oracles.platforms import CRANE, PLATFORMS, SWIVELLED
-from scipy.spatial.transform import Rotation
 
 from cablebot_gym import kinematics
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL
-
-
-@each_of(QUAD, CRANE)
-def test_lengths_are_distances_between_turned_anchors(robot):
-    rng = np.random.default_rng(3)
-    pose = robot.home + rng.uniform(-0.3, 0.3, (50, robot.coordinates))
-    vectors = pose[:, None, : robot.dimensions] - robot.base
-    if not robot.planar:
-        rotations = Rotation.from_euler("ZYX", pose[:, :2:-1])  # capitals: about the turned axes
-        vectors = vectors + robot.platform @ rotations.as_matrix().mT
-    lengths = kinematics.cable_lengths(robot.base, robot.platform, pose)
-    assert_allclose(lengths, np.linalg.norm(vectors, axis=-1), rtol=1e-14)
 
 
 @each_of(PLANAR, SPATIAL, QUAD, *PLATFORMS.values(), SWIVELLED)
@@ -39,6 +27,28 @@ def test_pulley_speed_and_acceleration_are_slopes_of_the_angle(robot):
     pulley_acceleration = textbook.pulley_acceleration(robot, pose, velocity, acceleration)
     slope = differentiated(speed, 1e-4)
     assert_allclose(pulley_acceleration, slope, rtol=1e-8, atol=1e-6)
+
+
+LOWER_WINCHES = CRANE.replace(  # four cables come from below and pull downwards
+    base_anchors=[*CRANE.base_anchors[:4], *((x, y, 8.0) for x, y, _ in CRANE.base_anchors[4:])],
+    platform_anchors=[
+        *CRANE.platform_anchors[:4],
+        *((x, y, z + 1.0) for x, y, z in CRANE.platform_anchors[4:]),
+    ],
+    center_of_mass=(),
+    swivel_radius=(0.05, 0.0, 0.1, 0.05, 0.05, 0.2, 0.05, 0.05),
+)
+
+
+def test_cable_wraps_its_swivel_pulley_on_the_right_side():
+    """Straight down from the outer edge of the pulley: half a turn on the pulley and the free
+    length."""
+    anchor = np.zeros((1, 3))
+    for swivel, depth in ((0.1, 2.0), (-0.1, -2.0)):
+        length = kinematics.cable_lengths(anchor, anchor, [0.2, 0.0, depth], [swivel])
+        assert_allclose(length, [np.pi * 0.1 + 2.0], rtol=1e-14)
+    assert np.sign(SWIVELLED.swivel).tolist() == [1] * 8
+    assert np.sign(LOWER_WINCHES.swivel).tolist() == [1, 0, 1, 1, -1, -1, -1, -1]
 
 
 def test_euler_rate_matrix_gives_omega_in_the_platform_frame():

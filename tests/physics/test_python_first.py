@@ -10,7 +10,7 @@ from oracles import plants
 from oracles.bits import assert_same_bits, compare_ways
 from oracles.elastic import ELASTIC
 from oracles.plants import each_of, loaded_plant, nightly, random_motion, random_states
-from oracles.platforms import PLATFORMS, TURNING
+from oracles.platforms import PLATFORMS
 
 from cablebot_gym.envs import ENV_IDS, env_robot, outcome
 from cablebot_gym.kinematics import cable_lengths
@@ -23,7 +23,7 @@ from cablebot_gym.physics.forward import forward_kinematics
 from cablebot_gym.physics.inverse import demands, inverse_dynamics
 from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import FEW_ROBOTS, form_of
-from cablebot_gym.robots import ROBOTS, find_robot, robot_names
+from cablebot_gym.robots import ROBOTS, find_robot
 
 EVERYTHING = ELASTIC[-1]
 
@@ -65,20 +65,6 @@ def move(robot, count, cable):
     return plant
 
 
-def one_of_each_form():
-    """Robots of the tests and of the library, one for each form."""
-    robots = [
-        *ELASTIC,
-        *plants.ROUGH,
-        plants._rough(TURNING),
-        plants.FLEX_HANGING,
-        *PLATFORMS.values(),
-    ]
-    robots += [plants.QUAD, plants.UNEQUAL, plants.FLEX_QUAD, plants.FLEX_UNEQUAL]
-    robots += map(find_robot, robot_names())
-    return list({form_of(robot): robot for robot in reversed(robots)}.values())
-
-
 @each_of(*ROBOTS.values(), EVERYTHING)
 def test_python_moves_a_robot_to_the_bits_of_compiled_code(robot, monkeypatch):
     """Excludes a sum that Python rounds in another way, or an order of its own."""
@@ -87,7 +73,7 @@ def test_python_moves_a_robot_to_the_bits_of_compiled_code(robot, monkeypatch):
     assert names == {"advance"}
 
 
-@each_of(*nightly(*one_of_each_form()))
+@each_of(*nightly(*ELASTIC, *plants.KINDS, *PLATFORMS.values()))
 @pytest.mark.parametrize("count", [FEW_ROBOTS, FEW_ROBOTS + 1])
 def test_all_forms_have_the_same_bits(robot, count, monkeypatch):
     form = form_of(robot)
@@ -197,11 +183,8 @@ def test_nan_infinity_and_integers_have_the_same_bits(flat, monkeypatch):
 
 FAILING = {
     "division": lambda x: 1.0 / (x - x),
-    "division of integers": lambda x: 3 // int(x - x),
     "overflow": lambda x: math.exp(1e4 * x),
     "root": lambda x: math.sqrt(-x),
-    "logarithm": lambda x: math.log(x - x),
-    "floor": lambda x: np.floor(1e400 * x - 1e400 * x),
 }
 
 
@@ -216,10 +199,9 @@ def test_compiled_code_computes_what_python_cannot(name):
         values[1] = fail(values[2])
 
     values = np.array([0.0, 0.0, 1.0])
-    if name != "floor":
-        with pytest.raises((ArithmeticError, ValueError)):
-            count_and_fail.in_python(values)
-        np.testing.assert_array_equal(values, [0.0, 0.0, 1.0])
+    with pytest.raises((ArithmeticError, ValueError)):
+        count_and_fail.in_python(values)
+    np.testing.assert_array_equal(values, [0.0, 0.0, 1.0])
     count_and_fail(values)
     expected = np.array([0.0, 0.0, 1.0])
     count_and_fail.compiled(expected)
