@@ -248,7 +248,6 @@ def chain(*motions):
             "unknown trajectory 'circle-planar'; .*; did you mean 'circle-spatial'",
         ),
         (Dwell(name="drift", pose=(0.0, 0.0)), 6, "'drift' has 2 coordinates and the robot has 6"),
-        ({"name": "line-planar", "duration": "fast"}, 2, "duration must be .* not 'fast'"),
         ({"name": "line-planar", "dwell": -0.1}, 2, "dwell must be .* at least 0 s, not -0.1"),
         (
             chain(LINE, LINE),
@@ -261,8 +260,6 @@ def chain(*motions):
             'starts with a nonzero acceleration .* or give it "dwell": 0.3',
         ),
         (chain(0.3, LINE), 2, "must be a list that starts with a motion"),
-        (chain(LINE, -0.3), 2, "dwell 2 must be a finite number greater than 0 s"),
-        ({"name": "loop-planar", "seed": -1}, 2, "seed must be an integer of at least 0"),
         ({"name": "loop-spatial", "reach": [0.1]}, 6, "reach must be 3 numbers"),
     ],
 )
@@ -276,15 +273,9 @@ def test_wrong_request_raises(trajectory, kind, message):
     [
         (
             PaperCircle,
-            {"radius": 0.0, "center": (0, 0)},
-            "radius must be a finite number greater than 0 m, not 0.0",
-        ),
-        (
-            PaperCircle,
             {"radius": 0.1, "center": (0, 0, 0, 0)},
             "center must be .x, y., .x, y, φ., .x, y, z. or ",
         ),
-        (SmoothCircle, {"radius": 0.1, "center": (0, float("nan"))}, "center must be finite"),
         (PointToPoint, {"start": (0, 0), "end": POSE}, "start has 2 coordinates and end has 6"),
         (BetweenDwells, {"motion": find_trajectory("loop-planar", 2)}, "motion has dwells already"),
     ],

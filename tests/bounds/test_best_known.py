@@ -236,12 +236,7 @@ def test_cache_distinguishes_problems(solved, cache):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"error_bounds": {"position": 0.0}}, "position must be a finite number greater than 0"),
         ({"env_id": "CableBot-Planar-v1"}, "CableBot-Planar-v0"),
-        (
-            {"trajectory": {"name": "circle-planar", "radius": 0.7}},
-            r"leaves the workspace of 'planar' at t = .*: x = ",
-        ),
         (
             {"control_frequency": 0.3},
             "control_frequency must be a finite number greater than 0.3125 Hz",

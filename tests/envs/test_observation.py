@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.episodes import PLANAR, ROBOTS, SPATIAL, make, random_actions, two_ids
+from oracles.episodes import PLANAR, ROBOTS, SPATIAL, make, random_actions, rollout, two_ids
 
 from cablebot_gym.envs.observation import LAST_ACTIONS, observation_layout
-from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import find_robot, library
 
 # --- last actions and slack time ----------------------------------------------------------------------------------
@@ -46,29 +45,14 @@ def test_model_payload_spans_the_payload_range_of_a_real_robot():
 # --- normalised ---------------------------------------------------------------------------------------------------
 
 
-def tracked(env_id, **keywords):
-    """Observations and normalised observations of an episode of a policy that follows most motions,
-    and both envs."""
-    envs = [make(env_id, normalised_observation=form, **keywords) for form in (False, True)]
-    robot = ROBOTS[env_id]
-    policy = load_policy("composite" if robot.flexible else "fl", robot)
-    rows = []
-    results = [env.reset(seed=0) for env in envs]
-    ended = False
-    while not ended:
-        rows.append([result[0] for result in results])
-        action = policy.predict(rows[-1][0])[0]
-        results = [env.step(action) for env in envs]
-        ended = results[0][2] or results[0][3]
-    return np.array(rows).swapaxes(0, 1), envs
-
-
 @two_ids
 def test_normalised_observation_is_the_layouts_function(env_id):
     """With sensor noise, payload, delay and saturated components."""
     uncertainty = {"sensors": {"position": 1e-3, "velocity": 30.0}, "delay": 1}
     keywords = {"uncertainty": uncertainty, "payload": 1.0}
-    (raw, normalised), (env, twin) = tracked(env_id, **keywords)
+    env, twin = (make(env_id, normalised_observation=form, **keywords) for form in (False, True))
+    actions = random_actions(env, 40)
+    raw, normalised = (rollout(form, actions, seed=0).observations for form in (env, twin))
     assert np.any(raw == env.observation_space.high)  # velocities saturate
     assert_array_equal(normalised, env.layout.normalise(raw))
     space = twin.observation_space

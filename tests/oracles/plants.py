@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from functools import cache
 
 import numpy as np
 import pytest
 
 from cablebot_gym import kinematics
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.compiling import entry_point
 from cablebot_gym.physics.kernel import rows
-from cablebot_gym.physics.kernel.integrate import _load_tile, _note_tensions
-from cablebot_gym.physics.kernel.motors import subtract_friction, torque_row
-from cablebot_gym.physics.kernel.stage import acceleration_row, stage_dynamics, stage_kinematics
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.robots import PLANAR, SPATIAL, Motors, Transmission
 from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
@@ -251,49 +246,6 @@ def no_reference(robot):
     return np.zeros((1, 1, robot.coordinates)), np.zeros(1, np.int64)
 
 
-@cache
-def _evaluation(form, lanes):
-    """Compiled accelerations (tiles, n·lanes) and, in the record, tensions for the torques there."""
-
-    @entry_point(seconds=lambda *_: math.inf)
-    def evaluate(unilateral, parameters, record, w, acceleration):
-        for tile in range(record.shape[0]):
-            p = parameters[tile]
-            r = record[tile]
-            _load_tile(form, r, w, lanes)
-            for i in range(form.cables):
-                row = rows.FIRST_CABLE + rows.CABLE_ROWS * i
-                rec = rows.FIRST_CABLE_RECORD + rows.CABLE_RECORDS * i
-                for at in range(lanes):
-                    w[(row + torque_row(form)) * lanes + at] = r[(rec + rows.TORQUE) * lanes + at]
-                    # All cables taut at first: the record may belong to other torques.
-                    w[(row + rows.TAUT) * lanes + at] = 1.0
-            stage_kinematics(form, form.flexible, p, w, lanes)
-            subtract_friction(form, p, w, lanes)
-            stage_dynamics(form, unilateral, p, w, lanes)
-            _note_tensions(form, True, unilateral, w, r, lanes)
-            for j in range(form.coordinates):
-                for at in range(lanes):
-                    acceleration[tile, j * lanes + at] = w[
-                        (acceleration_row(form) + j) * lanes + at
-                    ]
-
-    return evaluate
-
-
-def evaluated(plant, torques):
-    """Accelerations (N, n) and tensions (N, m) from the compiled kernel at the current states, N ≥
-    2."""
-    robot = plant.robot
-    torque_row = rows.FIRST_CABLE_RECORD + rows.TORQUE
-    plant._write(plant.record, torque_row, np.arange(plant.count), torques, rows.CABLE_RECORDS)
-    accelerations = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
-    evaluate = _evaluation(plant._form, plant.lanes)
-    (_, _, scratch, _, _) = plant._memory[0]
-    evaluate(plant.unilateral, plant._parameters, plant.record, scratch, accelerations)
-    return plant._read(accelerations, 0, robot.coordinates), plant.per_cable(rows.TENSION)
-
-
 def advance(plant, torques, duration, substeps):
     """Constant torques of free motors; nobody reads the errors."""
     plant.set_action(
@@ -323,10 +275,10 @@ def drive_speed(robot, state):
 def textbook_rates(robot, state, torques, cable="bilateral", mass=None):
     """Rates of a state and the tensions: the rigid robot's equations, and J′ β̈′ = τ − κ − c′ β̇′
     (Eq. 4) − friction."""
+    mass = robot.mass if mass is None else mass
     if robot.elastic:
         return _elastic_rates(robot, state, torques, cable, mass)
     at_pulley = pulley_torques(robot, state, torques, cable)
-    mass = robot.mass if mass is None else mass
     platform, tension = textbook.forward_dynamics(
         robot, mass, state.pose, state.velocity, at_pulley, cable=cable
     )
