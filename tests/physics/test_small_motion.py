@@ -1,4 +1,4 @@
-"""Linear models of small motions against the plant."""
+"""Linear models of small motions against differences of the equations of motion."""
 
 import numpy as np
 import pytest
@@ -6,59 +6,48 @@ from numpy.testing import assert_allclose
 from oracles.plants import (
     FLEX_HANGING,
     ROUGH,
+    ElasticState,
+    State,
+    drive_speed,
     each_of,
-    nightly,
-    no_reference,
+    textbook_rates,
     with_transmission,
 )
-from oracles.platforms import CAMERA, CRANE, SWIVELLED, TURNING
+from oracles.platforms import CAMERA, SWIVELLED, TURNING
 
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.plant import Plant
 from cablebot_gym.robots import PLANAR
 
 PAYLOAD = 2.5
-
 SOFT = {"axial_stiffness": 2e4, "extra_length": 0.3}
-ELASTIC = tuple(with_transmission(robot, **SOFT) for robot in (CAMERA, CRANE, SWIVELLED, TURNING))
-JOINTED = tuple(
-    with_transmission(robot, stiffness=900.0, motor_inertia=1e-3) for robot in (SWIVELLED, TURNING)
-)
-BOTH = with_transmission(TURNING, stiffness=900.0, motor_inertia=1e-3, **SOFT)
+SPRINGS = {"stiffness": 900.0, "motor_inertia": 1e-3}
+ROBOTS = [PLANAR, *ROUGH, FLEX_HANGING]
+for springs in (SOFT, SPRINGS, SOFT | SPRINGS):
+    ROBOTS += [with_transmission(robot, **springs) for robot in (CAMERA, SWIVELLED, TURNING)]
 
 
-def plant_rates(robot, mass, states, actions):
-    """Rates of states (N, k) from steps of the plant of 1 µs and of half of it, without the error
-    of first order."""
-    every = np.arange(len(states))
-    n, m = robot.coordinates, robot.cables
-    angles = n + m * (robot.elastic + robot.jointed)
-    rates = []
-    for step in (1e-6, 5e-7):
-        plant = Plant(robot.replace(mass=mass), len(states), cable="bilateral")
-        plant.set_state(every, states[:, :n], states[:, angles : angles + n])
-        if robot.flexible:
-            plant.set_motors(
-                every, states[:, angles - m : angles], states[:, 2 * angles - m : 2 * angles]
-            )
-        if robot.elastic and robot.jointed:
-            plant.set_pulleys(every, states[:, n : n + m], states[:, angles + n : angles + n + m])
-        plant.set_action(actions)
-        plant.advance(*no_reference(robot), substeps=1, step=step)
-        names = [("pose", "velocity")]
-        if robot.elastic:
-            names.append(("pulley_angle", "pulley_speed"))
-        if robot.jointed:
-            names.append(("motor_angle", "motor_speed"))
-        values = [getattr(plant, name) for pair in zip(*names, strict=True) for name in pair]
-        rates.append((np.concatenate(values, axis=1) - states) / step)
-    return 2 * rates[1] - rates[0]
+def rates_of(robot, mass, states, actions):
+    """Rates (N, k) of states, which are angles of the platform, the pulleys of elastic cables and
+    the motors of joint springs, and their speeds."""
+    positions, rates = np.hsplit(states, 2)
+    blocks = [robot.coordinates, robot.coordinates + robot.cables]
+    pose, *angles = np.split(positions, blocks, axis=1)
+    velocity, *speeds = np.split(rates, blocks, axis=1)
+    motor = int(robot.elastic and robot.jointed)
+    state = State(pose, velocity, angles[motor], speeds[motor])
+    if robot.elastic:
+        state = ElasticState(**vars(state), pulley=angles[0], pulley_speed=speeds[0])
+    torques = robot.stall_torque * actions - robot.speed_slope * drive_speed(robot, state)
+    slopes, _ = textbook_rates(robot, state, torques, mass=mass)
+    accelerations = [slopes.velocity]
+    if robot.elastic:
+        accelerations.append(slopes.pulley_speed)
+    if robot.jointed:
+        accelerations.append(slopes.speed)
+    return np.concatenate([rates, *accelerations], axis=1)
 
 
-@pytest.mark.landing
-@each_of(
-    PLANAR, *ROUGH, ELASTIC[1], BOTH, *nightly(FLEX_HANGING, ELASTIC[0], *ELASTIC[2:], *JOINTED)
-)
+@each_of(*ROBOTS)
 def test_state_space_has_the_differences_of_the_plant(robot):
     """Of friction, springs, elastic cables, tensions and weight."""
     robot = robot.replace(motors=robot.motors.replace(lag=0.0))
@@ -76,7 +65,7 @@ def test_state_space_has_the_differences_of_the_plant(robot):
     nudges = nudge * np.eye(size + robot.cables)
     both = np.concatenate([nudges, -nudges])
     states = rest + both[:, :size]
-    ahead, behind = np.split(plant_rates(robot, mass, states, model.action + both[:, size:]), 2)
+    ahead, behind = np.split(rates_of(robot, mass, states, model.action + both[:, size:]), 2)
     slopes = (ahead - behind).T / (2 * nudge)
     expected = np.concatenate([model.A, model.B], axis=1)
     scale = np.abs(expected).max(axis=1, keepdims=True)
