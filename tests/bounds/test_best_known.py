@@ -1,7 +1,9 @@
-"""The best known payload: an independent collocation, and a replay in a fresh environment."""
+"""The best known payload: an independent collocation, and a replay in a fresh environment; that of a drawn robot,
+against the nominal one and the environment."""
 
 import dataclasses
 from contextlib import contextmanager
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +12,7 @@ from oracles.collocation import largest_payload
 
 from cablebot_gym.bounds import best_known, exact_payload
 from cablebot_gym.bounds.best_known import cached_best_known, find_best_known
+from cablebot_gym.bounds.drawn import _DrawnCase, find_drawn_best_known
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.planning import Margins, MotionProgram
 from cablebot_gym.policies.adapters import OpenLoop
@@ -269,3 +272,68 @@ def test_infeasible_problem_names_the_limit(arguments, message, monkeypatch):
     monkeypatch.setattr(best_known, "_FIRST_MESHES", 1)
     with pytest.raises(ValueError, match=message):
         find_best_known(PLANAR_ID, cache=False, **arguments)
+
+
+# --- a drawn robot ----------------------------------------------------------------------------------------------------
+
+HEAVIER = {"parameters": {"payload": {"low": 0.03, "high": 0.03}}, "sensors": {"position": 1e-3}}
+
+
+def strength(deviation):
+    return {"parameters": {"motor_strength": {"low": deviation, "high": deviation}}}
+
+
+@pytest.fixture
+def drawn(monkeypatch, line):
+    monkeypatch.setattr("cablebot_gym.bounds.drawn.find_best_known", lambda *_, **__: line)
+    return partial(find_drawn_best_known, PLANAR_ID, trajectory=LINE, seed=0)
+
+
+def test_exactly_known_robot_gives_the_nominal_payload(drawn, line):
+    result = drawn(uncertainty="none")
+    assert result.verified
+    assert result.ratio == pytest.approx(1.0, abs=0.002)
+    assert result.nominal_payload == line.payload
+
+
+@pytest.mark.landing
+def test_stronger_motors_carry_more_and_weaker_ones_less(drawn):
+    assert (
+        drawn(uncertainty=strength(-0.03)).ratio
+        < 0.99
+        < 1.01
+        < drawn(uncertainty=strength(0.03)).ratio
+    )
+
+
+def test_heavier_payload_of_a_draw_is_counted_by_its_nominal_mass(drawn):
+    result = drawn(uncertainty=HEAVIER)
+    assert result.verified
+    assert result.ratio == pytest.approx(1 / 1.03, abs=0.003)
+
+
+@pytest.mark.landing
+def test_delayed_actions_are_sent_earlier(drawn):
+    """The motion accelerates at once, so the first held steps cost payload."""
+    result = drawn(uncertainty={"delay": 1})
+    assert result.verified
+    assert 0.95 < result.ratio < 1.0
+
+
+@pytest.mark.landing
+def test_hardware_draw_is_verified_in_its_own_draw_only(monkeypatch, drawn):
+    sent = []
+    replay = _DrawnCase._replays
+
+    def replays(case, actions, payload):
+        sent.append((case, actions, payload))
+        return replay(case, actions, payload)
+
+    monkeypatch.setattr(_DrawnCase, "_replays", replays)
+    result = drawn(uncertainty="hardware", seed=1)
+    assert result.verified
+    assert 0.8 < result.ratio < 1.1
+    case, actions, payload = sent[-1]
+    assert all(verdict.violation is None for verdict, _ in replay(case, actions, payload))
+    other = _DrawnCase.of(best_known._case(PLANAR_ID, trajectory=LINE), "hardware", 2)
+    assert any(verdict.violation for verdict, _ in replay(other, actions, payload))

@@ -1,11 +1,24 @@
-"""Blocks of the observation beyond state and reference, its layout, and the normalised form."""
+"""Blocks of the observation beyond state and reference, its layout, the normalised form, and sensors of winches and
+platform in place of pose and velocity."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.episodes import PLANAR, ROBOTS, SPATIAL, make, random_actions, rollout, two_ids
+from oracles.episodes import (
+    PLANAR,
+    ROBOTS,
+    SPATIAL,
+    make,
+    random_actions,
+    rigid_ids,
+    rollout,
+    two_ids,
+)
 
 from cablebot_gym.envs.observation import LAST_ACTIONS, observation_layout
+from cablebot_gym.envs.sensors import inertial
+from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.kinematics import cable_lengths, rotation_matrix
 from cablebot_gym.robots import find_robot, library
 
 # --- last actions and slack time ----------------------------------------------------------------------------------
@@ -79,3 +92,81 @@ def test_observation_in_float32_is_the_rounded_one():
         assert_array_equal(rounded, expected.astype(np.float32), strict=True)
         expected = double.step(action)[0]
         rounded = env.step(action)[0]
+
+
+ANCHORS = {"parameters": {"base_anchors": {"low": -0.01, "high": 0.01, "relative": False}}}
+
+
+@rigid_ids
+def test_motor_angles_are_those_of_the_true_anchors(env_id):
+    """Readings of the nominal robot would tell the true pose exactly, whatever the anchors."""
+    robot = ROBOTS[env_id]
+    env = make(env_id, measurement="winches", uncertainty=ANCHORS)
+    env.reset(seed=3)
+    for _ in range(5):
+        before = env.pose
+        observation = env.step(np.full(robot.cables, 0.1))[0]
+    base = env.truth["base_anchors"]
+    assert np.abs(base - robot.base).max() > 1e-3
+    poses = np.stack([robot.home, env.pose, before])
+    angles = -cable_lengths(base, robot.platform, poses) / robot.pulley_radius
+    reading = env.layout.split(observation)
+    assert_allclose(reading["motor_angle"], angles[1] - angles[0], atol=1e-12)
+    rate = (angles[1] - angles[2]) / env.settings.period
+    assert_allclose(reading["motor_speed"], rate, atol=0.2 * np.abs(rate).max())
+
+
+def test_imu_at_rest_reads_gravity_and_load_cells_the_weight():
+    robot = ROBOTS[SPATIAL]
+    env = make(SPATIAL, measurement="winches+tensions+imu", payload=2.0)
+    reading = env.layout.split(env.reset()[0])
+    rotation = rotation_matrix(env.pose[3:])
+    assert_allclose(reading["specific_force"], rotation.T @ [0, 0, -robot.gravity])
+    cables = robot.base - env.pose[:3] - robot.platform @ rotation.T
+    pulls = reading["tensions"] @ (cables / np.linalg.norm(cables, axis=1, keepdims=True))
+    assert_allclose(pulls, [0, 0, -(robot.mass + 2.0) * robot.gravity], atol=1e-9)
+
+
+def test_accelerometer_reads_the_mean_acceleration_of_a_period():
+    env = make(SPATIAL, measurement="winches+imu")
+    env.reset()
+    velocities = []
+    for action in (0.3, 0.5):
+        observation = env.step(np.full(6, action))[0]
+        velocities.append(env._simulation._plant.velocity[0, :3])
+    acceleration = (velocities[1] - velocities[0]) / env.settings.period
+    expected = rotation_matrix(env.pose[3:]).T @ (acceleration - [0, 0, ROBOTS[SPATIAL].gravity])
+    force = env.layout.split(observation)["specific_force"]
+    assert_allclose(force, expected, atol=1e-9)
+
+
+def test_gyroscope_reads_the_rate_in_the_frame_of_the_platform():
+    rng = np.random.default_rng(1)
+    pose = 0.5 * rng.normal(size=6)
+    velocity = rng.normal(size=6)
+    rate = inertial(ROBOTS[SPATIAL], pose, velocity, np.zeros(3))[1]
+    step = 1e-6
+    turn = rotation_matrix(pose[3:]).T @ rotation_matrix(pose[3:] + step * velocity[3:])
+    assert_allclose(rate, turn[[2, 0, 1], [1, 2, 0]] / step, rtol=1e-4)
+
+
+def test_zero_error_is_constant_in_an_episode():
+    encoder = {"kind": "winches", "encoder_resolution": 1e-3}
+    exact = make(PLANAR, measurement="winches")
+    offset = make(PLANAR, measurement=encoder, uncertainty={"sensor_bias": {"motor_angle": 0.1}})
+    true, measured = (
+        env.layout.split(rollout(env, np.full((3, 3), 0.1), seed=1).observations)
+        for env in (exact, offset)
+    )
+    angles = measured["motor_angle"]
+    assert_allclose(angles / 1e-3, np.rint(angles / 1e-3))
+    offsets = angles - true["motor_angle"]
+    assert np.ptp(offsets, axis=0).max() <= 1e-3 + 1e-12
+    assert np.abs(offsets).max() > 0.01
+
+
+def test_law_of_pose_is_rejected_with_the_name_to_type():
+    """A spatial robot has as many motor angles as coordinates: the law would read them as its
+    pose."""
+    with pytest.raises(ValueError, match=r"reads measurement 'pose'.*such as ekf\+fl"):
+        evaluate_dlcc("fl", SPATIAL, measurement="winches")

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.elastic import ELASTIC
 from oracles.one_dimension import line_robot
 from oracles.plants import (
+    ELASTIC,
     KINDS,
     NINE,
     UNEQUAL,

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from oracles import plants
 from oracles.bits import assert_same_bits, compare_ways
-from oracles.elastic import ELASTIC
-from oracles.plants import each_of, loaded_plant, nightly, random_motion, random_states
+from oracles.plants import ELASTIC, each_of, loaded_plant, nightly, random_motion, random_states
 from oracles.platforms import PLATFORMS
 
 from cablebot_gym.envs import ENV_IDS, env_robot, outcome

@@ -1,4 +1,7 @@
-"""Linear models of small motions against differences of the equations of motion."""
+"""The paper's flexible transmission, linear models of small motions against the equations of motion, and the physics
+steps that the frequencies need."""
+
+import re
 
 import numpy as np
 import pytest
@@ -8,15 +11,104 @@ from oracles.plants import (
     ROUGH,
     ElasticState,
     State,
+    advance,
     drive_speed,
     each_of,
+    energies,
+    free_motors,
+    holding_state,
+    loaded_plant,
+    state_of,
     textbook_rates,
     with_transmission,
 )
 from oracles.platforms import CAMERA, SWIVELLED, TURNING
+from scipy.linalg import eigh
 
+from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import PLANAR
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Transmission
+
+
+@pytest.mark.parametrize(("flexible", "rigid"), [(FLEX_PLANAR, PLANAR), (FLEX_SPATIAL, SPATIAL)])
+def test_flexible_robots_have_the_values_of_table_5(flexible, rigid):
+    """J = J′ = 4e-4, half of the rigid robot's each; K = 3 of §5.2.3; Eq. 4 has no damping."""
+    assert flexible.transmission == Transmission(
+        pulley_radius=0.05,
+        pulley_inertia=4e-4,
+        damping=0.0,
+        stiffness=3.0,
+        motor_inertia=4e-4,
+        motor_damping=0.0,
+    )
+    assert flexible.replace(name=rigid.name, transmission=rigid.transmission) == rigid
+    with pytest.raises(ValueError, match="has a transmission without motor_damping"):
+        _ = rigid.motor_damping
+
+
+# --- frequencies --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("robot", "changes"),
+    [
+        (FLEX_SPATIAL, {"stiffness": 3e4}),
+        (FLEX_SPATIAL, {"motor_inertia": 1e-6}),
+        (FLEX_SPATIAL, {"coulomb_friction": 30.0}),
+        (PLANAR, {"coulomb_friction": 30.0}),
+    ],
+)
+def test_named_substeps_are_the_fewest_stable_ones(robot, changes):
+    """At home under holding torques a nudge stays small with the substeps that the error names.
+
+    The slope of Coulomb friction at standstill is τ_c/ω₀. Larger steps: 2.9 time constants.
+    """
+    robot = free_motors(with_transmission(robot, **changes))
+    with pytest.raises(ValueError, match="use at least") as refusal:
+        make_settings(robot=robot, count=1, substeps=1)
+    least = int(re.findall(r"at least (\d+)", str(refusal.value))[0])
+    assert make_settings(robot=robot, count=1).substeps >= least > 1
+    fastest = textbook.fastest_decay_rate(robot)
+    if "coulomb_friction" not in changes:
+        fastest = textbook.highest_frequency(robot)
+    state, torques = holding_state(robot, robot.home)
+    speeds = []
+    for step in (1 / (500 * least), 2.9 / fastest):
+        nudged = State(state.pose, state.velocity + 1e-6, state.angle, state.speed + 1e-6)
+        plant = loaded_plant(robot, nudged)
+        for _ in range(50):
+            advance(plant, torques, 20 * step, 20)
+        speeds.append(np.abs(drive_speed(robot, state_of(plant))).max())
+    assert speeds[0] < 1e-3
+    assert not speeds[1] < 0.03  # or not a number
+    with pytest.raises(ValueError, match="physics steps in a control period"):
+        make_settings(robot=with_transmission(FLEX_SPATIAL, motor_inertia=1e-12), count=1)
+
+
+@each_of(FLEX_PLANAR, FLEX_SPATIAL)
+def test_default_step_keeps_the_energy_of_the_fastest_mode(robot):
+    """The robot swings in its fastest mode alone, undriven: the worst case of RK4."""
+    robot = free_motors(robot)
+    if not robot.planar:
+        robot = robot.replace(gravity=1e-9)  # otherwise it falls
+    model = textbook.linear_model(robot)
+    values, modes = eigh(model.stiffness, model.inertia)
+    assert values[-1] ** 0.5 == pytest.approx(textbook.highest_frequency(robot))
+    pose, angle = np.split(
+        1e-3 / np.abs(modes[:, -1]).max() * modes[None, :, -1], [robot.coordinates], 1
+    )
+    still = 0 * angle
+    plant = loaded_plant(robot, State(robot.home + pose, 0 * pose, angle, still))
+    step = make_settings(robot=robot, count=1).physics_step
+    history = []
+    for _ in range(round(1 / step) + 1):
+        history.append(energies(robot, state_of(plant)))
+        advance(plant, still, step, 1)
+    kinetic, potential = np.array(history)[..., 0].T
+    total = kinetic + potential
+    largest_loss = 1e-6 if robot.planar else 1e-5
+    assert np.abs(total - total[0]).max() < largest_loss * kinetic.max()
+
 
 PAYLOAD = 2.5
 SOFT = {"axial_stiffness": 2e4, "extra_length": 0.3}
