@@ -69,7 +69,6 @@ def test_unknown_keyword_raises_type_error(construct):
     ("count", "reset", "words"),
     [
         (None, {"options": {"paylaod": 1.0}}, "paylaod"),
-        (None, {"options": {"trajectory": "paper-planar"}}, "paper-planar"),
         (None, {"options": {"uncertainty": STIFF}}, "substeps"),
         # no tensions hold it
         (
@@ -77,7 +76,6 @@ def test_unknown_keyword_raises_type_error(construct):
             {"options": {"uncertainty": "table6", "initial_error": [0, 0, -0.1, 0, 0, 0]}},
             "start pose",
         ),
-        (None, {"options": {"noise_seed": 0.5}}, "noise_seed must be"),
         (3, {"options": {"uncertainty": ["table6"] * 2}}, "uncertainty"),
         (3, {"options": {"reset_mask": np.array([1, 0, 1])}}, "reset_mask"),
         (3, {"seed": [1, -2, 3]}, "seed"),

@@ -207,18 +207,6 @@ def random_motion(robot, shape, seed=1, spread=1.0):
     return robot.mass + rng.uniform(0, 3, shape), pose, velocity, acceleration
 
 
-def holding_state(robot, pose, velocity=0.0, minimum=20.0):
-    """A state (1, ...) in which constant torques hold the robot, springs wound to them, and these
-    torques."""
-    pose = pose[None]
-    velocity = np.broadcast_to(velocity, pose.shape)
-    torques = textbook.static_torque(robot, robot.mass, pose, minimum=minimum)
-    if not robot.flexible:
-        return State(pose, velocity, 0 * torques, 0 * torques), torques
-    angle = textbook.pulley_angle(robot, pose) + torques / robot.stiffness
-    return State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity)), torques
-
-
 def free_motors(robot):
     """Motors without lag, whose torque limits do not depend on the speed: an action of τ/τ_s holds
     the torque τ."""
@@ -349,10 +337,10 @@ def take_up_torques(robot, state, torques, acceleration, tension, cable):
     return robot.pulley_radius * tension - at_pulley + robot.pulley_inertia * winding + damping
 
 
-def energies(robot, state, cable="bilateral", mass=None):
+def energies(robot, state):
     """Kinetic energy of platform, pulleys and motors, and potential energy of weight and springs,
     each (N,)."""
-    mass = robot.mass if mass is None else mass
+    mass = robot.mass
     at = (
         kinematics.turned(state.pose, robot.mass_center[None])[..., 0, :]
         + state.pose[..., : robot.dimensions]
@@ -366,7 +354,7 @@ def energies(robot, state, cable="bilateral", mass=None):
         kinetic = kinetic + np.sum(robot.motor_inertia * state.speed**2, axis=-1) / 2
         potential = (
             potential
-            + np.sum(spring_torques(robot, state, cable) ** 2 / robot.stiffness, axis=-1) / 2
+            + np.sum(spring_torques(robot, state, "bilateral") ** 2 / robot.stiffness, axis=-1) / 2
         )
     return kinetic, potential
 
