@@ -140,6 +140,11 @@ def test_motion_between_dwells_is_shifted_and_rests_at_its_ends(dwell, case, fra
         assert dwell == 0 or not values[1:].any()
 
 
+def test_motion_with_dwells_takes_no_others():
+    with pytest.raises(ValueError, match="motion has dwells already"):
+        BetweenDwells(motion=find_trajectory("loop-planar", 2))
+
+
 # --- chains -------------------------------------------------------------------------------------------------------
 
 
@@ -261,25 +266,14 @@ def chain(*motions):
         ),
         (chain(0.3, LINE), 2, "must be a list that starts with a motion"),
         ({"name": "loop-spatial", "reach": [0.1]}, 6, "reach must be 3 numbers"),
+        ({"name": "line-planar", "end": POSE}, 2, "start has 2 coordinates and end has 6"),
+        (
+            {"name": "circle-planar", "center": (0, 0, 0, 0)},
+            2,
+            "center must be .x, y., .x, y, φ., .x, y, z. or ",
+        ),
     ],
 )
 def test_wrong_request_raises(trajectory, kind, message):
     with pytest.raises(ValueError, match=message):
         find_trajectory(trajectory, kind)
-
-
-@pytest.mark.parametrize(
-    ("make", "fields", "message"),
-    [
-        (
-            PaperCircle,
-            {"radius": 0.1, "center": (0, 0, 0, 0)},
-            "center must be .x, y., .x, y, φ., .x, y, z. or ",
-        ),
-        (PointToPoint, {"start": (0, 0), "end": POSE}, "start has 2 coordinates and end has 6"),
-        (BetweenDwells, {"motion": find_trajectory("loop-planar", 2)}, "motion has dwells already"),
-    ],
-)
-def test_unphysical_field_raises(make, fields, message):
-    with pytest.raises(ValueError, match=message):
-        make(**fields)

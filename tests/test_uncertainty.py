@@ -179,19 +179,16 @@ IMPOSSIBLE = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("robot", "data", "message"),
-    [
-        *(
-            (robot, {"parameters": {name: value}}, words)
-            for robot, name, value, words in IMPOSSIBLE_PARAMETERS
-        ),
-        *((PLANAR, data, words) for data, words in IMPOSSIBLE),
-    ],
-)
-def test_impossible_uncertainty_raises(robot, data, message):
+@pytest.mark.parametrize(("robot", "name", "value", "message"), IMPOSSIBLE_PARAMETERS)
+def test_impossible_parameter_raises(robot, name, value, message):
     with pytest.raises(ValueError, match=message):
-        find_uncertainty(data, robot)
+        find_uncertainty({"parameters": {name: value}}, robot)
+
+
+@pytest.mark.parametrize(("data", "message"), IMPOSSIBLE)
+def test_impossible_uncertainty_raises(data, message):
+    with pytest.raises(ValueError, match=message):
+        find_uncertainty(data, PLANAR)
 
 
 # --- its forms ----------------------------------------------------------------------------------------------------

@@ -83,18 +83,6 @@ def test_replay_verifies_the_actions(line):
         assert 0.0097 < verdict.position_peak == stored.position_peak <= 0.01
 
 
-@pytest.mark.landing
-@pytest.mark.usefixtures("quick")
-def test_best_known_payload_keeps_the_maximum_tension(line):
-    robot = PLANAR.replace(maximum_tension=20.0)
-    limited = find_best_known(PLANAR_ID, robot=robot, trajectory=LINE, cache=False)
-    assert limited.verified
-    assert limited.payload < 0.8 * line.payload
-    verdict = replay(limited.payload, limited.actions, robot=robot)
-    assert verdict.carried
-    assert verdict.largest_tension > 19.0
-
-
 @pytest.mark.parametrize("failed", [0, 1])
 def test_each_replay_has_to_verify(monkeypatch, line, failed):
     """The best motion is returned, as not verified, if none passes the replays."""

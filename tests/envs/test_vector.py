@@ -187,17 +187,19 @@ def options_of(options, index):
 
 @two_ids
 def test_reset_options_reach_the_environments_of_the_mask(env_id):
-    """With motions of other lengths and with other delays in the middle of other episodes: tables
-    and queues grow and shrink."""
+    """And keywords each environment. With motions of other lengths and other delays in the middle of other
+    episodes: tables and queues grow and shrink."""
     robot = ROBOTS[env_id]
-    env = make_vector(env_id, 3, autoreset_mode="Disabled")
-    singles = [make(env_id) for _ in range(3)]
-    first = of_robot(PER_ENVIRONMENT | FOR_ALL, robot) | {"noise_seed": [9, 5, 7]}
+    given = of_robot(PER_ENVIRONMENT | FOR_ALL, robot)
+    env = make_vector(env_id, 3, autoreset_mode="Disabled", **given)
+    singles = [make(env_id, **options_of(given, index)) for index in range(3)]
+    first = given | {"noise_seed": [9, 5, 7]}
     assert {*first} == {*RESET_OPTIONS}
     restarts = {
-        0: ([4, 5, 6], first, {}),
+        0: ([4, 5, 6], {}, {}),
         6: ([9, None, None], of_robot(LATER, robot), {"reset_mask": np.array([True, False, True])}),
-        14: ([None] * 3, {}, {"reset_mask": np.array([False, True, True])}),
+        12: ([None] * 3, {}, {"reset_mask": np.array([False, True, True])}),
+        16: ([7, 8, None], first, {"reset_mask": np.array([True, True, False])}),
     }
 
     def check_rows(results, expected):
@@ -216,15 +218,6 @@ def test_reset_options_reach_the_environments_of_the_mask(env_id):
             check_rows(env.reset(seed=seeds, options=options | mask), rows)
         rows = {index: single.step(action[index]) for index, single in enumerate(singles)}
         check_rows(env.step(action), rows)
-
-
-def test_keywords_per_environment_are_the_reset_options():
-    options = of_robot(PER_ENVIRONMENT, ROBOTS[PLANAR])
-    by_keyword = make_vector(PLANAR, 3, **options)
-    by_option = make_vector(PLANAR, 3)
-    for seed, mask in ((4, {}), (None, {"reset_mask": np.array([False, True, True])})):
-        expected = by_option.reset(seed=seed, options=options | mask)
-        check_equal(by_keyword.reset(seed=seed, options=mask), expected)
 
 
 # --- seeds --------------------------------------------------------------------------------------------------------
