@@ -162,26 +162,6 @@ def test_reference_blocks_are_the_motion_now_and_ahead(env_id):
         assert_allclose(blocks[f"preview_{milliseconds}ms"], ahead - now.position, atol=1e-12)
 
 
-@two_ids
-def test_measured_blocks_are_the_true_state(env_id):
-    """The velocity is its slope, and errors of the info are those of the blocks."""
-    env = make(env_id, control_frequency=1000.0)
-    episode = rollout(env, random_actions(env, 30, -1, 1), seed=3)
-    blocks = env.layout.split(episode.observations)
-    assert_array_equal(blocks["pose"][-1], env.pose)
-    if "motor_angle" in blocks:
-        assert_array_equal(blocks["motor_angle"][-1], env._simulation._plant.motor_angle[0])
-        assert_array_equal(blocks["motor_speed"][:-1], episode.info["motor_speeds"][1:])
-    slope = np.diff(blocks["pose"], axis=0) * 1000.0
-    mean = (blocks["velocity"][1:] + blocks["velocity"][:-1]) / 2
-    assert_allclose(slope, mean, atol=0.04 * np.abs(mean).max())
-    error = blocks["pose"] - blocks["reference_pose"]
-    distance = np.linalg.norm(error[:, :3], axis=1)
-    assert_allclose(episode.info["tracking_error"], distance, atol=1e-14)
-    turn = np.abs(error[:, 3:]).max(axis=1, initial=0)
-    assert_allclose(episode.info["rotation_error"], turn, atol=1e-14)
-
-
 @pytest.mark.parametrize(("env_id", "known"), [(PLANAR, True), (FLEX_SPATIAL, False)])
 def test_observation_and_task_hide_the_true_values(env_id, known):
     """Only the springs of flexible robots depend on the true payload at the start, and only info

@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.episodes import PLANAR, make, wrenches
+from oracles.episodes import PLANAR, check_equal, make, wrenches
 from scipy import stats
 
 from cablebot_gym.envs.streams import BLOCK, NormalRows, Purpose, Streams
@@ -85,10 +85,13 @@ FIELDS = {
 EVERYTHING = {field: value for fields in FIELDS.values() for field, value in fields.items()}
 
 
-def draws_of(uncertainty, **options):
-    """Draws of four episodes of one step, by name; the options are those of the first."""
+def make_uncertain(fields):
     ranges = {"payload_range": (0.5, 2.0), "initial_error_range": [0.001] * 2}
-    env = make(PLANAR, uncertainty=Uncertainty(**uncertainty), **ranges)
+    return make(PLANAR, uncertainty=Uncertainty(**fields), **ranges)
+
+
+def draws_of(env, **options):
+    """Draws of four episodes of one step, by name; the options are those of the first."""
     rows = []
     for reset in ({"seed": 5, "options": options}, {}, {}, {}):
         env.reset(**reset)
@@ -109,11 +112,11 @@ def draws_of(uncertainty, **options):
 
 
 def test_draws_do_not_depend_on_the_other_uncertainties():
-    together = draws_of(EVERYTHING)
+    together = draws_of(make_uncertain(EVERYTHING))
     for name, values in together.items():
         assert len(np.unique(values)) >= 3, name
     for source, fields in FIELDS.items():
-        draws = draws_of(fields)
+        draws = draws_of(make_uncertain(fields))
         for name in ("payload", "error", source):
             assert_allclose(draws[name], together[name], rtol=0, atol=1e-15, err_msg=source)
         assert [name for name in FIELDS if np.diff(draws[name], axis=0).any()] == [source]
@@ -122,10 +125,12 @@ def test_draws_do_not_depend_on_the_other_uncertainties():
 def test_noise_seed_changes_the_noise_and_not_the_parameters():
     """Wrench and white noise follow it until the next seed; masses, factors, biases and delays
     follow the seed."""
-    draws = draws_of(EVERYTHING)
-    others = draws_of(EVERYTHING, noise_seed=7)
+    env = make_uncertain(EVERYTHING)
+    draws = draws_of(env)
+    others = draws_of(env, noise_seed=7)
     for name, values in draws.items():
         if name in ("wrench", "sensors"):
             assert not np.any(values == others[name])
         else:
             assert_array_equal(values, others[name])
+    check_equal(draws_of(env), draws)
