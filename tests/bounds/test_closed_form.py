@@ -116,32 +116,28 @@ FREQUENCY = 40.0
 
 def random_case(kind, rng):
     """A robot with random anchors, mass and drives, a circle, and a minimum tension."""
-    if kind == "spatial":
-        robot = SPATIAL
-        trajectory = "smooth-circle-spatial"
-        base = SPATIAL.base + rng.uniform(-0.03, 0.03, (6, 3))
-    else:
+    robot = SPATIAL
+    trajectory = "smooth-circle-spatial"
+    base = SPATIAL.base + rng.uniform(-0.03, 0.03, (6, 3))
+    if kind != "spatial":
         robot = PLANAR
         trajectory = "paper-planar"
         cables = int(kind[-1])
-        turns = (np.arange(cables) + rng.uniform(-0.25, 0.25, cables)) / cables
-        angles = 2 * np.pi * turns + rng.uniform(0, 6)
+        angles = (np.arange(cables) + rng.uniform(-0.25, 0.25, cables)) * 2 * np.pi / cables
         base = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        base = rng.uniform(0.7, 1.0, (cables, 1)) * base
-    torques = robot.stall_torque.max() * rng.uniform(0.8, 1.8, len(base))
-    drums = robot.transmission.replace(
-        pulley_inertia=rng.uniform(0, 2e-3, len(base)),
-        damping=rng.uniform(0, 0.02),
-        load_friction=np.linspace(0.0, 0.1, len(base)),
-    )
     robot = robot.replace(
         base_anchors=base,
-        mass=robot.mass * rng.uniform(0.6, 1.2),
-        motors=Motors(stall_torque=torques, free_speed=rng.uniform(800, 2000) * RPM),
-        transmission=drums,
+        motors=Motors(
+            stall_torque=robot.stall_torque.max() * rng.uniform(0.8, 1.8, len(base)),
+            free_speed=rng.uniform(800, 2000) * RPM,
+        ),
+        transmission=robot.transmission.replace(
+            pulley_inertia=rng.uniform(0, 2e-3, len(base)),
+            damping=rng.uniform(0, 0.02),
+            load_friction=np.linspace(0.0, 0.1, len(base)),
+        ),
     )
-    fields = {"radius": rng.uniform(0.04, 0.1), "duration": rng.uniform(1.0, 2.0)}
-    motion = find_trajectory({"name": trajectory, **fields}, robot.coordinates)
+    motion = find_trajectory({"name": trajectory, "radius": 0.08}, robot.coordinates)
     return robot, motion, rng.choice([0.0, rng.uniform(0, 40)])
 
 
