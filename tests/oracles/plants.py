@@ -221,12 +221,17 @@ def loaded_plant(robot, state, cable="bilateral", mass=None):
     parameters = np.tile(pack_parameters(robot), (count, 1))
     parameters[:, rows.MASS] = robot.mass if mass is None else mass
     plant.set_parameters(every, parameters)
-    plant.set_state(every, state.pose, state.velocity)
-    if robot.flexible:
-        plant.set_motors(every, state.angle, state.speed)
-    if robot.jointed and isinstance(state, ElasticState):
-        plant.set_pulleys(every, state.pulley, state.pulley_speed)
+    set_states(plant, state)
     return plant
+
+
+def set_states(plant, state):
+    every = np.arange(plant.count)
+    plant.set_state(every, state.pose, state.velocity)
+    if plant.robot.flexible:
+        plant.set_motors(every, state.angle, state.speed)
+    if plant.robot.jointed and isinstance(state, ElasticState):
+        plant.set_pulleys(every, state.pulley, state.pulley_speed)
 
 
 def state_of(plant):

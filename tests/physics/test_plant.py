@@ -1,18 +1,14 @@
 """The compiled plant against itself in other batch sizes, the textbook, and a Python loop over its
 steps."""
 
-import math
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.one_dimension import line_robot
 from oracles.plants import (
     ELASTIC,
     KINDS,
     NINE,
     UNEQUAL,
-    State,
     advance,
     both_cables,
     drive_speed,
@@ -26,6 +22,7 @@ from oracles.plants import (
     record_of,
     rigid_robots,
     runge_kutta_step,
+    set_states,
     state_of,
     take_up_torques,
     textbook_rates,
@@ -173,7 +170,11 @@ def check_record(plant, states, applied, tensions, lines):
 @each_of(*KINDS[:4], ELASTIC[-1], *nightly(*KINDS[4:], *ELASTIC[:-1]))
 def test_control_period_is_that_of_a_python_loop(robot, cable):
     """The request follows its lag, and the limits the speed, at every stage; peaks over all physics
-    steps. The reference stays at its last line."""
+    steps. The reference stays at its last line. The lag starts within the stall torque. A reset
+    leaves nothing of the earlier run."""
+    lag = np.linspace(0.0, 0.02, robot.cables)
+    lag[1] = 1e-9
+    robot = robot.replace(motors=robot.motors.replace(lag=tuple(lag.tolist())))
     substeps = 10
     count = 6
     end = 25
@@ -181,26 +182,39 @@ def test_control_period_is_that_of_a_python_loop(robot, cable):
     state, action = random_states(robot, count, seed=5)
     if robot.elastic:
         state = wound_states(robot, count)
+    at_reset = state
     mass = robot.mass * np.linspace(1, 1.5, count)
     wander = np.random.default_rng(6).normal(0, 0.05, (count, 31, robot.coordinates))
     references = state.pose[:, None] + wander
     references[:, end + 1 :] = np.nan
     plant = loaded_plant(robot, state, cable, mass)
     plant.trajectory_index[:count] = np.arange(count)
-    lagged = 0.3 * robot.stall_torque * np.ones((count, 1))
-    plant.set_torques(np.arange(count), lagged)
-    peak_steps = set()
-    for period in range(3):
+    fresh = record_of(plant)
+    lagged = robot.stall_torque * np.ones((count, 1))
+
+    def start():
+        """Its motors lack the torque that would hold the robot."""
+        plant.set_torques(np.arange(count), 1.5 * lagged)
+        assert_array_equal(plant.per_cable(rows.TORQUE), 1.5 * robot.stall_torque + 0 * action)
+
+    def advance_period():
         plant.set_action(action)
         plant.advance(references, np.full(count, end), substeps=substeps, step=step)
+        return record_of(plant)
+
+    start()
+    records = []
+    peak_steps = set()
+    for period in range(3):
+        records.append(advance_period())
         states, applied, lagged = python_period(
             robot, mass, state, action, lagged, substeps, step, cable
         )
         # Some motor reaches its limit on the way.
         assert period > 0 or np.abs(applied - applied[0]).max() > 0.01
         tensions = []
-        for start, torques in zip(states, applied, strict=False):
-            tensions.append(textbook_rates(robot, start, torques, cable, mass)[1])
+        for before, torques in zip(states, applied, strict=False):
+            tensions.append(textbook_rates(robot, before, torques, cable, mass)[1])
         steps = np.minimum(substeps * period + 1 + np.arange(substeps), end)
         lines = references[:, steps].swapaxes(0, 1)
         peak_steps.update(check_record(plant, states, applied, tensions, lines))
@@ -208,24 +222,11 @@ def test_control_period_is_that_of_a_python_loop(robot, cable):
         for value, expected in zip(vars(state).values(), vars(states[-1]).values(), strict=True):
             assert_allclose(value, expected, rtol=1e-12, atol=1e-9 if robot.elastic else 1e-12)
     assert len(peak_steps) > 3  # the peak is not always at the end or the start
-
-
-@pytest.mark.parametrize(("lag", "held"), [(0.03, 3.0), (1e-9, 1.0)])
-def test_lagged_torque_starts_within_the_stall_torque(lag, held):
-    """The recorded torque is the one that would hold the robot, which its motors may lack.
-
-    A torque that decays within one step is stored, too, and does not start anew in every period.
-    """
-    robot = line_robot(inertia=8e-4, free_speed=1e100, damping=0.0)
-    robot = robot.replace(motors=robot.motors.replace(lag=lag))
-    plant = loaded_plant(robot, State(*np.zeros((2, 1, 2)), *np.zeros((2, 1, 4))))
-    plant.set_torques(np.array([0]), held * robot.stall_torque[None])
-    assert_array_equal(plant.per_cable(rows.TORQUE)[0], held * robot.stall_torque)
-    plant.set_action(np.zeros((1, 4)))
-    for period in range(3):
-        plant.advance(*no_reference(robot), substeps=2, step=1e-3)
-        lagged = robot.stall_torque * math.exp(-period * 2e-3 / lag)
-        assert_allclose(plant.per_cable(rows.TORQUE)[0], lagged, rtol=1e-12)
+    set_states(plant, at_reset)
+    assert_array_equal(record_of(plant), fresh)
+    lagged = robot.stall_torque * np.ones((count, 1))
+    start()
+    assert_array_equal(advance_period(), records[0])
 
 
 # --- external wrench ----------------------------------------------------------------------------------------------
@@ -287,25 +288,3 @@ def test_state_that_is_not_finite_spares_its_neighbours(robot, spoilt, bad):
     # An infinite action is clipped like any other action above 1.
     finite = np.isfinite(record[sick, rows.POSITION_PEAK])
     assert finite.tolist() == [spoilt == "action" and np.isinf(bad)] * 2
-
-
-# --- resets and limits --------------------------------------------------------------------------------------------
-
-
-@rigid_robots
-def test_reset_leaves_nothing_of_the_earlier_run(robot):
-    state, actions = random_states(robot, 5)
-    references = np.random.default_rng(2).uniform(*robot.pose_bounds, (1, 30, robot.coordinates))
-    plant = loaded_plant(robot, state, "unilateral")
-
-    def records():
-        for step in range(4):
-            plant.set_action(actions * (1 - 0.3 * step))
-            plant.advance(references, np.array([29]), substeps=4, step=2e-3)
-        return record_of(plant)
-
-    fresh = record_of(plant)
-    first_run = records()
-    plant.set_state(np.arange(5), state.pose, state.velocity)
-    assert_array_equal(record_of(plant), fresh)
-    assert_array_equal(records(), first_run)
