@@ -196,28 +196,22 @@ def test_motion_of_a_file_is_an_object_class_or_function(tmp_path, monkeypatch):
 @every_name
 def test_motion_rests_outside_its_duration(name):
     """The last instant still belongs to the motion: the paper's circle brakes at t = 1 s, with −8π
-    rad/s² at (R, 0)."""
+    rad/s² at (R, 0). Batches of times equal single ones."""
     motion = TRAJECTORIES[name]()
     after = motion([np.nextafter(motion.duration, np.inf), motion.duration + 7.0, np.inf])
     assert_array_equal(after.position, [motion(motion.duration).position] * 3)
     assert not stacked(after)[1:].any()
     assert_array_equal(stacked(motion(-0.3)), stacked(motion(0.0)))
-    if name == "paper-planar":
-        assert_allclose(motion(1.0).acceleration, [0, -0.2165 * 8 * np.pi], atol=1e-12)
-
-
-@every_name
-def test_batches_of_times_equal_single_times(name):
-    motion = TRAJECTORIES[name]()
     times = motion.duration * np.array([[-0.5, 0.0, 0.2], [0.5, 1.0, 1.5]])
     batch = stacked(motion(times.tolist()))
-    assert batch.shape == (5, 2, 3, motion.coordinates)
     for index in np.ndindex(times.shape):
         single = motion(float(times[index]))
         assert_allclose(batch[:, *index], stacked(single), rtol=1e-14, atol=1e-12)
         for values in vars(single).values():
             values[:] = 9.0  # writing into a reference does not change the motion
     assert_array_equal(batch, stacked(motion(times)))
+    if name == "paper-planar":
+        assert_allclose(motion(1.0).acceleration, [0, -0.2165 * 8 * np.pi], atol=1e-12)
 
 
 # --- names --------------------------------------------------------------------------------------------------------
