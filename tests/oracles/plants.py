@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 
-from cablebot_gym import kinematics
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import Plant, pack_parameters
@@ -340,28 +339,6 @@ def take_up_torques(robot, state, torques, acceleration, tension, cable):
         damping = damping + friction_torques(robot, state, torques, tension, cable)
     at_pulley = pulley_torques(robot, state, torques, cable)
     return robot.pulley_radius * tension - at_pulley + robot.pulley_inertia * winding + damping
-
-
-def energies(robot, state):
-    """Kinetic energy of platform, pulleys and motors, and potential energy of weight and springs,
-    each (N,)."""
-    mass = robot.mass
-    at = (
-        kinematics.turned(state.pose, robot.mass_center[None])[..., 0, :]
-        + state.pose[..., : robot.dimensions]
-    )
-    momentum = textbook.mass_matrix(robot, mass, state.pose) @ state.velocity[..., None]
-    kinetic = np.sum(momentum[..., 0] * state.velocity, axis=-1) / 2
-    potential = -mass * at @ robot.gravity_vector
-    pulley = textbook.pulley_speed(robot, state.pose, state.velocity)
-    kinetic = kinetic + np.sum(robot.pulley_inertia * pulley**2, axis=-1) / 2
-    if robot.flexible:
-        kinetic = kinetic + np.sum(robot.motor_inertia * state.speed**2, axis=-1) / 2
-        potential = (
-            potential
-            + np.sum(spring_torques(robot, state, "bilateral") ** 2 / robot.stiffness, axis=-1) / 2
-        )
-    return kinetic, potential
 
 
 def worst_relative_error(values, expected):
