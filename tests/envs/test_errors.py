@@ -77,6 +77,7 @@ def test_unknown_keyword_raises_type_error(construct):
             "start pose",
         ),
         (3, {"options": {"uncertainty": ["table6"] * 2}}, "uncertainty"),
+        (3, {"options": {"noise_seed": [1, 2]}}, "noise_seed must be"),
         (3, {"options": {"reset_mask": np.array([1, 0, 1])}}, "reset_mask"),
         (3, {"seed": [1, -2, 3]}, "seed"),
     ],

@@ -12,7 +12,7 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.robots import PLANAR, SPATIAL, Motors, Transmission
-from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
+from oracles.platforms import CAMERA, CRANE, HANGING, SWIVELLED, TURNING
 
 UNEQUAL = SPATIAL.replace(
     name="unequal",
@@ -97,7 +97,6 @@ def each_of(*robots):
 
 JOINTS = {"stiffness": 400.0, "motor_inertia": 3e-3, "motor_damping": 0.01}
 SWIVELLED_CAMERA = CAMERA.replace(swivel_radius=(0.1, 0.05, 0.0, 0.1))
-SWIVELLED_CRANE = CRANE.replace(swivel_radius=0.05)
 ELASTIC = (
     with_transmission(HANGING, axial_stiffness=2e4, axial_damping=40.0, extra_length=0.5),
     with_transmission(TURNING, axial_stiffness=(2e4, 3e4, 1e4, 2e4, 5e4), **JOINTS),
@@ -105,7 +104,7 @@ ELASTIC = (
         SWIVELLED_CAMERA, axial_stiffness=2e4, coulomb_friction=0.3, load_friction=0.1
     ),
     with_transmission(
-        SWIVELLED_CRANE, axial_stiffness=1e5, axial_damping=20.0, load_friction=0.05, **JOINTS
+        SWIVELLED, axial_stiffness=1e5, axial_damping=20.0, load_friction=0.05, **JOINTS
     ),
 )
 """The last one has everything: swivel pulleys, springs, elastic cables, load friction, an inertia and a
@@ -134,10 +133,6 @@ class State:
 
     def __getitem__(self, members):
         return type(self)(*(value[members] for value in vars(self).values()))
-
-    def columns(self):
-        """All values side by side, one row per state."""
-        return np.concatenate(list(vars(self).values()), axis=1)
 
     def moved(self, rate, time):
         """The state after a time at a rate, itself a state."""
