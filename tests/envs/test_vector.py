@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.testing import assert_array_equal
-from oracles.episodes import PLANAR, ROBOTS, check_equal, each_id, make, make_vector, two_ids
+from oracles.episodes import (
+    PLANAR,
+    ROBOTS,
+    check_equal,
+    each_id,
+    make,
+    make_vector,
+    random_actions,
+    two_ids,
+)
 
 from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.settings import KEYWORDS, RESET_OPTIONS
@@ -32,11 +41,9 @@ def rugged(count=4, **keywords):
     return make_vector(PLANAR, count, **RUGGED, **keywords)
 
 
-def random_actions(env, steps):
+def held_actions(env, steps):
     """Random actions, each held for some steps: some beyond ±1, and many that slacken cables."""
-    shape = (steps // 4 + 1, *env.action_space.shape)
-    held = np.random.default_rng(0).uniform(-1.0, 1.5, shape)
-    return np.repeat(held, 4, axis=0)[:steps]
+    return np.repeat(random_actions(env, steps // 4 + 1, -1.0, 1.5), 4, axis=0)[:steps]
 
 
 # --- against single environments ----------------------------------------------------------------------------------
@@ -62,11 +69,22 @@ def check_same(ours, theirs):
     check_same_info(ours[-1], theirs[-1])
 
 
+def check_numbers(info):
+    """Arrays that other libraries take: DLPack takes no strings, and JAX contiguous ones only."""
+    for name, value in info.items():
+        if name == "final_info":
+            check_numbers(value)
+        elif name != "final_obs":  # an array of arrays, as in Gymnasium
+            assert value.dtype.kind in "bfi"
+            assert value.flags.c_contiguous
+
+
 def check_run(env_id, count, mode, actions, **keywords):
     """Compares a run with single environments. Returns the reasons of its ends, and the numbers of
     restarts and of time limits."""
     ours = make_vector(env_id, count, autoreset_mode=mode, **keywords)
     theirs = SyncVectorEnv([lambda: gym.make(env_id, **keywords)] * count, autoreset_mode=mode)
+    assert ours.autoreset_mode is mode  # TorchRL reads it
     for name in ("single_observation_space", "observation_space", "action_space"):
         assert getattr(ours, name) == getattr(theirs, name)
     check_same(ours.reset(seed=7), theirs.reset(seed=7))
@@ -76,6 +94,7 @@ def check_run(env_id, count, mode, actions, **keywords):
     for action in actions:
         result = ours.step(action)
         check_same(result, theirs.step(action))
+        check_numbers(result[-1])
         observation, _, terminated, truncated, info = result
         assert observation in ours.observation_space
         ended = terminated | truncated
@@ -95,7 +114,7 @@ def check_run(env_id, count, mode, actions, **keywords):
 @each_mode
 @pytest.mark.parametrize("count", [1, 18])
 def test_every_environment_equals_the_single_one(mode, count):
-    actions = random_actions(rugged(count), 60 if count == 1 else 14)
+    actions = held_actions(rugged(count), 60 if count == 1 else 14)
     reasons, restarts, truncations = check_run(PLANAR, count, mode, actions, **RUGGED)
     assert restarts >= count
     assert "tracking_error" in reasons
@@ -208,7 +227,7 @@ def test_reset_options_reach_the_environments_of_the_mask(env_id):
             check_equal({name: values[index] for name, values in results[-1].items()}, row[-1])
         check_equal(env.get_attr("truth"), tuple(single.truth for single in singles))
 
-    for step, action in enumerate(random_actions(env, 20) * 0.3):
+    for step, action in enumerate(held_actions(env, 20) * 0.3):
         if step in restarts:
             seeds, options, mask = restarts[step]
             rows = {
@@ -259,21 +278,6 @@ def test_reset_mask_keeps_the_automatic_resets_of_others():
     assert ends == [[False, False], [True, False], [False, True]]
 
 
-# --- for other libraries ------------------------------------------------------------------------------------------
-
-
-def test_info_holds_arrays_of_numbers_that_torch_and_jax_take():
-    """DLPack takes no strings; TorchRL reads the attribute."""
-    envs = make_vector(PLANAR, 2, autoreset_mode="SameStep", max_episode_steps=1)
-    assert envs.autoreset_mode is AutoresetMode.SAME_STEP
-    envs.reset(seed=0)
-    info = envs.step(np.zeros((2, 3)))[4]
-    info.pop("final_obs")  # an array of arrays, as in Gymnasium
-    values = [*info.pop("final_info").values(), *info.values()]
-    assert {value.dtype.kind for value in values} == {"b", "f", "i"}
-    assert all(value.flags.c_contiguous for value in values)  # JAX
-
-
 # --- threads ------------------------------------------------------------------------------------------------------
 
 
@@ -283,7 +287,7 @@ def test_threads_do_not_change_a_bit(count):
     theirs = rugged(count, uncertainty="hardware")
     ours = pickle.loads(pickle.dumps(rugged(count, threads=3, uncertainty="hardware")))
     check_equal(ours.reset(seed=5), theirs.reset(seed=5))
-    for action in random_actions(ours, LIMIT - 1):
+    for action in held_actions(ours, LIMIT - 1):
         check_equal(ours.step(action), theirs.step(action))
 
 
