@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles.platforms import CAMERA
-from scipy.optimize import linprog, lsq_linear
+from oracles.programs import least_largest_action
+from scipy.optimize import lsq_linear
 
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.distribution import (
@@ -78,20 +79,6 @@ def check_tensions(tensions, lower, upper):
     assert np.all((tensions.tensions >= lower) & (tensions.tensions <= upper))
 
 
-def least_by_linear_program(structure, load, lower, upper, slope, offset):
-    """The least largest |action|, the last variable after the tensions."""
-    column = -np.ones((len(slope), 1))
-    steep = np.diag(slope)
-    return linprog(
-        np.append(0 * slope, 1),
-        A_ub=np.block([[steep, column], [-steep, column]]),
-        b_ub=np.append(-offset, offset),
-        A_eq=np.column_stack([-structure.T, 0 * load]),
-        b_eq=load,
-        bounds=[*zip(lower, upper, strict=True), (0, None)],
-    ).fun
-
-
 @each_kind
 @counts
 def test_least_largest_action_is_that_of_a_linear_program(kind, count):
@@ -101,7 +88,7 @@ def test_least_largest_action_is_that_of_a_linear_program(kind, count):
     slope = rng.uniform(0.5, 1.5, shape) * rng.choice([-1, 1], shape) / 1000
     offset = rng.uniform(-0.3, 0.3, shape)
     items = zip(structure, load, lower, upper, slope, offset, strict=True)
-    largest = np.array([least_by_linear_program(*item) for item in items])
+    largest = np.array([least_largest_action(*item) for item in items])
     cables = shape[1]
     for smoothing in (1e-6, 1e-2):
         solution = least_action(structure, load, lower, slope, offset, upper, smoothing=smoothing)
