@@ -113,26 +113,23 @@ def test_motor_angles_are_those_of_the_true_anchors(env_id):
     assert_allclose(reading["motor_speed"], rate, atol=0.2 * np.abs(rate).max())
 
 
-def test_imu_at_rest_reads_gravity_and_load_cells_the_weight():
+def test_imu_reads_acceleration_without_gravity_and_load_cells_the_weight():
+    """At rest after a reset; then the mean acceleration of a period."""
     robot = ROBOTS[SPATIAL]
+    gravity = np.array([0, 0, robot.gravity])
     env = make(SPATIAL, measurement="winches+tensions+imu", payload=2.0)
     reading = env.layout.split(env.reset()[0])
     rotation = rotation_matrix(env.pose[3:])
-    assert_allclose(reading["specific_force"], rotation.T @ [0, 0, -robot.gravity])
+    assert_allclose(reading["specific_force"], rotation.T @ -gravity)
     cables = robot.base - env.pose[:3] - robot.platform @ rotation.T
     pulls = reading["tensions"] @ (cables / np.linalg.norm(cables, axis=1, keepdims=True))
-    assert_allclose(pulls, [0, 0, -(robot.mass + 2.0) * robot.gravity], atol=1e-9)
-
-
-def test_accelerometer_reads_the_mean_acceleration_of_a_period():
-    env = make(SPATIAL, measurement="winches+imu")
-    env.reset()
+    assert_allclose(pulls, -(robot.mass + 2.0) * gravity, atol=1e-9)
     velocities = []
     for action in (0.3, 0.5):
         observation = env.step(np.full(6, action))[0]
         velocities.append(env._simulation._plant.velocity[0, :3])
     acceleration = (velocities[1] - velocities[0]) / env.settings.period
-    expected = rotation_matrix(env.pose[3:]).T @ (acceleration - [0, 0, ROBOTS[SPATIAL].gravity])
+    expected = rotation_matrix(env.pose[3:]).T @ (acceleration - gravity)
     force = env.layout.split(observation)["specific_force"]
     assert_allclose(force, expected, atol=1e-9)
 
