@@ -1,4 +1,4 @@
-"""The closed form of the payload against hand calculation, independent runs, and bisection."""
+"""The closed form of the payload against hand calculation, independent runs, and tensions of payloads beside it."""
 
 from __future__ import annotations
 

@@ -206,8 +206,8 @@ def options_of(options, index):
 
 @two_ids
 def test_reset_options_reach_the_environments_of_the_mask(env_id):
-    """And keywords each environment. With motions of other lengths and other delays in the middle of other
-    episodes: tables and queues grow and shrink."""
+    """Keywords reach them, too. Motions of other lengths and other delays in the middle of other
+    episodes make tables and queues grow and shrink."""
     robot = ROBOTS[env_id]
     given = of_robot(PER_ENVIRONMENT | FOR_ALL, robot)
     env = make_vector(env_id, 3, autoreset_mode="Disabled", **given)
