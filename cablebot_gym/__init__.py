@@ -13,16 +13,16 @@ from cablebot_gym.utils.results import Printed
 if TYPE_CHECKING:
     from cablebot_gym.envs.observation import observation_layout
     from cablebot_gym.evaluation.comparison import compare_policies
-    from cablebot_gym.evaluation.constraints import DLCCMonitor
     from cablebot_gym.evaluation.evaluator import evaluate_dlcc
+    from cablebot_gym.evaluation.judge import DLCCMonitor
     from cablebot_gym.evaluation.rollout import record_rollout
+    from cablebot_gym.motions import find_trajectory
     from cablebot_gym.physics.textbook import inverse_dynamics, linearise, normalised_action
     from cablebot_gym.policies.adapters import PolicyFactory
     from cablebot_gym.policies.protocol import Policy
     from cablebot_gym.policies.spec import load_policy
     from cablebot_gym.robots import Robot, find_robot
     from cablebot_gym.task import ErrorBounds
-    from cablebot_gym.trajectories import find_trajectory
     from cablebot_gym.uncertainty import Uncertainty
 
 __version__ = "0.1.0"
@@ -48,7 +48,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "DLCCMonitor": "cablebot_gym.evaluation.constraints",
+    "DLCCMonitor": "cablebot_gym.evaluation.judge",
     "ErrorBounds": "cablebot_gym.task",
     "Policy": "cablebot_gym.policies.protocol",
     "PolicyFactory": "cablebot_gym.policies.adapters",
@@ -57,7 +57,7 @@ _HOMES = {
     "compare_policies": "cablebot_gym.evaluation.comparison",
     "evaluate_dlcc": "cablebot_gym.evaluation.evaluator",
     "find_robot": "cablebot_gym.robots",
-    "find_trajectory": "cablebot_gym.trajectories",
+    "find_trajectory": "cablebot_gym.motions",
     "inverse_dynamics": "cablebot_gym.physics.textbook",
     "linearise": "cablebot_gym.physics.textbook",
     "load_policy": "cablebot_gym.policies.spec",

@@ -12,9 +12,9 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE, Measurement
+from cablebot_gym.motions import BetweenDwells, Reference, Trajectory, Waypoints
 from cablebot_gym.robots import COORDINATE_NAMES, Cable, Robot
 from cablebot_gym.robots.record import vertical_remedy
-from cablebot_gym.trajectories import BetweenDwells, Reference, Trajectory, Waypoints
 from cablebot_gym.utils.checks import mapping, number, record
 from cablebot_gym.utils.results import Printed
 
@@ -300,7 +300,7 @@ def to_jsonable(value: Any) -> Any:
 
     A dataclass becomes a dict of its fields. A motion between dwells becomes that of the motion
     with the key ``dwell``, so that
-    :func:`~cablebot_gym.trajectories.names.find_trajectory` accepts a
+    :func:`~cablebot_gym.motions.names.find_trajectory` accepts a
     named motion's data. Any other trajectory becomes a dict of its name, duration and coordinates.
     """
     if isinstance(value, BetweenDwells):

@@ -6,7 +6,7 @@ Run it: python examples/your_trajectory.py
 import numpy as np
 
 from cablebot_gym import evaluate_dlcc
-from cablebot_gym.trajectories import Reference
+from cablebot_gym.motions import Reference
 
 HOP = 0.2 * np.polynomial.Polynomial.fromroots([0] * 5 + [1] * 5) * -(2**10)  # [m]; 0.2 at its middle
 

@@ -22,8 +22,8 @@ import gymnasium as gym
 import numpy as np
 from scipy.stats import chi2
 
-from cablebot_baselines.estimation import Estimated, Expectation, WinchEstimator
-from cablebot_baselines.estimation.expectation import UNKNOWN_START
+from cablebot_baselines.observer import Estimated, Expectation, WinchEstimator
+from cablebot_baselines.observer.expectation import UNKNOWN_START
 from cablebot_gym.benchmark.tables import markdown_table
 from cablebot_gym.envs import PAPER_ENV_IDS, env_robot
 from cablebot_gym.evaluation import evaluate_dlcc

@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 from oracles.episodes import ROBOTS
 
-from cablebot_baselines.classical.adaptive import make_adaptive
+from cablebot_baselines.laws.adaptive import make_adaptive
 from cablebot_gym.envs import PAPER_ENV_IDS
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty

@@ -10,11 +10,12 @@ import pytest
 
 from cablebot_gym import kinematics
 from cablebot_gym.bounds.closed_form import exact_payload, tension_bounds
-from cablebot_gym.physics import distribution, sag, textbook
+from cablebot_gym.motions import find_trajectory
+from cablebot_gym.physics import sag, textbook
 from cablebot_gym.physics.forward import forward_kinematics
 from cablebot_gym.physics.inverse import inverse_dynamics
+from cablebot_gym.physics.tensions import distribution
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL, find_robot
-from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.uncertainty import ParameterDistribution, Uncertainty, draw_size
 
 POSE = np.array([0.01, -0.02, 0.12, 0.05, -0.04, 0.03])

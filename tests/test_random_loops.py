@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from cablebot_gym.trajectories import (
+from cablebot_gym.motions import (
     FIRST_HELD_OUT_SEED,
     TRAINING_SEEDS,
     TRAJECTORIES,

@@ -10,9 +10,9 @@ from numpy.testing import assert_array_equal
 
 from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.envs.settings import make_settings
+from cablebot_gym.motions import BetweenDwells, Dwell, Waypoints, find_trajectory
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 from cablebot_gym.task import ErrorBounds, at_rest, check_workspace, start_pose
-from cablebot_gym.trajectories import BetweenDwells, Dwell, Waypoints, find_trajectory
 
 
 @pytest.mark.parametrize("coordinate", range(6))

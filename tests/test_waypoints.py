@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from cablebot_gym.motions import Chain, Waypoints, find_trajectory
 from cablebot_gym.task import to_jsonable
-from cablebot_gym.trajectories import Chain, Waypoints, find_trajectory
 
 TEXT = "t,x,y\n5,0,0\n6,0.1,0.1\n7.5,0.1,-0.1\n8,0,0\n"
 

@@ -33,7 +33,7 @@ that of a random robot, and its ratio to the nominal one."""
 
 MEASURES: tuple[Measure, ...] = ("payload", "time", "best-known", "drawn")
 
-PLANT = ("cablebot_gym.envs.vector", "cablebot_gym.evaluation.constraints")
+PLANT = ("cablebot_gym.envs.vector", "cablebot_gym.evaluation.judge")
 """Modules that decide whether a policy carries a payload. Those that search for it have no effect
 beyond the resolution."""
 

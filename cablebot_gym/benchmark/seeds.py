@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 
-from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
+from cablebot_gym.motions import FIRST_HELD_OUT_SEED
 
 _EVALUATION_DIGITS = 32
 """Number of hexadecimal digits of the evaluation seed, which has 128 bits."""

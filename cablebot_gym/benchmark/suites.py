@@ -19,9 +19,9 @@ from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.survey import motion_seeds
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.isolation.installed import public_entries, public_entry
+from cablebot_gym.motions import TRAJECTORIES, held_out_seeds
 from cablebot_gym.policies.protocol import PolicyError
 from cablebot_gym.robots import ELASTIC, find_robot, library
-from cablebot_gym.trajectories import TRAJECTORIES, held_out_seeds
 from cablebot_gym.uncertainty import single_errors
 from cablebot_gym.utils.checks import choice
 

@@ -13,10 +13,10 @@ from cablebot_gym.benchmark.rows import Row, canonical
 from cablebot_gym.benchmark.yardstick import PROBABILITY, yardsticks
 from cablebot_gym.bounds.robot_check import check_motion, two_digits
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.constraints import Violation
+from cablebot_gym.evaluation.judge import Violation
 from cablebot_gym.isolation.installed import public_entry
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.robots import KIND_TEXTS, Kind, find_robot
-from cablebot_gym.trajectories import find_trajectory
 
 
 def heading(column: Conditions) -> str:
@@ -130,7 +130,7 @@ def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
 
 def limiting_violation(score: scores.Score) -> dict[str, Any] | None:
     """The violation beyond the payload of a score: fields of
-    :class:`~cablebot_gym.evaluation.constraints.Violation`, and the ``fraction`` of the motion with
+    :class:`~cablebot_gym.evaluation.judge.Violation`, and the ``fraction`` of the motion with
     its dwells at which the limit broke. None without a violation."""
     violation: dict[str, Any] | None = score.result.get("violation")
     if violation is None:

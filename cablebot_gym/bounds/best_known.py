@@ -26,6 +26,7 @@ from cablebot_gym.envs.settings import default_trajectory, make_settings
 from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.evaluation.rollout import Rollout, record_rollout
 from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import Trajectory, find_trajectory
 from cablebot_gym.physics.statics import HEAVIEST
 from cablebot_gym.planning import (
     Follower,
@@ -41,7 +42,6 @@ from cablebot_gym.planning.stage_functions import import_casadi
 from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds, to_jsonable
-from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.files import cache_folder, read_cached
 from cablebot_gym.utils.results import Result

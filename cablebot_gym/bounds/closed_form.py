@@ -6,7 +6,7 @@ of each limit is piecewise affine, too, and its zeros are the ends of the interv
 violate the limit. The result is the end of an interval without violations.
 
 Where redundant cables leave a choice of tensions,
-:func:`~cablebot_gym.physics.distribution.largest_scale` gives the feasible interval of each
+:func:`~cablebot_gym.physics.tensions.distribution.largest_scale` gives the feasible interval of each
 instant. The result is the upper end of the intersection of these intervals.
 
 The episode starts on the reference, as with the environment option ``initial_error=0``. By default
@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import Reference, Trajectory, find_trajectory
+from cablebot_gym.motions.base import ORDERS
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import HELD, SINGULAR, largest_scale
 from cablebot_gym.physics.inverse import inverse_dynamics as compiled_inverse_dynamics
 from cablebot_gym.physics.statics import tension_bounds
+from cablebot_gym.physics.tensions.distribution import HELD, SINGULAR, largest_scale
 from cablebot_gym.robots import Robot
-from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
-from cablebot_gym.trajectories.base import ORDERS
 from cablebot_gym.utils.checks import number, numbers
 
 Kind = Literal["torque", "tension"]
@@ -115,7 +115,7 @@ def exact_payload(
 
     * As many cables as coordinates: one interval, because the tensions are affine in the mass.
     * More cables: one interval, with the best tensions at each instant, see
-      :func:`~cablebot_gym.physics.distribution.largest_scale`.
+      :func:`~cablebot_gym.physics.tensions.distribution.largest_scale`.
     * More cables on a planar point mass: possibly several intervals, because it uses the least
       tensions, which have kinks.
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from cablebot_gym.envs.settings import check_simulated, default_trajectory, fewest_substeps
 from cablebot_gym.kinematics import Array, segment_distance
+from cablebot_gym.motions import Reference, Trajectory, find_trajectory
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import HELD, SINGULAR, least_norm
 from cablebot_gym.physics.hanging import RestPose, home_at_rest
 from cablebot_gym.physics.sag import sag, settle
 from cablebot_gym.physics.statics import (
@@ -29,6 +29,7 @@ from cablebot_gym.physics.statics import (
     resting,
     tension_bounds,
 )
+from cablebot_gym.physics.tensions.distribution import HELD, SINGULAR, least_norm
 from cablebot_gym.rendering.projection import attached_points
 from cablebot_gym.robots import COORDINATE_NAMES, Robot
 from cablebot_gym.robots.ranges import with_values
@@ -38,7 +39,6 @@ from cablebot_gym.task import (
     find_error_bounds,
     motion_questions,
 )
-from cablebot_gym.trajectories import Reference, Trajectory, find_trajectory
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.results import Printed
 
@@ -257,7 +257,7 @@ def check_motion(
         robot: the robot.
         payload: payload [kg]; None for the least one of the robot's payload range, else 0.
         trajectory: motion, as for
-            :func:`~cablebot_gym.trajectories.names.find_trajectory`; None for the
+            :func:`~cablebot_gym.motions.names.find_trajectory`; None for the
             robot's default.
 
     Raises:
@@ -399,7 +399,7 @@ def _hanging_limit(robot: Robot, payload: float) -> PayloadLimit:
 
 def limiting_cables(robot: Robot, coefficients: Array, upper: Array) -> str:
     """Cables with an active limit as text, from the coefficients of
-    :mod:`cablebot_gym.physics.distribution` and the upper bounds of the tensions, each (m,)."""
+    :mod:`cablebot_gym.physics.tensions.distribution` and the upper bounds of the tensions, each (m,)."""
     is_upper = coefficients > 1e-6
     at_maximum = upper >= robot.maximum_tension
     parts = []

@@ -121,7 +121,7 @@ def _folder(out: Path | None, name: str, names: list[str]) -> Path | None:
 
 def _criteria(policy: LoadedPolicy, search: SearchOptions) -> tuple[list[str], list[str]]:
     """The criteria to evaluate, and those in ``both`` that do not apply to the policy."""
-    from cablebot_gym.evaluation.constraints import CRITERIA
+    from cablebot_gym.evaluation.judge import CRITERIA
 
     if search.criterion is not CriterionChoice.both:
         return [search.criterion.value], []
@@ -198,7 +198,7 @@ def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
 
 def _row(result: DLCCResult) -> list[str]:
     """Row of the table of one evaluation."""
-    from cablebot_gym.evaluation.constraints import LIMIT_NAMES
+    from cablebot_gym.evaluation.judge import LIMIT_NAMES
 
     details = result.details
     criterion = f"{result.criterion} (declared)" if details.declared else result.criterion

@@ -46,8 +46,8 @@ def list_() -> None:
 
 def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
     """Default and unit of each JSON field of a trajectory, the duration first."""
+    from cablebot_gym.motions import BetweenDwells
     from cablebot_gym.task import to_jsonable
-    from cablebot_gym.trajectories import BetweenDwells
 
     if isinstance(trajectory, BetweenDwells):
         dwell = {"default": trajectory.dwell, "unit": _UNITS["trajectory"]["dwell"]}
@@ -158,7 +158,7 @@ def _robot_rows() -> list[list[str]]:
 
 
 def _trajectory_rows() -> list[list[str]]:
-    from cablebot_gym.trajectories import TRAJECTORIES
+    from cablebot_gym.motions import TRAJECTORIES
 
     rows = [["name", "field", "default", "unit"]]
     for name, make in TRAJECTORIES.items():

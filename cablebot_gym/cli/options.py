@@ -18,9 +18,9 @@ from cablebot_gym.utils.files import read_text
 from cablebot_gym.utils.foreign import foreign_json
 
 if TYPE_CHECKING:
+    from cablebot_gym.motions import Trajectory
     from cablebot_gym.policies import LoadedPolicy
     from cablebot_gym.robots import Robot
-    from cablebot_gym.trajectories import Trajectory
 
 FittingEnvId = Annotated[
     str | None,
@@ -328,8 +328,8 @@ def robot_of(env_id: str, conditions: ConditionOptions) -> Robot:
     """
     from cablebot_gym.envs import check_robot
     from cablebot_gym.envs.settings import default_trajectory
+    from cablebot_gym.motions import find_trajectory
     from cablebot_gym.robots import find_robot
-    from cablebot_gym.trajectories import find_trajectory
 
     check_robot(env_id, conditions.robot)
     robot = find_robot(conditions.robot or env_id)
@@ -343,7 +343,7 @@ def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
     distance from the lines between them, which its file does not show."""
     import numpy as np
 
-    from cablebot_gym.trajectories import Waypoints
+    from cablebot_gym.motions import Waypoints
 
     motion = getattr(trajectory, "motion", trajectory)
     if not isinstance(motion, Waypoints):

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from cablebot_gym.envs.limits import SLACK_TIME
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE, Measurement, find_measurement
+from cablebot_gym.motions import Trajectory
 from cablebot_gym.robots import GRAVITY, Robot, find_robot
 from cablebot_gym.task import ErrorBounds
-from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.results import Printed
 
 PREVIEWS = (0.02, 0.05, 0.1, 0.2)

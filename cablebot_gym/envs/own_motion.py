@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.physics.distribution import HELD
+from cablebot_gym.motions import Reference, find_trajectory
 from cablebot_gym.physics.statics import feasible_payloads, resting
+from cablebot_gym.physics.tensions.distribution import HELD
 from cablebot_gym.robots import Robot
-from cablebot_gym.trajectories import Reference, find_trajectory
 
 FRACTIONS = (0.5, 0.25, 0.12, 0.06, 0.03)
 """Tried widths of the lemniscate, as fractions of the distance from the home pose to the border of
@@ -27,7 +27,7 @@ _SAMPLES = 101
 
 def own_motion(robot: Robot) -> dict[str, Any]:
     """Data of the default motion of a robot that has none, for
-    :func:`~cablebot_gym.trajectories.names.find_trajectory`.
+    :func:`~cablebot_gym.motions.names.find_trajectory`.
 
     It is the widest lemniscate of :data:`FRACTIONS` on which the motors hold half of the payload
     that they hold at the home pose, in the shortest of :data:`DURATIONS` in which they move half of

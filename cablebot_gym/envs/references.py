@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cablebot_gym.envs.observation import PREVIEWS, observed_reference, preview_name
 from cablebot_gym.kinematics import Array
-from cablebot_gym.trajectories import ORDERS, Trajectory, sampled
+from cablebot_gym.motions import ORDERS, Trajectory, sampled
 
 MOST_STEPS = 1_000_000
 """Largest number of control steps of a motion; longer tables would take gigabytes."""

@@ -20,8 +20,9 @@ from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.own_motion import own_motion
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import Measurement, find_measurement
+from cablebot_gym.motions import Trajectory, find_trajectory
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import HELD, feasible
+from cablebot_gym.physics.tensions.distribution import HELD, feasible
 from cablebot_gym.physics.textbook import fastest_decay_rate, highest_frequency
 from cablebot_gym.robots import KIND_TEXTS, Cable, Robot, find_robot, has_paper_geometry
 from cablebot_gym.task import (
@@ -32,7 +33,6 @@ from cablebot_gym.task import (
     motion_questions,
     start_pose,
 )
-from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 from cablebot_gym.utils.checks import (
     check_keywords,

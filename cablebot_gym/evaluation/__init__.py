@@ -9,8 +9,8 @@ from cablebot_gym.evaluation.comparison import (
     compare_over_payloads,
     compare_policies,
 )
-from cablebot_gym.evaluation.constraints import DLCCMonitor, Verdict, Violation
 from cablebot_gym.evaluation.evaluator import evaluate_dlcc
+from cablebot_gym.evaluation.judge import DLCCMonitor, Verdict, Violation
 from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.evaluation.timing import ActionTimes, time_actions
 from cablebot_gym.policies import PolicyError

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.constraints import Judge, Verdict, Violation
+from cablebot_gym.evaluation.judge import Judge, Verdict, Violation
 from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes
 from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import Trajectory
 from cablebot_gym.policies import LoadedPolicy, PolicyError, Wrapper, load
 from cablebot_gym.policies.spec import check_measurement
 from cablebot_gym.task import Task, to_jsonable
-from cablebot_gym.trajectories import Trajectory
 
 BATCH = 1024
 """Number of episodes that one batch should have: this many fit into the caches of a core. A batch

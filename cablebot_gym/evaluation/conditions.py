@@ -13,10 +13,10 @@ import numpy as np
 
 from cablebot_gym.envs import check_robot, described
 from cablebot_gym.envs.settings import FREQUENCY, KEYWORDS, default_trajectory
-from cablebot_gym.evaluation.constraints import Criterion, find_criterion
+from cablebot_gym.evaluation.judge import Criterion, find_criterion
+from cablebot_gym.motions import Trajectory, find_trajectory
 from cablebot_gym.robots import Robot, private_robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds, payload_model_text, to_jsonable
-from cablebot_gym.trajectories import Trajectory, find_trajectory
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 from cablebot_gym.utils.checks import UnexpectedKeywordError, check_keywords, whole
 from cablebot_gym.utils.results import Printed

@@ -10,11 +10,11 @@ from cablebot_gym.evaluation.batch import Batch, Progress, Trial
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.result import Details, DLCCResult
 from cablebot_gym.evaluation.search import Search, SearchOutcome
+from cablebot_gym.motions import Trajectory
 from cablebot_gym.physics.statics import payload_ceiling
 from cablebot_gym.policies import Wrapper
 from cablebot_gym.robots import PAPER_PAYLOAD_MAX, Robot, has_paper_capacity
 from cablebot_gym.task import ErrorBounds
-from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.checks import choice, number
 from cablebot_gym.utils.console import chosen_progress
 

@@ -3,7 +3,7 @@ payloads below.
 
 A :class:`MotionSearch` asks for episodes and is told their outcomes, so that the searches of many
 motions share their batches (:func:`find_brackets`). An episode is carried
-(:class:`~cablebot_gym.evaluation.constraints.Verdict`), a payload is carried if enough of its draws
+(:class:`~cablebot_gym.evaluation.judge.Verdict`), a payload is carried if enough of its draws
 are.
 """
 
@@ -17,7 +17,7 @@ from itertools import islice
 import numpy as np
 
 from cablebot_gym.evaluation.batch import Batch, EpisodeSpec, StepCount, Trial
-from cablebot_gym.evaluation.constraints import Verdict
+from cablebot_gym.evaluation.judge import Verdict
 
 SCAN_POINTS = 64
 """Number of payloads in the scan, including both ends."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cablebot_gym.evaluation.constraints import Verdict
+from cablebot_gym.evaluation.judge import Verdict
 from cablebot_gym.kinematics import Array
 from cablebot_gym.task import ErrorBounds
 

@@ -8,7 +8,7 @@ from typing import Any
 from cablebot_gym.envs import described
 from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.constraints import Criterion, Violation
+from cablebot_gym.evaluation.judge import Criterion, Violation
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.utils.results import Result
 

@@ -14,7 +14,7 @@ from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.batch import Batch, EpisodeSpec, Progress, StepCount
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.constraints import Verdict
+from cablebot_gym.evaluation.judge import Verdict
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.policies import Wrapper
 from cablebot_gym.rendering.moment import Moment

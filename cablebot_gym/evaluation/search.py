@@ -27,7 +27,7 @@ from cablebot_gym.evaluation.batch import (
     derived_seeds,
     fresh_sequence,
 )
-from cablebot_gym.evaluation.constraints import Verdict
+from cablebot_gym.evaluation.judge import Verdict
 from cablebot_gym.evaluation.motion_search import (
     REFINED_JITTER,
     REFINED_POINTS,

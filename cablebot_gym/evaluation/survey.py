@@ -24,8 +24,8 @@ from cablebot_gym.evaluation.batch import (
     fresh_sequence,
 )
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.constraints import Verdict, Violation
 from cablebot_gym.evaluation.evaluator import default_payload_max
+from cablebot_gym.evaluation.judge import Verdict, Violation
 from cablebot_gym.evaluation.motion_search import (
     REFINED_POINTS,
     SCAN_POINTS,
@@ -35,8 +35,8 @@ from cablebot_gym.evaluation.motion_search import (
 )
 from cablebot_gym.evaluation.repetition import first_difference
 from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import Trajectory
 from cablebot_gym.policies import PolicyError
-from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.checks import number, whole
 from cablebot_gym.utils.results import Printed
 

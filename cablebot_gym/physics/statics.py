@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import Reference, Trajectory
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import (
+from cablebot_gym.physics.tensions.distribution import (
     HELD,
     Feasibility,
     ScaleInterval,
@@ -23,7 +24,6 @@ from cablebot_gym.physics.distribution import (
 )
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, at_rest, start_pose
-from cablebot_gym.trajectories import Reference, Trajectory
 from cablebot_gym.utils.checks import number, numbers
 
 HEAVIEST = 1000.0

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from cablebot_gym.motions import Trajectory
 from cablebot_gym.planning.motion import PlannedMotion
 from cablebot_gym.planning.program import MotionProgram
 from cablebot_gym.planning.stage_functions import import_casadi
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, to_jsonable
-from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.code_hash import source_hash
 from cablebot_gym.utils.files import atomic_write, cache_folder, read_cached
 

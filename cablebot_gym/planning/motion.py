@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.trajectories import Reference
+from cablebot_gym.motions import Reference
 from cablebot_gym.utils.checks import number
 
 MOTOR_DEGREE = 3
@@ -98,7 +98,7 @@ class MarginProfile:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedMotion:
     """A planned motion as a spline. It implements
-    :class:`~cablebot_gym.trajectories.base.Trajectory`."""
+    :class:`~cablebot_gym.motions.base.Trajectory`."""
 
     name: str
     """Name of the reference motion."""

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import Trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.statics import HEAVIEST, hold_payload
 from cablebot_gym.physics.textbook import cable_equivalent
@@ -54,7 +55,6 @@ from cablebot_gym.planning.stage_functions import (
 )
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, start_pose
-from cablebot_gym.trajectories import Trajectory
 
 STAGES_PER_INTERVAL = {"rigid": 2, "flexible": 4}
 """Instants per spline interval at which actions and tensions are constrained. Springs oscillate in

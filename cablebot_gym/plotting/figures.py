@@ -22,9 +22,9 @@ from cablebot_gym.envs import described
 from cablebot_gym.evaluation.result import DLCCResult
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import Trajectory
 from cablebot_gym.physics.textbook import torque_limits
 from cablebot_gym.rendering.projection import points_downwards
-from cablebot_gym.trajectories import Trajectory
 from cablebot_gym.utils.files import atomic_write
 from cablebot_gym.utils.palette import BLUE, GREY, SHADE, SKY, VERMILLION
 

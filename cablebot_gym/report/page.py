@@ -28,7 +28,7 @@ from cablebot_gym.benchmark.tables import (
     task_title,
 )
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.constraints import LIMIT_NAMES, Violation
+from cablebot_gym.evaluation.judge import LIMIT_NAMES, Violation
 from cablebot_gym.rendering.moment import HANG, full_tension
 from cablebot_gym.rendering.projection import points_in_space, view_direction
 from cablebot_gym.report.replay import LEVELS, RATE, Replay, platform_points

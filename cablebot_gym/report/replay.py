@@ -14,7 +14,7 @@ import numpy as np
 from cablebot_gym.benchmark.rows import Row, policy_process
 from cablebot_gym.bounds.best_known import cached_best_known
 from cablebot_gym.evaluation import batch as batches
-from cablebot_gym.evaluation.constraints import Violation
+from cablebot_gym.evaluation.judge import Violation
 from cablebot_gym.evaluation.rollout import Recorder, Rollout, record_rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies.adapters import OpenLoop

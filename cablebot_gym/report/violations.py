@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_gym.evaluation.constraints import KINDS, LIMIT_NAMES
+from cablebot_gym.evaluation.judge import KINDS, LIMIT_NAMES
 
 BINS = 20
 """Number of equal parts of the motion."""
@@ -19,7 +19,7 @@ def violation_strips(violations: Iterable[Mapping[str, Any]]) -> list[dict[str, 
 
     Args:
         violations: ``kind`` and ``fraction`` of the motion at which the limit broke, and ``lead``
-            [s] or None, see :class:`~cablebot_gym.evaluation.constraints.Violation`.
+            [s] or None, see :class:`~cablebot_gym.evaluation.judge.Violation`.
 
     Returns:
         ``limit``, its name; ``counts`` of :data:`BINS` parts; their sum ``count``; medians ``fraction`` and

@@ -185,7 +185,7 @@ class Defaults:
     usual defaults."""
 
     trajectory: str | Mapping[str, Any] | None = None
-    """Reference motion, as for :func:`~cablebot_gym.trajectories.names.find_trajectory`."""
+    """Reference motion, as for :func:`~cablebot_gym.motions.names.find_trajectory`."""
     error_bounds: Mapping[str, float] | None = None
     """Bounds of the tracking error: ``position`` [m] and ``rotation`` [rad]."""
     payload_range: tuple[float, float] | None = None

@@ -16,9 +16,9 @@ from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.tables import leaderboard_rows, markdown_table
 from cablebot_gym.env_ids import ENV_ROBOTS
 from cablebot_gym.envs.single import CableBotEnv
+from cablebot_gym.motions import trajectory_names
 from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import Robot
-from cablebot_gym.trajectories import trajectory_names
 from generate.pages import Pages, all_leaderboards
 
 EQUATIONS = Path(__file__).parents[1] / "equations.inc"

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cablebot_baselines.classical.flexible import FlexibleLaw, Motion
-from cablebot_baselines.classical.law import Array
+from cablebot_baselines.laws.flexible import FlexibleLaw, Motion
+from cablebot_baselines.laws.law import Array
 from cablebot_gym.physics import textbook
 
 POLES = (-15.0, -15.0, -60.0, -60.0)

@@ -26,9 +26,9 @@ import numpy as np
 
 from cablebot_gym.bounds.closed_form import control_instants
 from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import Trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Robot
-from cablebot_gym.trajectories import Trajectory
 from cablebot_reproduction.simulation import CONTROL_FREQUENCY
 
 TOLERANCE = 1e-6

@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import Trajectory, find_trajectory
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL, Robot
-from cablebot_gym.trajectories import Trajectory, find_trajectory
 
 TRIANGLES = ("inverted", "turned", "aligned")
 """Platform triangle against the base triangle: opposite, opposite and both turned by 180°, or

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_baselines.classical import Composite, PaperFlexible, RobustPD
-from cablebot_baselines.classical.law import ClassicalLaw
-from cablebot_baselines.classical.outer_loop import PAPER_GAINS
+from cablebot_baselines.laws import Composite, PaperFlexible, RobustPD
+from cablebot_baselines.laws.law import ClassicalLaw
+from cablebot_baselines.laws.outer_loop import PAPER_GAINS
 from cablebot_gym.evaluation import Comparison, DLCCResult, compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import Rollout, record_rollout
 from cablebot_gym.kinematics import Array

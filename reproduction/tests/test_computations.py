@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-from cablebot_baselines.classical import PD, FeedbackLinearization, PaperFlexible, RobustPD
+from cablebot_baselines.laws import PD, FeedbackLinearization, PaperFlexible, RobustPD
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.kinematics import cable_lengths
 from cablebot_gym.physics import textbook

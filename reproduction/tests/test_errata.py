@@ -30,11 +30,11 @@ from oracles.plants import with_transmission
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.optimize import brentq
 
-from cablebot_baselines.classical import PD
+from cablebot_baselines.laws import PD
 from cablebot_gym.bounds.closed_form import exact_payload
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL
-from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.uncertainty import UNCERTAINTIES
 from cablebot_reproduction.load_iteration import iterate_load, load_coefficient
 

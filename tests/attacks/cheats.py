@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cablebot_baselines.classical import ADAPTIVE, FeedbackLinearization
+from cablebot_baselines.laws import ADAPTIVE, FeedbackLinearization
 from cablebot_gym.envs import limits
 from cablebot_gym.evaluation import batch
 from cablebot_gym.evaluation.batch import noise_seed

@@ -9,8 +9,8 @@ from driving import drive
 from numpy.testing import assert_allclose
 from scipy.optimize import lsq_linear
 
-from cablebot_baselines.classical import Adaptive, Composite, FeedbackLinearization
-from cablebot_baselines.classical.allocation import allocate
+from cablebot_baselines.laws import Adaptive, Composite, FeedbackLinearization
+from cablebot_baselines.laws.allocation import allocate
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from oracles.episodes import ROBOTS
 
-from cablebot_baselines.classical import Composite, MotorPD, make_robust
+from cablebot_baselines.laws import Composite, MotorPD, make_robust
 from cablebot_gym.envs import PAPER_ENV_IDS, fitting_env_id
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout

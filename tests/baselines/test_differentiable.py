@@ -11,12 +11,12 @@ from oracles.plants import each_of
 from oracles.platforms import CRANE, TURNING
 
 import cablebot_gym  # noqa: F401  # registers the ids
-from cablebot_baselines.classical.flexible import Motion
+from cablebot_baselines.laws.flexible import Motion
 from cablebot_baselines.learned.differentiable import required_actuation
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
-from cablebot_gym.trajectories import find_trajectory
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from oracles.episodes import ROBOTS
 from scipy.stats import chi2
 
-from cablebot_baselines.estimation import (
+from cablebot_baselines.observer import (
     Estimated,
     Expectation,
     KinematicEstimator,

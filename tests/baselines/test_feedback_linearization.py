@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from oracles.plants import each_of
 
-from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_baselines.laws import FeedbackLinearization
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.physics import textbook

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cablebot_baselines.classical import PaperFlexible
+from cablebot_baselines.laws import PaperFlexible
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL

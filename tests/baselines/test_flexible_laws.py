@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from scipy.linalg import expm
 
-from cablebot_baselines.classical import Composite, MotorPD
+from cablebot_baselines.laws import Composite, MotorPD
 from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.evaluation import compare_policies
 from cablebot_gym.evaluation.rollout import record_rollout

@@ -177,5 +177,5 @@ def test_stored_result_depends_on_the_code_of_a_bundle(saved, monkeypatch):
     code_hash.source_hash.cache_clear()
     assert asked(policy=str(saved), motion=DWELL).present_code
     assert "cablebot_baselines.learned.steering" in names
-    assert "cablebot_baselines.classical.flexible" in names
+    assert "cablebot_baselines.laws.flexible" in names
     assert "cablebot_baselines.learned.vec_env" not in names

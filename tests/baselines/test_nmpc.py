@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("casadi")
 
-from cablebot_baselines.optimal.horizon import ExpectedRobot, HorizonProgram, Target
-from cablebot_baselines.optimal.nmpc import NMPC, TUNING, NonlinearMPC
+from cablebot_baselines.planners.horizon import ExpectedRobot, HorizonProgram, Target
+from cablebot_baselines.planners.nmpc import NMPC, TUNING, NonlinearMPC
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning.stage_functions import TENSION
 from cablebot_gym.robots import PLANAR, SPATIAL, find_robot

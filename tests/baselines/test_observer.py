@@ -11,12 +11,12 @@ from oracles.episodes import ROBOTS
 from oracles.plants import FLEX_UNEQUAL, QUAD, UNEQUAL, each_of, nightly, random_motion
 from oracles.platforms import CAMERA, CRANE, TURNING
 
-from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.flexible import make_composite
-from cablebot_baselines.classical.observer_law import ObserverLaw
-from cablebot_baselines.estimation import filtering
-from cablebot_baselines.estimation.expectation import Expectation
-from cablebot_baselines.estimation.filtering import delayed_weights, dynamics_of
+from cablebot_baselines.laws.feedback_linearization import FeedbackLinearization
+from cablebot_baselines.laws.flexible import make_composite
+from cablebot_baselines.laws.observer_law import ObserverLaw
+from cablebot_baselines.observer import filtering
+from cablebot_baselines.observer.expectation import Expectation
+from cablebot_baselines.observer.filtering import delayed_weights, dynamics_of
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import find_robot
 from cablebot_gym.uncertainty import ExternalWrench, Uncertainty, find_uncertainty

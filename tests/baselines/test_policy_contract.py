@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import ROBOTS
 
-from cablebot_baselines.optimal import trajopt
+from cablebot_baselines.planners import trajopt
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.planning import Infeasible

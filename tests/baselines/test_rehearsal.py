@@ -9,19 +9,19 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("casadi")
 
-from cablebot_baselines.optimal.rehearsal import (
+from cablebot_baselines.planners.rehearsal import (
     GROWTH,
     TENSION_RESERVE,
     Rehearsal,
     grown_margins,
     spread_margins,
 )
-from cablebot_baselines.optimal.rehearsed import with_lighter_payload
+from cablebot_baselines.planners.rehearsed import with_lighter_payload
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import MarginProfile, MotionProgram
 from cablebot_gym.robots import FLEX_PLANAR
 from cablebot_gym.task import ErrorBounds
-from cablebot_gym.trajectories import find_trajectory
 
 TASK = gym.make("CableBot-Planar-v0", payload_known=False).unwrapped.task
 TIMES = np.arange(1, 201) / TASK.control_frequency

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cablebot_baselines.classical import ROBUST, Composite, FeedbackLinearization, RobustPD
+from cablebot_baselines.laws import ROBUST, Composite, FeedbackLinearization, RobustPD
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
 
 GAINS = (30.0, 20.0)

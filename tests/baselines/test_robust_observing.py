@@ -9,10 +9,10 @@ from oracles.episodes import ROBOTS
 from scipy.linalg import solve_continuous_lyapunov
 from steering import tasks_of
 
-from cablebot_baselines.classical import BoundedRobustPD
-from cablebot_baselines.classical.observing import make_observing
-from cablebot_baselines.classical.robust_design import Peaks, RobustDesign
-from cablebot_baselines.estimation.expectation import Expectation
+from cablebot_baselines.laws import BoundedRobustPD
+from cablebot_baselines.laws.observing import make_observing
+from cablebot_baselines.laws.robust_design import Peaks, RobustDesign
+from cablebot_baselines.observer.expectation import Expectation
 from cablebot_gym.uncertainty import find_uncertainty
 
 PERIOD = 2e-3

@@ -11,8 +11,8 @@ from driving import drive, keeps_limits
 
 pytest.importorskip("casadi")
 
-from cablebot_baselines.optimal import trajopt as module
-from cablebot_baselines.optimal.trajopt import TrajOpt, exact_margins
+from cablebot_baselines.planners import trajopt as module
+from cablebot_baselines.planners.trajopt import TrajOpt, exact_margins
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.physics.textbook import allocated_minimum
 from cablebot_gym.planning import Infeasible

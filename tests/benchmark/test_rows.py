@@ -161,7 +161,7 @@ def test_row_of_a_time_has_time_per_action_and_processor():
 TOYS = """
 import os
 import numpy as np
-from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_baselines.laws import FeedbackLinearization
 
 
 class Falls(FeedbackLinearization):
@@ -313,8 +313,8 @@ def test_hash_has_plant_judge_and_the_law_alone():
     files = set(
         code_hash.source_files(
             "cablebot_gym.envs.vector",
-            "cablebot_gym.evaluation.constraints",
-            "cablebot_baselines.classical:ADAPTIVE",
+            "cablebot_gym.evaluation.judge",
+            "cablebot_baselines.laws:ADAPTIVE",
             without=WITHOUT_EFFECT,
         )
     )
@@ -325,9 +325,7 @@ def test_hash_has_plant_judge_and_the_law_alone():
         "robots.paper",
     )
     assert {f"cablebot_gym.{name}" for name in names} <= files
-    laws = {
-        name.rpartition(".")[2] for name in files if name.startswith("cablebot_baselines.classical")
-    }
+    laws = {name.rpartition(".")[2] for name in files if name.startswith("cablebot_baselines.laws")}
     assert {"adaptive", "law"} <= laws
     assert not laws & {"robust", "observing", "flex_eq22"}
     assert not {name for name in files if "benchmark" in name or "cli" in name or "utils" in name}

@@ -5,7 +5,7 @@ import hashlib
 from cablebot_gym.benchmark.seeds import evaluation_seed, hidden_seeds
 from cablebot_gym.benchmark.suites import Override, Suite, suite_rows
 from cablebot_gym.evaluation.survey import motion_seeds
-from cablebot_gym.trajectories import FIRST_HELD_OUT_SEED
+from cablebot_gym.motions import FIRST_HELD_OUT_SEED
 
 PLANAR = "CableBot-Planar-v0"
 SPATIAL = "CableBot-Spatial-v0"

@@ -153,7 +153,7 @@ def test_code_of_another_package_is_not_imported_here(tmp_path, module):
     assert "fl" in policies[PLANAR]
     assert "broken" not in {name for names in policies.values() for name in names}
     assert policy_source("theirs") == (("toy_other:THEIRS",), (tmp_path / "toy_other.py",))
-    assert policy_source("fl")[0] == ("cablebot_baselines.classical:FL",)
+    assert policy_source("fl")[0] == ("cablebot_baselines.laws:FL",)
     slow = suite_rows(find_suite("smoke"), {PLANAR: ("theirs",)})
     assert not [row for row in slow if row.policy]
     assert "toy_other" not in sys.modules

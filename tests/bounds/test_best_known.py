@@ -14,11 +14,11 @@ from cablebot_gym.bounds import best_known, exact_payload
 from cablebot_gym.bounds.best_known import cached_best_known, find_best_known
 from cablebot_gym.bounds.drawn import _DrawnCase, find_drawn_best_known
 from cablebot_gym.evaluation.rollout import record_rollout
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.planning import Margins, MotionProgram
 from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, Motors
 from cablebot_gym.task import ErrorBounds
-from cablebot_gym.trajectories import find_trajectory
 
 pytest.importorskip("casadi")
 pytestmark = pytest.mark.usefixtures("cache")

@@ -10,10 +10,10 @@ import pytest
 from oracles.platforms import CRANE
 
 from cablebot_gym.bounds.closed_form import control_instants, exact_payload
+from cablebot_gym.motions import Dwell, PointToPoint, find_trajectory
 from cablebot_gym.physics import distribution, textbook
-from cablebot_gym.physics.distribution import HELD
+from cablebot_gym.physics.tensions.distribution import HELD
 from cablebot_gym.robots import PLANAR, RPM, SPATIAL, Motors
-from cablebot_gym.trajectories import Dwell, PointToPoint, find_trajectory
 
 # --- by hand ------------------------------------------------------------------------------------------------------
 

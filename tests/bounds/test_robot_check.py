@@ -9,11 +9,11 @@ from oracles.plants import each_of
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.bounds.robot_check import check_model, check_motion, modes
 from cablebot_gym.kinematics import segment_distance
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.statics import hold_payload, holds
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, Robot, find_robot
 from cablebot_gym.task import ErrorBounds
-from cablebot_gym.trajectories import find_trajectory
 
 CAMERA = find_robot("stadium-camera")
 

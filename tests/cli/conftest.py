@@ -14,7 +14,7 @@ import os
 import signal
 import sys
 import numpy as np
-from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_baselines.laws import FeedbackLinearization
 
 class Toy(FeedbackLinearization):
     steps = 0

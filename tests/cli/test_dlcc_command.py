@@ -6,7 +6,7 @@ import sys
 import pytest
 from cli.conftest import LOST, names, read_json
 
-from cablebot_gym.evaluation.constraints import Violation
+from cablebot_gym.evaluation.judge import Violation
 from cablebot_gym.isolation.process import has_bubblewrap
 from cablebot_gym.robots import library
 
@@ -196,7 +196,7 @@ def test_bisection_finds_the_payload_and_is_unranked(cablebot):
 
 
 OWN_MOTION = """
-from cablebot_gym.trajectories import Dwell
+from cablebot_gym.motions import Dwell
 class Own(Dwell):  # the process of the policy has to find it
     def __init__(self):
         super().__init__(pose=(0.0, 0.0, 0.0), duration=0.05, name="own")

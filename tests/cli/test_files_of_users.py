@@ -12,10 +12,10 @@ import pytest
 from cablebot_gym.benchmark.store import read_all
 from cablebot_gym.cli.options import _read_data
 from cablebot_gym.measurement import find_measurement
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.policies import load_policy
 from cablebot_gym.report.recording import _read as read_episodes
 from cablebot_gym.robots import PLANAR, find_robot
-from cablebot_gym.trajectories import find_trajectory
 from cablebot_gym.uncertainty import find_uncertainty
 from cablebot_gym.utils.console import command_line
 from cablebot_gym.utils.user_code import sentence_of_user_code
@@ -24,7 +24,7 @@ from cablebot_gym.utils.workers import _portable
 ROOT = Path(__file__).parents[2]
 
 MOTION = """
-from cablebot_gym.trajectories import Reference
+from cablebot_gym.motions import Reference
 class Lost:
     name, duration, coordinates = "lost", 1.0, 2
     def __call__(self, times):

@@ -7,9 +7,9 @@ from oracles.episodes import ROBOTS
 
 from cablebot_gym import ENV_IDS
 from cablebot_gym.cli.listing import _trajectory_fields, _uncertainty_fields
+from cablebot_gym.motions import TRAJECTORIES, find_trajectory, trajectory_names
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import robot_names
-from cablebot_gym.trajectories import TRAJECTORIES, find_trajectory, trajectory_names
 from cablebot_gym.uncertainty import PARAMETERS, UNCERTAINTIES, find_uncertainty
 
 NAMES = (

@@ -27,7 +27,7 @@ from oracles.episodes import (
 import cablebot_gym
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.single import CableBotEnv
-from cablebot_gym.trajectories import find_trajectory
+from cablebot_gym.motions import find_trajectory
 
 # --- registration -------------------------------------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ from oracles.episodes import (
 )
 
 from cablebot_gym.envs.single import CableBotEnv
-from cablebot_gym.trajectories import ORDERS, Reference, SmoothCircle
+from cablebot_gym.motions import ORDERS, Reference, SmoothCircle
 
 STIFF = {"parameters": {"stiffness": {"low": 0.0, "high": 8000.0}}}
 MASS_ONLY = {"parameters": {"platform_mass": {"low": 0.1, "high": 0.2}}}

@@ -12,7 +12,7 @@ from oracles.episodes import make as make_any
 from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.settings import DEFAULT_WEIGHTS
-from cablebot_gym.evaluation.constraints import Judge
+from cablebot_gym.evaluation.judge import Judge
 from cablebot_gym.physics import textbook
 
 

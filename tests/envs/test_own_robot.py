@@ -7,10 +7,10 @@ import pytest
 from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.evaluator import default_payload_max
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, Defaults, find_robot
 from cablebot_gym.task import find_error_bounds
-from cablebot_gym.trajectories import find_trajectory
 
 
 def test_start_that_the_motors_cannot_hold_is_a_warning():

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_baselines.laws import FeedbackLinearization
 from cablebot_gym.robots import SPATIAL
 
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_baselines.laws import FeedbackLinearization
 from cablebot_gym.evaluation import DLCCMonitor, compare_policies
 from cablebot_gym.evaluation.batch import draw_seeds, noise_seed
 from cablebot_gym.evaluation.comparison import QUANTITIES

@@ -15,15 +15,15 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 import cablebot_gym
-from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_baselines.laws import FeedbackLinearization
 from cablebot_gym.bounds import exact_payload
 from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, PolicyError, evaluate_dlcc
 from cablebot_gym.evaluation.batch import noise_seed
 from cablebot_gym.evaluation.motion_search import SCAN_POINTS
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.evaluation.timing import time_actions
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.robots import PLANAR, SPATIAL
-from cablebot_gym.trajectories import find_trajectory
 
 PLANAR_ID = "CableBot-Planar-v0"
 SPATIAL_ID = "CableBot-Spatial-v0"

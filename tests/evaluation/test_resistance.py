@@ -9,10 +9,10 @@ from clock import Clock
 from evaluation.conftest import Dropping
 from numpy.testing import assert_array_equal
 
-from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_baselines.laws import FeedbackLinearization
 from cablebot_gym.evaluation import PolicyError, batch, evaluate_dlcc, time_actions, timing
 from cablebot_gym.evaluation.batch import ALONE, RISK, STOCHASTIC_ALONE, Batch
-from cablebot_gym.evaluation.constraints import Verdict, Violation
+from cablebot_gym.evaluation.judge import Verdict, Violation
 from cablebot_gym.evaluation.motion_search import SCAN_POINTS
 from cablebot_gym.evaluation.repetition import first_difference
 from cablebot_gym.evaluation.search import FINER, REPEATED_DRAWS, SEARCH_DRAWS

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from evaluation.conftest import Dropping
 
-from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_baselines.laws import FeedbackLinearization
 from cablebot_gym import evaluate_dlcc, find_robot, find_trajectory
 from cablebot_gym.evaluation import survey as survey_module
 from cablebot_gym.evaluation.batch import Batch
-from cablebot_gym.evaluation.constraints import Verdict
+from cablebot_gym.evaluation.judge import Verdict
 from cablebot_gym.evaluation.survey import motion_seeds, survey
 from cablebot_gym.policies import PolicyError
 

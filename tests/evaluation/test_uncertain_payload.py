@@ -11,7 +11,7 @@ import pytest
 from evaluation.conftest import play
 from scipy.stats import binom, binomtest
 
-from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_baselines.laws import FeedbackLinearization
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import DLCCMonitor, Verdict, Violation, evaluate_dlcc
 from cablebot_gym.evaluation import batch as batch_module

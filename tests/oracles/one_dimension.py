@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
+from cablebot_gym.motions import Reference
 from cablebot_gym.robots import Motors, Robot, Transmission
-from cablebot_gym.trajectories import Reference
 
 BOUND = 0.05
 """Position error bound [m]."""

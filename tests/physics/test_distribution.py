@@ -8,8 +8,9 @@ from oracles.platforms import CAMERA
 from oracles.programs import least_largest_action
 from scipy.optimize import lsq_linear
 
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import (
+from cablebot_gym.physics.tensions.distribution import (
     BARRIER,
     HELD,
     INFEASIBLE,
@@ -19,9 +20,10 @@ from cablebot_gym.physics.distribution import (
     least_norm,
     unchecked_central,
 )
-from cablebot_gym.physics.distribution import unchecked_least_largest_action as least_action
+from cablebot_gym.physics.tensions.distribution import (
+    unchecked_least_largest_action as least_action,
+)
 from cablebot_gym.robots import find_robot
-from cablebot_gym.trajectories import find_trajectory
 
 COGIRO = find_robot("cogiro")
 ROBOTS = {

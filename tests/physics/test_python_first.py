@@ -14,7 +14,7 @@ from oracles.platforms import PLATFORMS
 
 from cablebot_gym.envs import ENV_IDS, env_robot, outcome
 from cablebot_gym.kinematics import cable_lengths
-from cablebot_gym.physics import central_tensions, distribution, kernel, tension_problems
+from cablebot_gym.physics import kernel
 from cablebot_gym.physics.compiling import code_cache, fused, python_first
 from cablebot_gym.physics.compiling.fused import fma, is_exact, python_fma
 from cablebot_gym.physics.compiling.inlining import inline
@@ -23,6 +23,7 @@ from cablebot_gym.physics.forward import forward_kinematics
 from cablebot_gym.physics.inverse import demands, inverse_dynamics
 from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import FEW_ROBOTS, form_of
+from cablebot_gym.physics.tensions import central_tensions, distribution, tension_problems
 from cablebot_gym.robots import ROBOTS, find_robot
 
 EVERYTHING = ELASTIC[-1]

@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 
 from cablebot_gym.kinematics import cable_vectors
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import least_norm
 from cablebot_gym.physics.sag import catenary, sag, settle
+from cablebot_gym.physics.tensions.distribution import least_norm
 from cablebot_gym.robots import find_robot
 
 CASES = [

@@ -16,12 +16,12 @@ from oracles.plants import each_of, random_motion, with_transmission
 
 from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.envs.settings import default_trajectory
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import Margins, MotionProgram
 from cablebot_gym.planning.stage_functions import TENSION, flexible_stage, rigid_stage, start_stage
 from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, find_robot
 from cablebot_gym.task import ErrorBounds, start_pose
-from cablebot_gym.trajectories import find_trajectory
 
 pytest.importorskip("casadi")
 

@@ -3,11 +3,11 @@
 import pytest
 from oracles.episodes import check_equal
 
+from cablebot_gym.motions import PointToPoint, find_trajectory
 from cablebot_gym.planning import Margins, MotionProgram, library, plan_motion
 from cablebot_gym.planning.library import cache_folder, fingerprint
 from cablebot_gym.robots import PLANAR, Motors
 from cablebot_gym.task import ErrorBounds
-from cablebot_gym.trajectories import PointToPoint, find_trajectory
 
 pytest.importorskip("casadi")
 pytestmark = pytest.mark.usefixtures("cache")

@@ -8,11 +8,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import make
 
+from cablebot_gym.motions import ORDERS, find_trajectory
 from cablebot_gym.planning import Follower, Margins, MotionProgram, State
 from cablebot_gym.planning.program import STAGES_PER_INTERVAL
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
 from cablebot_gym.task import ErrorBounds
-from cablebot_gym.trajectories import ORDERS, find_trajectory
 
 pytest.importorskip("casadi")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from cablebot_baselines.classical import FL
+from cablebot_baselines.laws import FL
 from cablebot_gym.envs import env_robot
 from cablebot_gym.evaluation.batch import Batch
 from cablebot_gym.evaluation.conditions import Conditions
@@ -210,7 +210,7 @@ def test_first_estimator_is_in_front_of_the_second(points):
 
 def test_entry_that_is_named_by_its_module_refuses_other_kinds_of_robots():
     with pytest.raises(ValueError, match=r"does not support robot 'flex-planar'.*: use one of "):
-        load_policy("cablebot_baselines.classical:FL", find_robot("flex-planar"))
+        load_policy("cablebot_baselines.laws:FL", find_robot("flex-planar"))
 
 
 def test_name_is_read_without_importing_anything(module):

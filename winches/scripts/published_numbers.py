@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from cablebot_gym.benchmark.tables import markdown_table
 from cablebot_gym.bounds.robot_check import check_motion, modes, two_digits
 from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import ELASTIC, find_robot, library
-from cablebot_gym.trajectories import find_trajectory
 
 FOCAL_RADIUS = 160.0
 """Radius of FAST's focal surface about the centre of the reflector's sphere [m]."""

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import least_norm
+from cablebot_gym.physics.tensions.distribution import least_norm
 from cablebot_gym.robots import load_robot
 from cablebot_winches.importers import import_robot
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cablebot_baselines.classical.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.classical.flexible import Composite, MotorPD
-from cablebot_baselines.classical.law import ClassicalLaw
+from cablebot_baselines.laws.feedback_linearization import FeedbackLinearization
+from cablebot_baselines.laws.flexible import Composite, MotorPD
+from cablebot_baselines.laws.law import ClassicalLaw
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import choice, numbers, record
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_baselines.classical.law import Array
+from cablebot_baselines.laws.law import Array
 from cablebot_baselines.learned.base import Base, find_base
 from cablebot_baselines.learned.network import Network, zero_network
 from cablebot_baselines.learned.steering import (

@@ -16,13 +16,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cablebot_baselines.classical.flexible import DIFFERENCE_STEP, Motion
-from cablebot_baselines.classical.law import Array
+from cablebot_baselines.laws.flexible import DIFFERENCE_STEP, Motion
+from cablebot_baselines.laws.law import Array
+from cablebot_gym.motions import ORDERS
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.distribution import BARRIER, RELAXED, unchecked_central
+from cablebot_gym.physics.tensions.distribution import BARRIER, RELAXED, unchecked_central
 from cablebot_gym.physics.textbook import joint_equivalent
 from cablebot_gym.robots import Robot
-from cablebot_gym.trajectories import ORDERS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,7 +126,7 @@ def _tension_distribution(structure: Tensor, load: Tensor, minimum: float) -> Te
 def _central_tensions(
     structure: Tensor, load: Tensor, slope: Tensor, offset: Tensor, minimum: float
 ) -> Tensor:
-    """The tensions of :func:`~cablebot_gym.physics.distribution.unchecked_central`.
+    """The tensions of :func:`~cablebot_gym.physics.tensions.distribution.unchecked_central`.
 
     That function gives the values. One step of Newton's method from them changes them by rounding
     only, and has their derivatives.
@@ -152,7 +152,7 @@ def _central_tensions(
 
 
 def _barrier_derivatives(distance: Tensor) -> tuple[Tensor, Tensor]:
-    """First and second derivative of the barrier in :func:`~cablebot_gym.physics.distribution.unchecked_central`."""
+    """First and second derivative of the barrier in :func:`~cablebot_gym.physics.tensions.distribution.unchecked_central`."""
     relaxed = RELAXED * BARRIER
     inverse = 1 / distance.clamp(min=relaxed)
     first = torch.where(distance > relaxed, -inverse, (distance / relaxed - 2) / relaxed)

@@ -9,7 +9,7 @@ import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
-from cablebot_baselines.classical.law import Array
+from cablebot_baselines.laws.law import Array
 from cablebot_baselines.learned.network import Network
 
 _ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cablebot_baselines.classical.law import Array
+from cablebot_baselines.laws.law import Array
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import choice

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cablebot_baselines.classical.law import Array
+from cablebot_baselines.laws.law import Array
 from cablebot_gym.utils.checks import choice
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {

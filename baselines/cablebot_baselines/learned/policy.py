@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cablebot_baselines.classical.law import Array
+from cablebot_baselines.laws.law import Array
 from cablebot_baselines.learned.bundle import Bundle
 from cablebot_baselines.learned.steering import Memory
 from cablebot_gym.robots import Robot

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from cablebot_baselines.classical.law import Array
 from cablebot_baselines.episodes import first_steps
+from cablebot_baselines.laws.law import Array
 from cablebot_baselines.learned.base import Base
 from cablebot_baselines.learned.features import check_features, decays
 from cablebot_gym.envs.observation import Blocks, observation_layout

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array, as_numbers, times_vector
-from cablebot_gym.physics.distribution import (
+from cablebot_gym.physics.tensions.distribution import (
     HELD,
     largest_scale,
     least_norm,
@@ -351,7 +351,7 @@ def least_action_tensions(
     [N].
 
     All tensions are at least ``minimum``, see
-    :func:`~cablebot_gym.physics.distribution.unchecked_least_largest_action`. Without ``strict`` the result
+    :func:`~cablebot_gym.physics.tensions.distribution.unchecked_least_largest_action`. Without ``strict`` the result
     for a load beyond the cables and motors leaves the least wrench error, so that a control law can
     continue.
 
@@ -388,7 +388,7 @@ def central_tensions(
     minimum: float,
 ) -> Array:
     """Tensions of redundant cables that change smoothly along a motion, shape (..., m) [N]: those of
-    :func:`~cablebot_gym.physics.distribution.unchecked_central`, or in a pose where S is singular those of
+    :func:`~cablebot_gym.physics.tensions.distribution.unchecked_central`, or in a pose where S is singular those of
     :func:`least_action_tensions`.
 
     The arguments are as there.

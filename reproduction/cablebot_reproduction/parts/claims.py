@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from cablebot_baselines.classical import FeedbackLinearization
-from cablebot_baselines.classical.outer_loop import PAPER_GAINS
+from cablebot_baselines.laws import FeedbackLinearization
+from cablebot_baselines.laws.outer_loop import PAPER_GAINS
 from cablebot_gym.evaluation import Comparison
 from cablebot_gym.evaluation.rollout import Rollout
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, Robot
-from cablebot_gym.trajectories import find_trajectory
 from cablebot_reproduction.fourth_order import FourthOrder
 from cablebot_reproduction.outcome import Number, Numbers, Outcome, Table
 from cablebot_reproduction.profiles import limiting_violation, violation_text

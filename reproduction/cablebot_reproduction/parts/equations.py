@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from cablebot_baselines.classical import PaperFlexible
-from cablebot_baselines.classical.outer_loop import PAPER_GAINS
+from cablebot_baselines.laws import PaperFlexible
+from cablebot_baselines.laws.outer_loop import PAPER_GAINS
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR

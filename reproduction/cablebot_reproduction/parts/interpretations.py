@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Any
 
-from cablebot_baselines.classical import FeedbackLinearization, MotorPD
+from cablebot_baselines.laws import FeedbackLinearization, MotorPD
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.robots import PLANAR, Robot
-from cablebot_gym.trajectories import find_trajectory
 from cablebot_reproduction.exact import LargestPayload, exact_limit, state_space_limit
 from cablebot_reproduction.fourth_order import FourthOrder
 from cablebot_reproduction.outcome import Number, Numbers, Outcome, Table

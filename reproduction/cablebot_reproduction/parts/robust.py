@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cablebot_baselines.classical import PD, FeedbackLinearization, RobustPD
-from cablebot_baselines.classical.outer_loop import PAPER_GAINS
+from cablebot_baselines.laws import PD, FeedbackLinearization, RobustPD
+from cablebot_baselines.laws.outer_loop import PAPER_GAINS
 from cablebot_gym.evaluation import Comparison
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cablebot_baselines.classical import FeedbackLinearization, MotorPD
+from cablebot_baselines.laws import FeedbackLinearization, MotorPD
 from cablebot_gym.evaluation import DLCCResult
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array

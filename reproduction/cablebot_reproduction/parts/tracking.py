@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cablebot_baselines.classical import FeedbackLinearization
+from cablebot_baselines.laws import FeedbackLinearization
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.plotting.comparison import COLOURS

@@ -159,8 +159,8 @@ def _open_channels(
 ) -> Iterator[tuple[Sequence[Winch], Mapping[str, Channel]]]:
     """The winches and the open channels by port, to real or simulated boards."""
     from cablebot_gym.envs.settings import default_trajectory
+    from cablebot_gym.motions import find_trajectory
     from cablebot_gym.task import find_error_bounds, start_pose
-    from cablebot_gym.trajectories import find_trajectory
     from cablebot_winches.hardware.channel import SerialChannel
     from cablebot_winches.hardware.odrive import AXES, plain_wiring, read_wiring
     from cablebot_winches.hardware.simulator import Fault, simulated_boards

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
-from cablebot_baselines.classical.law import Array
+from cablebot_baselines.laws.law import Array
 from cablebot_baselines.learned.wrappers.layers import BatchWrapper, SingleWrapper, restart_mask
 from cablebot_gym.bounds.robot_check import SAMPLES, payload_limit
 from cablebot_gym.envs.streams import Purpose, Streams

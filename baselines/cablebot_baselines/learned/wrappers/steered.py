@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
 import cablebot_gym  # noqa: F401 - registers the ids
-from cablebot_baselines.classical.law import Array
+from cablebot_baselines.laws.law import Array
 from cablebot_baselines.learned.base import Base, default_base, find_base
 from cablebot_baselines.learned.steering import (
     Memory,

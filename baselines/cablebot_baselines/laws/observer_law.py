@@ -1,0 +1,274 @@
+"""A control law that acts for the robot that it meets, with an observer's estimates of mass, motors and
+delay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablebot_baselines.episodes import first_steps
+from cablebot_baselines.laws.allocation import allocate
+from cablebot_baselines.laws.law import Array, ClassicalLaw
+from cablebot_baselines.observer.expectation import Expectation, possible_payload
+from cablebot_baselines.observer.observer import RobotObserver
+from cablebot_baselines.observer.observer_state import ObserverState, RobotEstimate
+from cablebot_gym.envs.observation import observation_layout
+from cablebot_gym.physics.textbook import normalised_action
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import Task
+
+PERIOD = 2e-3
+"""Control period of the observer before :meth:`ObserverLaw.reset` [s]."""
+
+UNCERTAINTY = "hardware"
+"""Uncertainty that the laws expect."""
+
+_REFERENCE = {
+    "reference_pose": "position",
+    "reference_velocity": "velocity",
+    "reference_acceleration": "acceleration",
+    "reference_jerk": "jerk",
+    "reference_snap": "snap",
+}
+"""Fields of a motion by blocks of the reference, which an observation may have."""
+
+
+def observed_gains(robot: Robot) -> tuple[float, float]:
+    """(K_P, K_D) of a law behind the observer for a rigid robot [1/s², 1/s].
+
+    Higher ones amplify the noise of the sensors; with lower ones a platform in a plane turns too
+    far where the motors have less friction.
+    """
+    if robot.planar:
+        return 900.0, 60.0
+    return 400.0, 40.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instant:
+    """What is known in a control step of N episodes."""
+
+    blocks: dict[str, Array]
+    """Blocks of the observation, each (N, size)."""
+    estimate: RobotEstimate
+    """Estimates of the observer."""
+    ahead: dict[str, Array]
+    """State at the instant at which the action takes effect, see
+    :meth:`~cablebot_baselines.observer.observer.RobotObserver.at_effect`."""
+    time_to_go: Array
+    """Rest of the motion at that instant, (N,) [s]."""
+    starts: NDArray[np.bool_]
+    """Whether an episode starts, (N,)."""
+
+    def time(self, task: Task, rows: Any) -> Array:
+        """Time of a task's motion at that instant in some episodes [s]."""
+        time: Array = task.trajectory.duration - self.time_to_go[rows]
+        return time
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ObservingState:
+    """State of an observing law between two control steps."""
+
+    observer: ObserverState
+    """State of the observer."""
+    requested: Array
+    """Actions before saturation, (N, m)."""
+    memory: Any = None
+    """Memory of the reference, see :meth:`ObserverLaw.reference`."""
+
+
+class ObserverLaw(ClassicalLaw):
+    """A control law behind a :class:`~cablebot_baselines.observer.observer.RobotObserver`.
+
+    The law computes torques for the expected robot with the estimated mass, from the state and the
+    reference at the instant at which its action will take effect. The requested acceleration cancels
+    that of the estimated wrench. The action divides the torques by the estimated strengths of the
+    motors. With as many cables as coordinates, saturated actions are
+    replaced by those within ±1 that come closest to the requested acceleration.
+
+    Args:
+        law: control law without memory for the expected robot.
+        expectation: what is expected of the robot.
+        largest_payload: largest payload that is considered possible if the payload is unknown [kg];
+            None for ``payload_prior`` times that with which the motors can track the reference of
+            the task exactly.
+        payload_prior: a multiple, as above.
+    """
+
+    unsaturated_actions = False
+
+    def __init__(
+        self,
+        law: ClassicalLaw,
+        expectation: Expectation,
+        *,
+        largest_payload: float | None = None,
+        payload_prior: float = 1.0,
+    ) -> None:
+        super().__init__(law.robot, minimum_tension=law.minimum_tension)
+        self.law = law
+        self.expectation = expectation
+        self.largest_payload = largest_payload
+        self._payload_prior = payload_prior
+        self._tasks: tuple[Task, ...] = ()
+        payloads = np.array([self._possible(None)])
+        self.observer = self._observer(PERIOD, payloads)
+        self._allocates = law.robot.cables == law.robot.coordinates
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Passes the tasks to the law, and makes the observer for their control period.
+
+        Raises:
+            ValueError: if a task's robot differs from the law's robot in kind or anchors.
+        """
+        self.law.reset(tasks)
+        self._tasks = tuple(tasks)
+        payloads = np.zeros(len(tasks))
+        for task, rows in self._rows_by_motion(len(tasks)):
+            payloads[rows] = self._possible(task)
+        self._prepare(tasks, payloads)
+        period = 1 / tasks[0].control_frequency
+        self.observer = self._observer(period, payloads)
+        self._load_compiled_code(tasks)
+
+    def _load_compiled_code(self, tasks: Sequence[Task]) -> None:
+        """Runs the observer for two steps: in a control step the loading of its compiled code would
+        take longer than the control period."""
+        size = observation_layout(self.robot).size
+        blocks = self.split(np.zeros((len(tasks), size)))
+        blocks["pose"] = np.array([task.start_pose for task in tasks])
+        starts = np.zeros(len(tasks), np.bool_)
+        observer = self.observer
+        state = observer.update(blocks, None, starts)
+        state = observer.update(blocks, state, starts)
+        observer.at_effect(blocks, state)
+
+    def _prepare(self, tasks: Sequence[Task], payloads: Array) -> None:
+        """Adapts the law to the tasks and the largest possible payload of each, (N,) [kg]."""
+
+    def _possible(self, task: Task | None) -> float:
+        """Largest payload that is considered possible in a task; None for an unknown task [kg]."""
+        if self.largest_payload is not None:
+            return self.largest_payload
+        return self._payload_prior * possible_payload(self.robot, task)
+
+    def _observer(self, period: float, payloads: Array) -> RobotObserver:
+        if np.ptp(payloads) == 0:
+            payloads = payloads[0]  # serves any number of episodes
+        return RobotObserver(self.expectation, period, largest_payload=payloads)
+
+    def respond(
+        self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None
+    ) -> tuple[Array, Any]:
+        """Actions within ±1 from the blocks of an observation, and the next state."""
+        shape = blocks["pose"].shape[:-1]
+        rows = blocks
+        if not shape:
+            rows = {name: values[None] for name, values in blocks.items()}
+        starts = first_steps(state, episode_start, shape).reshape(-1)
+        observed = None
+        memory = None
+        if state is not None:
+            observed = state.observer
+            memory = state.memory
+        observed = self.observer.update(rows, observed, starts)
+        estimate = self.observer.estimate(observed)
+        ahead = self.observer.at_effect(rows, observed)
+        time_to_go = np.maximum(rows["time_to_go"][:, 0] - estimate.delay, 0.0)
+        instant = Instant(
+            blocks=rows, estimate=estimate, ahead=ahead, time_to_go=time_to_go, starts=starts
+        )
+        reference, memory = self.reference(instant, memory)
+        later = ahead | {"time_to_go": time_to_go[:, None]} | reference
+        requested, action = self._act(rows | later, estimate)
+        after = ObservingState(observer=observed, requested=requested, memory=memory)
+        return action.reshape(*shape, self.robot.cables), after
+
+    def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], Any]:
+        """Blocks of the reference at the instant at which the action takes effect, and the memory
+        for the next step; ``memory`` is that of the last step, None before the first.
+
+        They are those of the task's motion: a Taylor series from the observed reference does not
+        know where its acceleration jumps, and a light platform then loses the tension of a cable.
+        """
+        if not self._tasks:
+            return _extrapolated(instant.blocks, instant.estimate.delay), None
+        names = [name for name in _REFERENCE if name in instant.blocks]
+        later = {name: np.empty_like(instant.blocks[name]) for name in names}
+        for task, rows in self._rows_by_motion(len(instant.time_to_go)):
+            motion = task.trajectory(instant.time(task, rows))
+            for name in names:
+                later[name][rows] = getattr(motion, _REFERENCE[name])
+        return later, None
+
+    def _rows_by_motion(self, count: int) -> list[tuple[Task, NDArray[np.intp]]]:
+        """Each motion's first task and its rows of a batch of ``count`` episodes."""
+        tasks: dict[int, Task] = {}
+        groups: dict[int, list[int]] = {}
+        for row in range(count):
+            task = self._tasks[row % len(self._tasks)]
+            motion = id(task.trajectory)
+            tasks.setdefault(motion, task)
+            groups.setdefault(motion, []).append(row)
+        return [(tasks[motion], np.array(rows)) for motion, rows in groups.items()]
+
+    def _act(self, blocks: dict[str, Array], estimate: RobotEstimate) -> tuple[Array, Array]:
+        """Requested and saturated actions, each (N, m), for blocks at the instant at which they
+        take effect."""
+        return self._of_law(self.law, blocks, estimate)
+
+    def _of_law(
+        self, law: ClassicalLaw, blocks: dict[str, Array], estimate: RobotEstimate
+    ) -> tuple[Array, Array]:
+        """The actions of :meth:`_act` by a law."""
+        acceleration = blocks["reference_acceleration"] - blocks["disturbance"]
+        blocks = blocks | {"reference_acceleration": acceleration}
+        torques, speeds = law.torques(blocks, estimate.mass)
+        requested = normalised_action(self.robot, torques / estimate.strength, speeds)
+        action = requested.copy()
+        is_saturated = np.any(np.abs(requested) > 1, axis=-1)
+        if np.any(is_saturated):
+            saturated = {name: values[is_saturated] for name, values in blocks.items()}
+            action[is_saturated] = self._reduced(
+                law,
+                requested[is_saturated],
+                saturated,
+                estimate.mass[is_saturated],
+                estimate.strength[is_saturated],
+            )
+        return requested, np.clip(action, -1.0, 1.0)
+
+    def _reduced(
+        self,
+        law: ClassicalLaw,
+        requested: Array,
+        blocks: dict[str, Array],
+        mass: Array,
+        strength: Array,
+    ) -> Array:
+        """Actions in place of requested ones beyond ±1, each (N, m)."""
+        if not self._allocates:
+            return requested
+        slope = law.torque_slope(mass, blocks["pose"])
+        stall = self.robot.stall_torque * strength
+        return allocate(requested, slope / stall[..., None])
+
+
+def _extrapolated(blocks: dict[str, Array], delay: Array) -> dict[str, Array]:
+    """Reference after a delay (N,) [s], by the Taylor series of the observed derivatives."""
+    step = delay[:, None]
+    names = [name for name in _REFERENCE if name in blocks]
+    later = {}
+    for index, name in enumerate(names):
+        value = blocks[name]
+        factor = np.ones_like(step)
+        for order, higher in enumerate(names[index + 1 :], start=1):
+            factor = factor * step / order
+            value = value + factor * blocks[higher]
+        later[name] = value
+    return later

@@ -1,6 +1,0 @@
-"""Policies that plan motions with the equations of the plant. They need the extra ``optimal``."""
-
-from cablebot_baselines.optimal.nmpc import NMPC, NonlinearMPC
-from cablebot_baselines.optimal.trajopt import TRAJOPT, TrajOpt
-
-__all__ = ["NMPC", "TRAJOPT", "NonlinearMPC", "TrajOpt"]

@@ -1,0 +1,236 @@
+"""Rehearsal of a planned motion on random robots, and the margins that they need over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+
+from cablebot_baselines.laws.observer_law import ObserverLaw
+from cablebot_gym.envs.vector import CableBotVectorEnv
+from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import Trajectory
+from cablebot_gym.planning import MarginProfile
+from cablebot_gym.task import Task
+from cablebot_gym.uncertainty import Uncertainty
+
+ERROR_RESERVE = 0.02
+"""Reserve of a rehearsal to the error bounds, as a fraction of them."""
+
+TENSION_RESERVE = 1.5
+"""Reserve of a rehearsal to the minimum and the maximum tension [N]: more than the standard
+deviation over robots of their least tension."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rehearsal:
+    """Episodes of one motion, each with a robot of its own."""
+
+    task: Task
+    """The task."""
+    payloads: Array
+    """Nominal payload of each episode, (N,) [kg]."""
+    times: Array
+    """Ends of the control periods, (T,) [s]."""
+    poses: Array
+    """True poses at these times, (N, T, n)."""
+    position: Array
+    """Largest distance from the reference in each control period, (N, T) [m]."""
+    rotation: Array
+    """Largest error of an angle in each control period, (N, T) [rad]."""
+    action: Array
+    """Actions before saturation, (N, T, m)."""
+    tension: Array
+    """Least tension of all cables in each control period, (N, T) [N]."""
+    largest_tension: Array
+    """Largest tension of all cables in each control period, (N, T) [N]."""
+
+    @property
+    def excess(self) -> dict[str, Array]:
+        """How far each control period is beyond the limits, less the reserves that cover the robots
+        that are not rehearsed, by limit, each (N, T); negative within them."""
+        bounds = self.task.error_bounds
+        robot = self.task.robot
+        missing_tension = robot.minimum_tension + TENSION_RESERVE - self.tension
+        overload = self.largest_tension - (robot.maximum_tension - TENSION_RESERVE)
+        return {
+            "position": self.position - (1 - ERROR_RESERVE) * bounds.position,
+            "rotation": self.rotation - (1 - ERROR_RESERVE) * bounds.rotation,
+            "tension": np.maximum(missing_tension, overload),
+        }
+
+    @property
+    def carried(self) -> NDArray[np.bool_]:
+        """Whether each episode keeps all limits and the reserves, (N,)."""
+        is_carried = np.ones(len(self.payloads), np.bool_)
+        for excess in self.excess.values():
+            is_carried &= excess.max(axis=1) <= 0
+        return is_carried
+
+    def largest_carried(self) -> float:
+        """Largest payload that all robots carry, with all smaller ones [kg]; −1 if there is none."""
+        largest = -1.0
+        for payload in np.unique(self.payloads):
+            if not self.carried[self.payloads == payload].all():
+                break
+            largest = float(payload)
+        return largest
+
+    def of(self, episodes: NDArray[np.bool_]) -> Rehearsal:
+        """The marked episodes."""
+        arrays = {name: getattr(self, name)[episodes] for name in _EPISODE_ARRAYS}
+        return Rehearsal(task=self.task, times=self.times, **arrays)
+
+
+_EPISODE_ARRAYS = (
+    "payloads",
+    "poses",
+    "position",
+    "rotation",
+    "action",
+    "tension",
+    "largest_tension",
+)
+
+
+def rehearse(
+    law: ObserverLaw,
+    task: Task,
+    uncertainty: Uncertainty,
+    payloads: Sequence[float],
+    *,
+    robots: int,
+    seed: int,
+) -> Rehearsal:
+    """Episodes of a law with each payload and each of some random robots.
+
+    Args:
+        law: the law.
+        task: the task, whose payload is unknown to the law.
+        uncertainty: uncertainty from which the robots are drawn.
+        payloads: nominal payloads [kg].
+        robots: number of robots, which are the same for each payload.
+        seed: seed of the first robot.
+    """
+    count = len(payloads) * robots
+    env = CableBotVectorEnv(
+        robot=task.robot,
+        num_envs=count,
+        trajectory=task.trajectory,
+        error_bounds=task.error_bounds,
+        control_frequency=task.control_frequency,
+        cable=task.cable,
+        uncertainty=uncertainty,
+        payload_known=task.payload_known,
+        autoreset_mode=AutoresetMode.DISABLED,
+    )
+    payload = np.repeat(np.asarray(payloads, float), robots)
+    seeds = [seed + episode % robots for episode in range(count)]
+    observation, _ = env.reset(seed=seeds, options={"payload": payload})
+    law.reset(env.tasks)
+    state: Any = None
+    steps: dict[str, list[Array]] = {name: [] for name in _EPISODE_ARRAYS[1:]}
+    for _ in range(task.steps):
+        action, state = law.predict(observation, state)
+        observation, _, _, _, info = env.step(action)
+        steps["poses"].append(env.pose)
+        steps["position"].append(info["tracking_error_peak"])
+        steps["rotation"].append(info["rotation_error_peak"])
+        steps["action"].append(state.requested)
+        steps["tension"].append(info["least_tensions"].min(axis=1))
+        steps["largest_tension"].append(info["largest_tensions"].max(axis=1))
+    arrays = {name: np.stack(values, axis=1) for name, values in steps.items()}
+    times = np.arange(1, task.steps + 1) / task.control_frequency
+    return Rehearsal(task=task, payloads=payload, times=times, **arrays)
+
+
+SPREADS = {"position": 3.5, "rotation": 4.0, "tension": 4.0, "action": 2.0}
+"""Margins to the limits in standard deviations of what robots do. Saturated actions violate no limit:
+the other robots then miss a little of the acceleration."""
+
+LARGEST_ACTION_MARGIN = 0.08
+"""Largest margin to the action limits ±1, which costs most payload."""
+
+LARGEST_ERROR_MARGIN = 0.6
+"""Largest margins to the error bounds, as a fraction of them."""
+
+GROWTH = 1.5
+"""Growth of a margin for an excess of 1."""
+
+WINDOW = 0.03
+"""Time within which the largest spread counts [s]: a motion that changes moves the instants of its
+extremes."""
+
+
+def spread_margins(rehearsal: Rehearsal, motion: Trajectory) -> MarginProfile:
+    """Margins for the spread of the robots about their motion.
+
+    Args:
+        rehearsal: episodes of a law that tracks the motion.
+        motion: the planned motion.
+    """
+    payloads = np.unique(rehearsal.payloads)
+    profile = {}
+    for name, spreads in SPREADS.items():
+        needed = None
+        for payload in payloads:
+            if name == "action" and payload < payloads[-1]:
+                continue  # light payloads need less torque
+            deviation = _deviation(name, rehearsal.of(rehearsal.payloads == payload), motion)
+            margin = deviation.mean(axis=0) + spreads * deviation.std(axis=0)
+            needed = margin if needed is None else np.maximum(needed, margin)
+        assert needed is not None
+        profile[name] = _widened(np.maximum(needed, 0.0), rehearsal.task)
+    profile["action"] = np.minimum(profile["action"], LARGEST_ACTION_MARGIN)
+    bounds = rehearsal.task.error_bounds
+    for name in ("position", "rotation"):
+        profile[name] = np.minimum(profile[name], LARGEST_ERROR_MARGIN * getattr(bounds, name))
+    return MarginProfile(times=rehearsal.times, **profile)
+
+
+def _deviation(name: str, rehearsal: Rehearsal, motion: Trajectory) -> Array:
+    """How much closer to a limit each episode is than its motion, (N, T), of the actions (N, T, m).
+
+    Tensions and actions change within a few periods where the motion's acceleration jumps, and
+    robots with another delay do so a little earlier or later. They are therefore compared with the
+    extremes of their mean within :data:`WINDOW`.
+    """
+    task = rehearsal.task
+    if name == "tension":
+        lowest = -_widened(-rehearsal.tension.mean(axis=0), task)
+        return np.maximum(lowest - rehearsal.tension, 0.0)
+    if name == "action":
+        action = np.abs(rehearsal.action)
+        return np.maximum(action - _widened(action.mean(axis=0), task), 0.0)
+    reference = task.trajectory(rehearsal.times).position
+    split = task.robot.dimensions
+    errors = []
+    for pose in (rehearsal.poses, motion(rehearsal.times).position):
+        error = pose - reference
+        if name == "position":
+            errors.append(np.linalg.norm(error[..., :split], axis=-1))
+        else:
+            errors.append(np.abs(error[..., split:]).max(axis=-1, initial=0.0))
+    deviation: Array = errors[0] - errors[1]
+    return deviation
+
+
+def grown_margins(profile: MarginProfile, rehearsal: Rehearsal) -> MarginProfile:
+    """A profile with larger margins at the times at which episodes exceed a limit."""
+    grown = {"action": profile.action}
+    for name, excess in rehearsal.excess.items():
+        largest = GROWTH * np.maximum(excess.max(axis=0), 0.0)
+        grown[name] = getattr(profile, name) + _widened(largest, rehearsal.task)
+    return MarginProfile(times=profile.times, **grown)
+
+
+def _widened(values: Array, task: Task) -> Array:
+    """The largest value within :data:`WINDOW` of each control period."""
+    size = 1 + 2 * round(WINDOW / 2 * task.control_frequency)
+    widened: Array = maximum_filter1d(values, size, axis=0)
+    return widened

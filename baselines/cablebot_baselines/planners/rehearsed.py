@@ -1,0 +1,307 @@
+"""Plans for robots that are not exactly known: rehearsed on random robots until all of them carry the
+payload."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import make_lsq_spline
+
+from cablebot_baselines.laws.observer_law import Instant, ObserverLaw
+from cablebot_baselines.laws.outer_loop import by_kind
+from cablebot_baselines.observer.expectation import Expectation
+from cablebot_baselines.planners.plan_law import PlanLaw, TrackingGains
+from cablebot_baselines.planners.rehearsal import (
+    Rehearsal,
+    grown_margins,
+    rehearse,
+    spread_margins,
+)
+from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import Trajectory
+from cablebot_gym.physics import textbook
+from cablebot_gym.planning import (
+    Infeasible,
+    MarginProfile,
+    Margins,
+    MotionProgram,
+    PlannedMotion,
+)
+from cablebot_gym.planning.library import cached_plan
+from cablebot_gym.planning.motion import MOTOR_DEGREE
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import ErrorBounds, Task
+from cablebot_gym.uncertainty import Uncertainty
+
+_LOGGER = logging.getLogger("cablebot_gym")
+
+INTERVALS_PER_SECOND = {"rigid": 50.0, "flexible": 30.0}
+"""Spline intervals of a plan per second [1/s], by joints of the robot. More of them hardly increase
+the DLCC and take longer to plan: minutes with joint springs."""
+
+MINIMUM_INTERVALS, MAXIMUM_INTERVALS = 20, 240
+"""Minimum and maximum number of spline intervals of a plan."""
+
+COARSE = 1.5
+"""How many times fewer intervals the first plan of a flexible robot has. It takes the second one of
+two payloads as a start."""
+
+GAINS = {
+    "planar": TrackingGains(pose=(1600.0, 80.0)),
+    "spatial": TrackingGains(pose=(400.0, 40.0)),
+    "flexible": TrackingGains(pose=(400.0, 40.0)),
+}
+"""Gains by kind of a rigid robot, and of flexible ones. Higher ones amplify the noise of the
+sensors."""
+
+SENSOR_BIASES = 4.5
+"""Margin to the error bounds of the first plan in standard deviations of the bias of the sensors."""
+
+FIRST_MARGINS = Margins(position=0.04, rotation=0.04, action=0.04, tension=3.0)
+"""Further margins of the first plan; those to the error bounds are fractions of them."""
+
+LEAST_MARGINS = Margins(position=0.01, rotation=0.01, action=0.005, tension=1.0)
+"""Least margins of all plans; those to the error bounds are fractions of them."""
+
+SPRING_RESERVE = 0.9
+"""Largest margin to the minimum tension of the first plan of springs, as a fraction of that at the
+start."""
+
+SAMPLES_PER_KNOT = 4
+"""Samples of the motor angles from which their spline for another payload is made."""
+
+SPRING_RATE = 100.0
+"""How fast the margin to the minimum tension of springs may grow from that at the start [N/s]."""
+
+LIGHTEST = 2.0
+"""How many standard deviations the lightest platform of a plan is below the expected one."""
+
+ROBOTS = 19
+"""Number of random robots in a rehearsal."""
+
+SEED = 1_000_003
+"""Seed of the first robot."""
+
+FRACTIONS = (0.0, 0.5, 0.94, 0.97, 1.0, 1.02, 1.04)
+"""Rehearsed payloads as fractions of that of the plan. Saturated actions violate no limit, so robots
+may carry more than planned."""
+
+ROUNDS = 4
+"""Largest number of plans after the first one."""
+
+BOLDER = 0.6
+"""Factor of the action margins after a rehearsal in which all robots carry the planned payload."""
+
+
+def intervals_of(robot: Robot, trajectory: Trajectory) -> int:
+    """Number of spline intervals of the plans for a motion."""
+    count = math.ceil(INTERVALS_PER_SECOND[robot.joints] * trajectory.duration)
+    return min(max(MINIMUM_INTERVALS, count), MAXIMUM_INTERVALS)
+
+
+def find_rehearsed_plan(task: Task, uncertainty: Uncertainty) -> PlannedMotion:
+    """The cached plan that carries most on the random robots of an uncertainty.
+
+    Args:
+        task: the task. The payload is taken as unknown.
+        uncertainty: the uncertainty.
+
+    Raises:
+        Infeasible: as :meth:`PlanSearch.find`.
+    """
+    search = PlanSearch(replace(task, payload_known=False, model_payload=0.0), uncertainty)
+    return cached_plan(
+        __name__,
+        task.robot,
+        task.trajectory,
+        search.find,
+        error_bounds=task.error_bounds,
+        control_frequency=task.control_frequency,
+        cable=task.cable,
+        uncertainty=repr(uncertainty),
+    )
+
+
+def tracking_law(plan: PlannedMotion, expectation: Expectation, task: Task) -> ObserverLaw:
+    """The law that tracks a plan on a robot that is not exactly known.
+
+    Args:
+        plan: the plan.
+        expectation: what is expected of the robot.
+        task: the task.
+    """
+    robot = expectation.robot
+    period = 1 / task.control_frequency
+    gains = by_kind(GAINS, robot)
+    if robot.flexible:
+        gains = GAINS["flexible"]
+    law = _Tracking(PlanLaw(robot, plan, period, gains), expectation, largest_payload=plan.payload)
+    law.reset([task])
+    return law
+
+
+class _Tracking(ObserverLaw):
+    """A law that tracks its own plan, which the reference of the task does not concern."""
+
+    def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], Any]:
+        """No blocks: the law reads the time to go."""
+        return {}, None
+
+
+class PlanSearch:
+    """Search for the plan that carries most on random robots.
+
+    The first plan has margins for the bias of the sensors. A rehearsal gives the spread of the
+    robots about it, and thus margins over time. Each further plan is rehearsed too: its margins to
+    the actions shrink while all robots carry its payload, and margins grow at the times at which
+    robots exceed a limit.
+
+    Args:
+        task: the task, with an unknown payload.
+        uncertainty: the uncertainty.
+    """
+
+    def __init__(self, task: Task, uncertainty: Uncertainty) -> None:
+        self._task = task
+        self._uncertainty = uncertainty
+        self._expectation = Expectation.of(task.robot, uncertainty)
+
+    def find(self) -> PlannedMotion:
+        """The plan.
+
+        Raises:
+            Infeasible: if there is no motion within the error bounds for the expected robot, or the
+                random robots fail unloaded.
+        """
+        program, plan = self._first_plan()
+        most, best = -1.0, plan
+        rehearsal = self._rehearsal(plan, (0.0, 1.0))
+        profile = self._startable(spread_margins(rehearsal, plan))
+        for _ in range(ROUNDS):
+            try:
+                plan = program.resolve(*self._split(profile))
+            except Infeasible as error:
+                _LOGGER.debug("no plan with the margins of the rehearsal: %s", error)
+                break
+            rehearsal = self._rehearsal(plan, FRACTIONS)
+            carried = rehearsal.largest_carried()
+            _LOGGER.debug("plan for %.4g kg, carried %.4g kg", plan.payload, carried)
+            if 0 <= carried <= most:
+                break
+            if carried > most:
+                most, best = carried, plan
+            if carried >= plan.payload:
+                profile = replace(profile, action=BOLDER * profile.action)
+            else:
+                profile = self._startable(grown_margins(profile, rehearsal))
+        if most < 0:
+            raise Infeasible("the random robots carry none of the plans")
+        return best
+
+    def _rehearsal(self, plan: PlannedMotion, fractions: tuple[float, ...]) -> Rehearsal:
+        law = tracking_law(plan, self._expectation, self._task)
+        payloads = [fraction * plan.payload for fraction in fractions]
+        return rehearse(law, self._task, self._uncertainty, payloads, robots=ROBOTS, seed=SEED)
+
+    def _first_plan(self) -> tuple[MotionProgram, PlannedMotion]:
+        """The program, and its solution with the first margins."""
+        task = self._task
+        intervals = intervals_of(task.robot, task.trajectory)
+        lightest = -LIGHTEST * self._expectation.mass_spread
+        program = self._program(intervals, lightest)
+        if not task.robot.flexible:
+            return program, program.solve()
+        coarse = self._program(max(MINIMUM_INTERVALS, round(intervals / COARSE)), None).solve()
+        start = with_lighter_payload(coarse, self._expectation.robot, lightest)
+        try:
+            return program, program.solve(start, near=True)
+        except Infeasible:
+            return program, program.solve(start)
+
+    def _program(self, intervals: int, lightest: float | None) -> MotionProgram:
+        task = self._task
+        return MotionProgram(
+            self._expectation.robot,
+            task.trajectory,
+            task.error_bounds,
+            intervals=intervals,
+            margins=self._margins(FIRST_MARGINS, biases=SENSOR_BIASES),
+            lightest=lightest,
+            period=1 / task.control_frequency,
+        )
+
+    def _margins(self, margins: Margins, biases: float = 0.0) -> Margins:
+        """Margins in SI units, with a number of standard deviations of the sensors' bias."""
+        bounds: ErrorBounds = self._task.error_bounds
+        robot = self._expectation.robot
+        position = margins.position * bounds.position
+        rotation = margins.rotation * bounds.rotation
+        bias = self._uncertainty.sensor_bias
+        if bias is not None:
+            position += min(biases * bias.position, bounds.position / 4)
+            rotation += min(biases * bias.rotation, bounds.rotation / 4)
+        tension = min(margins.tension, largest_tension_margin(robot))
+        return replace(margins, position=position, rotation=rotation, tension=tension)
+
+    def _split(self, profile: MarginProfile) -> tuple[Margins, MarginProfile]:
+        """Constant margins, and those over time in addition. The law of a rigid redundant robot keeps
+        the same least tension all the time, so the margin to it is constant."""
+        margins = self._margins(LEAST_MARGINS)
+        robot = self._expectation.robot
+        if robot.cables > robot.coordinates and not robot.flexible:
+            tension = margins.tension + profile.tension.max()
+            tension = min(float(tension), largest_tension_margin(robot))
+            margins = replace(margins, tension=tension)
+            profile = replace(profile, tension=np.zeros_like(profile.tension))
+        return margins, profile
+
+    def _startable(self, profile: MarginProfile) -> MarginProfile:
+        """A profile without margins at the start that the springs cannot keep there."""
+        robot = self._expectation.robot
+        if not (robot.flexible and robot.weightless):
+            return profile
+        least = self._margins(LEAST_MARGINS).tension
+        ceiling = np.maximum(SPRING_RESERVE * _reserve(robot) - least, 0.0)
+        ceiling = ceiling + SPRING_RATE * profile.times
+        return replace(profile, tension=np.minimum(profile.tension, ceiling))
+
+
+def largest_tension_margin(robot: Robot) -> float:
+    """Largest constant margin of a plan to the minimum and the maximum tension [N]: half of the
+    tensions between them remain. The springs can have it at the start, too."""
+    largest = (robot.maximum_tension - robot.minimum_tension) / 4
+    if robot.flexible:
+        largest = min(largest, SPRING_RESERVE * _reserve(robot))
+    return largest
+
+
+def _reserve(robot: Robot) -> float:
+    """Margin of the springs at the start to the minimum tension [N]."""
+    return textbook.allocated_minimum(robot) - robot.minimum_tension
+
+
+def with_lighter_payload(plan: PlannedMotion, robot: Robot, lightest: float) -> PlannedMotion:
+    """A plan of a flexible robot with motor angles for the lightest payload too, as a start of a
+    program with two payloads: those for the tensions that its motion requires."""
+    model = textbook.cable_equivalent(robot)
+    inner = plan.degree - MOTOR_DEGREE
+    knots = plan.knots[inner:-inner]
+    times = np.linspace(0.0, plan.duration, SAMPLES_PER_KNOT * len(knots))
+    motion = plan(times)
+    mass = np.full(len(times), robot.mass + lightest)
+    tensions = textbook.required_tensions(
+        model,
+        mass,
+        motion.position,
+        motion.velocity,
+        motion.acceleration,
+        minimum=plan.minimum_tension,
+        strict=False,
+    )
+    angles, _ = textbook.rest_angles(model, tensions, motion.position)
+    points: Array = make_lsq_spline(times, angles, knots, MOTOR_DEGREE).c
+    return replace(plan, motors=(plan.motors[0], points), lightest=lightest)

@@ -1,0 +1,230 @@
+"""Policy that plans a motion within the error bounds for each task and then tracks it."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cablebot_baselines.entries import entry
+from cablebot_baselines.episodes import first_steps
+from cablebot_baselines.laws.adaptive import make_adaptive
+from cablebot_baselines.laws.law import Array, ClassicalLaw
+from cablebot_baselines.laws.observer_law import ObserverLaw
+from cablebot_baselines.observer.expectation import Expectation
+from cablebot_baselines.planners.plan_law import AdaptivePlanLaw, TrackingGains
+from cablebot_baselines.planners.rehearsed import (
+    find_rehearsed_plan,
+    intervals_of,
+    largest_tension_margin,
+    tracking_law,
+)
+from cablebot_gym.motions import Trajectory
+from cablebot_gym.planning import Infeasible, Margins, PlannedMotion, plan_motion
+from cablebot_gym.planning.stage_functions import check_model, import_casadi
+from cablebot_gym.robots import Robot
+from cablebot_gym.task import ErrorBounds, Task
+from cablebot_gym.uncertainty import find_uncertainty
+
+_LOGGER = logging.getLogger("cablebot_gym")
+
+UNCERTAINTY = "hardware"
+"""Uncertainty of the robots on which plans are rehearsed."""
+
+ERROR_MARGIN = 0.02
+"""Margin of the plan for an exactly known robot to its error bounds, as a fraction of them."""
+
+EXACT_MARGINS = {
+    "rigid": Margins(action=0.005, tension=1.0),
+    "flexible": Margins(action=0.01, tension=3.0),
+}
+"""Further margins of the plan for an exactly known robot, by its joints."""
+
+EXACT_GAINS = {
+    "rigid": TrackingGains(pose=(2500.0, 100.0), reserve=1.0),
+    "flexible": TrackingGains(pose=(100.0, 10.0), reserve=3.0),
+}
+"""Gains of the law that tracks it, by joints of the robot."""
+
+
+def exact_margins(robot: Robot, error_bounds: ErrorBounds) -> Margins:
+    """Margins of the plan for an exactly known robot.
+
+    When a motor reverses, its friction changes sign within a control period. Without springs this
+    changes the tension of its cable, so the margin includes Coulomb friction.
+    """
+    margins = EXACT_MARGINS[robot.joints]
+    tension = margins.tension
+    if not robot.flexible:
+        tension += float((robot.coulomb_friction / robot.pulley_radius).max())
+    return replace(
+        margins,
+        position=ERROR_MARGIN * error_bounds.position,
+        rotation=ERROR_MARGIN * error_bounds.rotation,
+        tension=min(tension, largest_tension_margin(robot)),
+    )
+
+
+class TrajOpt:
+    """Plans motions per task for the largest possible payload, and tracks them with the actual
+    payload.
+
+    A plan begins at the start pose of the task and includes its dwells. It is feasible with its
+    largest payload and without payload, and therefore with every payload in between. There are two
+    of them:
+
+    * The rehearsed plan is for robots that are not exactly known: its margins follow from episodes
+      with random robots (:mod:`~cablebot_baselines.planners.rehearsed`), and it is tracked with an
+      observer of mass, motors and delay. It serves unknown payloads, and known ones up to its own.
+    * The exact plan is for a known payload that is heavier than that. It hardly has margins, and
+      only the mass is estimated while it is tracked.
+
+    The first planning of a task takes seconds to minutes. The plan is then stored on disk.
+
+    Without a plan, or without a call of :meth:`reset`, the policy tracks the reference itself with
+    the adaptive law. :attr:`fallbacks` counts these episodes, and a warning gives the reason.
+
+    Args:
+        robot: nominal robot.
+
+    Raises:
+        ImportError: if CasADi is missing; the message names the command that installs it.
+        ValueError: if the motors of the robot have a lag.
+    """
+
+    unsaturated_actions = False
+
+    def __init__(self, robot: Robot) -> None:
+        import_casadi()
+        check_model(robot)
+        self.robot = robot
+        self.fallbacks = 0
+        """Number of episodes without a plan since the last :meth:`reset`."""
+        # Environments with the same plan and their law.
+        self._groups: list[tuple[NDArray[np.intp], ClassicalLaw]] | None = None
+        self._laws: dict[Any, tuple[Trajectory, ClassicalLaw | str]] = {}
+        self._reference_law = make_adaptive(robot)
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Plans the motions of each different task.
+
+        Raises:
+            ValueError: if a task's robot differs from the policy's robot in kind or anchors.
+        """
+        self._reference_law.reset(tasks)
+        self.fallbacks = 0
+        groups: dict[int, tuple[ClassicalLaw, list[int]]] = {}
+        reasons: Counter[str] = Counter()
+        for env_index, task in enumerate(tasks):
+            law = self._law(task)
+            if isinstance(law, str):
+                reasons[law] += 1
+                law = self._reference_law
+            _, indices = groups.setdefault(id(law), (law, []))
+            indices.append(env_index)
+        for reason, episodes in reasons.items():
+            self._fall_back(episodes, reason)
+        self._groups = [(np.array(indices), law) for law, indices in groups.values()]
+
+    def _law(self, task: Task) -> ClassicalLaw | str:
+        """The law of a task's episode with the rehearsed plan or the exact one, or why there is no
+        plan."""
+        rehearsed = self._stored("rehearsed", task)
+        if isinstance(rehearsed, ObserverLaw):
+            assert rehearsed.largest_payload is not None
+            is_light = task.model_payload <= rehearsed.largest_payload
+            if is_light or not task.payload_known:
+                return rehearsed
+        return self._stored("exact", task)
+
+    def _stored(self, kind: str, task: Task) -> ClassicalLaw | str:
+        """The law of a kind of plan, or the reason why there is no plan. It is made once."""
+        motion: Any = task.trajectory
+        if not isinstance(motion, Hashable):
+            motion = id(motion)  # a trajectory that is not hashable is equal only to itself
+        key = (kind, motion, task.error_bounds, task.control_frequency, task.cable)
+        if key not in self._laws:
+            make = self._rehearsed_law if kind == "rehearsed" else self._exact_law
+            # Stores the trajectory, too: its id may be part of the key, so it must stay alive.
+            self._laws[key] = task.trajectory, self._made(make, task)
+        return self._laws[key][1]
+
+    def _made(
+        self, make: Callable[[Task], tuple[PlannedMotion, ClassicalLaw]], task: Task
+    ) -> ClassicalLaw | str:
+        try:
+            plan, law = make(task)
+        except Infeasible as error:
+            _LOGGER.debug("no plan for %r: %s", task.trajectory.name, error)
+            return f"trajectory {task.trajectory.name!r} has no feasible motion within the error bounds"
+        if plan.payload <= 0:
+            return f"trajectory {task.trajectory.name!r} allows no payload"
+        return law
+
+    def _rehearsed_law(self, task: Task) -> tuple[PlannedMotion, ClassicalLaw]:
+        """The plan for robots that are not exactly known, and its law."""
+        uncertainty = find_uncertainty(UNCERTAINTY, self.robot)
+        plan = find_rehearsed_plan(replace(task, robot=self.robot), uncertainty)
+        return plan, tracking_law(plan, Expectation.of(self.robot, uncertainty), task)
+
+    def _exact_law(self, task: Task) -> tuple[PlannedMotion, ClassicalLaw]:
+        """The plan for an exactly known robot, and its law."""
+        plan = plan_motion(
+            self.robot,
+            task.trajectory,
+            task.error_bounds,
+            intervals=intervals_of(self.robot, task.trajectory),
+            margins=exact_margins(self.robot, task.error_bounds),
+            lightest=0.0,
+            period=1 / task.control_frequency,
+        )
+        gains = EXACT_GAINS[self.robot.joints]
+        return plan, AdaptivePlanLaw(self.robot, plan, 1 / task.control_frequency, gains)
+
+    def _fall_back(self, episodes: int, reason: str) -> None:
+        self.fallbacks += episodes
+        _LOGGER.warning(
+            "trajopt tracks the reference without a plan in %d episodes: %s", episodes, reason
+        )
+
+    def predict(
+        self,
+        observation: ArrayLike,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Any]:
+        """Actions (m,) or (N, m), and the state to pass next time.
+
+        Raises:
+            ValueError: if the observation does not have this robot's layout.
+        """
+        observation = np.asarray(observation, float)
+        count = len(np.atleast_2d(observation))
+        groups = self._groups
+        if groups is None or (len(groups) > 1 and sum(len(rows) for rows, _ in groups) != count):
+            if state is None:
+                self._fall_back(
+                    count, "the tasks of the batch are unknown; call reset(tasks) before predict()"
+                )
+            return self._reference_law.predict(observation, state, episode_start, deterministic)
+        if len(groups) == 1:
+            return groups[0][1].predict(observation, state, episode_start, deterministic)
+        actions = np.empty((count, self.robot.cables))
+        states = []
+        starts = first_steps(state, episode_start, (count,))
+        states_before = state or (None,) * len(groups)
+        for (rows, law), before in zip(groups, states_before, strict=True):
+            actions[rows], after = law.predict(
+                observation[rows], before, starts[rows], deterministic
+            )
+            states.append(after)
+        return actions, tuple(states)
+
+
+TRAJOPT = entry("trajopt", TrajOpt)

@@ -1,0 +1,268 @@
+"""The judge on hand-made episodes, and the monitor on live ones."""
+
+import math
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from evaluation.conftest import play
+
+from cablebot_baselines.laws import FeedbackLinearization
+from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, Verdict
+from cablebot_gym.evaluation.judge import KINDS
+from cablebot_gym.robots import PLANAR
+
+STALL = np.array([5.0, 6.0, 7.0])
+"""τ_s of the hand-made robot [N·m], different for each motor."""
+PERIOD = 0.002
+BOUNDS = ErrorBounds(position=0.01, rotation=0.02)
+
+
+@dataclass(frozen=True, eq=False)
+class HandMadeTask:
+    """The part of a task that the judge reads."""
+
+    steps: int
+    error_bounds: ErrorBounds = BOUNDS
+    robot: SimpleNamespace = field(
+        default_factory=lambda: SimpleNamespace(cables=3, minimum_tension=1.0, maximum_tension=50.0)
+    )
+    cable: str = "unilateral"
+    starts_at_rest: bool = True
+
+
+each_criterion = pytest.mark.parametrize("criterion", ["task", "paper"])
+
+
+class Scripted(gym.Env):
+    """An environment with a given ``info``: one dict of the changes to an uneventful step, per
+    step."""
+
+    def __init__(self, script, *, start=None, steps=None, **changes):
+        self.action_space = gym.spaces.Box(-1, 1, (3,))
+        self.observation_space = gym.spaces.Box(-1, 1, (1,), dtype=np.float64)
+        self.script = script
+        self.start = start or {}
+        self.task = HandMadeTask(len(script) if steps is None else steps, **changes)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.step_ = 0
+        return np.zeros(1), info_of(0, **self.start)
+
+    def step(self, action):
+        change = dict(self.script[self.step_])
+        self.step_ += 1
+        terminated = change.pop("terminated", False)
+        return np.zeros(1), 0.0, terminated, False, info_of(self.step_, **change)
+
+
+def info_of(
+    step,
+    *,
+    payload=1.5,
+    position=0.001,
+    rotation=0.001,
+    action=(0.1, -0.2, 0.3),
+    slack=(),
+    tension=(9, 8, 7),
+    largest=(19, 18, 17),
+):
+    """Info of one step of a single environment."""
+    return {
+        "time": step * PERIOD,
+        "action_time": max(step - 1, 0) * PERIOD,
+        "payload": payload,
+        "tracking_error_peak": position,
+        "rotation_error_peak": rotation,
+        "commanded_action": np.array(action),
+        "torque_margin": STALL * (1 - np.abs(action)),
+        "slack": np.array([cable in slack for cable in (1, 2, 3)]),
+        "least_tensions": np.array(tension, float),
+        "largest_tensions": np.array(largest, float),
+        "termination_reason": 0,
+    }
+
+
+def judged(script, criterion="task", **keywords):
+    """The verdict on the second of two hand-made episodes: the first one leaves nothing."""
+    env = DLCCMonitor(Scripted(script, **keywords), criterion=criterion)
+    for _ in range(2):
+        env.reset()
+        for _ in script:
+            env.step(np.zeros(3))
+    return env.verdict
+
+
+def third(**change):
+    """Five steps with an eventful third one."""
+    return [{}, {}, change, {}, {}]
+
+
+# --- violations -------------------------------------------------------------------------------------------------------
+
+
+@each_criterion
+def test_uneventful_motion_is_carried(criterion):
+    """At the reset, where an environment returns zeros, no control period has passed."""
+    assert judged(
+        [{}] * 5, criterion, start={"tension": (0, 0, 0), "action": (0, 0, 0)}
+    ) == Verdict(
+        carried=True,
+        violation=None,
+        payload=1.5,
+        peak_action=(0.1, 0.2, 0.3),
+        position_peak=0.001,
+        rotation_peak=0.001,
+        least_tension=7.0,
+        largest_tension=19.0,
+    )
+
+
+def event(kind, index, step, excess, bound=None):
+    """Kind, motor or cable, time and excess of a violation, and its bound."""
+    return kind, index, pytest.approx(step * PERIOD), pytest.approx(excess), bound
+
+
+OVERLOAD = {"largest": (40.0, 50.5, 50.2)}
+SLACKENING = {"tension": (1.0, 0.4, 0.7)}
+VIOLATIONS = [
+    ("paper", {"action": (1.1, -1.3, 1.2)}, event("torque", 2, 2, 1.8)),
+    ("paper", {"action": (-1.3, 1.1, 1.2)}, event("torque", 1, 2, 1.5)),
+    ("paper", {"slack": (3, 2)}, event("slack", 2, 3, None)),
+    ("task", {"position": 0.013}, event("position", None, 3, 0.003, 0.01)),
+    ("task", {"rotation": 0.025}, event("rotation", None, 3, 0.005, 0.02)),
+    ("task", SLACKENING, event("slack", 2, 3, 0.6, 1.0)),
+    ("task", OVERLOAD, event("overload", 2, 3, 0.5, 50.0)),
+    # just beyond the bound
+    ("paper", {"action": (1.0, -1.0 - 1e-9, 1.0)}, event("torque", 2, 2, 6e-9)),
+    ("paper", {"position": math.nextafter(0.01, 1)}, event("position", None, 3, 0.0, 0.01)),
+]
+
+
+def facts(violation):
+    return violation.kind, violation.index, violation.time, violation.excess, violation.bound
+
+
+@pytest.mark.parametrize(("criterion", "change", "expected"), VIOLATIONS)
+def test_violation_has_kind_index_time_and_excess(criterion, change, expected):
+    assert facts(judged(third(**change), criterion).violation) == expected
+
+
+@pytest.mark.parametrize(
+    ("criterion", "start", "expected"),
+    [
+        ("task", {"position": 0.011}, event("position", None, 0, 0.001, 0.01)),
+        ("task", {"rotation": 0.03}, event("rotation", None, 0, 0.01, 0.02)),
+        # margins of 4.5, 4.8 and -0.7 N·m
+        ("task", {"action": (0.1, 0.2, 1.1)}, event("torque", 3, 0, 0.7)),
+    ],
+)
+def test_start_counts(criterion, start, expected):
+    assert facts(judged([{}] * 4, criterion, start=start).violation) == expected
+
+
+@pytest.mark.parametrize(
+    ("criterion", "script", "keywords"),
+    [
+        # the bound itself
+        ("paper", third(action=(1.0, -1.0, 1.0 + 1e-13)), {}),
+        ("paper", third(position=0.01), {}),
+        ("task", third(rotation=0.02), {}),
+        ("task", third(largest=(9, 50.0, 9)), {}),
+        ("task", third(tension=(1.0, 1.0, 1.0)), {}),
+        # limits of the other criterion
+        ("paper", third(**SLACKENING), {}),
+        ("paper", third(**OVERLOAD), {}),
+        ("paper", [{}] * 4, {"start": {"rotation": 0.03}}),
+        ("paper", [{}] * 4, {"start": {"action": (0.1, 0.2, 1.1)}}),
+        # a bilateral cable may push, and a moving start needs no rest
+        ("task", third(**SLACKENING), {"cable": "bilateral"}),
+        ("task", [{}] * 4, {"start": {"action": (0.1, 0.2, 1.1)}, "starts_at_rest": False}),
+    ],
+)
+def test_within_the_limits_a_payload_is_carried(criterion, script, keywords):
+    assert judged(script, criterion, **keywords).carried
+
+
+LEADS = [
+    # fractions of the limit at the start and at each step, and steps of the lead
+    ([0.1, 0.5, 0.89, 1.1], 0),
+    ([0.1, 0.5, 0.91, 0.95, 1.1], 2),
+    ([0.1, 0.95, 0.89, 0.91, 1.1], 1),
+    ([0.1, 0.95, 0.95, 0.89, 1.1], 0),
+]
+
+
+@pytest.mark.parametrize(
+    ("criterion", "change"),
+    [
+        ("task", lambda fraction: {"position": fraction * BOUNDS.position}),
+        ("task", lambda fraction: {"rotation": fraction * BOUNDS.rotation}),
+        ("task", lambda fraction: {"tension": (9.0, 1.0 / fraction, 8.0)}),
+        ("task", lambda fraction: {"largest": (9.0, 50.0 * fraction, 8.0)}),
+        ("paper", lambda fraction: {"action": (0.1, -fraction, 0.2)}),
+    ],
+)
+def test_lead_is_the_last_time_span_beyond_nine_tenths_of_the_limit(criterion, change):
+    for fractions, steps in LEADS:
+        violation = judged([change(fraction) for fraction in fractions], criterion).violation
+        assert violation.lead == pytest.approx(steps * PERIOD)
+    assert judged(third(terminated=True)).violation.lead is None
+
+
+EVENTS = {
+    "torque": {"action": (0.0, 2.0, 0.0)},
+    "slack": {"slack": (3,)},
+    "overload": {"largest": (9, 9, 99)},
+    "position": {"position": 0.05},
+    "rotation": {"rotation": 0.05},
+    "terminated": {"terminated": True},
+}
+"""Changes by kind, in the order of the checks within one step."""
+
+
+@each_criterion
+def test_violations_of_one_step_have_a_fixed_order(criterion):
+    assert tuple(EVENTS) == KINDS
+    unchecked = {"task": ("torque",), "paper": ("overload", "rotation")}[criterion]
+    for start in range(len(KINDS)):
+        together = {}
+        for kind in KINDS[start:]:
+            together |= EVENTS[kind]
+        expected = next(kind for kind in KINDS[start:] if kind not in unchecked)
+        assert judged(third(**together), criterion).violation.kind == expected
+
+
+def test_later_violation_does_not_replace_the_first():
+    before = {"action": (0.5, 0.1, 0.1), "tension": (9, 8, 6.5)}
+    violation = {"position": 0.02, "rotation": 0.004, "action": (0.1, -0.9, 0.1)}
+    later = {"position": 0.09, "rotation": 0.9, "action": (4.0, 4.0, 4.0), "slack": (1,)}
+    verdict = judged([before, violation | {"tension": (5, 9, 9)}, later | {"tension": (0, 0, 0)}])
+    assert (verdict.violation.kind, verdict.violation.time) == ("position", 2 * PERIOD)
+    assert verdict.peak_action == (0.5, 0.9, 0.1)
+    peaks = (verdict.position_peak, verdict.rotation_peak, verdict.least_tension)
+    assert peaks == (0.02, 0.004, 5.0)
+
+
+# --- the monitor ------------------------------------------------------------------------------------------------------
+
+
+def test_payload_is_carried_at_the_end_of_the_motion_only():
+    env = DLCCMonitor(Scripted([{}, {}, {"position": 0.5}], steps=2))
+    assert env.reset()[1]["dlcc_carried"] is False
+    assert [env.step(np.zeros(3))[4]["dlcc_carried"] for _ in range(3)] == [False, True, True]
+    assert env.verdict.position_peak == 0.001, "steps after the motion do not count"
+
+
+def test_bounds_of_the_reset_option_reach_the_monitor():
+    """In its episode only, which also leaves no violation to the next one."""
+    env = DLCCMonitor(gym.make("CableBot-Planar-v0"))
+    short = {"trajectory": {"name": "line-planar", "duration": 0.4, "dwell": 0.0}}
+    narrow = {"error_bounds": {"position": 1e-5}}
+    for options, carried in ((narrow, False), ({}, True)):
+        verdict = play(env, FeedbackLinearization(PLANAR), short | options)
+        assert verdict.carried is carried
+        assert (verdict.violation is None) is carried
