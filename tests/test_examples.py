@@ -78,6 +78,7 @@ def record_a_video(printed, folder):
     with Image.open(folder / "out.gif") as video:
         assert video.size == (800, 300)
         assert video.n_frames > 20
+        assert video.info["loop"] == 0
 
 
 def train_with_sb3(printed, folder):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from oracles.mujoco_model import MujocoRobot
-from oracles.plants import State, differentiated, energies, with_transmission
+from oracles.plants import differentiated, with_transmission
 
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
@@ -43,9 +43,11 @@ def momentum(robot, pose, velocity):
 
 
 def lagrangian(robot, pose, velocity):
-    no_motors = np.zeros((2, 1, robot.cables))
-    kinetic, potential = energies(robot, State(pose[None], velocity[None], *no_motors))
-    return (kinetic - potential)[0]
+    inertia = textbook.mass_matrix(robot, robot.mass, pose)
+    pulley = textbook.pulley_speed(robot, pose, velocity)
+    kinetic = velocity @ inertia @ velocity + np.sum(robot.pulley_inertia * pulley**2)
+    weight = robot.mass * robot.gravity_vector
+    return kinetic / 2 + pose[: robot.dimensions] @ weight
 
 
 def gradient(function, at):

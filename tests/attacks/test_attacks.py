@@ -4,7 +4,6 @@ nothing. docs/validation.md has the same table."""
 import re
 import shutil
 import sys
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -34,36 +33,27 @@ AT_MOST = "at most the payload of the honest law"
 ROWS = "depends on the other episodes of its batch"
 
 
-@dataclass(frozen=True)
-class Attack:
-    """A policy of cheats.py and its outcome."""
+OUTCOMES = {
+    "batch_mean": ROWS,
+    "known_seed": HONEST,
+    "module_memory": HONEST,
+    "file_memory": HONEST,
+    "wide_bounds": HONEST,
+    "bribed_judge": HONEST,
+    "replaced_code": HONEST,
+    "islands": AT_MOST,
+    "noisy": "is not reproducible",
+    "hangs": "it used more than 2 s of processor time",
+    "daemon": HONEST,
+    "ends": "its process ended with exit status 0",
+}
+"""What the payload of a policy of cheats.py is, or words of the error."""
+DRAWS = {"batch_mean": 64, "known_seed": 1}
+"""Numbers of draws of the attacks on sensor noise."""
 
-    name: str
-    outcome: str
-    """What the payload is, or words of the error."""
-    uncertainty: str | None = None
-    """Name of an uncertainty of cheats.py."""
-    draws: int | None = None
 
-    @property
-    def is_refused(self):
-        return self.outcome not in (HONEST, AT_MOST)
-
-
-ATTACKS = (
-    Attack("batch_mean", ROWS, "NOISE", draws=64),
-    Attack("known_seed", HONEST, "NOISE", draws=1),
-    Attack("module_memory", HONEST),
-    Attack("file_memory", HONEST),
-    Attack("wide_bounds", HONEST),
-    Attack("bribed_judge", HONEST),
-    Attack("replaced_code", HONEST),
-    Attack("islands", AT_MOST),
-    Attack("noisy", "is not reproducible"),
-    Attack("hangs", "it used more than 2 s of processor time"),
-    Attack("daemon", HONEST),
-    Attack("ends", "its process ended with exit status 0"),
-)
+def is_refused(name):
+    return OUTCOMES[name] not in (HONEST, AT_MOST)
 
 
 @pytest.fixture(autouse=True)
@@ -72,7 +62,7 @@ def _search_path(monkeypatch):
 
 
 @cache
-def payload_of(name, uncertainty, draws, deadline=60.0):
+def payload_of(name, draws, deadline=60.0):
     """Payload of a policy [kg]; 0 if it fails unloaded."""
     with IsolatedPolicy(f"cheats:{name}", SPATIAL, deadline=deadline) as policy:
         result = evaluate_dlcc(
@@ -81,7 +71,7 @@ def payload_of(name, uncertainty, draws, deadline=60.0):
             payload_max=10.0,
             resolution=RESOLUTION,
             seed=SEED,
-            uncertainty=None if uncertainty is None else getattr(cheats, uncertainty),
+            uncertainty=draws and cheats.NOISE,
             draws=draws,
         )
     return result.score
@@ -109,30 +99,30 @@ def compiled(tmp_path, monkeypatch):
     return folder
 
 
-@pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack.name)
-def test_attack_is_refused_or_gets_at_most_the_honest_payload(attack, compiled):
-    if attack.name == "replaced_code" and not has_bubblewrap():
+@pytest.mark.parametrize("name", OUTCOMES)
+def test_attack_is_refused_or_gets_at_most_the_honest_payload(name, compiled):
+    if name == "replaced_code" and not has_bubblewrap():
         pytest.skip("a bare process can replace the files of its user")
-    conditions = attack.uncertainty, attack.draws
+    draws = DRAWS.get(name)
     before = {path.name: path.read_bytes() for path in compiled.iterdir()}
-    if attack.is_refused:
-        pattern = rf"^policy 'cheats:{attack.name}'.*{re.escape(attack.outcome)}"
+    if is_refused(name):
+        pattern = rf"^policy 'cheats:{name}'.*{re.escape(OUTCOMES[name])}"
         with pytest.raises(PolicyError, match=pattern):
-            payload_of(attack.name, *conditions, deadline=2.0)
+            payload_of(name, draws, deadline=2.0)
     else:
-        payload = payload_of(attack.name, *conditions)
-        expected = payload_of("Honest", *conditions)
+        payload = payload_of(name, draws)
+        expected = payload_of("Honest", draws)
         assert payload <= expected + 3 * RESOLUTION
-        if attack.outcome == HONEST:
+        if OUTCOMES[name] == HONEST:
             assert payload >= expected - 3 * RESOLUTION
     assert left_behind() == set()
-    for name, content in before.items():
-        assert (compiled / name).read_bytes() == content
+    for file, content in before.items():
+        assert (compiled / file).read_bytes() == content
 
 
 def test_page_has_the_attacks():
     text = PAGE.read_text(encoding="utf-8")
-    for attack in ATTACKS:
-        what = " ".join(getattr(cheats, attack.name).__doc__.split())
-        outcome = f"error: {attack.outcome}" if attack.is_refused else attack.outcome
-        assert re.search(rf"\| {re.escape(what)} \| .+ \| {re.escape(outcome)} \|", text), what
+    for name, outcome in OUTCOMES.items():
+        what = " ".join(getattr(cheats, name).__doc__.split())
+        stated = f"error: {outcome}" if is_refused(name) else outcome
+        assert re.search(rf"\| {re.escape(what)} \| .+ \| {re.escape(stated)} \|", text), what

@@ -21,8 +21,15 @@ from oracles.episodes import (
 from oracles.plants import with_transmission
 from scipy import stats
 
+from cablebot_gym.bounds.drawn import drawn_robot
 from cablebot_gym.physics import textbook
-from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, ParameterDistribution, Uncertainty
+from cablebot_gym.uncertainty import (
+    PARAMETERS,
+    ExternalWrench,
+    ParameterDistribution,
+    Uncertainty,
+    find_uncertainty,
+)
 
 
 def make_lasting(env_id, count, **keywords):
@@ -41,16 +48,8 @@ def make_lasting(env_id, count, **keywords):
 # --- true parameters ----------------------------------------------------------------------------------------------
 
 
-def richest_env(name):
-    """The environment with most kinds of parameters among those with this one, and its robot, which
-    has load friction if the parameter needs it."""
-    for env_id in (FLEX_SPATIAL, SPATIAL, *ROBOTS):
-        robot = ROBOTS[env_id]
-        if PARAMETERS[name].per_load:
-            robot = with_transmission(robot, load_friction=0.05)
-        if PARAMETERS[name].belongs_to(robot):
-            return env_id, robot
-    raise LookupError(name)
+RICHEST = with_transmission(ROBOTS[FLEX_SPATIAL], axial_stiffness=5e4, load_friction=0.05)
+"""It has all parameters."""
 
 
 def spread_of(name):
@@ -62,40 +61,21 @@ def spread_of(name):
     return ParameterDistribution(low=0.05, high=0.1, each=name != "platform_inertia")
 
 
-def robot_with(robot, truth):
-    """The robot whose nominal values are the true ones, with the nominal free speed."""
-
-    springs = ("stiffness", "motor_inertia", "motor_damping", "axial_stiffness")
-    frictions = ("damping", "coulomb_friction", "load_friction")
-    names = {"pulley_inertia", *frictions, *springs} & truth.keys()
-    return robot.replace(
-        mass=float(truth["platform_mass"]),
-        base_anchors=truth["base_anchors"],
-        platform_anchors=truth.get("platform_anchors", ()),
-        inertia=truth.get("platform_inertia", ()),
-        motors=robot.motors.replace(
-            stall_torque=tuple(truth["motor_strength"]), lag=tuple(truth["motor_lag"])
-        ),
-        transmission=robot.transmission.replace(**{name: tuple(truth[name]) for name in names}),
-    )
-
-
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_every_parameter_reaches_the_plant_and_the_truth(name):
     """The uncertain environment is the one of a robot that nominally has the drawn values."""
-    env_id, robot = richest_env(name)
-    substeps = 32 if robot.elastic else 8
-    keywords = {"payload": 1.5, "payload_known": False, "substeps": substeps, "robot": robot}
+    keywords = {"payload": 1.5, "payload_known": False, "substeps": 32, "robot": RICHEST}
     uncertainty = Uncertainty(parameters={name: spread_of(name)})
-    uncertain = make(env_id, uncertainty=uncertainty, **keywords)
-    nominal = make(env_id, **keywords)
+    uncertain = make(FLEX_SPATIAL, uncertainty=uncertainty, **keywords)
+    nominal = make(FLEX_SPATIAL, **keywords)
     actions = random_actions(nominal, 12)
     ours, theirs = (rollout(env, actions, seed=3) for env in (uncertain, nominal))
     truth = uncertain.truth
     assert [key for key in truth if not np.array_equal(truth[key], nominal.truth[key])] == [name]
+    same = {"payload": float(truth["payload"]), "robot": drawn_robot(RICHEST, truth)}
     known = make(
-        env_id,
-        **keywords | {"payload": float(truth["payload"]), "robot": robot_with(robot, truth)},
+        FLEX_SPATIAL,
+        **keywords | same,
         trajectory=nominal.settings.trajectory,
     )
     expected = rollout(known, actions, seed=3)
@@ -164,27 +144,17 @@ def test_wrench_is_a_factor_of_the_episode_times_normal_numbers():
 # --- sensors ------------------------------------------------------------------------------------------------------
 
 
-SIGMA = {
-    "position": 1e-4,
-    "rotation": 2e-4,
-    "velocity": 2e-3,
-    "rotation_rate": 4e-3,
-    "motor_angle": 1e-3,
-    "motor_speed": 1e-2,
-}
-"""Standard deviations of the uncertainty ``sensors``."""
 DEVIATIONS = {
     "pose": np.repeat([1e-4, 2e-4], 3),
     "velocity": np.repeat([2e-3, 4e-3], 3),
     "motor_angle": 1e-3,
     "motor_speed": 1e-2,
 }
-"""The same by block."""
+"""Standard deviations of the uncertainty ``sensors`` by block."""
+BIAS = {"sensor_bias": find_uncertainty("sensors", ROBOTS[FLEX_SPATIAL]).sensors}
 
 
-@pytest.mark.parametrize(
-    ("uncertainty", "constant"), [("sensors", False), ({"sensor_bias": SIGMA}, True)]
-)
+@pytest.mark.parametrize(("uncertainty", "constant"), [("sensors", False), (BIAS, True)])
 def test_sensor_errors_are_normal_in_the_measured_blocks(uncertainty, constant):
     """White noise is new in each step, a bias constant in an episode."""
     wrong, clean = (

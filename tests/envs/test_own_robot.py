@@ -9,22 +9,14 @@ from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.evaluation.evaluator import default_payload_max
 from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import PLANAR, Defaults, Motors, Robot, find_robot
+from cablebot_gym.robots import PLANAR, Defaults, find_robot
 from cablebot_gym.task import find_error_bounds
-
-BASE = Robot(
-    name="mine",
-    base_anchors=((-2.0, -1.0), (2.0, -1.0), (2.0, 1.5), (-2.0, 1.5)),
-    mass=3.0,
-    motors=Motors(stall_torque=4.0, free_speed=100.0),
-    transmission=PLANAR.transmission,
-    home_pose=(0.2, 0.3),
-)
 
 
 def test_start_that_the_motors_cannot_hold_is_a_warning():
     """That ``gym.make`` warns of no other start, the random robots test."""
-    weak = BASE.replace(plane="vertical", motors=BASE.motors.replace(stall_torque=0.3))
+    motors = PLANAR.motors.replace(stall_torque=0.3)
+    weak = PLANAR.replace(name="mine", plane="vertical", motors=motors)
     message = r"cannot be held at the start of .*: no tensions from 1 N to 6 N .* All episodes fail"
     with pytest.warns(UserWarning, match=message):
         gym.make_vec(fitting_env_id(weak), robot=weak)

@@ -2,15 +2,11 @@
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles.episodes import PLANAR, make, make_vector, wrenches
+from oracles.episodes import PLANAR, check_equal, make, wrenches
 from scipy import stats
 
 from cablebot_gym.envs.streams import BLOCK, NormalRows, Purpose, Streams
 from cablebot_gym.uncertainty import ExternalWrench, ParameterDistribution, SensorNoise, Uncertainty
-
-MASS = {"platform_mass": ParameterDistribution(low=-0.2, high=0.2)}
-FORCES = ExternalWrench(force_std=1.0)
-NOISE = SensorNoise(position=1e-3)
 
 
 def indices(*values):
@@ -78,26 +74,37 @@ def test_rows_depend_on_the_interval_only():
 # --- environments -------------------------------------------------------------------------------------------------
 
 
-SOURCES = {
-    "mass": {"parameters": MASS},
-    "wrench": {"wrench": FORCES},
-    "sensors": {"sensors": NOISE},
+FIELDS = {
+    "mass": {"parameters": {"platform_mass": ParameterDistribution(low=-0.2, high=0.2)}},
+    "wrench": {"wrench": ExternalWrench(force_std=1.0, factor=(0.5, 2.0))},
+    "sensors": {"sensors": SensorNoise(position=1e-3)},
+    "bias": {"sensor_bias": SensorNoise(position=1e-3)},
+    "delay": {"delay": (0, 9)},
 }
-"""Uncertainties of one kind."""
+"""Fields of an uncertainty by the draw that they make random."""
+EVERYTHING = {field: value for fields in FIELDS.values() for field, value in fields.items()}
 
 
-def draws_of(uncertainty):
-    """Draws of four episodes of one step, by name."""
+def make_uncertain(fields):
     ranges = {"payload_range": (0.5, 2.0), "initial_error_range": [0.001] * 2}
-    env = make(PLANAR, uncertainty=uncertainty, **ranges)
+    return make(PLANAR, uncertainty=Uncertainty(**fields), **ranges)
+
+
+def draws_of(env, **options):
+    """Draws of four episodes of one step, by name; the options are those of the first."""
     rows = []
-    for seed in (5, None, None, None):
-        observation, _ = env.reset(seed=seed)
+    for reset in ({"seed": 5, "options": options}, {}, {}, {}):
+        env.reset(**reset)
+        disturbances = env._simulation._disturbances
+        bias = disturbances._bias[0, :2].copy()
         draws = {
             "payload": env.task.model_payload,
             "error": env.pose - env.settings.trajectory(0.0).position,
             "mass": env.truth["platform_mass"],
-            "sensors": env.layout.split(observation)["pose"] - env.pose,
+            "bias": bias,
+            "sensors": disturbances.noise[0, :2] - bias,
+            "delay": disturbances._delay[0],
+            "factor": disturbances._factor[0].copy(),
         }
         env.step(np.full(3, 0.4))
         rows.append(draws | {"wrench": wrenches(env)[0, :2]})
@@ -105,53 +112,25 @@ def draws_of(uncertainty):
 
 
 def test_draws_do_not_depend_on_the_other_uncertainties():
-    tenth = ParameterDistribution(low=-0.1, high=0.1)
-    parameters = MASS | dict.fromkeys(("motor_strength", "payload"), tenth)
-    everything = Uncertainty(parameters=parameters, wrench=FORCES, sensors=NOISE, delay=2)
-    together = draws_of(everything)
-    nominal = draws_of(None)
+    together = draws_of(make_uncertain(EVERYTHING))
     for name, values in together.items():
-        assert len(np.unique(values)) >= 4, name
-    for source, fields in SOURCES.items():
-        draws = draws_of(Uncertainty(**fields))
-        for name in ("payload", "error"):
-            assert_array_equal(draws[name], nominal[name], err_msg=source)
-            assert_array_equal(together[name], nominal[name])
-        assert [name for name in SOURCES if np.ptp(draws[name])] == [source]
-        assert_allclose(draws[source], together[source], rtol=0, atol=1e-15)
-
-
-def noise_and_parameters(env, **reset):
-    """Of two episodes: standard white noise and force, and apart mass, factor, bias and delay."""
-    noises = []
-    parameters = []
-    for options in (reset, {}):
-        env.reset(**options)
-        disturbances = env._simulation._disturbances
-        factor, bias = disturbances._factor.copy(), disturbances._bias.copy()
-        noises.append((disturbances.noise - bias)[:, :2] / NOISE.position)
-        parameters += [env.truth["platform_mass"], factor, bias, disturbances._delay.copy()]
-        env.step(np.zeros((3, 3)))
-        noises.append(wrenches(env)[:, :2] / factor[:, :2])
-    return np.round(noises, 8), parameters
+        assert len(np.unique(values)) >= 3, name
+    for source, fields in FIELDS.items():
+        draws = draws_of(make_uncertain(fields))
+        for name in ("payload", "error", source):
+            assert_allclose(draws[name], together[name], rtol=0, atol=1e-15, err_msg=source)
+        assert [name for name in FIELDS if np.diff(draws[name], axis=0).any()] == [source]
 
 
 def test_noise_seed_changes_the_noise_and_not_the_parameters():
     """Wrench and white noise follow it until the next seed; masses, factors, biases and delays
     follow the seed."""
-    uncertainty = Uncertainty(
-        parameters=MASS,
-        wrench=ExternalWrench(force_std=1.0, factor=(0.5, 2.0)),
-        sensors=NOISE,
-        sensor_bias=NOISE,
-        delay=(0, 9),
-    )
-    env = make_vector(PLANAR, 3, uncertainty=uncertainty)
-    noises, parameters = noise_and_parameters(env, seed=1)
-    options = {"noise_seed": 7}
-    other_noises, same_parameters = noise_and_parameters(env, seed=1, options=options)
-    assert not np.any(noises == other_noises)
-    assert len(np.unique(other_noises)) == other_noises.size
-    for value, expected in zip(same_parameters, parameters, strict=True):
-        assert_array_equal(value, expected)
-    assert_array_equal(noise_and_parameters(env, seed=1)[0], noises)
+    env = make_uncertain(EVERYTHING)
+    draws = draws_of(env)
+    others = draws_of(env, noise_seed=7)
+    for name, values in draws.items():
+        if name in ("wrench", "sensors"):
+            assert not np.any(values == others[name])
+        else:
+            assert_array_equal(values, others[name])
+    check_equal(draws_of(env), draws)

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.testing import assert_array_equal
-from oracles.episodes import PLANAR, ROBOTS, check_equal, each_id, make, make_vector, two_ids
+from oracles.episodes import (
+    PLANAR,
+    ROBOTS,
+    check_equal,
+    each_id,
+    make,
+    make_vector,
+    random_actions,
+    two_ids,
+)
 
 from cablebot_gym.envs import TERMINATION_REASONS
 from cablebot_gym.envs.settings import KEYWORDS, RESET_OPTIONS
@@ -32,11 +41,9 @@ def rugged(count=4, **keywords):
     return make_vector(PLANAR, count, **RUGGED, **keywords)
 
 
-def random_actions(env, steps):
+def held_actions(env, steps):
     """Random actions, each held for some steps: some beyond ±1, and many that slacken cables."""
-    shape = (steps // 4 + 1, *env.action_space.shape)
-    held = np.random.default_rng(0).uniform(-1.0, 1.5, shape)
-    return np.repeat(held, 4, axis=0)[:steps]
+    return np.repeat(random_actions(env, steps // 4 + 1, -1.0, 1.5), 4, axis=0)[:steps]
 
 
 # --- against single environments ----------------------------------------------------------------------------------
@@ -62,11 +69,22 @@ def check_same(ours, theirs):
     check_same_info(ours[-1], theirs[-1])
 
 
+def check_numbers(info):
+    """Arrays that other libraries take: DLPack takes no strings, and JAX contiguous ones only."""
+    for name, value in info.items():
+        if name == "final_info":
+            check_numbers(value)
+        elif name != "final_obs":  # an array of arrays, as in Gymnasium
+            assert value.dtype.kind in "bfi"
+            assert value.flags.c_contiguous
+
+
 def check_run(env_id, count, mode, actions, **keywords):
     """Compares a run with single environments. Returns the reasons of its ends, and the numbers of
     restarts and of time limits."""
     ours = make_vector(env_id, count, autoreset_mode=mode, **keywords)
     theirs = SyncVectorEnv([lambda: gym.make(env_id, **keywords)] * count, autoreset_mode=mode)
+    assert ours.autoreset_mode is mode  # TorchRL reads it
     for name in ("single_observation_space", "observation_space", "action_space"):
         assert getattr(ours, name) == getattr(theirs, name)
     check_same(ours.reset(seed=7), theirs.reset(seed=7))
@@ -76,6 +94,7 @@ def check_run(env_id, count, mode, actions, **keywords):
     for action in actions:
         result = ours.step(action)
         check_same(result, theirs.step(action))
+        check_numbers(result[-1])
         observation, _, terminated, truncated, info = result
         assert observation in ours.observation_space
         ended = terminated | truncated
@@ -95,26 +114,11 @@ def check_run(env_id, count, mode, actions, **keywords):
 @each_mode
 @pytest.mark.parametrize("count", [1, 18])
 def test_every_environment_equals_the_single_one(mode, count):
-    actions = random_actions(rugged(count), 60 if count == 1 else 14)
+    actions = held_actions(rugged(count), 60 if count == 1 else 14)
     reasons, restarts, truncations = check_run(PLANAR, count, mode, actions, **RUGGED)
     assert restarts >= count
     assert "tracking_error" in reasons
     assert count == 1 or ("slack" in reasons and truncations > 0)
-
-
-UNCERTAIN = {
-    "parameters": {
-        "platform_mass": {"low": -0.2, "high": 0.2},
-        "payload": {"low": -0.5, "high": 0.5},
-        "damping": {"low": 0.0, "high": 0.005, "relative": False},
-        "motor_strength": {"low": -0.1, "high": 0.1, "distribution": "normal", "std": 0.1},
-        "base_anchors": {"low": -0.01, "high": 0.01, "relative": False},
-    },
-    "wrench": {"force_std": 1.0, "correlation_time": 0.02, "factor": [0.5, 2.0]},
-    "sensors": {"position": 1e-3, "velocity": 0.01, "motor_angle": 0.01},
-    "sensor_bias": {"position": 1e-3, "motor_angle": 0.01},
-    "delay": 3,
-}
 
 
 def sensors_of(robot):
@@ -127,7 +131,7 @@ def sensors_of(robot):
 DRAWN = {
     "payload_range": (0.0, 2.0),
     "initial_error_range": lambda robot: [0.005] * robot.coordinates,
-    "uncertainty": UNCERTAIN,
+    "uncertainty": "hardware",
     "measurement": sensors_of,
     "terminate_on_violation": True,
     "normalised_observation": True,
@@ -185,7 +189,7 @@ FOR_ALL = {
     "error_bounds": {"position": 0.5},
 }
 LATER = {
-    "trajectory": lambda robot: {"name": f"line-{robot.kind}", "duration": 0.5},
+    "trajectory": lambda robot: {"name": f"line-{robot.kind}", "duration": 0.016, "dwell": 0},
     "uncertainty": ["hardware", None, {"delay": 7}],
     "payload": [1.5, 2.0, 0.75],
     "initial_error": lambda robot: 3e-4 * np.arange(3.0 * robot.coordinates).reshape(3, -1),
@@ -202,26 +206,29 @@ def options_of(options, index):
 
 @two_ids
 def test_reset_options_reach_the_environments_of_the_mask(env_id):
-    """With motions of other lengths and with other delays in the middle of other episodes: tables
-    and queues grow and shrink."""
+    """Keywords reach them, too. Motions of other lengths and other delays in the middle of other
+    episodes make tables and queues grow and shrink."""
     robot = ROBOTS[env_id]
-    env = make_vector(env_id, 3, autoreset_mode="Disabled")
-    singles = [make(env_id) for _ in range(3)]
-    first = of_robot(PER_ENVIRONMENT | FOR_ALL, robot) | {"noise_seed": [9, 5, 7]}
+    given = of_robot(PER_ENVIRONMENT | FOR_ALL, robot)
+    env = make_vector(env_id, 3, autoreset_mode="Disabled", **given)
+    singles = [make(env_id, **options_of(given, index)) for index in range(3)]
+    first = given | {"noise_seed": [9, 5, 7]}
     assert {*first} == {*RESET_OPTIONS}
     restarts = {
-        0: ([4, 5, 6], first, {}),
+        0: ([4, 5, 6], {}, {}),
         6: ([9, None, None], of_robot(LATER, robot), {"reset_mask": np.array([True, False, True])}),
-        14: ([None] * 3, {}, {"reset_mask": np.array([False, True, True])}),
+        12: ([None] * 3, {}, {"reset_mask": np.array([False, True, True])}),
+        16: ([7, 8, None], first, {"reset_mask": np.array([True, True, False])}),
     }
 
     def check_rows(results, expected):
         for index, row in expected.items():
-            check_equal(results[0][index], row[0], f"observation of {index}")
+            for values, value in zip(results[:-1], row[:-1], strict=True):
+                check_equal(values[index], value, f"result of {index}")
             check_equal({name: values[index] for name, values in results[-1].items()}, row[-1])
         check_equal(env.get_attr("truth"), tuple(single.truth for single in singles))
 
-    for step, action in enumerate(random_actions(env, 20) * 0.3):
+    for step, action in enumerate(held_actions(env, 20) * 0.3):
         if step in restarts:
             seeds, options, mask = restarts[step]
             rows = {
@@ -233,67 +240,26 @@ def test_reset_options_reach_the_environments_of_the_mask(env_id):
         check_rows(env.step(action), rows)
 
 
-def test_keywords_per_environment_are_the_reset_options():
-    options = of_robot(PER_ENVIRONMENT, ROBOTS[PLANAR])
-    by_keyword = make_vector(PLANAR, 3, **options)
-    by_option = make_vector(PLANAR, 3)
-    for seed, mask in ((4, {}), (None, {"reset_mask": np.array([False, True, True])})):
-        expected = by_option.reset(seed=seed, options=options | mask)
-        check_equal(by_keyword.reset(seed=seed, options=mask), expected)
-
-
-# --- seeds --------------------------------------------------------------------------------------------------------
-
-
-def test_seed_is_one_number_that_counts_up_or_a_list():
-    observations, info = rugged().reset(seed=3)
-    for seed in ([3, 4, 5, 6], np.int64(3)):
-        assert_array_equal(observations, rugged().reset(seed=seed)[0])
-    assert_array_equal(observations, rugged().reset(seed=[6, 5, 4, 3])[0][::-1])
-    unseeded = [env.reset()[1]["payload"] for env in (rugged(), rugged())]
-    assert len(np.unique([info["payload"], *unseeded])) == 12
-
-
 # --- ends of episodes ---------------------------------------------------------------------------------------------
 
 
-def test_each_environment_is_truncated_after_its_motion():
-    """By 6 and 20 steps; an autoreset forgets the longer motion."""
-    dwell = {"name": "dwell-planar", "duration": 0.06}
-    keywords = {"trajectory": dwell, "control_frequency": 100.0}
-    env = make_vector(PLANAR, 2, autoreset_mode="SameStep", **keywords)
-    env.reset(seed=0)
-    long = {"trajectory": dwell | {"duration": 0.2}}
-    env.reset(options=long | {"reset_mask": np.array([False, True])})
-    ends = np.array([env.step(np.full((2, 3), 0.1))[3] for _ in range(30)])
-    assert np.flatnonzero(ends[:, 0]).tolist() == [5, 11, 17, 23, 29]
-    assert np.flatnonzero(ends[:, 1]).tolist() == [19, 25]
+def test_unseeded_environments_differ():
+    payloads = [env.reset()[1]["payload"] for env in (rugged(), rugged())]
+    assert len(np.unique(payloads)) == 8
 
 
 def test_reset_mask_keeps_the_automatic_resets_of_others():
+    """They forget the options of the episode before."""
     env = make_vector(PLANAR, 2, autoreset_mode="NextStep", max_episode_steps=2)
     env.reset(seed=0)
     actions = np.full((2, 3), 0.1)
     env.step(actions)
     assert env.step(actions)[3].all()
-    env.reset(options={"reset_mask": np.array([True, False])})
-    ends = [env.step(actions)[3].tolist() for _ in range(3)]
+    env.reset(options={"reset_mask": np.array([True, False]), "payload": 1.0})
+    results = [env.step(actions) for _ in range(3)]
+    ends = [truncated.tolist() for _, _, _, truncated, _ in results]
     assert ends == [[False, False], [True, False], [False, True]]
-
-
-# --- for other libraries ------------------------------------------------------------------------------------------
-
-
-def test_info_holds_arrays_of_numbers_that_torch_and_jax_take():
-    """DLPack takes no strings; TorchRL reads the attribute."""
-    envs = make_vector(PLANAR, 2, autoreset_mode="SameStep", max_episode_steps=1)
-    assert envs.autoreset_mode is AutoresetMode.SAME_STEP
-    envs.reset(seed=0)
-    info = envs.step(np.zeros((2, 3)))[4]
-    info.pop("final_obs")  # an array of arrays, as in Gymnasium
-    values = [*info.pop("final_info").values(), *info.values()]
-    assert {value.dtype.kind for value in values} == {"b", "f", "i"}
-    assert all(value.flags.c_contiguous for value in values)  # JAX
+    assert [info["payload"][0] for *_, info in results] == [1.0, 1.0, 0.0]
 
 
 # --- threads ------------------------------------------------------------------------------------------------------
@@ -305,7 +271,7 @@ def test_threads_do_not_change_a_bit(count):
     theirs = rugged(count, uncertainty="hardware")
     ours = pickle.loads(pickle.dumps(rugged(count, threads=3, uncertainty="hardware")))
     check_equal(ours.reset(seed=5), theirs.reset(seed=5))
-    for action in random_actions(ours, LIMIT - 1):
+    for action in held_actions(ours, LIMIT - 1):
         check_equal(ours.step(action), theirs.step(action))
 
 

@@ -19,22 +19,11 @@ from oracles.platforms import CAMERA, SWIVELLED
 from cablebot_gym.exporters import export_mjcf
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.kernel import rows
-from cablebot_gym.robots import find_robot, robot_names
+from cablebot_gym.robots import find_robot
 
 pytest.importorskip("mujoco", reason="needs the extra cablebot-gym[mujoco]")
 
 STEP = 2.5e-4
-ELASTIC = [name for name in robot_names() if find_robot(name).elastic]
-EXACT = [name for name in robot_names() if name not in ELASTIC]
-
-
-def daily(names, *fast):
-    """A mark that runs a test for robots, all but some of them at night."""
-    slow = nightly(*(name for name in names if name not in fast))
-    return pytest.mark.parametrize("name", [*fast, *slow])
-
-
-exact_robots = daily(EXACT, "planar", "flex-planar", "cogiro")
 
 
 def at_rest(robot):
@@ -79,7 +68,7 @@ def after_one_second(name):
     return np.abs(end - robot.home).max(), np.abs(end - peer.state()[0]).max()
 
 
-@exact_robots
+@pytest.mark.parametrize("name", ["planar", "flex-planar", "cogiro", *nightly("ttk4900", "fast")])
 def test_motion_is_that_of_the_plant(name):
     """Reached: 7e-16."""
     moved, error = after_one_second(name)
@@ -87,7 +76,7 @@ def test_motion_is_that_of_the_plant(name):
     assert error <= 1e-9
 
 
-@daily(ELASTIC, "flex-stadium-camera")
+@pytest.mark.parametrize("name", ["flex-stadium-camera", *nightly("flex-ttk4900")])
 def test_motion_with_elastic_cables_near_home_is_nearly_that_of_the_plant(name):
     """Stiffness and torque of the winches are not exact. Reached: 0.9 % of the motion."""
     moved, error = after_one_second(name)

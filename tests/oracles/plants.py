@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from functools import cache
 
 import numpy as np
 import pytest
 
-from cablebot_gym import kinematics
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.compiling import entry_point
 from cablebot_gym.physics.kernel import rows
-from cablebot_gym.physics.kernel.integrate import _load_tile, _note_tensions
-from cablebot_gym.physics.kernel.motors import subtract_friction, torque_row
-from cablebot_gym.physics.kernel.stage import acceleration_row, stage_dynamics, stage_kinematics
 from cablebot_gym.physics.plant import Plant, pack_parameters
 from cablebot_gym.robots import PLANAR, SPATIAL, Motors, Transmission
-from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
+from oracles.platforms import CAMERA, CRANE, HANGING, SWIVELLED, TURNING
 
 UNEQUAL = SPATIAL.replace(
     name="unequal",
@@ -101,17 +95,30 @@ def each_of(*robots):
     return pytest.mark.parametrize("robot", robots, ids=lambda robot: robot.name)
 
 
+JOINTS = {"stiffness": 400.0, "motor_inertia": 3e-3, "motor_damping": 0.01}
+SWIVELLED_CAMERA = CAMERA.replace(swivel_radius=(0.1, 0.05, 0.0, 0.1))
+ELASTIC = (
+    with_transmission(HANGING, axial_stiffness=2e4, axial_damping=40.0, extra_length=0.5),
+    with_transmission(TURNING, axial_stiffness=(2e4, 3e4, 1e4, 2e4, 5e4), **JOINTS),
+    with_transmission(
+        SWIVELLED_CAMERA, axial_stiffness=2e4, coulomb_friction=0.3, load_friction=0.1
+    ),
+    with_transmission(
+        SWIVELLED, axial_stiffness=1e5, axial_damping=20.0, load_friction=0.05, **JOINTS
+    ),
+)
+"""The last one has everything: swivel pulleys, springs, elastic cables, load friction, an inertia and a
+centre of mass without symmetry."""
+
 rigid_robots = each_of(QUAD, UNEQUAL)
 FLEX_HANGING = with_transmission(
     HANGING, stiffness=5.0, motor_inertia=3e-3, motor_damping=0.01
 ).replace(name="flex-hanging", mass=1.0)
-every_kind = each_of(
-    QUAD,
-    UNEQUAL,
-    FLEX_QUAD,
-    FLEX_UNEQUAL,
-    *nightly(FLEX_HANGING, _rough(TURNING), CAMERA, CRANE, *ROUGH),
+KINDS = (
+    *(QUAD, UNEQUAL, FLEX_QUAD, FLEX_UNEQUAL),
+    *(FLEX_HANGING, _rough(TURNING), CAMERA, CRANE, *ROUGH),
 )
+every_kind = each_of(*KINDS[:4], *nightly(*KINDS[4:]))
 both_cables = pytest.mark.parametrize("cable", ["unilateral", "bilateral"])
 
 
@@ -127,14 +134,18 @@ class State:
     def __getitem__(self, members):
         return type(self)(*(value[members] for value in vars(self).values()))
 
-    def columns(self):
-        """All values side by side, one row per state."""
-        return np.concatenate(list(vars(self).values()), axis=1)
-
     def moved(self, rate, time):
         """The state after a time at a rate, itself a state."""
         pairs = zip(vars(self).values(), vars(rate).values(), strict=True)
         return type(self)(*(value + time * slope for value, slope in pairs))
+
+
+@dataclasses.dataclass
+class ElasticState(State):
+    """Without joint springs the motors' states are those of the pulleys."""
+
+    pulley: np.ndarray
+    pulley_speed: np.ndarray
 
 
 def runge_kutta_step(rates, state, step):
@@ -166,6 +177,19 @@ def random_states(robot, count, seed=1, reach=0.6):
     return State(pose, velocity, angle, rng.uniform(-30, 30, actions.shape)), actions
 
 
+def wound_states(robot, count, tension=400.0, spread=2.5):
+    """Random states near home of a robot with elastic cables, wound as at rest, whose tensions lie
+    between ``1 − spread`` and ``1 + spread`` of ``tension``."""
+    random = np.random.default_rng(1)
+    size = (count, robot.coordinates)
+    pose = robot.home + random.uniform(-0.15, 0.15, size)
+    velocity = random.normal(size=size) / 3
+    tensions = tension * (1 + spread * random.uniform(-1, 1, (count, robot.cables)))
+    motor, pulley = textbook.rest_angles(robot, tensions, pose)
+    speed = textbook.pulley_speed(robot, pose, velocity)
+    return ElasticState(pose, velocity, motor, speed.copy(), pulley, speed)
+
+
 def random_motion(robot, shape, seed=1, spread=1.0):
     """Masses from the robot's on, poses all over the workspace, velocities up to 2, accelerations
     up to 10."""
@@ -175,18 +199,6 @@ def random_motion(robot, shape, seed=1, spread=1.0):
     velocity = rng.uniform(-2, 2, pose.shape)
     acceleration = rng.uniform(-10, 10, pose.shape)
     return robot.mass + rng.uniform(0, 3, shape), pose, velocity, acceleration
-
-
-def holding_state(robot, pose, velocity=0.0, minimum=20.0):
-    """A state (1, ...) in which constant torques hold the robot, springs wound to them, and these
-    torques."""
-    pose = pose[None]
-    velocity = np.broadcast_to(velocity, pose.shape)
-    torques = textbook.static_torque(robot, robot.mass, pose, minimum=minimum)
-    if not robot.flexible:
-        return State(pose, velocity, 0 * torques, 0 * torques), torques
-    angle = textbook.pulley_angle(robot, pose) + torques / robot.stiffness
-    return State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity)), torques
 
 
 def free_motors(robot):
@@ -203,14 +215,27 @@ def loaded_plant(robot, state, cable="bilateral", mass=None):
     parameters = np.tile(pack_parameters(robot), (count, 1))
     parameters[:, rows.MASS] = robot.mass if mass is None else mass
     plant.set_parameters(every, parameters)
-    plant.set_state(every, state.pose, state.velocity)
-    if robot.flexible:
-        plant.set_motors(every, state.angle, state.speed)
+    set_states(plant, state)
     return plant
 
 
+def set_states(plant, state):
+    every = np.arange(plant.count)
+    plant.set_state(every, state.pose, state.velocity)
+    if plant.robot.flexible:
+        plant.set_motors(every, state.angle, state.speed)
+    if plant.robot.jointed and isinstance(state, ElasticState):
+        plant.set_pulleys(every, state.pulley, state.pulley_speed)
+
+
 def state_of(plant):
-    return State(plant.pose, plant.velocity, plant.motor_angle, plant.motor_speed)
+    state = plant.pose, plant.velocity
+    if not plant.robot.flexible:
+        return State(*state, *np.zeros((2, plant.count, plant.robot.cables)))
+    state += plant.motor_angle, plant.motor_speed
+    if plant.robot.elastic:
+        return ElasticState(*state, plant.pulley_angle, plant.pulley_speed)
+    return State(*state)
 
 
 def record_of(plant):
@@ -222,49 +247,6 @@ def record_of(plant):
 def no_reference(robot):
     """References and their ends for runs in which nobody reads the errors."""
     return np.zeros((1, 1, robot.coordinates)), np.zeros(1, np.int64)
-
-
-@cache
-def _evaluation(form, lanes):
-    """Compiled accelerations (tiles, n·lanes) and, in the record, tensions for the torques there."""
-
-    @entry_point(seconds=lambda *_: math.inf)
-    def evaluate(unilateral, parameters, record, w, acceleration):
-        for tile in range(record.shape[0]):
-            p = parameters[tile]
-            r = record[tile]
-            _load_tile(form, r, w, lanes)
-            for i in range(form.cables):
-                row = rows.FIRST_CABLE + rows.CABLE_ROWS * i
-                rec = rows.FIRST_CABLE_RECORD + rows.CABLE_RECORDS * i
-                for at in range(lanes):
-                    w[(row + torque_row(form)) * lanes + at] = r[(rec + rows.TORQUE) * lanes + at]
-                    # All cables taut at first: the record may belong to other torques.
-                    w[(row + rows.TAUT) * lanes + at] = 1.0
-            stage_kinematics(form, form.flexible, p, w, lanes)
-            subtract_friction(form, p, w, lanes)
-            stage_dynamics(form, unilateral, p, w, lanes)
-            _note_tensions(form, True, unilateral, w, r, lanes)
-            for j in range(form.coordinates):
-                for at in range(lanes):
-                    acceleration[tile, j * lanes + at] = w[
-                        (acceleration_row(form) + j) * lanes + at
-                    ]
-
-    return evaluate
-
-
-def evaluated(plant, torques):
-    """Accelerations (N, n) and tensions (N, m) from the compiled kernel at the current states, N ≥
-    2."""
-    robot = plant.robot
-    torque_row = rows.FIRST_CABLE_RECORD + rows.TORQUE
-    plant._write(plant.record, torque_row, np.arange(plant.count), torques, rows.CABLE_RECORDS)
-    accelerations = np.zeros((plant.record.shape[0], robot.coordinates * plant.lanes))
-    evaluate = _evaluation(plant._form, plant.lanes)
-    (_, _, scratch, _, _) = plant._memory[0]
-    evaluate(plant.unilateral, plant._parameters, plant.record, scratch, accelerations)
-    return plant._read(accelerations, 0, robot.coordinates), plant.per_cable(rows.TENSION)
 
 
 def advance(plant, torques, duration, substeps):
@@ -296,8 +278,10 @@ def drive_speed(robot, state):
 def textbook_rates(robot, state, torques, cable="bilateral", mass=None):
     """Rates of a state and the tensions: the rigid robot's equations, and J′ β̈′ = τ − κ − c′ β̇′
     (Eq. 4) − friction."""
-    at_pulley = pulley_torques(robot, state, torques, cable)
     mass = robot.mass if mass is None else mass
+    if robot.elastic:
+        return _elastic_rates(robot, state, torques, cable, mass)
+    at_pulley = pulley_torques(robot, state, torques, cable)
     platform, tension = textbook.forward_dynamics(
         robot, mass, state.pose, state.velocity, at_pulley, cable=cable
     )
@@ -307,6 +291,29 @@ def textbook_rates(robot, state, torques, cable="bilateral", mass=None):
             torques - at_pulley - textbook.motor_friction(robot, state.speed, at_pulley)
         ) / robot.motor_inertia
     return State(state.velocity, platform, state.speed, motors), tension
+
+
+def _elastic_rates(robot, state, torques, cable, mass):
+    tension, pulling = textbook.cable_springs(
+        robot, state.pose, state.velocity, state.pulley, state.pulley_speed, cable=cable
+    )
+    forces = np.einsum("kmn,km->kn", textbook.jacobian(robot, state.pose), tension)
+    forces += textbook.bias(robot, mass, state.pose, state.velocity)
+    inertia = textbook.mass_matrix(robot, mass, state.pose)
+    platform = -np.linalg.solve(inertia, forces[..., None])[..., 0]
+    load = pulling
+    if robot.jointed:
+        load = twist = robot.stiffness * (state.angle - state.pulley)
+    friction = robot.coulomb_friction + robot.load_friction * np.abs(load)
+    driving = torques - friction * state.speed / np.hypot(state.speed, 0.5)
+    motor = None
+    if robot.jointed:
+        motor = (driving - twist - robot.motor_damping * state.speed) / robot.motor_inertia
+        driving = twist
+    pulley = (driving - robot.damping * state.pulley_speed - pulling) / robot.pulley_inertia
+    motor = pulley if motor is None else motor
+    rates = state.velocity, platform, state.speed, motor, state.pulley_speed, pulley
+    return ElasticState(*rates), tension
 
 
 def friction_torques(robot, state, torques, tension, cable):
@@ -327,28 +334,6 @@ def take_up_torques(robot, state, torques, acceleration, tension, cable):
         damping = damping + friction_torques(robot, state, torques, tension, cable)
     at_pulley = pulley_torques(robot, state, torques, cable)
     return robot.pulley_radius * tension - at_pulley + robot.pulley_inertia * winding + damping
-
-
-def energies(robot, state, cable="bilateral", mass=None):
-    """Kinetic energy of platform, pulleys and motors, and potential energy of weight and springs,
-    each (N,)."""
-    mass = robot.mass if mass is None else mass
-    at = (
-        kinematics.turned(state.pose, robot.mass_center[None])[..., 0, :]
-        + state.pose[..., : robot.dimensions]
-    )
-    momentum = textbook.mass_matrix(robot, mass, state.pose) @ state.velocity[..., None]
-    kinetic = np.sum(momentum[..., 0] * state.velocity, axis=-1) / 2
-    potential = -mass * at @ robot.gravity_vector
-    pulley = textbook.pulley_speed(robot, state.pose, state.velocity)
-    kinetic = kinetic + np.sum(robot.pulley_inertia * pulley**2, axis=-1) / 2
-    if robot.flexible:
-        kinetic = kinetic + np.sum(robot.motor_inertia * state.speed**2, axis=-1) / 2
-        potential = (
-            potential
-            + np.sum(spring_torques(robot, state, cable) ** 2 / robot.stiffness, axis=-1) / 2
-        )
-    return kinetic, potential
 
 
 def worst_relative_error(values, expected):

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles.platforms import CAMERA
-from scipy.optimize import linprog, lsq_linear
-from scipy.sparse import block_diag
+from oracles.programs import least_largest_action
+from scipy.optimize import lsq_linear
 
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.tensions.distribution import (
     BARRIER,
@@ -35,8 +36,7 @@ KINDS = ROBOTS | {kind: kind for kind in ("10/6", "7/6", "3/2", "6/2", "6/6")}
 """Robots, or random structures of so many cables and coordinates."""
 
 each_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-counts = pytest.mark.parametrize("count", [60, pytest.param(18_000, marks=pytest.mark.nightly)])
-"""9 kinds: 540 draws daily; 162,000 at night, more than 100,000 of them feasible."""
+counts = pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.nightly)])
 
 
 def random_structures(kind, count, rng):
@@ -81,52 +81,17 @@ def check_tensions(tensions, lower, upper):
     assert np.all((tensions.tensions >= lower) & (tensions.tensions <= upper))
 
 
-def linear_programs(cost, equal, equal_to, less, less_than, bounds):
-    """Least costs of many small linear programs of equal shape, solved in blocks of 100 as one. The
-    cost is that of the last variable."""
-    solutions = []
-    for start in range(0, len(equal), 100):
-        block = slice(start, start + 100)
-        size, _, variables = equal[block].shape
-        result = linprog(
-            np.tile(cost * np.eye(variables)[-1], size),
-            A_eq=block_diag(equal[block], format="csr"),
-            b_eq=equal_to[block].ravel(),
-            A_ub=block_diag(less[block], format="csr"),
-            b_ub=less_than[block].ravel(),
-            bounds=np.tile(bounds, (size, 1)),
-            method="highs",
-        )
-        assert result.status == 0
-        solutions.append(result.x.reshape(size, -1)[:, -1])
-    return np.concatenate(solutions)
-
-
 @each_kind
 @counts
 def test_least_largest_action_is_that_of_a_linear_program(kind, count):
-    """Bounds of the tensions are inequalities like those of the actions."""
     structure, load, lower, upper = held_items(kind, count)
-    items, cables, _ = structure.shape
+    shape = lower.shape
     rng = np.random.default_rng(6)
-    slope = rng.uniform(0.5, 1.5, (items, cables)) * rng.choice([-1, 1], (items, cables)) / 1000
-    offset = rng.uniform(-0.3, 0.3, (items, cables))
-    steep = slope[:, :, None] * np.eye(cables)
-    eye = np.broadcast_to(np.eye(cables), steep.shape)
-    column = np.ones((items, cables, 1))
-    balance = np.concatenate([-np.swapaxes(structure, 1, 2), 0 * load[:, :, None]], axis=2)
-    less = [
-        np.dstack(sides)
-        for sides in ((steep, -column), (-steep, -column), (eye, 0 * column), (-eye, 0 * column))
-    ]
-    largest = linear_programs(
-        1,
-        balance,
-        load,
-        np.concatenate(less, axis=1),
-        np.concatenate([-offset, offset, upper, -lower], axis=1),
-        [(-np.inf, np.inf)] * cables + [(0.0, np.inf)],
-    )
+    slope = rng.uniform(0.5, 1.5, shape) * rng.choice([-1, 1], shape) / 1000
+    offset = rng.uniform(-0.3, 0.3, shape)
+    items = zip(structure, load, lower, upper, slope, offset, strict=True)
+    largest = np.array([least_largest_action(*item) for item in items])
+    cables = shape[1]
     for smoothing in (1e-6, 1e-2):
         solution = least_action(structure, load, lower, slope, offset, upper, smoothing=smoothing)
         check_tensions(solution, lower, upper)
@@ -159,12 +124,19 @@ def test_least_norm_is_that_of_a_quadratic_program(kind, count):
 @counts
 def test_every_load_is_held_or_proved_infeasible(kind, count):
     """Both are checked by arithmetic alone: the tensions hold the load, or a combination of cables
-    excludes it."""
+    excludes it. Then the wrench error is least."""
     structure, load, lower, upper = random_items(kind, count)
     proof = feasible(structure, load, lower, upper)
-    held = least_norm(structure, load, lower, upper)
+    weights = np.linspace(1, 2, load.shape[1])
+    held = least_norm(structure, load, lower, upper, weights=weights)
     assert_array_equal(proof.status, held.status)
     fails = proof.status == INFEASIBLE
+    nearest = least_action(structure, load, lower, 1e-3, 0.0, upper, weights=weights)
+    for k in np.flatnonzero(fails)[:10]:
+        matrix = -weights[:, None] * structure[k].T
+        best = lsq_linear(matrix, weights * load[k], (lower[k], upper[k]), "bvls").cost
+        for missing in (held.missing[k], nearest.missing[k]):
+            assert np.sum((weights * missing) ** 2) / 2 == pytest.approx(best, rel=1e-4, abs=1e-4)
     assert 0.001 < fails.mean() < 0.95
     assert np.all(fails | (proof.status == HELD))
     assert np.abs(held.missing[~fails]).max() < 1e-6
@@ -180,22 +152,17 @@ def test_every_load_is_held_or_proved_infeasible(kind, count):
     assert not pulls[~fails].any()
 
 
-def motion(rate):
-    """Structure and load of CoGiRo on a smooth motion of 8 s, sampled at a rate [Hz]."""
-    phase = np.arange(0, 8, 1 / rate)[:, None] * np.pi / 2
-    swing = np.sin(phase * [1.0, 1.7, 1.3])
-    turn = 0.1 * np.sin(phase * [1.0, -1.7, -0.6])
-    shift = [0, 0, -2] + [2.5, -2.5, -0.8] * np.sin(phase * [1.0, 1.7, 1.3] + [1.6, 0.2, 0])
-    load = np.zeros((len(phase), 6))
-    load[:, :3] = 200 * ([0, 0, -9.81] + [-3, 3, 3] * swing)
-    return textbook.jacobian(COGIRO, np.concatenate([shift, turn], axis=1)), load
-
-
 def test_tensions_are_continuous_along_a_motion():
     """The exact least largest action jumps on this motion, by the same amount at every rate."""
+    fields = {"reach": [3.0, 0.8, 0.15], "acceleration": [3.0, 3.0, 1.0]}
+    loop = find_trajectory({"name": "loop-spatial", "seed": 4, **fields}, 6)
     changes = []
     for rate in (500, 2000):
-        tensions = least_action(*motion(rate), 50.0, 2e-4, 0.0, 5000.0).tensions
+        shift = loop(np.arange(0, loop.duration, 1 / rate))
+        motion = COGIRO.home + shift.position, shift.velocity, shift.acceleration
+        structure = textbook.jacobian(COGIRO, motion[0])
+        load = textbook.load(COGIRO, 200.0, *motion)
+        tensions = least_action(structure, load, 50.0, 2e-4, 0.0, 5000.0).tensions
         changes.append(np.abs(np.diff(tensions, axis=0)).max())
     assert changes[1] < 0.3 * changes[0]
 
@@ -218,22 +185,6 @@ def test_central_tensions_are_the_least_of_their_function(kind):
     for k, rows in enumerate(structure):
         balance, *_ = np.linalg.lstsq(rows, gradient[k], rcond=None)
         assert_allclose(rows @ balance, gradient[k], atol=1e-7 * np.abs(gradient[k]).max())
-
-
-def test_infeasible_load_gets_the_least_wrench_error():
-    structure, load, lower, upper = random_items(COGIRO, 100)
-    weights = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
-    for solution in (
-        least_norm(structure, load, lower, upper, weights=weights),
-        least_action(structure, load, lower, 1e-3, 0.0, upper, weights=weights),
-    ):
-        fails = np.flatnonzero(solution.status == INFEASIBLE)
-        assert len(fails) > 5
-        for k in fails:
-            matrix = -weights[:, None] * structure[k].T
-            best = lsq_linear(matrix, weights * load[k], (lower[k], upper[k]), "bvls").cost
-            error = np.sum((weights * solution.missing[k]) ** 2) / 2
-            assert best * (1 - 1e-9) <= error <= best * (1 + 1e-4) + 1e-4
 
 
 def test_impossible_structures_have_finite_tensions():

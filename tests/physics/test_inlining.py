@@ -69,21 +69,15 @@ def caller(choice, value):
     return njit(lambda: summed(choice, value))
 
 
-def test_branches_of_constants_are_not_compiled():
+def test_branches_of_constants_are_not_compiled_and_literals_share_a_compilation():
     compilations = Compilations()
+    doubles = Choice(doubles=True, count=11)
     with event.install_listener("numba:compile", compilations):
-        assert caller(Choice(doubles=True, count=3), 5)() == 30
+        assert [caller(doubles, value)() for value in (1, 2, 3)] == [22, 44, 66]
+        assert compilations.names.count("summed") == 1
         assert "tripled" not in compilations.names
         assert caller(Choice(doubles=False, count=2), 5)() == 30
     assert "tripled" in compilations.names
-
-
-def test_literals_share_one_compilation():
-    choice = Choice(doubles=True, count=11)
-    compilations = Compilations()
-    with event.install_listener("numba:compile", compilations):
-        assert [caller(choice, value)() for value in (1, 2, 3)] == [22, 44, 66]
-    assert compilations.names.count("summed") == 1
 
 
 def test_inlined_function_that_allocates_raises():

@@ -17,11 +17,11 @@ from oracles.plants import (
 )
 from oracles.platforms import CAMERA, CRANE, HANGING, TURNING
 
+from cablebot_gym.kinematics import times_vector
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.robots import PLANAR, SPATIAL
 
-every_robot = each_of(PLANAR, QUAD, SPATIAL, UNEQUAL, *nightly(NINE, FLEX_UNEQUAL, *ROUGH))
 TRIPOD = CAMERA.replace(name="tripod", base_anchors=(*CAMERA.base_anchors[:2], (0.1, 4.0, 0.0)))
 """As many cables as coordinates in space."""
 TRIANGLE = TURNING.replace(
@@ -30,6 +30,10 @@ TRIANGLE = TURNING.replace(
     platform_anchors=((-0.2, -0.1), (0.2, -0.1), (-0.2, -0.1)),
 )
 """As many cables as coordinates in a plane."""
+every_robot = each_of(
+    *(PLANAR, QUAD, SPATIAL, UNEQUAL, TRIANGLE),
+    *nightly(NINE, FLEX_UNEQUAL, *ROUGH, CAMERA, CRANE, HANGING, TRIPOD, TURNING),
+)
 
 
 def worst_errors(results, expected):
@@ -46,45 +50,20 @@ def worst_errors(results, expected):
 @pytest.mark.parametrize("minimum", [0.0, 4.0])
 @every_robot
 def test_results_are_those_of_the_textbook(robot, minimum):
-    """Reached: 2e-16 times the condition of S, up to 1e-12; planar 1e-12, where two cables are
-    nearly in line."""
-    motion = random_motion(robot, (1000,))
+    """Unique tensions, and the same choice of redundant ones. Loads that no tensions hold have the
+    same results of a planar robot only. Reached: 1e-12, where cables are nearly in line. A member
+    of a batch has the bits that it has alone."""
+    motion = random_motion(robot, (40, 1, 25), spread=1.0 if robot.weightless else 0.3)
     expected = textbook.inverse_dynamics(robot, *motion, minimum=minimum, strict=False)
-    errors = worst_errors(inverse_dynamics(robot, *motion, minimum=minimum), expected)
-    assert errors.max() <= 2e-11
-    if robot.planar:
-        impossible = np.all(expected.tensions == minimum, axis=-1)
-        assert 0.02 < impossible.mean() < 0.98
-    else:
-        condition = np.linalg.cond(textbook.jacobian(robot, motion[1]))
-        assert condition.max() > 1e3
-        assert np.max(errors / condition) <= 2e-15
-
-
-@each_of(TRIANGLE, *nightly(CAMERA, CRANE, HANGING, TRIPOD, TURNING))
-def test_every_kind_of_robot_gets_the_tensions_of_the_textbook(robot):
-    """Unique ones, and the same choice of redundant ones; an error is left only of loads that no
-    tensions hold."""
-    mass, pose, velocity, acceleration = random_motion(robot, (200,), spread=0.3)
-    motion = mass, pose, velocity, 0.1 * acceleration
-    expected = textbook.inverse_dynamics(robot, *motion, minimum=4.0, strict=False)
-    pulls = np.einsum("kmn,km->kn", textbook.jacobian(robot, pose), expected.tensions)
-    held = np.abs(textbook.load(robot, *motion) + pulls).max(axis=1) < 1e-6
-    assert held.mean() > 0.5
-    errors = worst_errors(inverse_dynamics(robot, *motion, minimum=4.0), expected)
-    assert errors[:, held].max() <= 1e-11
-
-
-@pytest.mark.parametrize("shape", [(), (0,), (3, 1, 23)])
-@rigid_robots
-def test_member_of_a_batch_has_the_bits_it_has_alone(robot, shape):
-    motion = random_motion(robot, shape, seed=2)
-    batch = inverse_dynamics(robot, *motion, minimum=2.0)
-    assert batch.tensions.shape == (*shape, robot.cables)
-    for index in np.ndindex(shape):
-        alone = inverse_dynamics(robot, *(values[index] for values in motion), minimum=2.0)
+    pulls = times_vector(textbook.jacobian(robot, motion[1]).mT, expected.tensions)
+    held = np.abs(textbook.load(robot, *motion) + pulls).max(axis=-1) < 1e-6
+    assert held.mean() > 0.02
+    results = inverse_dynamics(robot, *motion, minimum=minimum)
+    assert worst_errors(results, expected)[:, held | robot.planar].max() <= 2e-11
+    for index in np.ndindex(3, 1, 5):
+        alone = inverse_dynamics(robot, *(values[index] for values in motion), minimum=minimum)
         for name, values in vars(alone).items():
-            assert_array_equal(getattr(batch, name)[index], values)
+            assert_array_equal(getattr(results, name)[index], values)
 
 
 @rigid_robots
@@ -96,6 +75,8 @@ def test_arguments_are_broadcast(robot):
     results = inverse_dynamics(robot, 7, pose[::-1], velocity, at_rest)
     plain = np.full(40, 7.0), pose[::-1].copy(), velocity.copy(), np.zeros(pose.shape)
     assert_array_equal(worst_errors(results, inverse_dynamics(robot, *plain)), 0)
+    nothing = inverse_dynamics(robot, *random_motion(robot, (0,)))
+    assert nothing.tensions.shape == (0, robot.cables)
     with pytest.raises(ValueError, match="broadcast"):
         inverse_dynamics(robot, mass[:3], pose, velocity, at_rest)
     with pytest.raises(ValueError, match="coordinates"):

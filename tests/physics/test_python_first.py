@@ -1,6 +1,7 @@
 """Entry points that Python computes at first: to the same bits, and when they are compiled."""
 
 import math
+from contextlib import nullcontext
 from itertools import product
 
 import gymnasium as gym
@@ -8,9 +9,8 @@ import numpy as np
 import pytest
 from oracles import plants
 from oracles.bits import assert_same_bits, compare_ways
-from oracles.elastic import ELASTIC
-from oracles.plants import each_of, loaded_plant, nightly, random_motion, random_states
-from oracles.platforms import PLATFORMS, TURNING
+from oracles.plants import ELASTIC, each_of, loaded_plant, nightly, random_motion, random_states
+from oracles.platforms import PLATFORMS
 
 from cablebot_gym.envs import ENV_IDS, env_robot, outcome
 from cablebot_gym.kinematics import cable_lengths
@@ -24,7 +24,7 @@ from cablebot_gym.physics.inverse import demands, inverse_dynamics
 from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import FEW_ROBOTS, form_of
 from cablebot_gym.physics.tensions import central_tensions, distribution, tension_problems
-from cablebot_gym.robots import ROBOTS, find_robot, robot_names
+from cablebot_gym.robots import ROBOTS, find_robot
 
 EVERYTHING = ELASTIC[-1]
 
@@ -66,20 +66,6 @@ def move(robot, count, cable):
     return plant
 
 
-def one_of_each_form():
-    """Robots of the tests and of the library, one for each form."""
-    robots = [
-        *ELASTIC,
-        *plants.ROUGH,
-        plants._rough(TURNING),
-        plants.FLEX_HANGING,
-        *PLATFORMS.values(),
-    ]
-    robots += [plants.QUAD, plants.UNEQUAL, plants.FLEX_QUAD, plants.FLEX_UNEQUAL]
-    robots += map(find_robot, robot_names())
-    return list({form_of(robot): robot for robot in reversed(robots)}.values())
-
-
 @each_of(*ROBOTS.values(), EVERYTHING)
 def test_python_moves_a_robot_to_the_bits_of_compiled_code(robot, monkeypatch):
     """Excludes a sum that Python rounds in another way, or an order of its own."""
@@ -88,7 +74,7 @@ def test_python_moves_a_robot_to_the_bits_of_compiled_code(robot, monkeypatch):
     assert names == {"advance"}
 
 
-@each_of(*nightly(*one_of_each_form()))
+@each_of(*nightly(*ELASTIC, *plants.KINDS, *PLATFORMS.values()))
 @pytest.mark.parametrize("count", [FEW_ROBOTS, FEW_ROBOTS + 1])
 def test_all_forms_have_the_same_bits(robot, count, monkeypatch):
     form = form_of(robot)
@@ -198,11 +184,8 @@ def test_nan_infinity_and_integers_have_the_same_bits(flat, monkeypatch):
 
 FAILING = {
     "division": lambda x: 1.0 / (x - x),
-    "division of integers": lambda x: 3 // int(x - x),
     "overflow": lambda x: math.exp(1e4 * x),
     "root": lambda x: math.sqrt(-x),
-    "logarithm": lambda x: math.log(x - x),
-    "floor": lambda x: np.floor(1e400 * x - 1e400 * x),
 }
 
 
@@ -217,10 +200,9 @@ def test_compiled_code_computes_what_python_cannot(name):
         values[1] = fail(values[2])
 
     values = np.array([0.0, 0.0, 1.0])
-    if name != "floor":
-        with pytest.raises((ArithmeticError, ValueError)):
-            count_and_fail.in_python(values)
-        np.testing.assert_array_equal(values, [0.0, 0.0, 1.0])
+    with pytest.raises((ArithmeticError, ValueError)):
+        count_and_fail.in_python(values)
+    np.testing.assert_array_equal(values, [0.0, 0.0, 1.0])
     count_and_fail(values)
     expected = np.array([0.0, 0.0, 1.0])
     count_and_fail.compiled(expected)
@@ -271,26 +253,18 @@ def test_code_is_compiled_when_the_estimate_is_spent(doubling, caplog):
     assert len(entry.compiled.signatures) == 1
 
 
-def test_long_call_is_compiled_at_once_and_stored_code_is_used_at_once(doubling):
+@pytest.mark.parametrize("count", [1, 2])
+def test_long_call_is_compiled_at_once_and_stored_code_is_used_at_once(doubling, count):
+    """So is a short one where later ones must be short: in the loop that drives a real robot."""
     first = doubling()
-    first(np.ones(2))
+    with compiled_at_once() if count == 1 else nullcontext():
+        first(np.ones(count))
     assert first.present is first.compiled
     entry = doubling()
     entry(np.ones(1))
     assert sum(entry.compiled.stats.cache_hits.values()) == 1
     other = doubling()
     other(np.ones(1, np.float32))  # stored for other types only
-    assert other.present is not other.compiled
-
-
-def test_first_call_is_compiled_where_later_ones_must_be_short(doubling):
-    """Excludes seconds of compilation in the loop that drives a real robot."""
-    entry = doubling()
-    with compiled_at_once():
-        entry(np.ones(1))
-    assert entry.present is entry.compiled
-    other = doubling()
-    other(np.ones(1, np.float32))
     assert other.present is not other.compiled
 
 

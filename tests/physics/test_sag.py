@@ -14,20 +14,13 @@ from cablebot_gym.physics.tensions.distribution import least_norm
 from cablebot_gym.robots import find_robot
 
 CASES = [
-    (9.0, 3.0, 60.0, 1.5),
     (9.0, -8.0, 20.0, 2.0),
-    (0.5, 12.0, 100.0, 5.0),
     (40.0, 0.0, 40.0, 3.0),
+    (0.5, 12.0, 2e4, 5.0),
+    (3.0, 12.0, 3.0, 2.0),
 ]
-"""Horizontal and vertical distance [m], chord tension [N] and weight per length [N/m]; sags of 1 to
-80 %."""
-
-TAUT = [(9.0, 3.0, 6e4, 1.5), (0.5, 12.0, 2e4, 5.0)]
-"""Sags of less than 0.01 %, flat and steep."""
-
-SLACK = [(3.0, 12.0, 3.0, 2.0), (2.0, -20.0, 6.0, 3.0)]
-"""Cables of several times the length of their chords, which are furthest from them near the upper
-end."""
+"""Horizontal and vertical distance [m], chord tension [N] and weight per length [N/m]: sags of 1 to
+80 %, of less than 0.01 %, and of a cable that is furthest from its chord near the upper end."""
 
 
 def integrated(across, rise, tension, weight):
@@ -61,7 +54,7 @@ def integrated(across, rise, tension, weight):
     return positions, end.sol(positions)[0], end.y[2, -1]
 
 
-@pytest.mark.parametrize(("across", "rise", "tension", "weight"), [*CASES, *TAUT, *SLACK])
+@pytest.mark.parametrize(("across", "rise", "tension", "weight"), CASES)
 def test_catenary_is_the_integrated_equilibrium(across, rise, tension, weight):
     _, below, more = integrated(across, rise, tension, weight)
     depth, extra = catenary(across, rise, tension, weight)

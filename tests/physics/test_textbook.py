@@ -1,17 +1,19 @@
-"""Tensions, torques and accelerations of the textbook equations against linear programs, statics
+"""Kinematics, tensions, torques and accelerations of the textbook against finite differences, linear programs, statics
 and themselves."""
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
-from oracles.plants import QUAD, ROUGH, UNEQUAL, each_of, random_motion
-from oracles.platforms import CRANE
+from numpy.testing import assert_allclose, assert_array_equal
+from oracles.plants import QUAD, ROUGH, UNEQUAL, differentiated, each_of, random_motion
+from oracles.platforms import CRANE, PLATFORMS, SWIVELLED
+from oracles.programs import least_largest_action
 from scipy.optimize import linprog
 
+from cablebot_gym import kinematics
 from cablebot_gym.physics import textbook
-from cablebot_gym.robots import PLANAR, SPATIAL
+from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
 
 
 def least_by_linear_program(structure, load, minimum, cost):
@@ -67,15 +69,9 @@ def test_impossible_force_raises_or_gives_the_minimum(robot):
 @each_of(QUAD, SPATIAL, UNEQUAL, *ROUGH[:2])
 def test_forward_dynamics_invert_the_inverse_dynamics(robot, minimum):
     mass, *motion = random_motion(robot, (200,), spread=0.25)
-    tension = textbook.required_tensions(robot, mass, *motion, minimum=minimum)
-    at_once = textbook.inverse_dynamics(robot, mass, *motion, minimum=minimum)
-    expected = {
-        "torques": textbook.required_torques(robot, tension, *motion),
-        "speeds": textbook.pulley_speed(robot, *motion[:2]),
-        "pulley_accelerations": textbook.pulley_acceleration(robot, *motion),
-    }
-    for name, values in expected.items():
-        assert_allclose(getattr(at_once, name), values, rtol=1e-10, atol=1e-10)
+    inverse = textbook.inverse_dynamics(robot, mass, *motion, minimum=minimum)
+    tension = inverse.tensions
+    assert_allclose(inverse.speeds, textbook.pulley_speed(robot, *motion[:2]), atol=1e-10)
     taut = np.all(tension > 0.1, axis=1)
     if robot.planar and minimum == 0.0:
         assert not taut.any()  # the least tensions leave one cable without any
@@ -84,7 +80,7 @@ def test_forward_dynamics_invert_the_inverse_dynamics(robot, minimum):
     for cable, members in (("bilateral", taut | True), ("unilateral", taut)):
         state = mass[members], motion[0][members], motion[1][members]
         moved, pulled = textbook.forward_dynamics(
-            robot, *state, at_once.torques[members], cable=cable
+            robot, *state, inverse.torques[members], cable=cable
         )
         assert_allclose(moved, motion[2][members], rtol=0, atol=1e-10)
         assert_allclose(pulled, tension[members], rtol=0, atol=1e-9)
@@ -99,14 +95,56 @@ def test_redundant_tensions_are_below_the_maximum_where_it_can_be(choose):
     zero = np.zeros(6)
     structure = textbook.jacobian(robot, robot.home)
     load = textbook.load(robot, 150.0, robot.home, zero, zero)
-    balance = np.column_stack([-structure.T, zero])
-    below = np.column_stack([np.eye(8), -np.ones(8)])
-    cost = np.append(np.zeros(8), 1.0)
-    least = linprog(cost, A_ub=below, b_ub=np.zeros(8), A_eq=balance, b_eq=load).fun
+    zeros = np.zeros(8)
+    least = least_largest_action(structure, load, zeros, zeros + np.inf, zeros + 1, zeros)
     limited = robot.replace(maximum_tension=1.02 * least)
-    free, kept = (
-        choose(either, structure, load, np.zeros(8), np.zeros(8), 1.0)
-        for either in (robot, limited)
-    )
+    free, kept = (choose(either, structure, load, zeros, zeros, 1.0) for either in (robot, limited))
     assert free.max() > limited.maximum_tension > kept.max()
     assert_allclose(-structure.T @ kept, load, atol=1e-6)
+
+
+@each_of(PLANAR, SPATIAL, QUAD, *PLATFORMS.values(), SWIVELLED)
+def test_pulley_speed_and_acceleration_are_slopes_of_the_angle(robot):
+    _, pose, velocity, acceleration = random_motion(robot, (50,), spread=0.1)
+
+    def moved(time):
+        return pose + time * velocity + time**2 / 2 * acceleration
+
+    def speed(time):
+        return textbook.pulley_speed(robot, moved(time), velocity + time * acceleration)
+
+    assert_array_equal(textbook.pulley_angle(robot, robot.home), 0)
+    slope = differentiated(lambda time: textbook.pulley_angle(robot, moved(time)), 1e-4)
+    assert_allclose(speed(0), slope, rtol=1e-9, atol=1e-8)
+    pulley_acceleration = textbook.pulley_acceleration(robot, pose, velocity, acceleration)
+    slope = differentiated(speed, 1e-4)
+    assert_allclose(pulley_acceleration, slope, rtol=1e-8, atol=1e-6)
+
+
+def test_cable_wraps_its_swivel_pulley_on_the_right_side():
+    """Straight down from the outer edge of the pulley: half a turn on the pulley and the free
+    length."""
+    anchor = np.zeros((1, 3))
+    for swivel, depth in ((0.1, 2.0), (-0.1, -2.0)):
+        length = kinematics.cable_lengths(anchor, anchor, [0.2, 0.0, depth], [swivel])
+        assert_allclose(length, [np.pi * 0.1 + 2.0], rtol=1e-14)
+    # four cables come from below and pull downwards
+    assert np.sign(find_robot("ipanema-3").swivel).tolist() == [1] * 4 + [-1] * 4
+
+
+def test_euler_rate_matrix_gives_omega_in_the_platform_frame():
+    """RᵀṘ is ω_body = P Θ̇ as a matrix; Ṗ is the slope of P."""
+    rng = np.random.default_rng(5)
+    euler = rng.uniform(-1.5, 1.5, (100, 3))
+    rates = rng.uniform(-3, 3, (100, 3))
+
+    def slope(function):
+        return differentiated(lambda time: function(euler + time * rates), 1e-4)
+
+    to_platform = kinematics.rotation_matrix(euler).mT
+    omega_matrix = to_platform @ slope(kinematics.rotation_matrix)
+    omega = np.einsum("nij,nj->ni", kinematics.euler_rate_matrix(euler), rates)
+    assert_allclose(omega_matrix + omega_matrix.mT, 0, atol=1e-10)
+    assert_allclose(omega_matrix[:, [2, 0, 1], [1, 2, 0]], omega, atol=1e-10)
+    rate = kinematics.euler_rate_matrix_rate(euler, rates)
+    assert_allclose(rate, slope(kinematics.euler_rate_matrix), rtol=0, atol=1e-10)

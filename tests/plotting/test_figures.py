@@ -33,19 +33,12 @@ def results():
     }
 
 
-@pytest.fixture(scope="module")
-def springs():
-    """Short dwell with joint springs."""
-    dwell = {"name": "dwell-planar", "duration": 0.05}
-    return evaluate_dlcc(
-        "motor-pd", "CableBot-FlexPlanar-v0", trajectory=dwell, search="bisection", **SMALL
-    )
-
-
-def test_springs_have_their_deflections(springs):
-    """At rest the deflection times K is the torque of the motor."""
+def test_springs_have_their_deflections(results):
+    """At rest the deflection times K is the torque of the motor. A rigid robot has no springs."""
+    dwell = {"trajectory": {"name": "dwell-planar", "duration": 0.05}, "search": "bisection"}
+    springs = evaluate_dlcc("motor-pd", "CableBot-FlexPlanar-v0", **dwell, **SMALL)
     rollout = springs.rollout
-    robot = springs.rollout.task.robot
+    robot = rollout.task.robot
     deflection = rollout.start["spring_deflection"]
     assert_allclose(robot.stiffness * deflection, rollout.start["torques"], rtol=1e-9)
     pulley = rollout.arrays["motor_angle"] - rollout.arrays["spring_deflection"]
@@ -56,9 +49,6 @@ def test_springs_have_their_deflections(springs):
         assert_array_equal(
             axes.get_lines()[2].get_ydata(), rollout.arrays["spring_deflection"][:, spring]
         )
-
-
-def test_springs_of_a_rigid_robot_raise(results):
     with pytest.raises(ValueError, match="'planar' has no joint springs"):
         figures.draw_springs(results["planar"])
 
