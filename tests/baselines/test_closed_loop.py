@@ -9,7 +9,7 @@ from cablebot_gym.envs import PAPER_ENV_IDS, fitting_env_id
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.policies import policy_entries
-from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL
+from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
 ENTRIES = policy_entries().values()
 LARGE = ("adaptive", "composite", "flex-eq22", "motor-pd", "nmpc", "observing", "trajopt")
@@ -81,14 +81,11 @@ BARE_FLEX_SPATIAL = bare(FLEX_SPATIAL)
 @pytest.mark.parametrize(
     ("law", "robot", "payload_known", "payload", "tolerance"),
     [
-        ("fl", bare(PLANAR), True, 1.92, 0.04),
         ("fl:gains=tuned", bare(SPATIAL), False, 4.15, 0.04),
         ("adaptive", bare(PLANAR), False, 1.93, 0.05),
         (make_robust(SPATIAL, zeta=0.5, phi=5.0), SPATIAL, False, 4.58, 0.05),
         (Composite(BARE_FLEX_SPATIAL), BARE_FLEX_SPATIAL, True, 4.54, 0.04),
         (MotorPD(BARE_FLEX_SPATIAL, minimum_tension=5.0), BARE_FLEX_SPATIAL, True, 4.10, 0.04),
-        ("adaptive", BARE_FLEX_SPATIAL, False, 5.58, 0.05),
-        ("composite", bare(FLEX_PLANAR), False, 0.25, 0.04),
     ],
 )
 def test_dlcc_is_that_of_independent_runs(law, robot, payload_known, payload, tolerance):

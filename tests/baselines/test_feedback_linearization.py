@@ -31,14 +31,11 @@ def random_observations(robot, count):
     rows = rng.uniform(0, 1, (count, layout.size))
     blocks = layout.split(rows)
     shape = (count, robot.coordinates)
-    pose = rng.uniform(-0.1, 0.1, shape)
-    if not robot.planar:
-        pose[:, 2] += 0.25
-    blocks["pose"][:] = pose
-    blocks["reference_pose"][:] = pose + rng.uniform(-0.02, 0.02, shape)
-    blocks["velocity"][:] = rng.uniform(-1, 1, shape)
-    blocks["reference_velocity"][:] = rng.uniform(-1, 1, shape)
-    blocks["reference_acceleration"][:] = rng.uniform(-8, 8, shape)
+    sizes = {"pose": 0.1, "velocity": 1, "reference_velocity": 1, "reference_acceleration": 8}
+    for name, size in sizes.items():
+        blocks[name][:] = rng.uniform(-size, size, shape)
+    blocks["pose"][:, 2:3] += 0.25
+    blocks["reference_pose"][:] = blocks["pose"] + rng.uniform(-0.02, 0.02, shape)
     blocks["model_payload"][:] = rng.uniform(0, 5, (count, 1))
     return rows
 

@@ -62,12 +62,6 @@ def test_overloaded_cable_fails_a_rehearsal():
         assert rehearsal([0], task=task).carried.tolist() == [carried]
 
 
-def test_equal_robots_need_no_margins():
-    margins = spread_margins(rehearsal([0.0, 0.0, 2.0, 2.0]), TASK.trajectory)
-    for name in ("position", "rotation", "action", "tension"):
-        assert_allclose(getattr(margins, name), 0.0, atol=1e-12)
-
-
 def test_jump_that_comes_a_period_later_needs_no_margin():
     """The delay of a robot moves its actions and tensions in time."""
     tension = np.full((2, 200), 5.0)
@@ -77,6 +71,7 @@ def test_jump_that_comes_a_period_later_needs_no_margin():
     margins = spread_margins(rehearsal([0.0, 0.0], tension=tension, action=action), TASK.trajectory)
     assert margins.tension.max() < 1.0
     assert margins.action.max() < 1e-9
+    assert margins.position.max() == margins.rotation.max() == 0.0
 
 
 def test_exceeded_limits_get_larger_margins_at_their_times():
@@ -88,16 +83,11 @@ def test_exceeded_limits_get_larger_margins_at_their_times():
 
 
 @pytest.mark.landing
-def test_lighter_payload_on_a_plan_is_near_a_solution():
-    """A program with both payloads then starts from motor angles that balance the lighter one."""
+def test_motor_angles_balance_a_lighter_payload_on_a_plan():
+    """A program with both payloads then starts near its solution."""
     motion = find_trajectory({"name": "line-planar", "duration": 0.4, "dwell": 0.1}, "planar")
     plan = MotionProgram(FLEX_PLANAR, motion, ErrorBounds(), intervals=20, period=2e-3).solve()
     both = with_lighter_payload(plan, FLEX_PLANAR, 0.0)
-    program = MotionProgram(
-        FLEX_PLANAR, motion, ErrorBounds(), intervals=20, lightest=0.0, period=2e-3
-    )
-    solved = program.solve(both, near=True)
-    assert solved.payload <= plan.payload * (1 + 1e-4)
     times = np.linspace(0.0, motion.duration, 50)
     angle, _, _ = both.motor_motion(times, np.zeros(50))
     planned = both(times)

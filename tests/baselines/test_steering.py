@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from steering import PLANAR_ID, SPATIAL_ID, steer, steering_of, tasks_of
+from steering import SPATIAL_ID, steer, steering_of, tasks_of
 
 from cablebot_baselines.learned.steering import Shift
 from cablebot_gym.envs.observation import observation_layout
@@ -21,39 +21,33 @@ def test_spline_is_a_smooth_partition_of_unity(degree):
     step = 1e-6
     shift = Shift(degree=degree)
     times = np.linspace(0.002, 0.028, 7)
-    before = shift.weights(times - step, action_period)
-    now = shift.weights(times, action_period)
-    after = shift.weights(times + step, action_period)
+    sizes = action_period ** -np.arange(5.0)[:, None]
+    before = shift.weights(times - step, action_period) / sizes
+    now = shift.weights(times, action_period) / sizes
+    after = shift.weights(times + step, action_period) / sizes
     assert_allclose(now[:, 0].sum(axis=-1), 1.0, atol=1e-14)
     assert now[:, 0].min() >= 0
-    for order in range(4):
-        slope = (after[:, order] - before[:, order]) / (2 * step)
-        bound = 1e-5 * max(np.abs(slope).max(), action_period**-order)
-        assert_allclose(now[:, order + 1], slope, atol=bound)
-    at_start, at_end = shift.weights(np.array([0.0, action_period]), action_period)
-    for order in range(min(degree, 5)):
-        size = action_period**-order
-        assert_allclose(at_end[order, 1:], at_start[order, :-1], atol=1e-9 * size)
-        assert_allclose([at_end[order, 0], at_start[order, -1]], 0.0, atol=1e-9 * size)
+    slope = (after - before) / (2 * step) * action_period
+    assert_allclose(now[:, 1:], slope[:, :-1], atol=1e-5)
+    start, end = shift.weights(np.array([0.0, action_period]), action_period) / sizes
+    smooth = slice(min(degree, 5))
+    assert_allclose(end[smooth, 1:], start[smooth, :-1], atol=1e-9)
+    assert_allclose(end[smooth, 0], 0.0, atol=1e-9)
+    assert_allclose(start[smooth, -1], 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("env_id", [PLANAR_ID, SPATIAL_ID])
-def test_shift_stays_within_the_error_bounds(env_id):
-    steering = steering_of(env_id, action_mapping=Shift(action_period=0.006, fraction=0.95))
+def test_shift_stays_within_the_error_bounds():
+    steering = steering_of(SPATIAL_ID, action_mapping=Shift(action_period=0.006, fraction=0.95))
     error_bounds = ErrorBounds(position=0.02, rotation=0.03)
-    steering.reset(tasks_of(env_id, error_bounds=error_bounds))
-    n = steering.robot.coordinates
-    actions = 3 * np.sign(np.random.default_rng(0).normal(size=(600, n)))
+    steering.reset(tasks_of(SPATIAL_ID, error_bounds=error_bounds))
+    actions = 3 * np.sign(np.random.default_rng(0).normal(size=(600, 6)))
     actions[300:] = 3.0  # all to one corner
-    law_blocks, _ = steer(
-        steering, np.zeros((600, observation_layout(steering.robot).size)), actions
-    )
+    law_blocks, _ = steer(steering, np.zeros((600, observation_layout(SPATIAL).size)), actions)
     shift = law_blocks["reference_pose"]
     away = np.linalg.norm(shift[:, :3], axis=1)
     assert away.max() <= 0.95 * 0.02 * (1 + 1e-12)
     assert away[-1] == pytest.approx(0.95 * 0.02)
-    if n > 3:
-        assert np.abs(shift[:, 3:]).max() == pytest.approx(0.95 * 0.03)
+    assert np.abs(shift[:, 3:]).max() == pytest.approx(0.95 * 0.03)
 
 
 @pytest.mark.parametrize("degree", [2, 5])

@@ -35,7 +35,7 @@ TINY = """
   n_steps: 4
   batch_size: 64
   n_epochs: 2
-  policy_kwargs: {net_arch: [8]}
+  policy_kwargs: dict(net_arch=[8], activation_fn=nn.ReLU)
   n_timesteps: 256
   policy: MlpPolicy
   learning_rate: lin_1e-3
@@ -138,20 +138,16 @@ def test_invalid_values_leave_no_file(tmp_path, changes, options, message):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("activation", ["Tanh", "ReLU"])
-def test_exported_network_equals_the_model(tmp_path, activation):
-    kwargs = f"dict(net_arch=[9, 5], activation_fn=nn.{activation})"
-    config = find_config(PLANAR, write_config(tmp_path, policy_kwargs=kwargs))
-    normalize = make_training_envs(PLANAR, config=config)
-    model = PPO(env=normalize, seed=3, device="cpu", **config.model)
-    model.learn(128)
-    network = trained_policy(model).bundle.network
-    spread = 20 * np.sqrt(normalize.obs_rms.var)  # some inputs are clipped
-    observed = normalize.obs_rms.mean + spread * np.random.default_rng(0).normal(
-        size=(200, network.inputs)
-    )
-    expected = model.predict(normalize.normalize_obs(observed), deterministic=True)[0]
+def test_exported_network_equals_the_model(trained):
+    """Some inputs are clipped."""
+    model = PPO.load(trained / "checkpoints" / "rl_model_256_steps.zip", device="cpu")
+    statistics = trained / "checkpoints" / "rl_model_vecnormalize_256_steps.pkl"
+    normalize = pickle.loads(statistics.read_bytes())
+    network = Bundle.load(trained / "last.zip").network
+    spread = 20 * np.sqrt(normalize.obs_rms.var)
+    draws = np.random.default_rng(0).normal(size=(200, network.inputs))
+    observed = normalize.obs_rms.mean + spread * draws
+    expected, _ = model.predict(normalize.normalize_obs(observed), deterministic=True)
     assert np.ptp(expected) > 1e-3
     assert np.max(np.abs(np.clip(network(observed), -1.0, 1.0) - expected)) < 1e-6
 
@@ -159,15 +155,13 @@ def test_exported_network_equals_the_model(tmp_path, activation):
 def test_run_writes_policies_log_and_card(trained):
     evaluated = TrainingRun.load(trained)
     assert [evaluation.timesteps for evaluation in evaluated.evaluations] == [128, 256]
-    payloads = [evaluation.rank for evaluation in evaluated.evaluations]
-    assert logged(trained / "log", "eval/payload_kg") == payloads
     assert logged(trained / "log", "time/total_timesteps") == [128, 128, 256, 256]
     for name in ("train/learning_rate", "rollout/payload_ceiling", "rollout/success_rate"):
         assert logged(trained / "log", name)
     card = Bundle.load(trained / "best.zip").card
     assert card["seed"] == 3
     assert card["config"]["n_steps"] == 4
-    assert card["done"] == evaluated.best.timesteps == card["evaluations"][-1]["timesteps"]
+    assert card["done"] == evaluated.best.timesteps
     assert str(trained.parent) not in json.dumps(card)
     assert Bundle.load(trained / "last.zip").card["done"] == 256
 

@@ -115,8 +115,7 @@ def test_policy_without_reset_tracks_the_reference_and_warns(caplog):
     observation, _ = env.reset(seed=0)
     policy = TrajOpt(PLANAR)
     with caplog.at_level(logging.WARNING, "cablebot_gym"):
-        action, state = policy.predict(observation)
-        policy.predict(observation, state)
+        action, _ = policy.predict(observation)
     assert policy.fallbacks == 1
     assert "call reset(tasks) before predict()" in caplog.text
     assert np.all(np.isfinite(action))

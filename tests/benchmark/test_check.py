@@ -56,7 +56,6 @@ def last_with(rows, **conditions):
         (lambda rows: rows[1:], 1, 0),  # the first best known payload
         (lambda rows: rows[:-1], 1, 0),  # the last motion of a policy
         (chosen_motion, 3, 3),
-        (partial(last_with, seed=1), 1, 1),
         (partial(last_with, robot="flex-planar"), 1, 1),
     ],
 )

@@ -17,23 +17,11 @@ def test_interval_covers_the_mean_as_often_as_stated(draw):
     assert above < 0.055
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.05])
-def test_equal_policies_are_seldom_ordered(rate):
+@pytest.mark.parametrize(("rate", "fewer"), [(0.0, False), (0.05, False), (0.002, True)])
+def test_equal_policies_are_seldom_ordered(rate, fewer):
     """Pairwise intervals ordered equal policies on 59 to 82 % of the boards."""
-    false = simulated_boards.false_boards(policies=12, motions=100, rate=rate, boards=300)
+    false = simulated_boards.false_boards(12, motions=100, rate=rate, boards=600, fewer=fewer)
     assert false <= 0.05
-
-
-@pytest.mark.parametrize("family", simulated_boards.CAPACITIES)
-def test_further_robot_carries_a_surveyed_payload_as_often_as_promised(family):
-    """Three standard errors allow for the number of simulated motions."""
-    motions = 40_000
-    carried = simulated_boards.promise(family, motions)
-    assert carried > 0.95 - 3 * np.sqrt(0.95 * 0.05 / motions)
-
-
-def test_equal_surveys_are_seldom_ordered_where_half_has_fewer_motions():
-    assert simulated_boards.false_surveys(failing=0.002, noise=0.05, boards=200) <= 0.06
 
 
 def test_mid_p_interval_of_all_and_of_half_of_the_draws():

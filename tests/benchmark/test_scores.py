@@ -46,8 +46,10 @@ def test_score_is_the_fraction_of_the_best_known_payload():
         carries("fl", None, payload_known=False),
         carries("fl", 3.0, error_bounds={"position": 0.02, "rotation": 0.01}),
         carries("trajopt", 2.5),
+        carries("robust", 3.0, criterion="paper"),
+        carries("robust", 1.0, uncertainty="table6", draws=512),
     ]
-    assert score_values(records) == [0.5, 0.25, 0.0, None, 1.25]
+    assert score_values(records) == [0.5, 0.25, 0.0, None, 1.25, None, None]
 
 
 def test_error_of_a_policy_counts_as_zero():
@@ -57,23 +59,10 @@ def test_error_of_a_policy_counts_as_zero():
     ]
 
 
-def test_only_certain_payloads_have_a_score():
-    paper = carries("fl", 3.0, criterion="paper")
-    drawn = carries("fl", 1.0, uncertainty="table6", draws=512)
-    assert score_values([best(2.0), paper, drawn]) == [None, None]
-
-
 @pytest.mark.parametrize("outcome", [{"error": "no solver"}, {"payload": 2.0, "verified": False}])
 def test_score_needs_a_best_known_payload(outcome):
     failed = answered(asked("best-known", motion=CIRCLE), **outcome)
     assert score_values([failed, carries("fl", 1.0)]) == [None]
-
-
-def test_end_of_the_scan_is_marked_as_a_lower_bound():
-    free = carries("fl", 10.0, more={"violation": None, "scan_ended": True})
-    page = page_of([best(20.0), free, carries("trajopt", None)])
-    assert row(page, "fl") == ["≥ 10.00, 50%"]
-    assert row(page, "trajopt") == ["fails unloaded, 0%"]
 
 
 # --- several motions --------------------------------------------------------------------------------------------------
@@ -211,6 +200,7 @@ ALL = [
     carries("fl", 1.0, more={"fallbacks": None, "violation": {"kind": "torque", "index": 2}}),
     carries("trajopt", 2.5, more={"fallbacks": 0.5}),
     carries("limp", None),
+    carries("free", 10.0, more={"violation": None, "scan_ended": True}),
     carries("random", 0.5, more={"stochastic": True, "draws": 99}),
     fails("bad", "policy 'bad' raised <b> | and * more"),
     carries("fl", 1.06, {"name": "paper-planar"}, criterion="paper"),
@@ -230,6 +220,7 @@ def test_page_has_all_results_and_notes():
     assert row(page, "trajopt") == ["2.50, 125%", "n/a", "–", "–"]
     assert row(page, "fl") == ["1.00, 50%", "1.06", "0.25", "0.1, 5, 25%, 0.25"]
     assert row(page, "random") == ["0.50, stochastic (99 draws), 25%", "–", "–", "–"]
+    assert row(page, "free") == ["≥ 10.00, 500%", "–", "–", "–"]
     assert row(page, "limp") == ["fails unloaded, 0%", "–", "–", "–"]
     assert row(page, "toy") == ["–", "1.50, declared", "–", "–"]
     assert row(page, "bad") == ["error", "–", "–", "–"]

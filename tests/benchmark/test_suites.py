@@ -1,5 +1,6 @@
-"""Suites: their rows and policies."""
+"""Suites: their rows and policies, and the hidden motions that follow from a public text."""
 
+import hashlib
 import sys
 from dataclasses import replace
 
@@ -8,7 +9,7 @@ from benchmark.made_rows import PLANAR
 from oracles.episodes import ROBOTS
 
 from cablebot_gym.benchmark.policy_source import policy_source
-from cablebot_gym.benchmark.seeds import hidden_seeds
+from cablebot_gym.benchmark.seeds import evaluation_seed, hidden_seeds
 from cablebot_gym.benchmark.suites import (
     QUICK_ENV_IDS,
     SUITES,
@@ -20,6 +21,8 @@ from cablebot_gym.benchmark.suites import (
     suite_rows,
 )
 from cablebot_gym.envs import PAPER_ENV_IDS
+from cablebot_gym.evaluation.survey import motion_seeds
+from cablebot_gym.motions import FIRST_HELD_OUT_SEED
 from cablebot_gym.policies import policy_entries
 from cablebot_gym.uncertainty import find_uncertainty
 
@@ -43,12 +46,13 @@ def payload_rows(name, names=()):
 def test_rows_of_a_suite_are_valid(name):
     suite = find_suite(name)
     named = {env_id for override in suite.overrides for env_id in override.env_ids}
+    motions = {}
     with_best_known = set()
     with_score = set()
     draws = set()
     for row in rows_of(name):
         given = row.conditions
-        assert given.motion.duration > 0
+        motions[given.env_id, given.robot, row.motion] = given
         if row.measure == "best-known":
             with_best_known.add(row.motion_key)
         elif row.measure == "payload":
@@ -56,6 +60,8 @@ def test_rows_of_a_suite_are_valid(name):
             draws.add((given.env_id, given.uncertainty, given.draws))
             if given.criterion == "task" and given.uncertainty is None:
                 with_score.add(row.motion_key)
+    for given in motions.values():
+        assert given.motion.duration > 0
     if name == "ranked":  # the yardstick has more motions than a policy
         assert with_score < with_best_known
     else:
@@ -192,3 +198,34 @@ def test_code_of_another_package_is_not_imported_here(tmp_path, module):
 def test_unknown_or_unsuitable_names_raise(names, ids, message):
     with pytest.raises(ValueError, match=message):
         find_policies(names, find_env_ids(find_suite("smoke"), ids))
+
+
+# --- hidden motions ---------------------------------------------------------------------------------------------------
+
+
+HIDDEN = Suite(
+    name="s",
+    summary="",
+    env_ids=(PLANAR,),
+    overrides=(Override(motion="hidden", motions=20),),
+    best_known=False,
+)
+
+
+def test_seeds_are_the_hashes_that_the_documentation_gives():
+    digest = hashlib.sha256(TEXT.encode()).hexdigest()
+    seed = hashlib.sha256(f"{digest}:evaluation".encode()).digest()[:16]
+    assert evaluation_seed(TEXT) == int.from_bytes(seed)
+    motion = int.from_bytes(hashlib.sha256(f"{digest}:{PLANAR}:1".encode()).digest())
+    expected = FIRST_HELD_OUT_SEED + motion % (2**53 - FIRST_HELD_OUT_SEED)
+    assert hidden_seeds(TEXT, PLANAR, 2)[1] == expected
+
+
+def test_hidden_motions_depend_on_text_and_environment():
+    seeds = hidden_seeds(TEXT, PLANAR, 20)
+    others = hidden_seeds(TEXT, SPATIAL, 20) + hidden_seeds(f"{TEXT}.", PLANAR, 20)
+    assert len({*seeds, *others}) == 60
+    assert all(FIRST_HELD_OUT_SEED <= seed < 2**53 for seed in seeds)
+    rows = suite_rows(HIDDEN, {PLANAR: ("fl",)}, seed=2**127, seed_text=TEXT)
+    assert [row.conditions.trajectory["seed"] for row in rows] == seeds
+    assert [row.conditions.seed for row in rows] == motion_seeds(2**127, 20)

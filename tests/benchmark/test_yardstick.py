@@ -4,23 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import simulated_boards
-from benchmark.made_rows import PLANAR, asked
+from benchmark.made_rows import CIRCLE, PLANAR, best, drawn
 
 from cablebot_gym.benchmark.yardstick import FEWEST, drawn_rows, yardstick, yardsticks
+from cablebot_gym.evaluation.batch import draw_seeds
+from cablebot_gym.evaluation.survey import motion_seeds
 
-CIRCLE = asked("best-known")
-LOOP = asked("best-known", motion={"name": "loop-planar", "seed": 7})
-
-
-@pytest.mark.landing
-@pytest.mark.parametrize("family", simulated_boards.RATIOS)
-def test_interval_covers_the_quantile_of_any_distribution(family):
-    """Quantiles of a normal distribution covered 49 % of skewed ratios."""
-    covered, below, above, width = simulated_boards.yardstick_coverage(family, 100, boards=400)
-    assert covered > 0.94
-    assert max(below, above) < 0.045
-    assert width < 0.03
+LOOP = {"name": "loop-planar", "seed": 7}
 
 
 def test_ends_are_order_statistics_and_unverified_draws_count_as_zero_at_the_low_end():
@@ -40,17 +30,24 @@ def test_ends_are_order_statistics_and_unverified_draws_count_as_zero_at_the_low
         yardstick([None])
 
 
+def test_robots_are_the_first_that_policies_meet():
+    rows = drawn_rows([best(2.0)], "hardware", seed=5)
+    (motion_seed,) = motion_seeds(5, 1)
+    assert [row.conditions.seed for row in rows] == draw_seeds(motion_seed, FEWEST)
+
+
 def test_rows_are_grouped_by_environment():
     """A motion without a verified nominal payload counts for no policy, and not for the yardstick."""
-    rows = drawn_rows([CIRCLE], "hardware", seed=0)[:3]
-    spatial = replace(rows[0].conditions, env_id="CableBot-Spatial-v0")
-    rows.append(replace(rows[0], conditions=spatial))
-    rows += drawn_rows([LOOP], "hardware", seed=0)[:1]
-    rows += [CIRCLE, LOOP]
-    results = [{"ratio": 0.9}, {"ratio": 0.8}, {"error": "no motion"}, {"ratio": None}]
-    results += [{"ratio": 0.1}, {"verified": True}, {"verified": False}]
-    answered = [replace(row, result=result) for row, result in zip(rows, results, strict=True)]
-    by_environment = yardsticks(answered)
+    rows = [
+        drawn(CIRCLE, 0.9),
+        drawn(CIRCLE, 0.8),
+        replace(drawn(CIRCLE, 0.0), result={"error": "no motion"}),
+        drawn(CIRCLE, None, env_id="CableBot-Spatial-v0"),
+        drawn(LOOP, 0.1),
+        best(2.0),
+        best(2.0, LOOP, verified=False),
+    ]
+    by_environment = yardsticks(rows)
     assert list(by_environment) == [(PLANAR, "hardware")]
     assert by_environment[PLANAR, "hardware"].mean == pytest.approx(0.85)
     assert by_environment[PLANAR, "hardware"].unverified == 1

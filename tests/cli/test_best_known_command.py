@@ -36,7 +36,7 @@ def test_options_reach_the_search(cablebot, monkeypatch):
 
 
 @pytest.mark.landing
-def test_result_is_printed_cached_and_verified(cablebot, cache, monkeypatch):
+def test_result_is_printed_and_verified(cablebot):
     line = f"{LINE} --position-bound 20 --control-frequency 250"
     text = cablebot(line).out
     for words in ("best known payload", "kg", "20 mm", "verified by replays"):
@@ -45,9 +45,6 @@ def test_result_is_printed_cached_and_verified(cablebot, cache, monkeypatch):
     assert computed["verified"] is True
     assert computed["total_mass"] == computed["payload"] + 1.0
     assert computed["error_bounds"] == {"position": 0.02, "rotation": None}
-    assert len(list(cache.iterdir())) == 1
-    monkeypatch.setattr(best_known._Case, "solve", lambda *_: pytest.fail("searched again"))
-    assert cablebot(line, "--json").data == computed
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

@@ -7,7 +7,6 @@ import pytest
 from cli.conftest import LOST, names, read_json
 
 from cablebot_gym.evaluation.judge import Violation
-from cablebot_gym.isolation.process import has_bubblewrap
 from cablebot_gym.robots import library
 
 PLANAR = "CableBot-Planar-v0"
@@ -78,16 +77,6 @@ def test_options_reach_the_evaluation(cablebot):
     assert "least over the draws" in cablebot(QUICK + SEVERAL).out
 
 
-def test_uncertainty_is_read_from_a_file(cablebot, tmp_path):
-    path = tmp_path / "unknown.json"
-    path.write_text('{"sensors": {"position": 1e-4}}')
-    line = f"{ONE} --draws 4 --probability 0.5 --uncertainty {path}"
-    (result,) = cablebot(line).data
-    assert value_at(result, "environment.uncertainty.sensors.position") == 1e-4
-    path.write_text("[1]")
-    assert "must hold a JSON object" in cablebot(line).message(2)
-
-
 @pytest.mark.landing
 def test_paper_criterion_does_not_apply_to_saturated_actions(cablebot, toys):
     clipped = f"{QUICK} --no-isolate --policy {toys('clipped')}"
@@ -142,16 +131,6 @@ def test_interrupt_leaves_old_files_and_no_partial_file(cablebot, tmp_path, monk
     assert "interrupted" in cablebot(QUICK, "--out", tmp_path).message(130)
     assert list(tmp_path.glob("*.png")) == [figure_path]
     assert figure_path.read_text() == "old"
-
-
-@pytest.mark.landing
-def test_isolated_policy_gives_the_same_result(cablebot):
-    same = f"{ONE} --policy adaptive --seed 3"  # a law with a state, which stays in its process
-    (isolated,) = cablebot(f"{same} --isolate").data
-    (shared,) = cablebot(same).data
-    assert (isolated.pop("isolated"), shared.pop("isolated")) == (True, False)
-    assert (isolated.pop("bubblewrap"), shared.pop("bubblewrap")) == (has_bubblewrap(), False)
-    assert isolated == shared
 
 
 @pytest.mark.landing

@@ -90,6 +90,9 @@ def test_data_of_a_file_are_named_on_a_command_line(tmp_path):
     path = tmp_path / "a.json"
     path.write_text('{"delay": 1}')
     assert command_line("dlcc", trajectory=option(path)) == f"cablebot dlcc --trajectory {path}"
+    path.write_text("[1]")
+    with pytest.raises(ValueError, match="must hold a JSON object"):
+        option(path)
 
 
 ALL_READERS = {name: read for name, (read, _) in READERS.items()} | {

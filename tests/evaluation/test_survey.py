@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from evaluation.conftest import Dropping
+from evaluation.conftest import Dropping, Law, verdict_of
 
 from cablebot_baselines.laws import FeedbackLinearization
 from cablebot_gym import evaluate_dlcc, find_robot, find_trajectory
 from cablebot_gym.evaluation import survey as survey_module
 from cablebot_gym.evaluation.batch import Batch
-from cablebot_gym.evaluation.judge import Verdict
-from cablebot_gym.evaluation.survey import motion_seeds, survey
+from cablebot_gym.evaluation.judge import Violation
+from cablebot_gym.evaluation.survey import ROBOTS, motion_seeds, survey
 from cablebot_gym.policies import PolicyError
 
 PLANAR = "CableBot-Planar-v0"
@@ -23,11 +23,6 @@ UNEQUAL = {"uncertainty": MASSES, "payload_known": False}
 """Robots of different payloads."""
 
 
-@pytest.fixture(scope="module")
-def drawn():
-    return survey("adaptive", PLANAR, MOTIONS, robots=4, seed=7, **UNEQUAL)
-
-
 @pytest.mark.landing
 def test_nominal_payload_is_the_dlcc_of_each_motion():
     found = survey("fl", PLANAR, MOTIONS)
@@ -38,7 +33,8 @@ def test_nominal_payload_is_the_dlcc_of_each_motion():
 
 
 @pytest.mark.landing
-def test_all_robots_carry_the_payload_and_one_fails_above(drawn):
+def test_all_robots_carry_the_payload_and_one_fails_above():
+    drawn = survey("adaptive", PLANAR, MOTIONS, robots=4, seed=7, **UNEQUAL)
     for motion, seed, found in zip(MOTIONS, motion_seeds(7, 2), drawn.motions, strict=True):
         dlcc = evaluate_dlcc(
             "adaptive", PLANAR, trajectory=motion, seed=seed, draws=4, resolution=0.01, **UNEQUAL
@@ -50,9 +46,9 @@ def test_all_robots_carry_the_payload_and_one_fails_above(drawn):
         assert found.violation is not None
 
 
-def test_each_motion_has_its_own_robots(drawn):
-    seeds = [seed for found in drawn.motions for seed in found.below.seeds]
-    assert len(set(seeds)) == 2 * 4
+def test_further_robot_carries_the_payload_with_a_probability_of_95_percent():
+    """One of N + 1 robots is the weakest, each with the same probability."""
+    assert 1 - 1 / (ROBOTS + 1) == 0.95
 
 
 def test_motion_keeps_its_robots_and_payloads_when_more_motions_follow(monkeypatch):
@@ -64,18 +60,10 @@ def test_motion_keeps_its_robots_and_payloads_when_more_motions_follow(monkeypat
         tried.extend(rows)
         verdicts = []
         for row in rows:
-            verdicts.append(
-                Verdict(
-                    carried=row.payload < 0.5,
-                    violation=None,
-                    payload=row.payload,
-                    peak_action=(0.0, 0.0, 0.0),
-                    position_peak=0.0,
-                    rotation_peak=0.0,
-                    least_tension=0.0,
-                    largest_tension=0.0,
-                )
-            )
+            violation = None
+            if row.payload >= 0.5:
+                violation = Violation(kind="position", index=None, time=0.0, excess=0.0)
+            verdicts.append(verdict_of(violation))
         return verdicts
 
     monkeypatch.setattr(Batch, "run", fail_at_half_a_kilogram)
@@ -98,12 +86,11 @@ def test_payload_is_below_the_first_hole():
     assert found.payloads == pytest.approx(0.3, abs=found.motions[0].resolution)
 
 
-class SharesRows(FeedbackLinearization):
+class SharesRows(Law):
     """Fails in small batches."""
 
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        action, state = super().predict(observation, state, episode_start, deterministic)
-        return action * (0.5 if len(observation) < 4 else 1.0), state
+    def act(self, observation):
+        return super().act(observation) * (0.5 if len(observation) < 4 else 1.0)
 
 
 @pytest.mark.landing

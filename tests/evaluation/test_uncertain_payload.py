@@ -8,15 +8,13 @@ from functools import cache
 import gymnasium as gym
 import numpy as np
 import pytest
-from evaluation.conftest import play
+from evaluation.conftest import play, verdict_of
 from scipy.stats import binom, binomtest
 
 from cablebot_baselines.laws import FeedbackLinearization
-from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.evaluation import DLCCMonitor, Verdict, Violation, evaluate_dlcc
+from cablebot_gym.evaluation import DLCCMonitor, Violation, evaluate_dlcc
 from cablebot_gym.evaluation import batch as batch_module
-from cablebot_gym.evaluation.batch import Batch, EpisodeSpec, Trial, noise_seed
-from cablebot_gym.evaluation.conditions import Conditions
+from cablebot_gym.evaluation.batch import Trial, noise_seed
 from cablebot_gym.evaluation.motion_search import SCAN_POINTS
 from cablebot_gym.evaluation.search import SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes, required_successes
@@ -90,6 +88,7 @@ def test_payload_is_an_order_statistic_of_the_draws(draws, probability, required
     expected = np.sort(capacities)[-required]
     assert result.payload - 1e-6 <= expected <= result.failed_payload + 1e-6
     assert 0 < result.resolution <= 1e-4
+    assert list(result.draw_seeds) == draw_seeds(3, draws)
     assert result.assured == (draws == 80)
     assert sum(result.details.failures.values()) == draws - required + 1
     for payload, fraction in result.details.success:
@@ -167,6 +166,7 @@ def verdicts(payload):
 def test_failures_are_those_of_single_episodes():
     result = searched()
     assert max(result.draw_seeds) < 2**53, "every JSON parser reads them exactly"
+    assert noise_seed(1, 0.0) != noise_seed(1, 1.0)
     required, _ = required_successes(6, 0.6, 0.6)
     assert 0 < result.payload < 8
     above = verdicts(result.failed_payload)
@@ -196,56 +196,17 @@ def test_margins_are_those_of_the_tightest_single_episodes():
     assert result.details.margins == pytest.approx(expected, abs=1e-9)
 
 
-def verdict(kind, time):
-    """Verdict of an episode with a violation of a kind; None for none."""
-    violation = None if kind is None else Violation(kind=kind, index=None, time=time, excess=None)
-    peaks = dict.fromkeys(
-        ("position_peak", "rotation_peak", "least_tension", "largest_tension"), 0.0
-    )
-    peaks["peak_action"] = (0.5,)
-    return Verdict(carried=kind is None, violation=violation, payload=1.0, **peaks)
-
-
 def test_limiting_violation_is_the_most_frequent_kind():
-    kinds = {0.1: "slack", 0.4: "position", 0.0: None, 0.3: "position", 0.2: "rotation"}
-    verdicts_of_draws = tuple(verdict(kind, time) for time, kind in kinds.items())
-    trial = Trial(payload=1.0, verdicts=verdicts_of_draws, seeds=tuple(range(5)))
+    kinds = {0.1: "slack", 0.4: "position", 0.3: "position", 0.2: "rotation"}
+    verdicts_of_draws = [verdict_of()]
+    for time, kind in kinds.items():
+        violation = Violation(kind=kind, index=None, time=time, excess=None)
+        verdicts_of_draws.append(verdict_of(violation))
+    trial = Trial(payload=1.0, verdicts=tuple(verdicts_of_draws), seeds=tuple(range(5)))
     assert trial.carried == 1
     assert next(iter(trial.failures.items())) == ("position", 2)
     assert trial.failures == {"position": 2, "slack": 1, "rotation": 1}
     assert (trial.violation.kind, trial.violation.time) == ("position", 0.3)
-
-
-# --- the draws --------------------------------------------------------------------------------------------------------
-
-
-HANG = {"name": "dwell-spatial", "duration": 0.02}
-
-
-class Starts:
-    """Records true platform masses and measured positions along x at the start."""
-
-    def start(self, env, observation, info):
-        self.mass = env.truth["platform_mass"].tolist()
-        self.x = observation[:, observation_layout(SPATIAL).slices()["pose"].start].tolist()
-
-    def step(self, *arguments):
-        pass
-
-
-def test_payloads_share_the_parameters_of_a_draw():
-    """And their noise differs."""
-    unknown = {"parameters": {"platform_mass": {"low": -0.1, "high": 0.1}}}
-    options = {"trajectory": HANG, "uncertainty": unknown | {"sensors": {"position": 1e-4}}}
-    batch = Batch("fl", Conditions.of(SPATIAL_ID, draws=3, seed=11, **options))
-    assert batch.seeds == draw_seeds(11, 3)
-    rows = [EpisodeSpec(payload, seed) for payload in (0.0, 1.0) for seed in batch.seeds]
-    observer, repeated = Starts(), Starts()
-    for starts in (observer, repeated):
-        batch.run(rows, observer=starts)
-    assert observer.mass[:3] == observer.mass[3:]
-    assert (len({*observer.mass}), len({*observer.x})) == (3, 6)
-    assert repeated.x == observer.x
 
 
 @pytest.mark.landing

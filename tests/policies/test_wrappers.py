@@ -140,7 +140,6 @@ def test_invalid_wrapper_is_refused_before_the_first_episode(wrappers, message):
 
 MODULE = """
 import gc
-import gymnasium as gym
 from gymnasium.vector import VectorActionWrapper, VectorWrapper
 
 class Half(VectorActionWrapper):
@@ -152,10 +151,6 @@ class Spies(VectorWrapper):
         kinds = {type(each).__name__ for each in gc.get_objects()}
         assert not kinds & {"CableBotVectorEnv", "CableBotEnv", "Simulation"}, kinds
         return self.env.reset(**keywords)
-
-class Single(gym.ActionWrapper):
-    def action(self, action):
-        return action / 2
 """
 
 
@@ -182,10 +177,6 @@ def test_isolated_wrappers_give_the_same_payload(module):
         evaluate_dlcc("fl", PLANAR_ID, wrappers=inline, **FEW) for inline in ([], names[1:])
     )
     assert isolated.payload == behind.payload != alone.payload
-    with IsolatedPolicy("fl", PLANAR_ID, wrappers=[f"{module}:Single"]) as policy:
-        rollouts = [record_rollout(policy, PLANAR_ID, payload=1.0, **SHORT)]
-    rollouts.append(record_rollout("fl", PLANAR_ID, payload=1.0, wrappers=[Half], **SHORT))
-    assert_array_equal(*(rollout.arrays["pose"] for rollout in rollouts))
     assert isolated.to_dict()["wrappers"] == names
     with pytest.raises(ValueError, match="takes the names of its wrappers"):
         IsolatedPolicy("fl", PLANAR_ID, wrappers=[Fails])

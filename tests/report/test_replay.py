@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from benchmark.made_rows import carries
 
+from cablebot_gym.evaluation.batch import draw_seeds
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.report.recording import record_all
 from cablebot_gym.report.replay import LEVELS, RATE, replays
@@ -64,10 +65,7 @@ def test_frames_are_those_of_the_rollout(episodes):
     [
         ({"motion": {"name": "loop-spatial", "seed": 10000}}, 0),
         ({"payload_known": False}, 0),
-        (
-            {"uncertainty": "table6", "draws": 3},
-            int(np.random.SeedSequence(0).generate_state(3, np.uint64)[0]) >> 11,
-        ),
+        ({"uncertainty": "table6", "draws": 3}, draw_seeds(0, 3)[0]),
     ],
 )
 def test_episode_has_the_conditions_of_its_row(options, seed):
@@ -79,8 +77,6 @@ def test_episode_has_the_conditions_of_its_row(options, seed):
         "fl", SPATIAL_ID, payload=4.0, seed=seed, trajectory=trajectory, **given
     )
     assert replay.carried == rollout.verdict.carried
-    assert replay.payload == rollout.payload
-    assert replay.end == rollout.arrays["time"][-1]
     end = unpack_channels(replay)["position"][-1]
     assert end == pytest.approx(rollout.moment(-1).pose[:3], abs=1e-5)
 

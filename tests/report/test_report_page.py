@@ -55,9 +55,7 @@ def test_page_opens_on_the_largest_payload_of_the_first_table():
     ("kind", "bound", "sentence", "name"),
     [
         ("position", 0.02, "position error reaches its bound of 20 mm", "position error"),
-        ("slack", 1.0, "cable 2 falls below its tension bound of 1 N", "least tension"),
         ("slack", None, "cable 2 is slack", "least tension"),
-        ("overload", 60.0, "cable 2 exceeds its largest tension of 60 N", "largest tension"),
     ],
 )
 def test_violations_are_named_as_in_other_results(kind, bound, sentence, name):
