@@ -216,17 +216,11 @@ def _compute(rows: Sequence[Row], store: Store, backend: Backend, command: str) 
     """
     from cablebot_gym.benchmark.engine import run_rows
 
-    finished = 0
     with progress("computing", "rows") as step:
-
-        def count(done: int, expected: int) -> None:
-            nonlocal finished
-            finished = done
-            step(done, expected)
-
         try:
-            run_rows(rows, store, backend, progress=count, say=say)
+            run_rows(rows, store, backend, progress=step, say=say)
         except KeyboardInterrupt:
+            finished = sum(store.find(row) is not None for row in rows)
             state = (
                 f"{finished} of {len(rows)} rows are finished and stored in {store.path}. Resume"
             )
