@@ -28,8 +28,11 @@ def write(pages: Pages) -> None:
         about, *_ = (ast.get_docstring(ast.parse(code)) or "").split("\n\n")
         about = about.replace("\n", " ")
         rows.append([f"[`{script}`](/generated/clients/{name}.md)", about, *_cells(ran, code)])
-        text = f"# {script}\n\n{about}\n\n{markdown_table([RAN, _cells(ran, code)])}\n"
-        pages.write(f"clients/{name}.md", f"{text}```python\n{code}```\n")
+        facts = zip(RAN, _cells(ran, code), strict=True)
+        text = "".join(f"* {head}: {cell}\n" for head, cell in facts)
+        pages.write(
+            f"clients/{name}.md", f"# {script}\n\n{about}\n\n{text}\n```python\n{code}```\n"
+        )
     pages.write("clients.inc", markdown_table(rows))
 
 

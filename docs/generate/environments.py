@@ -58,9 +58,9 @@ def page(env_id: str, env: CableBotEnv) -> str:
         "Robot": f"`{ENV_ROBOTS[env_id]}`, with these nominal values (SI, radians):\n\n"
         f"```json\n{{\n{values}\n}}\n```\n\n"
         "The keyword `robot` takes [another robot](/your-own/robot.md).",
-        "Reference motions": _motions(robot),
         "Equations": _equations(robot),
         **sections,
+        "Reference motions": _motions(robot),
         "Policies": _policies(env_id),
     }
     text = f"# {env_id}\n\n![{env_id}, rendered]({env_id}.png)\n\n{lead}\n"

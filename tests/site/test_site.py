@@ -34,7 +34,7 @@ PAGES = (
 
 FOUND = {
     "VecNormalize": "your-own/policy",
-    "8 cables": "robots",
+    "8 cables": "your-own/robot",
     "custom robot": "your-own/robot",
     "Ctrl-C": "training",
     "GPU": "training",
