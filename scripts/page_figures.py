@@ -1,4 +1,4 @@
-"""Simulates and draws the figures of the pages on DLCC, uncertainty and robots, docs/figures/*.png.
+"""Simulates and draws the figures of the pages on DLCC and uncertainty, docs/figures/*.png.
 
 python scripts/page_figures.py
 """
@@ -9,7 +9,6 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-import pages
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -23,8 +22,6 @@ from cablebot_gym.plotting.figures import (
     new_figure,
     path_panels,
 )
-from cablebot_gym.plotting.robots import draw_robot
-from cablebot_gym.robots import library
 from cablebot_gym.task import payload_model_text
 from cablebot_gym.utils.palette import BLUE, GREEN, GREY, ORANGE, VERMILLION
 
@@ -50,8 +47,6 @@ def write(folder: Path) -> list[Path]:
             evaluate_dlcc("fl:gains=tuned", ENV_ID, uncertainty="table6", draws=64, payload_max=6)
         ),
     }
-    for name in library():
-        figures[f"robot-{name}"] = draw_robot(*pages.shown_checks(name))
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in figures.items():

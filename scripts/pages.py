@@ -6,10 +6,10 @@ A block stands between two comments, so that the page is plain Markdown, on the 
     <!-- NAME: written by scripts/pages.py -->
     <!-- end of NAME -->
 
-NAME is ``leaderboard`` (the best policy of each kind), ``main tables`` (of the leaderboard, in short),
-``measurement`` (payload lost by sensors and errors), ``errors`` (payload with each error alone),
-``library`` (the real robots), ``library payloads`` (payloads of laws on them), a table of
-``cablebot list``, or a script in ``examples/``, with its output if the name ends in ``and output``.
+NAME is ``leaderboard`` (the best policy of each kind), ``recommendations`` (the best policies by what
+is known of a robot), ``measurement`` (payload lost by sensors and errors), ``errors`` (payload with
+each error alone), ``library payloads`` (payloads of laws on the real robots), a table of ``cablebot
+list``, or a script in ``examples/``, with its output if the name ends in ``and output``.
 
 python scripts/pages.py
 """
@@ -22,7 +22,7 @@ import re
 import subprocess
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -40,31 +40,23 @@ from cablebot_gym.benchmark.scores import (
     Leaderboard,
     best_known_rows,
     leaderboards,
+    scores,
     verified_payload,
 )
 from cablebot_gym.benchmark.store import Results, file_of, read
-from cablebot_gym.benchmark.tables import (
-    entry_text,
-    heading,
-    markdown_table,
-    motion_title,
-    timing_text,
-)
-from cablebot_gym.benchmark.yardstick import yardsticks
+from cablebot_gym.benchmark.tables import heading, markdown_table, motion_title
 from cablebot_gym.bounds.closed_form import exact_payload
-from cablebot_gym.bounds.robot_check import MotionCheck, RobotCheck, check_model, check_motion
+from cablebot_gym.bounds.robot_check import check_motion
 from cablebot_gym.cli.listing import tables
-from cablebot_gym.cli.robot import motion_report, report
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.policies import policy_entries
-from cablebot_gym.robots import ELASTIC, find_robot, library
+from cablebot_gym.robots import KIND_TEXTS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / "paper" / "paper.md"
 
 PAGES = (
     "README.md",
-    "docs/index.md",
     "docs/getting-started.md",
     "docs/environments.md",
     "docs/policies.md",
@@ -83,14 +75,23 @@ _BLOCK = re.compile(
 KINDS = {"classical": "control law", "learned": "learned", "optimal": "trajectory optimisation"}
 """Kinds of policies and their headings."""
 
+START, LATE = 1.0, 0.01
+"""Longest start [s] and largest fraction of late actions of a policy that acts in time."""
+
 
 def readme_table(results: Results) -> str:
     """Sentence and table: the best policy of each kind in each environment, by the main tables of
     the leaderboard."""
     boards = [board for board in leaderboards(results.rows) if board.is_main]
+    entries = policy_entries()
     rows = [["environment", *KINDS.values()]]
     for board in boards:
-        rows.append([f"`{board.env_id}`", *(_best(board, kind) for kind in KINDS)])
+        row = [f"`{board.env_id}`"]
+        for kind in KINDS:
+            row.append(
+                _best(board, [name for name in board.policies if entries[name].kind == kind])
+            )
+        rows.append(row)
     column = boards[0].columns[0]
     motions = motion_title(column.trajectory["name"], boards[0].motions(column))
     conditions = f"{motions}, {heading(column)}"
@@ -99,10 +100,8 @@ def readme_table(results: Results) -> str:
     return text + markdown_table(rows)
 
 
-def _best(board: Leaderboard, kind: str) -> str:
-    """The best policy of a kind in a table, with its fraction and its ties."""
-    entries = policy_entries()
-    policies = [policy for policy in board.policies if entries[policy].kind == kind]
+def _best(board: Leaderboard, policies: Sequence[str]) -> str:
+    """The best of some policies of a table, in its order, with its fraction and its ties."""
     if not policies:
         return "–"
     policy = policies[0]
@@ -119,33 +118,73 @@ def _best(board: Leaderboard, kind: str) -> str:
     return text
 
 
-def main_tables(results: Results) -> str:
-    """The main tables without the laws for known robots, and the payload of exact tracking."""
-    entries = policy_entries()
-    text = ""
-    for board in leaderboards(results.rows):
+def recommendations(results: Results, of_library: Results) -> str:
+    """The best policies by what is known of a robot: those of the leaderboard, and the laws on the
+    real robots."""
+    boards = leaderboards(results.rows)
+    main = {board.env_id: board for board in boards if board.is_main}
+    rows = [
+        [
+            "robot of",
+            "exact tracking",
+            "exactly known",
+            "known within ranges",
+            "the same, in time without a plan",
+        ]
+    ]
+    for board in boards:
         if not board.is_main:
-            continue
-        column = board.columns[0]
-        rows = [["policy", "kind", "fraction", "median, p99 [ms], late, start [s]"]]
-        for name in board.policies:
-            if not entries[name].known_robot:
-                times = timing_text(board.timings.get(name))
-                rows.append(
-                    [f"`{name}`", entries[name].kind, entry_text(board, name, column), times]
-                )
-        tracked = exact_tracking(results, board)
-        rows.append(["exact tracking, robot known", "–", f"{tracked:.1%}", "–"])
-        text += f"\n### {board.env_id}\n\n{markdown_table(rows, right=2)}"
-    return text + "\n"
+            ranges = main[board.env_id]
+            in_time = [name for name in ranges.policies if _is_in_time(ranges.timings.get(name))]
+            rows.append(
+                [
+                    f"`{board.env_id}`",
+                    f"{exact_tracking(results, board):.0%}",
+                    _best(board, board.policies),
+                    _best(ranges, ranges.policies),
+                    _best(ranges, in_time),
+                ]
+            )
+    evaluated = {policy for board in main.values() for policy in board.policies}
+    for board in boards:
+        if not board.is_main:
+            evaluated -= set(board.policies)
+    text = f"\n{markdown_table(rows)}\nIn time: a start of at most {START:g} s, and at most {LATE:.0%} late actions."
+    if evaluated:
+        names = ", ".join(f"`{name}`" for name in sorted(evaluated))
+        text += f"\nNot evaluated on exactly known robots: {names}."
+    return f"{text}\n\n{markdown_table(_library_rows(of_library))}\n"
+
+
+def _is_in_time(timing: Mapping[str, Any] | None) -> bool:
+    """Whether a policy starts and acts in time, as far as its computing times are stored."""
+    return timing is not None and timing["start"] <= START and timing["missed"] <= LATE
+
+
+def _library_rows(results: Results) -> list[list[str]]:
+    """Head, and a row for each kind of real robots: their number, and the laws by their mean fraction
+    of exact tracking."""
+    fractions: dict[tuple[str, str], dict[str, list[float]]] = {}
+    for score in scores(results.rows):
+        robot = score.conditions.nominal_robot
+        laws = fractions.setdefault((KIND_TEXTS[robot.kind], robot.springs), {})
+        exact = check_motion(robot).limit.largest
+        laws.setdefault(score.row.policy, []).append((score.payload or 0.0) / exact)
+    rows = [["real robots", "number", "laws by their fraction of exact tracking"]]
+    for (kind, springs), laws in fractions.items():
+        means = sorted(
+            ((float(np.mean(values)), law) for law, values in laws.items()), reverse=True
+        )
+        texts = [f"`{law}` {mean:.0%}" for mean, law in means]
+        number = len(next(iter(laws.values())))
+        rows.append([f"{kind}, {springs}", str(number), ", ".join(texts)])
+    return rows
 
 
 def exact_tracking(results: Results, board: Leaderboard) -> float:
-    """The payload with which motors of a known robot track the motions of a main table exactly, as
-    a mean fraction of what a planner could hope for."""
-    column = board.columns[0]
-    entry = max((board.entries[name, column] for name in board.policies), key=len)
-    yardstick = yardsticks(results.rows)[board.env_id, str(column.uncertainty)]
+    """The payload with which motors of a known robot track the motions of a table exactly, as a mean
+    fraction of the best known payload."""
+    entry = max((board.entries[name, board.columns[0]] for name in board.policies), key=len)
     best_known = best_known_rows(results.rows)
     fractions = []
     for score in entry:
@@ -153,40 +192,12 @@ def exact_tracking(results: Results, board: Leaderboard) -> float:
         if hoped:
             given = score.conditions
             fractions.append(exact_payload(given.nominal_robot, given.motion).payload / hoped)
-    return float(np.mean(fractions)) / yardstick.quantile
+    return float(np.mean(fractions))
 
 
 def stored(suite: str) -> Results:
     """The stored results of a suite."""
     return read(file_of(ROOT / "docs" / "results", suite))
-
-
-def library_pages() -> str:
-    """Drawing, check and sources of each robot of the library, with about half of the payload that
-    it carries."""
-    text = ""
-    for name, path in library().items():
-        check, motion = shown_checks(name)
-        about = re.findall(r"^# (.*)", path.read_text(encoding="utf-8"), re.MULTILINE)
-        text += f"## {name}\n\n" + "\n".join(about) + "\n\n"
-        text += f"![{name}: plan, elevations and workspace](figures/robot-{name}.png)\n\n"
-        command = f"cablebot robot check {check.robot.name} --payload {check.payload:g}"
-        lines = [f"$ {command}", *report(check), *motion_report(check, motion, "")]
-        text += "```text\n" + "\n".join(lines) + "\n```\n\n"
-        text += "| value | range | source |\n| --- | --- | --- |\n"
-        for field, source in check.robot.sources.items():
-            ends = " to ".join(f"{value:g}" for value in check.robot.ranges.get(field, ()))
-            text += f"| `{field}` | {ends} | {re.sub('^assumed', '**assumed**', source)} |\n"
-        text += "\n"
-    return "\n" + text
-
-
-def shown_checks(name: str) -> tuple[RobotCheck, MotionCheck]:
-    """Checks of a robot of the library with elastic cables and half of its payload, rounded to two
-    digits."""
-    robot = find_robot(ELASTIC + name)
-    payload = float(f"{check_motion(robot).limit.largest / 2:.2g}")
-    return check_model(robot, payload=payload), check_motion(robot, payload=payload)
 
 
 def block(name: str) -> str:
@@ -197,14 +208,12 @@ def block(name: str) -> str:
     """
     if name == "leaderboard":
         return readme_table(stored("ranked"))
-    if name == "library":
-        return library_pages()
     if name == "library payloads":
         return f"\n{library_tables(stored('library').rows)}\n"
     if name == "errors":
         return errors_text(stored("errors").rows, "###") + "\n"
-    if name == "main tables":
-        return main_tables(stored("ranked"))
+    if name == "recommendations":
+        return recommendations(stored("ranked"), stored("library"))
     if name == "measurement":
         rows = read(file_of(measure_winches.FOLDER, measure_winches.SUITE)).rows
         return measure_winches.table(rows)
@@ -290,14 +299,14 @@ def _circle(boards: Sequence[Leaderboard], policy: str, **conditions: Any) -> st
     env_id = "CableBot-Spatial-v0"
     trajectory = {"name": "circle-spatial"}
     for board in boards:
-        for (name, column), scores in board.entries.items():
+        for (name, column), entry in board.entries.items():
             required = Conditions(
                 env_id=env_id, trajectory=trajectory, draws=column.draws, **conditions
             )
             if (name, column) == (policy, required):
-                if scores[0].payload is None:
+                if entry[0].payload is None:
                     return "no payload, not even the platform"
-                return f"{scores[0].payload_text} kg"
+                return f"{entry[0].payload_text} kg"
     raise ValueError(f"no row of {policy!r} on the circle")
 
 

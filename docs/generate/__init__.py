@@ -8,7 +8,18 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
-from generate import docstrings, environments, mathml, policies, report, sources, tables, winches
+from generate import (
+    clients,
+    docstrings,
+    environments,
+    mathml,
+    policies,
+    report,
+    robots,
+    sources,
+    tables,
+    winches,
+)
 from generate.pages import Pages
 
 
@@ -26,7 +37,7 @@ def write_all(app: Sphinx) -> None:
     default values."""
     folder = Path(app.srcdir) / "generated"
     shutil.rmtree(folder, ignore_errors=True)
-    for module in (environments, policies, tables, winches):
+    for module in (clients, environments, policies, robots, tables, winches):
         module.write(Pages(folder))
     if app.builder.format == "html":
         report.write(Path(app.outdir))

@@ -14,6 +14,7 @@ from PIL import Image
 
 from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.tables import leaderboard_rows, markdown_table
+from cablebot_gym.cli.listing import tables
 from cablebot_gym.env_ids import ENV_ROBOTS
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.motions import trajectory_names
@@ -49,7 +50,6 @@ def page(env_id: str, env: CableBotEnv) -> str:
     sections["Observation space"] = "\n".join(
         [*layout[: marks[0]], env.layout.table(), *layout[marks[-1] + 1 :]]
     )
-    names = ", ".join(f"`{name}`" for name in trajectory_names(robot.kind))
     fields = []
     for name, value in robot.to_dict().items():
         fields.append(f' "{name}": {json.dumps(value)}')
@@ -57,9 +57,10 @@ def page(env_id: str, env: CableBotEnv) -> str:
     chapters = {
         "Robot": f"`{ENV_ROBOTS[env_id]}`, with these nominal values (SI, radians):\n\n"
         f"```json\n{{\n{values}\n}}\n```\n\n"
-        f"Reference motions by name: {names}. The keyword `robot` takes [another robot](/your-own/robot.md).",
+        "The keyword `robot` takes [another robot](/your-own/robot.md).",
         "Equations": _equations(robot),
         **sections,
+        "Reference motions": _motions(robot),
         "Policies": _policies(env_id),
     }
     text = f"# {env_id}\n\n![{env_id}, rendered]({env_id}.png)\n\n{lead}\n"
@@ -113,6 +114,22 @@ def _equations(robot: Robot) -> str:
         text += f"\n### {title}\n\n{sections[name].strip()}\n"
     readable = "Readable code: {py:mod}`cablebot_gym.physics.textbook`."
     return f"{text}\n{readable} Compiled code: `cablebot_gym/physics/kernel/`."
+
+
+def _motions(robot: Robot) -> str:
+    """The named motions of the kind of the robot, with their fields."""
+    head, *rows = {key: rows for key, _, rows in tables()}["trajectories"]
+    names = trajectory_names(robot.kind)
+    shown = [head]
+    name = ""
+    for row in rows:
+        name = row[0] or name  # a name stands in the row of its first field
+        if name in names:
+            shown.append([row[0] and f"`{name}`", *row[1:]])
+    return (
+        "`trajectory` takes a name or a dict with fields, and [your own motion]"
+        f"(/your-own/robot.md#your-own-motion):\n\n{markdown_table(shown)}"
+    )
 
 
 def _policies(env_id: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections import defaultdict
 from pathlib import Path
@@ -16,7 +15,6 @@ from cablebot_gym.cli.listing import tables
 from generate.pages import Pages, ranked
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
-CLIENTS = Path(__file__).parents[1] / "clients.json"
 
 
 def write(pages: Pages) -> None:
@@ -26,7 +24,6 @@ def write(pages: Pages) -> None:
     pages.write("requirements.inc", requirements())
     pages.write("commands.inc", commands())
     pages.write("replays.inc", replays())
-    pages.write("clients.inc", clients())
     pages.write("due.inc", due_rows())
 
 
@@ -37,21 +34,6 @@ def requirements() -> str:
     extras = {"the package itself": project["dependencies"], **project["optional-dependencies"]}
     for extra, requirements in extras.items():
         rows.append([extra, ", ".join(f"`{requirement}`" for requirement in requirements)])
-    return markdown_table(rows)
-
-
-def clients() -> str:
-    """Other libraries that work with the environments: what `.ci/clients` ran last, and its figure
-    or error."""
-    rows = [["client", "script", "version", "Gymnasium", "what it printed", "time [s]"]]
-    for name, ran in json.loads(CLIENTS.read_text(encoding="utf-8")).items():
-        printed = ran["figure"]
-        if ran["error"] is not None:
-            printed = f"**error**: {ran['error']}"
-        versions = [ran["version"] or "–", ran.get("gymnasium") or "–"]
-        rows.append(
-            [ran["client"], f"`use_{name}.py`", *versions, printed, str(ran["seconds"] or "–")]
-        )
     return markdown_table(rows)
 
 

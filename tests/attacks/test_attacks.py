@@ -1,5 +1,5 @@
 """Twelve attacks, each in a process of its own beside the honest law: they are refused, or gain
-nothing. docs/validation.md has the same table."""
+nothing. docs/leaderboard.md has the same table."""
 
 import re
 import shutil
@@ -23,7 +23,7 @@ pytestmark = [
 ]
 
 FOLDER = Path(__file__).parent
-PAGE = FOLDER.parents[1] / "docs" / "validation.md"
+PAGE = FOLDER.parents[1] / "docs" / "leaderboard.md"
 RESOLUTION = 0.01
 SEED = 7
 """Evaluation seed. A policy does not know it, and tries the default, 0."""

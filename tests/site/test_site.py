@@ -21,23 +21,25 @@ pytestmark = [
 
 PAGES = (
     *("index", "getting-started", "environments", "policies", "dlcc", "leaderboard", "reference"),
-    *("faq", "uncertainty", "training", "your-own/policy", "paper"),
+    *("uncertainty", "training", "scale", "your-own/robot", "your-own/policy", "paper"),
     *(
         "generated/environments/CableBot-Spatial-v0",
         "generated/policies/fl",
+        "generated/robots/cogiro",
+        "generated/clients/sb3",
         "generated/api/gym/cablebot_gym.robots.record",
     ),
 )
 """One page of every kind, and those with much code."""
 
 FOUND = {
-    "VecNormalize": "faq",
-    "8 cables": "faq",
-    "custom robot": "faq",
-    "Ctrl-C": "faq",
-    "GPU": "faq",
-    "TensorBoard": "faq",
-    "headless": "faq",
+    "VecNormalize": "your-own/policy",
+    "8 cables": "your-own/robot",
+    "custom robot": "your-own/robot",
+    "Ctrl-C": "training",
+    "GPU": "training",
+    "TensorBoard": "training",
+    "headless": "getting-started",
     "payload": "dlcc",
     "trajopt": "generated/policies/trajopt",
     "install": "index",

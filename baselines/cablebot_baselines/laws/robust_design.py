@@ -1,5 +1,27 @@
-"""Gains, bounds and tensions of robust control, computed from what is expected of a robot. The page
-on policies derives them.
+"""Gains, bounds and tensions of robust control, computed from what is expected of a robot.
+
+The paper's robust law (Eqs. 26–36) has free parameters. Here all of them follow from the expectation
+and the task:
+
+* **Stiffness Ω** (Eq. 18): ``K_P = Ω²`` and ``K_D = 2 Ω``, as large as :func:`stiffness_limit`
+  allows with the longest delay, the longest motor lag and half a control period as dead time T. A
+  phase margin of :data:`PHASE_MARGIN` means ``c Ω T ≤ atan(2 c) − PHASE_MARGIN``. Springs with the
+  damping ``f √(K J′)`` delay the acceleration by another ``f/ω`` with ``ω² = K/J′``; ``f ω = 2
+  Ω/RESONANCE_GAIN`` leaves the gain :data:`RESONANCE_GAIN` at ω. With as many cables as coordinates,
+  the noise of pose and velocity that Ω amplifies must also leave the cables of the unloaded robot at
+  rest taut.
+* **Boundary layer** (Eqs. 34–36): outside of it ``k_p = ω₀²``, ``k_d = 2 ω₀`` and ``ω₀ = Ω/2``. A
+  diagonal Q of Eq. 35 gives ``s = BᵀPe = ė + λ e`` with ``λ = (Ω + ω₀)/2``. ``Δv = ρ s/max(‖s‖,
+  ρ/κ)`` with ``κ = 2 (Ω − ω₀)`` is then, inside the layer, exactly the PD law of stiffness Ω. A
+  thinner layer would exceed the limit.
+* **Bound ρ** (Eqs. 30–33): the model mass m̂ is the middle of the possible masses. ``m̂/m`` is
+  positive, so ``ρ = ζ ‖v₀ − g‖ + φ`` with ``|m/m̂ − 1| ≤ ζ`` is enough: the division by ``1 − ζ`` and
+  the condition ``ζ < 1`` of the paper are not needed. φ is :data:`DEVIATIONS` standard deviations of
+  the acceleration by strengths, friction and wrench. Positions and angles have separate bounds.
+* **Tension margin**, with more cables than coordinates: above the minimum of the robot, the allocated
+  tension has :data:`DEVIATIONS` standard deviations of what noise, motor errors, and the uncertain
+  inertia and damping of the pulleys take along the reference. A jump of the reference's acceleration
+  adds what the rotors take on an unloaded platform. Springs add their overshoot.
 """
 
 from __future__ import annotations
