@@ -9,24 +9,20 @@ from oracles.episodes import ROBOTS
 from scipy.linalg import solve_continuous_lyapunov
 from steering import tasks_of
 
-from cablebot_baselines.laws import BoundedRobustPD
-from cablebot_baselines.laws.observing import make_observing
-from cablebot_baselines.laws.robust_design import Peaks, RobustDesign
+from cablebot_baselines.laws import BoundedRobustPD, Observing
+from cablebot_baselines.laws.robust_design import RobustDesign
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_gym.uncertainty import find_uncertainty
 
 PERIOD = 2e-3
-PEAKS = Peaks(jump=5.0, pulley_speed=40.0, pulley_acceleration=500.0)
 
 
-def design(env_id, uncertainty="hardware", payload=2.0, peaks=PEAKS, **changes):
+def design(env_id, payload=2.0, **changes):
     robot = ROBOTS[env_id]
-    expectation = Expectation.of(robot, find_uncertainty(uncertainty, robot))
+    expectation = Expectation.of(robot, find_uncertainty("hardware", robot))
+    task, _ = tasks_of(env_id)
     return RobustDesign(
-        expectation=replace(expectation, **changes),
-        period=PERIOD,
-        largest_payload=payload,
-        peaks=peaks,
+        expectation=replace(expectation, **changes), task=task, largest_payload=payload
     )
 
 
@@ -119,6 +115,6 @@ def test_lyapunov_function_decreases_outside_the_layer_for_the_worst_errors():
 
 def test_robot_that_holds_every_payload_can_be_prepared():
     """At rest in a horizontal plane no payload is the largest one."""
-    make_observing(ROBOTS["CableBot-Planar-v0"]).reset(
+    Observing(ROBOTS["CableBot-Planar-v0"]).reset(
         tasks_of("CableBot-Planar-v0", trajectory="dwell-planar")
     )
