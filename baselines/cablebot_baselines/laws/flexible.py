@@ -111,27 +111,16 @@ class FlexibleLaw(ClassicalLaw):
         torques = spring + textbook.motor_friction(self.model, required.speeds, spring)
         return torques, required.pulley_accelerations, required.speeds
 
-    def _spring_torques(
-        self, mass: Array, pose: Array, velocity: Array, acceleration: Array
-    ) -> Array:
-        """Required spring torques κ = r T + J β̈ + c β̇ [N·m], (..., m)."""
-        return self._inverse_dynamics(mass, pose, velocity, acceleration).torques
-
-    def _pulley_acceleration(self, pose: Array, velocity: Array, acceleration: Array) -> Array:
-        """β̈ [rad/s²], (..., m)."""
-        mass = np.asarray(self.robot.mass)
-        required = self._inverse_dynamics(mass, pose, velocity, acceleration)
-        return required.pulley_accelerations
-
     def _spring_torque_derivatives(
         self, mass: Array, motion: JointMotion
     ) -> tuple[Array, Array, Array]:
-        """κ, κ̇ and κ̈ along a motion, by central differences."""
+        """Spring torques κ = r T + J β̈ + c β̇ that a motion requires, κ̇ and κ̈, by central
+        differences."""
         steps = DIFFERENCE_STEP * np.array([-1.0, 0.0, 1.0])
         times = steps.reshape(-1, *[1] * motion.position.ndim)
         masses = np.stack([mass] * len(steps))
         # One batch takes a third of the time of three.
-        before, now, after = self._spring_torques(masses, *motion.after(times))
+        before, now, after = self._inverse_dynamics(masses, *motion.after(times)).torques
         rate = (after - before) / (2 * DIFFERENCE_STEP)
         second = (after - 2 * now + before) / DIFFERENCE_STEP**2
         return now, rate, second
@@ -298,7 +287,7 @@ class MotorPD(FlexibleLaw):
         measured ones, (..., 2, m)."""
         pose = blocks["reference_pose"]
         zero = np.zeros_like(pose)
-        spring = self._spring_torques(mass, pose, zero, zero)
+        spring = self._inverse_dynamics(mass, pose, zero, zero).torques
         tensions = spring / self.model.pulley_radius
         angle, _ = textbook.rest_angles(self.robot, tensions, pose)
         spring = textbook.holding_torque(self.robot, spring)
@@ -311,17 +300,17 @@ class MotorPD(FlexibleLaw):
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
         robot = self.model
         pose = blocks["reference_pose"]
-        velocity = blocks["reference_velocity"]
-        acceleration = blocks["reference_acceleration"]
+        required = self._inverse_dynamics(
+            mass, pose, blocks["reference_velocity"], blocks["reference_acceleration"]
+        )
         spring, spring_rate, spring_second = self._reference_spring_torques(mass, blocks)
         stiffness = textbook.joint_stiffness(self.robot, pose)
         tensions = spring / robot.pulley_radius
         angle, _ = textbook.rest_angles(self.robot, tensions, pose)
         # With elastic cables the motor torque at rest exceeds r T.
         spring = textbook.holding_torque(self.robot, spring)
-        speed = self.pulley_speed(pose, velocity) + spring_rate / stiffness
-        pulley_acceleration = self._pulley_acceleration(pose, velocity, acceleration)
-        motor_acceleration = pulley_acceleration + spring_second / stiffness
+        speed = required.speeds + spring_rate / stiffness
+        motor_acceleration = required.pulley_accelerations + spring_second / stiffness
         inertial = robot.motor_inertia * motor_acceleration
         feedforward = spring + inertial + textbook.motor_friction(robot, speed, spring)
         angle_error = angle - blocks["motor_angle"]

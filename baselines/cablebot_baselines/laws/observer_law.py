@@ -122,7 +122,10 @@ class ObserverLaw(ClassicalLaw):
         self._motions = [(tasks[rows[0]], np.array(rows)) for rows in groups.values()]
         payloads = np.zeros(len(tasks))
         for task, rows in self._motions:
-            payloads[rows] = self._possible(task)
+            largest = self.largest_payload
+            if largest is None:
+                largest = self._payload_prior * possible_payload(self.robot, task)
+            payloads[rows] = largest
         self._prepare(payloads)
         period = 1 / tasks[0].control_frequency
         self.observer = RobotObserver(self.expectation, period, largest_payload=payloads)
@@ -141,12 +144,6 @@ class ObserverLaw(ClassicalLaw):
 
     def _prepare(self, payloads: Array) -> None:
         """Adapts the law to the motions and the largest possible payloads, (N,) [kg]."""
-
-    def _possible(self, task: Task) -> float:
-        """Largest payload that is considered possible in a task [kg]."""
-        if self.largest_payload is not None:
-            return self.largest_payload
-        return self._payload_prior * possible_payload(self.robot, task)
 
     def respond(
         self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None

@@ -316,15 +316,6 @@ def _multiply(sparse, matrix, product):
                 product[a, c] += factor * matrix[b, c]
 
 
-@helper
-def _add_jumps(torque_slope, jumps, period, covariance):
-    """Adds the variances of velocities that change at once by errors of the torques, (m,)."""
-    for a in range(len(torque_slope)):
-        for j in range(len(jumps)):
-            jump = period * torque_slope[a, j] * jumps[j]
-            covariance[a, a] += jump * jump
-
-
 @entry_point(seconds=lambda dynamics, torque, gradient, *_: _product_seconds(gradient))
 def predict(
     dynamics,
@@ -377,8 +368,10 @@ def predict(
         covariance[i] = (covariance[i] + covariance[i].T) / 2
         for c in range(size):
             covariance[i, c, c] += growth[i, c]
-        velocity_covariance = covariance[i, n : 2 * n, n : 2 * n]
-        _add_jumps(robot_dynamics.torque_slope, jumps[i], period, velocity_covariance)
+        for a in range(n):
+            for j in range(jumps.shape[1]):
+                jump = period * dynamics.torque_slope[i, a, j] * jumps[i, j]
+                covariance[i, n + a, n + a] += jump * jump
 
 
 @entry_point(seconds=lambda innovation, gradient, *_: _product_seconds(gradient))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +16,7 @@ from cablebot_baselines.entries import entry
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.laws.adaptive import make_adaptive
 from cablebot_baselines.laws.law import Array, ClassicalLaw
-from cablebot_baselines.laws.observer_law import ObserverLaw
+from cablebot_baselines.laws.observer_law import UNCERTAINTY, ObserverLaw
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_baselines.planners.plan_law import AdaptivePlanLaw, PlanLaw
 from cablebot_baselines.planners.rehearsed import (
@@ -32,9 +33,6 @@ from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.uncertainty import find_uncertainty
 
 _LOGGER = logging.getLogger("cablebot_gym")
-
-UNCERTAINTY = "hardware"
-"""Uncertainty of the robots on which plans are rehearsed."""
 
 ERROR_MARGIN = 0.02
 """Margin of the plan for an exactly known robot to its error bounds, as a fraction of them."""
@@ -107,7 +105,7 @@ class TrajOpt:
         """Number of episodes without a plan since the last :meth:`reset`."""
         # Environments with the same plan and their law.
         self._groups: list[tuple[NDArray[np.intp], ClassicalLaw]] = []
-        self._laws: dict[Any, tuple[Trajectory, ClassicalLaw | str]] = {}
+        self._laws: dict[Any, tuple[Trajectory, ClassicalLaw | None]] = {}
         self._reference_law = make_adaptive(robot)
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -118,23 +116,26 @@ class TrajOpt:
         """
         self._reference_law.reset(tasks)
         groups: dict[int, tuple[ClassicalLaw, list[int]]] = {}
-        reasons: Counter[str] = Counter()
+        without_plan: Counter[str] = Counter()
         for env_index, task in enumerate(tasks):
             law = self._law(task)
-            if isinstance(law, str):
-                reasons[law] += 1
+            if law is None:
+                without_plan[task.trajectory.name] += 1
                 law = self._reference_law
             _, indices = groups.setdefault(id(law), (law, []))
             indices.append(env_index)
-        for reason, episodes in reasons.items():
+        for name, episodes in without_plan.items():
             _LOGGER.warning(
-                "trajopt tracks the reference without a plan in %d episodes: %s", episodes, reason
+                "trajopt tracks trajectory %r without a plan in %d episodes: no motion within the "
+                "error bounds is feasible with a payload",
+                name,
+                episodes,
             )
-        self.fallbacks = reasons.total()
+        self.fallbacks = without_plan.total()
         self._groups = [(np.array(indices), law) for law, indices in groups.values()]
 
-    def _law(self, task: Task) -> ClassicalLaw | str:
-        """The law of a task's episode with the rehearsed plan or the exact one, or why there is no
+    def _law(self, task: Task) -> ClassicalLaw | None:
+        """The law of a task's episode with the rehearsed plan or the exact one; None if there is no
         plan."""
         rehearsed = self._stored(self._rehearsed_law, task)
         if isinstance(rehearsed, ObserverLaw):
@@ -146,27 +147,21 @@ class TrajOpt:
 
     def _stored(
         self, make: Callable[[Task], tuple[PlannedMotion, ClassicalLaw]], task: Task
-    ) -> ClassicalLaw | str:
-        """The law that a function makes, or the reason why there is no plan. It is made once."""
+    ) -> ClassicalLaw | None:
+        """The law that a function makes for a plan; None if there is no plan. It is made once."""
         motion: Any = task.trajectory
         if not isinstance(motion, Hashable):
             motion = id(motion)  # a trajectory that is not hashable is equal only to itself
         key = (make.__name__, motion, task.error_bounds, task.control_frequency, task.cable)
         if key not in self._laws:
+            law = None
+            with suppress(Infeasible):
+                plan, tracking = make(task)
+                if plan.payload > 0:
+                    law = tracking
             # Stores the trajectory, too: its id may be part of the key, so it must stay alive.
-            self._laws[key] = task.trajectory, self._made(make, task)
+            self._laws[key] = task.trajectory, law
         return self._laws[key][1]
-
-    def _made(
-        self, make: Callable[[Task], tuple[PlannedMotion, ClassicalLaw]], task: Task
-    ) -> ClassicalLaw | str:
-        try:
-            plan, law = make(task)
-        except Infeasible:
-            return f"trajectory {task.trajectory.name!r} has no feasible motion within the error bounds"
-        if plan.payload <= 0:
-            return f"trajectory {task.trajectory.name!r} allows no payload"
-        return law
 
     def _rehearsed_law(self, task: Task) -> tuple[PlannedMotion, ClassicalLaw]:
         """The plan for robots that are not exactly known, and its law."""
