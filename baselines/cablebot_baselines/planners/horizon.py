@@ -193,7 +193,6 @@ class HorizonProgram:
         self.instants = np.linspace(0.0, HORIZON, count)
         """Times at which the constraints apply, (K,) [s]."""
         self._bases = self.basis(self.instants)
-        self._bases_of_instants = np.moveaxis(self._bases, 0, -1)
         self._fit = np.linalg.pinv(self._bases[0])
         self.basis_at = lru_cache(maxsize=1024)(self.basis)
         """:meth:`basis` of one time, cached."""
@@ -309,8 +308,6 @@ class HorizonProgram:
         varied = self._varied(motion)
         masses = np.full(varied.shape[1:3], mass)
         demand = demands(robot, masses, varied)
-        if not np.isfinite(demand.pulley_accelerations).all():
-            raise PlanningError("the pose is singular")
         structure = np.swapaxes(demand.structure, -1, -2)
         try:
             inverse, null_space = _inverse_and_null_space(structure[0])
@@ -551,7 +548,7 @@ class HorizonProgram:
         count, rows, _ = by_motion.shape
         n = self.robot.coordinates
         by_order = by_motion.reshape(count, rows, 3, n).swapaxes(1, 2)
-        slope = self._bases_of_instants @ by_order.reshape(count, 3, rows * n)
+        slope = np.moveaxis(self._bases, 0, -1) @ by_order.reshape(count, 3, rows * n)
         by_point = slope.reshape(count, -1, rows, n).swapaxes(1, 2)
         return by_point.reshape(count, rows, -1)
 
