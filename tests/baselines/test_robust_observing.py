@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -111,6 +112,16 @@ def test_lyapunov_function_decreases_outside_the_layer_for_the_worst_errors():
             rates = np.stack([errors[..., 1], second], axis=-1)
             decrease = 2 * np.sum(errors * (rates @ p), axis=(-2, -1))
             assert np.all(decrease <= -np.sum(errors * (errors @ q), axis=(-2, -1)) + 1e-9)
+
+
+def test_task_of_one_motion_serves_all_episodes_of_a_batch():
+    law = Observing(ROBOTS["CableBot-Planar-v0"])
+    tasks = tasks_of("CableBot-Planar-v0")
+    observation, _ = gym.make("CableBot-Planar-v0").reset(seed=0)
+    law.reset(tasks[:1])
+    alone, _ = law.predict(observation)
+    actions, _ = law.predict(np.stack([observation, observation]))
+    assert_allclose(actions, [alone, alone])
 
 
 def test_robot_that_holds_every_payload_can_be_prepared():

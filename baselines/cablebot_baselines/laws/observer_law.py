@@ -105,7 +105,7 @@ class ObserverLaw(ClassicalLaw):
         self._laws: list[tuple[ClassicalLaw, Any]] = [(law, slice(None))]
         self._tasks: tuple[Task, ...] = ()
         # Each motion's first task and its rows.
-        self._motions: list[tuple[Task, NDArray[np.intp]]] = []
+        self._motions: list[tuple[Task, Any]] = []
         self._allocates = law.robot.cables == law.robot.coordinates
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -120,6 +120,8 @@ class ObserverLaw(ClassicalLaw):
         for row, task in enumerate(tasks):
             groups.setdefault(id(task.trajectory), []).append(row)
         self._motions = [(tasks[rows[0]], np.array(rows)) for rows in groups.values()]
+        if len(groups) == 1:
+            self._motions = [(tasks[0], slice(None))]  # serves any number of episodes
         payloads = np.zeros(len(tasks))
         for task, rows in self._motions:
             largest = self.largest_payload
@@ -174,11 +176,11 @@ class ObserverLaw(ClassicalLaw):
         )
         reference, memory = self.reference(instant, memory)
         later = ahead | {"time_to_go": time_to_go[:, None]} | reference
-        of_effect = rows | later
+        at_effect = rows | later
         requested = np.empty_like(estimate.strength)
         action = np.empty_like(requested)
         for law, acting in self._laws:
-            of_law = {name: values[acting] for name, values in of_effect.items()}
+            of_law = {name: values[acting] for name, values in at_effect.items()}
             requested[acting], action[acting] = self._act(law, of_law, estimate.of(acting))
         after = ObservingState(observer=observed, requested=requested, memory=memory)
         return action.reshape(*shape, self.robot.cables), after

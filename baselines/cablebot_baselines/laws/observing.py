@@ -43,7 +43,7 @@ class Observing(ObserverLaw):
             design = RobustDesign(
                 expectation=self.expectation,
                 task=task,
-                largest_payload=float(payloads[rows[0]]),
+                largest_payload=float(payloads[rows][0]),
             )
             law = self._designed(design)
             law.reset([task])
